@@ -1,0 +1,38 @@
+.DEFAULT_GOAL := help
+PYTHON ?= python3.11
+BIN := .venv/bin
+
+help:         ## Show this list
+	@grep -hE '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*##/\t/' | expand -t 16
+
+.venv/.installed: pyproject.toml
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[workers,dev]'
+	@touch $@
+
+install: .venv/.installed  ## Make .venv with the command counterpoint in it
+	@echo "installed: $(BIN)/counterpoint"
+
+check: .venv/.installed    ## Format, lint, types, imports: what needs no server
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+test: check                ## The checks, then unit, contract and architecture tests
+	$(BIN)/pytest -q
+
+integration: .venv/.installed  ## Real router, real processes, killed and restarted
+	$(BIN)/pytest -q -m integration
+
+fix: .venv/.installed      ## Format, and repair what can be repaired safely
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+demo: .venv/.installed     ## Simulated street logs, the whole system, a ranked table and pictures
+	$(BIN)/counterpoint demo --out demo-output
+
+bench: .venv/.installed    ## Where the time goes, beside floors measured in the same run
+	$(BIN)/counterpoint bench pipeline
+
+.PHONY: help install check test integration fix demo bench

@@ -1,0 +1,1 @@
+"""The words of the system: what every part may say to another. numpy and pydantic only."""

@@ -1,0 +1,65 @@
+"""The arrays that travel between stages, and the one check of their shape and type."""
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+Points = NDArray[np.float32]
+"""(N, 3) positions in metres, in the space the name or the docstring says."""
+
+Flow = NDArray[np.float32]
+"""(N, 3) displacements in metres."""
+
+Mask = NDArray[np.bool_]
+"""(N,) true where the name of the mask holds."""
+
+Transform = NDArray[np.float64]
+"""(4, 4) rigid transform, named `to_from_from`: it maps points of the second space to the first."""
+
+MotionLabels = NDArray[np.uint8]
+"""(N,) values of `schemas.labels.MotionLabel`."""
+
+Agreements = NDArray[np.uint8]
+"""(N,) values of `schemas.labels.Agreement`."""
+
+Confidences = NDArray[np.float16]
+"""(N,) how sure a stream is of its label, 0 to 1; half precision, since every point has one."""
+
+NS_PER_S: Final = 1_000_000_000
+
+
+def check_array(
+    name: str, array: NDArray[Any], *, shape: tuple[int | None, ...], dtype: DTypeLike
+) -> None:
+    """Refuse an array that is not what its name promises.
+
+    Args:
+        name: What the message calls it.
+        array: The array to check.
+        shape: Expected lengths; None allows any.
+        dtype: Expected type of the elements.
+
+    Raises:
+        ValueError: If shape or type differ; the message says both.
+    """
+    fits = len(shape) == array.ndim and all(
+        expected is None or expected == actual
+        for expected, actual in zip(shape, array.shape, strict=True)
+    )
+    if not fits or array.dtype != np.dtype(dtype):
+        raise ValueError(
+            f"{name} must be {_describe(shape)} {np.dtype(dtype)}, "
+            f"got {_describe(array.shape)} {array.dtype}"
+        )
+
+
+def freeze(*arrays: NDArray[Any] | None) -> None:
+    """Make arrays read-only for the rest of their lives, so that no stage can move a point."""
+    for array in arrays:
+        if array is not None:
+            array.flags.writeable = False
+
+
+def _describe(shape: tuple[int | None, ...]) -> str:
+    return "(" + ", ".join("N" if length is None else str(length) for length in shape) + ")"

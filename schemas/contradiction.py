@@ -1,0 +1,141 @@
+"""What is made of contradicting points: labelled frames, instances, tracks."""
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from schemas.arrays import Agreements, check_array, freeze
+from schemas.frame import PosedFrame
+from schemas.labels import FrameLabels
+
+
+class ContradictionKind(StrEnum):
+    """Which stream alone says that something moves. It does not say who errs."""
+
+    ONLY_SEMANTIC_DYNAMIC = "only_semantic_dynamic"
+    ONLY_PREDICTIVE_DYNAMIC = "only_predictive_dynamic"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LabelledFrame:
+    """A posed frame with both streams' answers and their agreement, point by point.
+
+    Attributes:
+        posed: The frame and its pose.
+        semantic: Labels of the supervised stream.
+        predictive: Labels of the self-supervised stream.
+        agreements: (N,) `Agreement` of the two.
+    """
+
+    posed: PosedFrame
+    semantic: FrameLabels
+    predictive: FrameLabels
+    agreements: Agreements
+
+    def __post_init__(self) -> None:
+        """Check that every point has one agreement."""
+        n = len(self.posed.frame)
+        check_array("agreements", self.agreements, shape=(n,), dtype=np.uint8)
+        freeze(self.agreements)
+
+    @property
+    def stamp_ns(self) -> int:
+        """Nanoseconds since the Unix epoch, of the frame."""
+        return self.posed.frame.stamp_ns
+
+
+class SceneState(StrEnum):
+    """What may be made of a scene's score."""
+
+    SCORED = "scored"
+    TOO_SHORT = "too_short"
+    ODOMETRY_LOST = "odometry_lost"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """Consecutive labelled frames of one log: the unit that is scored, ranked and selected.
+
+    Attributes:
+        scene_id: `<log_id>/<lidar>/<start_ns>`, unique in the bucket.
+        frames: In the order of their stamps; at least one.
+        too_short: A piece under a second between gaps, or a log too short to judge.
+    """
+
+    scene_id: str
+    frames: tuple[LabelledFrame, ...]
+    too_short: bool = False
+
+    @property
+    def start_ns(self) -> int:
+        """First frame, nanoseconds since the Unix epoch."""
+        return self.frames[0].stamp_ns
+
+    @property
+    def end_ns(self) -> int:
+        """Last frame, nanoseconds since the Unix epoch."""
+        return self.frames[-1].stamp_ns
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Instance:
+    """A cluster of contradicting points of one kind in one frame, large enough to keep.
+
+    Attributes:
+        kind: Which stream alone calls it dynamic.
+        frame_index: Which frame of the scene it was found in.
+        point_index: (M,) the points that make it up.
+        centre_m: (3,) centre of its box, sensor space, metres.
+        size_m: (3,) length (>= width), width, height of its box, metres.
+        yaw_rad: Heading of the length axis about z, sensor space, in [-pi/2, pi/2).
+        semantic_confidence: Mean of the supervised stream over its points, 0 to 1.
+        predictive_confidence: Mean of the self-supervised stream over its points, 0 to 1.
+        class_name: Commonest semantic class of its points; empty when the stream knows none.
+        velocity_m_per_s: (3,) mean velocity over the ground, odom space; zero when not measured.
+    """
+
+    kind: ContradictionKind
+    frame_index: int
+    point_index: NDArray[np.int64]
+    centre_m: NDArray[np.float64]
+    size_m: NDArray[np.float64]
+    yaw_rad: float
+    semantic_confidence: float
+    predictive_confidence: float
+    class_name: str = ""
+    velocity_m_per_s: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+
+
+class InstanceRecord(BaseModel):
+    """An instance as it travels: its box, size and what both sides thought."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    stamp_ns: int = Field(ge=0, description="Frame it was found in, nanoseconds since the epoch.")
+    points: int = Field(ge=1, description="Contradicting points in it.")
+    centre_m: tuple[float, float, float] = Field(description="Box centre, sensor space, metres.")
+    size_m: tuple[float, float, float] = Field(description="Length, width, height, metres.")
+    yaw_rad: float = Field(description="Heading of the length axis about z, sensor space.")
+    range_m: float = Field(ge=0, description="Horizontal distance from the sensor, metres.")
+    semantic_confidence: float = Field(ge=0, le=1, description="Mean over its points.")
+    predictive_confidence: float = Field(ge=0, le=1, description="Mean over its points.")
+
+
+class TrackRecord(BaseModel):
+    """One contradicting thing followed over the frames of a scene."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    track_id: int = Field(ge=0, description="Counts within the scene, strongest first.")
+    kind: ContradictionKind = Field(description="Which stream alone calls it dynamic.")
+    class_name: str = Field(default="", description="Commonest semantic class; may be empty.")
+    strength: float = Field(ge=0, le=1, description="What this track adds to the scene score.")
+    first_ns: int = Field(ge=0, description="First frame it was seen in.")
+    last_ns: int = Field(ge=0, description="Last frame it was seen in.")
+    frames: int = Field(ge=1, description="Frames of the scene in which it contradicts.")
+    points: int = Field(ge=1, description="Contradicting points over all those frames.")
+    speed_m_per_s: float = Field(ge=0, description="Median speed over the ground; 0 unmeasured.")
+    strongest: InstanceRecord = Field(description="Its instance with the most evidence.")

@@ -1,0 +1,74 @@
+"""Every Zenoh key of the system. Parts are percent-encoded ASCII; nothing else builds a key."""
+
+from typing import Final, Literal
+from urllib.parse import quote, unquote
+
+DEFAULT_ROOT: Final = "counterpoint"
+
+Verb = Literal[
+    "hello", "claim", "renew", "commit", "fail", "top", "select", "overlay", "status", "scene"
+]
+"""What may be asked of the service."""
+
+
+def _part(text: str) -> str:
+    return quote(text, safe="-_.~")
+
+
+def score(*, root: str, log_id: str, shard: str) -> str:
+    """Key a worker puts the raw scores of one shard to."""
+    return f"{root}/v1/score/{_part(log_id)}/{_part(shard)}"
+
+
+def all_scores(*, root: str) -> str:
+    """What the service subscribes to."""
+    return f"{root}/v1/score/**"
+
+
+def scene(*, root: str, log_id: str, scene_id: str) -> str:
+    """Key of one durable, numbered scene; one writer, the service."""
+    return f"{root}/v1/scene/{_part(log_id)}/{_part(_within(log_id, scene_id))}"
+
+
+def all_scenes(*, root: str) -> str:
+    """What a subscriber of scored scenes subscribes to, and asks for the history."""
+    return f"{root}/v1/scene/**"
+
+
+def scene_cache(*, root: str) -> str:
+    """Where a stock AdvancedSubscriber on `all_scenes` asks for its history."""
+    return f"{root}/v1/scene/**/@adv/**"
+
+
+def selected(*, root: str, selection: str, log_id: str, scene_id: str) -> str:
+    """Key of one scene of a named selection."""
+    return (
+        f"{root}/v1/selected/{_part(selection)}/{_part(log_id)}/{_part(_within(log_id, scene_id))}"
+    )
+
+
+def control(*, root: str, verb: Verb) -> str:
+    """Key of a question to the service."""
+    return f"{root}/v1/ctl/{verb}"
+
+
+def live(*, root: str, role: str, ident: str) -> str:
+    """Key of a liveliness token."""
+    return f"{root}/v1/live/{_part(role)}/{_part(ident)}"
+
+
+def scene_id_of(key: str, *, root: str) -> str:
+    """Read the scene id back from a key that `scene` made.
+
+    Raises:
+        ValueError: If the key is not one of a scene under this root.
+    """
+    prefix = f"{root}/v1/scene/"
+    parts = key.removeprefix(prefix).split("/")
+    if not key.startswith(prefix) or len(parts) != 2:
+        raise ValueError(f"not the key of a scene under {root!r}: {key}")
+    return f"{unquote(parts[0])}/{unquote(parts[1])}"
+
+
+def _within(log_id: str, scene_id: str) -> str:
+    return scene_id.removeprefix(f"{log_id}/")

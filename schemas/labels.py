@@ -1,0 +1,94 @@
+"""What a stream says about a point, and what two streams say together."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import Confidences, Mask, MotionLabels, check_array, freeze
+
+
+class MotionLabel(IntEnum):
+    """The motion of one point. UNKNOWN is an answer: points are never dropped."""
+
+    STATIC = 0
+    DYNAMIC = 1
+    UNKNOWN = 2
+
+
+class Agreement(IntEnum):
+    """The two answers for one point. It does not say which stream is right."""
+
+    BOTH_STATIC = 0b00
+    ONLY_SEMANTIC_DYNAMIC = 0b01
+    ONLY_PREDICTIVE_DYNAMIC = 0b10
+    BOTH_DYNAMIC = 0b11
+    NOT_COMPARED = 0b100
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether exactly one stream called the point dynamic."""
+        return self in (Agreement.ONLY_SEMANTIC_DYNAMIC, Agreement.ONLY_PREDICTIVE_DYNAMIC)
+
+
+AGREEMENT_COLOURS: dict[Agreement, tuple[int, int, int]] = {
+    Agreement.BOTH_STATIC: (34, 139, 34),
+    Agreement.BOTH_DYNAMIC: (65, 105, 225),
+    Agreement.ONLY_PREDICTIVE_DYNAMIC: (178, 34, 34),
+    Agreement.ONLY_SEMANTIC_DYNAMIC: (225, 225, 0),
+    Agreement.NOT_COMPARED: (110, 110, 110),
+}
+"""The paper's four colours (section III-C, figures), red, green, blue; grey is ours."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameLabels:
+    """What one stream says about every point of one frame.
+
+    Attributes:
+        labels: (N,) motion labels.
+        confidence: (N,) 0 to 1, how sure the stream is of that label; 0 where UNKNOWN.
+        class_id: (N,) semantic class as an index into the stream's `class_names`, -1 none; None
+            from a stream that knows no classes.
+        ground_mask: (N,) true on the ground; None from a stream that does not look for it.
+        cluster: (N,) index into `cluster_velocity_m_per_s`, -1 none; None without clusters.
+        cluster_velocity_m_per_s: (K, 3) velocity of each cluster over the ground, odom space.
+
+    Raises:
+        ValueError: If lengths differ or an array has the wrong type.
+    """
+
+    labels: MotionLabels
+    confidence: Confidences
+    class_id: NDArray[np.int16] | None = None
+    ground_mask: Mask | None = None
+    cluster: NDArray[np.int32] | None = None
+    cluster_velocity_m_per_s: NDArray[np.float32] | None = None
+
+    def __post_init__(self) -> None:
+        """Check every array once, and make it read-only."""
+        n = len(self.labels)
+        check_array("labels", self.labels, shape=(n,), dtype=np.uint8)
+        check_array("confidence", self.confidence, shape=(n,), dtype=np.float16)
+        if self.class_id is not None:
+            check_array("class_id", self.class_id, shape=(n,), dtype=np.int16)
+        if self.ground_mask is not None:
+            check_array("ground_mask", self.ground_mask, shape=(n,), dtype=np.bool_)
+        if self.cluster is not None:
+            check_array("cluster", self.cluster, shape=(n,), dtype=np.int32)
+        if self.cluster_velocity_m_per_s is not None:
+            check_array(
+                "cluster_velocity_m_per_s",
+                self.cluster_velocity_m_per_s,
+                shape=(None, 3),
+                dtype=np.float32,
+            )
+        freeze(
+            self.labels,
+            self.confidence,
+            self.class_id,
+            self.ground_mask,
+            self.cluster,
+            self.cluster_velocity_m_per_s,
+        )

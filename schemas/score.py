@@ -1,0 +1,94 @@
+"""The scored scene: the record that travels, is stored, ranked and reviewed."""
+
+from typing import Annotated, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from schemas.contradiction import ContradictionKind, SceneState, TrackRecord
+from schemas.frame import OdometryState
+
+Share = Annotated[float, Field(ge=0, le=1)]
+"""A fraction, 0 to 1."""
+
+MAX_TRACKS: Final = 32
+"""Tracks a record carries, strongest first: keeps it under MAX_RECORD_BYTES on the bus."""
+
+MAX_RECORD_BYTES: Final = 16_384
+
+
+class AgreementShares(BaseModel):
+    """Shares of the four outcomes among compared points; they add up to 1, or all are 0."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    both_static: Share
+    both_dynamic: Share
+    only_semantic_dynamic: Share
+    only_predictive_dynamic: Share
+
+
+class KindTotal(BaseModel):
+    """How many contradictions of one kind a scene holds, those beyond the record included."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    kind: ContradictionKind
+    instances: int = Field(ge=0, description="Instances over all frames.")
+    tracks: int = Field(ge=0, description="Tracks over the scene.")
+    points: int = Field(ge=0, description="Points over all instances.")
+
+
+class OdometryHealth(BaseModel):
+    """Whether the poses of the scene may be trusted: it gates the score."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    state: OdometryState = Field(description="The worst of the scene's frames.")
+    healthy_share: Share = Field(description="Share of frames with a healthy pose.")
+    static_residual_m: float = Field(ge=0, description="Median over the frames, metres.")
+    distance_m: float = Field(ge=0, description="Path of the sensor over the scene, metres.")
+    reason: str = Field(default="", max_length=200, description="Why not healthy, if so.")
+
+
+class Producers(BaseModel):
+    """What made the labels: the name and version of each stream's model."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    supervised: str = Field(description="`name@version`; the version is a digest of its weights.")
+    selfsupervised: str = Field(description="`name@version`.")
+    pipeline_version: str = Field(description="Digest of grid, warm-up, weights and settings.")
+
+
+class SceneScore(BaseModel):
+    """How much the two streams contradict each other in one scene.
+
+    No times of processing, worker or attempt are inside, and floats are rounded: the same shard
+    plan, weights and settings give the same bytes (`schemas.wire.encode_scene_score`).
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    schema_version: Literal[1] = 1
+    scene_id: str = Field(min_length=1, description="`<log_id>/<lidar>/<start_ns>`, unique.")
+    log_id: str = Field(min_length=1, description="Bucket-relative key of the recording.")
+    lidar_topic: str = Field(min_length=1, description="MCAP topic of the lidar.")
+    vehicle: str = Field(description="From the log's metadata or path, else `unknown`.")
+    date: str = Field(description="From the log's metadata or path, else `unknown`.")
+    software_version: str = Field(description="From the log's metadata or path, else `unknown`.")
+    start_ns: int = Field(ge=0, description="First frame, nanoseconds since the Unix epoch.")
+    end_ns: int = Field(ge=0, description="Last frame, nanoseconds since the Unix epoch.")
+    frames: int = Field(ge=1, description="Frames of the scene.")
+    state: SceneState = Field(description="`too_short` and `odometry_lost` have score 0.")
+    score: Share = Field(description="0: no contradiction worth a look; towards 1: many strong.")
+    reasons: tuple[str, ...] = Field(description="What made the score, in words; strongest first.")
+    points: int = Field(ge=0, description="Points of all frames, invalid ones included.")
+    compared_share: Share = Field(description="Share of points that both streams labelled.")
+    all_points: AgreementShares = Field(description="Over all compared points.")
+    nonground_points: AgreementShares = Field(description="Over compared points off the ground.")
+    totals: tuple[KindTotal, ...] = Field(description="One row per kind, all counted.")
+    tracks: tuple[TrackRecord, ...] = Field(
+        max_length=MAX_TRACKS, description="The strongest tracks, strongest first."
+    )
+    odometry: OdometryHealth
+    producers: Producers

@@ -1,0 +1,1 @@
+"""Scene scores in, a reviewed selection out."""

@@ -1,0 +1,1 @@
+"""The one command, `counterpoint`, a file per group of verbs."""

@@ -1,0 +1,1 @@
+"""Bucket in, scene scores out."""

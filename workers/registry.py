@@ -1,0 +1,117 @@
+"""Which implementations exist for each replaceable part: plain tables, loaded when chosen.
+
+A part turns an iterator into an iterator, so that it may keep state over the frames of one shard,
+hold back frames that it needs to look ahead, and still use bounded memory. It yields exactly one
+answer per frame, in order.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Final, Protocol, TypeVar
+
+from schemas.frame import LidarFrame, PosedFrame
+from schemas.labels import FrameLabels
+
+
+class Odometry(Protocol):
+    """Says where the sensor was at each frame."""
+
+    @property
+    def version(self) -> str:
+        """`name@digest` of everything that changes its output."""
+        ...
+
+    def __call__(self, frames: Iterable[LidarFrame]) -> Iterator[PosedFrame]:
+        """Yield each frame with its pose, in order; state begins anew with every call."""
+        ...
+
+
+class Stream(Protocol):
+    """One way to label motion."""
+
+    @property
+    def version(self) -> str:
+        """`name@digest` of everything that changes its output: code, weights, settings."""
+        ...
+
+    @property
+    def class_names(self) -> tuple[str, ...]:
+        """Names that `FrameLabels.class_id` indexes; empty when the stream knows no classes."""
+        ...
+
+    def __call__(self, frames: Iterable[PosedFrame]) -> Iterator[FrameLabels]:
+        """Yield the labels of each frame, in order; state begins anew with every call."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """The replaceable parts of the pipeline, as chosen by name."""
+
+    odometry: Odometry
+    supervised: Stream
+    selfsupervised: Stream
+
+
+def _kiss_icp() -> Odometry:
+    from workers.selfsupervised.odometry import KissOdometry
+
+    return KissOdometry()
+
+
+def _salsanext_lmnet() -> Stream:
+    from workers.supervised.stream import SalsaNextLmnet
+
+    return SalsaNextLmnet.shipped()
+
+
+def _recorded() -> Stream:
+    from workers.supervised.recorded import Recorded
+
+    return Recorded()
+
+
+def _registration() -> Stream:
+    from workers.selfsupervised.stream import Registration
+
+    return Registration()
+
+
+def _two_stage() -> Stream:
+    from workers.selfsupervised.two_stage import TwoStage
+
+    return TwoStage()
+
+
+ODOMETRIES: Final[Mapping[str, Callable[[], Odometry]]] = {"kiss-icp": _kiss_icp}
+SUPERVISED: Final[Mapping[str, Callable[[], Stream]]] = {
+    "salsanext-lmnet": _salsanext_lmnet,
+    "recorded": _recorded,
+}
+SELFSUPERVISED: Final[Mapping[str, Callable[[], Stream]]] = {
+    "registration": _registration,
+    "two-stage": _two_stage,
+}
+
+Part = TypeVar("Part")
+
+
+def _build(what: str, name: str, table: Mapping[str, Callable[[], Part]]) -> Part:
+    try:
+        build = table[name]
+    except KeyError:
+        raise LookupError(f"no {what} {name!r}; known: {', '.join(sorted(table))}") from None
+    return build()
+
+
+def build_parts(*, odometry: str, supervised: str, selfsupervised: str) -> Parts:
+    """Build the parts of these names.
+
+    Raises:
+        LookupError: If one does not exist; the message lists those that do.
+    """
+    return Parts(
+        odometry=_build("odometry", odometry, ODOMETRIES),
+        supervised=_build("supervised stream", supervised, SUPERVISED),
+        selfsupervised=_build("self-supervised stream", selfsupervised, SELFSUPERVISED),
+    )
