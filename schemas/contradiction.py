@@ -95,6 +95,9 @@ class Instance:
         predictive_confidence: Mean of the self-supervised stream over its points, 0 to 1.
         class_name: Commonest semantic class of its points; empty when the stream knows none.
         velocity_m_per_s: (3,) mean velocity over the ground, odom space; zero when not measured.
+        own_share: Share of the compared points in and close around it that contradict in the same
+            way: 1 for a thing on its own, little for the rim of an agreed mover or for specks on a
+            wall.
     """
 
     kind: ContradictionKind
@@ -107,6 +110,7 @@ class Instance:
     predictive_confidence: float
     class_name: str = ""
     velocity_m_per_s: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    own_share: float = 1.0
 
 
 class InstanceRecord(BaseModel):

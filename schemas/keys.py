@@ -40,6 +40,11 @@ def scene_cache(*, root: str) -> str:
     return f"{root}/v1/scene/**/@adv/**"
 
 
+def all_selected(*, root: str) -> str:
+    """What a subscriber of selections subscribes to, and asks for those there are."""
+    return f"{root}/v1/selected/**"
+
+
 def selected(*, root: str, selection: str, log_id: str, scene_id: str) -> str:
     """Key of one scene of a named selection."""
     return (
@@ -55,6 +60,11 @@ def control(*, root: str, verb: Verb) -> str:
 def live(*, root: str, role: str, ident: str) -> str:
     """Key of a liveliness token."""
     return f"{root}/v1/live/{_part(role)}/{_part(ident)}"
+
+
+def all_live(*, root: str, role: str) -> str:
+    """Matches the liveliness tokens of everyone in this role."""
+    return f"{root}/v1/live/{_part(role)}/*"
 
 
 def scene_id_of(key: str, *, root: str) -> str:

@@ -57,7 +57,7 @@ class MiningSettings(BaseModel):
         default="start", description="Which instant of the revolution a header stamp names."
     )
     intensity_scale: float = Field(
-        default=0.0, ge=0, description="Recorded value that means 1; 0: by evidence, 1 or 255."
+        default=0.0, ge=0, description="Recorded value that means 1; 0: by evidence."
     )
 
 
@@ -143,10 +143,17 @@ class Shard(BaseModel):
     start_ns: int = Field(ge=0)
     end_ns: int = Field(ge=0, description="First instant after the window.")
     lookahead_end_ns: int = Field(ge=0, description="Equal to end_ns where none is needed.")
+    before_lookahead_end_ns: int = Field(
+        default=0, ge=0, description="`lookahead_end_ns` of the shard before; 0 where none is."
+    )
+    scene_s: float = Field(default=2.0, gt=0, description="Length of a scene's cell.")
     first_of_log: bool = False
     last_of_log: bool = False
     chunks: tuple[ChunkRef, ...]
     needed_bytes: int = Field(ge=0, description="Stored bytes of chunks with scored messages.")
+    by_log_time: bool = Field(
+        default=False, description="Frame time is the log time: the sensor's clock jumped."
+    )
     intensity_scale: float = Field(default=1.0, gt=0, description="Recorded value that means 1.")
     vehicle: str = "unknown"
     date: str = "unknown"
@@ -300,6 +307,9 @@ class FailRequest(BaseModel):
     permanent: bool = Field(description="Trying again would fail the same way.")
     replaced: bool = Field(
         default=False, description="An object changed under the reader: plan the log anew."
+    )
+    given_back: bool = Field(
+        default=False, description="The worker was told to stop: no fault, and no attempt used up."
     )
 
 

@@ -1,0 +1,253 @@
+"""What a bucket is to both sides: the service lists it, the workers read ranges of its objects."""
+
+import threading
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from datetime import timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+from urllib.parse import unquote, urlsplit
+
+import obstore
+from obstore.exceptions import BaseError, NotFoundError
+from obstore.store import LocalStore, MemoryStore, ObjectStore, from_url
+
+from schemas.bucket_errors import SUPPORTED_URLS, explain
+from schemas.errors import BucketRefusedError, BucketUnreachableError, ObjectChangedError
+
+if TYPE_CHECKING:
+    from obstore import GetOptions
+
+# An endpoint that is down must be named within about 20 s, a gateway that restarts (2 to 3 s) must
+# go unnoticed: some seconds of retries, and no limit on the whole of a large but living transfer.
+_CLIENT: Final[dict[str, Any]] = {
+    "allow_http": True,  # whether the endpoint is encrypted is said by its own URL
+    "connect_timeout": "4s",
+    "read_timeout": "8s",
+    "timeout": "10m",
+}
+_RETRY: Final[dict[str, Any]] = {
+    "max_retries": 8,
+    "retry_timeout": timedelta(seconds=10),
+    "backoff": {
+        "init_backoff": timedelta(milliseconds=200),
+        "max_backoff": timedelta(seconds=2),
+        "base": 2,
+    },
+}
+_LOCAL_KEY_SEGMENTS: Final = 3
+"""A path does not say where its bucket begins: vehicle, date and name are kept as the key."""
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectMeta:
+    """One object as it lies in the bucket, identified by key, size and etag."""
+
+    key: str
+    size: int
+    etag: str
+
+
+class Bucket:
+    """Objects by key: listed, read by ranges, and, for artifacts only, written.
+
+    Safe to use from several threads. Every method raises `BucketUnreachableError` when the store
+    does not answer and `BucketRefusedError` when it says no; neither ever quotes a credential.
+
+    Attributes:
+        url: Where it lies, without credentials.
+    """
+
+    def __init__(self, store: ObjectStore, *, url: str) -> None:
+        """Wrap a store; `open_bucket` is the usual way in."""
+        self.url = url
+        self._store = store
+        self._lock = threading.Lock()
+        self._reads = 0
+        self._bytes_read = 0
+
+    def __repr__(self) -> str:
+        """Show the URL only: the store behind it knows the credentials."""
+        return f"Bucket({self.url!r})"
+
+    @property
+    def reads(self) -> int:
+        """Requests that have read objects so far."""
+        return self._reads
+
+    @property
+    def bytes_read(self) -> int:
+        """Bytes of objects that have been read so far."""
+        return self._bytes_read
+
+    def list(self, prefix: str = "", start_after: str | None = None) -> Iterator[ObjectMeta]:
+        """Yield the objects in the order of their keys.
+
+        Args:
+            prefix: A folder, in whole path segments; empty for all.
+            start_after: Only keys that come after this one.
+        """
+        try:
+            batches = obstore.list(self._store, prefix or None, offset=start_after)
+            if isinstance(self._store, LocalStore):
+                # A file system lists in an order of its own.
+                found = sorted((meta for batch in batches for meta in batch), key=_path)
+                yield from map(_object_meta, found)
+                return
+            for batch in batches:
+                yield from map(_object_meta, batch)
+        except (BaseError, OSError, ValueError) as error:
+            raise explain(error, url=self.url) from None
+
+    def head(self, key: str) -> ObjectMeta | None:
+        """Return the object's size and etag; None where there is none."""
+        try:
+            return _object_meta(obstore.head(self._store, key))
+        except (FileNotFoundError, NotFoundError):
+            return None
+        except (BaseError, OSError, ValueError) as error:
+            raise explain(error, url=self.url, key=key) from None
+
+    def read_range(self, key: str, offset: int, length: int, etag: str) -> bytes:
+        """Read exactly these bytes of the object that has this etag.
+
+        Args:
+            key: Which object.
+            offset: First byte.
+            length: Number of bytes, at least one.
+            etag: As it was listed; empty where the store gives none, and then nothing is checked.
+
+        Raises:
+            ObjectChangedError: If the object was replaced, cut or deleted.
+        """
+        options: GetOptions = {"range": (offset, offset + length)}
+        if etag:
+            options["if_match"] = etag
+        try:
+            got = obstore.get(self._store, key, options=options)
+            data = got.bytes().to_bytes()
+        except (BaseError, OSError, ValueError) as error:
+            raise explain(error, url=self.url, key=key) from None
+        self._count(len(data))
+        if len(data) != length:
+            if got.meta["size"] < offset + length:
+                raise ObjectChangedError(key=key)
+            raise BucketUnreachableError(
+                f"the store sent {len(data)} of {length} bytes; try again ({self.url}, {key})"
+            )
+        return data
+
+    def read_all(self, key: str) -> bytes:
+        """Read a whole object.
+
+        Raises:
+            ObjectChangedError: If there is none.
+        """
+        try:
+            data = obstore.get(self._store, key).bytes().to_bytes()
+        except (BaseError, OSError, ValueError) as error:
+            raise explain(error, url=self.url, key=key) from None
+        self._count(len(data))
+        return data
+
+    def put(self, key: str, data: bytes) -> None:
+        """Write an object, replacing what was there. For artifacts only, never for logs."""
+        try:
+            obstore.put(self._store, key, data)
+        except (BaseError, OSError, ValueError) as error:
+            raise explain(error, url=self.url, key=key, writing=True) from None
+
+    def _count(self, length: int) -> None:
+        with self._lock:
+            self._reads += 1
+            self._bytes_read += length
+
+
+def open_bucket(
+    url: str, *, options: Mapping[str, str] | None = None, create: bool = False
+) -> Bucket:
+    """Open a bucket, or a folder of one, by URL.
+
+    Endpoint, region and credentials come from the environment as each cloud's own tools take them
+    (`AWS_*`, `GOOGLE_*`, `AZURE_*`). Only local folders are looked at here: another store's first
+    answer comes with the first use.
+
+    Args:
+        url: `file:///folder`, a bare path, `s3://bucket/prefix`, `gs://`, `az://`, or `memory://`
+            (a new, empty one each time).
+        options: The same settings by obstore's names (`endpoint`, `region`, `access_key_id`, ...),
+            where they do not come from the environment.
+        create: Make a local folder that does not exist; for artifacts.
+
+    Raises:
+        BucketRefusedError: If the URL is of no such kind, or the folder does not exist.
+    """
+    parts = urlsplit(url)
+    if parts.username or parts.password:
+        raise BucketRefusedError(
+            f"a bucket URL must not carry credentials; set them in the environment "
+            f"({parts.scheme}://…{parts.path})"
+        )
+    if parts.scheme in ("", "file"):
+        return _open_folder(Path(unquote(parts.path) if parts.scheme else url), create=create)
+    if parts.scheme == "memory":
+        return Bucket(MemoryStore(), url=url)
+    if parts.scheme not in ("s3", "gs", "az") or not parts.netloc:
+        raise BucketRefusedError(f"no bucket URL: {_plain(url)}; {SUPPORTED_URLS}")
+    try:
+        store = from_url(  # type: ignore[call-overload]  # one overload for each cloud's options
+            url, config=dict(options or {}), client_options=_CLIENT, retry_config=_RETRY
+        )
+    except (BaseError, ValueError) as error:
+        raise explain(error, url=_plain(url)) from None
+    return Bucket(store, url=_plain(url))
+
+
+def open_object(url: str, *, options: Mapping[str, str] | None = None) -> tuple[Bucket, str]:
+    """Open the bucket an object lies in, and give its key there.
+
+    Args:
+        url: URL or path of one object. Of a local path the last three segments are the key.
+        options: As in `open_bucket`.
+
+    Raises:
+        BucketRefusedError: If it cannot be the URL of an object.
+    """
+    parts = urlsplit(url)
+    if parts.scheme in ("", "file"):
+        path = Path(unquote(parts.path) if parts.scheme else url).resolve()
+        if not path.is_file():
+            raise BucketRefusedError(f"no such file: {path}")
+        folder = path.parents[min(_LOCAL_KEY_SEGMENTS, len(path.parents)) - 1]
+        return open_bucket(str(folder)), path.relative_to(folder).as_posix()
+    key = unquote(parts.path).strip("/")
+    if not key:
+        raise BucketRefusedError(f"the URL names a bucket, not an object in it: {_plain(url)}")
+    return open_bucket(f"{parts.scheme}://{parts.netloc}", options=options), key
+
+
+def _open_folder(path: Path, *, create: bool) -> Bucket:
+    folder = path.expanduser().resolve()
+    if not folder.is_dir() and not create:
+        problem = "is a file, not a folder" if folder.exists() else "does not exist"
+        raise BucketRefusedError(f"the folder {problem}: {folder}")
+    try:
+        if create:
+            folder.mkdir(parents=True, exist_ok=True)
+        store = LocalStore(folder)
+    except (BaseError, OSError) as error:
+        raise explain(error, url=str(folder), writing=create) from None
+    return Bucket(store, url=folder.as_uri())
+
+
+def _plain(url: str) -> str:
+    parts = urlsplit(url)
+    return parts._replace(netloc=parts.netloc.rpartition("@")[2], query="", fragment="").geturl()
+
+
+def _path(meta: Any) -> str:
+    return str(meta["path"])
+
+
+def _object_meta(meta: Any) -> ObjectMeta:
+    return ObjectMeta(key=meta["path"], size=meta["size"], etag=meta["e_tag"] or "")

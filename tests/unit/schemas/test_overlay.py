@@ -1,0 +1,196 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from schemas.array_pack import MAX_UNPACKED_BYTES, PackUnreadableError, pack, unpack
+from schemas.labels import Agreement
+from schemas.overlay import (
+    NO_POSITION_CM,
+    OVERLAY_MAGIC,
+    Overlay,
+    decode_overlay,
+    encode_overlay,
+    overlay_key,
+)
+
+ARRAYS = (
+    "stamps_ns",
+    "offsets",
+    "points_cm",
+    "agreements",
+    "ground_mask",
+    "class_id",
+    "semantic_confidence",
+    "predictive_confidence",
+    "instance_index",
+    "odom_from_sensor",
+    "instance_frame",
+    "instance_kind",
+    "instance_track",
+    "instance_boxes",
+)
+
+
+def _overlay(*, points: int = 700, instances: int = 2, frames: int = 2) -> Overlay:
+    rng = np.random.default_rng(5)
+    total = frames * points
+    index = np.full(total, -1, dtype=np.int32)
+    if instances:
+        index[: total // 4] = rng.integers(0, instances, total // 4)
+    return Overlay(
+        scene_id="fleet/car-1/drive/lidar/1700000000000000000",
+        stamps_ns=1_700_000_000_000_000_000 + np.arange(frames, dtype=np.int64) * 100_000_000,
+        offsets=np.arange(frames + 1, dtype=np.int64) * points,
+        points_cm=rng.integers(-32768, 32768, (total, 3)).astype(np.int16),
+        agreements=rng.integers(0, 5, total).astype(np.uint8),
+        ground_mask=rng.random(total) < 0.5,
+        class_id=rng.integers(-1, 2, total).astype(np.int16),
+        class_names=("building", "Fußgänger"),
+        semantic_confidence=rng.integers(0, 256, total).astype(np.uint8),
+        predictive_confidence=rng.integers(0, 256, total).astype(np.uint8),
+        instance_index=index,
+        odom_from_sensor=rng.random((frames, 4, 4)),
+        instance_frame=np.zeros(instances, dtype=np.int32),
+        instance_kind=np.full(instances, Agreement.ONLY_PREDICTIVE_DYNAMIC, dtype=np.uint8),
+        instance_track=np.arange(instances, dtype=np.int32),
+        instance_boxes=rng.random((instances, 7)).astype(np.float32),
+    )
+
+
+@pytest.mark.parametrize(
+    ("points", "instances", "frames"),
+    [
+        pytest.param(700, 2, 2, id="a scene"),
+        pytest.param(333, 0, 1, id="nothing contradicts"),
+        pytest.param(0, 0, 3, id="frames without a point"),
+    ],
+)
+def test_what_is_decoded_is_what_was_encoded(points: int, instances: int, frames: int) -> None:
+    before = _overlay(points=points, instances=instances, frames=frames)
+    after = decode_overlay(encode_overlay(before))
+    assert after.scene_id == before.scene_id
+    assert after.class_names == before.class_names
+    for name in ARRAYS:
+        np.testing.assert_array_equal(getattr(after, name), getattr(before, name), err_msg=name)
+        assert getattr(after, name).dtype == getattr(before, name).dtype, name
+
+
+def test_equal_overlays_are_equal_bytes() -> None:
+    assert encode_overlay(_overlay()) == encode_overlay(_overlay())
+
+
+def test_neighbouring_points_take_few_bytes() -> None:
+    turn = np.linspace(0, 2 * np.pi, 20_000)
+    wall_cm = np.stack([2000 * np.cos(turn), 2000 * np.sin(turn), 0 * turn], axis=1)
+    overlay = replace(
+        _overlay(points=20_000, instances=0, frames=1),
+        points_cm=np.rint(wall_cm).astype(np.int16),
+        agreements=np.zeros(20_000, dtype=np.uint8),
+        ground_mask=np.zeros(20_000, dtype=np.bool_),
+        class_id=np.zeros(20_000, dtype=np.int16),
+        semantic_confidence=np.full(20_000, 240, dtype=np.uint8),
+        predictive_confidence=np.full(20_000, 240, dtype=np.uint8),
+    )
+    assert len(encode_overlay(overlay)) < 20_000
+
+
+def test_points_of_a_frame_are_in_metres_and_know_who_has_no_position() -> None:
+    points_cm = np.array([[100, -250, 3], [NO_POSITION_CM] * 3, [0, 0, 0]], dtype=np.int16)
+    overlay = replace(
+        _overlay(points=1, instances=0, frames=3), points_cm=points_cm, stamps_ns=np.arange(3)
+    )
+    np.testing.assert_allclose(overlay.points_m(0), [[1.0, -2.5, 0.03]], atol=1e-6)
+    assert [overlay.has_position(f).tolist() for f in range(3)] == [[True], [False], [True]]
+
+
+def test_no_reader_can_change_an_overlay() -> None:
+    overlay = decode_overlay(encode_overlay(_overlay()))
+    with pytest.raises(ValueError, match="read-only"):
+        overlay.agreements[0] = 1
+
+
+@pytest.mark.parametrize("cut", [0, 3, 8, 20, 200, -1])
+def test_a_truncated_overlay_is_refused(cut: int) -> None:
+    with pytest.raises(PackUnreadableError):
+        decode_overlay(encode_overlay(_overlay())[:cut])
+
+
+def test_a_flipped_byte_is_noticed() -> None:
+    payload = bytearray(encode_overlay(_overlay()))
+    payload[len(payload) // 2] ^= 0x40
+    with pytest.raises(PackUnreadableError, match="damaged"):
+        decode_overlay(bytes(payload))
+
+
+def test_something_else_is_refused_by_its_first_bytes() -> None:
+    with pytest.raises(PackUnreadableError, match="expected b'CPOVL1"):
+        decode_overlay(b"\x89PNG\r\n\x1a\n and so on")
+
+
+def test_a_bomb_is_refused_before_it_is_decompressed() -> None:
+    claims_eight_gib = b"\x28\xb5\x2f\xfd\xe0" + (8 * 2**30).to_bytes(8, "little") + b"\x01\0\0"
+    with pytest.raises(PackUnreadableError, match="more than"):
+        decode_overlay(OVERLAY_MAGIC + claims_eight_gib)
+    assert MAX_UNPACKED_BYTES < 8 * 2**30
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"agreements": np.full(1400, 9, dtype=np.uint8)}, "agreements must lie in 0 to 4"),
+        ({"class_id": np.full(1400, 7, dtype=np.int16)}, "class_id must lie in -1 to 1"),
+        ({"instance_index": np.full(1400, 2, dtype=np.int32)}, "instance_index must lie in"),
+        ({"offsets": np.array([0, 900, 1300])}, "offsets must run from 0 to 1400"),
+        ({"offsets": np.array([0, 1500, 1400])}, "offsets must lie in"),
+        ({"agreements": np.zeros(3, dtype=np.uint8)}, r"agreements must be \(1400\) uint8"),
+        ({"points_cm": np.zeros((1400, 2), dtype=np.int16)}, "points_cm must be"),
+    ],
+)
+def test_arrays_that_do_not_fit_each_other_are_refused(
+    change: dict[str, object], says: str
+) -> None:
+    with pytest.raises(ValueError, match=says):
+        replace(_overlay(), **change)  # type: ignore[arg-type]
+
+
+def test_a_pack_with_a_lying_header_is_refused() -> None:
+    for arrays in ({"points_cm": np.zeros((3, 5), dtype=np.uint8)}, {}):
+        payload = pack(OVERLAY_MAGIC, {"scene_id": "s", "class_names": []}, arrays)
+        with pytest.raises(PackUnreadableError, match="not a well-formed overlay"):
+            decode_overlay(payload)
+
+
+def test_a_pack_gives_back_arrays_of_every_kind() -> None:
+    arrays = {
+        "a": np.arange(6, dtype=np.int32).reshape(2, 3),
+        "b": np.array(True),
+        "c": np.zeros((0, 7), dtype=np.float64),
+    }
+    meta, back = unpack(b"M", pack(b"M", {"k": [1, "ü"]}, arrays))
+    assert meta == {"k": [1, "ü"]}
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(back[name], array)
+
+
+def test_a_pack_refuses_what_it_could_not_read_back() -> None:
+    with pytest.raises(ValueError, match="cannot pack arrays of these types"):
+        pack(b"M", {}, {"words": np.array(["a"])})
+
+
+def test_the_key_names_log_version_and_scene_and_stays_a_plain_path() -> None:
+    key = overlay_key(
+        log_id="münchen/car 7/../drive",
+        scene_id="münchen/car 7/../drive/lidar.top/1700000000000000000",
+        pipeline_version="abcdef012345",
+    )
+    assert key == (
+        "overlays/abcdef012345/m%C3%BCnchen/car%207/%2E%2E/drive/@/"
+        "lidar.top/1700000000000000000.overlay"
+    )
+
+
+def test_no_two_scenes_share_a_key() -> None:
+    named = [("a", "a/b/1"), ("a/b", "a/b/b/1"), ("a/@", "a/@/b/1"), ("a", "a/b/2")]
+    keys = {overlay_key(log_id=log, scene_id=s, pipeline_version="v") for log, s in named}
+    assert len(keys) == len(named)
