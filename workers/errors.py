@@ -22,3 +22,7 @@ class LogUnusableError(PermanentError):
 
 class NotMcapError(PermanentError):
     """The object is not an MCAP file, or nothing of it can be read."""
+
+
+class UnknownPartError(PermanentError):
+    """A replaceable part is asked for by a name that no implementation has."""

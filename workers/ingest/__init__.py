@@ -1,0 +1,1 @@
+"""Bucket in, lidar frames out: all MCAP knowledge lives here."""

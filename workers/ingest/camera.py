@@ -1,0 +1,237 @@
+"""Finds the camera image that belongs to a frame, and its calibration, for `show --camera`."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from itertools import takewhile
+from typing import Final
+
+import numpy as np
+
+from schemas.arrays import NS_PER_S, Transform
+from schemas.bucket import Bucket
+from schemas.errors import PermanentError
+from schemas.work import Recording
+from workers.ingest.camera_messages import (
+    Calibration,
+    CameraImage,
+    calibration,
+    camera_image,
+    holds_calibrations,
+    holds_images,
+)
+from workers.ingest.camera_model import CameraView
+from workers.ingest.evidence import Sample, sample_topics
+from workers.ingest.frames import sensor_points
+from workers.ingest.log_index import index_recording
+from workers.ingest.moment import Moment, readable
+from workers.ingest.point_time import point_time
+from workers.ingest.topics import Topic, topics_of
+from workers.ingest.transforms import (
+    TransformTree,
+    holds_transforms,
+    is_static,
+    stated_transforms,
+)
+
+MAX_APART_NS: Final = NS_PER_S // 2
+"""An image farther from the frame shows another situation."""
+
+VIEW_COS: Final = float(np.cos(np.deg2rad(30)))
+"""Returns within 30 degrees of a camera's axis are what its image shows."""
+
+
+class CameraUnavailableError(PermanentError):
+    """The log has no calibrated camera that saw a frame."""
+
+
+class _NoViewError(Exception):
+    """One camera cannot show the frame; another may."""
+
+
+def read_camera(
+    bucket: Bucket,
+    recording: Recording,
+    *,
+    lidar_topic: str,
+    stamp_ns: int,
+    look_at_m: tuple[float, float, float] = (1.0, 0.0, 0.0),
+) -> CameraView:
+    """Read the image of a calibrated camera that belongs to a frame.
+
+    Of several cameras the one that looks most towards `look_at_m` is taken; of its images the one
+    nearest to when the lidar swept over its view, as far as points have times.
+
+    Args:
+        bucket: Where the log lies.
+        recording: The log.
+        lidar_topic: Topic of the frame's lidar.
+        stamp_ns: Of the frame, nanoseconds since the Unix epoch.
+        look_at_m: What is of interest, in the lidar's sensor space; straight ahead by default.
+
+    Raises:
+        CameraUnavailableError: If no camera whose place is known saw the frame; it says why.
+        NotMcapError: If a part is no MCAP file.
+        ObjectChangedError: If a part is no longer what was listed.
+    """
+    index = index_recording(bucket, recording)
+    topics = topics_of(index.parts)
+    images = [topic for topic in topics if holds_images(topic.channel) and topic.messages]
+    lidar = [topic for topic in topics if topic.channel.topic == lidar_topic]
+    sample = sample_topics(index, lidar, []).get(lidar_topic)
+    if sample is None:
+        raise _unavailable(f"no cloud of {lidar_topic} can be read", recording)
+    if not images:
+        raise _unavailable("no topic holds compressed images (sensor_msgs or foxglove)", recording)
+    wanted = [topic for topic in topics if _is_of_a_camera(topic)]
+    delay_ns = (sample.bounds.least_ns + sample.bounds.most_ns) // 2
+    moment = Moment(index, wanted, log_time_ns=stamp_ns + delay_ns, reach_ns=MAX_APART_NS)
+    frame = _Frame(moment, sample, stamp_ns, _calibrations(moment))
+    views: list[CameraView] = []
+    problems: list[str] = []
+    for topic in images:
+        try:
+            views.append(_view(frame, topic))
+        except _NoViewError as error:
+            problems.append(f"{topic.channel.topic} {error}")
+    if not views:
+        raise _unavailable("; ".join(problems), recording)
+    target = np.asarray(look_at_m, dtype=np.float64)
+    return max(views, key=lambda view: (float(view.camera_from_lidar[2, :3] @ target), view.topic))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Frame:
+    """The frame that is to be shown, and what the log holds around it."""
+
+    moment: Moment
+    sample: Sample
+    stamp_ns: int
+    calibrations: Sequence[Calibration]
+
+
+def _unavailable(why: str, recording: Recording) -> CameraUnavailableError:
+    return CameraUnavailableError(f"no camera to show: {why} ({recording.log_id})")
+
+
+def _is_of_a_camera(topic: Topic) -> bool:
+    channel = topic.channel
+    return holds_images(channel) or holds_calibrations(channel) or holds_transforms(channel)
+
+
+def _calibrations(moment: Moment) -> list[Calibration]:
+    """One of each topic, the nearest that can be read."""
+    return [
+        found
+        for topic in moment.topics
+        if holds_calibrations(topic.channel)
+        for found in readable(moment.near(topic), calibration)[:1]
+    ]
+
+
+def _view(frame: _Frame, topic: Topic) -> CameraView:
+    images = readable(frame.moment.near(topic), camera_image)
+    if not images:
+        raise _NoViewError("has no image that can be read near the frame")
+    found = _calibration_for(images[0], frame.calibrations)
+    if found is None:
+        raise _NoViewError("has no calibration")
+    camera_from_lidar = _camera_from_lidar(frame, found.frame_id or images[0].frame_id)
+    seen_ns = frame.stamp_ns + _swept_after_ns(frame.sample, camera_from_lidar)
+    image = min(images, key=lambda each: (abs(each.stamp_ns - seen_ns), each.stamp_ns))
+    apart_ns = abs(image.stamp_ns - seen_ns)
+    if apart_ns > MAX_APART_NS:
+        raise _NoViewError(f"has its nearest image {apart_ns / NS_PER_S:.1f} s from the frame")
+    return _combine(image, found, camera_from_lidar)
+
+
+def _calibration_for(image: CameraImage, calibrations: Sequence[Calibration]) -> Calibration | None:
+    """Take the calibration of the image's space; among several, the nearest by name of topic."""
+    same = [each for each in calibrations if each.frame_id == image.frame_id]
+    beside = [each for each in calibrations if image.topic.startswith(_folder(each.topic))]
+    return max(
+        same or beside,
+        key=lambda each: _shared_parts(each.topic, image.topic),
+        default=None,
+    )
+
+
+def _folder(topic: str) -> str:
+    """Name that the topics of one camera begin with; one at the root has none of its own."""
+    folder = topic.rpartition("/")[0]
+    return f"{folder}/" if folder else topic
+
+
+def _shared_parts(one: str, other: str) -> int:
+    pairs = zip(one.split("/"), other.split("/"), strict=False)
+    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
+
+
+def _camera_from_lidar(frame: _Frame, camera: str) -> Transform:
+    """Chain the log's transforms: static ones first, then those stated around the frame."""
+    cloud = frame.sample.clouds[0]
+    tree = TransformTree()
+    topics = [topic for topic in frame.moment.topics if holds_transforms(topic.channel)]
+    for topic in sorted(topics, key=lambda topic: not is_static(topic.channel)):
+        static = is_static(topic.channel)
+        messages = frame.moment.all(topic) if static else frame.moment.near(topic)
+        for stated in readable(messages, stated_transforms):
+            tree.add_stated(stated)
+        camera_from_space = tree.find(to=camera, source=cloud.frame_id)
+        if camera_from_space is not None:
+            origin = cloud.space_from_points
+            return camera_from_space if origin is None else camera_from_space @ origin
+    raise _NoViewError(
+        f"is not tied to the lidar: no transform from {cloud.frame_id!r} to {camera!r}"
+    )
+
+
+def _swept_after_ns(sample: Sample, camera_from_lidar: Transform) -> int:
+    """How long after its stamp the lidar sweeps over a camera's view; 0 without point times."""
+    cloud = sample.clouds[-1]
+    times = point_time(
+        cloud.fields, points=len(cloud), stamp_ns=sample.stamps_ns[-1], stamp_at="start"
+    )
+    if not times.recorded:
+        return 0
+    points_m, valid_mask = sensor_points(cloud)
+    depth_m = points_m @ camera_from_lidar[2, :3]
+    in_view_mask = valid_mask & (depth_m > VIEW_COS * np.linalg.norm(points_m, axis=1))
+    return int(np.median(times.offset_ns[in_view_mask])) if in_view_mask.any() else 0
+
+
+def _combine(image: CameraImage, found: Calibration, camera_from_lidar: Transform) -> CameraView:
+    """Scale the calibration to the image; of a rectified image the lens is already undone."""
+    width, height = _size(image)
+    rectified = "rect" in image.topic.rpartition("/")[0] or "rect" in image.frame_id
+    bent = any(found.distortion) and not rectified
+    projection = found.projection
+    if bent or not projection.any():
+        projection = np.hstack((found.intrinsics, np.zeros((3, 1))))
+    if not (projection[0, 0] and projection[1, 1]):
+        raise _NoViewError("has a calibration without focal lengths")
+    scale = np.diag((width / (found.width or width), height / (found.height or height), 1.0))
+    return CameraView(
+        topic=image.topic,
+        stamp_ns=image.stamp_ns,
+        image_bytes=image.data,
+        image_format=image.format,
+        width=width,
+        height=height,
+        pixel_from_camera=scale @ projection,
+        distortion_model=found.distortion_model,
+        distortion=found.distortion if bent else (),
+        camera_from_lidar=camera_from_lidar,
+    )
+
+
+def _size(image: CameraImage) -> tuple[int, int]:
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(BytesIO(image.data)) as opened:
+            return opened.size
+    except (UnidentifiedImageError, OSError, ValueError) as error:
+        raise _NoViewError(
+            f"has an image in format {image.format!r} that cannot be read"
+        ) from error

@@ -1,0 +1,148 @@
+"""Images and calibrations of cameras as logs hold them, in ROS's and in Foxglove's words."""
+
+from base64 import b64decode
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import NS_PER_S
+from schemas.work import Channel
+from workers.ingest.decoding import MessageUnreadableError, can_decode, decode_message
+from workers.ingest.messages import RawMessage
+from workers.ingest.transforms import member
+
+_NOT_AS_TYPED: Final = (KeyError, AttributeError, TypeError, ValueError, IndexError)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraImage:
+    """One compressed image.
+
+    Attributes:
+        topic: MCAP topic.
+        frame_id: Space of the camera, by the log's own name.
+        stamp_ns: Of its header, else when it was recorded.
+        data: As recorded, compressed.
+        format: As recorded: `jpeg`, `png`.
+    """
+
+    topic: str
+    frame_id: str
+    stamp_ns: int
+    data: bytes
+    format: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """How a camera maps its space to pixels.
+
+    Attributes:
+        topic: MCAP topic.
+        frame_id: Space of the camera, by the log's own name.
+        width: Pixels of the image that it is meant for; 0 where not stated.
+        height: Pixels of the image that it is meant for; 0 where not stated.
+        distortion_model: ROS's name.
+        distortion: Coefficients of the lens.
+        intrinsics: (3, 3) K, for the image as taken.
+        projection: (3, 4) P, for the image rectified; zero where not stated.
+    """
+
+    topic: str
+    frame_id: str
+    width: int
+    height: int
+    distortion_model: str
+    distortion: tuple[float, ...]
+    intrinsics: NDArray[np.float64]
+    projection: NDArray[np.float64]
+
+
+def holds_images(channel: Channel) -> bool:
+    """Whether messages are compressed images that can be read here."""
+    return can_decode(
+        channel, ros="sensor_msgs/CompressedImage", foxglove="foxglove.CompressedImage"
+    )
+
+
+def holds_calibrations(channel: Channel) -> bool:
+    """Whether messages are calibrations of a camera that can be read here."""
+    return can_decode(channel, ros="sensor_msgs/CameraInfo", foxglove="foxglove.CameraCalibration")
+
+
+def camera_image(message: RawMessage) -> CameraImage:
+    """Decode an image.
+
+    Raises:
+        MessageUnreadableError: If it is none.
+    """
+    decoded = decode_message(message)
+    try:
+        frame_id, stamp_ns = _frame_and_stamp(decoded)
+        data = member(decoded, "data")
+        return CameraImage(
+            topic=message.channel.topic,
+            frame_id=frame_id,
+            stamp_ns=stamp_ns or message.log_time_ns,
+            data=b64decode(data, validate=True) if isinstance(data, str) else bytes(data),
+            format=str(member(decoded, "format")),
+        )
+    except _NOT_AS_TYPED as error:
+        raise _unreadable(message, error) from error
+
+
+def calibration(message: RawMessage) -> Calibration:
+    """Decode a calibration.
+
+    Raises:
+        MessageUnreadableError: If it is none, or its matrices are not what they must be.
+    """
+    decoded = decode_message(message)
+    try:
+        frame_id, _ = _frame_and_stamp(decoded)
+        intrinsics = np.array(_either(decoded, "K"), dtype=np.float64).reshape(3, 3)
+        stated = np.array(_either(decoded, "P"), dtype=np.float64)
+        projection = stated.reshape(3, 4) if stated.size else np.zeros((3, 4))
+        if not (np.isfinite(intrinsics).all() and np.isfinite(projection).all()):
+            raise ValueError("matrices with numbers that are not finite")
+        return Calibration(
+            topic=message.channel.topic,
+            frame_id=frame_id,
+            width=int(member(decoded, "width")),
+            height=int(member(decoded, "height")),
+            distortion_model=str(member(decoded, "distortion_model")),
+            distortion=tuple(float(each) for each in _either(decoded, "D")),
+            intrinsics=intrinsics,
+            projection=projection,
+        )
+    except _NOT_AS_TYPED as error:
+        raise _unreadable(message, error) from error
+
+
+def _frame_and_stamp(decoded: Any) -> tuple[str, int]:
+    """Read a ROS header, or Foxglove's frame and timestamp."""
+    if hasattr(decoded, "header"):
+        stamp = decoded.header.stamp
+        seconds = stamp.sec if hasattr(stamp, "sec") else stamp.secs
+        nanoseconds = stamp.nanosec if hasattr(stamp, "nanosec") else stamp.nsecs
+        return decoded.header.frame_id, seconds * NS_PER_S + nanoseconds
+    stamp = member(decoded, "timestamp")
+    if isinstance(stamp, dict):
+        return str(decoded["frame_id"]), int(stamp["sec"]) * NS_PER_S + int(stamp["nsec"])
+    return decoded.frame_id, stamp.seconds * NS_PER_S + stamp.nanos
+
+
+def _either(decoded: Any, name: str) -> Any:
+    """ROS 2 writes the names of matrices in lower case, everyone else in upper case."""
+    if isinstance(decoded, dict):
+        return decoded.get(name, [])
+    return getattr(decoded, name) if hasattr(decoded, name) else getattr(decoded, name.lower())
+
+
+def _unreadable(message: RawMessage, error: Exception) -> MessageUnreadableError:
+    return MessageUnreadableError(
+        f"cannot read {message.channel.schema_name}: {type(error).__name__}: {error} "
+        f"({message.channel.topic}, logged at {message.log_time_ns})"
+    )

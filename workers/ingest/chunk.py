@@ -1,0 +1,161 @@
+"""Opens a chunk: everything it says of itself is checked before a byte is decompressed."""
+
+import zlib
+from collections.abc import Container, Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import lz4.frame
+import zstandard
+from mcap.opcode import Opcode
+
+from schemas.work import ChunkRef
+from workers.errors import ChunkUnreadableError
+from workers.ingest.records import (
+    HEADER_BYTES,
+    ChunkHeader,
+    RecordMalformedError,
+    chunk_header,
+    message_fields,
+    record_header,
+    walk,
+)
+
+MAX_CHUNK_BYTES: Final = 256 * 1024 * 1024
+"""A chunk that says it grows larger is refused; writers make them of 0.75 to 8 MiB."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredMessage:
+    """A message as it lies in a chunk.
+
+    Attributes:
+        channel_id: Its channel, in the numbers of its part.
+        log_time_ns: When it was recorded.
+        data: Its payload, a view into the opened chunk.
+    """
+
+    channel_id: int
+    log_time_ns: int
+    data: memoryview
+
+
+def open_chunk(data: bytes | memoryview, ref: ChunkRef, *, key: str) -> memoryview:
+    """Check and decompress what was read for a reference.
+
+    Args:
+        data: Exactly the bytes that the reference names.
+        ref: A Chunk record, or a run of records outside chunks, which are taken as they are.
+        key: The object they come from, for the error.
+
+    Returns:
+        The records inside, one after the other.
+
+    Raises:
+        ChunkUnreadableError: If any of it is not as it should be.
+    """
+    view = memoryview(data)
+    if ref.kind == "records":
+        return view
+    try:
+        return _open(view)
+    except RecordMalformedError as error:
+        problem = error.problem
+    except (zstandard.ZstdError, RuntimeError, MemoryError) as error:
+        problem = f"decompression fails ({error})"
+    raise ChunkUnreadableError(key=key, offset=ref.offset, length=ref.length, problem=problem)
+
+
+def messages_in(
+    records: memoryview, channel_ids: Container[int] | None = None
+) -> Iterator[StoredMessage]:
+    """Yield the messages of an opened chunk, in the order they were written.
+
+    Args:
+        records: What `open_chunk` gave.
+        channel_ids: Only these channels; None for all.
+
+    Raises:
+        RecordMalformedError: At the first record that is none; those before it are good.
+    """
+    for record in walk(records):
+        if record.opcode != Opcode.MESSAGE:
+            continue
+        try:
+            channel_id, log_time_ns = message_fields(record.body)
+        except RecordMalformedError as error:
+            raise RecordMalformedError(error.problem, offset=record.offset) from None
+        if channel_ids is None or channel_id in channel_ids:
+            yield StoredMessage(channel_id, log_time_ns, record.body[22:])
+
+
+def _open(view: memoryview) -> memoryview:
+    if len(view) < HEADER_BYTES:
+        raise RecordMalformedError("it is cut in its header")
+    opcode, length = record_header(view, 0)
+    if opcode != Opcode.CHUNK or length != len(view) - HEADER_BYTES:
+        raise RecordMalformedError("there is no chunk of this length where the index says")
+    body = view[HEADER_BYTES:]
+    header = chunk_header(body)
+    if header.records_bytes != len(body) - header.records_offset:
+        raise RecordMalformedError("its records do not fill it")
+    if header.uncompressed_bytes > MAX_CHUNK_BYTES:
+        raise RecordMalformedError(
+            f"it says that it grows to {header.uncompressed_bytes} bytes, "
+            f"more than the {MAX_CHUNK_BYTES} allowed"
+        )
+    records = _decompress(body[header.records_offset :], header)
+    if len(records) != header.uncompressed_bytes:
+        raise RecordMalformedError(
+            f"it does not grow to the {header.uncompressed_bytes} bytes it says"
+        )
+    if header.uncompressed_crc and zlib.crc32(records) != header.uncompressed_crc:
+        raise RecordMalformedError("its checksum is wrong")
+    return records
+
+
+def _decompress(packed: memoryview, header: ChunkHeader) -> memoryview:
+    match header.compression:
+        case "":
+            return packed
+        case "zstd":
+            return _unpack_zstd(packed, header.uncompressed_bytes)
+        case "lz4":
+            return _unpack_lz4(packed, header.uncompressed_bytes)
+        case unknown:
+            raise RecordMalformedError(f"its compression is unknown: {unknown!r}")
+
+
+def _unpack_zstd(packed: memoryview, expected: int) -> memoryview:
+    size = zstandard.frame_content_size(packed) if len(packed) else 0
+    if size > expected:
+        raise RecordMalformedError(f"it would grow to {size} bytes and says {expected}")
+    if size == expected:
+        return memoryview(zstandard.ZstdDecompressor().decompress(packed))
+    # Of unknown size, or of several frames: grows in steps, and no further than one byte too far.
+    with zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True) as reader:
+        return memoryview(_read_at_most(reader, expected + 1))
+
+
+def _read_at_most(reader: zstandard.ZstdDecompressionReader, limit: int) -> bytes:
+    pieces: list[bytes] = []
+    total = 0
+    while total < limit:
+        piece = reader.read(min(limit - total, 1024 * 1024))
+        if not piece:
+            break
+        pieces.append(piece)
+        total += len(piece)
+    return b"".join(pieces)
+
+
+def _unpack_lz4(packed: memoryview, expected: int) -> memoryview:
+    unpacker = lz4.frame.LZ4FrameDecompressor()
+    records = unpacker.decompress(packed, max_length=max(expected, 1))
+    if not unpacker.eof:
+        # An end mark may follow the last byte; anything that grows further is too much.
+        if unpacker.decompress(b"", max_length=1):
+            raise RecordMalformedError(f"it grows beyond the {expected} bytes it says")
+        if not unpacker.eof:
+            raise RecordMalformedError("its compressed records are cut")
+    return memoryview(records)

@@ -1,0 +1,91 @@
+"""Fetches and opens the chunks of a shard ahead of whoever uses them, neighbours in one request."""
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Final
+
+from schemas.work import ChunkRef
+from workers.errors import ChunkUnreadableError
+from workers.ingest.chunk import open_chunk
+from workers.ingest.part import PartReader
+
+MAX_READ_BYTES: Final = 8 * 1024 * 1024
+"""Chunks that lie next to each other are fetched together up to this size."""
+
+MAX_BETWEEN_BYTES: Final = 64 * 1024
+"""What may lie between two chunks fetched together: message indexes, mostly."""
+
+
+AHEAD: Final = 2
+"""Chunks that are opened before they are asked for: memory holds these and one read."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenedChunk:
+    """A chunk's records, or why there are none."""
+
+    ref: ChunkRef
+    records: memoryview
+    error: ChunkUnreadableError | None = None
+
+
+def fetch_chunks(readers: Sequence[PartReader], refs: Sequence[ChunkRef]) -> Iterator[OpenedChunk]:
+    """Yield the chunks in the order given; one thread fetches and opens those that come next.
+
+    Args:
+        readers: One for each part of the recording; not to be used by others meanwhile.
+        refs: What to read, in the order in which it is wanted.
+
+    Raises:
+        ObjectChangedError: If an object is no longer the one that was planned.
+        BucketUnreachableError: If the bucket does not answer.
+    """
+    fetcher = _Fetcher(readers)
+    coming: deque[Future[OpenedChunk]] = deque()
+    pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="fetch")
+    try:
+        for group in neighbours(refs):
+            for ref in group:
+                coming.append(pool.submit(fetcher.open, ref, group))
+                if len(coming) > AHEAD:
+                    yield coming.popleft().result()
+        while coming:
+            yield coming.popleft().result()
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def neighbours(refs: Sequence[ChunkRef]) -> list[list[ChunkRef]]:
+    """Group chunks that follow each other closely in one object, up to what one read may be."""
+    groups: list[list[ChunkRef]] = []
+    for ref in refs:
+        if groups:
+            first, last = groups[-1][0], groups[-1][-1]
+            between = ref.offset - (last.offset + last.length)
+            fits = ref.offset + ref.length - first.offset <= MAX_READ_BYTES
+            if ref.part == last.part and 0 <= between <= MAX_BETWEEN_BYTES and fits:
+                groups[-1].append(ref)
+                continue
+        groups.append([ref])
+    return groups
+
+
+@dataclass(slots=True, eq=False)
+class _Fetcher:
+    """Opens chunk after chunk, in its one thread, and reads a group when its first is wanted."""
+
+    readers: Sequence[PartReader]
+    data: memoryview = field(default_factory=lambda: memoryview(b""))
+
+    def open(self, ref: ChunkRef, group: Sequence[ChunkRef]) -> OpenedChunk:
+        reader, start = self.readers[ref.part], group[0].offset
+        if ref is group[0]:
+            self.data = memoryview(b"")  # what the last group leaves is free before this one comes
+            self.data = reader.fetch(start, group[-1].offset + group[-1].length - start)
+        data = self.data[ref.offset - start :][: ref.length]
+        try:
+            return OpenedChunk(ref, open_chunk(data, ref, key=reader.key))
+        except ChunkUnreadableError as error:
+            return OpenedChunk(ref, memoryview(b""), error)

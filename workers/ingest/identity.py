@@ -1,0 +1,68 @@
+"""Which vehicle recorded a log, when, with which software: from its metadata, else its path."""
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from workers.errors import LogUnusableError
+
+UNKNOWN: Final = "unknown"
+METADATA_RECORD: Final = "counterpoint.log"
+_FIELDS: Final = ("vehicle", "date", "software_version")
+_PLACEHOLDER: Final = re.compile(r"\{(\w+)\}")
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """What travels in every scene score of a log."""
+
+    vehicle: str = UNKNOWN
+    date: str = UNKNOWN
+    software_version: str = UNKNOWN
+
+
+def identify(log_id: str, metadata: Iterable[Mapping[str, str]], *, path_template: str) -> Identity:
+    """Say whose log this is.
+
+    Args:
+        log_id: Key of the recording without extension and split number.
+        metadata: The `counterpoint.log` records of all its parts, in their order.
+        path_template: Like `{vehicle}/{date}/{name}`, matched from the right of the log id.
+
+    Raises:
+        LogUnusableError: If the parts name different vehicles, or the template is none.
+    """
+    records = list(metadata)
+    vehicles = sorted({name for each in records if (name := each.get("vehicle", "").strip())})
+    if len(vehicles) > 1:
+        raise LogUnusableError(
+            f"the parts of the recording name different vehicles: {', '.join(vehicles)} ({log_id})"
+        )
+    from_path = match_path(log_id, path_template)
+    found: dict[str, str] = {}
+    for field in _FIELDS:
+        recorded = [value for each in records if (value := each.get(field, "").strip())]
+        found[field] = recorded[0] if recorded else from_path.get(field, UNKNOWN)
+    return Identity(**found)
+
+
+def match_path(log_id: str, path_template: str) -> dict[str, str]:
+    """Take the placeholders of a template from the right end of a log id.
+
+    Returns:
+        Placeholder to text; empty where the log id does not fit.
+
+    Raises:
+        LogUnusableError: If the template names a placeholder twice.
+    """
+    literals = _PLACEHOLDER.split(path_template)
+    names = literals[1::2]
+    if len(set(names)) != len(names):
+        raise LogUnusableError(f"path template names a placeholder twice: {path_template!r}")
+    pattern = "".join(
+        f"(?P<{part}>[^/]+)" if number % 2 else re.escape(part)
+        for number, part in enumerate(literals)
+    )
+    match = re.search(f"(?:^|/){pattern}$", log_id)
+    return match.groupdict() if match else {}

@@ -1,0 +1,232 @@
+"""Says what is in a log: from its index, or, when asked to verify, from every chunk of it."""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from schemas.bucket import Bucket
+from schemas.work import Channel, ChunkRef, Damage, LogPlan, MiningSettings, Recording
+from workers.errors import CloudUnreadableError
+from workers.ingest.chunk import messages_in
+from workers.ingest.fetch import OpenedChunk, fetch_chunks
+from workers.ingest.log_index import LogIndex, index_recording
+from workers.ingest.messages import RawMessage
+from workers.ingest.plan import plan_index
+from workers.ingest.pointcloud import decode_cloud, unsupported_reason
+from workers.ingest.records import RecordMalformedError
+from workers.ingest.topics import Topic, topics_of
+
+Progress = Callable[[int, int], None]
+"""Called with bytes done and bytes in all."""
+
+
+class TopicReport(BaseModel):
+    """One topic of a log."""
+
+    model_config = ConfigDict(frozen=True)
+
+    topic: str
+    message_encoding: str
+    schema_name: str
+    messages: int | None = Field(description="None where the index does not say.")
+    needs: str = Field(default="", description="For a lidar that cannot be read: what it needs.")
+
+
+class ShardReport(BaseModel):
+    """One shard that the log would be mined in."""
+
+    model_config = ConfigDict(frozen=True)
+
+    name: str
+    start_ns: int
+    end_ns: int
+    chunks: int
+    needed_bytes: int
+
+
+class LogReport(BaseModel):
+    """What is in a log."""
+
+    model_config = ConfigDict(frozen=True)
+
+    log_id: str
+    vehicle: str
+    date: str
+    software_version: str
+    parts: tuple[str, ...] = Field(description="Keys of its objects.")
+    bytes: int = Field(description="Of all its objects.")
+    topics: tuple[TopicReport, ...]
+    lidar_topic: str | None = Field(description="The densest lidar that is mined; None without.")
+    lidar_topics: tuple[str, ...]
+    frames: int | None = Field(
+        description="Well-formed clouds of the lidars; by the index alone, those it counts."
+    )
+    verified: bool = Field(description="Whether every chunk was read.")
+    damage: tuple[Damage, ...]
+    shards: tuple[ShardReport, ...]
+    refused: str = Field(description="Why it cannot be mined; empty when it can.")
+    range_reads: int
+    bytes_read: int
+
+
+def inspect_recording(
+    bucket: Bucket,
+    recording: Recording,
+    settings: MiningSettings,
+    *,
+    verify: bool = False,
+    progress: Progress | None = None,
+) -> LogReport:
+    """Report what is in a recording.
+
+    Args:
+        bucket: Where it lies.
+        recording: Its objects.
+        settings: How it would be mined.
+        verify: Read, check and decode every chunk, rather than believe the index.
+        progress: Told how far verifying is.
+
+    Raises:
+        NotMcapError: If a part is no MCAP file.
+        ObjectChangedError: If a part is no longer what was listed.
+    """
+    index = index_recording(bucket, recording)
+    plan = plan_index(index, settings)
+    topics = topics_of(index.parts)
+    messages = [topic.messages for topic in topics]
+    mined = [topic.messages for topic in topics if _is_mined(topic, plan)]
+    frames = None if -1 in mined else sum(mined)
+    damage = list(plan.damage)
+    if verify:
+        found = _verify(index, topics, plan, progress)
+        messages = [sum(found.counts[each] for each in topic.channel.ids) for topic in topics]
+        frames = found.clouds
+        damage = _merged(damage, found.damage)
+    return LogReport(
+        log_id=plan.log_id,
+        vehicle=plan.vehicle,
+        date=plan.date,
+        software_version=plan.software_version,
+        parts=tuple(part.key for part in recording.parts),
+        bytes=sum(part.size for part in recording.parts),
+        topics=tuple(
+            TopicReport(
+                topic=topic.channel.topic,
+                message_encoding=topic.channel.message_encoding,
+                schema_name=topic.channel.schema_name,
+                messages=None if count < 0 else count,
+                needs=unsupported_reason(topic.channel),
+            )
+            for topic, count in zip(topics, messages, strict=True)
+        ),
+        lidar_topic=plan.lidar_topics[0] if plan.lidar_topics else None,
+        lidar_topics=plan.lidar_topics,
+        frames=frames,
+        verified=verify,
+        damage=tuple(damage),
+        shards=tuple(
+            ShardReport(
+                name=shard.name,
+                start_ns=shard.start_ns,
+                end_ns=shard.end_ns,
+                chunks=len(shard.chunks),
+                needed_bytes=shard.needed_bytes,
+            )
+            for shard in plan.shards
+        ),
+        refused=plan.refused,
+        range_reads=index.range_reads,
+        bytes_read=index.bytes_read,
+    )
+
+
+@dataclass(slots=True, eq=False)
+class _Found:
+    """What reading every chunk has shown.
+
+    Attributes:
+        counts: Messages by part and channel id.
+        clouds: Well-formed clouds of the mined lidars.
+        damage: What could not be read.
+    """
+
+    counts: Counter[tuple[int, int]] = field(default_factory=Counter)
+    clouds: int = 0
+    damage: list[Damage] = field(default_factory=list)
+
+
+def _verify(
+    index: LogIndex, topics: Sequence[Topic], plan: LogPlan, progress: Progress | None
+) -> _Found:
+    found = _Found()
+    channels = {each: topic.channel for topic in topics for each in topic.channel.ids}
+    lidars = {
+        each: topic.channel
+        for topic in topics
+        if _is_mined(topic, plan)
+        for each in topic.channel.ids
+    }
+    refs = [chunk.ref for part in index.parts for chunk in part.chunks]
+    done, total = 0, sum(ref.length for ref in refs)
+    for opened in fetch_chunks(index.readers, refs):
+        key = index.readers[opened.ref.part].key
+        _verify_chunk(opened, key, channels, lidars, found)
+        done += opened.ref.length
+        if progress is not None:
+            progress(done, total)
+    return found
+
+
+def _verify_chunk(
+    opened: OpenedChunk,
+    key: str,
+    channels: Mapping[tuple[int, int], Channel],
+    lidars: Mapping[tuple[int, int], Channel],
+    found: _Found,
+) -> None:
+    ref = opened.ref
+    if opened.error is not None:
+        found.damage.append(_damage(key, ref, opened.error.problem))
+        return
+    nameless = 0
+    try:
+        for stored in messages_in(opened.records):
+            where = (ref.part, stored.channel_id)
+            found.counts[where] += 1
+            nameless += where not in channels
+            if where in lidars:
+                message = RawMessage(lidars[where], stored.log_time_ns, stored.data)
+                found.clouds += _is_well_formed(message, key, ref, found.damage)
+    except RecordMalformedError as error:
+        found.damage.append(_damage(key, ref, error.problem))
+    if nameless:
+        problem = f"{nameless} messages of channels whose records are lost"
+        found.damage.append(_damage(key, ref, problem))
+
+
+def _is_well_formed(message: RawMessage, key: str, ref: ChunkRef, damage: list[Damage]) -> bool:
+    try:
+        decode_cloud(message)
+    except CloudUnreadableError as error:
+        what = str(error)
+        damage.append(Damage(key=key, offset=ref.offset, bytes=len(message.data), what=what))
+        return False
+    return True
+
+
+def _damage(key: str, ref: ChunkRef, what: str) -> Damage:
+    return Damage(key=key, offset=ref.offset, bytes=ref.length, what=what)
+
+
+def _is_mined(topic: Topic, plan: LogPlan) -> bool:
+    return any(topic.channel.ids == shard.lidar.ids for shard in plan.shards)
+
+
+def _merged(planned: Sequence[Damage], found: Sequence[Damage]) -> list[Damage]:
+    """Both, each once, by where they lie."""
+    return sorted(
+        {(each.key, each.offset, each.what): each for each in (*planned, *found)}.values(),
+        key=lambda each: (each.key, each.offset, each.what),
+    )

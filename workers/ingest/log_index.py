@@ -1,0 +1,225 @@
+"""The index of a whole recording: each part's summary where it can be believed, else rebuilt."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Final
+
+from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
+
+from schemas.bucket import Bucket
+from schemas.work import ChunkRef, Damage, Recording
+from workers.errors import ChunkUnreadableError, NotMcapError
+from workers.ingest.chunk import messages_in, open_chunk
+from workers.ingest.index import IndexedChunk, PartIndex, Summary, index_of, read_summary
+from workers.ingest.part import PartReader
+from workers.ingest.records import MAGIC, RecordMalformedError, parse, walk
+from workers.ingest.recover import hop, recover
+
+UNEXPLAINED_BYTES: Final = 64 * 1024
+"""A longer stretch that no index explains is looked through for messages outside chunks."""
+
+MAX_MESSAGE_INDEX_BYTES: Final = 16 * 1024 * 1024
+"""A million messages in a chunk; an index that says more of itself is not believed."""
+
+LEARNING_BYTES: Final = 64 * 1024 * 1024
+"""How much is opened, at most, to learn what chunks hold that say nothing of their channels."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogIndex:
+    """What a recording holds and where.
+
+    Attributes:
+        recording: Its objects.
+        readers: One for each part.
+        parts: One for each part.
+    """
+
+    recording: Recording
+    readers: tuple[PartReader, ...]
+    parts: tuple[PartIndex, ...]
+
+    @property
+    def range_reads(self) -> int:
+        """Requests so far."""
+        return sum(reader.range_reads for reader in self.readers)
+
+    @property
+    def bytes_read(self) -> int:
+        """Bytes they gave."""
+        return sum(reader.bytes_read for reader in self.readers)
+
+    @property
+    def damage(self) -> Iterator[Damage]:
+        """What cannot be read, as far as the index shows it."""
+        for part in self.parts:
+            yield from part.damage
+
+    def metadata(self, name: str) -> list[dict[str, str]]:
+        """The metadata records of this name, in the order of the parts."""
+        return [
+            dict(each.metadata)
+            for part in self.parts
+            for each in part.metadata
+            if each.name == name
+        ]
+
+    def open(self, ref: ChunkRef) -> memoryview:
+        """Read and open a chunk.
+
+        Raises:
+            ChunkUnreadableError: If its bytes are not what they should be.
+        """
+        return open_from(self.readers[ref.part], ref)
+
+
+def index_recording(bucket: Bucket, recording: Recording) -> LogIndex:
+    """Index every part of a recording; of several, one that is no MCAP file is damage.
+
+    Raises:
+        NotMcapError: If no part is an MCAP file.
+        ObjectChangedError: If a part is no longer what was listed.
+    """
+    readers = tuple(PartReader(bucket, part, number) for number, part in enumerate(recording.parts))
+    parts: list[PartIndex] = []
+    refused: list[NotMcapError] = []
+    for reader in readers:
+        try:
+            parts.append(_index_part(reader))
+        except NotMcapError as error:
+            refused.append(error)
+            damage = Damage(key=reader.key, offset=0, bytes=reader.size, what=str(error))
+            parts.append(PartIndex(number=reader.number, damage=[damage]))
+    if len(refused) == len(readers):
+        raise refused[0]
+    return LogIndex(recording, readers, tuple(parts))
+
+
+def open_from(reader: PartReader, ref: ChunkRef) -> memoryview:
+    """Read and open a chunk of one part.
+
+    Raises:
+        ChunkUnreadableError: If its bytes are not what they should be.
+    """
+    return open_chunk(reader.read(ref.offset, ref.length), ref, key=reader.key)
+
+
+def _index_part(reader: PartReader) -> PartIndex:
+    try:
+        summary = read_summary(reader)
+    except RecordMalformedError as error:
+        index = recover(reader)
+        index.damage.append(
+            Damage(
+                key=reader.key,
+                offset=min(error.offset, reader.size),
+                bytes=0,
+                what=f"{error.problem}: the file was looked through instead",
+            )
+        )
+    else:
+        if summary is None:
+            index = recover(reader)
+        else:
+            index = index_of(summary, reader)
+            indexed, counted = _messages_indexed(index), _messages_counted(summary)
+            if indexed is None or indexed != counted:
+                certain = not index.chunks or (indexed is not None and counted is not None)
+                _look_through_gaps(reader, index, summary, thoroughly=certain)
+    # Of a chunk that is both indexed and found, the index comes first and stays.
+    by_offset: dict[int, IndexedChunk] = {}
+    for chunk in index.chunks:
+        by_offset.setdefault(chunk.ref.offset, chunk)
+    index.chunks = [by_offset[offset] for offset in sorted(by_offset)]
+    _learn_channels(reader, index)
+    return index
+
+
+def _messages_counted(summary: Summary) -> int | None:
+    """Messages by the writer's own count; None where it gives none."""
+    return None if summary.statistics is None else summary.statistics.message_count
+
+
+def _messages_indexed(index: PartIndex) -> int | None:
+    """Messages in the chunks of the index; None where that is not known."""
+    indexed = 0
+    for chunk in index.chunks:
+        if chunk.counts is None or -1 in chunk.counts.values():
+            return None
+        indexed += sum(chunk.counts.values())
+    return indexed
+
+
+def _look_through_gaps(
+    reader: PartReader, index: PartIndex, summary: Summary, *, thoroughly: bool
+) -> None:
+    """Look for messages where no index explains the bytes; short stretches only if thoroughly."""
+    believed = {chunk.ref.offset for chunk in index.chunks}
+    known = [(each.offset, each.offset + each.length) for each in summary.attachment_indexes]
+    known += [
+        (entry.chunk_start_offset, entry.chunk_start_offset + entry.chunk_length + after)
+        for entry in summary.chunk_indexes
+        for after in [min(entry.message_index_length, MAX_MESSAGE_INDEX_BYTES)]
+        if entry.chunk_start_offset in believed
+    ]
+    for start, end in _gaps(known, start=len(MAGIC), end=summary.start):
+        worth = thoroughly or end - start > UNEXPLAINED_BYTES
+        if worth or reader.held(start, end - start) is not None:
+            hop(reader, index, start=start, end=end)
+
+
+def _gaps(known: Iterable[tuple[int, int]], *, start: int, end: int) -> Iterator[tuple[int, int]]:
+    for first, last in sorted(known):
+        if start < first <= end:
+            yield start, first
+        start = max(start, last)
+    if start < end:
+        yield start, end
+
+
+def _learn_channels(reader: PartReader, index: PartIndex) -> None:
+    """Open chunks whose channels are named nowhere else, until all that can be known is."""
+    opened_bytes = 0
+    for number, chunk in enumerate(index.chunks):
+        if not _has_unknown_channels(index, chunk):
+            continue
+        if chunk.counts is None and opened_bytes > LEARNING_BYTES:
+            continue
+        opened_bytes += chunk.ref.length
+        try:
+            records = open_from(reader, chunk.ref)
+        except ChunkUnreadableError:
+            continue  # whoever needs its messages reads it again and records the damage
+        counts: dict[int, int] = {}
+        try:
+            _learn(records, index)
+            for message in messages_in(records):
+                counts[message.channel_id] = counts.get(message.channel_id, 0) + 1
+        except RecordMalformedError:
+            continue  # as above
+        index.chunks[number] = IndexedChunk(ref=chunk.ref, counts=counts)
+
+
+def _has_unknown_channels(index: PartIndex, chunk: IndexedChunk) -> bool:
+    if chunk.counts is None:
+        lacking = any(_lacks_schema(index, channel) for channel in index.channels.values())
+        return index.recovered or not index.channels or lacking
+    return any(
+        channel_id not in index.channels or _lacks_schema(index, index.channels[channel_id])
+        for channel_id in chunk.counts
+    )
+
+
+def _lacks_schema(index: PartIndex, channel: Channel) -> bool:
+    return channel.schema_id != 0 and channel.schema_id not in index.schemas
+
+
+def _learn(records: memoryview, index: PartIndex) -> None:
+    for record in walk(records):
+        if record.opcode == Opcode.SCHEMA:
+            schema = parse(Schema, record.body)
+            index.schemas.setdefault(schema.id, schema)
+        elif record.opcode == Opcode.CHANNEL:
+            channel = parse(Channel, record.body)
+            index.channels.setdefault(channel.id, channel)

@@ -1,0 +1,84 @@
+"""Reads what some topics of a log hold around one moment, every chunk once."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from workers.errors import ChunkUnreadableError
+from workers.ingest.chunk import messages_in
+from workers.ingest.decoding import MessageUnreadableError
+from workers.ingest.index import IndexedChunk
+from workers.ingest.log_index import LogIndex
+from workers.ingest.messages import RawMessage
+from workers.ingest.records import RecordMalformedError
+from workers.ingest.topics import Topic, chunks_of, ids_in
+
+Decoded = TypeVar("Decoded")
+
+
+@dataclass(slots=True, eq=False)
+class Moment:
+    """Messages of some topics around one moment.
+
+    Attributes:
+        index: Where chunks lie.
+        topics: All that will be asked for.
+        log_time_ns: The moment.
+        reach_ns: How far around it chunks are read.
+    """
+
+    index: LogIndex
+    topics: Sequence[Topic]
+    log_time_ns: int
+    reach_ns: int
+    _opened: dict[tuple[int, int], list[RawMessage]] = field(default_factory=dict)
+
+    def near(self, topic: Topic) -> list[RawMessage]:
+        """Messages in the chunks within reach, else in the nearest one; nearest first."""
+        chunks = sorted(chunks_of(topic.channel, self.index.parts), key=self._apart_ns)
+        within = [chunk for chunk in chunks if self._apart_ns(chunk) <= self.reach_ns]
+        found = [each for chunk in within or chunks[:1] for each in self._messages(chunk, topic)]
+        return sorted(found, key=lambda each: abs(each.log_time_ns - self.log_time_ns))
+
+    def all(self, topic: Topic) -> list[RawMessage]:
+        """Messages of the whole log, in its order: for topics that say a thing once."""
+        chunks = chunks_of(topic.channel, self.index.parts)
+        return [each for chunk in chunks for each in self._messages(chunk, topic)]
+
+    def _apart_ns(self, chunk: IndexedChunk) -> int:
+        return max(chunk.ref.start_ns - self.log_time_ns, self.log_time_ns - chunk.ref.end_ns, 0)
+
+    def _messages(self, chunk: IndexedChunk, topic: Topic) -> list[RawMessage]:
+        where = (chunk.ref.part, chunk.ref.offset)
+        if where not in self._opened:
+            self._opened[where] = self._open(chunk)
+        return [each for each in self._opened[where] if each.channel is topic.channel]
+
+    def _open(self, chunk: IndexedChunk) -> list[RawMessage]:
+        """Copy what is wanted, so that the chunk itself need not stay in memory."""
+        channels = {
+            channel_id: topic.channel
+            for topic in self.topics
+            for channel_id in ids_in(topic.channel, chunk.ref.part)
+        }
+        found: list[RawMessage] = []
+        try:
+            for stored in messages_in(self.index.open(chunk.ref), channels.keys()):
+                channel = channels[stored.channel_id]
+                found.append(RawMessage(channel, stored.log_time_ns, bytes(stored.data)))
+        except (ChunkUnreadableError, RecordMalformedError):
+            return found  # mining has recorded the damage; what was read before it is good
+        return found
+
+
+def readable(
+    messages: Sequence[RawMessage], decode: Callable[[RawMessage], Decoded]
+) -> list[Decoded]:
+    """Decode the messages that can be decoded, in their order."""
+    found: list[Decoded] = []
+    for message in messages:
+        try:
+            found.append(decode(message))
+        except MessageUnreadableError:
+            continue  # of many images or transforms one may be damaged
+    return found

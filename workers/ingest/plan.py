@@ -1,0 +1,287 @@
+"""Plans a recording: finds its lidars and cuts it into shards, from its index and one chunk."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from schemas.arrays import NS_PER_S
+from schemas.bucket import Bucket
+from schemas.work import (
+    Channel,
+    ChunkRef,
+    Damage,
+    LogPlan,
+    MiningSettings,
+    RecordedSource,
+    Recording,
+    Shard,
+)
+from workers.errors import LogUnusableError, NotMcapError
+from workers.ingest.evidence import Sample, sample_end, sample_middle, sample_topics, true_times
+from workers.ingest.frames import intensity_scale_of
+from workers.ingest.identity import METADATA_RECORD, Identity, identify
+from workers.ingest.lidar import choose_lidars, lidar_evidence
+from workers.ingest.log_index import LogIndex, index_recording
+from workers.ingest.messages import MAX_TIME_NS
+from workers.ingest.pointcloud import is_cloud, unsupported_reason
+from workers.ingest.recorded_labels import CLASSES_RECORD, find_recorded_source
+from workers.ingest.topics import Topic, chunks_of, count_in, topics_of
+from workers.ingest.windows import Span, Spans, cut_windows
+
+MAX_INDEX_READS: Final = 3
+"""Of each part; where fewer were enough, a look at the end of the log is affordable."""
+
+MAX_NAMED_TOPICS: Final = 20
+
+DOUBTFUL_CHUNK_NS: Final = 10 * NS_PER_S
+"""A chunk that spans longer, and stands out by it, is opened to see its times."""
+
+
+def plan_recording(bucket: Bucket, recording: Recording, settings: MiningSettings) -> LogPlan:
+    """Find the lidars of a recording and cut it into shards.
+
+    What cannot be mined is refused inside the plan, in one sentence, rather than raised.
+
+    Raises:
+        ObjectChangedError: If a part is no longer what was listed.
+        BucketUnreachableError: If the bucket does not answer.
+    """
+    try:
+        index = index_recording(bucket, recording)
+    except NotMcapError as error:
+        return LogPlan(log_id=recording.log_id, refused=str(error))
+    return plan_index(index, settings)
+
+
+def plan_index(index: LogIndex, settings: MiningSettings) -> LogPlan:
+    """Plan a recording whose index is known."""
+    topics = topics_of(index.parts)
+    damage: list[Damage] = []
+    identity = Identity()
+    chosen: list[Sample] = []
+    shards: list[Shard] = []
+    refused = ""
+    try:
+        identity = identify(
+            index.recording.log_id,
+            index.metadata(METADATA_RECORD),
+            path_template=settings.path_template,
+        )
+        samples = sample_topics(index, _candidates(topics, settings), damage)
+        chosen = _choose(index, samples, topics, settings, damage)
+        for sample in chosen:
+            affordable = index.range_reads <= MAX_INDEX_READS * len(index.parts)
+            if sample.clocks_differ and affordable:
+                sample_end(index, sample)
+        anchor_ns = min(sample.first_stamp_ns for sample in chosen)
+        for sample in chosen:
+            recorded = _recorded(index, topics, sample, samples, settings)
+            channel = _without_schema(sample.topic.channel)
+            lidar = _Lidar(channel, anchor_ns, recorded, identity)
+            shards += _shards(index, lidar, sample, samples, settings, damage)
+    except LogUnusableError as error:
+        refused, shards = str(error), []
+    return LogPlan(
+        log_id=index.recording.log_id,
+        vehicle=identity.vehicle,
+        date=identity.date,
+        software_version=identity.software_version,
+        lidar_topics=tuple(sample.topic.channel.topic for sample in chosen),
+        shards=tuple(shards),
+        damage=(*index.damage, *_not_in_shards(damage, shards, index)),
+        refused=refused,
+        range_reads=index.range_reads,
+        bytes_read=index.bytes_read,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Lidar:
+    """What all shards of one lidar of one log have in common."""
+
+    channel: Channel
+    anchor_ns: int
+    recorded: RecordedSource | None
+    identity: Identity
+
+
+def _candidates(topics: Sequence[Topic], settings: MiningSettings) -> list[Topic]:
+    clouds = [topic for topic in topics if is_cloud(topic.channel) and topic.messages]
+    wanted = settings.lidar_topic
+    if not any(wanted in ("", topic.channel.topic) for topic in clouds):
+        raise LogUnusableError(_no_lidar(topics, wanted))
+    if wanted and settings.supervised != "recorded":
+        clouds = [topic for topic in clouds if topic.channel.topic == wanted]
+    # Of a topic recorded in two ways, the one with more messages is meant.
+    by_name = {
+        topic.channel.topic: topic for topic in sorted(clouds, key=lambda topic: topic.messages)
+    }
+    return [by_name[name] for name in sorted(by_name)]
+
+
+def _no_lidar(topics: Sequence[Topic], wanted: str) -> str:
+    names = [topic.channel.topic for topic in topics]
+    shown = ", ".join(names[:MAX_NAMED_TOPICS]) + (", …" if names[MAX_NAMED_TOPICS:] else "")
+    listed = f"topics are {shown}" if names else "there are no topics"
+    needs = [
+        f"{topic.channel.topic} {reason}"
+        for topic in topics
+        if (reason := unsupported_reason(topic.channel)) and wanted in ("", topic.channel.topic)
+    ]
+    if needs:
+        return f"no lidar that can be read: {'; '.join(needs)}; {listed}"
+    if wanted:
+        return f"no point clouds on the configured lidar topic {wanted}; {listed}"
+    return f"no lidar in the log: no topic holds point clouds; {listed}"
+
+
+def _choose(
+    index: LogIndex,
+    samples: Mapping[str, Sample],
+    topics: Sequence[Topic],
+    settings: MiningSettings,
+    damage: Sequence[Damage],
+) -> list[Sample]:
+    if settings.lidar_topic in samples:
+        return [samples[settings.lidar_topic]]
+    if not samples or settings.lidar_topic:
+        names = ", ".join(topic.channel.topic for topic in _candidates(topics, settings))
+        harm = f" ({len(damage)} damaged chunks)" if damage else ""
+        raise LogUnusableError(f"no lidar in the log: no cloud of {names} can be read{harm}")
+    evidence = {topic: lidar_evidence(sample.clouds) for topic, sample in samples.items()}
+    chosen = choose_lidars(evidence)
+    if not chosen:
+        for topic, sample in samples.items():
+            sample_middle(index, sample)
+            if sample.later_clouds:
+                evidence[topic] = lidar_evidence(sample.later_clouds)
+        chosen = choose_lidars(evidence)
+    if not chosen:
+        found = "; ".join(f"{topic}: {evidence[topic].why_not}" for topic in sorted(evidence))
+        raise LogUnusableError(
+            f"no dense lidar that sees all around: {found}; set lidar_topic to mine one of them"
+        )
+    return [samples[topic] for topic in chosen]
+
+
+def _recorded(
+    index: LogIndex,
+    topics: Sequence[Topic],
+    sample: Sample,
+    samples: Mapping[str, Sample],
+    settings: MiningSettings,
+) -> RecordedSource | None:
+    if settings.supervised != "recorded":
+        return None
+    classes: dict[str, str] = {}
+    records = index.metadata(CLASSES_RECORD)
+    for record in records:
+        classes.update(record)
+    source = find_recorded_source(
+        [topic.channel for topic in topics],
+        {CLASSES_RECORD: classes} if records else {},
+        lidar=sample.topic.channel,
+        clouds={name: each.clouds for name, each in samples.items()},
+    )
+    if source is None:
+        raise LogUnusableError(
+            f"no recorded labels for {sample.topic.channel.topic}: neither its points nor a cloud "
+            "of the same stamp and width have a field 'label'"
+        )
+    if source.channel is None:
+        return source
+    return source.model_copy(update={"channel": _without_schema(source.channel)})
+
+
+def _shards(
+    index: LogIndex,
+    lidar: _Lidar,
+    sample: Sample,
+    samples: Mapping[str, Sample],
+    settings: MiningSettings,
+    damage: list[Damage],
+) -> Iterator[Shard]:
+    spans = _spans(index, sample, damage)
+    labels: list[Span] = []
+    if lidar.recorded is not None and lidar.recorded.channel is not None:
+        labels = _spans(index, samples[lidar.recorded.channel.topic], damage)
+    scale = settings.intensity_scale or intensity_scale_of([*sample.clouds, *sample.later_clouds])
+    chunks = Spans([*spans, *labels])
+    for window in cut_windows(
+        spans,
+        grid=settings.grid,
+        anchor_ns=lidar.anchor_ns,
+        least_step_ns=sample.least_step_ns,
+    ):
+        yield Shard(
+            log_id=index.recording.log_id,
+            index=window.index,
+            lidar=lidar.channel,
+            recorded=lidar.recorded,
+            anchor_ns=lidar.anchor_ns,
+            warmup_start_ns=window.warmup_start_ns,
+            start_ns=window.start_ns,
+            end_ns=window.end_ns,
+            lookahead_end_ns=window.lookahead_end_ns,
+            before_lookahead_end_ns=window.before_lookahead_end_ns,
+            scene_s=settings.grid.scene_s,
+            first_of_log=window.first_of_log,
+            last_of_log=window.last_of_log,
+            chunks=tuple(window.reads(chunks)),
+            needed_bytes=sum(ref.length for ref in window.needs(chunks)),
+            by_log_time=sample.by_log_time,
+            intensity_scale=scale,
+            vehicle=lidar.identity.vehicle,
+            date=lidar.identity.date,
+            software_version=lidar.identity.software_version,
+        )
+
+
+def _spans(index: LogIndex, sample: Sample, damage: list[Damage]) -> list[Span]:
+    chunks = chunks_of(sample.topic.channel, index.parts)
+    lengths_ns = sorted(chunk.ref.end_ns - chunk.ref.start_ns for chunk in chunks)
+    usual_ns = lengths_ns[len(lengths_ns) // 2]
+    spans: list[Span] = []
+    for chunk in chunks:
+        messages = count_in(chunk, sample.topic.channel)
+        if _is_doubtful(chunk.ref, messages=messages, usual_ns=usual_ns):
+            stretches = true_times(index, chunk.ref, apart_ns=DOUBTFUL_CHUNK_NS, damage=damage)
+            messages = -1
+        else:
+            stretches = [(chunk.ref.start_ns, chunk.ref.end_ns)]
+        for start_ns, end_ns in stretches:
+            spans.append(
+                Span(
+                    chunk.ref,
+                    earliest_ns=start_ns - sample.bounds.most_ns,
+                    latest_ns=end_ns - sample.bounds.least_ns,
+                    messages=messages,
+                )
+            )
+    if not spans:
+        raise LogUnusableError(f"no chunk with clouds of {sample.topic.channel.topic} can be read")
+    return spans
+
+
+def _is_doubtful(ref: ChunkRef, *, messages: int, usual_ns: int) -> bool:
+    """Whether the index gives a chunk times that hardly can be: nothing guards them."""
+    length_ns = ref.end_ns - ref.start_ns
+    most_ns = messages * DOUBTFUL_CHUNK_NS if messages > 0 else 360 * DOUBTFUL_CHUNK_NS
+    unusual = length_ns > DOUBTFUL_CHUNK_NS and length_ns > min(10 * usual_ns, most_ns)
+    return unusual or ref.end_ns > MAX_TIME_NS
+
+
+def _without_schema(channel: Channel) -> Channel:
+    """ROS and JSON clouds are decoded without their schema: it need not travel in every shard."""
+    if channel.message_encoding == "protobuf":
+        return channel
+    return channel.model_copy(update={"schema_base64": ""})
+
+
+def _not_in_shards(
+    damage: Iterable[Damage], shards: Iterable[Shard], index: LogIndex
+) -> list[Damage]:
+    """What planning found damaged and no shard will read, and so report, again."""
+    read = {(index.readers[ref.part].key, ref.offset) for shard in shards for ref in shard.chunks}
+    said = {(each.key, each.offset, each.what): each for each in damage}
+    return [each for each in said.values() if (each.key, each.offset) not in read]

@@ -1,0 +1,189 @@
+"""Reads the frames of one shard in order, while the next chunks are on their way."""
+
+import heapq
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+from schemas.bucket import Bucket
+from schemas.frame import LidarFrame, RecordedLabels
+from schemas.work import Channel, ChunkRef, Damage, MiningSettings, Recording, Shard
+from workers.errors import CloudUnreadableError
+from workers.ingest.chunk import messages_in
+from workers.ingest.fetch import OpenedChunk, fetch_chunks
+from workers.ingest.frames import frame_from_cloud
+from workers.ingest.messages import MAX_TIME_NS, RawMessage
+from workers.ingest.part import PartReader
+from workers.ingest.pointcloud import DecodedCloud, decode_cloud
+from workers.ingest.recorded_labels import LabelPairing, recorded_labels
+from workers.ingest.records import RecordMalformedError
+from workers.ingest.topics import ids_in
+
+MAX_WAITING_BYTES: Final = 256 * 1024 * 1024
+"""Messages are held back until none earlier can come; beyond this they leave as they are."""
+
+
+def read_shard(
+    bucket: Bucket, recording: Recording, shard: Shard, settings: MiningSettings
+) -> "ShardReader":
+    """Prepare to read the frames of a shard; nothing is fetched before `frames` is iterated."""
+    return ShardReader(recording, shard, settings, _part_readers(bucket, recording))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SourcedMessage:
+    """A message and the chunk it came from, which names its place when it is damaged."""
+
+    message: RawMessage
+    ref: ChunkRef
+
+
+@dataclass(slots=True, eq=False)
+class ShardReader:
+    """The frames of one shard; after them, what reading cost and what could not be read.
+
+    Attributes:
+        recording: Objects of the log.
+        shard: Which window of it.
+        settings: How stamps are meant.
+        readers: One for each part.
+        damage: What could not be read.
+    """
+
+    recording: Recording
+    shard: Shard
+    settings: MiningSettings
+    readers: tuple[PartReader, ...]
+    damage: list[Damage] = field(default_factory=list)
+
+    @property
+    def range_reads(self) -> int:
+        """Requests so far."""
+        return sum(reader.range_reads for reader in self.readers)
+
+    @property
+    def bytes_read(self) -> int:
+        """Bytes they gave."""
+        return sum(reader.bytes_read for reader in self.readers)
+
+    def frames(self) -> Iterator[LidarFrame]:
+        """Yield the frames from warm-up to lookahead, in the order of their log times.
+
+        Raises:
+            ObjectChangedError: If an object is no longer the one that was planned.
+            BucketUnreachableError: If the bucket does not answer.
+        """
+        previous_ns: int | None = None
+        for cloud, log_time_ns, labels in self._labelled_clouds():
+            no_stamp = self.shard.by_log_time or cloud.stamp_ns > MAX_TIME_NS
+            frame = frame_from_cloud(
+                replace(cloud, stamp_ns=0) if no_stamp else cloud,
+                log_id=self.shard.log_id,
+                log_time_ns=log_time_ns,
+                previous_stamp_ns=previous_ns,
+                intensity_scale=self.shard.intensity_scale,
+                stamp_at=self.settings.stamp_at,
+                recorded=labels,
+            )
+            previous_ns = frame.stamp_ns
+            if self._wants(frame.stamp_ns):
+                yield frame
+
+    def _wants(self, stamp_ns: int) -> bool:
+        shard = self.shard
+        return (shard.first_of_log or stamp_ns >= shard.warmup_start_ns) and (
+            shard.last_of_log or stamp_ns < max(shard.lookahead_end_ns, shard.end_ns)
+        )
+
+    def _labelled_clouds(self) -> Iterator[tuple[DecodedCloud, int, RecordedLabels | None]]:
+        """Clouds of the lidar with their log times and, where the log holds them, labels."""
+        source = self.shard.recorded
+        if source is None:
+            for sourced, cloud in self._clouds():
+                yield cloud, sourced.message.log_time_ns, None
+            return
+        pairing: LabelPairing[tuple[DecodedCloud, int]] = LabelPairing(source)
+        for sourced, cloud in self._clouds():
+            message = sourced.message
+            try:
+                if source.channel is None:
+                    yield cloud, message.log_time_ns, recorded_labels(cloud, source)
+                elif message.channel is source.channel:
+                    for (paired, log_time_ns), labels in pairing.add_labels(cloud):
+                        yield paired, log_time_ns, labels
+                else:
+                    for (paired, log_time_ns), labels in pairing.add_cloud(
+                        cloud, (cloud, message.log_time_ns)
+                    ):
+                        yield paired, log_time_ns, labels
+            except CloudUnreadableError as error:
+                self._record(sourced.ref, str(error), length=len(message.data))
+                if source.channel is None:
+                    yield cloud, message.log_time_ns, None
+        for (paired, log_time_ns), labels in pairing.rest():
+            yield paired, log_time_ns, labels
+
+    def _clouds(self) -> Iterator[tuple[SourcedMessage, DecodedCloud]]:
+        for sourced in self._in_order():
+            try:
+                yield sourced, decode_cloud(sourced.message)
+            except CloudUnreadableError as error:
+                self._record(sourced.ref, str(error), length=len(sourced.message.data))
+
+    def _in_order(self) -> Iterator[SourcedMessage]:
+        """Messages by log time: a chunk may hold earlier ones than the chunk before it."""
+        refs = self.shard.chunks
+        waiting: list[tuple[int, int, SourcedMessage]] = []
+        waiting_bytes, arrived = 0, 0
+        for number, opened in enumerate(fetch_chunks(self.readers, refs)):
+            for sourced in self._messages(opened):
+                heapq.heappush(waiting, (sourced.message.log_time_ns, arrived, sourced))
+                arrived += 1
+                waiting_bytes += len(sourced.message.data)
+            none_earlier_ns = refs[number + 1].start_ns if number + 1 < len(refs) else None
+            while waiting and (
+                none_earlier_ns is None
+                or waiting[0][0] <= none_earlier_ns
+                or waiting_bytes > MAX_WAITING_BYTES
+            ):
+                _, _, sourced = heapq.heappop(waiting)
+                waiting_bytes -= len(sourced.message.data)
+                yield sourced
+
+    def _messages(self, opened: OpenedChunk) -> Iterator[SourcedMessage]:
+        if opened.error is not None:
+            self._record(opened.ref, opened.error.problem)
+            return
+        channels = self._channels(opened.ref.part)
+        try:
+            for stored in messages_in(opened.records, channels.keys()):
+                if stored.log_time_ns > MAX_TIME_NS:
+                    what = f"a message says that it was logged at {stored.log_time_ns} ns"
+                    self._record(opened.ref, what, length=len(stored.data))
+                    continue
+                channel = channels[stored.channel_id]
+                message = RawMessage(channel, stored.log_time_ns, stored.data)
+                yield SourcedMessage(message, opened.ref)
+        except RecordMalformedError as error:
+            self._record(opened.ref, error.problem)
+
+    def _channels(self, part: int) -> dict[int, Channel]:
+        """The lidar's channel by its ids in one part, and that of recorded labels."""
+        source = self.shard.recorded
+        labels = source.channel if source is not None else None
+        channels = [self.shard.lidar] if labels is None else [self.shard.lidar, labels]
+        return {each: channel for channel in channels for each in ids_in(channel, part)}
+
+    def _record(self, ref: ChunkRef, what: str, *, length: int | None = None) -> None:
+        self.damage.append(
+            Damage(
+                key=self.readers[ref.part].key,
+                offset=ref.offset,
+                bytes=ref.length if length is None else length,
+                what=what,
+            )
+        )
+
+
+def _part_readers(bucket: Bucket, recording: Recording) -> tuple[PartReader, ...]:
+    return tuple(PartReader(bucket, part, number) for number, part in enumerate(recording.parts))

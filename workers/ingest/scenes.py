@@ -1,0 +1,165 @@
+"""From the labelled frames of a shard to its scenes, so that every frame is in exactly one.
+
+Scenes are the cells of the log's grid. A gap or a jump back in time ends a scene inside its cell; a
+short piece joins the scene before it, unless a gap lies between. Where shards meet, both see the
+piece in question and judge it by the same numbers, so how a log is cut into shards never shows.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Final
+
+from schemas.arrays import NS_PER_S
+from schemas.contradiction import LabelledFrame, Scene
+from schemas.work import Shard
+
+MAX_GAP_S: Final = 0.5
+"""A longer silence between two frames ends a scene: five missed revolutions of a 10 Hz lidar."""
+
+MIN_SCENE_S: Final = 1.0
+"""A shorter piece is too little to judge alone."""
+
+
+@dataclass(frozen=True, slots=True)
+class CutRule:
+    """Lengths by which scenes are cut, for one length of cells.
+
+    Cells shorter than two seconds shrink both limits, so that a piece with frames on both sides of
+    it is never short: a scene is then joined by at most one piece, and a look ahead of
+    `lookahead_ns` always settles whether it is.
+    """
+
+    cell_ns: int
+
+    @classmethod
+    def of(cls, scene_s: float) -> "CutRule":
+        """Make the rule for cells of this length."""
+        return cls(round(scene_s * NS_PER_S))
+
+    @property
+    def max_gap_ns(self) -> int:
+        """A longer step between two frames is a gap."""
+        return min(round(MAX_GAP_S * NS_PER_S), self.cell_ns // 4)
+
+    @property
+    def min_scene_ns(self) -> int:
+        """A piece whose first and last frame are closer is short."""
+        return min(round(MIN_SCENE_S * NS_PER_S), self.cell_ns // 2)
+
+    @property
+    def lookbehind_ns(self) -> int:
+        """What a shard must see before its window to know whether its first piece continues."""
+        return self.max_gap_ns
+
+    @property
+    def lookahead_ns(self) -> int:
+        """What a shard must see after its window to know whether a short piece joins it.
+
+        The piece begins within a gap's length, ends before the shortest scene, and a gap follows.
+        """
+        return 2 * self.max_gap_ns + self.min_scene_ns
+
+    def breaks(self, before_ns: int, after_ns: int) -> bool:
+        """Whether a scene ends between two frames: a gap, or a jump back in time."""
+        return not 0 <= after_ns - before_ns <= self.max_gap_ns
+
+
+@dataclass(slots=True)
+class _Piece:
+    """Frames of one cell without a break.
+
+    Attributes:
+        cell: Number of the cell, 0 at the log's first frame.
+        continues: Whether no break lies between it and the frame before it.
+        frames: At least one.
+    """
+
+    cell: int
+    continues: bool
+    frames: list[LabelledFrame] = field(default_factory=list)
+
+    @property
+    def start_ns(self) -> int:
+        return self.frames[0].stamp_ns
+
+    @property
+    def end_ns(self) -> int:
+        return self.frames[-1].stamp_ns
+
+
+def cut_scenes(shard: Shard, labelled: Iterable[LabelledFrame]) -> Iterator[Scene]:
+    """Cut the labelled frames of a shard into its scenes.
+
+    Warm-up and lookahead frames are consumed; they only decide what continues what. Memory holds
+    two scenes at most.
+
+    Args:
+        shard: The window, and what its neighbours see.
+        labelled: Frames in the order of the log, warm-up and lookahead included.
+
+    Yields:
+        Scenes that begin in the shard's window, in the order of the log.
+    """
+    rule = CutRule.of(shard.scene_s)
+    times_used: dict[int, int] = {}
+    for frames in _joined(shard, rule, _pieces(rule, shard.anchor_ns, labelled)):
+        start_ns = frames[0].stamp_ns
+        if not _begins_in_window(shard, start_ns):
+            continue
+        times_used[start_ns] = times_used.get(start_ns, 0) + 1
+        repeat = f"-{times_used[start_ns]}" if times_used[start_ns] > 1 else ""
+        yield Scene(
+            scene_id=f"{shard.log_id}/{shard.lidar_name}/{start_ns}{repeat}",
+            frames=tuple(frames),
+            too_short=frames[-1].stamp_ns - start_ns < rule.min_scene_ns,
+        )
+
+
+def _pieces(rule: CutRule, anchor_ns: int, labelled: Iterable[LabelledFrame]) -> Iterator[_Piece]:
+    piece: _Piece | None = None
+    for frame in labelled:
+        cell = (frame.stamp_ns - anchor_ns) // rule.cell_ns
+        continues = piece is not None and not rule.breaks(piece.end_ns, frame.stamp_ns)
+        if piece is None or not continues or cell != piece.cell:
+            if piece is not None:
+                yield piece
+            piece = _Piece(cell, continues)
+        piece.frames.append(frame)
+    if piece is not None:
+        yield piece
+
+
+def _joined(shard: Shard, rule: CutRule, pieces: Iterable[_Piece]) -> Iterator[list[LabelledFrame]]:
+    """Let each short piece that continues the one before it join that one."""
+    scene: list[LabelledFrame] = []
+    for piece in pieces:
+        short = piece.end_ns - piece.start_ns < rule.min_scene_ns
+        if scene and piece.continues and short and _both_shards_see(shard, rule, piece):
+            scene.extend(piece.frames)
+            continue
+        if scene:
+            yield scene
+        scene = piece.frames
+    if scene:
+        yield scene
+
+
+def _begins_in_window(shard: Shard, stamp_ns: int) -> bool:
+    """The first and the last shard also own what lies before and after the log's grid."""
+    return (shard.first_of_log or stamp_ns >= shard.start_ns) and (
+        shard.last_of_log or stamp_ns < shard.end_ns
+    )
+
+
+def _both_shards_see(shard: Shard, rule: CutRule, piece: _Piece) -> bool:
+    """Whether a short piece may join the one before it, although a window's edge may divide them.
+
+    It may if the shard before sees, within its lookahead, that the piece ends; the shard after
+    asks the same, with the same numbers, and then leaves the piece to it.
+    """
+    if not shard.last_of_log and piece.start_ns >= shard.end_ns:
+        return shard.lookahead_end_ns - piece.end_ns > rule.max_gap_ns
+    at_start = shard.start_ns <= piece.start_ns < shard.start_ns + rule.cell_ns
+    if not shard.first_of_log and at_start:
+        return shard.before_lookahead_end_ns - piece.end_ns > rule.max_gap_ns
+    return True
