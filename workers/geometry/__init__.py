@@ -1,0 +1,1 @@
+"""Geometry that every stage may use: rigid transforms and spherical range images."""

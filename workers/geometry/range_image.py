@@ -1,0 +1,195 @@
+"""Spherical projection of a frame to a range image: which point is seen in which pixel."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import Mask, Points
+
+CHANNELS: Final = ("range", "x", "y", "z", "intensity")
+"""What a network sees in each pixel, in the published order (SalsaNext, LiDAR-MOS)."""
+
+
+@dataclass(frozen=True)
+class SensorProfile:
+    """How a lidar is laid out as an image, and how its measurements are normalised.
+
+    Attributes:
+        name: What messages call it.
+        rows: Height of the range image.
+        columns: Width of the range image; column 0 looks backwards, the middle looks forward.
+        fov_up_deg: Upper edge of the vertical field of view.
+        fov_down_deg: Lower edge of the vertical field of view, below the horizon negative.
+        elevations_deg: Elevation of each row's beam, highest first; None spaces rows evenly. Beams
+            of many lidars crowd near the horizon, where even rows would merge four of them.
+        clamp: Put points outside the field of view into the first or last row, as the published
+            code does; otherwise they stay unprojected.
+        means: Mean of range, x, y, z (metres) and intensity (0 to 1) over the training frames.
+        stds: Their standard deviations.
+
+    Raises:
+        ValueError: If the numbers contradict each other.
+    """
+
+    name: str
+    rows: int
+    columns: int
+    fov_up_deg: float
+    fov_down_deg: float
+    elevations_deg: tuple[float, ...] | None = None
+    clamp: bool = False
+    means: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    stds: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0, 1.0)
+
+    def __post_init__(self) -> None:
+        """Refuse a profile that no image can have."""
+        if self.rows < 1 or self.columns < 1 or self.fov_up_deg <= self.fov_down_deg:
+            raise ValueError(f"profile {self.name!r} has no pixels: check rows, columns and fov")
+        if len(self.means) != len(CHANNELS) or len(self.stds) != len(CHANNELS):
+            raise ValueError(f"profile {self.name!r} needs a mean and std of each of {CHANNELS}")
+        if min(self.stds) <= 0:
+            raise ValueError(f"profile {self.name!r} has a standard deviation that is not positive")
+        beams = self.elevations_deg
+        if beams is not None and (len(beams) != self.rows or any(np.diff(np.asarray(beams)) >= 0)):
+            raise ValueError(
+                f"profile {self.name!r} needs {self.rows} falling beam elevations, one a row"
+            )
+
+    @cached_property
+    def _row_edges_rad(self) -> NDArray[np.float32]:
+        """Inner edges between rows, rising, midway between neighbouring beams."""
+        beams = np.radians(np.asarray(self.elevations_deg, dtype=np.float64))[::-1]
+        return ((beams[1:] + beams[:-1]) / 2).astype(np.float32)
+
+    def row_of(self, elevation_rad: NDArray[np.float32]) -> NDArray[np.int32]:
+        """Row of each elevation; -1 outside the field of view unless the profile clamps."""
+        up = np.float32(np.radians(self.fov_up_deg))
+        down = np.float32(np.radians(self.fov_down_deg))
+        row: NDArray[np.int32]
+        if self.elevations_deg is None:
+            share = np.float32(1) - (elevation_rad - down) / (up - down)
+            row = np.floor(share * np.float32(self.rows)).astype(np.int32)
+            row = np.clip(row, 0, self.rows - 1)
+        else:
+            below = np.searchsorted(self._row_edges_rad, elevation_rad)
+            row = (self.rows - 1 - below).astype(np.int32)
+        if not self.clamp:
+            row[(elevation_rad > up) | (elevation_rad < down)] = -1
+        return row
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RangeImage:
+    """A frame seen as an image, with the way back to its points.
+
+    Attributes:
+        index: (H, W) int32, which point each pixel shows; -1 where there is none.
+        range_m: (H, W) float32, distance of that point; -1 where there is none.
+        row: (N,) int32, row of each point; -1 where the point is not projected.
+        column: (N,) int32, column of each point; -1 where the point is not projected.
+        point_range_m: (N,) float32, distance of each point, metres; zero where invalid.
+    """
+
+    index: NDArray[np.int32]
+    range_m: NDArray[np.float32]
+    row: NDArray[np.int32]
+    column: NDArray[np.int32]
+    point_range_m: NDArray[np.float32]
+
+    @property
+    def projected_mask(self) -> Mask:
+        """(N,) true where a point has a pixel, seen in it or hidden behind a nearer one."""
+        return self.row >= 0
+
+
+def project(
+    points_m: Points,
+    profile: SensorProfile,
+    *,
+    valid_mask: Mask | None = None,
+    gate_m: tuple[float, float] | None = None,
+) -> RangeImage:
+    """Project points to a range image; of several in one pixel the nearest is seen.
+
+    Follows RangeNet++ and SalsaNext (columns by azimuth, clockwise from behind; rows by elevation,
+    top first; float32), with their faults corrected: the point with index 0 counts as seen, points
+    at the origin and invalid ones are left out, and of two equally near points the lower index
+    wins.
+
+    Args:
+        points_m: (N, 3) sensor space, metres.
+        profile: The layout of the image.
+        valid_mask: (N,) points that may be projected; None for all.
+        gate_m: Only points farther than the first and nearer than the second are projected.
+
+    Returns:
+        The image; points that are invalid or outside the field of view have row -1.
+    """
+    points_m = points_m.astype(np.float32, copy=False)
+    x, y, z = points_m[:, 0], points_m[:, 1], points_m[:, 2]
+    range_m = np.sqrt(x * x + y * y + z * z)
+    usable = np.isfinite(range_m) & (range_m > 0)
+    if valid_mask is not None:
+        usable &= valid_mask
+    if gate_m is not None:
+        usable &= (range_m > np.float32(gate_m[0])) & (range_m < np.float32(gate_m[1]))
+    safe_range = np.where(usable, range_m, np.float32(1))
+    azimuth = -np.arctan2(y, x)
+    share = np.float32(0.5) * (azimuth / np.float32(np.pi) + np.float32(1))
+    elevation = np.arcsin(np.clip(np.where(usable, z, np.float32(0)) / safe_range, -1, 1))
+    row = profile.row_of(elevation)
+    row[~usable] = -1
+    seen = np.flatnonzero(row >= 0)
+    column = np.full(len(row), -1, dtype=np.int32)
+    column[seen] = np.clip(
+        np.floor(share[seen] * np.float32(profile.columns)), 0, profile.columns - 1
+    ).astype(np.int32)
+    index, image = _nearest(
+        seen, row[seen] * np.int32(profile.columns) + column[seen], range_m[seen], profile
+    )
+    return RangeImage(index, image, row, column, np.where(usable, range_m, np.float32(0)))
+
+
+def _nearest(
+    seen: NDArray[np.intp],
+    pixel: NDArray[np.int32],
+    range_m: NDArray[np.float32],
+    profile: SensorProfile,
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Keep the nearest point of each pixel; of equally near ones the first."""
+    shape = (profile.rows, profile.columns)
+    depth = np.full(profile.rows * profile.columns, np.inf, dtype=np.float32)
+    np.minimum.at(depth, pixel, range_m)
+    nearest = range_m == depth[pixel]
+    index = np.full(depth.shape, -1, dtype=np.int32)
+    index[pixel[nearest][::-1]] = seen[nearest][::-1]  # the last write stays: the lowest index
+    depth[index < 0] = -1
+    return index.reshape(shape), depth.reshape(shape)
+
+
+def image_channels(
+    image: RangeImage, points_m: Points, intensity: NDArray[np.float32], profile: SensorProfile
+) -> NDArray[np.float32]:
+    """Lay the measurements out as the normalised input of a network.
+
+    Args:
+        image: Projection of the same points.
+        points_m: (N, 3) sensor space, metres.
+        intensity: (N,) 0 to 1.
+        profile: Means and standard deviations of the channels.
+
+    Returns:
+        (5, H, W) float32 in the order of `CHANNELS`; zero in empty pixels.
+    """
+    filled = image.index >= 0
+    shown = image.index[filled]
+    channels = np.zeros((len(CHANNELS), *image.index.shape), dtype=np.float32)
+    values = (image.point_range_m[shown], *points_m[shown].T, intensity[shown])
+    for channel, value, mean, std in zip(
+        channels, values, profile.means, profile.stds, strict=True
+    ):
+        channel[filled] = (value - np.float32(mean)) / np.float32(std)
+    return channels

@@ -1,0 +1,105 @@
+"""The supervised stream that ran on the car: labels recorded in the log instead of networks."""
+
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import Confidences, Mask, MotionLabels
+from schemas.frame import LidarFrame, PosedFrame, RecordedClass, RecordedLabels
+from schemas.labels import FrameLabels, MotionLabel
+
+_REVISION: Final = b"recorded 1"
+"""Rises when the same recorded labels give other answers."""
+
+_LABEL_OF_CODE: Final = (MotionLabel.UNKNOWN, MotionLabel.STATIC, MotionLabel.DYNAMIC)
+"""Recorded motion codes 0, 1, 2; any other code says nothing."""
+
+
+class Recorded:
+    """What the log says that the car's own model said.
+
+    Recorded motion is taken as it is. Where only classes are recorded, a class that means moving
+    is dynamic, any other known class static. Frames without recorded labels are UNKNOWN throughout.
+    """
+
+    def __init__(self) -> None:
+        self._classes: dict[int, tuple[int, str]] = {}
+
+    @property
+    def version(self) -> str:
+        """`name@digest`; the labels themselves belong to the log."""
+        return f"recorded@{hashlib.sha256(_REVISION).hexdigest()[:12]}"
+
+    @property
+    def class_names(self) -> tuple[str, ...]:
+        """Names that `FrameLabels.class_id` indexes, ordered by the model's own id.
+
+        Empty before the first labelled frame. Classes that a later frame declares anew are added at
+        the end, so that indices given out stay true.
+        """
+        return tuple(name for _, name in self._classes.values())
+
+    def __call__(self, frames: Iterable[PosedFrame]) -> Iterator[FrameLabels]:
+        """Yield the recorded labels of each frame, in order."""
+        self._classes = {}
+        for posed in frames:
+            yield self._label(posed.frame)
+
+    def _label(self, frame: LidarFrame) -> FrameLabels:
+        recorded = frame.recorded
+        if recorded is None:
+            n = len(frame)
+            return FrameLabels(
+                labels=np.full(n, MotionLabel.UNKNOWN, dtype=np.uint8),
+                confidence=np.zeros(n, dtype=np.float16),
+                class_id=np.full(n, -1, dtype=np.int16),
+            )
+        for class_id in sorted(recorded.classes):
+            name = recorded.classes[class_id].name
+            self._classes.setdefault(class_id, (len(self._classes), name))
+        labels = _motion(recorded)
+        return FrameLabels(
+            labels=labels,
+            confidence=_confidence(recorded, labels),
+            class_id=_per_id(
+                recorded.class_id, {key: index for key, (index, _) in self._classes.items()}, -1
+            ).astype(np.int16),
+        )
+
+
+def _motion(recorded: RecordedLabels) -> MotionLabels:
+    if recorded.motion is not None:
+        label_of_code = np.full(256, MotionLabel.UNKNOWN, dtype=np.uint8)
+        label_of_code[: len(_LABEL_OF_CODE)] = _LABEL_OF_CODE
+        return label_of_code[recorded.motion]
+    return _per_id(
+        recorded.class_id,
+        {key: _label_of(meaning) for key, meaning in recorded.classes.items()},
+        MotionLabel.UNKNOWN,
+    ).astype(np.uint8)
+
+
+def _label_of(meaning: RecordedClass) -> MotionLabel:
+    return MotionLabel.DYNAMIC if meaning.moving else MotionLabel.STATIC
+
+
+def _confidence(recorded: RecordedLabels, labels: MotionLabels) -> Confidences:
+    known: Mask = np.not_equal(labels, MotionLabel.UNKNOWN)
+    if recorded.confidence is None:
+        return known.astype(np.float16)
+    sure: Confidences = np.zeros(len(labels), dtype=np.float16)
+    sure[known] = np.clip(np.nan_to_num(recorded.confidence[known], nan=0.0), 0, 1)
+    return sure
+
+
+def _per_id(
+    ids: NDArray[np.uint16], meaning: Mapping[int, int], otherwise: int
+) -> NDArray[np.int32]:
+    """Look every id up; ids without meaning get `otherwise`."""
+    table = np.full(np.iinfo(np.uint16).max + 1, otherwise, dtype=np.int32)
+    for key, value in meaning.items():
+        table[key] = value
+    return table[ids]

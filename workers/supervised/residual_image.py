@@ -1,0 +1,121 @@
+"""Residual images: how the ranges of the static world changed, streamed from a ring buffer."""
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import NS_PER_S, Points, Transform
+from workers.geometry.range_image import RangeImage, SensorProfile, project
+from workers.geometry.se3 import inverse, transform
+
+
+@dataclass(frozen=True, slots=True)
+class ResidualSettings:
+    """Which past frames are compared, and up to where.
+
+    Attributes:
+        ages_s: How long ago each compared frame was, youngest first; one channel each.
+        tolerance_s: How far a frame's age may be from the wanted one.
+        min_range_m: Nearer returns have no residual: the own car.
+        max_range_m: Farther returns have no residual: too sparse to compare.
+    """
+
+    ages_s: tuple[float, ...] = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
+    tolerance_s: float = 0.05
+    min_range_m: float = 2.0
+    max_range_m: float = 50.0
+
+
+def residual_image(
+    image: RangeImage, past_points_m: Points, profile: SensorProfile, settings: ResidualSettings
+) -> NDArray[np.float32]:
+    """Compare the current ranges with those that a past frame predicts.
+
+    LiDAR-MOS: ``|range - past range| / range`` where both lie inside the range gate, zero
+    elsewhere.
+
+    Args:
+        image: Projection of the current frame.
+        past_points_m: (M, 3) points of the past frame in the current sensor space, metres.
+        profile: Layout of both images.
+        settings: The range gate.
+
+    Returns:
+        (H, W) float32, share of the current range; zero where nothing can be compared.
+    """
+    low, high = np.float32(settings.min_range_m), np.float32(settings.max_range_m)
+    past = project(past_points_m, profile, gate_m=(settings.min_range_m, settings.max_range_m))
+    current = image.range_m
+    both = (current > low) & (current < high) & (past.range_m > 0)
+    safe = np.where(both, current, np.float32(1))
+    return np.where(both, np.abs(current - past.range_m) / safe, np.float32(0))
+
+
+class ResidualHistory:
+    """The last second of frames, ready to be compared with the next one.
+
+    Frames are chosen by time, not by count, so that a sensor at 5 or 20 Hz and a log with dropped
+    frames give the residuals the network was trained on. A jump back in time empties the buffer.
+    """
+
+    def __init__(self, profile: SensorProfile, settings: ResidualSettings) -> None:
+        self._profile = profile
+        self._settings = settings
+        self._past: deque[tuple[int, Transform, Points]] = deque()
+
+    def __len__(self) -> int:
+        """Count the frames remembered."""
+        return len(self._past)
+
+    def residuals(
+        self, image: RangeImage, *, stamp_ns: int, odom_from_sensor: Transform
+    ) -> tuple[NDArray[np.float32], int]:
+        """Compare a frame with the past; call before `push`.
+
+        Args:
+            image: Projection of the current frame.
+            stamp_ns: Its time, nanoseconds since the Unix epoch.
+            odom_from_sensor: (4, 4) its pose.
+
+        Returns:
+            (K, H, W) float32, one residual image per age, zero where no frame is that old; and how
+            many ages had a frame.
+        """
+        settings = self._settings
+        stack = np.zeros((len(settings.ages_s), *image.range_m.shape), dtype=np.float32)
+        found = 0
+        sensor_from_odom = inverse(odom_from_sensor)
+        for channel, age_s in zip(stack, settings.ages_s, strict=True):
+            past = self._at(stamp_ns - round(age_s * NS_PER_S))
+            if past is None:
+                continue
+            odom_from_past, points_m = past
+            moved = transform(sensor_from_odom @ odom_from_past, points_m)
+            channel[:] = residual_image(image, moved, self._profile, settings)
+            found += 1
+        return stack, found
+
+    def push(self, points_m: Points, *, stamp_ns: int, odom_from_sensor: Transform) -> None:
+        """Remember a frame for later ones.
+
+        Args:
+            points_m: (M, 3) its points, own sensor space, metres; valid ones only.
+            stamp_ns: Its time, nanoseconds since the Unix epoch.
+            odom_from_sensor: (4, 4) its pose.
+        """
+        if self._past and stamp_ns <= self._past[-1][0]:
+            self._past.clear()
+        self._past.append((stamp_ns, odom_from_sensor, points_m))
+        oldest_s = max(self._settings.ages_s, default=0.0) + self._settings.tolerance_s
+        while stamp_ns - self._past[0][0] > oldest_s * NS_PER_S:
+            self._past.popleft()
+
+    def _at(self, wanted_ns: int) -> tuple[Transform, Points] | None:
+        """Frame nearest to a time, if near enough; of two equally near ones the older."""
+        if not self._past:
+            return None
+        stamp_ns, pose, points_m = min(self._past, key=lambda past: abs(past[0] - wanted_ns))
+        near = abs(stamp_ns - wanted_ns) <= self._settings.tolerance_s * NS_PER_S
+        return (pose, points_m) if near else None

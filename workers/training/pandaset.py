@@ -1,0 +1,139 @@
+"""Frames of a PandaSet log with their truth: classes, motion and poses."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+from schemas.arrays import NS_PER_S, Transform
+from schemas.bucket import open_bucket
+from schemas.frame import LidarFrame
+from schemas.recordings import recording_of
+from schemas.work import Grid, MiningSettings
+from workers.errors import LogUnusableError
+from workers.ingest.plan import plan_recording
+from workers.ingest.read import read_shard
+from workers.training.images import Cloud
+
+CLASSES: Final[tuple[tuple[str, bool], ...]] = (
+    ("unlabeled", False),
+    ("car", True),
+    ("large_vehicle", True),
+    ("two_wheeler", True),
+    ("pedestrian", True),
+    ("road", False),
+    ("sidewalk", False),
+    ("other_ground", False),
+    ("vegetation", False),
+    ("building", False),
+    ("traffic_facility", False),
+    ("other_static", False),
+)
+"""Name and whether it can move by itself; coarse, so that other data sets map onto it too."""
+
+_PANDASET_IDS: Final[Mapping[str, tuple[int, ...]]] = {
+    "car": (13, 14),
+    "large_vehicle": (15, 16, 17, 19, 20, 22, 23, 27, 28, 29),
+    "two_wheeler": (18, 21, 24, 25, 26),
+    "pedestrian": (30, 31),
+    "road": (7, 8, 9, 10),
+    "sidewalk": (11, 12),
+    "other_ground": (6,),
+    "vegetation": (5,),
+    "building": (41,),
+    "traffic_facility": (34, 35, 36, 37, 38, 39),
+    "other_static": (40, 42),
+}
+"""PandaSet's ids of each class; noise (1 to 4) and animals (32, 33) stay unlabelled."""
+
+PANDAR64_DEG: Final = (
+    *(14.87, 11.02, 8.05, 5.05, 3.03, 2.02, 1.85, 1.68, 1.51, 1.34, 1.17, 1.0, 0.83, 0.66, 0.5),
+    *(0.33, 0.16, -0.01, -0.18, -0.35, -0.52, -0.69, -0.86, -1.02, -1.2, -1.36, -1.53, -1.7, -1.87),
+    *(-2.04, -2.21, -2.38, -2.55, -2.71, -2.88, -3.05, -3.22, -3.39, -3.56, -3.72, -3.9, -4.06),
+    *(
+        -4.23,
+        -4.4,
+        -4.57,
+        -4.73,
+        -4.9,
+        -5.07,
+        -5.24,
+        -5.4,
+        -5.58,
+        -5.74,
+        -5.91,
+        -6.07,
+        -7.07,
+        -8.07,
+    ),
+    *(-9.07, -9.9, -11.04, -12.02, -12.99, -13.94, -18.91, -24.91),
+)
+"""Elevation of each beam of a Hesai Pandar64: median over the rings of four frames of the log."""
+
+SWEEP_S: Final = 0.1029
+"""How long one revolution takes."""
+
+
+def read_clouds(log: Path, truth: Path, frames: range) -> Iterator[Cloud]:
+    """Read frames of the log with their truth, in order.
+
+    Args:
+        log: The MCAP file.
+        truth: Folder with `NNNNNN.npz` per frame and `poses.npz`.
+        frames: Which frames.
+
+    Yields:
+        One cloud per frame of `frames`.
+
+    Raises:
+        LogUnusableError: If the log cannot be read.
+    """
+    class_of = np.zeros(256, dtype=np.uint8)
+    for class_id, (name, _) in enumerate(CLASSES):
+        class_of[list(_PANDASET_IDS.get(name, ()))] = class_id
+    poses = np.load(truth / "poses.npz")
+    times_ns, at_reference = poses["reference_time_ns"], poses["world_from_lidar_at_reference"]
+    for number, frame in enumerate(_frames(log)):
+        if number not in frames:
+            continue
+        labels = np.load(truth / f"{number:06d}.npz")
+        own = labels["ego"] == 1
+        middle_ns = frame.stamp_ns + round(SWEEP_S / 2 * NS_PER_S)
+        yield Cloud(
+            stamp_ns=frame.stamp_ns,
+            points_m=frame.points_m,
+            intensity=frame.intensity,
+            semantic=np.where(own, np.uint8(0), class_of[labels["semantic"]]),
+            motion=np.where(own, np.uint8(0), labels["motion"]),
+            world_from_sensor=_pose_at(middle_ns, times_ns, at_reference),
+        )
+
+
+def _frames(log: Path) -> Iterator[LidarFrame]:
+    """Frames of one file, decoded as a worker decodes them: one shard holds the whole log."""
+    bucket = open_bucket(str(log.resolve().parent))
+    try:
+        recording = recording_of(log.name, bucket.list())
+    except LookupError:
+        raise LogUnusableError(f"cannot train on {log}: there is no such file") from None
+    settings = MiningSettings(
+        bucket=bucket.url, artifacts="memory://", grid=Grid(shard_s=3600.0, warmup_s=0.0)
+    )
+    plan = plan_recording(bucket, recording, settings)
+    if plan.refused:
+        raise LogUnusableError(f"cannot train on {log.name}: {plan.refused}")
+    for shard in plan.shards:
+        yield from read_shard(bucket, recording, shard, settings).frames()
+
+
+def _pose_at(time_ns: int, times_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> Transform:
+    """Interpolate a trajectory; the first and last pose are held beyond its ends."""
+    seconds = (times_ns - times_ns[0]) / NS_PER_S
+    at = float(np.clip((time_ns - times_ns[0]) / NS_PER_S, seconds[0], seconds[-1]))
+    pose: Transform = np.eye(4)
+    pose[:3, :3] = Slerp(seconds, Rotation.from_matrix(poses[:, :3, :3]))(at).as_matrix()
+    pose[:3, 3] = [np.interp(at, seconds, poses[:, axis, 3]) for axis in range(3)]
+    return pose
