@@ -1,0 +1,1 @@
+"""The self-supervised stream: motion from geometry alone, without labels or trained weights."""

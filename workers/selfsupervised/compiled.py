@@ -1,0 +1,23 @@
+"""How inner loops are compiled: the one place that touches numba's options."""
+
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+from numba import njit
+
+from workers.selfsupervised.versions import source_digest
+
+Loop = TypeVar("Loop", bound=Callable[..., Any])
+
+
+def compiled(loop: Loop) -> Loop:
+    """Compile a loop over arrays at its first call, and keep the result on disk.
+
+    One thread and no reordering of sums: the same input gives the same bits. The interpreter lock
+    is released while a loop runs, so that a lease can be renewed meanwhile.
+
+    The cache of numba notices changes of a function's own file only, not of the loops and numbers
+    that it takes from others; a digest of all of them in the name makes stale code impossible.
+    """
+    loop.__qualname__ += f"_{source_digest()[:8]}"
+    return cast(Loop, njit(cache=True, nogil=True)(loop))

@@ -1,0 +1,78 @@
+"""Whether a pose may be believed: what a car cannot do, and structure that does not fit."""
+
+from collections import deque
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.frame import OdometryState
+
+MAX_SPEED_M_PER_S: Final = 70.0
+MAX_TURN_RAD_PER_S: Final = 2.0
+MAX_ACCELERATION_M_PER_S2: Final = 12.0
+"""Full braking on a dry road, with a kerb on top."""
+
+MAX_TURN_CHANGE_RAD_PER_S2: Final = 5.0
+"""The pitch of a speed bump: 20 degrees per second within a frame or two."""
+
+POSE_NOISE_M: Final = 0.15
+POSE_NOISE_RAD: Final = 0.01
+"""Worst single frames of the odometry on real logs, not typical ones (0.02 m, 0.001 rad)."""
+
+LOST_JUMP_M: Final = 1.0
+DEGRADED_RESIDUAL_M: Final = 0.2
+LOST_RESIDUAL_M: Final = 0.5
+RESIDUAL_JUMP: Final = 2.0
+_REMEMBERED: Final = 10
+
+
+class HealthMonitor:
+    """Judges each pose by the motion and the residuals before it."""
+
+    def __init__(self) -> None:
+        self._velocity: NDArray[np.float64] | None = None
+        self._residuals_m: deque[float] = deque(maxlen=_REMEMBERED)
+
+    def judge(
+        self, velocity: NDArray[np.float64], dt_s: float, residual_m: float
+    ) -> tuple[OdometryState, str]:
+        """Judge the motion that a registration found.
+
+        Args:
+            velocity: (6,) twist per second since the last registered frame.
+            dt_s: Time between the two.
+            residual_m: Median distance of key points to the frame before; NaN if there is none.
+
+        Returns:
+            The state, and why it is not healthy.
+        """
+        before, self._velocity = self._velocity, velocity
+        usual = float(np.median(self._residuals_m)) if self._residuals_m else residual_m
+        if np.isfinite(residual_m):
+            self._residuals_m.append(residual_m)
+
+        speed, turn = float(np.linalg.norm(velocity[3:])), float(np.linalg.norm(velocity[:3]))
+        if speed > MAX_SPEED_M_PER_S:
+            return OdometryState.LOST, f"{speed:.0f} m/s is too fast for a car"
+        if turn > MAX_TURN_RAD_PER_S:
+            return OdometryState.LOST, f"{np.degrees(turn):.0f} degrees per second is no turn"
+        if residual_m > LOST_RESIDUAL_M:
+            return OdometryState.LOST, f"structure is {residual_m:.2f} m off"
+        if before is not None:
+            jump_m = float(np.linalg.norm(velocity[3:] - before[3:])) * dt_s
+            jump_rad = float(np.linalg.norm(velocity[:3] - before[:3])) * dt_s
+            limit_m = MAX_ACCELERATION_M_PER_S2 * dt_s**2 + POSE_NOISE_M
+            limit_rad = MAX_TURN_CHANGE_RAD_PER_S2 * dt_s**2 + POSE_NOISE_RAD
+            if jump_m > limit_m + LOST_JUMP_M:
+                return OdometryState.LOST, f"pose jumped by {jump_m:.2f} m"
+            if jump_m > limit_m:
+                return OdometryState.DEGRADED, f"pose jumped by {jump_m:.2f} m"
+            if jump_rad > limit_rad:
+                return OdometryState.DEGRADED, f"pose turned by {np.degrees(jump_rad):.1f} degrees"
+        if residual_m > max(DEGRADED_RESIDUAL_M, RESIDUAL_JUMP * usual):
+            return (
+                OdometryState.DEGRADED,
+                f"structure is {residual_m:.2f} m off, {usual:.2f} m is usual",
+            )
+        return OdometryState.HEALTHY, ""

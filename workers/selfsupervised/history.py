@@ -1,0 +1,88 @@
+"""The last second of frames, chosen from by time, never by count."""
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import NS_PER_S, Points, Transform
+
+LOOKBACK_S: Final = 1.0
+VOTE_AGES_S: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0)
+NEAR_AGE_S: Final = 0.1
+FAR_AGE_S: Final = 0.5
+MAX_GAP_NS: Final = NS_PER_S // 2
+"""After a longer silence nothing is known of what lay between."""
+
+_TOLERANCE_S: Final = 0.06
+"""Half a revolution at 10 Hz and its jitter."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PastFrame:
+    """What is kept of a frame.
+
+    Attributes:
+        stamp_ns: Its time.
+        odom_from_beams: (4, 4) where the beams met.
+        beams_from_odom: (4, 4) the same, turned round.
+        image: (R, C) its range image.
+        centroids_m: (V, 3) its voxel centroids off the ground, odom space.
+    """
+
+    stamp_ns: int
+    odom_from_beams: Transform
+    beams_from_odom: Transform
+    image: NDArray[np.float32]
+    centroids_m: Points
+
+
+class History:
+    """Frames of the last second; memory is bounded by time and by count."""
+
+    def __init__(self, *, max_frames: int = 24) -> None:
+        self._frames: deque[PastFrame] = deque(maxlen=max_frames)
+
+    def clear(self) -> None:
+        """Forget everything: after a gap, or when the pose is lost."""
+        self._frames.clear()
+
+    def add(self, frame: PastFrame) -> None:
+        """Remember a frame, forget what is older than a second before it."""
+        self._frames.append(frame)
+        while self.age_s(self._frames[0], frame.stamp_ns) > LOOKBACK_S + _TOLERANCE_S:
+            self._frames.popleft()
+
+    @staticmethod
+    def age_s(frame: PastFrame, now_ns: int) -> float:
+        """How much earlier a frame was."""
+        return (now_ns - frame.stamp_ns) / NS_PER_S
+
+    def span_s(self, now_ns: int) -> float:
+        """How far back it reaches; 0 when empty."""
+        return self.age_s(self._frames[0], now_ns) if self._frames else 0.0
+
+    def closest(
+        self, age_s: float, now_ns: int, *, between: tuple[float, float]
+    ) -> PastFrame | None:
+        """The frame whose age is closest to the one asked for, if any lies between two ages."""
+        fitting = [
+            (abs(self.age_s(frame, now_ns) - age_s), -frame.stamp_ns, frame)
+            for frame in self._frames
+            if between[0] <= self.age_s(frame, now_ns) <= between[1]
+        ]
+        return min(fitting, key=lambda entry: entry[:2])[2] if fitting else None
+
+    def voters(self, now_ns: int) -> list[PastFrame]:
+        """Frames that vote: spread over the last second whatever the rate of the sensor."""
+        chosen = {
+            frame.stamp_ns: frame
+            for age_s in VOTE_AGES_S
+            for frame in [
+                self.closest(age_s, now_ns, between=(age_s - _TOLERANCE_S, age_s + _TOLERANCE_S))
+            ]
+            if frame is not None
+        }
+        return [chosen[stamp_ns] for stamp_ns in sorted(chosen, reverse=True)]

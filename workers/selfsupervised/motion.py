@@ -1,0 +1,192 @@
+"""The motion of every cluster of a frame: clustering, registration, verification, splitting."""
+
+from dataclasses import dataclass, replace
+from typing import Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import Mask, Points
+from workers.geometry.se3 import transform
+from workers.selfsupervised.clusters import Clusters, connected, from_labels
+from workers.selfsupervised.free_space import Votes
+from workers.selfsupervised.neighbours import nearest_distances
+from workers.selfsupervised.registration import STILL_M, Reference, Registered, register
+from workers.selfsupervised.verification import GOOD_FIT_NEAR_M, Evidence, Motions, judge
+
+REACH_M: Final = 0.5
+"""Between beams of 0.3 degrees up to 80 m away; .4 to .7 give the same answers."""
+
+CLOSE_REACH_M: Final = 0.3
+SPLIT_REACH_M: Final = 0.4
+MIN_VOXELS: Final = 3
+_MIXED_FREE: Final = 8
+_MIXED_SHARE: Final = 0.6
+_SPLIT_VOXELS: Final = 15
+_SPLIT_EXTENT_M: Final = 1.0
+_CHILD_VOXELS: Final = 8
+_CHILD_SHARE: Final = 0.9
+_CHILD_FREE_VOXELS: Final = 12
+_CHILD_FREE_ENERGY_M: Final = 0.3
+_NEW_M: Final = 0.2
+_FLAT_M: Final = 0.25
+_ROAD_M: Final = 0.4
+_ROAD_PER_M: Final = 0.02
+"""What is lower than this over the plane under the car may be road: a kerb, and a slope of 2 %."""
+
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClusterMotions:
+    """The clusters of a frame and what each of them does.
+
+    Attributes:
+        clusters: Sets of voxels.
+        registered: (K,) a motion was found and free space confirms it.
+        seen_through: (K,) free space alone says that it was not there before.
+        unconfirmed: (K,) a motion was found that free space does not confirm.
+        still: (K,) the cluster fits where it is half a second ago.
+        velocity_m_per_s: (K, 3) over the ground, odom space; zero where none was found.
+    """
+
+    clusters: Clusters
+    registered: Mask
+    seen_through: Mask
+    unconfirmed: Mask
+    still: Mask
+    velocity_m_per_s: NDArray[np.float32]
+
+    @property
+    def dynamic(self) -> Mask:
+        """(K,) clusters that at least one witness proves to move."""
+        return self.registered | self.seen_through
+
+
+def find_motions(
+    points_m: Points, near: Reference, far: Reference, evidence: Evidence
+) -> ClusterMotions:
+    """Find what moves among the voxels of a frame.
+
+    Args:
+        points_m: (V, 3) voxel centroids off the ground, odom space.
+        near: The frame about 0.1 s ago.
+        far: The frame about 0.5 s ago.
+        evidence: What free space says about the voxels.
+    """
+    clusters = find_clusters(points_m, evidence.votes)
+    fit = register(points_m, clusters, near, far)
+    ages = {"near_age_s": near.age_s, "far_age_s": far.age_s}
+    motions = judge(points_m, clusters, fit, evidence, **ages)
+
+    parts = find_parts(points_m, clusters, fit, motions.dynamic, far, evidence.votes)
+    part_fit = register(points_m, parts, near, far)
+    part_motions = judge(points_m, parts, part_fit, evidence, **ages)
+    certain = (part_motions.registered & (part_fit.energy_far < GOOD_FIT_NEAR_M)) | (
+        part_motions.seen_through
+        & (part_fit.still_energy_far >= _CHILD_FREE_ENERGY_M)
+        & (parts.sizes >= _CHILD_FREE_VOXELS)
+    )
+    whole = _joined(clusters, fit, motions, parts, part_fit, part_motions, certain)
+    return _without_strips(points_m, whole, evidence)
+
+
+def find_clusters(points_m: Points, votes: Votes) -> Clusters:
+    """Cluster the voxels; clusters in which movers and others seem to be mixed, more closely."""
+    clusters = connected(points_m, reach_m=REACH_M, min_points=MIN_VOXELS)
+    free, known = clusters.count(votes.seen_through), clusters.count(votes.known)
+    mixed = (free >= _MIXED_FREE) & (free < _MIXED_SHARE * known)
+    if not mixed.any():
+        return clusters
+    again = clusters.member_mask(mixed)
+    closer = connected(
+        points_m,
+        reach_m=CLOSE_REACH_M,
+        min_points=MIN_VOXELS,
+        among=again,
+        groups=clusters.of_point,
+    )
+    labels = clusters.of_point.copy()
+    labels[again] = np.where(
+        closer.of_point[again] >= 0, closer.of_point[again] + len(clusters), -1
+    )
+    return from_labels(labels)
+
+
+def find_parts(
+    points_m: Points,
+    clusters: Clusters,
+    fit: Registered,
+    decided: Mask,
+    far: Reference,
+    votes: Votes,
+) -> Clusters:
+    """Find parts of undecided clusters that were not there half a second ago.
+
+    A cyclist beside a parked car is one cluster with it, which stands still as a whole.
+    """
+    whole = ~decided & (clusters.sizes >= _SPLIT_VOXELS) & (fit.extent_m > _SPLIT_EXTENT_M)
+    asked = np.flatnonzero(clusters.member_mask(whole))
+    is_new = nearest_distances(far.grid, points_m[asked], 1.5 * _NEW_M) > _NEW_M
+    among = np.zeros(len(points_m), np.bool_)
+    among[asked] = is_new | votes.seen_through[asked]
+    parts = connected(
+        points_m,
+        reach_m=SPLIT_REACH_M,
+        min_points=_CHILD_VOXELS,
+        among=among,
+        groups=clusters.of_point,
+    )
+    parent_sizes = clusters.sizes[clusters.of_point[parts.members[parts.start[:-1]]]]
+    return parts.keep(parts.sizes < _CHILD_SHARE * parent_sizes)
+
+
+def _joined(
+    clusters: Clusters,
+    fit: Registered,
+    motions: Motions,
+    parts: Clusters,
+    part_fit: Registered,
+    part_motions: Motions,
+    certain: Mask,
+) -> ClusterMotions:
+    """Take certain parts out of their clusters and put them beside them."""
+    labels = clusters.of_point.copy()
+    kept = np.flatnonzero(certain)
+    for number, part in enumerate(kept.tolist()):
+        labels[parts.of(part)] = len(clusters) + number
+    present = np.unique(labels[labels >= 0])
+
+    def both(own: NDArray[Scalar], of_parts: NDArray[Scalar]) -> NDArray[Scalar]:
+        return np.concatenate([own, of_parts[kept]])[present]
+
+    return ClusterMotions(
+        clusters=from_labels(labels),
+        registered=both(motions.registered, part_motions.registered),
+        seen_through=both(motions.seen_through, part_motions.seen_through),
+        unconfirmed=both(motions.unconfirmed, part_motions.unconfirmed),
+        still=both(fit.still_energy_far < STILL_M, part_fit.still_energy_far < STILL_M),
+        velocity_m_per_s=both(motions.velocity_m_per_s, part_motions.velocity_m_per_s),
+    )
+
+
+def _without_strips(points_m: Points, found: ClusterMotions, evidence: Evidence) -> ClusterMotions:
+    """Nothing flat on the road moves: strips of ground and kerb come and go with shadows.
+
+    Flat things above the road are roofs and bonnets, which a single beam may graze.
+    """
+    beams_from_odom = evidence.beams_from_odom
+    strip = np.zeros(len(found.clusters), np.bool_)
+    for k in np.flatnonzero(found.dynamic):
+        members = transform(beams_from_odom, points_m[found.clusters.of(int(k))])
+        low, high = np.quantile(members[:, 2], [0.03, 0.97])
+        away = np.hypot(*members[:, :2].mean(axis=0))
+        road = _ROAD_M + _ROAD_PER_M * away - evidence.sensor_height_m
+        strip[k] = high - low < _FLAT_M and high < road
+    return replace(
+        found,
+        registered=found.registered & ~strip,
+        seen_through=found.seen_through & ~strip,
+        unconfirmed=found.unconfirmed | (strip & found.dynamic),
+    )

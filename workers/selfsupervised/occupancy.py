@@ -1,0 +1,82 @@
+"""Where points were, as bits of columns: a coarse look for where a cluster came from."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import Points
+from workers.selfsupervised.compiled import compiled
+
+CELL_M = 0.3
+REACH_M = 82.0
+REACH_DOWN_M = 10.0
+_COLUMNS = int(2 * REACH_M / CELL_M) + 1
+
+
+class Occupancy(NamedTuple):
+    """Occupied cells of 0.3 m, 64 of them above each other in one integer.
+
+    Attributes:
+        bits: (C, C, 2) cells with a point, and cells with a point in them or beside them.
+        origin_m: (3,) corner of the first cell.
+    """
+
+    bits: NDArray[np.uint64]
+    origin_m: NDArray[np.float32]
+
+
+def build_occupancy(points_m: Points, centre_m: NDArray[np.floating]) -> Occupancy:
+    """Mark the cells of points around a centre, and their 26 neighbours.
+
+    Args:
+        points_m: (N, 3) in any space, metres; those beyond 82 m are left out.
+        centre_m: (3,) the middle in that space.
+    """
+    reach = np.array([REACH_M, REACH_M, REACH_DOWN_M])
+    origin = (np.asarray(centre_m) - reach).astype(np.float32)
+    return Occupancy(_mark(points_m, origin), origin)
+
+
+@compiled
+def _mark(points: Points, origin: NDArray[np.float32]) -> NDArray[np.uint64]:
+    bits = np.zeros((_COLUMNS, _COLUMNS, 2), np.uint64)
+    one = np.uint64(1)
+    for i in range(len(points)):
+        x = int(np.floor((points[i, 0] - origin[0]) / CELL_M))
+        y = int(np.floor((points[i, 1] - origin[1]) / CELL_M))
+        z = int(np.floor((points[i, 2] - origin[2]) / CELL_M))
+        if not (1 <= x < _COLUMNS - 1 and 1 <= y < _COLUMNS - 1 and 1 <= z < 63):
+            continue
+        bits[x, y, 0] |= one << np.uint64(z)
+        three = np.uint64(7) << np.uint64(z - 1)
+        for dx in range(-1, 2):
+            for dy in range(-1, 2):
+                bits[x + dx, y + dy, 1] |= three
+    return bits
+
+
+@compiled
+def score_at(occupancy: Occupancy, cells: NDArray[np.int64], dx: int, dy: int) -> float:
+    """Share of cells that fall on occupied ones: 1 where a point was, 1/3 beside one."""
+    bits = occupancy.bits
+    hits = 0
+    for i in range(len(cells)):
+        x, y, z = cells[i, 0] + dx, cells[i, 1] + dy, np.uint64(cells[i, 2])
+        if x < 0 or y < 0 or x >= _COLUMNS or y >= _COLUMNS:
+            continue
+        hits += 2 * int((bits[x, y, 0] >> z) & np.uint64(1))
+        hits += int((bits[x, y, 1] >> z) & np.uint64(1))
+    return hits / (3.0 * len(cells))
+
+
+@compiled
+def cells_of(occupancy: Occupancy, points: Points) -> NDArray[np.int64]:
+    """Cell of each point, (n, 3); heights beyond the integer are put into its first bit, unused."""
+    cells = np.empty((len(points), 3), np.int64)
+    for i in range(len(points)):
+        for axis in range(3):
+            cells[i, axis] = int(np.floor((points[i, axis] - occupancy.origin_m[axis]) / CELL_M))
+        if cells[i, 2] < 0 or cells[i, 2] > 63:
+            cells[i, 2] = 0
+    return cells

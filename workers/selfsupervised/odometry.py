@@ -1,0 +1,204 @@
+"""Where the sensor was at each frame, and whether that may be believed: KISS-ICP under guard."""
+
+import math
+from collections.abc import Iterable, Iterator
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import NS_PER_S, Transform
+from schemas.frame import LidarFrame, OdometryState, PosedFrame
+from workers.geometry.se3 import inverse, transform
+from workers.selfsupervised.deskew import motion, twist
+from workers.selfsupervised.ground import estimate_sensor_height
+from workers.selfsupervised.health import HealthMonitor
+from workers.selfsupervised.neighbours import PointGrid, build_grid, nearest_distances
+from workers.selfsupervised.versions import version_of
+
+MAX_GAP_S: Final = 0.5
+"""After a longer silence the constant velocity that ICP starts from means nothing."""
+
+MIN_POINTS: Final = 100
+MIN_PLACES: Final = 30
+"""Cells of 1.5 m (the spacing of key points) that a frame must fill to fix six unknowns."""
+
+MIN_RANGE_M: Final = 2.5
+MAX_RANGE_M: Final = 100.0
+VOXEL_M: Final = 1.0
+_RESIDUAL_REACH_M: Final = 1.0
+_CONVERGED: Final = 1e-3
+"""Millimetres, where pose noise is centimetres; a tenth of it takes twice the time."""
+
+_GOLDEN: Final = 0.6180339887498949
+_ROAD_M: Final = 0.3
+_ROAD_THINNING: Final = 20
+
+
+class KissOdometry:
+    """KISS-ICP (Vizzo et al., RA-L 2023), one thread, without its deskewing.
+
+    Its deskewing applies the previous motion, refers the pose to the end of the sweep and aborts
+    the process when all stamps are equal. Without it the pose is that of the middle of the sweep,
+    whatever the stamp names. No frame is ever refused: one that cannot be registered gets the
+    predicted pose and says so.
+
+    State starts anew after a gap of more than 0.5 s, after time that does not rise, and when a
+    registration fails: the pose then goes on from the last one, so what lies between is unknown.
+    """
+
+    @property
+    def version(self) -> str:
+        """`kiss-icp@digest` of code and settings."""
+        return version_of("kiss-icp")
+
+    def __call__(self, frames: Iterable[LidarFrame]) -> Iterator[PosedFrame]:
+        """Yield each frame with its pose."""
+        run = _Run()
+        for frame in frames:
+            yield run.pose(frame)
+
+
+class _Run:
+    """State of one pass over the frames of a shard."""
+
+    def __init__(self) -> None:
+        self._pose: Transform = np.eye(4)
+        self._velocity: NDArray[np.float64] | None = None
+        self._stamp_ns: int | None = None
+        self._registered_ns: int | None = None
+        self._previous: PointGrid | None = None
+        self._road_m: float | None = None
+        self._health = HealthMonitor()
+        self._kiss = _new_kiss(self._pose)
+
+    def pose(self, frame: LidarFrame) -> PosedFrame:
+        """Register one frame."""
+        dt_s = 0.0 if self._stamp_ns is None else (frame.stamp_ns - self._stamp_ns) / NS_PER_S
+        restarted = ""
+        if self._stamp_ns is not None and not 0.0 < dt_s <= MAX_GAP_S:
+            restarted = (
+                f"time went back by {-dt_s:.2f} s" if dt_s <= 0.0 else f"no frame for {dt_s:.2f} s"
+            )
+            self._restart()
+        self._stamp_ns = frame.stamp_ns
+
+        points = _usable(frame)
+        predicted = self._pose
+        if self._velocity is not None:
+            predicted = predicted @ motion(self._velocity * dt_s)
+        problem = _too_little(points)
+        if problem:
+            return self._unregistered(frame, predicted, problem)
+
+        if self._road_m is None:
+            self._road_m = _ROAD_M - estimate_sensor_height(points)
+        self._kiss.last_delta = inverse(self._pose) @ predicted
+        _, keypoints = self._kiss.register_frame(_chosen(points, self._road_m), np.empty(0))
+        pose: Transform = np.array(self._kiss.last_pose)
+        if not _is_pose(pose):
+            self._restart()
+            return self._unregistered(frame, predicted, "registration did not converge")
+
+        residual_m = self._residual(keypoints, pose)
+        state, reason = OdometryState.HEALTHY, ""
+        if self._registered_ns is not None:
+            moved = twist(inverse(self._pose) @ pose) / dt_s
+            state, reason = self._health.judge(moved, dt_s, residual_m)
+            self._velocity = moved
+        self._pose, self._registered_ns = pose, frame.stamp_ns
+        self._previous = build_grid(transform(pose, _structure(points)), pose[:3, 3])
+        if restarted:
+            state, reason = OdometryState.DEGRADED, f"odometry starts anew: {restarted}"
+        return PosedFrame(frame, pose.copy(), state, residual_m, reason)
+
+    def _restart(self) -> None:
+        """Forget the map and the motion, keep the pose."""
+        self._kiss = _new_kiss(self._pose)
+        self._velocity = self._registered_ns = self._previous = None
+        self._health = HealthMonitor()
+
+    def _unregistered(self, frame: LidarFrame, pose: Transform, problem: str) -> PosedFrame:
+        """Answer with a predicted pose; believe in prediction for half a second."""
+        since = self._registered_ns
+        blind_s = np.inf if since is None else (frame.stamp_ns - since) / NS_PER_S
+        state = OdometryState.DEGRADED
+        if blind_s > MAX_GAP_S:
+            state = OdometryState.LOST
+            self._restart()
+        else:
+            self._pose = self._kiss.last_pose = pose
+        return PosedFrame(frame, pose.copy(), state, reason=problem)
+
+    def _residual(self, keypoints: NDArray[np.float64], pose: Transform) -> float:
+        """Median distance of this frame's key points to the frame before, metres."""
+        if self._previous is None:
+            return float("nan")
+        placed = transform(pose, _structure(keypoints))
+        if len(placed) == 0:
+            return float("nan")
+        return float(np.median(nearest_distances(self._previous, placed, _RESIDUAL_REACH_M)))
+
+
+def _usable(frame: LidarFrame) -> NDArray[np.float64]:
+    points = frame.points_m[frame.valid_mask].astype(np.float64)
+    squared = np.einsum("ij,ij->i", points, points)
+    usable: NDArray[np.float64] = points[(squared > MIN_RANGE_M**2) & (squared < MAX_RANGE_M**2)]
+    return usable
+
+
+def _chosen(points: NDArray[np.float64], road_m: float) -> NDArray[np.float64]:
+    """Half of the points, mixed, and of those on the road one in twenty of that.
+
+    KISS-ICP keeps the first point of each voxel. In the order of the scan that is always the same
+    corner of it; and the rings on the road are the same wherever the car is. Both pull towards
+    standing still: a car that sets off was followed with half its speed for a second. A few points
+    of the road still hold height, pitch and roll. Steps of the golden ratio spread evenly and need
+    no random numbers.
+    """
+    n = len(points)
+    step = int(n * _GOLDEN)
+    while math.gcd(step, n) != 1:
+        step += 1
+    mixed = points[np.arange(n // 2, dtype=np.int64) * step % n]
+    keep = mixed[:, 2] > road_m
+    keep[np.flatnonzero(~keep)[::_ROAD_THINNING]] = True
+    chosen: NDArray[np.float64] = mixed[keep]
+    return chosen
+
+
+def _structure(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points off the road and near: rings on the road move with the car."""
+    squared = points[:, 0] ** 2 + points[:, 1] ** 2
+    return points[(points[:, 2] > -1.0) & (squared < 40.0**2)]
+
+
+def _too_little(points: NDArray[np.float64]) -> str:
+    """Why these points fix no pose; empty when they do."""
+    if len(points) < MIN_POINTS:
+        return f"only {len(points)} usable points"
+    thinned = points[:: max(1, len(points) // 2000)]
+    places = len(np.unique(np.floor(thinned / 1.5).astype(np.int64), axis=0))
+    return "" if places >= MIN_PLACES else f"points in {places} places only"
+
+
+def _new_kiss(pose: Transform) -> Any:
+    from kiss_icp.config import KISSConfig
+    from kiss_icp.kiss_icp import KissICP
+
+    config = KISSConfig()
+    config.data.max_range = MAX_RANGE_M
+    config.data.min_range = 0.0
+    config.data.deskew = False
+    config.mapping.voxel_size = VOXEL_M
+    config.registration.max_num_threads = 1
+    config.registration.convergence_criterion = _CONVERGED
+    kiss = KissICP(config)
+    kiss.last_pose = pose.copy()
+    return kiss
+
+
+def _is_pose(pose: Transform) -> bool:
+    return bool(
+        np.isfinite(pose).all() and np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-3)
+    )
