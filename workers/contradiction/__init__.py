@@ -1,0 +1,1 @@
+"""Where the two streams contradict each other: points, instances, tracks, scores, overlays."""

@@ -1,0 +1,154 @@
+"""Contradicting points become instances: clusters of one kind in one frame, with their boxes."""
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.cluster import DBSCAN
+
+from schemas.contradiction import ContradictionKind, Instance, LabelledFrame, Scene
+from schemas.labels import Agreement
+from workers.contradiction.boxes import fit_box
+from workers.contradiction.settings import DEFAULT_INSTANCES, InstanceSettings
+from workers.contradiction.surroundings import neighbours
+
+AGREEMENT_OF: Final = {
+    ContradictionKind.ONLY_SEMANTIC_DYNAMIC: Agreement.ONLY_SEMANTIC_DYNAMIC,
+    ContradictionKind.ONLY_PREDICTIVE_DYNAMIC: Agreement.ONLY_PREDICTIVE_DYNAMIC,
+}
+"""Which agreement the points of each kind of contradiction have."""
+
+
+def find_instances(
+    scene: Scene,
+    *,
+    class_names: Sequence[str],
+    settings: InstanceSettings = DEFAULT_INSTANCES,
+) -> tuple[Instance, ...]:
+    """Cluster the contradicting points of every frame, each kind on its own.
+
+    DBSCAN (scikit-learn) as in the paper, on places instead of points (see `InstanceSettings`).
+    Ground is left out: a network's dynamic labels bleed onto the road beside a mover, and as
+    ground those points are no thing of their own. The raw shares still count them.
+
+    Args:
+        scene: Labelled frames of one scene.
+        class_names: Names that the supervised stream's class ids index.
+        settings: Constants of the clustering.
+
+    Returns:
+        Instances by frame, kind (semantic first) and lowest point index.
+    """
+    return tuple(
+        instance
+        for frame_index, frame in enumerate(scene.frames)
+        for kind in ContradictionKind
+        for instance in _instances_of(
+            frame, kind, frame_index=frame_index, class_names=class_names, settings=settings
+        )
+    )
+
+
+def cluster_places(
+    points_m: NDArray[np.float32], *, settings: InstanceSettings
+) -> NDArray[np.int64]:
+    """Cluster points by DBSCAN over weighted voxels.
+
+    Args:
+        points_m: (N, 3) points, metres.
+        settings: Neighbourhood, core size, voxels.
+
+    Returns:
+        (N,) cluster of each point, -1 for noise.
+    """
+    if len(points_m) < settings.min_points:
+        return np.full(len(points_m), -1, dtype=np.int64)
+    voxel_m = settings.voxel_m
+    while True:
+        centroids_m, place, weight = _places(points_m, voxel_m)
+        if len(centroids_m) <= settings.max_voxels or voxel_m >= settings.coarsest_voxel_m:
+            break
+        voxel_m *= 2
+    clusters = DBSCAN(eps=settings.eps_m, min_samples=settings.min_points).fit_predict(
+        centroids_m, sample_weight=weight
+    )
+    return np.asarray(clusters, dtype=np.int64)[place]
+
+
+def _instances_of(
+    frame: LabelledFrame,
+    kind: ContradictionKind,
+    *,
+    frame_index: int,
+    class_names: Sequence[str],
+    settings: InstanceSettings,
+) -> Iterator[Instance]:
+    points_m = frame.posed.frame.points_m
+    compared = frame.agreements != Agreement.NOT_COMPARED
+    for axis in range(3):  # column by column: numpy is slow along an axis of three
+        compared &= np.abs(points_m[:, axis]) <= settings.max_coordinate_m
+    if frame.predictive.ground_mask is not None:
+        compared &= ~frame.predictive.ground_mask
+    candidates = np.flatnonzero(compared & (frame.agreements == AGREEMENT_OF[kind]))
+    clusters = cluster_places(points_m[candidates], settings=settings)
+    found = int(clusters.max(initial=-1)) + 1
+    if not found:
+        return
+    own, around = neighbours(
+        points_m[candidates], (points_m[candidates], points_m[compared]), cell_m=settings.around_m
+    )
+    order = np.argsort(clusters, kind="stable")
+    first = np.searchsorted(clusters[order], np.arange(found + 1))
+    members = [order[first[c] : first[c + 1]] for c in range(found)]
+    for member in sorted(members, key=lambda m: int(m[0])):
+        index = candidates[member]
+        if len(index) < settings.min_points:
+            continue  # a border place may have gone to a neighbour: what is left is too small
+        centre_m, size_m, yaw_rad = fit_box(points_m[index])
+        yield Instance(
+            kind=kind,
+            frame_index=frame_index,
+            point_index=index,
+            centre_m=centre_m,
+            size_m=size_m,
+            yaw_rad=yaw_rad,
+            semantic_confidence=float(frame.semantic.confidence[index].mean(dtype=np.float64)),
+            predictive_confidence=float(frame.predictive.confidence[index].mean(dtype=np.float64)),
+            class_name=_class_name(frame, index, class_names),
+            velocity_m_per_s=_velocity(frame, index),
+            own_share=float(own[member].sum() / around[member].sum()),
+        )
+
+
+def _places(
+    points_m: NDArray[np.float32], voxel_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
+    """Voxel centroids, the voxel of each point, and how many points each voxel has."""
+    key = np.zeros(len(points_m), dtype=np.int64)
+    for axis in range(3):
+        cell = np.floor(points_m[:, axis] / voxel_m).astype(np.int64)
+        key = (key << 21) + (cell - cell.min())
+    _, place, count = np.unique(key, return_inverse=True, return_counts=True)
+    weight = count.astype(np.float64)
+    sums_m = [np.bincount(place, weights=points_m[:, axis]) for axis in range(3)]
+    return np.stack(sums_m, axis=1) / weight[:, None], place, weight
+
+
+def _class_name(frame: LabelledFrame, index: NDArray[np.int64], class_names: Sequence[str]) -> str:
+    if frame.semantic.class_id is None or not class_names:
+        return ""
+    classes = frame.semantic.class_id[index]
+    classes = classes[(classes >= 0) & (classes < len(class_names))]
+    return class_names[int(np.bincount(classes).argmax())] if len(classes) else ""
+
+
+def _velocity(frame: LabelledFrame, index: NDArray[np.int64]) -> NDArray[np.float64]:
+    cluster = frame.predictive.cluster
+    velocities = frame.predictive.cluster_velocity_m_per_s
+    if cluster is None or velocities is None:
+        return np.zeros(3)
+    clusters = cluster[index]
+    each = velocities[clusters[clusters >= 0]]
+    each = each[np.isfinite(each).all(axis=1)]
+    return each.mean(axis=0, dtype=np.float64) if len(each) else np.zeros(3)

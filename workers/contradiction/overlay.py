@@ -1,0 +1,84 @@
+"""The overlay of a mined scene: every point with what both streams said of it."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import Points
+from schemas.contradiction import Instance, LabelledFrame, Scene
+from schemas.labels import FrameLabels
+from schemas.overlay import NO_POSITION_CM, Overlay
+from workers.contradiction.instances import AGREEMENT_OF
+from workers.contradiction.strength import rank_tracks
+
+_REACH_M = 327.0
+
+
+def overlay_of(
+    scene: Scene, instances: Sequence[Instance], *, class_names: Sequence[str]
+) -> Overlay:
+    """Gather the overlay of a scene.
+
+    Args:
+        scene: Its labelled frames.
+        instances: As `find_instances` found them in it.
+        class_names: Names that the supervised stream's class ids index.
+
+    Returns:
+        Points in the order of the log, tracks numbered as in the scene's record.
+    """
+    frames = scene.frames
+    lengths = [len(frame.posed.frame) for frame in frames]
+    offsets = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
+    index = np.full(offsets[-1], -1, dtype=np.int32)
+    for i, instance in enumerate(instances):
+        index[offsets[instance.frame_index] + instance.point_index] = i
+    track = np.full(len(instances), -1, dtype=np.int32)
+    for track_id, ranked in enumerate(rank_tracks(scene, instances)):
+        track[list(ranked.track.members)] = track_id
+    boxes = [np.concatenate([i.centre_m, i.size_m, [i.yaw_rad]]) for i in instances]
+    return Overlay(
+        scene_id=scene.scene_id,
+        stamps_ns=np.array([frame.stamp_ns for frame in frames], dtype=np.int64),
+        offsets=offsets,
+        points_cm=_gather(frames, _points_cm),
+        agreements=_gather(frames, lambda frame: frame.agreements),
+        ground_mask=_gather(frames, lambda frame: _or(frame.predictive.ground_mask, frame, False)),
+        class_id=_gather(frames, lambda frame: _or(frame.semantic.class_id, frame, np.int16(-1))),
+        class_names=tuple(class_names),
+        semantic_confidence=_gather(frames, lambda frame: _to_byte(frame.semantic)),
+        predictive_confidence=_gather(frames, lambda frame: _to_byte(frame.predictive)),
+        instance_index=index,
+        odom_from_sensor=np.stack([frame.posed.odom_from_sensor for frame in frames]),
+        instance_frame=np.array([i.frame_index for i in instances], dtype=np.int32),
+        instance_kind=np.array([AGREEMENT_OF[i.kind] for i in instances], dtype=np.uint8),
+        instance_track=track,
+        instance_boxes=np.array(boxes, dtype=np.float32).reshape(-1, 7),
+    )
+
+
+def _gather(
+    frames: Sequence[LabelledFrame], take: Callable[[LabelledFrame], NDArray[Any]]
+) -> NDArray[Any]:
+    return np.concatenate([take(frame) for frame in frames])
+
+
+def _points_cm(frame: LabelledFrame) -> NDArray[np.int16]:
+    points_m: Points = frame.posed.frame.points_m
+    seen = frame.posed.frame.valid_mask & (np.abs(points_m) <= _REACH_M).all(axis=1)
+    centimetres = np.rint(np.where(seen[:, None], points_m, 0) * np.float32(100)).astype(np.int16)
+    centimetres[~seen] = NO_POSITION_CM
+    return centimetres
+
+
+def _or(
+    array: NDArray[Any] | None, frame: LabelledFrame, otherwise: bool | np.int16
+) -> NDArray[Any]:
+    return np.full(len(frame.agreements), otherwise) if array is None else array
+
+
+def _to_byte(labels: FrameLabels) -> NDArray[np.uint8]:
+    fifteenths = np.rint(labels.confidence.astype(np.float32) * np.float32(15))
+    return np.asarray(fifteenths * 17, dtype=np.uint8)

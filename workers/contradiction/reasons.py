@@ -1,0 +1,84 @@
+"""What made a scene's score, in words a reviewer reads at a glance."""
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+from schemas.arrays import NS_PER_S
+from schemas.contradiction import ContradictionKind, Instance, Scene, SceneState
+from schemas.score import OdometryHealth
+from workers.contradiction.strength import RankedTrack
+from workers.contradiction.tracks import frame_period_s
+
+MAX_REASONS: Final = 5
+MAX_CLASS_LENGTH: Final = 24
+WORTH_SAYING: Final = 0.05
+"""Tracks below this strength are counted in the totals, not told."""
+
+_SECTORS: Final = (
+    "ahead",
+    "ahead left",
+    "left",
+    "behind left",
+    "behind",
+    "behind right",
+    "right",
+    "ahead right",
+)
+_STREAM: Final = {
+    ContradictionKind.ONLY_SEMANTIC_DYNAMIC: "supervised",
+    ContradictionKind.ONLY_PREDICTIVE_DYNAMIC: "self-supervised",
+}
+
+
+def reasons_of(
+    scene: Scene,
+    instances: Sequence[Instance],
+    ranked: Sequence[RankedTrack],
+    *,
+    state: SceneState,
+    gate: float,
+    health: OdometryHealth,
+) -> tuple[str, ...]:
+    """Say what made the score, strongest first; the state of a scene without one comes first."""
+    span_s = (scene.end_ns - scene.start_ns) / NS_PER_S
+    because = f" ({health.reason})" if health.reason else ""
+    if state is SceneState.TOO_SHORT:
+        return (f"too short to judge: {len(scene.frames)} frames in {span_s:.1f} s",)
+    if state is SceneState.ODOMETRY_LOST:
+        return (f"odometry lost{because}: not judged",)
+    told = tuple(
+        describe(scene, instances, each)
+        for each in ranked[:MAX_REASONS]
+        if each.strength >= WORTH_SAYING
+    )
+    if gate < 1.0:
+        told += (f"odometry {health.state.value}{because}: strengths count {gate:.0%}",)
+    return told
+
+
+def describe(scene: Scene, instances: Sequence[Instance], ranked: RankedTrack) -> str:
+    """Tell one track: what, by which stream alone, how long, how fast, where."""
+    members = ranked.track.members
+    first, last = (scene.frames[instances[m].frame_index] for m in (members[0], members[-1]))
+    seen_s = (last.stamp_ns - first.stamp_ns) / NS_PER_S + frame_period_s(scene)
+    x_m, y_m = (float(value) for value in instances[ranked.strongest].centre_m[:2])
+    moving = f" at {ranked.speed_m_per_s:.1f} m/s" if ranked.speed_m_per_s >= 0.5 else ""
+    return (
+        f"{class_word(ranked.class_name) or 'object'} seen moving{moving} by the "
+        f"{_STREAM[ranked.track.kind]} stream alone for {seen_s:.1f} s, "
+        f"{math.hypot(x_m, y_m):.0f} m {bearing(x_m, y_m)}"
+    )
+
+
+def bearing(x_m: float, y_m: float) -> str:
+    """Name the direction of a place in sensor space (x forward, y left), in eighths."""
+    return _SECTORS[round(math.atan2(y_m, x_m) / (math.pi / 4)) % 8]
+
+
+def class_word(name: str) -> str:
+    """Shorten a class name, which a recorded model may choose at will, to what a record holds."""
+    printable = "".join(c if c.isascii() and c.isprintable() else "?" for c in name)
+    return (
+        printable if len(printable) <= MAX_CLASS_LENGTH else printable[: MAX_CLASS_LENGTH - 1] + "~"
+    )

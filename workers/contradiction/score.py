@@ -1,0 +1,209 @@
+"""A scene's score, made of its tracks, and the record that travels.
+
+    score = 1 - (1 - g s1)(1 - g s2 / 2)(1 - g s3 / 4) ...
+
+s1 >= s2 >= ... are the strengths of the scene's tracks (`strength.py`), g is the odometry gate: the
+square of the mean weight of the frames' poses (healthy 1, degraded 1/2, lost 0).
+
+Range: 0 when nothing contradicts, below 1 always, and at least the strength of the strongest track,
+so that one clear failure is enough. It never falls when a track is added or grows. Each further
+track counts half of the one before: a plain noisy-or is near 1 for every scene as soon as the
+supervised network is mediocre and leaves a hundred small contradictions everywhere; here any number
+of tracks of strength 0.2 stays below 0.35, under one clear track of 0.5.
+
+`too_short` and `odometry_lost` scenes have score 0: they are listed, last, and never ranked.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Protocol
+
+from schemas.contradiction import (
+    ContradictionKind,
+    Instance,
+    InstanceRecord,
+    Scene,
+    SceneState,
+    TrackRecord,
+)
+from schemas.frame import OdometryState
+from schemas.score import MAX_RECORD_BYTES, MAX_TRACKS, KindTotal, Producers, SceneScore
+from schemas.wire import encode
+from schemas.work import Shard
+from workers.contradiction.reasons import class_word, reasons_of
+from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
+from workers.contradiction.shares import odometry_health, point_shares
+from workers.contradiction.strength import RankedTrack, rank_tracks
+
+
+class Versioned(Protocol):
+    """A part that says what changes its output."""
+
+    @property
+    def version(self) -> str:
+        """`name@digest`."""
+        ...
+
+
+class Streams(Protocol):
+    """What of `workers.registry.Parts` a record names."""
+
+    @property
+    def supervised(self) -> Versioned:
+        """The supervised stream."""
+        ...
+
+    @property
+    def selfsupervised(self) -> Versioned:
+        """The self-supervised stream."""
+        ...
+
+
+def score_scene(
+    shard: Shard,
+    scene: Scene,
+    instances: tuple[Instance, ...],
+    *,
+    parts: Streams,
+    pipeline_version: str,
+    settings: ScoreSettings = DEFAULT_SCORE,
+) -> SceneScore:
+    """Score one scene and make its record.
+
+    Args:
+        shard: Where the scene was cut from: names the log, the vehicle and the software.
+        scene: Its labelled frames.
+        instances: As `find_instances` found them in it.
+        parts: The streams that labelled it, for their versions.
+        pipeline_version: Digest of all that changes a record.
+        settings: Constants of the score.
+
+    Returns:
+        The record; it fits the bus, with fewer than 32 tracks where names are very long.
+    """
+    ranked = rank_tracks(scene, instances, settings=settings)
+    state, gate = judge_odometry(scene, settings=settings)
+    shares = point_shares(scene.frames)
+    health = odometry_health(scene)
+    record = SceneScore(
+        scene_id=scene.scene_id,
+        log_id=shard.log_id,
+        lidar_topic=shard.lidar.topic,
+        vehicle=shard.vehicle,
+        date=shard.date,
+        software_version=shard.software_version,
+        start_ns=scene.start_ns,
+        end_ns=scene.end_ns,
+        frames=len(scene.frames),
+        state=state,
+        score=combine([gate * each.strength for each in ranked], decay=settings.decay),
+        reasons=reasons_of(scene, instances, ranked, state=state, gate=gate, health=health),
+        points=shares.points,
+        compared_share=shares.compared_share,
+        all_points=shares.all_points,
+        nonground_points=shares.nonground_points,
+        totals=tuple(_total(kind, instances, ranked) for kind in ContradictionKind),
+        tracks=tuple(
+            _track_record(scene, instances, each, track_id=track_id, gate=gate)
+            for track_id, each in enumerate(ranked[:MAX_TRACKS])
+        ),
+        odometry=health,
+        producers=Producers(
+            supervised=parts.supervised.version,
+            selfsupervised=parts.selfsupervised.version,
+            pipeline_version=pipeline_version,
+        ),
+    )
+    return _fit(record)
+
+
+def combine(strengths: Sequence[float], *, decay: float) -> float:
+    """Combine strengths to one score in [0, 1); order does not matter.
+
+    Args:
+        strengths: Each in [0, 1).
+        decay: What each further track counts of the one before.
+    """
+    remaining = math.prod(
+        1.0 - strength * decay**rank
+        for rank, strength in enumerate(sorted(strengths, reverse=True))
+    )
+    return min(round(1.0 - remaining, 4), 0.9999)
+
+
+def judge_odometry(
+    scene: Scene, *, settings: ScoreSettings = DEFAULT_SCORE
+) -> tuple[SceneState, float]:
+    """Say what may be made of the scene, and the gate on its strengths, 0 to 1."""
+    if scene.too_short:
+        return SceneState.TOO_SHORT, 0.0
+    weights = {
+        OdometryState.HEALTHY: 1.0,
+        OdometryState.DEGRADED: settings.degraded_weight,
+        OdometryState.LOST: 0.0,
+    }
+    mean = sum(weights[frame.posed.odometry] for frame in scene.frames) / len(scene.frames)
+    if mean < settings.lost_below:
+        return SceneState.ODOMETRY_LOST, 0.0
+    return SceneState.SCORED, mean**2
+
+
+def _total(
+    kind: ContradictionKind, instances: Sequence[Instance], ranked: Sequence[RankedTrack]
+) -> KindTotal:
+    mine = [instance for instance in instances if instance.kind is kind]
+    return KindTotal(
+        kind=kind,
+        instances=len(mine),
+        tracks=sum(each.track.kind is kind for each in ranked),
+        points=sum(len(instance.point_index) for instance in mine),
+    )
+
+
+def _track_record(
+    scene: Scene,
+    instances: Sequence[Instance],
+    ranked: RankedTrack,
+    *,
+    track_id: int,
+    gate: float,
+) -> TrackRecord:
+    members = ranked.track.members
+    return TrackRecord(
+        track_id=track_id,
+        kind=ranked.track.kind,
+        class_name=class_word(ranked.class_name),
+        strength=round(gate * ranked.strength, 4),
+        first_ns=scene.frames[instances[members[0]].frame_index].stamp_ns,
+        last_ns=scene.frames[instances[members[-1]].frame_index].stamp_ns,
+        frames=len(members),
+        points=ranked.points,
+        speed_m_per_s=ranked.speed_m_per_s,
+        strongest=_instance_record(scene, instances[ranked.strongest]),
+    )
+
+
+def _instance_record(scene: Scene, instance: Instance) -> InstanceRecord:
+    x_m, y_m, z_m = (_round(value, 2) for value in instance.centre_m)
+    length_m, width_m, height_m = (_round(value, 2) for value in instance.size_m)
+    return InstanceRecord(
+        stamp_ns=scene.frames[instance.frame_index].stamp_ns,
+        points=len(instance.point_index),
+        centre_m=(x_m, y_m, z_m),
+        size_m=(length_m, width_m, height_m),
+        yaw_rad=_round(instance.yaw_rad, 3),
+        range_m=_round(math.hypot(float(instance.centre_m[0]), float(instance.centre_m[1])), 2),
+        semantic_confidence=_round(instance.semantic_confidence, 3),
+        predictive_confidence=_round(instance.predictive_confidence, 3),
+    )
+
+
+def _round(value: float, digits: int) -> float:
+    return round(float(value), digits) + 0.0  # never -0.0, which is another text
+
+
+def _fit(record: SceneScore) -> SceneScore:
+    """Leave out the weakest tracks until the record fits the bus; `totals` still count them."""
+    while record.tracks and len(encode(record)) > MAX_RECORD_BYTES:
+        record = record.model_copy(update={"tracks": record.tracks[:-1]})
+    return record

@@ -1,0 +1,86 @@
+"""Raw figures of a scene that need no instances: shares of the four outcomes, odometry health."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.contradiction import LabelledFrame, Scene
+from schemas.frame import OdometryState
+from schemas.labels import Agreement
+from schemas.score import AgreementShares, OdometryHealth
+
+SHARE_DIGITS: Final = 4
+MAX_REASON_LENGTH: Final = 200
+_OUTCOMES: Final = 5
+
+
+@dataclass(frozen=True, slots=True)
+class PointShares:
+    """How the points of a scene are shared among the outcomes.
+
+    Attributes:
+        points: All points, invalid ones included.
+        compared_share: Share of them that both streams labelled.
+        all_points: Over all compared points.
+        nonground_points: Over compared points that the self-supervised stream does not call
+            ground; the same as `all_points` when it does not look for ground.
+    """
+
+    points: int
+    compared_share: float
+    all_points: AgreementShares
+    nonground_points: AgreementShares
+
+
+def point_shares(frames: Sequence[LabelledFrame]) -> PointShares:
+    """Count the outcomes over all points of the frames; ground may hide a small contradiction."""
+    every = np.zeros(_OUTCOMES, dtype=np.int64)
+    off_ground = np.zeros(_OUTCOMES, dtype=np.int64)
+    for frame in frames:
+        every += np.bincount(frame.agreements, minlength=_OUTCOMES)
+        ground_mask = frame.predictive.ground_mask
+        kept = frame.agreements if ground_mask is None else frame.agreements[~ground_mask]
+        off_ground += np.bincount(kept, minlength=_OUTCOMES)
+    points = int(every.sum())
+    compared = points - int(every[Agreement.NOT_COMPARED])
+    return PointShares(
+        points=points,
+        compared_share=round(compared / points, SHARE_DIGITS) if points else 0.0,
+        all_points=_shares(every),
+        nonground_points=_shares(off_ground),
+    )
+
+
+def odometry_health(scene: Scene) -> OdometryHealth:
+    """Sum up the poses of a scene: the worst state, and the reason given for it."""
+    posed = [frame.posed for frame in scene.frames]
+    worst = max((pose.odometry for pose in posed), key=list(OdometryState).index)
+    residuals = [p.static_residual_m for p in posed if math.isfinite(p.static_residual_m)]
+    positions_m = np.stack([pose.odom_from_sensor[:3, 3] for pose in posed])
+    steps_m = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
+    reason = next((p.reason for p in posed if p.odometry is worst and p.reason), "")
+    return OdometryHealth(
+        state=worst,
+        healthy_share=round(
+            sum(p.odometry is OdometryState.HEALTHY for p in posed) / len(posed), SHARE_DIGITS
+        ),
+        static_residual_m=round(float(np.median(residuals)), 3) if residuals else 0.0,
+        distance_m=round(float(steps_m.sum()), 2),
+        reason="" if worst is OdometryState.HEALTHY else reason[:MAX_REASON_LENGTH],
+    )
+
+
+def _shares(counts: NDArray[np.int64]) -> AgreementShares:
+    compared = int(counts[: Agreement.NOT_COMPARED].sum())
+    share = {
+        outcome.name.lower(): round(int(counts[outcome]) / compared, SHARE_DIGITS)
+        if compared
+        else 0.0
+        for outcome in Agreement
+        if outcome is not Agreement.NOT_COMPARED
+    }
+    return AgreementShares(**share)

@@ -1,0 +1,165 @@
+"""How strong a track is: the product of what must all hold for a contradiction worth a look.
+
+    strength = persistence x evidence x clash x box x own x motion, each in [0, 1]
+
+- persistence  1 - exp(-(seen x steady / 0.5 s)^2): seen counts the frames of the track less a
+  half, steady is the share of the frames of its span in which it contradicts. Errors flicker.
+- evidence     1 - exp(-points / 25): median points per frame.
+- clash        product of both streams' mean confidence: a sure yes against a sure no is worth a
+  look, a shrug is not.
+- box          0 below 0.2 m and above 20 m of length: half a wheel, and a facade, are no road
+  users.
+- own          share of the surroundings that contradict alike: the rim of a mover on which both
+  streams agree, and specks on a wall, score little.
+- motion       only where the self-supervised stream alone sees motion: it measured a speed, and
+  the path of the box over the ground must bear it out. The other kind has nothing to bear out:
+  either the supervised stream sees a phantom or the other one missed a mover, and both deserve a
+  look.
+
+A product, since each factor vetoes: a large, sure, lasting facade is still a facade. Every factor
+is smooth and rises with its evidence, so a little more of it never lowers a score.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import NS_PER_S
+from schemas.contradiction import ContradictionKind, Instance, Scene
+from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
+from workers.contradiction.tracks import Track, frame_period_s, tie_tracks
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RankedTrack:
+    """A track with what the record says of it.
+
+    Attributes:
+        track: The track.
+        strength: Product of the factors, rounded to 4 digits, before the odometry gate.
+        strongest: Index of its instance with the most points and surest clash.
+        speed_m_per_s: Median of the measured speeds over the ground; 0 when none was measured.
+        class_name: Commonest class of its points.
+        points: Over all its instances.
+    """
+
+    track: Track
+    strength: float
+    strongest: int
+    speed_m_per_s: float
+    class_name: str
+    points: int
+
+
+def rank_tracks(
+    scene: Scene, instances: Sequence[Instance], *, settings: ScoreSettings = DEFAULT_SCORE
+) -> tuple[RankedTrack, ...]:
+    """Tie the instances of a scene to tracks, strongest first; equal ones by first instance."""
+    period_s = frame_period_s(scene)
+    ranked = [
+        _rank(scene, track, [instances[i] for i in track.members], period_s, settings)
+        for track in tie_tracks(scene, instances)
+    ]
+    ranked.sort(key=lambda each: (-each.strength, each.track.members[0]))
+    return tuple(ranked)
+
+
+def persistence(*, frames: int, span_frames: int, period_s: float, scale_s: float) -> float:
+    """How lasting a track is, from the frames it was seen in and those of its span."""
+    seen_s = (frames - 0.5) * period_s
+    return 1.0 - math.exp(-((seen_s * frames / span_frames / scale_s) ** 2))
+
+
+def box_plausibility(size_m: NDArray[np.float64], settings: ScoreSettings = DEFAULT_SCORE) -> float:
+    """How much a box looks like a road user, from its length, width and height in metres."""
+    length_m, _, height_m = (float(side) for side in size_m)
+
+    def rise(value: float) -> float:
+        return _clip((value - settings.low_m) / (settings.high_m - settings.low_m))
+
+    fall = (settings.longest_m - length_m) / (settings.longest_m - settings.long_m)
+    return rise(length_m) * rise(height_m) * _clip(fall)
+
+
+def motion_plausibility(
+    centres_m: NDArray[np.float64],
+    stamps_s: NDArray[np.float64],
+    velocities_m_per_s: NDArray[np.float64],
+    settings: ScoreSettings = DEFAULT_SCORE,
+) -> float:
+    """How well the path of a track bears out the velocity a stream measured.
+
+    Args:
+        centres_m: (F, 3) box centres, odom space.
+        stamps_s: (F,) their times.
+        velocities_m_per_s: (F, 3) measured, odom space; zero rows were not measured.
+        settings: Tolerances.
+    """
+    measured = velocities_m_per_s[np.any(velocities_m_per_s != 0.0, axis=1)]
+    if not len(measured):
+        return settings.unmeasured
+    velocity = np.median(measured, axis=0)
+    speed = float(np.median(np.linalg.norm(measured, axis=1)))
+    fast_enough = _clip(speed / settings.slow_m_per_s)
+    span_s = float(stamps_s[-1] - stamps_s[0])
+    if span_s < 0.4:  # a box jumps by decimetres: too short a path says nothing
+        return fast_enough * (1.0 + settings.unmeasured) / 2
+    path = (centres_m[-1] - centres_m[0]) / span_s
+    tolerance = settings.path_error_m_per_s + settings.path_error_share * speed
+    error = float(np.linalg.norm((path - velocity)[:2])) / tolerance
+    agrees = settings.implausible + (1.0 - settings.implausible) * math.exp(-(error**2))
+    return fast_enough * agrees
+
+
+def _rank(
+    scene: Scene,
+    track: Track,
+    members: Sequence[Instance],
+    period_s: float,
+    settings: ScoreSettings,
+) -> RankedTrack:
+    points = np.array([len(member.point_index) for member in members])
+    sure = np.array([m.semantic_confidence * m.predictive_confidence for m in members])
+    own = float(np.average([member.own_share for member in members], weights=points))
+    velocities = np.stack([member.velocity_m_per_s for member in members])
+    first, last = members[0].frame_index, members[-1].frame_index
+    stamps_s = np.array(
+        [(scene.frames[m.frame_index].stamp_ns - scene.start_ns) / NS_PER_S for m in members]
+    )
+    strength = (
+        persistence(
+            frames=len(members),
+            span_frames=last - first + 1,
+            period_s=period_s,
+            scale_s=settings.persistence_s,
+        )
+        * (1.0 - math.exp(-float(np.median(points)) / settings.evidence_points))
+        * float(np.average(sure, weights=points))
+        * box_plausibility(np.median([m.size_m for m in members], axis=0), settings)
+        * own
+    )
+    if track.kind is ContradictionKind.ONLY_PREDICTIVE_DYNAMIC:
+        strength *= motion_plausibility(track.centres_m, stamps_s, velocities, settings)
+    speeds = np.linalg.norm(velocities, axis=1)
+    return RankedTrack(
+        track=track,
+        strength=round(min(strength, 0.9999), 4),
+        strongest=track.members[int(np.argmax(np.round(points * sure, 6)))],
+        speed_m_per_s=round(float(np.median(speeds[speeds > 0])), 2) if speeds.any() else 0.0,
+        class_name=_commonest([member.class_name for member in members], points),
+        points=int(points.sum()),
+    )
+
+
+def _commonest(names: Sequence[str], points: NDArray[np.int64]) -> str:
+    weight: dict[str, int] = {}
+    for name, count in zip(names, points, strict=True):
+        weight[name] = weight.get(name, 0) + int(count)
+    return min(weight, key=lambda name: (-weight[name], name))
+
+
+def _clip(value: float) -> float:
+    return min(1.0, max(0.0, value))
