@@ -1,0 +1,1 @@
+"""What judges the streams: labels against truth, and where the time of the pipeline goes."""

@@ -1,0 +1,144 @@
+"""What each point of a log really was, as it lies beside the log, message by message."""
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.errors import PermanentError
+from schemas.frame import LidarFrame
+from schemas.recordings import EXTENSION
+from schemas.work import Recording
+
+TRUTH_UNKNOWN: Final = 0
+TRUTH_STATIC: Final = 1
+TRUTH_DYNAMIC: Final = 2
+
+
+class TruthUnusableError(PermanentError):
+    """Truth does not fit the log it lies beside, or there is none."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameTruth:
+    """The truth of one frame, in the order of its points.
+
+    Attributes:
+        number: Of the frame among the lidar messages of its log, from 0.
+        motion: (N,) `TRUTH_UNKNOWN`, `TRUTH_STATIC` or `TRUTH_DYNAMIC`.
+        track: (N,) id of the object a point belongs to, -1 none; None where truth has no tracks.
+    """
+
+    number: int
+    motion: NDArray[np.uint8]
+    track: NDArray[np.int16] | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    path: Path
+    stamp_ns: int | None
+    log_time_ns: int | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogTruth:
+    """The truth of one log: a folder for each part, `NNNNNN.npz` for each message of the lidar.
+
+    Frames are matched by their stamps where `frames.json` lists them, so that a cloud that could
+    not be read shifts nothing; else by their order.
+
+    Attributes:
+        topic: The lidar topic that the truth is about; empty where it does not say.
+    """
+
+    topic: str
+    _entries: tuple[_Entry, ...]
+    _number_of_stamp: Mapping[int, int]
+
+    @classmethod
+    def beside(cls, recording: Recording, truth: Path) -> Self | None:
+        """Find the truth of a log; None where there is none.
+
+        Args:
+            recording: The log; truth of its part `x/y.mcap` lies in `truth/x/y`.
+            truth: Folder of the truth of the whole bucket.
+        """
+        entries: list[_Entry] = []
+        topics: list[str] = []
+        for part in recording.parts:
+            folder = truth / part.key.removesuffix(EXTENSION)
+            for entry, topic in _entries_of(folder):
+                entries.append(entry)
+                topics.append(topic)
+        if not any(entry.path.is_file() for entry in entries):
+            return None
+        stamps: dict[int, int] = {}
+        for number, entry in enumerate(entries):
+            for time_ns in (entry.stamp_ns, entry.log_time_ns):
+                if time_ns is not None:
+                    stamps.setdefault(time_ns, number)
+        return cls(topics[0], tuple(entries), stamps)
+
+    def __len__(self) -> int:
+        """Count the frames that the truth knows, those without labels included."""
+        return len(self._entries)
+
+    def number_of(self, frame: LidarFrame, *, position: int) -> int:
+        """Say which message a frame is.
+
+        Args:
+            frame: The frame as it was read.
+            position: How many frames of the log were read before it.
+
+        Raises:
+            TruthUnusableError: If the truth lists stamps and this one is not among them.
+        """
+        if not self._number_of_stamp:
+            return position
+        try:
+            return self._number_of_stamp[frame.stamp_ns]
+        except KeyError:
+            raise TruthUnusableError(
+                f"truth knows no frame of stamp {frame.stamp_ns} ({frame.log_id}, frame "
+                f"{position}); is it the truth of another log?"
+            ) from None
+
+    def of(self, frame: LidarFrame, *, number: int) -> FrameTruth | None:
+        """Read the truth of one frame; None where it has no labels of motion.
+
+        Raises:
+            TruthUnusableError: If it labels a different number of points.
+        """
+        path = self._entries[number].path if number < len(self._entries) else None
+        if path is None or not path.is_file():
+            return None
+        with np.load(path) as arrays:
+            if "motion" not in arrays:
+                return None
+            motion = np.asarray(arrays["motion"], dtype=np.uint8)
+            track = np.asarray(arrays["track"], dtype=np.int16) if "track" in arrays else None
+        if len(motion) != len(frame):
+            raise TruthUnusableError(
+                f"truth labels {len(motion)} points, frame {number} has {len(frame)} "
+                f"({frame.log_id}, {path})"
+            )
+        return FrameTruth(number, motion, track)
+
+
+def _entries_of(folder: Path) -> Iterator[tuple[_Entry, str]]:
+    listing = folder / "frames.json"
+    if listing.is_file():
+        for row in json.loads(listing.read_text())["frames"]:
+            path = folder / f"{row['index']:06d}.npz"
+            entry = _Entry(path, row.get("header_stamp"), row.get("log_time"))
+            yield entry, row.get("topic", "")
+        return
+    numbered = sorted(path for path in folder.glob("*.npz") if path.stem.isdigit())
+    if numbered:
+        for number in range(int(numbered[-1].stem) + 1):
+            yield _Entry(folder / f"{number:06d}.npz", None, None), ""

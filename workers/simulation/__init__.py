@@ -1,0 +1,1 @@
+"""Streets that never were, driven through with a spinning lidar and written as logs with truth."""

@@ -1,0 +1,122 @@
+"""The truth of a simulated log, written beside it point by point."""
+
+import csv
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from workers.simulation.kinds import GROUND, MOVABLE, SEMANTIC_KITTI, StreetClass
+from workers.simulation.lidar import SimulatedFrame
+from workers.simulation.recorded import DYNAMIC, Mistake
+from workers.simulation.street import Street
+
+_TRACK_COLUMNS: Final = (
+    *("frame", "track_id", "class", "movable_class", "x", "y", "z", "length", "width", "height"),
+    *("yaw", "vx", "vy", "vz", "speed", "moving", "creeping", "points_inside"),
+)
+
+
+@dataclass(slots=True)
+class TruthWriter:
+    """Writes the truth of one log as its frames go by.
+
+    Layout: `NNNNNN.npz` per cloud with semantic, motion, track and ground in the order of its
+    points; `frames.json`, `poses.npz`, `tracks.csv` (boxes in the world), `classes.json`, and
+    `mistakes.json` with what was planted in the recorded labels.
+    """
+
+    folder: Path
+    street: Street
+    log_key: str
+    topic: str
+    _frames: list[dict[str, Any]] = field(default_factory=list)
+    _poses: list[Any] = field(default_factory=list)
+    _tracks: list[list[Any]] = field(default_factory=list)
+    _dynamic_points: int = 0
+
+    def add(self, frame: SimulatedFrame, *, stamp_ns: int, data_crc32: int) -> None:
+        """Write the arrays of one frame and keep its row for the tables."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        np.savez_compressed(
+            self.folder / f"{frame.index:06d}.npz",
+            semantic=frame.class_id,
+            motion=frame.motion,
+            track=frame.track,
+            ground=frame.ground,
+        )
+        self._dynamic_points += int((frame.motion == DYNAMIC).sum())
+        self._poses.append((stamp_ns, frame.world_from_sensor))
+        self._frames.append(
+            {
+                "index": frame.index,
+                "topic": self.topic,
+                "log_time": stamp_ns,
+                "header_stamp": stamp_ns,
+                "points": len(frame),
+                "data_crc32": data_crc32,
+            }
+        )
+        self._tracks += self._boxes(frame)
+
+    def finish(self, mistakes: Sequence[Mistake]) -> None:
+        """Write the tables of the whole log."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        counts = {
+            "frames": len(self._frames),
+            "points": sum(f["points"] for f in self._frames),
+            "dynamic_points": self._dynamic_points,
+        }
+        self._write_json(
+            "frames.json", {"log": self.log_key, "frames": self._frames, "counts": counts}
+        )
+        self._write_json("mistakes.json", {"mistakes": [asdict(m) for m in mistakes]})
+        self._write_json("classes.json", {"classes": [_describe(c) for c in StreetClass]})
+        np.savez_compressed(
+            self.folder / "poses.npz",
+            stamp_ns=np.array([stamp for stamp, _ in self._poses], dtype=np.int64),
+            world_from_lidar_at_stamp=np.array([p for _, p in self._poses]).reshape(-1, 4, 4),
+        )
+        with (self.folder / "tracks.csv").open("w", newline="") as file:
+            table = csv.writer(file, lineterminator="\n")
+            table.writerow(_TRACK_COLUMNS)
+            table.writerows(self._tracks)
+
+    def _boxes(self, frame: SimulatedFrame) -> list[list[Any]]:
+        inside = np.bincount(
+            frame.track[frame.track >= 0], minlength=len(self.street.actors)
+        ).tolist()
+        poses = self.street.actor_poses(frame.time_s).round(4).tolist()
+        velocities = self.street.actor_velocities(frame.time_s).round(4).tolist()
+        rows = []
+        for track, actor in enumerate(self.street.actors):
+            if not inside[track]:
+                continue
+            (x, y, yaw), (vx, vy) = poses[track], velocities[track]
+            speed = round(float(np.hypot(vx, vy)), 4)
+            length, width, height = actor.size_m
+            rows.append(
+                [
+                    *(frame.index, track, actor.street_class.name.lower(), 1),
+                    *(x, y, height / 2, length, width, height, yaw, vx, vy, 0.0, speed),
+                    *(int(speed > 0.5), int(0.2 < speed <= 0.5), inside[track]),
+                ]
+            )
+        return rows
+
+    def _write_json(self, name: str, content: dict[str, Any]) -> None:
+        (self.folder / name).write_text(json.dumps(content, indent=1) + "\n")
+
+
+def _describe(street_class: StreetClass) -> dict[str, Any]:
+    group = "ground" if street_class in GROUND else "static"
+    return {
+        "id": int(street_class),
+        "name": street_class.name.lower(),
+        "group": "movable" if street_class in MOVABLE else group,
+        "ground": int(street_class in GROUND),
+        "semantickitti19": SEMANTIC_KITTI[street_class],
+    }
