@@ -11,6 +11,7 @@ from typing import Final, Protocol, TypeVar
 
 from schemas.frame import LidarFrame, PosedFrame
 from schemas.labels import FrameLabels
+from workers.errors import UnknownPartError
 
 
 class Odometry(Protocol):
@@ -100,7 +101,8 @@ def _build(what: str, name: str, table: Mapping[str, Callable[[], Part]]) -> Par
     try:
         build = table[name]
     except KeyError:
-        raise LookupError(f"no {what} {name!r}; known: {', '.join(sorted(table))}") from None
+        known = ", ".join(sorted(table))
+        raise UnknownPartError(f"no {what} {name!r}; known: {known}") from None
     return build()
 
 
@@ -108,7 +110,7 @@ def build_parts(*, odometry: str, supervised: str, selfsupervised: str) -> Parts
     """Build the parts of these names.
 
     Raises:
-        LookupError: If one does not exist; the message lists those that do.
+        UnknownPartError: If one does not exist; the message lists those that do.
     """
     return Parts(
         odometry=_build("odometry", odometry, ODOMETRIES),

@@ -1,0 +1,207 @@
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from schemas.frame import LidarFrame, OdometryState, PosedFrame
+from schemas.labels import FrameLabels, MotionLabel
+from workers.selfsupervised.stream import Registration
+
+HEIGHT_M = 1.8
+PERIOD_NS = 100_000_000
+ELEVATIONS = np.radians(np.arange(-18.0, 4.0, 0.5))
+AZIMUTHS = np.radians(np.arange(-180.0, 180.0, 0.4) + 0.05)
+
+
+@dataclass(frozen=True)
+class Box:
+    """An upright box on the road, and how fast it goes."""
+
+    centre: tuple[float, float]
+    size: tuple[float, float, float]
+    velocity: tuple[float, float] = (0.0, 0.0)
+
+
+WALLS = (Box((0.0, 20.0), (120.0, 1.0, 6.0)), Box((0.0, -20.0), (120.0, 1.0, 6.0)))
+PARKED = Box((9.0, 6.0), (4.5, 1.8, 1.5))
+DRIVING = Box((14.0, -5.0), (4.5, 1.8, 1.5), velocity=(-5.0, 0.0))
+POST = Box((-8.0, 7.0), (0.4, 0.4, 3.0))
+
+
+def scan(
+    boxes: Sequence[Box], *, time_s: float, sensor: tuple[float, float]
+) -> tuple[NDArray[np.float32], NDArray[np.int16], NDArray[np.int64]]:
+    """Cast every beam: points about the sensor, their beams, and which box each hit (-1 road)."""
+    elevation, azimuth = np.meshgrid(ELEVATIONS, AZIMUTHS, indexing="ij")
+    direction = np.stack(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ],
+        axis=-1,
+    ).reshape(-1, 3)
+    beam = np.repeat(np.arange(len(ELEVATIONS)), len(AZIMUTHS)).astype(np.int16)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = np.where(direction[:, 2] < 0, -HEIGHT_M / direction[:, 2], np.inf)
+        hit = np.full(len(direction), -1)
+        for number, box in enumerate(boxes):
+            centre = np.array(box.centre) + np.array(box.velocity) * time_s - np.array(sensor)
+            middle = np.array([*centre, box.size[2] / 2 - HEIGHT_M])
+            half = np.array(box.size) / 2
+            first, second = (middle - half) / direction, (middle + half) / direction
+            enter = np.minimum(first, second).max(axis=1)
+            leave = np.maximum(first, second).min(axis=1)
+            nearer = (enter > 0) & (enter < leave) & (enter < distance)
+            distance[nearer], hit[nearer] = enter[nearer], number
+    back = distance < 90.0
+    # two centimetres of range noise: a perfect plane is what no ground removal is made for
+    distance += np.random.default_rng(int(time_s * 1000)).normal(0.0, 0.02, len(distance))
+    points = (direction[back] * distance[back, None]).astype(np.float32)
+    return points, beam[back], hit[back]
+
+
+def drive(
+    boxes: Sequence[Box],
+    *,
+    frames: int = 12,
+    speed_m_per_s: float = 0.0,
+    with_rings: bool = True,
+    gap_before: int | None = None,
+    lost_at: int | None = None,
+) -> Iterator[tuple[PosedFrame, NDArray[np.int64]]]:
+    stamp_ns = 1_700_000_000_000_000_000
+    start_ns = stamp_ns
+    for number in range(frames):
+        if number == gap_before:
+            stamp_ns += 9 * PERIOD_NS
+        time_s = (stamp_ns - start_ns) * 1e-9
+        x = speed_m_per_s * time_s
+        points, beam, hit = scan(boxes, time_s=time_s, sensor=(x, 0.0))
+        n = len(points)
+        frame = LidarFrame(
+            log_id="street",
+            stamp_ns=stamp_ns,
+            points_m=points,
+            intensity=np.zeros(n, np.float32),
+            offset_ns=np.zeros(n, np.int32),
+            ring=beam if with_rings else np.full(n, -1, np.int16),
+            valid_mask=np.ones(n, np.bool_),
+        )
+        pose = np.eye(4)
+        pose[0, 3] = x
+        state = OdometryState.LOST if number == lost_at else OdometryState.HEALTHY
+        yield PosedFrame(frame, pose, state), hit
+        stamp_ns += PERIOD_NS
+
+
+def label(drive: Iterator[tuple[PosedFrame, NDArray[np.int64]]]) -> list[FrameLabels]:
+    return list(Registration()(posed for posed, _ in drive))
+
+
+def share(
+    labels: FrameLabels, hit: NDArray[np.int64], box: int, wanted: MotionLabel, *, ground: bool
+) -> float:
+    assert labels.ground_mask is not None
+    of_box = (hit == box) & (ground | ~labels.ground_mask)
+    return float((labels.labels[of_box] == wanted).mean())
+
+
+BOXES = (*WALLS, PARKED, DRIVING, POST)
+
+
+@pytest.mark.parametrize("with_rings", [True, False])
+@pytest.mark.parametrize("speed_m_per_s", [0.0, 6.0])
+def test_a_driving_car_is_dynamic_and_what_stands_is_static(
+    speed_m_per_s: float, with_rings: bool
+) -> None:
+    world = list(drive(BOXES, speed_m_per_s=speed_m_per_s, with_rings=with_rings))
+    answers = label(iter(world))
+    last, hit = answers[-1], world[-1][1]
+    assert share(last, hit, 3, MotionLabel.DYNAMIC, ground=True) > 0.95
+    for standing in (0, 1, 2, 4):
+        assert share(last, hit, standing, MotionLabel.DYNAMIC, ground=True) == 0.0
+        assert share(last, hit, standing, MotionLabel.STATIC, ground=True) > 0.8
+
+
+def test_the_velocity_of_a_moving_cluster_is_its_speed_over_the_ground() -> None:
+    world = list(drive(BOXES, speed_m_per_s=6.0))
+    last, hit = label(iter(world))[-1], world[-1][1]
+    assert last.cluster is not None
+    assert last.cluster_velocity_m_per_s is not None
+    of_car = last.cluster[(hit == 3) & (last.cluster >= 0)]
+    velocity = last.cluster_velocity_m_per_s[np.bincount(of_car).argmax()]
+    np.testing.assert_allclose(velocity, [-5.0, 0.0, 0.0], atol=0.3)
+
+
+def test_nothing_off_the_ground_is_known_in_the_first_frames() -> None:
+    answers = label(drive(BOXES, frames=3))
+    for answer in answers:
+        assert (answer.labels == MotionLabel.UNKNOWN).all()
+        assert (answer.confidence == 0).all()
+
+
+def test_history_begins_anew_after_a_gap() -> None:
+    answers = label(drive(BOXES, frames=9, gap_before=7))
+    assert (answers[6].labels == MotionLabel.DYNAMIC).any()
+    assert (answers[7].labels == MotionLabel.UNKNOWN).all()
+    assert (answers[8].labels == MotionLabel.UNKNOWN).all()
+
+
+def test_a_lost_pose_makes_everything_unknown_instead_of_moving() -> None:
+    answers = label(drive(BOXES, frames=9, lost_at=7))
+    assert (answers[6].labels == MotionLabel.DYNAMIC).any()
+    assert (answers[7].labels == MotionLabel.UNKNOWN).all()
+
+
+def test_nothing_moves_where_the_beams_are_no_cones_about_any_point() -> None:
+    scrambled = []
+    for posed, _ in drive(BOXES, frames=8):
+        frame = posed.frame
+        ring = np.random.default_rng(4).permutation(frame.ring)
+        scrambled.append(PosedFrame(replace(frame, ring=ring), posed.odom_from_sensor))
+    for answer in Registration()(scrambled):
+        assert (answer.labels == MotionLabel.UNKNOWN).all()
+
+
+def test_the_same_frames_give_the_same_labels() -> None:
+    first, second = label(drive(BOXES)), label(drive(BOXES))
+    for one, other in zip(first, second, strict=True):
+        np.testing.assert_array_equal(one.labels, other.labels)
+        np.testing.assert_array_equal(one.confidence, other.confidence)
+
+
+def empty_frame(stamp_ns: int, points: NDArray[np.float32]) -> PosedFrame:
+    n = len(points)
+    frame = LidarFrame(
+        log_id="street",
+        stamp_ns=stamp_ns,
+        points_m=points,
+        intensity=np.zeros(n, np.float32),
+        offset_ns=np.zeros(n, np.int32),
+        ring=np.full(n, -1, np.int16),
+        valid_mask=np.ones(n, np.bool_),
+    )
+    return PosedFrame(frame, np.eye(4))
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        pytest.param(np.zeros((0, 3), np.float32), id="no point"),
+        pytest.param(np.ones((1, 3), np.float32) * 5, id="one point"),
+        pytest.param(np.ones((5000, 3), np.float32) * 5, id="all points equal"),
+    ],
+)
+def test_a_frame_that_says_nothing_is_answered_and_does_not_end_the_stream(
+    points: NDArray[np.float32],
+) -> None:
+    world = [posed for posed, _ in drive(BOXES, frames=9)]
+    stamp_ns = world[6].frame.stamp_ns
+    frames = [empty_frame(world[0].frame.stamp_ns - PERIOD_NS, points), *world[:6]]
+    frames += [empty_frame(stamp_ns, points), *world[7:]]
+    answers = list(Registration()(frames))
+    assert [len(answer.labels) for answer in answers] == [len(posed.frame) for posed in frames]
+    assert (answers[-1].labels == MotionLabel.DYNAMIC).any()

@@ -1,0 +1,248 @@
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from schemas.contradiction import ContradictionKind, Scene, SceneState
+from schemas.frame import OdometryState
+from schemas.labels import MotionLabel
+from schemas.score import MAX_RECORD_BYTES, MAX_TRACKS, SceneScore
+from schemas.wire import decode, encode_scene_score
+from tests.labelled_worlds import CLASS_NAMES, START_NS, Thing, labelled_scene, shard_of
+from workers.contradiction.instances import find_instances
+from workers.contradiction.reasons import bearing
+from workers.contradiction.score import combine, score_scene
+from workers.contradiction.strength import box_plausibility, motion_plausibility, persistence
+
+STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
+HEALTHY, DEGRADED, LOST = OdometryState.HEALTHY, OdometryState.DEGRADED, OdometryState.LOST
+MISSED_CAR = Thing((-20, 3, 0), STATIC, DYNAMIC, velocity_m_per_s=(10, 0, 0))
+PHANTOM = Thing((12, -4, 0), DYNAMIC, STATIC, class_id=2, size_m=(0.6, 0.6, 1.7), points=60)
+WALL = Thing((0, 15, 1), STATIC, STATIC, size_m=(40, 0.2, 4), points=1500, class_id=0)
+
+
+@dataclass(frozen=True)
+class _Version:
+    version: str
+
+
+@dataclass(frozen=True)
+class _Streams:
+    supervised: _Version = _Version("net@0123456789ab")
+    selfsupervised: _Version = _Version("registration@ba9876543210")
+
+
+def _score(scene: Scene, log_id: str = "fleet/car-1/drive") -> SceneScore:
+    instances = find_instances(scene, class_names=CLASS_NAMES)
+    return score_scene(
+        shard_of(log_id), scene, instances, parts=_Streams(), pipeline_version="abcdef012345"
+    )
+
+
+def _score_of(*things: Thing) -> float:
+    return _score(labelled_scene(things)).score
+
+
+def test_a_scene_without_contradictions_scores_zero_and_has_nothing_to_say() -> None:
+    moving = Thing((0, 0, 0), DYNAMIC, DYNAMIC, velocity_m_per_s=(5, 0, 0))
+    record = _score(labelled_scene([WALL, moving]))
+    assert (record.score, record.reasons, record.tracks) == (0.0, (), ())
+    assert record.state is SceneState.SCORED
+    assert record.all_points.both_dynamic == pytest.approx(120 / 1620, abs=1e-4)
+
+
+def test_a_car_that_only_the_self_supervised_stream_sees_is_told_with_its_speed() -> None:
+    record = _score(labelled_scene([WALL, MISSED_CAR]))
+    (track,) = record.tracks
+    assert track.kind is ContradictionKind.ONLY_PREDICTIVE_DYNAMIC
+    assert (track.frames, track.points, track.speed_m_per_s) == (20, 2400, 10.0)
+    assert (track.first_ns, track.last_ns) == (START_NS, START_NS + 1_900_000_000)
+    assert record.score == track.strength > 0.7
+    assert record.reasons == (
+        "car seen moving at 10.0 m/s by the self-supervised stream alone for 2.0 s, 20 m behind",
+    )
+
+
+def test_a_phantom_pedestrian_is_told_with_where_it_stands() -> None:
+    record = _score(labelled_scene([WALL, PHANTOM]))
+    assert record.reasons == (
+        "pedestrian seen moving by the supervised stream alone for 2.0 s, 13 m ahead",
+    )
+    strongest = record.tracks[0].strongest
+    assert strongest.range_m == pytest.approx(math.hypot(12, 4), abs=0.3)
+    assert (strongest.semantic_confidence, strongest.predictive_confidence) == (0.9, 0.9)
+
+
+def test_the_score_never_falls_when_a_contradiction_is_added_or_grows() -> None:
+    few = replace(PHANTOM, points=15)
+    brief = replace(PHANTOM, frames=frozenset(range(6)))
+    unsure = replace(PHANTOM, confidence=0.6)
+    full = _score_of(WALL, PHANTOM)
+    for less in (few, brief, unsure):
+        assert 0 < _score_of(WALL, less) < full
+    assert full < _score_of(WALL, PHANTOM, MISSED_CAR) < 1
+
+
+def test_a_flicker_of_one_frame_is_next_to_nothing() -> None:
+    assert _score_of(WALL, replace(MISSED_CAR, frames=frozenset({7}))) < 0.02
+
+
+def test_a_facade_that_seems_to_move_is_no_road_user() -> None:
+    facade = replace(WALL, semantic=DYNAMIC, size_m=(30, 0.2, 4))
+    assert _score_of(facade) == 0.0
+
+
+def test_a_path_that_contradicts_the_measured_speed_weakens_a_track() -> None:
+    stands = Thing((10, 3, 0), STATIC, DYNAMIC)
+    times = np.arange(10) / 10
+    still = np.tile((10.0, 3.0, 0.0), (10, 1))
+    claims = np.tile((8.0, 0.0, 0.0), (10, 1))
+    drives = still + times[:, None] * claims
+    assert motion_plausibility(still, times, claims) == pytest.approx(0.1, abs=0.02)
+    assert motion_plausibility(drives, times, claims) == pytest.approx(1.0)
+    assert _score_of(WALL, stands) < _score_of(WALL, MISSED_CAR)
+
+
+def test_a_hundred_small_contradictions_do_not_outweigh_one_clear_failure() -> None:
+    specks = [
+        Thing(
+            (8.0 * (i % 10) - 40, 6.0 * (i // 10) - 30, 0),
+            DYNAMIC,
+            STATIC,
+            points=14,
+            size_m=(0.6, 0.6, 0.5),
+            confidence=0.6,
+            frames=frozenset(range(i % 13, i % 13 + 6)),
+        )
+        for i in range(100)
+    ]
+    noisy = _score(labelled_scene(specks))
+    assert sum(total.tracks for total in noisy.totals) == 100
+    assert len(noisy.tracks) == MAX_TRACKS
+    assert 0.02 < noisy.score < 0.35
+    assert noisy.score < _score_of(MISSED_CAR)
+
+
+@pytest.mark.parametrize(
+    ("strengths", "expected"),
+    [
+        ((), 0.0),
+        ((0.5,), 0.5),
+        ((0.5, 0.5), 0.625),
+        ((0.4, 0.8), 0.84),
+        ((0.9999,) * 200, 0.9999),
+    ],
+)
+def test_each_further_track_counts_half_of_the_one_before(
+    strengths: tuple[float, ...], expected: float
+) -> None:
+    assert combine(strengths, decay=0.5) == expected
+
+
+def test_a_scene_too_short_to_judge_scores_zero_and_says_so() -> None:
+    record = _score(labelled_scene([MISSED_CAR], frames=4, too_short=True))
+    assert (record.state, record.score) == (SceneState.TOO_SHORT, 0.0)
+    assert record.reasons == ("too short to judge: 4 frames in 0.3 s",)
+    assert record.totals[1].tracks == 1
+    assert record.tracks[0].strength == 0.0
+
+
+def test_a_scene_of_one_frame_is_scored_without_harm() -> None:
+    record = _score(labelled_scene([MISSED_CAR], frames=1, too_short=True))
+    assert (record.frames, record.score, record.odometry.distance_m) == (1, 0.0, 0.0)
+
+
+def test_odometry_that_is_lost_gates_the_score_to_zero() -> None:
+    record = _score(labelled_scene([MISSED_CAR], odometry=[LOST] * 11 + [HEALTHY] * 9))
+    assert (record.state, record.score) == (SceneState.ODOMETRY_LOST, 0.0)
+    assert record.odometry.state is LOST
+    assert record.reasons == ("odometry lost (a bump): not judged",)
+
+
+def test_odometry_that_is_degraded_for_a_moment_lowers_the_score() -> None:
+    clean = _score(labelled_scene([MISSED_CAR]))
+    bumpy = _score(labelled_scene([MISSED_CAR], odometry=[DEGRADED] * 4 + [HEALTHY] * 16))
+    assert bumpy.state is SceneState.SCORED
+    assert bumpy.score == pytest.approx(0.81 * clean.score, abs=1e-3)
+    assert bumpy.reasons[-1] == "odometry degraded (a bump): strengths count 81%"
+    assert bumpy.odometry.healthy_share == 0.8
+
+
+def test_shares_are_those_of_compared_points_with_and_without_the_ground() -> None:
+    ground = Thing((0, 0, -2), STATIC, STATIC, size_m=(60, 60, 0.05), points=600, ground=True)
+    unseen = Thing((0, 30, 0), UNKNOWN, STATIC, points=300)
+    phantom = replace(PHANTOM, points=100)
+    record = _score(labelled_scene([ground, unseen, phantom], frames=2))
+    assert record.points == 2000
+    assert record.compared_share == 0.7
+    assert record.all_points.only_semantic_dynamic == pytest.approx(100 / 700, abs=1e-4)
+    assert record.nonground_points.only_semantic_dynamic == 1.0
+
+
+def test_where_nothing_was_compared_all_shares_are_zero() -> None:
+    record = _score(labelled_scene([Thing((0, 9, 0), UNKNOWN, UNKNOWN)], frames=3))
+    assert record.compared_share == 0.0
+    assert set(record.all_points.model_dump().values()) == {0.0}
+
+
+def test_the_same_scene_gives_the_same_bytes() -> None:
+    things = [WALL, MISSED_CAR, PHANTOM]
+    one, other = _score(labelled_scene(things)), _score(labelled_scene(things))
+    assert encode_scene_score(one) == encode_scene_score(other)
+
+
+@pytest.mark.parametrize(
+    ("log_id", "tracks"),
+    [
+        pytest.param("fleet/car-1/" + "x" * 200, MAX_TRACKS, id="a long name"),
+        pytest.param("\u00e4" * 500, None, id="five hundred umlauts, six bytes each, twice"),
+    ],
+)
+def test_a_record_fits_the_bus_whatever_the_names(log_id: str, tracks: int | None) -> None:
+    things = [
+        Thing((9.0 * (i % 8) - 123.456, 9.0 * (i // 8) - 123.456, 0), STATIC, DYNAMIC, points=499)
+        for i in range(48)
+    ]
+    frames = labelled_scene(things, frames=3).frames
+    scene = Scene(f"{log_id}/lidar/{START_NS}", frames)
+    names = tuple('"\\\u00e9' * 40 for _ in CLASS_NAMES)
+    instances = find_instances(scene, class_names=names)
+    record = score_scene(
+        shard_of(log_id), scene, instances, parts=_Streams(), pipeline_version="abcdef012345"
+    )
+    payload = encode_scene_score(record)
+    assert len(payload) <= MAX_RECORD_BYTES
+    assert decode(SceneScore, payload) == record
+    assert record.totals[1].tracks == 48
+    assert 10 < len(record.tracks) <= MAX_TRACKS
+    assert tracks is None or len(record.tracks) == tracks
+
+
+def test_factors_of_the_strength_rise_with_their_evidence() -> None:
+    lasting = [
+        persistence(frames=n, span_frames=n, period_s=0.1, scale_s=0.5) for n in range(1, 21)
+    ]
+    assert lasting == sorted(lasting)
+    assert lasting[0] < 0.02
+    assert lasting[-1] > 0.99
+    assert box_plausibility(np.array([4.5, 1.8, 1.5])) == 1.0
+    assert box_plausibility(np.array([4.5, 1.8, 0.1])) == 0.0
+    assert 0 < box_plausibility(np.array([16.0, 2.5, 3.0])) < 1
+
+
+@pytest.mark.parametrize(
+    ("x_m", "y_m", "words"),
+    [
+        (10, 0, "ahead"),
+        (10, 10, "ahead left"),
+        (0, 3, "left"),
+        (-5, 0.1, "behind"),
+        (-5, -0.1, "behind"),
+        (-3, -3, "behind right"),
+        (0, -2, "right"),
+        (4, -4, "ahead right"),
+    ],
+)
+def test_directions_are_named_as_the_driver_sees_them(x_m: float, y_m: float, words: str) -> None:
+    assert bearing(x_m, y_m) == words

@@ -1,0 +1,207 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from workers.geometry.range_image import SensorProfile
+from workers.supervised.lmnet import MOTION_CLASSES
+from workers.supervised.residual_image import ResidualSettings
+from workers.supervised.weights import ClassMeaning, WeightsCard, load_weights
+from workers.training.augment import Sample, augment, network_input
+from workers.training.fit import TrainingSettings, train
+from workers.training.images import Cloud, TrainingImages, build_images
+from workers.training.loss import class_weights, lovasz_softmax, segmentation_loss
+from workers.training.pandaset import CLASSES, read_clouds
+from workers.training.train import main
+
+PROFILE = SensorProfile(name="test", rows=16, columns=64, fov_up_deg=20, fov_down_deg=-20)
+RESIDUAL = ResidualSettings(ages_s=(0.1, 0.2), max_range_m=100)
+CARD = WeightsCard(
+    network="lmnet",
+    classes=tuple(ClassMeaning(name=name) for name in MOTION_CLASSES),
+    width=4,
+    profile=PROFILE,
+    residual=RESIDUAL,
+    attribution="made in a test",
+    data_license="CC0",
+    training={},
+)
+
+
+def _street(frames: int) -> list[Cloud]:
+    """A wall all around, and a thing that drives through the view, 1 m per frame."""
+    azimuth = np.linspace(-np.pi, np.pi, 400, endpoint=False)
+    clouds = []
+    for number in range(frames):
+        thing = (azimuth > -0.3) & (azimuth < 0.3)
+        distance = np.where(thing, 10.0 + number, 30.0)
+        rings = [
+            np.stack([distance * np.cos(azimuth), distance * np.sin(azimuth), distance * up], 1)
+            for up in np.tan(np.radians(np.linspace(-18, 18, 16)))
+        ]
+        clouds.append(
+            Cloud(
+                stamp_ns=number * 100_000_000,
+                points_m=np.concatenate(rings).astype(np.float32),
+                intensity=np.full(16 * 400, 0.5, dtype=np.float32),
+                semantic=np.tile(np.where(thing, 1, 9), 16).astype(np.uint8),
+                motion=np.tile(np.where(thing, 2, 1), 16).astype(np.uint8),
+                world_from_sensor=np.eye(4),
+            )
+        )
+    return clouds
+
+
+def _images(frames: int = 4, *, variants: tuple[int, ...] = (1, -1)) -> TrainingImages:
+    rng = np.random.default_rng(1)
+    return build_images(_street(frames), PROFILE, RESIDUAL, variants=variants, rng=rng)
+
+
+def test_only_what_moves_has_a_residual_forwards_and_backwards() -> None:
+    images = _images()
+    assert images.residuals.shape == (4, 2, 2, 16, 64)
+    middle = images.residuals[2].astype(np.float32)
+    moving, still = images.motion[2] == 2, images.motion[2] == 1
+    assert np.median(middle[0, 1][moving]) == pytest.approx(2 / 12, abs=0.02)  # 0.2 s before
+    assert np.median(middle[1, 0][moving]) == pytest.approx(1 / 12, abs=0.02)  # 0.1 s after
+    assert np.median(middle[:, :, still]) < 0.01
+
+
+def test_played_at_double_speed_things_move_twice_as_far() -> None:
+    images = _images(frames=5, variants=(1, 2))
+    moving = images.motion[4] == 2
+    single, double = images.residuals[4].astype(np.float32)
+    assert np.median(single[0][moving]) == pytest.approx(1 / 14, abs=0.02)
+    assert np.median(double[0][moving]) == pytest.approx(2 / 14, abs=0.02)
+
+
+def test_images_are_made_of_chosen_frames_but_compared_with_all() -> None:
+    rng = np.random.default_rng(1)
+    images = build_images(_street(4), PROFILE, RESIDUAL, variants=(1,), rng=rng, only=range(3, 4))
+    assert len(images.channels) == 1
+    assert (images.residuals[0, 0, 1] > 0).any()
+
+
+def _sample(seed: int, *, columns: int = 64) -> tuple[Sample, Sample]:
+    images = _images()
+    whole = Sample(
+        images.channels[2],
+        images.residuals[2, 0].astype(np.float32),
+        images.seen_mask[2],
+        images.motion[2],
+    )
+    return whole, augment(whole, np.random.default_rng(seed), columns=columns)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_however_turned_and_mirrored_a_point_stays_in_the_column_of_its_azimuth(seed: int) -> None:
+    _, changed = _sample(seed)
+    seen = changed.seen_mask
+    azimuth = np.arctan2(changed.channels[2][seen], changed.channels[1][seen])
+    column = (0.5 * (1 - azimuth / np.pi) * 64) % 64
+    apart = np.abs(column - (np.nonzero(seen)[1] + 0.5))
+    assert np.minimum(apart, 64 - apart).max() <= 0.55
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_labels_and_residuals_move_with_their_pixels(seed: int) -> None:
+    _, changed = _sample(seed)
+    moving = changed.labels == 2
+    still = changed.labels == 1
+    assert moving.any()
+    assert np.median(changed.channels[0][moving]) < 15 < np.median(changed.channels[0][still])
+    assert changed.residuals[0][moving].mean() > 5 * changed.residuals[0][still].mean()
+    assert (changed.labels[~changed.seen_mask] == 0).all()
+
+
+def test_augmenting_changes_no_original() -> None:
+    whole, _ = _sample(3)
+    np.testing.assert_array_equal(whole.channels, _images().channels[2])
+    np.testing.assert_array_equal(whole.labels, _images().motion[2])
+
+
+def test_a_window_is_as_wide_as_asked_and_empty_pixels_are_zero() -> None:
+    _, changed = _sample(0, columns=32)
+    x = network_input(changed, PROFILE)
+    assert x.shape == (7, 16, 32)
+    assert x.dtype == np.float32
+    assert (x[:, ~changed.seen_mask] == 0).all()
+
+
+def test_rare_classes_weigh_more_and_the_ignored_one_nothing() -> None:
+    labels = torch.tensor([0] * 50 + [1] * 90 + [2] * 10)
+    weights = class_weights(labels, classes=3)
+    torch.testing.assert_close(weights, torch.tensor([0.0, 1 / 0.901, 1 / 0.101]))
+    assert class_weights(labels, classes=3, balance=0.0).tolist() == [0.0, 1.0, 1.0]
+
+
+def test_nothing_is_lost_where_everything_is_ignored() -> None:
+    shares = torch.full((1, 3, 2, 2), 1 / 3)
+    assert float(lovasz_softmax(shares, torch.zeros(1, 2, 2, dtype=torch.int64))) == 0
+
+
+def _trained(path: Path, seed: int) -> bytes:
+    settings = TrainingSettings(model="lmnet", width=4, steps=3, columns=32, seed=seed)
+    train(_images(), _images(variants=(1,)), CARD, settings, out=path)
+    return path.read_bytes()
+
+
+def test_the_same_seed_gives_the_same_weights_and_they_load(tmp_path: Path) -> None:
+    first = _trained(tmp_path / "one.safetensors", seed=1)
+    assert _trained(tmp_path / "two.safetensors", seed=1) == first
+    assert _trained(tmp_path / "three.safetensors", seed=2) != first
+    card = load_weights(tmp_path / "one.safetensors").card
+    assert set(card.scores) == {"static", "moving"}
+
+
+def test_a_log_that_is_not_there_is_one_sentence(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "truth").mkdir()
+    np.savez(tmp_path / "truth" / "poses.npz", reference_time_ns=0, world_from_lidar_at_reference=0)
+    arguments = ["--model", "lmnet", "--log", str(tmp_path / "no.mcap"), "--out", "x"]
+    assert main([*arguments, "--truth", str(tmp_path / "truth")]) == 1
+    assert "no.mcap" in caplog.text
+    assert main([*arguments, "--truth", str(tmp_path / "nowhere")]) == 1
+    assert "nowhere" in caplog.text
+
+
+def test_unusable_arguments_are_refused() -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(["--model", "pointnet", "--log", "x", "--truth", "y", "--out", "z"])
+    assert stopped.value.code == 2
+
+
+@pytest.mark.reference
+@pytest.mark.parametrize(
+    "case", ["salsanext_kitti360", "salsanext_semantickitti", "lmnet_kitti360"]
+)
+def test_the_loss_and_its_gradient_are_the_published_ones(reference: Path, case: str) -> None:
+    losses = reference / "golden" / "losses"
+    golden = np.load(losses / "segmentation_loss.npz")
+    expected = json.loads((losses / "segmentation_loss.json").read_text())[case]
+    logits = torch.from_numpy(golden[f"{case}_logits"]).requires_grad_()
+    labels = torch.from_numpy(golden[f"{case}_labels"].astype(np.int64))
+    loss = segmentation_loss(logits, labels, torch.tensor(expected["weights"]))
+    torch.autograd.backward(loss)
+    assert float(loss.detach()) == pytest.approx(expected["total"], rel=1e-5)
+    gradient = golden[f"{case}_gradient_logits"]
+    assert logits.grad is not None
+    np.testing.assert_allclose(
+        logits.grad.numpy(), gradient, atol=1e-4 * float(np.abs(gradient).max())
+    )
+
+
+@pytest.mark.reference
+def test_real_frames_come_with_their_truth(reference: Path) -> None:
+    name = Path("pandaset", "panda-01", "2019-05-11", "pandaset-002")
+    log = reference / "data" / "logs" / name.with_suffix(".mcap")
+    (cloud,) = read_clouds(log, reference / "data" / "truth" / name, range(1, 2))
+    assert len(cloud.points_m) == len(cloud.semantic) == len(cloud.motion) == 106_183
+    assert 0 < cloud.intensity.mean() < 0.2
+    assert cloud.intensity.max() <= 1
+    assert cloud.semantic.max() < len(CLASSES)
+    assert 4000 < (cloud.motion == 2).sum() < 6000
+    np.testing.assert_allclose(np.linalg.det(cloud.world_from_sensor[:3, :3]), 1, atol=1e-9)

@@ -1,0 +1,129 @@
+"""One shard from the bucket to encoded records and overlays: what a worker and `score` both do."""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+
+from schemas.bucket import Bucket
+from schemas.frame import LidarFrame
+from schemas.overlay import encode_overlay, overlay_key
+from schemas.score import SceneScore
+from schemas.wire import encode_scene_score, sha256
+from schemas.work import Damage, MiningSettings, MiningStats, Recording, Shard
+from workers.contradiction.overlay import overlay_of
+from workers.ingest.read import read_shard
+from workers.memory import peak_memory_bytes
+from workers.pipeline import mine_shard
+from workers.registry import Parts
+from workers.stages import StageClock, timed
+
+
+@dataclass(frozen=True, slots=True)
+class MinedRecord:
+    """A scored scene, encoded.
+
+    Attributes:
+        score: The scene's score.
+        record: Its bytes as published.
+        sha256: Their digest.
+        overlay: Its points, encoded.
+        overlay_key: Where in the artifacts they belong.
+    """
+
+    score: SceneScore
+    record: bytes
+    sha256: str
+    overlay: bytes
+    overlay_key: str
+
+
+@dataclass(slots=True)
+class Account:
+    """What mining one shard took and found wrong; never part of a record."""
+
+    clock: StageClock = field(default_factory=StageClock)
+    damage: list[Damage] = field(default_factory=list)
+    frames: int = 0
+    points: int = 0
+    bytes_read: int = 0
+    bytes_needed: int = 0
+    range_reads: int = 0
+
+    def stats(self) -> MiningStats:
+        """Sum up."""
+        return MiningStats(
+            frames=self.frames,
+            points=self.points,
+            bytes_read=self.bytes_read,
+            bytes_needed=self.bytes_needed,
+            range_reads=self.range_reads,
+            stage_s={name: round(s, 3) for name, s in sorted(self.clock.seconds.items())},
+            peak_memory_bytes=peak_memory_bytes(),
+        )
+
+
+def mine_records(
+    bucket: Bucket,
+    recording: Recording,
+    shard: Shard,
+    *,
+    settings: MiningSettings,
+    parts: Parts,
+    pipeline_version: str,
+    account: Account,
+    check: Callable[[], None] = lambda: None,
+) -> Iterator[MinedRecord]:
+    """Mine a shard, scene by scene; memory holds a scene or two, never the shard.
+
+    Args:
+        bucket: Where the recording lies.
+        recording: The log.
+        shard: The window of it.
+        settings: What every worker does alike.
+        parts: Odometry and streams.
+        pipeline_version: Of settings and parts.
+        account: Scenes are added as they come, reads and damage at the end.
+        check: Called at every frame; what it raises ends the mining.
+
+    Raises:
+        ObjectChangedError: If an object is no longer the one that was planned.
+        TransientError: If the bucket cannot be read now.
+        PermanentError: If the shard can never be mined.
+    """
+    clock = account.clock
+    account.bytes_needed = shard.needed_bytes
+    reader = read_shard(bucket, recording, shard, settings)
+    scenes = mine_shard(
+        shard,
+        clock.drawn("ingest", _checked(reader.frames(), check)),
+        timed(parts, clock),
+        pipeline_version=pipeline_version,
+    )
+    for mined in clock.drawn("contradiction", scenes):
+        with clock.stage("encoding"):
+            record = encode_scene_score(mined.score)
+            overlay = overlay_of(
+                mined.scene, mined.instances, class_names=parts.supervised.class_names
+            )
+            encoded = MinedRecord(
+                score=mined.score,
+                record=record,
+                sha256=sha256(record),
+                overlay=encode_overlay(overlay),
+                overlay_key=overlay_key(
+                    log_id=mined.score.log_id,
+                    scene_id=mined.score.scene_id,
+                    pipeline_version=pipeline_version,
+                ),
+            )
+        account.frames += mined.score.frames
+        account.points += mined.score.points
+        yield encoded
+    account.range_reads = reader.range_reads
+    account.bytes_read = reader.bytes_read
+    account.damage.extend(reader.damage)
+
+
+def _checked(frames: Iterable[LidarFrame], check: Callable[[], None]) -> Iterator[LidarFrame]:
+    for frame in frames:
+        check()
+        yield frame

@@ -1,0 +1,1 @@
+"""What keeps N workers alive; the ledger alone knows what is done."""

@@ -1,0 +1,59 @@
+"""One log on this machine, without a bus: what `counterpoint score` does."""
+
+from collections.abc import Callable, Iterator
+
+from schemas.bucket import Bucket
+from schemas.score import SceneScore
+from schemas.work import Damage, MiningSettings, Recording
+from workers.errors import LogUnusableError
+from workers.ingest.plan import plan_recording
+from workers.mine import Account, mine_records
+from workers.version import parts_of, pipeline_version
+
+
+def score_recording(
+    bucket: Bucket,
+    recording: Recording,
+    settings: MiningSettings,
+    *,
+    on_shard: Callable[[int, int], None] = lambda done, total: None,
+    on_damage: Callable[[Damage], None] = lambda damage: None,
+) -> Iterator[SceneScore]:
+    """Mine a recording shard by shard, exactly as a worker would.
+
+    Args:
+        bucket: Where the recording lies.
+        recording: The log.
+        settings: Grid and parts, as a service would give them.
+        on_shard: Told how many shards are done, and of how many.
+        on_damage: Told every stretch that cannot be read.
+
+    Yields:
+        The score of each scene, in the order of their starts within each lidar.
+
+    Raises:
+        LogUnusableError: If the log cannot be mined at all.
+    """
+    parts = parts_of(settings)
+    version = pipeline_version(settings, parts)
+    plan = plan_recording(bucket, recording, settings)
+    if plan.refused:
+        raise LogUnusableError(f"cannot mine {recording.log_id}: {plan.refused}")
+    for damage in plan.damage:
+        on_damage(damage)
+    for done, shard in enumerate(plan.shards):
+        on_shard(done, len(plan.shards))
+        account = Account()
+        for mined in mine_records(
+            bucket,
+            recording,
+            shard,
+            settings=settings,
+            parts=parts,
+            pipeline_version=version,
+            account=account,
+        ):
+            yield mined.score
+        for damage in account.damage:
+            on_damage(damage)
+    on_shard(len(plan.shards), len(plan.shards))

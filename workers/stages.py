@@ -1,0 +1,96 @@
+"""Where a shard's time goes: seconds per stage, though stages run interleaved, frame by frame."""
+
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TypeVar
+
+from schemas.frame import LidarFrame, PosedFrame
+from schemas.labels import FrameLabels
+from workers.registry import Odometry, Parts, Stream
+
+Item = TypeVar("Item")
+
+
+class StageClock:
+    """Adds up the seconds of each stage, without those of the stages it pulls its input from.
+
+    Stages are generators that draw on each other, so that "how long does `next` take" counts every
+    stage upstream too. A stack of the stages being drawn gives each second to the innermost one.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
+        self.seconds: dict[str, float] = defaultdict(float)
+        self._clock = clock
+        self._stack: list[str] = []
+        self._since_s = clock()
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Give the time inside to this stage, but for the stages entered from within."""
+        self._switch()
+        self._stack.append(name)
+        try:
+            yield
+        finally:
+            self._switch()
+            self._stack.pop()
+
+    def drawn(self, name: str, items: Iterable[Item]) -> Iterator[Item]:
+        """Pass items through, giving the time it takes to draw each to this stage."""
+        iterator = iter(items)
+        while True:
+            with self.stage(name):
+                try:
+                    item = next(iterator)
+                except StopIteration:
+                    return
+            yield item
+
+    def _switch(self) -> None:
+        now_s = self._clock()
+        if self._stack:
+            self.seconds[self._stack[-1]] += now_s - self._since_s
+        self._since_s = now_s
+
+
+@dataclass(frozen=True, slots=True)
+class _TimedOdometry:
+    inner: Odometry
+    clock: StageClock
+
+    @property
+    def version(self) -> str:
+        return self.inner.version
+
+    def __call__(self, frames: Iterable[LidarFrame]) -> Iterator[PosedFrame]:
+        return self.clock.drawn("odometry", self.inner(frames))
+
+
+@dataclass(frozen=True, slots=True)
+class _TimedStream:
+    name: str
+    inner: Stream
+    clock: StageClock
+
+    @property
+    def version(self) -> str:
+        return self.inner.version
+
+    @property
+    def class_names(self) -> tuple[str, ...]:
+        return self.inner.class_names
+
+    def __call__(self, frames: Iterable[PosedFrame]) -> Iterator[FrameLabels]:
+        return self.clock.drawn(self.name, self.inner(frames))
+
+
+def timed(parts: Parts, clock: StageClock) -> Parts:
+    """Return the same parts, with the clock watching them."""
+    return Parts(
+        odometry=_TimedOdometry(parts.odometry, clock),
+        supervised=_TimedStream("supervised", parts.supervised, clock),
+        selfsupervised=_TimedStream("selfsupervised", parts.selfsupervised, clock),
+    )
