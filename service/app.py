@@ -1,0 +1,198 @@
+"""The ranking service, wired. Read this first.
+
+    bucket watch ─► ledger ◄─ control (claim, commit, …) ◄─ workers
+                      │                    ▲
+                      │                staging ◄─ score/** (raw records on the bus)
+                      ├─► outbox ─► scene/** (durable, numbered)
+                      ├─► history ─► whoever comes late
+                      └─► ranking, selection ─► top, select, selected/**
+
+The ledger alone remembers; everything else may be killed at any moment and is rebuilt from it.
+"""
+
+from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
+from contextlib import ExitStack
+from functools import partial
+from threading import Event
+from types import TracebackType
+from typing import Final, Self
+
+import structlog
+import zenoh
+
+from schemas import keys
+from schemas.bucket import Bucket
+from schemas.bus import recoverable_subscriber
+from schemas.work import MiningSettings
+from service.bucket_watch import BucketWatch
+from service.control import Control
+from service.errors import StateInUseError
+from service.history import History
+from service.ledger import Ledger
+from service.outbox import Outbox
+from service.questions import Questions
+from service.staging import Staging
+from service.ticking import tick
+
+log = structlog.get_logger(__name__)
+
+ANSWERING_THREADS: Final = 4
+"""A commit waits for the disk while others read; more threads than that only wait."""
+
+THREADS: Final = ANSWERING_THREADS + 3
+"""Beside those that answer: bucket watch, expiry of leases, outbox; all for as long as we live."""
+
+EXPIRY_INTERVAL_S: Final = 1.0
+OUTBOX_INTERVAL_S: Final = 0.5
+"""How often to publish without an alarm, since a router may have come back."""
+
+
+class Service:
+    """Bucket in sight, workers answered, scenes published, for as long as the `with` block lasts.
+
+    Session, ledger and buckets belong to whoever made them; they must outlive the block.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        ledger: Ledger,
+        *,
+        bucket: Bucket,
+        settings: MiningSettings,
+        root: str = keys.DEFAULT_ROOT,
+        list_interval_s: float = 10.0,
+        once: bool = False,
+    ) -> None:
+        """Wire the parts; nothing happens before the block is entered.
+
+        Args:
+            session: On the bus.
+            ledger: What remembers.
+            bucket: The log bucket, which is only listed.
+            settings: What every worker must do alike.
+            root: First part of every key.
+            list_interval_s: Between two listings of the bucket, seconds.
+            once: List the bucket only at the start, unless an object changes under a reader.
+        """
+        self._session, self._ledger, self._root = session, ledger, root
+        self._list_interval_s, self._once = list_interval_s, once
+        self._stop, self._news = Event(), Event()
+        self._watch = BucketWatch(bucket, ledger)
+        self._staging = Staging()
+        self._outbox = Outbox(session, ledger, root=root)
+        self._history = History(session, ledger, root=root)
+        self._questions = Questions(session)
+        self._control = Control(
+            settings=settings,
+            ledger=ledger,
+            staging=self._staging,
+            on_scenes=self._news.set,
+            on_selection=self._outbox.publish_selection,
+        )
+        self._open = ExitStack()
+        self._threads: list[Future[None]] = []
+
+    @property
+    def recordings(self) -> int:
+        """How many recordings the bucket held when it was listed last."""
+        return self._watch.recordings or 0
+
+    def __enter__(self) -> Self:
+        """List the bucket, then answer.
+
+        Raises:
+            BucketUnreachableError: If the store does not answer; later on it is waited for.
+            BucketRefusedError: If it says no.
+            StateInUseError: If another service answers under this root.
+        """
+        self._be_alone()
+        self._ledger.resume()
+        self._watch.list_once()
+        with ExitStack() as opening:
+            pool = opening.enter_context(ThreadPoolExecutor(THREADS, thread_name_prefix="service"))
+            opening.callback(self._end)
+            opening.enter_context(
+                recoverable_subscriber(
+                    self._session, keys.all_scores(root=self._root), self._staging.on_sample
+                )
+            )
+            opening.callback(self._questions.close)
+            self._control.declare(self._questions, root=self._root)
+            self._history.declare(self._questions)
+            opening.enter_context(
+                self._session.liveliness().declare_token(
+                    keys.live(root=self._root, role="service", ident=str(self._session.zid()))
+                )
+            )
+            self._start(pool)
+            self._open = opening.pop_all()
+        log.info("service up", root=self._root, recordings=self._watch.recordings)
+        return self
+
+    def check(self) -> None:
+        """Raise what ended a thread of the service, if one has ended."""
+        for thread in wait(self._threads, timeout=0, return_when=FIRST_EXCEPTION).done:
+            thread.result()
+
+    def run(self, stop: Event) -> None:
+        """Keep going until told to stop, or until a thread ends, whose error is raised."""
+        while not stop.wait(0.5):
+            self.check()
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Take no more questions, end every thread."""
+        self._open.close()
+        log.info("service down", root=self._root)
+
+    def _be_alone(self) -> None:
+        """Two services under one root would both give leases, each from a ledger of its own."""
+        others = keys.all_live(root=self._root, role="service")
+        for wait_s in (0.1, 0.4, 1.0, 2.0, 0.0):  # one that was just killed is gone in a moment
+            if not any(reply.ok for reply in self._session.liveliness().get(others, timeout=5)):
+                return
+            self._stop.wait(wait_s)
+        raise StateInUseError(
+            f"another service answers under {self._root!r} on this router; "
+            "stop it, or give this one a root of its own"
+        )
+
+    def _start(self, pool: ThreadPoolExecutor) -> None:
+        every = partial(tick, stop=self._stop)
+        self._threads = [
+            pool.submit(self._questions.serve, self._stop) for _ in range(ANSWERING_THREADS)
+        ]
+        self._threads += [
+            pool.submit(
+                every, self._ledger.expire, what="expiry of leases", interval_s=EXPIRY_INTERVAL_S
+            ),
+            pool.submit(
+                every,
+                self._outbox.publish,
+                what="publishing of scenes",
+                interval_s=OUTBOX_INTERVAL_S,
+                alarm=self._news,
+            ),
+        ]
+        self._threads.append(
+            pool.submit(
+                every,
+                self._list_what_changed if self._once else self._watch.list_once,
+                what="listing of the bucket",
+                interval_s=self._list_interval_s,
+            )
+        )
+
+    def _list_what_changed(self) -> None:
+        """List again where an object was replaced under its reader; else it would wait for ever."""
+        if self._ledger.stale_logs():
+            self._watch.list_once()
+
+    def _end(self) -> None:
+        self._stop.set()
+        self._news.set()

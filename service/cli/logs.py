@@ -1,0 +1,120 @@
+"""Verbs on one log: `inspect` says what is in it, `score` mines it without a bus."""
+
+from pathlib import Path
+from typing import Annotated
+from urllib.parse import unquote
+
+import typer
+
+from schemas.bucket import Bucket, open_bucket, open_object
+from schemas.recordings import recording_of
+from schemas.work import Recording
+from service.cli.output import json_line, progress, remark, table
+from service.cli.report import say_inspected
+from service.config import load_settings
+from service.errors import NothingFoundError
+
+LogUrl = Annotated[str, typer.Argument(help="URL or path of one .mcap file; any part of a split.")]
+BucketRoot = Annotated[
+    str | None, typer.Option("--bucket", help="Root that log_id is relative to.")
+]
+Json = Annotated[bool, typer.Option("--json", help="JSON lines on stdout.")]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the verbs of this file to the command."""
+    app.command(epilog="counterpoint inspect s3://fleet/car-7/2026-11-20/drive.mcap")(inspect)
+    app.command(epilog="counterpoint score logs/car-7/2026-11-20/drive.mcap --json")(score)
+
+
+def inspect(
+    url: LogUrl,
+    verify: Annotated[bool, typer.Option(help="Read every chunk and every cloud.")] = False,
+    json: Json = False,
+    bucket: BucketRoot = None,
+) -> None:
+    """Say what is in a log, from its index; with --verify from every chunk."""
+    from workers.ingest.inspect import inspect_recording
+
+    settings = load_settings(bucket=bucket)
+    store, recording = locate(url, root_url=settings.bucket)
+    with progress() as bar:
+        task = bar.add_task("reading", total=None)
+        report = inspect_recording(
+            store,
+            recording,
+            settings.mining(),
+            verify=verify,
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    if json:
+        json_line(report)
+        return
+    say_inspected(report.model_dump(mode="json"))
+
+
+def score(
+    url: LogUrl,
+    json: Json = False,
+    bucket: BucketRoot = None,
+    shard_seconds: Annotated[float | None, typer.Option(help="Length of a shard.")] = None,
+    supervised: Annotated[str | None, typer.Option(help="Supervised stream, by name.")] = None,
+    selfsupervised: Annotated[
+        str | None, typer.Option(help="Self-supervised stream, by name.")
+    ] = None,
+) -> None:
+    """Mine one log on this machine, without a bus: one scene after the other."""
+    from workers.score import score_recording
+
+    grid = None if shard_seconds is None else {"shard_s": shard_seconds}
+    settings = load_settings(
+        bucket=bucket, grid=grid, supervised=supervised, selfsupervised=selfsupervised
+    )
+    store, recording = locate(url, root_url=settings.bucket)
+    scored = []
+    with progress() as bar:
+        task = bar.add_task(f"mining {recording.log_id}", total=None)
+        for row in score_recording(
+            store,
+            recording,
+            settings.mining(),
+            on_shard=lambda done, total: bar.update(task, completed=done, total=total),
+            on_damage=lambda damage: remark(
+                f"damaged: {damage.what} ({damage.key} at byte {damage.offset})"
+            ),
+        ):
+            if json:
+                json_line(row)
+            scored.append(row)
+    if not json:
+        table(
+            recording.log_id,
+            ("scene", "state", "frames", "score", "reasons"),
+            (
+                (s.scene_id, s.state.value, s.frames, s.score, "; ".join(s.reasons[:2]))
+                for s in scored
+            ),
+        )
+
+
+def locate(url: str, *, root_url: str) -> tuple[Bucket, Recording]:
+    """Find the recording that an object's URL belongs to, all parts of a split one.
+
+    The bucket is `root_url` where the object lies in it, else what `open_object` makes of the URL.
+
+    Raises:
+        NothingFoundError: If no such object exists.
+    """
+    absolute, root = _absolute(url), _absolute(root_url).rstrip("/") + "/" if root_url else ""
+    if root and absolute.startswith(root):
+        bucket, key = open_bucket(root_url), unquote(absolute.removeprefix(root))
+    else:
+        bucket, key = open_object(url)
+    try:
+        return bucket, recording_of(key, bucket.list(prefix=key.rpartition("/")[0]))
+    except LookupError:
+        raise NothingFoundError(f"no such log: {url}") from None
+
+
+def _absolute(url: str) -> str:
+    return url if "://" in url else Path(url).absolute().as_uri()

@@ -1,0 +1,64 @@
+"""The command `counterpoint`: assembles the verbs, and turns every error into one sentence."""
+
+import sys
+from collections.abc import Sequence
+
+import typer
+from typer.exceptions import Abort, Exit, TyperException
+
+from schemas.errors import PermanentError, TransientError
+from schemas.process import log_to_stderr
+from service.cli import daemons, logs, measure, scenes
+from service.cli.output import remark
+
+EX_TEMPFAIL = 75
+
+app = typer.Typer(
+    name="counterpoint",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    help="Find the scenes of a fleet's lidar logs in which two independent streams contradict "
+    "each other. No label is needed.",
+    epilog="Try it: counterpoint demo --out demo-output",
+)
+for group in (daemons, logs, scenes, measure):
+    group.add_to(app)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; return 0 when done, 1 for bad input or arguments, 75 to try again."""
+    log_to_stderr()
+    try:
+        typer.main.get_command(app).main(
+            args=list(sys.argv[1:] if argv is None else argv),
+            prog_name="counterpoint",
+            standalone_mode=False,
+        )
+    except TransientError as error:
+        remark(f"try again later: {error}")
+        return EX_TEMPFAIL
+    except PermanentError as error:
+        remark(f"error: {error}")
+        return 1
+    except TyperException as error:
+        remark(f"error: {error.format_message()} (--help after the command lists its options)")
+        return 1
+    except Exit as stop:
+        return stop.exit_code
+    except (Abort, KeyboardInterrupt):
+        return 130
+    except BrokenPipeError:
+        sys.stderr.close()  # the reader of our pipe has left; nothing is wrong
+        return 0
+    return 0
+
+
+def console() -> None:
+    """Entry point of the installed command."""
+    sys.exit(main())
+
+
+if __name__ == "__main__":
+    console()

@@ -1,0 +1,166 @@
+"""Verbs that judge and show: `eval motion`, `bench pipeline`, `demo`."""
+
+import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated
+
+import typer
+
+from service.cli.output import json_line, progress, remark, table
+from service.config import load_settings
+from service.errors import UsageError
+
+DEMO_ROWS = 12
+
+Json = Annotated[bool, typer.Option("--json", help="JSON lines on stdout.")]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the verbs of this file to the command."""
+    evaluation = typer.Typer(no_args_is_help=True, help="Judge against truth.")
+    evaluation.command(epilog="counterpoint eval motion logs --truth truth --frames 10:56 --json")(
+        motion
+    )
+    app.add_typer(evaluation, name="eval")
+    bench = typer.Typer(no_args_is_help=True, help="Measure, beside floors of the same run.")
+    bench.command(epilog="counterpoint bench pipeline logs/car-7/2026-11-20/drive.mcap")(pipeline)
+    app.add_typer(bench, name="bench")
+    app.command(epilog="counterpoint demo --out demo-output")(demo)
+
+
+def motion(
+    bucket: Annotated[str, typer.Argument(help="URL or path of a bucket of logs.")],
+    truth: Annotated[Path, typer.Option("--truth", help="Truth of BUCKET/x/y.mcap in DIR/x/y.")],
+    frames: Annotated[
+        str, typer.Option("--frames", help="A:B, half open, per log; earlier ones warm up.")
+    ] = "0:",
+    stream: Annotated[
+        str, typer.Option("--stream", help="Which labels: selfsupervised or supervised.")
+    ] = "selfsupervised",
+    json: Json = False,
+) -> None:
+    """Judge one stream's motion labels, point by point."""
+    bounds = parse_frames(frames)
+    settings = load_settings(bucket=bucket)
+    from workers.evaluation.motion import evaluate_motion
+
+    with progress() as bar:
+        task = bar.add_task("evaluating", total=None)
+        rows = evaluate_motion(
+            bucket,
+            truth,
+            frames=bounds,
+            settings=settings.mining(),
+            stream=stream,
+            on_progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    if json:
+        for row in rows:
+            json_line(row)
+        return
+    table(
+        f"dynamic points, {stream} stream",
+        ("log", "frames", "IoU 25", "IoU 50", "IoU 80 m", "precision 50", "recall 50"),
+        (
+            (
+                row.log,
+                row.frames,
+                *(row.iou[r] for r in ("25", "50", "80")),
+                row.precision["50"],
+                row.recall["50"],
+            )
+            for row in rows
+        ),
+    )
+
+
+def pipeline(
+    url: Annotated[
+        str | None, typer.Argument(help="URL or path of one .mcap file; none: a simulated street.")
+    ] = None,
+    frames: Annotated[int, typer.Option("--frames", min=1, help="How many frames to time.")] = 30,
+    json: Json = False,
+) -> None:
+    """Say where the time of `score` goes, beside its parts alone."""
+    from service.cli.logs import locate
+    from workers.evaluation.bench import bench_pipeline
+
+    settings = load_settings()
+    with TemporaryDirectory() as folder, progress() as bar:
+        task = bar.add_task("timing", total=None)
+        log = url or _simulated(Path(folder), frames=frames)
+        store, recording = locate(log, root_url=settings.bucket)
+        rows = bench_pipeline(
+            store,
+            recording,
+            settings.mining(),
+            frames=frames,
+            on_progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    if json:
+        for row in rows:
+            json_line(row)
+        return
+    table(
+        f"{recording.log_id}: milliseconds per frame, one thread",
+        ("part", "mean", "median", "95th percentile", "share of score"),
+        (
+            (row.part, *(f"{ms:.1f}" for ms in (row.mean_ms, row.median_ms, row.p95_ms)), row.share)
+            for row in rows
+        ),
+    )
+
+
+def _simulated(folder: Path, *, frames: int) -> str:
+    """Write a street that is long enough, for those who have no log at hand."""
+    from workers.evaluation.bench import WARMING_FRAMES
+    from workers.simulation.worlds import build_street
+    from workers.simulation.write import write_log
+
+    log = folder / "sim-01" / "2026-03-02" / "street.mcap"
+    seconds = (frames + WARMING_FRAMES) / 10 + 4.0
+    write_log(log, build_street(1, seconds=seconds), recorded="nothing")
+    return str(log)
+
+
+def demo(
+    out: Annotated[Path, typer.Option("--out", help="Folder for logs, state and pictures.")] = Path(
+        "demo-output"
+    ),
+    workers: Annotated[int, typer.Option("--workers", help="Worker processes.")] = 2,
+) -> None:
+    """Simulate street logs, mine them, rank the scenes, draw the best ones."""
+    from service.cli.report import say_ranking, say_what_was_found
+    from service.demo import run_demo
+
+    status, ranking, pictures = run_demo(
+        out,
+        workers=workers,
+        remark=remark,
+        progress=progress,
+        now_s=time.clock_gettime(time.CLOCK_REALTIME),
+    )
+    say_what_was_found(status)
+    say_ranking(ranking, most=DEMO_ROWS)
+    for path in pictures:
+        remark(f"picture: {path}")
+    remark(f"more: counterpoint top --state {out / 'state'}")
+
+
+def parse_frames(text: str) -> tuple[int, int | None]:
+    """Read `A:B`, half open; either side may be empty.
+
+    Raises:
+        UsageError: If it is not two counts with a colon between.
+    """
+    first, colon, last = text.partition(":")
+    try:
+        if not colon:
+            raise ValueError
+        bounds = (int(first or 0), int(last) if last else None)
+    except ValueError:
+        raise UsageError(f"--frames must be A:B, such as 10:56, got {text!r}") from None
+    if bounds[0] < 0 or (bounds[1] is not None and bounds[1] <= bounds[0]):
+        raise UsageError(f"--frames {text!r} holds no frame")
+    return bounds

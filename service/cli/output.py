@@ -1,0 +1,71 @@
+"""Where results and remarks go: JSON lines and tables to stdout, everything else to stderr."""
+
+import json
+import sys
+from collections.abc import Iterable, Mapping
+from typing import Any, Final
+
+from pydantic import BaseModel
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+WIDE: Final = 200
+"""Characters of a table that goes into a pipe or a file, where no terminal says its width."""
+
+remarks = Console(stderr=True, highlight=False)
+results = Console(highlight=False, width=None if sys.stdout.isatty() else WIDE)
+
+
+def json_line(row: BaseModel | Mapping[str, Any]) -> None:
+    """Write one result as one JSON line to stdout, at once, so that a pipe sees it live."""
+    data = row.model_dump(mode="json") if isinstance(row, BaseModel) else row
+    sys.stdout.write(json.dumps(data) + "\n")
+    sys.stdout.flush()
+
+
+def remark(text: str) -> None:
+    """Say something to the person at the terminal."""
+    remarks.print(text, markup=False, soft_wrap=True)
+
+
+def table(title: str, columns: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
+    """Print a table of results; numbers to the right."""
+    out = Table(title=title, title_justify="left", header_style="bold")
+    materialised = [[_cell(value) for value in row] for row in rows]
+    for index, column in enumerate(columns):
+        numeric = bool(materialised) and all(
+            row[index].replace(".", "").replace("-", "").replace(",", "").isdigit()
+            for row in materialised
+            if row[index]
+        )
+        out.add_column(
+            column,
+            justify="right" if numeric else "left",
+            overflow="fold",
+            no_wrap=column in ("scene", "log"),  # ids are there to be copied
+        )
+    for row in materialised:
+        out.add_row(*row)
+    results.print(out)
+
+
+def progress() -> Progress:
+    """Make a progress bar on stderr; silent where stderr is no terminal."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=remarks,
+        transient=True,
+        disable=not remarks.is_terminal,
+    )
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, float):
+        return f"{value:.3f}"
+    return str(value)

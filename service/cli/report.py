@@ -1,0 +1,115 @@
+"""What a person is told of a status and of a ranking."""
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+from service.cli.output import remark, table
+from service.ranking import RankedScene
+from service.status import Status
+
+
+def say_what_was_found(status: Status) -> None:
+    """Print how far every log is, what is damaged, refused or parked, and the sums."""
+    table(
+        "logs",
+        ("log", "state", "vehicle", "lidar", "shards", "frames", "reads", "MB read", "damage"),
+        (
+            (
+                log.log_id,
+                log.state,
+                log.vehicle,
+                ", ".join(log.lidar_topics),
+                _shards(log.shards),
+                log.frames,
+                log.plan_range_reads + log.mine_range_reads,
+                f"{(log.plan_bytes_read + log.mine_bytes_read) / 1e6:.1f}",
+                len(log.damage) or None,
+            )
+            for log in status.logs
+        ),
+    )
+    for log in status.logs:
+        if log.problem:
+            remark(f"{log.state}: {log.log_id}: {log.problem}")
+        for damage in log.damage:
+            remark(
+                f"damaged: {log.log_id}: {damage.what} "
+                f"({damage.key} at byte {damage.offset}, {damage.bytes} bytes)"
+            )
+    for work in status.parked:
+        remark(f"parked: {work.log_id} {work.shard} after {work.attempts}: {work.error}")
+    if status.bytes_needed:
+        remark(
+            f"mining read {status.bytes_read / 1e6:.1f} MB, "
+            f"{status.bytes_read / status.bytes_needed:.3f} of what was needed; planning "
+            f"{status.plan_bytes_read / 1e6:.1f} MB; "
+            f"a worker held at most {status.peak_memory_bytes / 1e6:.0f} MB"
+        )
+    points = status.points
+    compared = (
+        points.both_static
+        + points.both_dynamic
+        + points.only_semantic_dynamic
+        + points.only_predictive_dynamic
+    )
+    contradicting = points.only_semantic_dynamic + points.only_predictive_dynamic
+    remark(
+        f"{status.scenes} scenes, {status.frames} frames; {_percent(contradicting, compared)} of "
+        f"{compared:,} compared points contradict "
+        f"({_percent(points.only_semantic_dynamic, compared)} only semantic, "
+        f"{_percent(points.only_predictive_dynamic, compared)} only predictive dynamic)"
+    )
+
+
+def say_ranking(rows: Sequence[RankedScene], *, most: int | None = None) -> None:
+    """Print the ranking, best first, or only its `most` first rows."""
+    rank_of = {row.scene_id: row.rank for row in rows}
+    table(
+        f"{len(rows)} scenes" + (f", the best {most}" if most and most < len(rows) else ""),
+        ("rank", "score", "scene", "begins (UTC)", "seconds", "why", "twin of rank"),
+        (
+            (
+                row.rank,
+                row.score,
+                row.scene_id,
+                _utc(row.start_ns),
+                f"{(row.end_ns - row.start_ns) / 1e9:.1f}",
+                "; ".join(row.reasons[:2]),
+                rank_of.get(row.twin_of, row.twin_of) if row.twin_of else None,
+            )
+            for row in rows[:most]
+        ),
+    )
+
+
+def say_inspected(report: dict[str, Any]) -> None:
+    """Print what `inspect` found: facts first, then topics, then what cannot be read."""
+    tables = ("topics", "damage")
+    facts = {name: value for name, value in report.items() if name not in tables}
+    facts["shards"] = len(report["shards"])
+    table(
+        str(report["log_id"]),
+        ("what", "found"),
+        (
+            (name, ", ".join(value) if isinstance(value, list) else value)
+            for name, value in facts.items()
+            if name != "log_id"
+        ),
+    )
+    for name in tables:
+        rows: list[dict[str, Any]] = report[name]
+        if rows:
+            table(name, rows[0].keys(), (row.values() for row in rows))
+
+
+def _shards(by_state: dict[str, int]) -> str:
+    return ", ".join(f"{count} {state}" for state, count in sorted(by_state.items()) if count)
+
+
+def _percent(part: int, whole: int) -> str:
+    return f"{100 * part / whole:.2f} %" if whole else "-"
+
+
+def _utc(stamp_ns: int) -> str:
+    return datetime.fromtimestamp(stamp_ns / 1e9, tz=UTC).strftime("%Y-%m-%d %H:%M:%S.%f")[:-5]

@@ -1,0 +1,99 @@
+"""The verbs that workers and people may ask of the service, each a payload in and a payload out."""
+
+from collections.abc import Callable, Mapping
+from typing import Final, get_args
+
+import zenoh
+
+from schemas import keys
+from schemas.keys import Verb
+from schemas.wire import decode, encode
+from schemas.work import (
+    Answer,
+    ClaimRequest,
+    CommitRequest,
+    FailRequest,
+    MiningSettings,
+    RenewRequest,
+)
+from service.ledger import Ledger, StoredScene
+from service.messages import SceneRequest, SelectRequest, TopReply, TopRequest
+from service.questions import Questions
+from service.ranking import rank
+from service.reading import no_such_scene, read_overlay
+from service.selection import Selection, select
+from service.staging import Staging
+
+STAGING_PATIENCE_S: Final = 0.2
+"""How long a commit waits for records that it may have overtaken, before it names them missing."""
+
+
+class Control:
+    """Answers every verb of `schemas.keys.Verb`; what it acknowledges is on disk."""
+
+    def __init__(
+        self,
+        *,
+        settings: MiningSettings,
+        ledger: Ledger,
+        staging: Staging,
+        on_scenes: Callable[[], None],
+        on_selection: Callable[[Selection], None],
+    ) -> None:
+        """Take the parts, and whom to tell about committed scenes and stored selections."""
+        self._settings, self._ledger, self._staging = settings, ledger, staging
+        self._on_scenes, self._on_selection = on_scenes, on_selection
+        self._answers: Mapping[Verb, Callable[[bytes], bytes]] = {
+            "hello": lambda _: encode(self._settings),
+            "claim": lambda payload: encode(self._ledger.claim(decode(ClaimRequest, payload))),
+            "renew": lambda payload: encode(self._ledger.renew(decode(RenewRequest, payload))),
+            "commit": lambda payload: encode(self._commit(decode(CommitRequest, payload))),
+            "fail": lambda payload: encode(self._ledger.fail(decode(FailRequest, payload))),
+            "top": lambda payload: encode(self._top(decode(TopRequest, payload))),
+            "select": lambda payload: encode(self._select(decode(SelectRequest, payload))),
+            "status": lambda _: encode(self._ledger.status()),
+            "scene": lambda payload: self._scene(decode(SceneRequest, payload)).record,
+            "overlay": lambda payload: self._overlay(decode(SceneRequest, payload)),
+        }
+
+    def declare(self, questions: Questions, *, root: str) -> None:
+        """Take the questions of every verb."""
+        for verb in get_args(Verb):
+            questions.declare(
+                keys.control(root=root, verb=verb), self._replier(self._answers[verb])
+            )
+
+    def _replier(self, answer: Callable[[bytes], bytes]) -> Callable[[zenoh.Query], None]:
+        def reply(query: zenoh.Query) -> None:
+            payload = query.payload.to_bytes() if query.payload is not None else b""
+            query.reply(query.key_expr, answer(payload))
+
+        return reply
+
+    def _commit(self, request: CommitRequest) -> Answer:
+        digests = [entry.sha256 for entry in request.manifest]
+        patience_s = 0.0 if request.records else STAGING_PATIENCE_S
+        staged = self._staging.collect(digests, patience_s=patience_s)
+        answer = self._ledger.commit(request, staged)
+        if answer.ok:
+            self._staging.discard(digests)
+            self._on_scenes()
+        return answer
+
+    def _top(self, request: TopRequest) -> TopReply:
+        return TopReply(scenes=tuple(rank(self._ledger.rank_inputs())[: request.most]))
+
+    def _select(self, request: SelectRequest) -> Selection:
+        chosen = select(rank(self._ledger.rank_inputs()), budget=request.budget)
+        selection = self._ledger.save_selection(request.name, budget=request.budget, scenes=chosen)
+        self._on_selection(selection)
+        return selection
+
+    def _scene(self, request: SceneRequest) -> StoredScene:
+        stored = self._ledger.scene(request.scene_id)
+        if stored is None:
+            raise no_such_scene(request.scene_id)
+        return stored
+
+    def _overlay(self, request: SceneRequest) -> bytes:
+        return read_overlay(self._settings.artifacts, self._scene(request).decoded())

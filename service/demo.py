@@ -1,0 +1,82 @@
+"""`counterpoint demo`: a small simulated fleet, mined as any bucket is, then looked at."""
+
+import shutil
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Final
+
+from rich.progress import Progress
+
+from schemas.overlay import decode_overlay
+from service.config import load_settings
+from service.embedded import run_embedded
+from service.picture import draw_scene
+from service.ranking import RankedScene
+from service.reading import StateReader
+from service.status import Status
+
+PICTURES: Final = 3
+
+
+def run_demo(
+    out: Path,
+    *,
+    workers: int,
+    remark: Callable[[str], None],
+    progress: Callable[[], AbstractContextManager[Progress]],
+    now_s: float,
+) -> tuple[Status, list[RankedScene], list[Path]]:
+    """Simulate street logs, mine them with `run --once`, rank the scenes, draw the best.
+
+    The model that ran on the simulated cars is right but for a few mistakes that were put in; the
+    self-supervised stream has never seen them.
+
+    Args:
+        out: Folder for everything; what an earlier demo left there is replaced.
+        workers: Worker processes.
+        remark: Told what happens.
+        progress: Makes a progress bar.
+        now_s: Time, for rates in the status.
+
+    Returns:
+        How mining went, the ranking, and the pictures of its best scenes.
+    """
+    from workers.simulation.demo import DEMO_FRAMES, make_demo_fleet
+
+    bucket, state, pictures = out / "fleet", out / "state", out / "pictures"
+    if state.exists():
+        remark(f"replacing the earlier demo in {out}")
+    for folder in (bucket, state, pictures):
+        shutil.rmtree(folder, ignore_errors=True)
+    pictures.mkdir(parents=True)
+
+    with progress() as bar:
+        task = bar.add_task("simulating street logs", total=DEMO_FRAMES)
+        logs = make_demo_fleet(bucket, progress=lambda: bar.advance(task))
+    planted = sum(len(log.mistakes) for log in logs)
+    remark(
+        f"{len(logs)} simulated logs; the model on these cars was made to err {planted} times: it "
+        "misses movers and calls parked cars moving. Mining them takes a few minutes."
+    )
+    settings = load_settings(
+        bucket=str(bucket / "logs"), state=state, workers=workers, supervised="recorded"
+    )
+    with progress() as bar:
+        task = bar.add_task("mining", total=None)
+        status = run_embedded(
+            settings,
+            once=True,
+            on_ready=remark,
+            on_progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    reader = StateReader(settings, now_s=now_s)
+    ranking = reader.top()
+    drawn: list[Path] = []
+    for row in [scene for scene in ranking if scene.twin_of is None and scene.score > 0][:PICTURES]:
+        path = pictures / f"{len(drawn) + 1}.png"
+        draw_scene(reader.scene(row.scene_id), decode_overlay(reader.overlay(row.scene_id))).save(
+            path
+        )
+        drawn.append(path)
+    return status, ranking, drawn

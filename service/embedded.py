@@ -1,0 +1,195 @@
+"""Wires processes: everything on one machine, or the service or the workers alone."""
+
+import multiprocessing
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
+from threading import Event
+from typing import Final
+
+from schemas.bucket import Bucket, open_bucket
+from schemas.bus import client_session, free_endpoint, router_session
+from schemas.process import stop_on_signals
+from schemas.work import MiningSettings
+from service.app import Service
+from service.config import DEFAULT_ENDPOINT, Settings
+from service.errors import NothingFoundError
+from service.ledger import LeasePolicy, Ledger
+from service.state import StateLock, prepare_state
+from service.status import Status
+from service.store.engine import open_store
+
+LOCAL_WORKERS: Final = "local-"
+"""Prefix of the ids of workers that live and die with one `run`."""
+
+_LOOK_S: Final = 0.5
+
+
+def run_embedded(
+    settings: Settings,
+    *,
+    once: bool,
+    on_ready: Callable[[str], None],
+    on_progress: Callable[[int, int], None],
+) -> Status:
+    """Run router, service and workers of one machine until told to stop, or until all is mined.
+
+    Args:
+        settings: Bucket, state, workers, and what workers must do alike.
+        once: Stop when every log that lies in the bucket now is done, refused or parked.
+        on_ready: Told in one sentence where the service can be reached.
+        on_progress: Told shards finished and shards known, now and then.
+
+    Returns:
+        How far everything is at the end.
+
+    Raises:
+        NothingFoundError: With `once`, if the bucket holds no log, or no log holds a lidar.
+    """
+    from workers.pool.local import LocalPool
+
+    with ExitStack() as opened:
+        stop = opened.enter_context(stop_on_signals())
+        bucket = open_bucket(settings.bucket)
+        lock, ledger = _open_state(settings, opened)
+        mining = _mining(settings)
+        endpoint = settings.listen or free_endpoint()
+        opened.enter_context(router_session([endpoint]))
+        version = _version_of(mining) if once else ""
+        ledger.free_leases(LOCAL_WORKERS)
+        service = _enter_service(
+            settings, ledger, bucket, mining, [endpoint], opened, stop=stop, once=once
+        )
+        lock.announce(endpoint)
+        if once and not service.recordings:
+            raise NothingFoundError(f"no .mcap log in {bucket.url}")
+        pool = LocalPool(
+            settings.workers,
+            connect=[endpoint],
+            root=settings.root,
+            lease_deadline_s=settings.shard_deadline_s,
+            on_death=lambda worker_id: _take_back(ledger, worker_id),
+        )
+        opened.enter_context(pool)
+        on_ready(f"mining {bucket.url} with {settings.workers} workers; service at {endpoint}")
+        _stay(service, ledger, pool.check, stop, version=version, on_progress=on_progress)
+        status = ledger.status(version or None)
+    if once and not stop.is_set():
+        _refuse_when_nothing_was_minable(status, bucket)
+    return status
+
+
+def run_service(settings: Settings, *, on_ready: Callable[[str], None]) -> None:
+    """Run the service alone, waiting for its router, until told to stop."""
+    connect = (settings.connect or DEFAULT_ENDPOINT).split(",")
+    with ExitStack() as opened:
+        stop = opened.enter_context(stop_on_signals())
+        bucket = open_bucket(settings.bucket)
+        lock, ledger = _open_state(settings, opened)
+        mining = _mining(settings)
+        service = _enter_service(settings, ledger, bucket, mining, connect, opened, stop=stop)
+        lock.announce(",".join(connect))
+        on_ready(f"serving {bucket.url} over {', '.join(connect)}")
+        service.run(stop)
+
+
+def run_workers(settings: Settings, *, on_ready: Callable[[str], None]) -> None:
+    """Run workers for a service elsewhere until told to stop."""
+    from workers.pool.local import LocalPool
+
+    connect = (settings.connect or DEFAULT_ENDPOINT).split(",")
+    with ExitStack() as opened:
+        stop = opened.enter_context(stop_on_signals())
+        pool = LocalPool(
+            settings.workers,
+            connect=connect,
+            root=settings.root,
+            lease_deadline_s=settings.shard_deadline_s,
+            name="worker",
+        )
+        opened.enter_context(pool)
+        on_ready(f"{settings.workers} workers for the service at {', '.join(connect)}")
+        while not stop.wait(_LOOK_S):
+            pool.check()
+
+
+def _mining(settings: Settings) -> MiningSettings:
+    mining = settings.mining()
+    open_bucket(mining.artifacts, create=True)
+    return mining
+
+
+def _open_state(settings: Settings, opened: ExitStack) -> tuple[StateLock, Ledger]:
+    prepare_state(settings.state)
+    lock = opened.enter_context(StateLock(settings.state))
+    store = open_store(settings.state)
+    opened.callback(store.close)
+    policy = LeasePolicy(lease_s=settings.lease_s, max_attempts=settings.max_attempts)
+    ledger = Ledger(store, now_s=lambda: time.clock_gettime(time.CLOCK_REALTIME), policy=policy)
+    return lock, ledger
+
+
+def _enter_service(
+    settings: Settings,
+    ledger: Ledger,
+    bucket: Bucket,
+    mining: MiningSettings,
+    connect: Sequence[str],
+    opened: ExitStack,
+    *,
+    stop: Event,
+    once: bool = False,
+) -> Service:
+    session = opened.enter_context(client_session(connect, stop=stop))
+    return opened.enter_context(
+        Service(
+            session,
+            ledger,
+            bucket=bucket,
+            settings=mining,
+            root=settings.root,
+            list_interval_s=settings.list_interval_s,
+            once=once,
+        )
+    )
+
+
+def _stay(
+    service: Service,
+    ledger: Ledger,
+    check_pool: Callable[[], None],
+    stop: Event,
+    *,
+    version: str,
+    on_progress: Callable[[int, int], None],
+) -> None:
+    """Look after service and pool until told to stop or, given a version, until it is settled."""
+    while not stop.wait(_LOOK_S):
+        service.check()
+        check_pool()
+        if version and ledger.settled(version):
+            return
+        shards = ledger.status(version or None).shards_by_state
+        on_progress(shards.get("done", 0) + shards.get("parked", 0), sum(shards.values()))
+
+
+def _take_back(ledger: Ledger, worker_id: str) -> None:
+    ledger.worker_died(worker_id)
+
+
+def _version_of(mining: MiningSettings) -> str:
+    """Ask a process of its own, so that the service never loads what workers need."""
+    from workers.version import version_of
+
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as one:
+        return one.submit(version_of, mining).result()
+
+
+def _refuse_when_nothing_was_minable(status: Status, bucket: Bucket) -> None:
+    states = {log.state for log in status.logs}
+    if states == {"refused"}:
+        first = status.logs[0]
+        raise NothingFoundError(
+            f"no log in {bucket.url} can be mined; {first.log_id}: {first.problem}"
+        )

@@ -1,0 +1,19 @@
+"""What can go wrong in the service; `schemas.errors` says what transient and permanent mean."""
+
+from schemas.errors import PermanentError, TransientError
+
+
+class UsageError(PermanentError):
+    """Arguments that cannot be meant; the message says which and what would do."""
+
+
+class StateUnusableError(PermanentError):
+    """The state folder cannot be written, or belongs to a newer version."""
+
+
+class StateInUseError(TransientError):
+    """Another service holds this state folder."""
+
+
+class NothingFoundError(PermanentError):
+    """What was asked for does not exist: a scene, a selection, any lidar."""

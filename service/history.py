@@ -1,0 +1,97 @@
+"""Scenes for those who come late, from the ledger: asked for by number, or by a stock subscriber.
+
+A publisher's cache dies with it, so the history of scenes is the service's to give. Two questions
+are answered: ours, `scene/**?since=N`, and the one that an AdvancedSubscriber with a history asks
+of publishers' caches by itself, so that a subscriber needs no code of ours.
+"""
+
+from collections.abc import Iterator
+from itertools import islice
+from typing import Final
+
+import zenoh
+
+from schemas import keys
+from schemas.bus import RECORD
+from schemas.errors import PermanentError
+from schemas.events import SceneNumber
+from schemas.wire import encode
+from service.ledger import Ledger, StoredScene
+from service.outbox import selected_scenes
+from service.questions import Questions
+
+PAGE: Final = 512
+"""Scenes read from the ledger at once: bounds memory, not the answer."""
+
+
+class History:
+    """Answers for the scenes of the ledger."""
+
+    def __init__(self, session: zenoh.Session, ledger: Ledger, *, root: str) -> None:
+        self._session, self._ledger, self._root = session, ledger, root
+
+    def declare(self, questions: Questions) -> None:
+        """Take the questions."""
+        questions.declare(keys.all_scenes(root=self._root), self.answer)
+        questions.declare(keys.scene_cache(root=self._root), self.answer_as_cache)
+        questions.declare(keys.all_selected(root=self._root), self.answer_selected)
+
+    def answer(self, query: zenoh.Query) -> None:
+        """Reply the current scenes with a greater number than `since`, in their order.
+
+        `since=N&most=M` asks for a page of them, `newest=N` for the N scenes with the highest
+        numbers. A key expression that is narrower than all scenes gets those of them it matches.
+        """
+        newest, most = _number(query, "newest"), _number(query, "most")
+        if newest is not None:
+            scenes: Iterator[StoredScene] = iter(self._ledger.newest_scenes(newest))
+        else:
+            scenes = islice(self._since(_number(query, "since") or 0), most)
+        for scene in scenes:
+            key = self._key(scene)
+            if query.key_expr.intersects(key):
+                query.reply(key, scene.record, encoding=RECORD, attachment=_attachment(scene))
+
+    def answer_as_cache(self, query: zenoh.Query) -> None:
+        """Reply as the caches of publishers would: every current scene once, with a timestamp.
+
+        The subscriber holds replies back until the answer ends and sorts them by timestamp, which
+        rises with the number here. A key has one current record, so that its limit of samples a
+        key (`_max`) always holds; its limit of age (`_time`) is not kept: all are given.
+        """
+        for scene in self._since(0):
+            query.reply(
+                self._key(scene),
+                scene.record,
+                encoding=RECORD,
+                attachment=_attachment(scene),
+                timestamp=self._session.new_timestamp(),
+            )
+
+    def answer_selected(self, query: zenoh.Query) -> None:
+        """Reply the scenes of every stored selection that the key expression matches."""
+        for selection in self._ledger.selections():
+            for key, payload in selected_scenes(selection, root=self._root):
+                if query.key_expr.intersects(key):
+                    query.reply(key, payload, encoding=zenoh.Encoding.APPLICATION_JSON)
+
+    def _since(self, seq: int) -> Iterator[StoredScene]:
+        while page := self._ledger.scenes_since(seq, PAGE):
+            yield from page
+            seq = page[-1].seq
+
+    def _key(self, scene: StoredScene) -> str:
+        return keys.scene(root=self._root, log_id=scene.log_id, scene_id=scene.scene_id)
+
+
+def _attachment(scene: StoredScene) -> bytes:
+    return encode(SceneNumber(seq=scene.seq))
+
+
+def _number(query: zenoh.Query, name: str) -> int | None:
+    text = query.parameters.get(name)
+    if text is None:
+        return None
+    if not text.isdecimal():
+        raise PermanentError(f"{name} must be a number, got {text!r}")
+    return int(text)

@@ -1,0 +1,253 @@
+"""The record of every recording, shard and scene: what was acknowledged here is on disk."""
+
+import uuid
+from collections.abc import Callable, Mapping, Sequence
+
+from schemas.work import (
+    Answer,
+    ClaimReply,
+    ClaimRequest,
+    CommitRequest,
+    FailRequest,
+    Recording,
+    RenewRequest,
+)
+from service.ranking import RankedInput, RankedScene
+from service.selection import Selection
+from service.status import Status
+from service.store import (
+    claims,
+    commits,
+    events,
+    leases,
+    manifest,
+    overview,
+    recordings,
+    scenes,
+    selections,
+)
+from service.store.engine import Store, StoreUnavailableError
+from service.store.leases import LeasePolicy
+from service.store.recordings import SyncResult
+from service.store.scenes import StoredScene
+from service.store.selections import SelectionExistsError
+
+__all__ = [
+    "LeasePolicy",
+    "Ledger",
+    "SelectionExistsError",
+    "StoreUnavailableError",
+    "StoredScene",
+    "SyncResult",
+]
+
+
+class Ledger:
+    """Every write is one transaction, and returns after it is on disk.
+
+    May be called from any thread: writers wait for each other on the store's one lock (one writer
+    is what SQLite allows anyway), readers wait for nobody and see the last commit.
+
+    Raises (every method):
+        StoreUnavailableError: Transient: disk full, database locked for too long.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        *,
+        now_s: Callable[[], float],
+        policy: LeasePolicy | None = None,
+        new_lease_id: Callable[[], str] = lambda: uuid.uuid4().hex,
+    ) -> None:
+        """Take what the ledger needs of the world.
+
+        Args:
+            store: The database, open for writing; to read it, one open for reading will do.
+            now_s: A clock in seconds, best the wall clock: leases outlive the process. It may
+                step, which at worst lets leases end early or last one term more.
+            policy: Terms of leases and of parking.
+            new_lease_id: Names a lease like no other before.
+        """
+        self._store, self._now_s, self._policy = store, now_s, policy or LeasePolicy()
+        self._new_lease_id = new_lease_id
+        self._listing = 0
+        """Counts the listings taken over, so that claims know whether plans may be wanting."""
+        self._seeded: dict[str, int] = {}
+        """Pipeline version to the listing for which it is known to have every plan."""
+
+    # What lies in the bucket.
+
+    def sync_recordings(self, listed: Sequence[Recording]) -> SyncResult:
+        """Take over a complete listing: new, replaced and deleted recordings."""
+        with self._store.writing() as connection:
+            self._listing += 1
+            return recordings.sync_recordings(connection, listed)
+
+    def stale_logs(self) -> list[str]:
+        """Logs whose object changed under a reader: the next `sync_recordings` decides on them."""
+        with self._store.reading() as connection:
+            return recordings.stale_logs(connection)
+
+    # Leases.
+
+    def resume(self) -> None:
+        """Call once when a service starts: held leases get a full term, nobody could renew them."""
+        with self._store.writing() as connection:
+            leases.resume(connection, now_s=self._now_s(), policy=self._policy)
+
+    def register_pipeline(self, pipeline_version: str) -> None:
+        """Note a pipeline version; the one first seen last is the newest. `claim` does it too."""
+        with self._store.writing() as connection:
+            recordings.register_pipeline(connection, pipeline_version)
+
+    def claim(self, request: ClaimRequest) -> ClaimReply:
+        """Lease a recording to plan or a shard to mine.
+
+        Work under a pipeline version exists because one of its workers asks. `expires_s` of the
+        grant is the term of the lease, counted from the answer: clocks of machines differ.
+        """
+        version = request.pipeline_version
+        with self._store.writing() as connection:
+            listing = self._listing
+            if self._seeded.get(version) != listing:
+                recordings.register_pipeline(connection, version)
+                recordings.seed_plans(connection, version)
+            grant = claims.claim(
+                connection,
+                request,
+                now_s=self._now_s(),
+                policy=self._policy,
+                lease_id=self._new_lease_id(),
+            )
+        self._seeded[version] = listing
+        return ClaimReply(grant=grant)
+
+    def renew(self, request: RenewRequest) -> Answer:
+        """Lengthen a lease; not ok: it is over, stop working on it."""
+        with self._store.writing() as connection:
+            return leases.renew(connection, request, now_s=self._now_s(), policy=self._policy)
+
+    def commit(self, request: CommitRequest, staged: Mapping[str, bytes]) -> Answer:
+        """Finish a lease, whole or not at all.
+
+        Args:
+            request: A plan, or the manifest of a mined shard.
+            staged: Digest to bytes, of the records that arrived on the bus.
+
+        Returns:
+            ok: it is on disk, also when it was already. `missing`: send those records along and
+            ask again. `problem`: it can never be taken, the work is void or wrong.
+        """
+        verified = manifest.verify(request, staged)
+        with self._store.writing() as connection:
+            return commits.commit(connection, request, verified, now_s=self._now_s())
+
+    def fail(self, request: FailRequest) -> Answer:
+        """Take a lease back with its error: tried again later, or parked."""
+        with self._store.writing() as connection:
+            return leases.fail(connection, request, now_s=self._now_s(), policy=self._policy)
+
+    def expire(self) -> int:
+        """Take back leases whose time is over, attempt counted; call each second.
+
+        Returns:
+            How many there were.
+        """
+        with self._store.writing() as connection:
+            return leases.expire(connection, now_s=self._now_s(), policy=self._policy)
+
+    def free_leases(self, worker_prefix: str) -> int:
+        """Take back leases of workers whose ids begin so, attempt not counted."""
+        with self._store.writing() as connection:
+            return leases.free_leases(connection, worker_prefix)
+
+    def worker_died(self, worker_id: str) -> int:
+        """Take back the leases of one worker, attempt counted: its work may have killed it."""
+        with self._store.writing() as connection:
+            return leases.worker_died(connection, worker_id, policy=self._policy)
+
+    # Scenes and outbox.
+
+    def unpublished(self, limit: int) -> list[StoredScene]:
+        """Events after the cursor in the order of their numbers, withdrawals among them."""
+        with self._store.reading() as connection:
+            return scenes.unpublished(connection, limit=limit)
+
+    def mark_published(self, seq: int) -> None:
+        """Move the cursor forward, durably: everything up to `seq` is published."""
+        with self._store.writing() as connection:
+            events.mark_published(connection, seq)
+
+    def last_seq(self) -> int:
+        """Number of the newest event, 0 when there is none."""
+        with self._store.reading() as connection:
+            return events.counter(connection, "seq")
+
+    def scenes_since(self, seq: int, limit: int | None = None) -> list[StoredScene]:
+        """Current scenes with a greater number, in the order of their numbers."""
+        with self._store.reading() as connection:
+            return scenes.current_scenes(connection, after=seq, limit=limit)
+
+    def newest_scenes(self, limit: int) -> list[StoredScene]:
+        """The current scenes with the highest numbers, in the order of their numbers."""
+        with self._store.reading() as connection:
+            return scenes.current_scenes(connection, limit=limit, newest=True)
+
+    def current_scenes(self) -> list[StoredScene]:
+        """Every current scene, in the order of their numbers."""
+        with self._store.reading() as connection:
+            return scenes.current_scenes(connection)
+
+    def scene(self, scene_id: str) -> StoredScene | None:
+        """The current scene of this id."""
+        with self._store.reading() as connection:
+            return scenes.current_scene(connection, scene_id)
+
+    def rank_inputs(self) -> list[RankedInput]:
+        """Every current scene as `service.ranking.rank` takes it, records not decoded."""
+        with self._store.reading() as connection:
+            return scenes.rank_inputs(connection)
+
+    # Selections.
+
+    def save_selection(
+        self, name: str | None, *, budget: int, scenes: Sequence[RankedScene]
+    ) -> Selection:
+        """Store a named selection; without a name it becomes `selection-<n>`.
+
+        A selection never changes: labellers work from it. The same one again is no error.
+
+        Raises:
+            SelectionExistsError: If a different selection has this name.
+        """
+        with self._store.writing() as connection:
+            return selections.save_selection(
+                connection, name, budget=budget, scenes=scenes, now_s=self._now_s()
+            )
+
+    def selection(self, name: str) -> Selection | None:
+        """The selection of this name."""
+        with self._store.reading() as connection:
+            return selections.selection(connection, name)
+
+    def selections(self) -> list[Selection]:
+        """Every selection, oldest first."""
+        with self._store.reading() as connection:
+            return selections.selections(connection)
+
+    # How far it is.
+
+    def status(self, pipeline_version: str | None = None) -> Status:
+        """How far everything is under this pipeline version; by default the newest."""
+        with self._store.reading() as connection:
+            return overview.status(connection, pipeline_version, now_s=self._now_s())
+
+    def settled(self, pipeline_version: str) -> bool:
+        """Whether nothing is left to do under this pipeline version.
+
+        True when every current recording is planned, refused or parked, and every shard done or
+        parked.
+        """
+        with self._store.reading() as connection:
+            return overview.settled(connection, pipeline_version)

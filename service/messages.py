@@ -1,0 +1,40 @@
+"""What is asked of the service from outside, beside the leases of `schemas.work`."""
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.ranking import RankedScene
+
+_STRICT = ConfigDict(frozen=True, extra="forbid")
+
+
+class TopRequest(BaseModel):
+    """Asks for the ranking."""
+
+    model_config = _STRICT
+
+    most: int | None = Field(default=None, ge=1, description="Only the first so many; None: all.")
+
+
+class TopReply(BaseModel):
+    """The ranking, best first."""
+
+    model_config = _STRICT
+
+    scenes: tuple[RankedScene, ...]
+
+
+class SelectRequest(BaseModel):
+    """Asks for a named selection to be made, stored and published."""
+
+    model_config = _STRICT
+
+    budget: int = Field(ge=1, description="Scenes the labellers can take.")
+    name: str | None = Field(default=None, min_length=1, description="None: the service names it.")
+
+
+class SceneRequest(BaseModel):
+    """Asks for the record, or the overlay, of one current scene."""
+
+    model_config = _STRICT
+
+    scene_id: str = Field(min_length=1)

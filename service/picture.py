@@ -1,0 +1,207 @@
+"""Pictures of a scored scene: from above in the paper's four colours, and on the camera image."""
+
+from datetime import UTC, datetime
+from typing import Final
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from schemas.arrays import NS_PER_S
+from schemas.contradiction import SceneState, TrackRecord
+from schemas.labels import AGREEMENT_COLOURS, Agreement
+from schemas.overlay import Overlay
+from schemas.score import AgreementShares, SceneScore
+from service.picture_above import draw_above
+from service.picture_camera import draw_camera
+from service.picture_style import (
+    BACKGROUND,
+    GRID,
+    INK,
+    KIND_AGREEMENT,
+    MEANING,
+    PANEL,
+    SOFT_TEXT,
+    TEXT,
+    font,
+    shorten,
+    wrap,
+)
+from service.picture_view import View
+
+__all__ = ["draw_camera", "draw_scene"]
+
+WIDTH_PX: Final = 1600
+HEIGHT_PX: Final = 1130
+_ABOVE_PX: Final = 1020
+_MARGIN_PX: Final = 18
+_TOP_PX: Final = 92
+_TILE_PX: Final = 168
+_LABELS: Final = 10
+_ROWS: Final = 3
+
+
+def draw_scene(score: SceneScore, overlay: Overlay, *, frame: int | None = None) -> Image.Image:
+    """Draw a scene from above, with why it scored what it did.
+
+    The large view shows one frame; beside it the strongest tracks, each when it began, when it was
+    strongest and when it ended, the legend with shares, and the reasons.
+
+    Args:
+        score: The scene's record.
+        overlay: Its points.
+        frame: Which frame to show; by default the one with the strongest evidence.
+
+    Raises:
+        ValueError: If the overlay is of another scene, or has no such frame.
+    """
+    if overlay.scene_id != score.scene_id:
+        raise ValueError(f"overlay is of {overlay.scene_id}, the record of {score.scene_id}")
+    if frame is None:
+        frame = strongest_frame(score, overlay)
+    if not 0 <= frame < len(overlay):
+        raise ValueError(f"no frame {frame}: scene has frames 0 to {len(overlay) - 1}")
+    image = Image.new("RGB", (WIDTH_PX, HEIGHT_PX), BACKGROUND)
+    draw = ImageDraw.Draw(image)
+    _draw_header(draw, score, overlay, frame)
+    view = View(frame, (0.0, 0.0), _half_m(score), _ABOVE_PX)
+    labels = [
+        (track.track_id, f"{track.track_id + 1} {track.class_name or 'object'}")
+        for track in score.tracks[:_LABELS]
+    ]
+    image.paste(draw_above(overlay, view, labels=labels), (_MARGIN_PX, _TOP_PX))
+    right, bottom = _MARGIN_PX + _ABOVE_PX, _TOP_PX + _ABOVE_PX
+    draw.rectangle((_MARGIN_PX, _TOP_PX, right, bottom), outline=GRID)
+    _draw_side(image, score, overlay)
+    return image
+
+
+def strongest_frame(score: SceneScore, overlay: Overlay) -> int:
+    """Find the frame of the strongest instance of the strongest track; else the middle one."""
+    return frame_of(score.tracks[0], overlay) if score.tracks else len(overlay) // 2
+
+
+def frame_of(track: TrackRecord, overlay: Overlay) -> int:
+    """Find the frame in which a track has its strongest instance."""
+    return int(np.argmin(np.abs(overlay.stamps_ns - track.strongest.stamp_ns)))
+
+
+def _half_m(score: SceneScore) -> float:
+    """Show the strongest tracks, at least 30 m and at most 80 m around."""
+    reach_m = max((track.strongest.range_m for track in score.tracks[:_ROWS]), default=0.0)
+    return float(np.clip(1.15 * reach_m + 5.0, 30.0, 80.0))
+
+
+def _draw_header(
+    draw: ImageDraw.ImageDraw, score: SceneScore, overlay: Overlay, frame: int
+) -> None:
+    draw.text((_MARGIN_PX, 10), f"{score.score:.3f}", fill=TEXT, font=font(52))
+    draw.text((_MARGIN_PX + 2, 64), "score", fill=SOFT_TEXT, font=font(15))
+    left = _MARGIN_PX + 160
+    width = WIDTH_PX - left - _MARGIN_PX
+    draw.text((left, 18), shorten(score.scene_id, width, 24), fill=TEXT, font=font(24))
+    start = datetime.fromtimestamp(score.start_ns / NS_PER_S, tz=UTC)
+    at_s = (int(overlay.stamps_ns[frame]) - score.start_ns) / NS_PER_S
+    span_s = (score.end_ns - score.start_ns) / NS_PER_S
+    state = "" if score.state is SceneState.SCORED else f"{score.state.value.replace('_', ' ')} | "
+    facts = (
+        f"{state}{score.vehicle} | {start:%Y-%m-%d %H:%M:%S} UTC | {score.frames} frames in "
+        f"{span_s:.1f} s, shown: frame {frame} at {at_s:.1f} s | "
+        f"odometry {score.odometry.state.value}, {score.odometry.distance_m:.1f} m driven"
+    )
+    draw.text((left, 54), shorten(facts, width, 17), fill=SOFT_TEXT, font=font(17))
+
+
+def _draw_side(image: Image.Image, score: SceneScore, overlay: Overlay) -> None:
+    draw = ImageDraw.Draw(image)
+    left = 2 * _MARGIN_PX + _ABOVE_PX
+    width = WIDTH_PX - left - _MARGIN_PX
+    y = _TOP_PX
+    for track in score.tracks[:_ROWS]:
+        y = _draw_track(image, overlay, track, left=left, top=y, width=width)
+    if not score.tracks:
+        draw.text((left, y), "no contradiction in this scene", fill=SOFT_TEXT, font=font(18))
+        y += 40
+    _draw_reasons(draw, score, left=left, top=y, width=width)
+    _draw_legend(draw, score, left=left, width=width)
+
+
+def _draw_track(
+    image: Image.Image, overlay: Overlay, track: TrackRecord, *, left: int, top: int, width: int
+) -> int:
+    """One track three times: when it began, when it was strongest, when it ended."""
+    draw = ImageDraw.Draw(image)
+    ink = INK[KIND_AGREEMENT[track.kind]]
+    best = track.strongest
+    what = f"{track.track_id + 1} {track.class_name or 'object'}, strength {track.strength:.2f}"
+    sure = (
+        f"supervised {best.semantic_confidence:.0%} sure, "
+        f"self-supervised {best.predictive_confidence:.0%}"
+    )
+    room = width - draw.textlength(sure, font(14)) - 12
+    draw.text((left, top), shorten(what, room, 16), fill=ink, font=font(16))
+    draw.text((left + width, top + 2), sure, fill=SOFT_TEXT, font=font(14), anchor="ra")
+    top += 22
+    members = np.flatnonzero(overlay.instance_track == track.track_id)
+    if not len(members):
+        return top
+    stamps_ns = overlay.stamps_ns[overlay.instance_frame[members]]
+    strongest = members[int(np.argmin(np.abs(stamps_ns - track.strongest.stamp_ns)))]
+    half_m = float(np.clip(1.6 * track.strongest.size_m[0], 4.0, 16.0))
+    gap = (width - 3 * _TILE_PX) // 2
+    for column, instance in enumerate((members[0], strongest, members[-1])):
+        frame = int(overlay.instance_frame[instance])
+        x, y = (float(value) for value in overlay.instance_boxes[instance, :2])
+        tile = draw_above(
+            overlay,
+            View(frame, (x, y), half_m, _TILE_PX),
+            dot_px=2,
+            background=False,
+            rings=False,
+        )
+        at = (left + column * (_TILE_PX + gap), top)
+        image.paste(tile, at)
+        draw.rectangle((*at, at[0] + _TILE_PX, at[1] + _TILE_PX), outline=GRID)
+        seconds = (int(overlay.stamps_ns[frame]) - int(overlay.stamps_ns[0])) / NS_PER_S
+        draw.rectangle((at[0] + 1, at[1] + 1, at[0] + 42, at[1] + 20), fill=PANEL)
+        draw.text((at[0] + 5, at[1] + 3), f"{seconds:.1f} s", fill=TEXT, font=font(14))
+    return top + _TILE_PX + 12
+
+
+def _draw_reasons(
+    draw: ImageDraw.ImageDraw, score: SceneScore, *, left: int, top: int, width: int
+) -> None:
+    bottom = HEIGHT_PX - _MARGIN_PX - 6 * 24
+    for reason in score.reasons:
+        lines = wrap(reason, width - 16, 16, max_lines=2)
+        if top + 21 * len(lines) > bottom:
+            break
+        draw.text((left, top), "-", fill=SOFT_TEXT, font=font(16))
+        for line in lines:
+            draw.text((left + 16, top), line, fill=TEXT, font=font(16))
+            top += 21
+
+
+def _draw_legend(draw: ImageDraw.ImageDraw, score: SceneScore, *, left: int, width: int) -> None:
+    """Name the colours, each with its share of the compared points off the ground."""
+    top = HEIGHT_PX - _MARGIN_PX - 5 * 24 - 14
+    draw.rectangle((left, top, left + width, HEIGHT_PX - _MARGIN_PX), fill=PANEL)
+    shares = _shares(score.nonground_points)
+    for row, agreement in enumerate(Agreement):
+        y = top + 8 + 24 * row
+        draw.rectangle((left + 10, y + 3, left + 26, y + 17), fill=AGREEMENT_COLOURS[agreement])
+        share = (
+            f"{shares[agreement]:.2%} off ground"
+            if agreement in shares
+            else f"{1 - score.compared_share:.1%} of all"
+        )
+        draw.text((left + 36, y), MEANING[agreement], fill=TEXT, font=font(15))
+        draw.text((left + width - 10, y), share, fill=SOFT_TEXT, font=font(15), anchor="ra")
+
+
+def _shares(shares: AgreementShares) -> dict[Agreement, float]:
+    return {
+        Agreement.BOTH_STATIC: shares.both_static,
+        Agreement.BOTH_DYNAMIC: shares.both_dynamic,
+        Agreement.ONLY_SEMANTIC_DYNAMIC: shares.only_semantic_dynamic,
+        Agreement.ONLY_PREDICTIVE_DYNAMIC: shares.only_predictive_dynamic,
+    }

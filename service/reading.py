@@ -1,0 +1,140 @@
+"""Where the reading verbs look: a running service over the bus, or a state folder without one."""
+
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Protocol
+
+from schemas.bucket import open_bucket
+from schemas.errors import ObjectChangedError
+from schemas.overlay import overlay_key
+from schemas.score import SceneScore
+from service.config import Settings
+from service.errors import NothingFoundError, StateInUseError, UsageError
+from service.ledger import Ledger
+from service.ranking import RankedScene, rank
+from service.selection import Selection, select
+from service.state import StateLock, endpoint_of_running
+from service.status import Status
+from service.store.engine import open_store, open_store_to_read
+
+
+class Reader(Protocol):
+    """Answers what `top`, `select`, `show` and `status` ask."""
+
+    def top(self) -> list[RankedScene]:
+        """Rank every current scene, best first."""
+        ...
+
+    def select(self, *, budget: int, name: str | None) -> Selection:
+        """Store the best distinct scenes as a named selection."""
+        ...
+
+    def scene(self, scene_id: str) -> SceneScore:
+        """Return the record of a current scene."""
+        ...
+
+    def overlay(self, scene_id: str) -> bytes:
+        """Return the stored points of a current scene, encoded."""
+        ...
+
+    def status(self) -> Status:
+        """Say how far everything is."""
+        ...
+
+
+class StateReader:
+    """Reads a state folder directly, beside a running service or without one."""
+
+    def __init__(self, settings: Settings, *, now_s: float) -> None:
+        """Take where the state lies, and the time for rates."""
+        self._settings, self._now_s = settings, now_s
+
+    @contextmanager
+    def _ledger(self) -> Iterator[Ledger]:
+        with closing(open_store_to_read(self._settings.state)) as store:
+            yield Ledger(store, now_s=lambda: self._now_s)
+
+    def top(self) -> list[RankedScene]:
+        """Rank every current scene, best first."""
+        with self._ledger() as ledger:
+            return rank(ledger.rank_inputs())
+
+    def select(self, *, budget: int, name: str | None) -> Selection:
+        """Store the best distinct scenes as a named selection.
+
+        Raises:
+            UsageError: If a service runs on this state: it alone writes, and it publishes.
+        """
+        with self._ledger():
+            pass  # refuses a folder without a state, before anything is made in it
+        try:
+            with (
+                StateLock(self._settings.state),
+                closing(open_store(self._settings.state)) as store,
+            ):
+                ledger = Ledger(store, now_s=lambda: self._now_s)
+                chosen = select(rank(ledger.rank_inputs()), budget=budget)
+                return ledger.save_selection(name, budget=budget, scenes=chosen)
+        except StateInUseError:
+            endpoint = endpoint_of_running(self._settings.state) or "its endpoint"
+            raise UsageError(
+                f"a service runs on this state and alone may select: use --connect {endpoint}"
+            ) from None
+
+    def scene(self, scene_id: str) -> SceneScore:
+        """Return the record of a current scene."""
+        with self._ledger() as ledger:
+            stored = ledger.scene(scene_id)
+        if stored is None:
+            raise no_such_scene(scene_id)
+        return stored.decoded()
+
+    def overlay(self, scene_id: str) -> bytes:
+        """Return the stored points of a current scene, encoded."""
+        return read_overlay(self._settings.mining().artifacts, self.scene(scene_id))
+
+    def status(self) -> Status:
+        """Say how far everything is."""
+        with self._ledger() as ledger:
+            return ledger.status()
+
+
+def read_overlay(artifacts_url: str, score: SceneScore) -> bytes:
+    """Read the overlay of a scene from where the workers put it.
+
+    Raises:
+        NothingFoundError: If it is not there.
+    """
+    key = overlay_key(
+        log_id=score.log_id,
+        scene_id=score.scene_id,
+        pipeline_version=score.producers.pipeline_version,
+    )
+    try:
+        return open_bucket(artifacts_url).read_all(key)
+    except ObjectChangedError:
+        raise NothingFoundError(
+            f"no overlay of {score.scene_id} in {artifacts_url}; name its place with --artifacts"
+        ) from None
+
+
+def no_such_scene(scene_id: str) -> NothingFoundError:
+    """Say that no current scene has this id."""
+    return NothingFoundError(f"no current scene {scene_id!r}; `counterpoint top` lists them")
+
+
+def choose_endpoint(settings: Settings) -> str:
+    """Say where the service is asked: `--connect`, else the one that holds the state folder.
+
+    Raises:
+        NothingFoundError: If no service runs on the state folder.
+    """
+    if settings.connect:
+        return settings.connect
+    endpoint = endpoint_of_running(Path(settings.state))
+    if not endpoint:
+        raise NothingFoundError(
+            f"no service runs on {settings.state}: start `counterpoint run`, or give --connect"
+        )
+    return endpoint

@@ -1,0 +1,59 @@
+"""Raw records between their arrival on the bus and the commit that names them; bounded memory."""
+
+from collections import OrderedDict
+from collections.abc import Iterable
+from threading import Condition
+from typing import Final
+
+import zenoh
+
+from schemas.score import MAX_RECORD_BYTES
+from schemas.wire import sha256
+
+MOST_BYTES: Final = 64 * 1024 * 1024
+"""Some ten thousand records; what is dropped is named missing, and its worker sends it again."""
+
+
+class Staging:
+    """Keeps records by digest, oldest dropped first. Nothing here is a promise."""
+
+    def __init__(self, *, most_bytes: int = MOST_BYTES) -> None:
+        self._records: OrderedDict[str, bytes] = OrderedDict()
+        self._bytes, self._most_bytes = 0, most_bytes
+        self._changed = Condition()
+
+    def on_sample(self, sample: zenoh.Sample) -> None:
+        """Take a sample from the bus: the callback of the subscription."""
+        if sample.kind == zenoh.SampleKind.PUT and len(sample.payload) <= MAX_RECORD_BYTES:
+            self.add(sample.payload.to_bytes())
+
+    def add(self, record: bytes) -> None:
+        """Keep a record; the same one twice is one."""
+        digest = sha256(record)
+        with self._changed:
+            self._bytes += len(record) - len(self._records.pop(digest, b""))
+            self._records[digest] = record
+            while self._bytes > self._most_bytes:
+                self._bytes -= len(self._records.popitem(last=False)[1])
+            self._changed.notify_all()
+
+    def collect(self, digests: Iterable[str], *, patience_s: float = 0.0) -> dict[str, bytes]:
+        """Return those of these records that are here.
+
+        Args:
+            digests: What a manifest names.
+            patience_s: Wait so long for the rest: a commit may overtake the last record, since
+                records and questions arrive on threads of their own.
+        """
+        wanted = tuple(digests)
+        with self._changed:
+            self._changed.wait_for(
+                lambda: all(digest in self._records for digest in wanted), timeout=patience_s
+            )
+            return {digest: self._records[digest] for digest in wanted if digest in self._records}
+
+    def discard(self, digests: Iterable[str]) -> None:
+        """Forget records whose commit is on disk."""
+        with self._changed:
+            for digest in digests:
+                self._bytes -= len(self._records.pop(digest, b""))

@@ -1,0 +1,121 @@
+"""Claims: which plan or shard a worker gets next."""
+
+from typing import Any, Final
+
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Select,
+    Table,
+    and_,
+    bindparam,
+    func,
+    insert,
+    or_,
+    select,
+)
+
+from schemas.work import ClaimRequest, MineLease, NothingToDo, PlanLease, Recording, Shard
+from service.store.leases import LeasePolicy
+from service.store.tables import LEASES, PLANS, RECORDINGS, SHARDS
+from service.store.work import Work, WorkState, change
+
+
+def claim(
+    connection: Connection,
+    request: ClaimRequest,
+    *,
+    now_s: float,
+    policy: LeasePolicy,
+    lease_id: str,
+) -> PlanLease | MineLease | NothingToDo:
+    """Lease the next work of this pipeline version.
+
+    Shards go in the order of log, lidar and time, so that logs are finished one after the other.
+    """
+    version = request.pipeline_version
+    here = {
+        "pipeline": version,
+        "now_s": now_s,
+        # A rest longer than any was ordered before the clock stepped back: it is over.
+        "beyond_s": now_s + policy.max_backoff_s,
+        "enough": policy.plan_ahead,
+    }
+    waiting = connection.execute(_WAITING, here).scalar_one()
+    in_turn = (_PLAN, _SHARD) if waiting < policy.plan_ahead else (_SHARD, _PLAN)
+    for query in in_turn:
+        row = connection.execute(query, here).one_or_none()
+        if row is not None:
+            work = Work(row.log_id, row.revision, version, row.name if query is _SHARD else "")
+            _lease(connection, work, request, lease_id=lease_id, until_s=now_s + policy.lease_s)
+            recording = Recording.model_validate_json(row.recording)
+            if query is _PLAN:
+                return PlanLease(lease_id=lease_id, expires_s=policy.lease_s, recording=recording)
+            return MineLease(
+                lease_id=lease_id,
+                expires_s=policy.lease_s,
+                recording=recording,
+                shard=Shard.model_validate_json(row.shard),
+            )
+    # Soon, while a log is being planned, for its shards are about to come.
+    planning = connection.execute(_PLANNING, here).one_or_none()
+    return NothingToDo(retry_after_s=1.0 if planning is None else 0.2)
+
+
+def _lease(
+    connection: Connection, work: Work, request: ClaimRequest, *, lease_id: str, until_s: float
+) -> None:
+    change(connection, work, state=WorkState.LEASED, lease_id=lease_id)
+    connection.execute(
+        insert(LEASES),
+        {
+            "lease_id": lease_id,
+            "worker_id": request.worker_id,
+            "log_id": work.log_id,
+            "revision": work.revision,
+            "pipeline_version": work.pipeline_version,
+            "shard": work.shard,
+            "expires_s": until_s,
+            "is_held": True,
+            "ended_by": "",
+        },
+    )
+
+
+def _ready(table: Table) -> ColumnElement[bool]:
+    rested = or_(
+        table.c.ready_at_s <= bindparam("now_s"), table.c.ready_at_s > bindparam("beyond_s")
+    )
+    return and_(
+        table.c.pipeline_version == bindparam("pipeline"),
+        table.c.state == WorkState.READY.value,
+        rested,
+    )
+
+
+def _next(table: Table, *columns: Any) -> Select[Any]:
+    return (
+        select(table.c.log_id, table.c.revision, RECORDINGS.c.recording, *columns)
+        .join(
+            RECORDINGS,
+            and_(RECORDINGS.c.log_id == table.c.log_id, RECORDINGS.c.revision == table.c.revision),
+        )
+        .where(_ready(table))
+        .limit(1)
+        .with_for_update(skip_locked=True, of=table)
+    )
+
+
+# Built once: to build a statement costs more than to run it.
+_PLAN: Final = _next(PLANS).order_by(PLANS.c.log_id)
+_SHARD: Final = _next(SHARDS, SHARDS.c.name, SHARDS.c.shard).order_by(
+    SHARDS.c.log_id, SHARDS.c.lidar_topic, SHARDS.c.shard_index
+)
+_WAITING: Final = select(func.count()).select_from(
+    select(SHARDS.c.name).where(_ready(SHARDS)).limit(bindparam("enough")).subquery()
+)
+_PLANNING: Final = (
+    select(PLANS.c.log_id)
+    .where(PLANS.c.pipeline_version == bindparam("pipeline"), PLANS.c.state == WorkState.LEASED)
+    .limit(1)
+)

@@ -1,0 +1,178 @@
+"""Opens the database and hands out transactions: the only file that knows which server it is."""
+
+import os
+import sqlite3
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+from urllib.parse import quote
+
+from sqlalchemy import Connection, Engine, create_engine, event
+from sqlalchemy.exc import DatabaseError, OperationalError
+from sqlalchemy.exc import TimeoutError as PoolTimeoutError
+from sqlalchemy.pool import QueuePool
+
+from schemas.errors import TransientError
+from service.errors import StateUnusableError
+from service.store.migrations import migrate, require_current
+
+DATABASE_NAME: Final = "counterpoint.sqlite"
+BUSY_TIMEOUT_MS: Final = 10_000
+"""A reader of another process may hold up a checkpoint for this long before a writer gives up."""
+
+_READS: Final = "counterpoint_reads"
+
+
+class StoreUnavailableError(TransientError):
+    """The database could not finish a transaction: disk full, locked, or its server is away."""
+
+
+class Store:
+    """One open database.
+
+    Writers wait for each other here, so that a process never competes with itself for SQLite's one
+    write lock; readers take part in no lock and see the last commit.
+    """
+
+    def __init__(self, engine: Engine, *, name: str, reader: Mapping[str, object]) -> None:
+        """Take an engine on a database.
+
+        Args:
+            engine: On the database.
+            name: Which one, for errors.
+            reader: Execution options of transactions that only read.
+        """
+        self._engine, self._reader, self._name = engine, engine.execution_options(**reader), name
+        self._writer = threading.Lock()
+
+    @contextmanager
+    def writing(self) -> Iterator[Connection]:
+        """One durable transaction: on disk when the block is left, undone if it raises.
+
+        Raises:
+            StoreUnavailableError: If the database cannot take it now.
+        """
+        with self._writer, self._said(), self._engine.begin() as connection:
+            yield connection
+
+    @contextmanager
+    def reading(self) -> Iterator[Connection]:
+        """One consistent view of the last commit.
+
+        Raises:
+            StoreUnavailableError: If the database does not answer now.
+        """
+        with self._said(), self._reader.begin() as connection:
+            yield connection
+
+    def close(self) -> None:
+        """Close every connection."""
+        self._engine.dispose()
+
+    @contextmanager
+    def _said(self) -> Iterator[None]:
+        try:
+            yield
+        except (OperationalError, PoolTimeoutError) as error:
+            cause = error.orig if isinstance(error, OperationalError) else error
+            raise StoreUnavailableError(
+                f"cannot use the database: {cause} ({self._name}); "
+                "nothing acknowledged is lost, try again when that is mended"
+            ) from error
+        except DatabaseError as error:
+            if type(error) is not DatabaseError:
+                raise  # its subclasses are wrong queries: ours, not the user's
+            raise StateUnusableError(
+                f"not a database, or a damaged one: {error.orig} ({self._name}); "
+                "restore it from a copy, or name another folder with --state"
+            ) from error
+
+
+def open_store(folder: Path) -> Store:
+    """Open the database of a state folder for writing; made, or brought up to date, as needed.
+
+    Raises:
+        StateUnusableError: If a newer version wrote it, or it is no database.
+        StoreUnavailableError: If it is locked or the disk is full.
+    """
+    path = folder / DATABASE_NAME
+    return _opened(_sqlite(path), name=str(path))
+
+
+def open_store_to_read(folder: Path) -> Store:
+    """Open the database of a state folder for reading only, beside a running service or without.
+
+    Raises:
+        StateUnusableError: If there is none, or its version is not this program's.
+    """
+    path = folder / DATABASE_NAME
+    if not path.is_file():
+        raise StateUnusableError(
+            f"no state to read: {path} does not exist; name the folder of a run with --state"
+        )
+    return _opened(_sqlite(path, read_only=True), name=str(path), read_only=True)
+
+
+def open_store_at(url: str) -> Store:
+    """Open a PostgreSQL database, made up to date as needed.
+
+    Raises:
+        StateUnusableError: If a newer version wrote it.
+        StoreUnavailableError: If the server does not answer.
+    """
+    engine = create_engine(url, pool_pre_ping=True)
+    name = engine.url.render_as_string(hide_password=True)
+    # Several queries of one view see one commit, as they do on SQLite.
+    return _opened(
+        Store(engine, name=name, reader={"isolation_level": "REPEATABLE READ"}), name=name
+    )
+
+
+def _opened(store: Store, *, name: str, read_only: bool = False) -> Store:
+    try:
+        if read_only:
+            with store.reading() as connection:
+                require_current(connection, name=name)
+        else:
+            with store.writing() as connection:
+                migrate(connection, name=name)
+    except BaseException:
+        store.close()
+        raise
+    return store
+
+
+def _sqlite(path: Path, *, read_only: bool = False) -> Store:
+    # A URI, since only that can say read-only; percent-encoded, since a folder may hold `?` or `#`.
+    uri = f"file:{quote(str(path.resolve()))}?mode={'ro' if read_only else 'rwc'}"
+    journal = path.with_name(f"{path.name}-wal")
+    if read_only and not os.access(path.parent, os.W_OK) and not journal.exists():
+        uri += "&immutable=1"  # nobody writes, and SQLite may not make the files it guards WAL with
+
+    def connect() -> sqlite3.Connection:
+        # The driver's own transactions begin late and never IMMEDIATE: switched off. The pool hands
+        # a connection to one thread at a time, whichever that is.
+        connection = sqlite3.connect(uri, uri=True, isolation_level=None, check_same_thread=False)
+        try:
+            connection.execute(f"PRAGMA busy_timeout={BUSY_TIMEOUT_MS}")
+            connection.execute("PRAGMA foreign_keys=ON")
+            if not read_only:
+                connection.execute("PRAGMA journal_mode=WAL")
+                connection.execute("PRAGMA synchronous=FULL")
+        except sqlite3.Error:
+            connection.close()
+            raise
+        return connection
+
+    engine = create_engine("sqlite://", creator=connect, poolclass=QueuePool)
+
+    @event.listens_for(engine, "begin")
+    def _begin(connection: Connection) -> None:
+        # A transaction that reads first and writes later may find itself locked out: take the
+        # write lock at once where writing is meant.
+        reads = read_only or connection.get_execution_options().get(_READS, False)
+        connection.exec_driver_sql("BEGIN" if reads else "BEGIN IMMEDIATE")
+
+    return Store(engine, name=str(path), reader={_READS: True})

@@ -1,0 +1,157 @@
+"""Scenes come and go: every such event gets the next number, in the order of the commits."""
+
+from collections.abc import Collection, Iterator, Sequence
+from typing import Any, Final
+
+from sqlalchemy import ColumnElement, Connection, bindparam, insert, select, update
+
+from schemas.score import SceneScore
+from schemas.wire import canonical_json
+from service.store.tables import COUNTERS, SCENES
+from service.store.work import Work
+
+
+def insert_scenes(
+    connection: Connection,
+    work: Work,
+    scenes: Sequence[tuple[SceneScore, bytes, str]],
+    *,
+    current: Collection[str],
+) -> None:
+    """Store mined scenes in the order given, with the next numbers.
+
+    Args:
+        connection: In a transaction that writes.
+        work: The shard they come from.
+        scenes: Score, record, digest of the record.
+        current: Ids of those that become current; the others are history from the start.
+    """
+    following = _next_numbers(connection, sum(score.scene_id in current for score, _, _ in scenes))
+    rows: list[dict[str, Any]] = []
+    for score, record, sha256 in scenes:
+        is_current = score.scene_id in current
+        rows.append(
+            {
+                "log_id": work.log_id,
+                "revision": work.revision,
+                "pipeline_version": work.pipeline_version,
+                "scene_id": score.scene_id,
+                "shard": work.shard,
+                "seq": next(following) if is_current else None,
+                "withdrawn_seq": None,
+                "is_current": is_current,
+                "withdrawn_by": "" if is_current else "pipeline",
+                "lidar_topic": score.lidar_topic,
+                "vehicle": score.vehicle,
+                "date": score.date,
+                "software_version": score.software_version,
+                "start_ns": score.start_ns,
+                "end_ns": score.end_ns,
+                "frames": score.frames,
+                "state": score.state.value,
+                "score": score.score,
+                "reasons": canonical_json(score.reasons).decode(),
+                **_point_counts(score),
+                "record": record,
+                "sha256": sha256,
+            }
+        )
+    if rows:
+        connection.execute(insert(SCENES), rows)
+
+
+def withdraw(
+    connection: Connection,
+    which: ColumnElement[bool],
+    *,
+    by: str,
+    replaced: Collection[str] = (),
+) -> None:
+    """Make current scenes history.
+
+    Args:
+        connection: In a transaction that writes.
+        which: Condition on `SCENES`.
+        by: Why: `revision` (its recording was replaced or deleted), `pipeline` (mined anew).
+        replaced: Ids that the same transaction stores anew: their key gets the new record, so the
+            withdrawal needs no event of its own.
+    """
+    going = connection.execute(
+        select(*_KEY, SCENES.c.scene_id).where(SCENES.c.is_current, which).order_by(SCENES.c.seq)
+    ).all()
+    following = _next_numbers(connection, sum(row.scene_id not in replaced for row in going))
+    for row in going:
+        number = None if row.scene_id in replaced else next(following)
+        connection.execute(
+            update(SCENES)
+            .where(*(column == row[i] for i, column in enumerate(_KEY)))
+            .values(is_current=False, withdrawn_by=by, withdrawn_seq=number)
+        )
+
+
+def restore(connection: Connection, *, log_id: str, revision: str) -> None:
+    """Make the scenes current again that went when this revision was replaced or deleted."""
+    returning = connection.execute(
+        select(*_KEY)
+        .where(
+            SCENES.c.log_id == log_id,
+            SCENES.c.revision == revision,
+            SCENES.c.withdrawn_by == "revision",
+        )
+        .order_by(SCENES.c.seq)
+    ).all()
+    following = _next_numbers(connection, len(returning))
+    for row in returning:
+        connection.execute(
+            update(SCENES)
+            .where(*(column == row[i] for i, column in enumerate(_KEY)))
+            .values(is_current=True, withdrawn_by="", withdrawn_seq=None, seq=next(following))
+        )
+
+
+def mark_published(connection: Connection, seq: int) -> None:
+    """Move the outbox's cursor forward, never back."""
+    connection.execute(
+        update(COUNTERS)
+        .where(COUNTERS.c.name == "published", COUNTERS.c.value < seq)
+        .values(value=seq)
+    )
+
+
+def counter(connection: Connection, name: str) -> int:
+    """Read a counter: `seq`, `published` or `selection`."""
+    return int(
+        connection.execute(select(COUNTERS.c.value).where(COUNTERS.c.name == name)).scalar_one()
+    )
+
+
+def _next_numbers(connection: Connection, count: int) -> Iterator[int]:
+    """Take numbers for events; the row stays locked until the commit, so they are in its order."""
+    if count == 0:
+        return iter(())
+    last = connection.execute(_COUNT_ON, {"more": count}).scalar_one()
+    return iter(range(last - count + 1, last + 1))
+
+
+_COUNT_ON: Final = (
+    update(COUNTERS)
+    .where(COUNTERS.c.name == "seq")
+    .values(value=COUNTERS.c.value + bindparam("more"))
+    .returning(COUNTERS.c.value)
+)
+
+
+def _point_counts(score: SceneScore) -> dict[str, int]:
+    """Points by agreement, from the shares of the record: exact to its rounding."""
+    compared = score.points * score.compared_share
+    shares = score.all_points
+    counts = {
+        "both_static": round(compared * shares.both_static),
+        "both_dynamic": round(compared * shares.both_dynamic),
+        "only_semantic_dynamic": round(compared * shares.only_semantic_dynamic),
+        "only_predictive_dynamic": round(compared * shares.only_predictive_dynamic),
+    }
+    return {**counts, "not_compared": max(0, score.points - sum(counts.values()))}
+
+
+_KEY: Final = (SCENES.c.log_id, SCENES.c.revision, SCENES.c.pipeline_version, SCENES.c.scene_id)

@@ -1,0 +1,233 @@
+"""Leases: who works on what until when, and what becomes of work whose lease ends badly."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, Final
+
+from sqlalchemy import Connection, Row, and_, bindparam, select, update
+
+from schemas.work import Answer, FailRequest, RenewRequest
+from service.store.tables import LEASES, RECORDINGS
+from service.store.work import Work, WorkState, change, row_of
+
+
+@dataclass(frozen=True, slots=True)
+class LeasePolicy:
+    """How long a lease lasts, and how often work is tried before it is parked.
+
+    Attributes:
+        lease_s: A lease lives this long unrenewed.
+        max_attempts: Leases of one plan or shard that may end badly; then it is parked.
+        backoff_s: Pause after the first failure; doubles with each.
+        max_backoff_s: Longest pause.
+        plan_ahead: Logs are planned before shards are mined while fewer shards than this wait.
+            Mining starts early, yet no worker idles while there is a log to open; and a plan is
+            made shortly before it is used, so that few go stale in a bucket that changes.
+    """
+
+    lease_s: float = 30.0
+    max_attempts: int = 5
+    backoff_s: float = 2.0
+    max_backoff_s: float = 60.0
+    plan_ahead: int = 16
+
+    def pause_s(self, attempts: int) -> float:
+        """How long work rests after this many failures."""
+        return float(min(self.max_backoff_s, self.backoff_s * 2.0 ** min(attempts - 1, 30)))
+
+
+def renew(
+    connection: Connection, request: RenewRequest, *, now_s: float, policy: LeasePolicy
+) -> Answer:
+    """Lengthen a lease that is still held."""
+    lease = lease_of(connection, request.lease_id, worker_id=request.worker_id)
+    if isinstance(lease, str):
+        return Answer(ok=False, problem=lease)
+    if not lease.is_held:
+        return Answer(ok=False, problem=f"lease is over: {lease.ended_by}")
+    _change(connection, request.lease_id, expires_s=now_s + policy.lease_s)
+    return Answer(ok=True)
+
+
+def fail(
+    connection: Connection, request: FailRequest, *, now_s: float, policy: LeasePolicy
+) -> Answer:
+    """Take a lease back with the error of its worker; a lease that is over is left alone."""
+    lease = lease_of(connection, request.lease_id, worker_id=request.worker_id)
+    if isinstance(lease, str):
+        return Answer(ok=False, problem=lease)
+    if lease.is_held and request.given_back:
+        _free(connection, lease, by="given back")
+    elif lease.is_held:
+        end_lease(connection, lease.lease_id, by="failed")
+        _give_back(
+            connection,
+            work_of(lease),
+            lease_id=lease.lease_id,
+            error=request.error,
+            policy=policy,
+            ready_at_s=now_s,
+            pauses=True,
+            parks=request.permanent and not request.replaced,
+            stale=request.replaced,
+        )
+    return Answer(ok=True)
+
+
+def expire(connection: Connection, *, now_s: float, policy: LeasePolicy) -> int:
+    """Take back the leases whose time is over."""
+    # An end further ahead than any lease reaches was set before the clock stepped back.
+    connection.execute(
+        update(LEASES)
+        .where(LEASES.c.is_held, LEASES.c.expires_s > now_s + policy.lease_s)
+        .values(expires_s=now_s + policy.lease_s)
+    )
+    over = connection.execute(
+        select(LEASES).where(LEASES.c.is_held, LEASES.c.expires_s <= now_s)
+    ).all()
+    return _worker_died(connection, over, by="expired", policy=policy)
+
+
+def worker_died(connection: Connection, worker_id: str, *, policy: LeasePolicy) -> int:
+    """Take back the leases of one worker, which counts as an attempt: the work may be to blame."""
+    its = select(LEASES).where(LEASES.c.is_held, LEASES.c.worker_id == worker_id)
+    return _worker_died(connection, connection.execute(its), by="worker died", policy=policy)
+
+
+def free_leases(connection: Connection, worker_prefix: str) -> int:
+    """Take back the leases of a pool that was ended from outside: no attempt is counted."""
+    theirs = connection.execute(
+        select(LEASES).where(
+            LEASES.c.is_held, LEASES.c.worker_id.startswith(worker_prefix, autoescape=True)
+        )
+    ).all()
+    for lease in theirs:
+        _free(connection, lease, by="freed")
+    return len(theirs)
+
+
+def resume(connection: Connection, *, now_s: float, policy: LeasePolicy) -> None:
+    """Give every held lease a full term: while no service ran, nobody could renew."""
+    connection.execute(
+        update(LEASES).where(LEASES.c.is_held).values(expires_s=now_s + policy.lease_s)
+    )
+
+
+def lease_of(connection: Connection, lease_id: str, *, worker_id: str) -> Row[Any] | str:
+    """Find a lease, or say in one sentence why this worker cannot use it.
+
+    Returns:
+        A row of `LEASES`, with `is_current` of its recording; or the sentence.
+    """
+    lease = connection.execute(_LEASE, {"at_lease": lease_id}).one_or_none()
+    if lease is None:
+        return f"no such lease: {lease_id}; claim again"
+    if lease.worker_id != worker_id:
+        return f"lease {lease_id} belongs to worker {lease.worker_id}, not {worker_id}"
+    return lease
+
+
+def work_of(lease: Row[Any]) -> Work:
+    """What a lease is for."""
+    return Work(lease.log_id, lease.revision, lease.pipeline_version, lease.shard)
+
+
+def end_lease(connection: Connection, lease_id: str, *, by: str) -> None:
+    """Note that a lease is over, and why."""
+    _change(connection, lease_id, is_held=False, ended_by=by)
+
+
+def _change(connection: Connection, lease_id: str, **values: Any) -> None:
+    connection.execute(_UPDATE, {"at_lease": lease_id, **values})
+
+
+_AT: Final = LEASES.c.lease_id == bindparam("at_lease")
+_UPDATE: Final = update(LEASES).where(_AT)
+_LEASE: Final = (
+    select(LEASES, RECORDINGS.c.is_current)
+    .join(
+        RECORDINGS,
+        and_(RECORDINGS.c.log_id == LEASES.c.log_id, RECORDINGS.c.revision == LEASES.c.revision),
+    )
+    .where(_AT)
+    .with_for_update(of=LEASES)
+)
+
+
+def _free(connection: Connection, lease: Row[Any], *, by: str) -> None:
+    """End a lease whose work is not to blame: it is ready at once, no attempt is counted."""
+    end_lease(connection, lease.lease_id, by=by)
+    work = work_of(lease)
+    if row_of(connection, work).lease_id == lease.lease_id:
+        change(connection, work, state=WorkState.READY, lease_id="")
+
+
+def _worker_died(
+    connection: Connection, leases: Iterable[Row[Any]], *, by: str, policy: LeasePolicy
+) -> int:
+    ended = list(leases)
+    for lease in ended:
+        end_lease(connection, lease.lease_id, by=by)
+        _give_back(
+            connection,
+            work_of(lease),
+            lease_id=lease.lease_id,
+            error="",
+            policy=policy,
+            ready_at_s=0.0,
+        )
+    return len(ended)
+
+
+def _give_back(
+    connection: Connection,
+    work: Work,
+    *,
+    lease_id: str,
+    error: str,
+    policy: LeasePolicy,
+    ready_at_s: float,
+    pauses: bool = False,
+    parks: bool = False,
+    stale: bool = False,
+) -> None:
+    """Count an attempt, and park the work or make it ready again.
+
+    Args:
+        connection: In a transaction that writes.
+        work: What the lease was for.
+        lease_id: The lease that ended; work that has gone on to another is left alone.
+        error: What its worker said; empty when it died.
+        policy: When to park, how long to rest.
+        ready_at_s: From when on it may be claimed, before any rest.
+        pauses: Whether it rests, longer with each attempt.
+        parks: Whether it is parked at once.
+        stale: Whether it waits for the next listing instead.
+    """
+    row = row_of(connection, work)
+    if row.lease_id != lease_id:
+        return
+    attempts = row.attempts + 1
+    if not error:
+        error = _died(attempts, verb="mining" if work.shard else "planning", before=row.error)
+    if parks or attempts >= policy.max_attempts:
+        state = WorkState.PARKED
+    else:
+        state = WorkState.STALE if stale else WorkState.READY
+    rest_s = policy.pause_s(attempts) if pauses else 0.0
+    change(
+        connection,
+        work,
+        state=state,
+        lease_id="",
+        attempts=attempts,
+        error=error,
+        ready_at_s=ready_at_s + rest_s,
+    )
+
+
+def _died(attempts: int, *, verb: str, before: str) -> str:
+    if before and not before.startswith("worker died"):
+        return f"worker died while {verb} it; before that: {before}"
+    times = "once" if attempts == 1 else f"{attempts} times"
+    return f"worker died {times} while {verb} it"

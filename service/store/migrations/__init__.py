@@ -1,0 +1,78 @@
+"""Brings a database from any earlier version to this program's, one numbered step at a time."""
+
+from importlib.resources import files
+from typing import Final
+
+from sqlalchemy import Connection, inspect, text
+
+from service.errors import StateUnusableError
+
+STEPS: Final[tuple[str, ...]] = ("0001_ledger.sql",)
+"""Step i leads from version i to i + 1. A step that has been released is never edited."""
+
+SCHEMA_VERSION: Final = len(STEPS)
+
+_SPELLINGS: Final = {
+    "sqlite": {"{blob}": "BLOB", "{true}": "1"},
+    "postgresql": {"{blob}": "BYTEA", "{true}": "TRUE"},
+}
+"""What the two servers spell differently; the steps are otherwise plain SQL. SQLite uses a partial
+index only where its condition is spelled as the query spells it, hence `= 1`."""
+
+
+def schema_version(connection: Connection) -> int:
+    """Read the version of the schema; 0 for an empty database."""
+    if not inspect(connection).has_table("schema_version"):
+        return 0
+    return int(connection.execute(text("SELECT max(version) FROM schema_version")).scalar_one())
+
+
+def migrate(connection: Connection, *, name: str) -> None:
+    """Run the steps that this database has not seen, all within the caller's transaction.
+
+    Args:
+        connection: In a transaction that writes.
+        name: Which database, for the message.
+
+    Raises:
+        StateUnusableError: If a newer version of the program wrote it.
+    """
+    version = schema_version(connection)
+    _refuse_newer(version, name=name)
+    for number in range(version, SCHEMA_VERSION):
+        for statement in _statements(STEPS[number], dialect=connection.dialect.name):
+            connection.exec_driver_sql(statement)
+        connection.execute(
+            text("INSERT INTO schema_version (version) VALUES (:version)"), {"version": number + 1}
+        )
+
+
+def require_current(connection: Connection, *, name: str) -> None:
+    """Check that a database that may only be read needs no step.
+
+    Raises:
+        StateUnusableError: If its version is another.
+    """
+    version = schema_version(connection)
+    _refuse_newer(version, name=name)
+    if version < SCHEMA_VERSION:
+        raise StateUnusableError(
+            f"state has schema version {version}, this program reads {SCHEMA_VERSION} ({name}); "
+            "start the service on it once to bring it up to date"
+        )
+
+
+def _refuse_newer(version: int, *, name: str) -> None:
+    if version > SCHEMA_VERSION:
+        raise StateUnusableError(
+            f"state was written by a newer version: schema version {version}, this program knows "
+            f"{SCHEMA_VERSION} ({name}); use the newer program or another --state folder"
+        )
+
+
+def _statements(step: str, *, dialect: str) -> list[str]:
+    script = files(__package__).joinpath(step).read_text(encoding="utf-8")
+    for placeholder, spelled in _SPELLINGS[dialect].items():
+        script = script.replace(placeholder, spelled)
+    lines = [line for line in script.splitlines() if not line.lstrip().startswith("--")]
+    return [part.strip() for part in "\n".join(lines).split(";") if part.strip()]

@@ -1,0 +1,202 @@
+"""Counts over the ledger: how far each log is, what is damaged, what is parked."""
+
+import json
+from collections import Counter, defaultdict
+from typing import Any, Final
+
+from sqlalchemy import ColumnElement, Connection, Row, Table, and_, exists, func, or_, select
+
+from schemas.work import Damage
+from service.status import LogStatus, ParkedWork, PointTotals, Status
+from service.store.tables import COUNTERS, DAMAGE, PIPELINES, PLANS, RECORDINGS, SCENES, SHARDS
+from service.store.work import OPEN, WorkState
+
+RATE_WINDOW_S: Final = 60.0
+"""Rates are over the commits of the last minute: long against a shard, short against a night."""
+
+
+def settled(connection: Connection, pipeline_version: str) -> bool:
+    """Whether nothing is left to do for any current recording under this pipeline version."""
+    is_planned = exists().where(
+        _same_log(PLANS), PLANS.c.pipeline_version == pipeline_version, PLANS.c.state.not_in(OPEN)
+    )
+    is_open = exists().where(
+        _same_log(SHARDS), SHARDS.c.pipeline_version == pipeline_version, SHARDS.c.state.in_(OPEN)
+    )
+    unsettled = select(RECORDINGS.c.log_id).where(
+        RECORDINGS.c.is_current, or_(~is_planned, is_open)
+    )
+    return connection.execute(unsettled.limit(1)).one_or_none() is None
+
+
+def status(connection: Connection, pipeline_version: str | None, *, now_s: float) -> Status:
+    """Count everything under one pipeline version; by default the newest."""
+    if pipeline_version is None:
+        pipeline_version = _newest_pipeline(connection)
+    plans = {
+        row.log_id: row for row in connection.execute(_current_rows(PLANS, pipeline_version, PLANS))
+    }
+    shards: defaultdict[str, list[Row[Any]]] = defaultdict(list)
+    for row in connection.execute(_current_rows(SHARDS, pipeline_version, *_SHARD_COLUMNS)):
+        shards[row.log_id].append(row)
+    damage = _damage(connection, pipeline_version)
+    log_ids = connection.execute(
+        select(RECORDINGS.c.log_id).where(RECORDINGS.c.is_current).order_by(RECORDINGS.c.log_id)
+    ).scalars()
+    logs = tuple(
+        _log_status(log_id, plans.get(log_id), shards[log_id], damage[log_id]) for log_id in log_ids
+    )
+    counters = {row.name: row.value for row in connection.execute(select(COUNTERS))}
+    return Status(
+        pipeline_version=pipeline_version,
+        logs=logs,
+        logs_by_state=dict(sorted(Counter(log.state for log in logs).items())),
+        shards_by_state=_total(log.shards for log in logs),
+        parked=_parked(plans, shards),
+        scenes=connection.execute(
+            select(func.count()).select_from(SCENES).where(SCENES.c.is_current)
+        ).scalar_one(),
+        frames=sum(log.frames for log in logs),
+        frames_per_s=_frames_per_s(connection, pipeline_version, now_s=now_s),
+        bytes_read=sum(log.mine_bytes_read for log in logs),
+        bytes_needed=sum(log.bytes_needed for log in logs),
+        plan_bytes_read=sum(log.plan_bytes_read for log in logs),
+        peak_memory_bytes=max((log.peak_memory_bytes for log in logs), default=0),
+        points=_points(connection),
+        last_seq=counters["seq"],
+        published_seq=counters["published"],
+    )
+
+
+_SHARD_COLUMNS: Final = tuple(
+    SHARDS.c[name]
+    for name in (
+        "log_id",
+        "name",
+        "state",
+        "attempts",
+        "error",
+        "frames",
+        "bytes_read",
+        "bytes_needed",
+        "range_reads",
+        "peak_memory_bytes",
+    )
+)
+
+
+def _same_log(table: Table) -> ColumnElement[bool]:
+    return and_(table.c.log_id == RECORDINGS.c.log_id, table.c.revision == RECORDINGS.c.revision)
+
+
+def _current_rows(table: Table, pipeline_version: str, *columns: Any) -> Any:
+    return (
+        select(*columns)
+        .join(RECORDINGS, _same_log(table))
+        .where(RECORDINGS.c.is_current, table.c.pipeline_version == pipeline_version)
+        .order_by(*table.primary_key.columns)
+    )
+
+
+def _newest_pipeline(connection: Connection) -> str:
+    newest = select(PIPELINES.c.pipeline_version).order_by(PIPELINES.c.ordinal.desc()).limit(1)
+    return connection.execute(newest).scalar_one_or_none() or ""
+
+
+def _damage(connection: Connection, pipeline_version: str) -> defaultdict[str, list[Damage]]:
+    """Each damaged stretch once: planning and several shards may have met the same one."""
+    found: defaultdict[str, list[Damage]] = defaultdict(list)
+    for row in connection.execute(_current_rows(DAMAGE, pipeline_version, DAMAGE)):
+        piece = Damage(
+            key=row.object_key, offset=row.byte_offset, bytes=row.byte_count, what=row.what
+        )
+        if piece not in found[row.log_id]:
+            found[row.log_id].append(piece)
+    return found
+
+
+def _log_status(
+    log_id: str, plan: Row[Any] | None, shards: list[Row[Any]], damage: list[Damage]
+) -> LogStatus:
+    by_state = dict(sorted(Counter(shard.state for shard in shards).items()))
+    if plan is None:
+        return LogStatus(log_id=log_id, state="waiting")
+    return LogStatus(
+        log_id=log_id,
+        state=_log_state(plan.state, by_state),
+        vehicle=plan.vehicle,
+        date=plan.date,
+        software_version=plan.software_version,
+        lidar_topics=tuple(json.loads(plan.lidar_topics)),
+        problem=plan.error,
+        damage=tuple(sorted(damage, key=lambda piece: (piece.key, piece.offset))),
+        shards=by_state,
+        frames=sum(shard.frames for shard in shards),
+        plan_range_reads=plan.range_reads,
+        plan_bytes_read=plan.bytes_read,
+        mine_range_reads=sum(shard.range_reads for shard in shards),
+        mine_bytes_read=sum(shard.bytes_read for shard in shards),
+        bytes_needed=sum(shard.bytes_needed for shard in shards),
+        peak_memory_bytes=max((shard.peak_memory_bytes for shard in shards), default=0),
+    )
+
+
+def _log_state(plan: str, shards: dict[str, int]) -> str:
+    if plan == WorkState.DONE:
+        if shards.get(WorkState.STALE):
+            return "stale"
+        return "mining" if any(shards.get(state) for state in OPEN) else "done"
+    return {WorkState.READY: "waiting", WorkState.LEASED: "planning"}.get(WorkState(plan), plan)
+
+
+def _total(counts: Any) -> dict[str, int]:
+    total: Counter[str] = Counter()
+    for count in counts:
+        total.update(count)
+    return dict(sorted(total.items()))
+
+
+def _parked(
+    plans: dict[str, Row[Any]], shards: dict[str, list[Row[Any]]]
+) -> tuple[ParkedWork, ...]:
+    rows = [(row, "") for row in plans.values()]
+    rows += [(row, row.name) for its in shards.values() for row in its]
+    parked = [
+        ParkedWork(log_id=row.log_id, shard=name, attempts=row.attempts, error=row.error)
+        for row, name in rows
+        if row.state == WorkState.PARKED
+    ]
+    return tuple(sorted(parked, key=lambda work: (work.log_id, work.shard)))
+
+
+def _frames_per_s(connection: Connection, pipeline_version: str, *, now_s: float) -> float:
+    """Frames committed since the oldest commit of the window, over the time since then.
+
+    That commit's own frames do not count: when mining them began is not known.
+    """
+    recent = and_(
+        SHARDS.c.pipeline_version == pipeline_version,
+        SHARDS.c.committed_s > now_s - RATE_WINDOW_S,
+        SHARDS.c.committed_s <= now_s,
+    )
+    oldest_s: float | None = connection.execute(
+        select(func.min(SHARDS.c.committed_s)).where(recent)
+    ).scalar_one()
+    if oldest_s is None or now_s <= oldest_s:
+        return 0.0
+    frames = connection.execute(
+        select(func.coalesce(func.sum(SHARDS.c.frames), 0)).where(
+            recent, SHARDS.c.committed_s > oldest_s
+        )
+    ).scalar_one()
+    return int(frames) / (now_s - oldest_s)  # PostgreSQL sums to a decimal
+
+
+def _points(connection: Connection) -> PointTotals:
+    names = tuple(PointTotals.model_fields)
+    row = connection.execute(
+        select(*(func.coalesce(func.sum(SCENES.c[name]), 0).label(name) for name in names)).where(
+            SCENES.c.is_current
+        )
+    ).one()
+    return PointTotals(**{name: int(row._mapping[name]) for name in names})

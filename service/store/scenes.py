@@ -1,0 +1,133 @@
+"""Scenes as readers get them: the outbox, the history, one by one, and for ranking."""
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import ColumnElement, Connection, Row, Select, select
+
+from schemas.contradiction import SceneState
+from schemas.score import SceneScore
+from schemas.wire import decode
+from service.ranking import RankedInput
+from service.store.events import counter
+from service.store.tables import SCENES
+
+
+@dataclass(frozen=True, slots=True)
+class StoredScene:
+    """A durable, numbered scene.
+
+    Attributes:
+        seq: Rises by one per event over the whole store; travels in the attachment.
+        log_id: Its recording.
+        scene_id: `<log_id>/<lidar>/<start_ns>`.
+        pipeline_version: What mined it.
+        score: As in the record.
+        record: Bytes as published.
+        sha256: Digest of `record`.
+        withdrawn: Only from `Ledger.unpublished`: the event with this number says that the scene
+            is no longer current: delete its key instead of putting the record.
+    """
+
+    seq: int
+    log_id: str
+    scene_id: str
+    pipeline_version: str
+    score: float
+    record: bytes
+    sha256: str
+    withdrawn: bool = False
+
+    def decoded(self) -> SceneScore:
+        """Decode the record."""
+        return decode(SceneScore, self.record)
+
+
+def unpublished(connection: Connection, *, limit: int) -> list[StoredScene]:
+    """Read the events after the outbox's cursor, in order: scenes stored, scenes withdrawn."""
+    seq = counter(connection, "published")
+    puts = connection.execute(
+        _stored().where(SCENES.c.seq > seq).order_by(SCENES.c.seq).limit(limit)
+    )
+    gone = connection.execute(
+        _stored(SCENES.c.withdrawn_seq)
+        .where(SCENES.c.withdrawn_seq > seq)
+        .order_by(SCENES.c.withdrawn_seq)
+        .limit(limit)
+    )
+    events = [_scene(row) for row in puts] + [_scene(row, withdrawn=True) for row in gone]
+    return sorted(events, key=lambda event: event.seq)[:limit]
+
+
+def current_scenes(
+    connection: Connection, *, after: int = 0, limit: int | None = None, newest: bool = False
+) -> list[StoredScene]:
+    """Read current scenes in the order of their numbers.
+
+    Args:
+        connection: To read from.
+        after: Only greater numbers.
+        limit: At most so many: the first ones, or the last ones with `newest`.
+        newest: Which end `limit` keeps.
+    """
+    order = SCENES.c.seq.desc() if newest else SCENES.c.seq
+    rows = connection.execute(
+        _stored().where(SCENES.c.is_current, SCENES.c.seq > after).order_by(order).limit(limit)
+    )
+    scenes = [_scene(row) for row in rows]
+    return scenes[::-1] if newest else scenes
+
+
+def current_scene(connection: Connection, scene_id: str) -> StoredScene | None:
+    """Read one current scene."""
+    row = connection.execute(
+        _stored().where(SCENES.c.is_current, SCENES.c.scene_id == scene_id)
+    ).one_or_none()
+    return None if row is None else _scene(row)
+
+
+def rank_inputs(connection: Connection) -> list[RankedInput]:
+    """Read what ranking needs of every current scene; no record is decoded."""
+    names = [
+        field for field in RankedInput.__dataclass_fields__ if field not in {"state", "reasons"}
+    ]
+    rows = connection.execute(
+        select(*(SCENES.c[name] for name in names), SCENES.c.state, SCENES.c.reasons)
+        .where(SCENES.c.is_current)
+        .order_by(SCENES.c.seq)
+    )
+    return [
+        RankedInput(
+            **{name: row._mapping[name] for name in names},
+            state=SceneState(row.state),
+            reasons=tuple(json.loads(row.reasons)),
+        )
+        for row in rows
+    ]
+
+
+def _stored(seq: ColumnElement[int] = SCENES.c.seq) -> Select[Any]:
+    c = SCENES.c
+    return select(
+        seq.label("number"),
+        c.log_id,
+        c.scene_id,
+        c.pipeline_version,
+        c.score,
+        c.record,
+        c.sha256,
+    )
+
+
+def _scene(row: Row[Any], *, withdrawn: bool = False) -> StoredScene:
+    return StoredScene(
+        seq=row.number,
+        log_id=row.log_id,
+        scene_id=row.scene_id,
+        pipeline_version=row.pipeline_version,
+        score=row.score,
+        record=bytes(row.record),
+        sha256=row.sha256,
+        withdrawn=withdrawn,
+    )

@@ -1,0 +1,91 @@
+"""Named selections in the store: written once, never changed."""
+
+from collections.abc import Sequence
+
+from sqlalchemy import Connection, insert, select, update
+
+from service.errors import UsageError
+from service.ranking import RankedScene
+from service.selection import Selection
+from service.store.tables import COUNTERS, SELECTION_SCENES, SELECTIONS
+
+
+class SelectionExistsError(UsageError):
+    """Another selection has this name, and the labellers may be at work on it."""
+
+
+def save_selection(
+    connection: Connection,
+    name: str | None,
+    *,
+    budget: int,
+    scenes: Sequence[RankedScene],
+    now_s: float,
+) -> Selection:
+    """Store a selection under a name nothing else has.
+
+    The same selection once more is no error: the answer to the first request may have been lost.
+
+    Raises:
+        SelectionExistsError: If a different selection has this name.
+    """
+    ordinal = connection.execute(
+        update(COUNTERS)
+        .where(COUNTERS.c.name == "selection")
+        .values(value=COUNTERS.c.value + 1)
+        .returning(COUNTERS.c.value)
+    ).scalar_one()
+    if name is None:
+        name = _free_name(connection, ordinal)
+    wanted = Selection(name=name, budget=budget, scenes=tuple(scenes))
+    stored = selection(connection, name)
+    if stored == wanted:
+        return stored
+    if stored is not None:
+        raise SelectionExistsError(
+            f"selection {name!r} exists: {len(stored.scenes)} scenes under a budget of "
+            f"{stored.budget}, not this choice; "
+            "selections never change, choose another --name"
+        )
+    connection.execute(
+        insert(SELECTIONS).values(name=name, ordinal=ordinal, budget=budget, created_s=now_s)
+    )
+    rows = [
+        {"name": name, "position": position, "scene": scene.model_dump_json()}
+        for position, scene in enumerate(scenes)
+    ]
+    if rows:
+        connection.execute(insert(SELECTION_SCENES), rows)
+    return wanted
+
+
+def selection(connection: Connection, name: str) -> Selection | None:
+    """Read one selection."""
+    row = connection.execute(select(SELECTIONS).where(SELECTIONS.c.name == name)).one_or_none()
+    if row is None:
+        return None
+    scenes = connection.execute(
+        select(SELECTION_SCENES.c.scene)
+        .where(SELECTION_SCENES.c.name == name)
+        .order_by(SELECTION_SCENES.c.position)
+    ).scalars()
+    return Selection(
+        name=name,
+        budget=row.budget,
+        scenes=tuple(RankedScene.model_validate_json(scene) for scene in scenes),
+    )
+
+
+def selections(connection: Connection) -> list[Selection]:
+    """Read every selection, oldest first."""
+    names = (
+        connection.execute(select(SELECTIONS.c.name).order_by(SELECTIONS.c.ordinal)).scalars().all()
+    )
+    return [found for name in names if (found := selection(connection, name)) is not None]
+
+
+def _free_name(connection: Connection, ordinal: int) -> str:
+    number = ordinal
+    while selection(connection, f"selection-{number}") is not None:
+        number += 1  # somebody gave this name by hand
+    return f"selection-{number}"

@@ -1,0 +1,165 @@
+"""The tables as queries see them; `migrations` makes them, and a test holds the two together."""
+
+from typing import Any, Final
+
+from sqlalchemy import BigInteger, Boolean, Column, Double, LargeBinary, MetaData, Table, Text
+
+METADATA: Final = MetaData()
+
+
+def _text(name: str, *, key: bool = False) -> Column[Any]:
+    return Column(name, Text, primary_key=key, nullable=False)
+
+
+def _number(name: str, *, key: bool = False, nullable: bool = False) -> Column[Any]:
+    return Column(name, BigInteger, primary_key=key, nullable=nullable, autoincrement=False)
+
+
+def _real(name: str) -> Column[Any]:
+    return Column(name, Double, nullable=False)
+
+
+def _flag(name: str) -> Column[Any]:
+    return Column(name, Boolean, nullable=False)
+
+
+SCHEMA_VERSIONS: Final = Table("schema_version", METADATA, _number("version", key=True))
+
+COUNTERS: Final = Table("counters", METADATA, _text("name", key=True), _number("value"))
+
+PIPELINES: Final = Table(
+    "pipelines", METADATA, _text("pipeline_version", key=True), _number("ordinal")
+)
+
+RECORDINGS: Final = Table(
+    "recordings",
+    METADATA,
+    _text("log_id", key=True),
+    _text("revision", key=True),
+    _text("recording"),
+    _flag("is_current"),
+)
+
+PLANS: Final = Table(
+    "plans",
+    METADATA,
+    _text("log_id", key=True),
+    _text("revision", key=True),
+    _text("pipeline_version", key=True),
+    _text("state"),
+    _number("attempts"),
+    _text("error"),
+    _real("ready_at_s"),
+    _text("lease_id"),
+    _text("vehicle"),
+    _text("date"),
+    _text("software_version"),
+    _text("lidar_topics"),
+    _text("digest"),
+    _number("range_reads"),
+    _number("bytes_read"),
+)
+
+SHARDS: Final = Table(
+    "shards",
+    METADATA,
+    _text("log_id", key=True),
+    _text("revision", key=True),
+    _text("pipeline_version", key=True),
+    _text("name", key=True),
+    _text("lidar_topic"),
+    _number("shard_index"),
+    _number("covers_from_ns"),
+    _number("covers_to_ns"),
+    _text("shard"),
+    _text("state"),
+    _number("attempts"),
+    _text("error"),
+    _real("ready_at_s"),
+    _text("lease_id"),
+    _text("digest"),
+    _real("committed_s"),
+    _number("frames"),
+    _number("points"),
+    _number("bytes_read"),
+    _number("bytes_needed"),
+    _number("range_reads"),
+    _number("peak_memory_bytes"),
+    _text("stage_s"),
+)
+
+LEASES: Final = Table(
+    "leases",
+    METADATA,
+    _text("lease_id", key=True),
+    _text("worker_id"),
+    _text("log_id"),
+    _text("revision"),
+    _text("pipeline_version"),
+    _text("shard"),
+    _real("expires_s"),
+    _flag("is_held"),
+    _text("ended_by"),
+)
+
+DAMAGE: Final = Table(
+    "damage",
+    METADATA,
+    _text("log_id", key=True),
+    _text("revision", key=True),
+    _text("pipeline_version", key=True),
+    _text("shard", key=True),
+    _number("position", key=True),
+    _text("object_key"),
+    _number("byte_offset"),
+    _number("byte_count"),
+    _text("what"),
+)
+
+SCENES: Final = Table(
+    "scenes",
+    METADATA,
+    _text("log_id", key=True),
+    _text("revision", key=True),
+    _text("pipeline_version", key=True),
+    _text("scene_id", key=True),
+    _text("shard"),
+    _number("seq", nullable=True),
+    _number("withdrawn_seq", nullable=True),
+    _flag("is_current"),
+    _text("withdrawn_by"),
+    _text("lidar_topic"),
+    _text("vehicle"),
+    _text("date"),
+    _text("software_version"),
+    _number("start_ns"),
+    _number("end_ns"),
+    _number("frames"),
+    _text("state"),
+    _real("score"),
+    _text("reasons"),
+    _number("both_static"),
+    _number("both_dynamic"),
+    _number("only_semantic_dynamic"),
+    _number("only_predictive_dynamic"),
+    _number("not_compared"),
+    _text("sha256"),
+    Column("record", LargeBinary, nullable=False),
+)
+
+SELECTIONS: Final = Table(
+    "selections",
+    METADATA,
+    _text("name", key=True),
+    _number("ordinal"),
+    _number("budget"),
+    _real("created_s"),
+)
+
+SELECTION_SCENES: Final = Table(
+    "selection_scenes",
+    METADATA,
+    _text("name", key=True),
+    _number("position", key=True),
+    _text("scene"),
+)

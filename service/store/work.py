@@ -1,0 +1,82 @@
+"""What a lease is for: the plan of a log or one of its shards, and the states these go through."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, Final
+
+from sqlalchemy import ColumnElement, Connection, Row, Table, and_, bindparam, select, update
+
+from service.store.tables import PLANS, SHARDS
+
+
+class WorkState(StrEnum):
+    """Where a plan or a shard stands.
+
+    ready -> leased -> done (a plan may end refused instead) is the way; a lease that ends badly
+    leads back to ready, at last to parked. stale waits for the next listing of the bucket,
+    cancelled for its revision to come back.
+    """
+
+    READY = "ready"
+    LEASED = "leased"
+    DONE = "done"
+    REFUSED = "refused"
+    PARKED = "parked"
+    STALE = "stale"
+    CANCELLED = "cancelled"
+
+
+OPEN: Final = (WorkState.READY, WorkState.LEASED, WorkState.STALE)
+"""States from which something is still to come."""
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """One plan (`shard` empty) or one shard, by its key in the ledger."""
+
+    log_id: str
+    revision: str
+    pipeline_version: str
+    shard: str = ""
+
+    def __str__(self) -> str:
+        """As messages name it."""
+        what = f"shard {self.shard}" if self.shard else "the plan"
+        return f"{what} of {self.log_id}"
+
+
+def row_of(connection: Connection, work: Work) -> Row[Any]:
+    """Read the row of a plan or shard, locked against other writers."""
+    return connection.execute(_SELECT[bool(work.shard)], _key(work)).one()
+
+
+def change(connection: Connection, work: Work, **values: Any) -> None:
+    """Set columns of a plan or shard."""
+    connection.execute(_UPDATE[bool(work.shard)], {**_key(work), **values})
+
+
+def _key(work: Work) -> dict[str, str]:
+    key = {
+        "at_log": work.log_id,
+        "at_revision": work.revision,
+        "at_pipeline": work.pipeline_version,
+    }
+    return {**key, "at_shard": work.shard} if work.shard else key
+
+
+def _at(table: Table) -> ColumnElement[bool]:
+    found = and_(
+        table.c.log_id == bindparam("at_log"),
+        table.c.revision == bindparam("at_revision"),
+        table.c.pipeline_version == bindparam("at_pipeline"),
+    )
+    return and_(found, SHARDS.c.name == bindparam("at_shard")) if table is SHARDS else found
+
+
+# Built once: to build a statement costs more than to run it.
+_TABLES: Final = {False: PLANS, True: SHARDS}
+_SELECT: Final = {
+    is_shard: select(table).where(_at(table)).with_for_update()
+    for is_shard, table in _TABLES.items()
+}
+_UPDATE: Final = {is_shard: update(table).where(_at(table)) for is_shard, table in _TABLES.items()}

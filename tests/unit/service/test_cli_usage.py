@@ -1,0 +1,71 @@
+"""Bad arguments: one sentence on stderr, nothing on stdout, exit code 1; never a traceback."""
+
+from pathlib import Path
+
+import pytest
+
+from service.cli.main import main
+
+
+@pytest.mark.parametrize(
+    ("argv", "says"),
+    [
+        pytest.param(["frobnicate"], "No such command", id="unknown verb"),
+        pytest.param(["top", "-n", "many"], "Invalid value", id="not a number"),
+        pytest.param(["select"], "Missing option", id="budget forgotten"),
+        pytest.param(
+            ["select", "--budget", "0"], "greater than or equal to 1", id="budget of nothing"
+        ),
+        pytest.param(["run", "--once"], "--bucket", id="no bucket named"),
+        pytest.param(["inspect", "nowhere/at/all.mcap"], "no such file", id="no such file"),
+        pytest.param(["top", "--connect", "here"], "tcp/host:port", id="not an endpoint"),
+        pytest.param(
+            ["eval", "motion", ".", "--truth", ".", "--frames", "9:3"], "no frame", id="9:3"
+        ),
+        pytest.param(
+            ["run", "--once", "--bucket", "ftp://fleet"],
+            "no bucket URL",
+            id="unknown kind of bucket",
+        ),
+        pytest.param(
+            ["run", "--once", "--bucket", ".", "--shard-seconds", "3"],
+            "whole multiple",
+            id="shards that cut scenes",
+        ),
+    ],
+)
+def test_a_usage_error_is_one_sentence_and_exit_code_one(
+    argv: list[str],
+    says: str,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(argv) == 1
+    written = capsys.readouterr()
+    assert written.out == ""
+    assert says in written.err.replace("\n", " ")
+    assert "Traceback" not in written.err
+
+
+def test_a_router_that_is_not_there_means_try_again(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["top", "--connect", "tcp/127.0.0.1:9"]) == 75
+    assert "no router at tcp/127.0.0.1:9" in capsys.readouterr().err
+
+
+def test_a_state_that_is_not_there_is_named(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert main(["top", "--state", str(tmp_path / "missing")]) == 1
+    assert "missing" in capsys.readouterr().err.replace("\n", "")
+
+
+def test_help_needs_no_bucket_and_lists_every_verb(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == 0
+    told = capsys.readouterr().out
+    verbs = ("run", "service", "worker", "router", "inspect", "score", "watch", "top", "select")
+    for verb in (*verbs, "show", "status", "eval", "bench", "demo"):
+        assert f"  {verb} " in told

@@ -1,0 +1,41 @@
+"""The best distinct scenes under a budget."""
+
+import pytest
+
+from service.ranking import RankedScene
+from service.selection import select
+
+
+def row(rank: int, score: float, *, twin_of: str | None = None) -> RankedScene:
+    return RankedScene(
+        rank=rank,
+        scene_id=f"a/lidar/{rank}",
+        log_id="a",
+        start_ns=rank,
+        end_ns=rank + 1,
+        score=score,
+        reasons=(),
+        twin_of=twin_of,
+        sha256="0" * 64,
+    )
+
+
+RANKING = [row(1, 0.9), row(2, 0.8, twin_of="a/lidar/1"), row(3, 0.7), row(4, 0.2), row(5, 0.0)]
+
+
+def test_the_best_are_taken_and_twins_left_out() -> None:
+    assert [scene.rank for scene in select(RANKING, budget=2)] == [1, 3]
+
+
+def test_a_budget_is_not_filled_with_scenes_that_hold_no_contradiction() -> None:
+    assert [scene.rank for scene in select(RANKING, budget=50)] == [1, 3, 4]
+
+
+def test_nothing_can_be_selected_from_nothing() -> None:
+    assert select([], budget=5) == []
+
+
+@pytest.mark.parametrize("budget", [0, -3])
+def test_a_budget_below_one_is_refused(budget: int) -> None:
+    with pytest.raises(ValueError, match=f"at least 1 scene, got {budget}"):
+        select(RANKING, budget=budget)
