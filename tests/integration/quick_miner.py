@@ -1,0 +1,66 @@
+"""A worker's loop without the mining: what a storm of kills is let loose on.
+
+Leases, publishing and commits are the product's; plans and records are made up, the same each time.
+"""
+
+import sys
+from threading import Event
+
+import zenoh
+
+from schemas import keys
+from schemas.bus import client_session, recoverable_publisher
+from schemas.process import stop_on_signals
+from schemas.retry import StoppedError
+from schemas.work import CommitRequest, MineLease, NothingToDo, PlanLease
+from tests.contracts.ledger_world import manifest_of, mined, plan_of, shard_commit
+from workers.lease import LeaseKeeper, Leases
+
+SHARDS_PER_LOG = 8
+
+
+def main(endpoint: str, worker_id: str) -> None:
+    """Work until told to stop."""
+    with stop_on_signals() as stop, client_session([endpoint], stop=stop) as session:
+        leases = Leases(session, root=keys.DEFAULT_ROOT, worker_id=worker_id)
+        while not stop.is_set():
+            try:
+                _next(session, leases, stop)
+            except StoppedError:
+                return
+
+
+def _next(session: zenoh.Session, leases: Leases, stop: Event) -> None:
+    lease = leases.claim("p1", stop=stop).grant
+    if isinstance(lease, NothingToDo):
+        stop.wait(0.1)
+        return
+    with LeaseKeeper(leases, lease, stop=stop, drain_s=2.0) as keeper:
+        if isinstance(lease, PlanLease):
+            plan = plan_of(lease.recording.log_id, shards=SHARDS_PER_LOG)
+            request = CommitRequest(worker_id=leases.worker_id, lease_id=lease.lease_id, plan=plan)
+            leases.commit(request, stop=keeper.drained)
+        else:
+            _mine(session, leases, lease, keeper)
+
+
+def _mine(session: zenoh.Session, leases: Leases, lease: MineLease, keeper: LeaseKeeper) -> None:
+    records = mined(lease.shard)
+    by_scene = {entry.scene_id: records[entry.sha256] for entry in manifest_of(records)}
+    key = keys.score(root=keys.DEFAULT_ROOT, log_id=lease.shard.log_id, shard=lease.shard.name)
+    with recoverable_publisher(session, key) as publisher:
+        for record in records.values():
+            keeper.over.wait(0.02)  # so that a kill may come between two records
+            publisher.put(record)
+        missing: tuple[str, ...] = ()
+        while True:
+            sent = [by_scene[scene_id] for scene_id in missing]
+            request = shard_commit(lease, records, worker=leases.worker_id, sent=sent)
+            answer = leases.commit(request, stop=keeper.drained)
+            missing = answer.missing
+            if answer.ok or not missing:
+                return
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
