@@ -2,8 +2,10 @@
 
 import hashlib
 from functools import cache
-from importlib import metadata, resources
+from importlib import metadata
 from typing import Final
+
+from workers.sources import source_digest
 
 LIBRARIES: Final = ("numpy", "scikit-learn", "scipy")
 
@@ -15,10 +17,7 @@ def contradiction_version() -> str:
     Returns:
         `contradiction@` and twelve hexadecimal digits.
     """
-    digest = hashlib.sha256()
-    for file in sorted(resources.files("workers.contradiction").iterdir(), key=lambda f: f.name):
-        if file.name.endswith(".py"):
-            digest.update(file.name.encode() + b"\0" + file.read_bytes() + b"\0")
+    digest = hashlib.sha256(source_digest("workers.contradiction").encode())
     for library in LIBRARIES:
         digest.update(f"{library}=={metadata.version(library)}\n".encode())
     return f"contradiction@{digest.hexdigest()[:12]}"

@@ -5,7 +5,8 @@ from typing import Any, TypeVar, cast
 
 from numba import njit
 
-from workers.selfsupervised.versions import source_digest
+from workers.selfsupervised.versions import PACKAGES
+from workers.sources import source_digest
 
 Loop = TypeVar("Loop", bound=Callable[..., Any])
 
@@ -19,5 +20,5 @@ def compiled(loop: Loop) -> Loop:
     The cache of numba notices changes of a function's own file only, not of the loops and numbers
     that it takes from others; a digest of all of them in the name makes stale code impossible.
     """
-    loop.__qualname__ += f"_{source_digest()[:8]}"
+    loop.__qualname__ += f"_{source_digest(*PACKAGES)[:8]}"
     return cast(Loop, njit(cache=True, nogil=True)(loop))
