@@ -4,6 +4,7 @@ from datetime import UTC, datetime
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from schemas.arrays import NS_PER_S
@@ -148,7 +149,7 @@ def _draw_track(
     strongest = members[int(np.argmin(np.abs(stamps_ns - track.strongest.stamp_ns)))]
     half_m = float(np.clip(1.6 * track.strongest.size_m[0], 4.0, 16.0))
     gap = (width - 3 * _TILE_PX) // 2
-    for column, instance in enumerate((members[0], strongest, members[-1])):
+    for column, instance in enumerate(_moments(members, strongest)):
         frame = int(overlay.instance_frame[instance])
         x, y = (float(value) for value in overlay.instance_boxes[instance, :2])
         tile = draw_above(
@@ -167,18 +168,37 @@ def _draw_track(
     return top + _TILE_PX + 12
 
 
+def _moments(members: NDArray[np.intp], strongest: int) -> list[int]:
+    """Begin, strongest, end; three different ones where the track has as many."""
+    first, last = int(members[0]), int(members[-1])
+    between = strongest if strongest not in (first, last) else int(members[len(members) // 2])
+    return sorted({first, between, last})
+
+
 def _draw_reasons(
     draw: ImageDraw.ImageDraw, score: SceneScore, *, left: int, top: int, width: int
 ) -> None:
+    """List the reasons; one that tells a track has its number, colour and strongest moment."""
     bottom = HEIGHT_PX - _MARGIN_PX - 6 * 24
-    for reason in score.reasons:
-        lines = wrap(reason, width - 16, 16, max_lines=2)
+    for index, reason in enumerate(score.reasons):
+        mark, ink = "-", SOFT_TEXT
+        if index < len(score.tracks) and _tells_a_track(reason, score):
+            track = score.tracks[index]
+            mark, ink = str(track.track_id + 1), INK[KIND_AGREEMENT[track.kind]]
+            at_s = (track.strongest.stamp_ns - score.start_ns) / NS_PER_S
+            reason = f"{reason}, at {at_s:.1f} s"
+        lines = wrap(reason, width - 20, 16, max_lines=2)
         if top + 21 * len(lines) > bottom:
             break
-        draw.text((left, top), "-", fill=SOFT_TEXT, font=font(16))
+        draw.text((left, top), mark, fill=ink, font=font(16))
         for line in lines:
-            draw.text((left + 16, top), line, fill=TEXT, font=font(16))
+            draw.text((left + 20, top), line, fill=TEXT, font=font(16))
             top += 21
+
+
+def _tells_a_track(reason: str, score: SceneScore) -> bool:
+    """Reasons come track by track; only the odometry's has none, and stands last."""
+    return score.state is SceneState.SCORED and not reason.startswith("odometry ")
 
 
 def _draw_legend(draw: ImageDraw.ImageDraw, score: SceneScore, *, left: int, width: int) -> None:
