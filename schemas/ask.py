@@ -27,7 +27,7 @@ class Problem(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    problem: str
+    problem: str = Field(description="One sentence: what, where, and what to do.")
     transient: bool = Field(description="Asking again later may help.")
 
 

@@ -27,11 +27,14 @@ from schemas.errors import (
 SUPPORTED_URLS: Final = (
     "use file:///folder, a path, s3://bucket/prefix, gs://bucket/prefix or az://container/prefix"
 )
-_CREDENTIALS: Final = (
-    "set them in the environment as the store's own tools take them (AWS_ACCESS_KEY_ID, "
-    "AWS_SECRET_ACCESS_KEY, AWS_REGION and AWS_ENDPOINT_URL; GOOGLE_APPLICATION_CREDENTIALS; "
-    "AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY)"
-)
+_VARIABLES: Final = {
+    "s3": "AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION and AWS_ENDPOINT_URL",
+    "gs": "GOOGLE_APPLICATION_CREDENTIALS",
+    "az": "AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY",
+}
+"""What names credentials in the environment, as the store's own tools take them."""
+
+_EXPIRED: Final = frozenset({"ExpiredToken", "TokenRefreshRequired", "InvalidToken"})
 # What object_store asks for credentials when it was given none.
 _CREDENTIAL_SERVICES: Final = (
     "169.254.169.254",
@@ -73,13 +76,15 @@ def explain(
     if said == "NoSuchBucket" or "canonicalize filesystem root" in text:
         return BucketRefusedError(f"there is no such bucket or folder {where}")
     if any(service in text for service in _CREDENTIAL_SERVICES):
-        return BucketRefusedError(f"no credentials for the bucket: {_CREDENTIALS} {where}")
+        return BucketRefusedError(f"no credentials for the bucket: {_set_them(url)} {where}")
     status = _status(text)
-    if isinstance(error, PermissionDeniedError | UnauthenticatedError) or status in ("401", "403"):
-        return BucketRefusedError(
-            f"the store refuses these credentials{f' ({said})' if said else ''}: {_CREDENTIALS} "
-            f"{where}"
-        )
+    if (
+        isinstance(error, PermissionDeniedError | UnauthenticatedError)
+        or status in ("401", "403")
+        or said in _EXPIRED
+    ):
+        doing = "writing" if writing else "reading" if key else "listing"
+        return BucketRefusedError(f"{_denial(said, url=url, doing=doing)} {where}")
     if isinstance(error, PermissionError) or "PermissionDenied" in text:
         return BucketRefusedError(f"no permission to {'write' if writing else 'read'} {where}")
     if isinstance(error, FileNotFoundError | NotFoundError):
@@ -115,6 +120,25 @@ def _by_status(status: str, text: str, *, said: str, where: str) -> Counterpoint
     if "Io" in text or "LocalFileSystem" in text:
         return BucketUnreachableError(f"the file system answers with an error {where}")
     return BucketRefusedError(f"the store cannot be used: {SUPPORTED_URLS} {where}")
+
+
+def _denial(code: str, *, url: str, doing: str) -> str:
+    """Say what is wrong with credentials, and what to do; `code` is the store's own word for it."""
+    named = f" ({code})" if code else ""
+    if code == "AccessDenied":
+        return f"the store allows these credentials no {doing} here{named}: grant it, or use others"
+    if code == "RequestTimeTooSkewed":
+        return f"the store takes no requests from a clock so wrong{named}: set this machine's clock"
+    if code in _EXPIRED:
+        return f"these credentials have expired{named}: {_set_them(url)}"
+    if code == "InvalidAccessKeyId":
+        return f"the store does not know these credentials{named}: {_set_them(url)}"
+    return f"the store refuses these credentials{named}: {_set_them(url)}"
+
+
+def _set_them(url: str) -> str:
+    scheme = url.partition("://")[0]
+    return f"set {_VARIABLES[scheme]}" if scheme in _VARIABLES else "set them in the environment"
 
 
 def _status(text: str) -> str:

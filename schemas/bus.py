@@ -17,7 +17,7 @@ import zenoh.ext
 
 from schemas.errors import PermanentError, TransientError
 from schemas.retry import backoff_s, pause
-from schemas.wire import SCENE_SCORE_ENCODING
+from schemas.wire import RANKED_SCENE_ENCODING, SCENE_SCORE_ENCODING
 
 log = structlog.get_logger(__name__)
 
@@ -32,6 +32,9 @@ CACHE_SAMPLES: Final = 1024
 
 RECORD: Final = zenoh.Encoding(SCENE_SCORE_ENCODING[0]).with_schema(SCENE_SCORE_ENCODING[1])
 """Encoding of a scored scene."""
+
+RANKED: Final = zenoh.Encoding(RANKED_SCENE_ENCODING[0]).with_schema(RANKED_SCENE_ENCODING[1])
+"""Encoding of one scene of a selection."""
 
 
 def free_endpoint(host: str = "127.0.0.1") -> str:
@@ -118,16 +121,30 @@ def recoverable_publisher(session: zenoh.Session, key: str) -> zenoh.ext.Advance
 
 
 def recoverable_subscriber(
-    session: zenoh.Session, key: str, callback: Callable[[zenoh.Sample], Any]
+    session: zenoh.Session,
+    key: str,
+    callback: Callable[[zenoh.Sample], Any],
+    *,
+    on_miss: Callable[[int], Any] | None = None,
 ) -> zenoh.ext.AdvancedSubscriber[None]:
-    """Declare a subscriber that fetches what it missed; the callback must only enqueue."""
-    return zenoh.ext.declare_advanced_subscriber(
+    """Declare a subscriber that fetches what it missed.
+
+    Args:
+        session: On the bus.
+        key: What to subscribe to.
+        callback: Takes a sample; must only enqueue.
+        on_miss: Told how many samples were missed for good, each time some were.
+    """
+    subscriber = zenoh.ext.declare_advanced_subscriber(
         session,
         key,
         callback,
         history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
         recovery=zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
     )
+    if on_miss is not None:
+        subscriber.sample_miss_listener(lambda miss: on_miss(miss.nb))  # lives as long as it does
+    return subscriber
 
 
 def _config(mode: str, *, listen: Sequence[str] = (), connect: Sequence[str] = ()) -> zenoh.Config:

@@ -1,29 +1,61 @@
-"""The JSON schema of a scored scene, for readers in other languages.
+"""The JSON schemas of what is published, for readers in other languages.
 
-Records are canonical JSON, so any language reads them; the schema file in this folder says what is
-in them. `python -m schemas.jsonschema` writes it; a test fails when it lags behind the models.
+What travels is canonical JSON, so any language reads it; the schema files in this folder say what
+is in it. `python -m schemas.jsonschema` writes them; a test fails when they lag behind the models.
 """
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+from pydantic import BaseModel
+
+from schemas.ask import Problem
+from schemas.events import RankedScene, SceneNumber
 from schemas.score import SceneScore
 
-SCENE_SCORE_SCHEMA: Final = Path(__file__).with_name("scene_score.v1.schema.json")
+PUBLISHED: Final[Mapping[str, type[BaseModel]]] = {
+    "counterpoint.scene_score.v1": SceneScore,
+    "counterpoint.scene_number.v1": SceneNumber,
+    "counterpoint.ranked_scene.v1": RankedScene,
+    "counterpoint.problem.v1": Problem,
+}
+"""Name of the schema, as encodings on the bus give it, to the model."""
 
 
-def scene_score_schema() -> str:
-    """Return the text of the schema file, as `SceneScore` defines it."""
-    schema = SceneScore.model_json_schema()
+def schema_file(name: str) -> Path:
+    """Return where the schema of this name lies."""
+    return Path(__file__).with_name(f"{name.removeprefix('counterpoint.')}.schema.json")
+
+
+def schema_text(name: str) -> str:
+    """Return the text of a schema file, as its model defines it.
+
+    Models refuse unknown fields, readers elsewhere must not: a later service may send more.
+    """
+    schema = _open(PUBLISHED[name].model_json_schema())
     schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
-    schema["$id"] = "counterpoint.scene_score.v1"
+    schema["$id"] = name
     return json.dumps(schema, indent=2, sort_keys=True) + "\n"
 
 
 def main() -> None:
-    """Write the schema file anew."""
-    SCENE_SCORE_SCHEMA.write_text(scene_score_schema(), encoding="utf-8")
+    """Write the schema files anew."""
+    for name in PUBLISHED:
+        schema_file(name).write_text(schema_text(name), encoding="utf-8")
+
+
+def _open(schema: Any) -> Any:
+    if isinstance(schema, dict):
+        return {
+            key: _open(value)
+            for key, value in schema.items()
+            if (key, value) != ("additionalProperties", False)
+        }
+    if isinstance(schema, list):
+        return [_open(value) for value in schema]
+    return schema
 
 
 if __name__ == "__main__":

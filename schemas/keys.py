@@ -6,7 +6,17 @@ from urllib.parse import quote, unquote
 DEFAULT_ROOT: Final = "counterpoint"
 
 Verb = Literal[
-    "hello", "claim", "renew", "commit", "fail", "top", "select", "overlay", "status", "scene"
+    "hello",
+    "claim",
+    "renew",
+    "commit",
+    "fail",
+    "top",
+    "select",
+    "overlay",
+    "status",
+    "scene",
+    "rates",
 ]
 """What may be asked of the service."""
 

@@ -11,14 +11,21 @@ from schemas.score import MAX_RECORD_BYTES, SceneScore
 SCENE_SCORE_ENCODING: Final = ("application/json", "counterpoint.scene_score.v1")
 """Zenoh encoding and schema suffix of a scored scene."""
 
+RANKED_SCENE_ENCODING: Final = ("application/json", "counterpoint.ranked_scene.v1")
+"""The same of one scene of a selection."""
+
 Message = TypeVar("Message", bound=BaseModel)
+
+
+_CANONICAL: Final = json.JSONEncoder(
+    sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False
+)
+"""Made once: `json.dumps` would make one for each message."""
 
 
 def canonical_json(value: Any) -> bytes:
     """Encode plain data: sorted keys, no spaces, ASCII, NaN refused."""
-    return json.dumps(
-        value, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False
-    ).encode()
+    return _CANONICAL.encode(value).encode()
 
 
 def encode(message: BaseModel) -> bytes:

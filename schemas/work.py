@@ -45,13 +45,22 @@ class MiningSettings(BaseModel):
 
     bucket: str = Field(description="URL of the log bucket.")
     artifacts: str = Field(description="URL of the folder or bucket for point-level overlays.")
-    grid: Grid = Field(default_factory=Grid)
-    supervised: str = Field(default="salsanext-lmnet", description="Name in workers.registry.")
-    selfsupervised: str = Field(default="registration", description="Name in workers.registry.")
-    odometry: str = Field(default="kiss-icp", description="Name in workers.registry.")
+    grid: Grid = Field(default_factory=Grid, description="Scene and shard lengths, warm-up.")
+    supervised: str = Field(
+        default="salsanext-lmnet",
+        description="Supervised stream, by name: salsanext-lmnet, or recorded (what the model on "
+        "the car said).",
+    )
+    selfsupervised: str = Field(
+        default="registration",
+        description="Self-supervised stream, by name: registration or two-stage.",
+    )
+    odometry: str = Field(default="kiss-icp", description="Odometry, by name: kiss-icp.")
     lidar_topic: str = Field(default="", description="Mine this topic only; empty: by evidence.")
     path_template: str = Field(
-        default="{vehicle}/{date}/{name}", description="Matched from the right of a log's key."
+        default="{vehicle}/{date}/{name}",
+        description="Vehicle and date of a log, matched from the right of its key, where the log "
+        "itself does not say.",
     )
     stamp_at: Literal["start", "middle", "end"] = Field(
         default="start", description="Which instant of the revolution a header stamp names."
@@ -216,6 +225,11 @@ class PlanLease(BaseModel):
     lease_id: str
     expires_s: float
     recording: Recording
+    settled: bool = Field(
+        default=True,
+        description="False: listed a moment ago, it may still grow; plan it only if every part "
+        "ends in a valid footer, else fail with `growing`.",
+    )
 
 
 class MineLease(BaseModel):
@@ -307,6 +321,11 @@ class FailRequest(BaseModel):
     permanent: bool = Field(description="Trying again would fail the same way.")
     replaced: bool = Field(
         default=False, description="An object changed under the reader: plan the log anew."
+    )
+    growing: bool = Field(
+        default=False,
+        description="Not settled and without a valid footer: wait until it has not changed for a "
+        "while. No attempt is used up.",
     )
     given_back: bool = Field(
         default=False, description="The worker was told to stop: no fault, and no attempt used up."

@@ -10,6 +10,7 @@
 The ledger alone remembers; everything else may be killed at any moment and is rebuilt from it.
 """
 
+from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack
 from functools import partial
@@ -23,26 +24,37 @@ import zenoh
 from schemas import keys
 from schemas.bucket import Bucket
 from schemas.bus import recoverable_subscriber
+from schemas.errors import BucketRefusedError, TransientError
 from schemas.work import MiningSettings
 from service.bucket_watch import BucketWatch
 from service.control import Control
 from service.errors import StateInUseError
+from service.gauges import Sources
+from service.heartbeat import Heartbeat, Standing, service_standing
 from service.history import History
 from service.ledger import Ledger
+from service.metrics import ServiceMetrics
 from service.outbox import Outbox
 from service.questions import Questions
+from service.readiness import not_ready
 from service.staging import Staging
 from service.ticking import tick
 
 log = structlog.get_logger(__name__)
 
-ANSWERING_THREADS: Final = 4
-"""A commit waits for the disk while others read; more threads than that only wait."""
+WRITING_THREADS: Final = 16
+"""Commits that wait for the disk at the same time share one transaction: more threads, fewer waits
+for the disk. Beyond this the processor is what they wait for."""
 
-THREADS: Final = ANSWERING_THREADS + 3
-"""Beside those that answer: bucket watch, expiry of leases, outbox; all for as long as we live."""
+READING_THREADS: Final = 4
+"""A long answer must not hold up the short ones."""
+
+THREADS: Final = WRITING_THREADS + READING_THREADS + 5
+"""Beside those that answer: bucket watch, expiry of leases, outbox, heartbeat, hold on the
+database; all for as long as we live."""
 
 EXPIRY_INTERVAL_S: Final = 1.0
+HOLD_INTERVAL_S: Final = 1.0
 OUTBOX_INTERVAL_S: Final = 0.5
 """How often to publish without an alarm, since a router may have come back."""
 
@@ -51,6 +63,9 @@ class Service:
     """Bucket in sight, workers answered, scenes published, for as long as the `with` block lasts.
 
     Session, ledger and buckets belong to whoever made them; they must outlive the block.
+
+    Attributes:
+        metrics: What is counted, and read at a scrape.
     """
 
     def __init__(
@@ -62,7 +77,14 @@ class Service:
         settings: MiningSettings,
         root: str = keys.DEFAULT_ROOT,
         list_interval_s: float = 10.0,
+        include: Sequence[str] = (),
+        exclude: Sequence[str] = (),
+        settle_s: float = 0.0,
         once: bool = False,
+        heartbeat_s: float = 300.0,
+        hold: Callable[[], object] | None = None,
+        metrics: ServiceMetrics | None = None,
+        state_free_bytes: Callable[[], int | None] = lambda: None,
     ) -> None:
         """Wire the parts; nothing happens before the block is entered.
 
@@ -73,22 +95,48 @@ class Service:
             settings: What every worker must do alike.
             root: First part of every key.
             list_interval_s: Between two listings of the bucket, seconds.
+            include: Only keys that match one of these patterns count; empty: all.
+            exclude: Keys that match one of these do not.
+            settle_s: A bucket that is suddenly empty is believed when it stays so for this long.
             once: List the bucket only at the start, unless an object changes under a reader.
+            heartbeat_s: Longest silence of the log, seconds.
+            hold: Makes sure that the ledger is still ours alone to write; None: it cannot be lost.
+            metrics: Told of everything that is counted; None: some that nobody reads.
+            state_free_bytes: Says how much room the disk of the state has; None: not known.
         """
         self._session, self._ledger, self._root = session, ledger, root
         self._list_interval_s, self._once = list_interval_s, once
         self._stop, self._news = Event(), Event()
-        self._watch = BucketWatch(bucket, ledger)
+        self._hold = hold
+        self._watch = BucketWatch(
+            bucket, ledger, include=include, exclude=exclude, settle_s=settle_s
+        )
+        self._heartbeat = Heartbeat(self._standing, heartbeat_s=heartbeat_s)
         self._staging = Staging()
         self._outbox = Outbox(session, ledger, root=root)
         self._history = History(session, ledger, root=root)
-        self._questions = Questions(session)
+        self.metrics = metrics or ServiceMetrics()
+        ledger.observe(self.metrics)
+        self._questions = Questions(session, on_outcome=self.metrics.asked)
         self._control = Control(
             settings=settings,
             ledger=ledger,
             staging=self._staging,
             on_scenes=self._news.set,
             on_selection=self._outbox.publish_selection,
+            on_commit_seconds=self.metrics.committed,
+        )
+        self.metrics.read_from(
+            Sources(
+                backlog=ledger.backlog,
+                bucket_url=bucket.url,
+                bucket=lambda: self._watch.seen,
+                staging_bytes=lambda: self._staging.waiting_bytes,
+                questions_waiting=lambda: self._questions.waiting,
+                bus_misses=lambda: self._staging.missed,
+                state_free_bytes=state_free_bytes,
+                now_s=ledger.now_s,
+            )
         )
         self._open = ExitStack()
         self._threads: list[Future[None]] = []
@@ -114,7 +162,10 @@ class Service:
             opening.callback(self._end)
             opening.enter_context(
                 recoverable_subscriber(
-                    self._session, keys.all_scores(root=self._root), self._staging.on_sample
+                    self._session,
+                    keys.all_scores(root=self._root),
+                    self._staging.on_sample,
+                    on_miss=self._staging.on_miss,
                 )
             )
             opening.callback(self._questions.close)
@@ -129,6 +180,15 @@ class Service:
             self._open = opening.pop_all()
         log.info("service up", root=self._root, recordings=self._watch.recordings)
         return self
+
+    def not_ready(self) -> dict[str, str]:
+        """Say what keeps the service from its work now, by part; empty: it is ready."""
+        return not_ready(
+            self._ledger,
+            self._session,
+            self._watch.seen,
+            list_interval_s=None if self._once else self._list_interval_s,
+        )
 
     def check(self) -> None:
         """Raise what ended a thread of the service, if one has ended."""
@@ -165,7 +225,8 @@ class Service:
     def _start(self, pool: ThreadPoolExecutor) -> None:
         every = partial(tick, stop=self._stop)
         self._threads = [
-            pool.submit(self._questions.serve, self._stop) for _ in range(ANSWERING_THREADS)
+            pool.submit(self._questions.serve, self._stop, writes=number < WRITING_THREADS)
+            for number in range(WRITING_THREADS + READING_THREADS)
         ]
         self._threads += [
             pool.submit(
@@ -185,7 +246,29 @@ class Service:
                 self._list_what_changed if self._once else self._watch.list_once,
                 what="listing of the bucket",
                 interval_s=self._list_interval_s,
+                # Credentials expire and are renewed, policies are changed and mended.
+                passing=(TransientError, BucketRefusedError),
             )
+        )
+
+        self._threads.append(
+            pool.submit(
+                every,
+                self._heartbeat.beat,
+                what="heartbeat",
+                interval_s=self._heartbeat.interval_s,
+            )
+        )
+        if self._hold is not None:
+            self._threads.append(
+                pool.submit(
+                    every, self._hold, what="hold on the database", interval_s=HOLD_INTERVAL_S
+                )
+            )
+
+    def _standing(self) -> Standing:
+        return service_standing(
+            self._ledger, self._session, root=self._root, listed_s=self._watch.seen.last_success_s
         )
 
     def _list_what_changed(self) -> None:

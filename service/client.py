@@ -1,27 +1,27 @@
 """The service as seen from outside: verbs that are asked, and scenes that are watched."""
 
-import queue
-from collections.abc import Iterator, Sequence
-from functools import partial
+import time
+from collections.abc import Callable, Iterator, Sequence
 from threading import Event
 from typing import Final
 
 import structlog
-import zenoh
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from schemas import keys
 from schemas.ask import ask_until
-from schemas.bus import client_session, is_connected
-from schemas.events import SceneNumber
+from schemas.bus import client_session
 from schemas.keys import Verb
+from schemas.retry import StoppedError
 from schemas.score import SceneScore
-from schemas.wire import decode, encode, sha256
-from service.merging import SceneEvent, SceneMerge
-from service.messages import SceneRequest, SelectRequest, TopReply, TopRequest
+from schemas.wire import decode, encode
+from service.merging import Holding, SceneEvent, SceneMerge, Wanted
+from service.messages import RatesReply, SceneRequest, SelectRequest, TopReply, TopRequest
 from service.ranking import RankedScene
+from service.rates import RateRow, RatesRequest
 from service.selection import Selection
 from service.status import Status
+from service.subscription import SceneSubscription
 
 log = structlog.get_logger(__name__)
 
@@ -29,11 +29,16 @@ PATIENCE_S: Final = 3.0
 """How long a person waits for a service that is just starting."""
 
 PAGE: Final = 500
-PAGE_TIMEOUT_S: Final = 5.0
-"""Scenes of the history in one question, which takes milliseconds, and how long it may take."""
+"""Events of the history in one question, at most 16 KB each: what is held in memory at once."""
 
 IDLE_S: Final = 2.0
 """After so long without a scene, ask whether one was lost on its way: the last leaves no gap."""
+
+_LOOK_S: Final = 0.05
+"""How often to look whether something was published, while nothing is."""
+
+_AGAIN_S: Final = 0.5
+"""How soon to ask again for what is known to be missing."""
 
 
 class ControlClient:
@@ -47,9 +52,9 @@ class ControlClient:
         """Take the endpoints of routers, and the first part of every key."""
         self._connect, self._root = tuple(connect), root
 
-    def top(self) -> list[RankedScene]:
-        """Rank every current scene, best first."""
-        return list(decode(TopReply, self._ask("top", TopRequest())).scenes)
+    def top(self, most: int | None = None) -> list[RankedScene]:
+        """Rank every current scene, best first, and list so many; None: all."""
+        return list(decode(TopReply, self._ask("top", TopRequest(most=most))).scenes)
 
     def select(self, *, budget: int, name: str | None = None) -> Selection:
         """Store the best distinct scenes as a named selection, and publish it."""
@@ -58,6 +63,10 @@ class ControlClient:
     def status(self) -> Status:
         """Say how far everything is."""
         return decode(Status, self._ask("status"))
+
+    def rates(self, request: RatesRequest) -> list[RateRow]:
+        """Say how often the streams contradict each other, by group."""
+        return list(decode(RatesReply, self._ask("rates", request)).rows)
 
     def scene(self, scene_id: str) -> SceneScore:
         """Return the record of a current scene."""
@@ -81,76 +90,138 @@ class ControlClient:
 def watch_scenes(
     connect: Sequence[str],
     *,
-    root: str,
+    root: str = keys.DEFAULT_ROOT,
     history: int | None = None,
+    since: int | None = None,
+    log: str = "*",
+    vehicle: str | Sequence[str] = (),
+    min_score: float = 0.0,
     stop: Event | None = None,
+    wait: bool = True,
+    on_service: Callable[[bool], None] | None = None,
     idle_s: float = IDLE_S,
 ) -> Iterator[SceneEvent]:
-    """Yield scored scenes, each once: those there are, then each as it is committed.
+    """Yield scored scenes in the order of their numbers: those there are, then each as it comes.
 
-    Subscribes first and asks for the history second, so that nothing falls between; what is lost on
-    the way later is noticed by a gap in the numbers, or by asking when it is quiet, and fetched.
-    Router and service may be restarted meanwhile.
+    A scene that went, or does not match any more what was asked for, is yielded as withdrawn. What
+    is lost on the way is noticed by a gap in the numbers, or by asking when it is quiet, and
+    fetched; router and service may go and come back for ever. Whoever notes the number of the last
+    event he has handled, and gives it as `since` in his next life, misses none and gets none twice.
+
+    What happened while nobody watched arrives summed up, one event per scene: one that went and
+    came back arrives again, with the same digest; one that came and went arrives as withdrawn,
+    although it was never yielded. One that was yielded in an earlier life and whose new record
+    matches no more is not taken back: that life is not known here.
+
+    Memory: one page of the history, and 171 bytes for each scene that was yielded.
 
     Args:
         connect: Endpoints of routers.
         root: First part of every key.
         history: Only so many scenes of the past, the newest; None: all of them.
+        since: Only events after this number; not together with `history`.
+        log: Pattern that the log id must match whole, `*` matches `/` too.
+        vehicle: Only scenes of this vehicle, or of these.
+        min_score: Only scenes that score at least so much, 0 to 1.
         stop: Ends the iteration.
+        wait: For a router, if none answers at the start.
+        on_service: Told when the service is gone (False) and back (True), once each; None: it is
+            logged, by structlog.
         idle_s: How long it must be quiet before asking.
 
     Raises:
-        TransientError: If no router answers at the start.
+        ValueError: If the arguments contradict each other.
+        TransientError: If no router answers at the start, without `wait`.
+        PermanentError: If the service refuses: `since` is beyond its last number, so that this is
+            another ledger; or if its records cannot be read.
     """
+    if history is not None and since is not None:
+        raise ValueError("give history or since, not both: since means all after that number")
+    vehicles = frozenset((vehicle,) if isinstance(vehicle, str) else vehicle)
+    wanted = Wanted(log=log, vehicles=vehicles, min_score=min_score)
+    holding = Holding(wanted, resumed=bool(since))
     stop = stop or Event()
-    arrived: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
-    with (
-        client_session(connect) as session,
-        session.declare_subscriber(keys.all_scenes(root=root), arrived.put),
-    ):
-        merge = SceneMerge(partial(_history, session, root), page=PAGE)
-        yield from merge.begin(history)
-        while not stop.is_set():
-            try:
-                sample = arrived.get(timeout=idle_s)
-            except queue.Empty:
-                yield from merge.catch_up()
-                continue
-            event = _event(sample, root=root)
-            if event is not None:
-                yield from merge.take(event)
 
-
-def _history(session: zenoh.Session, root: str, asked: dict[str, int]) -> Iterator[SceneEvent]:
-    """Ask for a page of the history; an answer cut short is complete up to its last scene."""
-    # Measured: where a session has a subscriber for the same wildcard, a question without a router
-    # is not answered empty at once, as others are, but only when its time is up.
-    if not is_connected(session):
-        return
-    parameters = ";".join(f"{name}={number}" for name, number in asked.items())
-    for reply in session.get(
-        f"{keys.all_scenes(root=root)}?{parameters}",
-        timeout=PAGE_TIMEOUT_S,
-        consolidation=zenoh.ConsolidationMode.NONE,  # any other merges replies
-    ):
-        event = _event(reply.ok, root=root) if reply.ok is not None else None
-        if event is None:
+    def events() -> Iterator[SceneEvent]:
+        try:
+            session = client_session(connect, stop=stop if wait else None)
+        except StoppedError:
             return
-        yield event
+        with session, SceneSubscription(session, root=root) as subscription:
+            merge = SceneMerge(subscription.history, page=PAGE, since=since or 0)
+            presence = _Presence(on_service or _log_service, subscription)
+            if history is not None:
+                yield from filter(None, map(holding.news, _begin(merge, history, presence, stop)))
+            following = _follow(merge, subscription, presence, stop, idle_s=idle_s)
+            yield from filter(None, map(holding.news, following))
+
+    return events()
 
 
-def _event(sample: zenoh.Sample, *, root: str) -> SceneEvent | None:
-    """Read a sample; None, and a warning, for what a stranger put there."""
-    key = str(sample.key_expr)
-    try:
-        attachment = sample.attachment.to_bytes() if sample.attachment is not None else b""
-        seq = decode(SceneNumber, attachment).seq
-        scene_id = keys.scene_id_of(key, root=root)
-        if sample.kind == zenoh.SampleKind.DELETE:
-            return SceneEvent(seq, scene_id)
-        record = sample.payload.to_bytes()
-        decode(SceneScore, record)
-    except (ValidationError, ValueError) as error:
-        log.warning("not a scene", key=key, problem=str(error).splitlines()[0])
-        return None
-    return SceneEvent(seq, scene_id, record, sha256(record))
+class _Presence:
+    """Whether the service is there; says so when that changes."""
+
+    def __init__(self, say: Callable[[bool], None], subscription: SceneSubscription) -> None:
+        self._say, self._subscription = say, subscription
+        self._was = True
+
+    def look(self) -> bool:
+        """Return whether the service is there."""
+        there = self._subscription.service_is_there()
+        if there != self._was:
+            self._was = there
+            self._say(there)
+        return there
+
+
+def _begin(
+    merge: SceneMerge, newest: int, presence: _Presence, stop: Event
+) -> Iterator[SceneEvent]:
+    """Begin with the newest scenes; from number 0 if a service that is there knows none."""
+    while not stop.is_set():
+        there = presence.look()
+        found = merge.begin(newest)
+        if found is not None:
+            yield from found
+            return
+        if there:
+            return
+        stop.wait(_AGAIN_S)
+
+
+def _follow(
+    merge: SceneMerge,
+    subscription: SceneSubscription,
+    presence: _Presence,
+    stop: Event,
+    *,
+    idle_s: float,
+) -> Iterator[SceneEvent]:
+    """Yield every event after those that the merge has passed on, for ever."""
+    was_there = presence.look()
+    ask_at_s = time.monotonic()
+    asked_at_s = ask_at_s - _AGAIN_S
+    while not stop.is_set():
+        there = presence.look()
+        if there and not was_there:
+            ask_at_s = time.monotonic()
+        was_there = there
+        event = subscription.published()
+        if event is not None and merge.take(event):
+            yield event
+            ask_at_s = time.monotonic() + idle_s
+        if merge.is_behind:
+            ask_at_s = min(ask_at_s, asked_at_s + _AGAIN_S)
+        if time.monotonic() >= ask_at_s:
+            yield from merge.catch_up()
+            asked_at_s = time.monotonic()
+            ask_at_s = asked_at_s + idle_s
+        elif event is None:
+            stop.wait(_LOOK_S)
+
+
+def _log_service(there: bool) -> None:
+    if there:
+        log.info("the service is back")
+    else:
+        log.warning("the service is gone; waiting for it")

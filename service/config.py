@@ -1,51 +1,133 @@
-"""Every setting of the command, with its default; flags win over `COUNTERPOINT_*` variables."""
+"""Every setting of the command, with its default; a file, variables and flags say otherwise.
 
+Read from the bottom to the top: flags win over `COUNTERPOINT_*` variables, which win over the file
+that `--config` or COUNTERPOINT_CONFIG names. The same table stands in `deploy/SETTINGS.md`.
+"""
+
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Final, Literal
+from urllib.parse import urlsplit
 
-from pydantic import Field, ValidationError
-from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic_core import from_json
 
 from schemas.keys import DEFAULT_ROOT
-from schemas.work import Grid, MiningSettings
+from schemas.work import MiningSettings
 from service.errors import UsageError
+from service.layers import CONFIG_VARIABLE, Written, lay, leaves, nested
+from service.settings_text import allowed, impossible
 
 DEFAULT_STATE = Path("counterpoint-state")
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 
+NOT_IN_VERSION: Final = frozenset({"bucket", "artifacts"})
+"""Of the settings that workers share, those that no pipeline version depends on."""
 
-class Settings(BaseSettings):
-    """What one command runs with. Credentials of buckets are not here: obstore reads its own."""
 
-    model_config = SettingsConfigDict(
-        env_prefix="COUNTERPOINT_", env_nested_delimiter="__", extra="forbid", frozen=True
-    )
+def _listed(value: object) -> object:
+    """Take `a,b`, or JSON, for a list: a variable has no other way to write one."""
+    if isinstance(value, str):
+        with suppress(ValueError):  # `[ab]*` is a pattern, no JSON
+            return from_json(value)
+        return tuple(part.strip() for part in value.split(",") if part.strip())
+    return value
 
-    bucket: str = Field(default="", description="URL of the log bucket.")
+
+def _postgres(url: str) -> str:
+    """Take any of PostgreSQL's own spellings, and none of another database."""
+    scheme, separator, rest = url.partition("://")
+    if url and (not separator or scheme not in _POSTGRES):
+        raise ValueError("empty or a URL like postgresql://user@host:5432/name")
+    parts = urlsplit(url)
+    if parts.netloc.count("@") > 1 or "password" in parts.query:
+        raise ValueError("a URL with its password before the @ only, percent-encoded")
+    return f"{_POSTGRES[-1]}://{rest}" if url else url
+
+
+_POSTGRES: Final = ("postgres", "postgresql", "postgresql+psycopg")
+
+Names = Annotated[tuple[str, ...], BeforeValidator(_listed)]
+PostgresUrl = Annotated[str, AfterValidator(_postgres)]
+
+
+class Settings(MiningSettings):
+    """What one command runs with. Credentials of buckets are not here: obstore reads its own.
+
+    What every worker must do alike is inherited, and part of the pipeline version but for
+    `NOT_IN_VERSION`: where one of those changes, everything is mined anew.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    bucket: str = Field(default="", description="URL or path of the log bucket; only read.")
     artifacts: str = Field(
         default="", description="URL for overlays; empty: the folder `artifacts` in the state."
     )
-    state: Path = Field(default=DEFAULT_STATE, description="Folder of the ledger and overlays.")
-    root: str = Field(default=DEFAULT_ROOT, pattern=r"^[A-Za-z0-9_-]+$", description="Key root.")
-    connect: str = Field(default="", description="Endpoint of a router, `tcp/host:port`.")
-    listen: str = Field(default="", description="Endpoint a router listens on; empty: a free one.")
-    workers: int = Field(default=2, ge=1, le=256, description="Worker processes of `run`.")
-    grid: Grid = Field(default_factory=Grid, description="Scene and shard lengths, warm-up.")
-    odometry: str = Field(default="kiss-icp", description="Odometry, by name.")
-    supervised: str = Field(default="salsanext-lmnet", description="Supervised stream, by name.")
-    selfsupervised: str = Field(default="registration", description="Self-supervised stream.")
-    lidar_topic: str = Field(default="", description="Mine this topic only; empty: by evidence.")
-    path_template: str = Field(
-        default="{vehicle}/{date}/{name}", description="Identity, matched from the key's right."
+    state: Path = Field(
+        default=DEFAULT_STATE, description="Folder of lock, ledger and overlays; a local disk."
     )
-    stamp_at: Literal["start", "middle", "end"] = Field(
-        default="start", description="Instant of the revolution that a header stamp names."
+    root: str = Field(
+        default=DEFAULT_ROOT,
+        pattern=r"^[A-Za-z0-9_-]+$",
+        description="First part of every Zenoh key; two systems on one router need two.",
     )
-    intensity_scale: float = Field(
-        default=0.0, ge=0, description="Recorded intensity that means 1; 0: by evidence."
+    connect: str = Field(
+        default="", description="Endpoint of a router, `tcp/host:port`; commas for several."
     )
+    listen: str = Field(
+        default="",
+        description="Endpoint a router listens on; empty: a free one for `run`, "
+        f"{DEFAULT_ENDPOINT} for `router`.",
+    )
+    workers: int = Field(
+        default=2, ge=1, le=256, description="Worker processes of `run` and `worker`."
+    )
+    include: Names = Field(
+        default=(),
+        description="Only keys that match one of these patterns (`*` also crosses `/`).",
+    )
+    exclude: Names = Field(default=(), description="No key that matches one of these.")
     list_interval_s: float = Field(
         default=10.0, gt=0, description="Between listings of the bucket."
+    )
+    settle_s: float = Field(
+        default=30.0,
+        ge=0,
+        description="An object without a valid footer is planned when it has not changed for so "
+        "long.",
+    )
+    database: PostgresUrl = Field(
+        default="",
+        repr=False,  # may hold a password
+        description="URL of a PostgreSQL, `postgresql://user@host/name`; empty: a SQLite file in "
+        "the state folder.",
+    )
+    http_listen: str = Field(
+        default="127.0.0.1:9464",
+        description="Where `run` and `service` serve /metrics, /healthz, /readyz and /rates; "
+        "empty: nowhere. Not with --once.",
+    )
+    worker_http_listen: str = Field(
+        default="127.0.0.1:9465",
+        description="Where `worker` serves /metrics, /healthz and /readyz; empty: nowhere.",
+    )
+    vehicles: Names = Field(
+        default=(),
+        max_length=50,
+        description="Vehicles that have a series of their own in the metrics; others are `other`.",
+    )
+    heartbeat_s: float = Field(
+        default=300.0, gt=0, description="A quiet daemon says how it stands this often."
+    )
+    log_format: Literal["console", "json"] = Field(
+        default="console", description="Lines of the log for people, or for machines."
+    )
+    log_level: Literal["debug", "info", "warning", "error"] = Field(
+        default="info", description="Least level that is logged."
     )
     lease_s: float = Field(default=30.0, gt=1, description="A lease lives this long unrenewed.")
     max_attempts: int = Field(default=5, ge=1, description="Then a shard is parked.")
@@ -55,31 +137,51 @@ class Settings(BaseSettings):
 
     def mining(self) -> MiningSettings:
         """Return what every worker must do alike."""
-        return MiningSettings(
-            bucket=self.bucket,
-            artifacts=self.artifacts or (self.state.resolve() / "artifacts").as_uri(),
-            grid=self.grid,
-            supervised=self.supervised,
-            selfsupervised=self.selfsupervised,
-            odometry=self.odometry,
-            lidar_topic=self.lidar_topic,
-            path_template=self.path_template,
-            stamp_at=self.stamp_at,
-            intensity_scale=self.intensity_scale,
-        )
+        shared = {name: getattr(self, name) for name in MiningSettings.model_fields}
+        artifacts = self.artifacts or (self.state.resolve() / "artifacts").as_uri()
+        return MiningSettings(**shared | {"artifacts": artifacts})
 
 
-def load_settings(**flags: Any) -> Settings:
-    """Read the settings: flags that were given (not None) over the environment over defaults.
+@dataclass(frozen=True, slots=True)
+class ReadSettings:
+    """Settings, and where each value comes from.
+
+    Attributes:
+        settings: What holds.
+        written: By dotted name, of each setting that is not at its default: the value that won.
+        file: The file that was read, if any.
+    """
+
+    settings: Settings
+    written: Mapping[str, Written]
+    file: Path | None
+
+
+def load_settings(*, config: Path | None = None, **flags: Any) -> Settings:
+    """Read the settings; `read_settings` says where each comes from, too."""
+    return read_settings(config=config, **flags).settings
+
+
+def read_settings(*, config: Path | None = None, **flags: Any) -> ReadSettings:
+    """Read the settings: flags that were given (not None) over variables over the file.
+
+    Args:
+        config: A TOML file; None: the one that COUNTERPOINT_CONFIG names, if any.
+        flags: By the name of the setting, or of the flag with underscores for dashes.
 
     Raises:
-        UsageError: If a value is impossible; the message names it.
+        UsageError: If a name is unknown or a value impossible; the message names them all, as they
+            were written, and shows no password.
     """
-    given = {name: value for name, value in flags.items() if value is not None}
+    named = os.environ.get(CONFIG_VARIABLE, "")
+    file = config or (Path(named) if named else None)
+    known = leaves(Settings)
+    laid, problems = lay(known, file=file, environ=os.environ, flags=flags)
     try:
-        return Settings(**given)
+        settings = Settings.model_validate(nested(laid))
     except ValidationError as error:
-        problems = "; ".join(
-            f"{'.'.join(map(str, e['loc'])) or 'settings'}: {e['msg']}" for e in error.errors()
-        )
-        raise UsageError(f"impossible settings: {problems}") from None
+        problems += impossible(error, laid, allowed(Settings))
+    else:
+        if not problems:
+            return ReadSettings(settings, laid, file)
+    raise UsageError("; ".join(problems)) from None

@@ -1,8 +1,10 @@
 """The verbs that workers and people may ask of the service, each a payload in and a payload out."""
 
+import time
 from collections.abc import Callable, Mapping
 from typing import Final, get_args
 
+import structlog
 import zenoh
 
 from schemas import keys
@@ -17,12 +19,15 @@ from schemas.work import (
     RenewRequest,
 )
 from service.ledger import Ledger, StoredScene
-from service.messages import SceneRequest, SelectRequest, TopReply, TopRequest
+from service.messages import RatesReply, SceneRequest, SelectRequest, TopReply, TopRequest
 from service.questions import Questions
 from service.ranking import rank
+from service.rates import RatesRequest, rates
 from service.reading import no_such_scene, read_overlay
 from service.selection import Selection, select
 from service.staging import Staging
+
+log = structlog.get_logger(__name__)
 
 STAGING_PATIENCE_S: Final = 0.2
 """How long a commit waits for records that it may have overtaken, before it names them missing."""
@@ -39,8 +44,13 @@ class Control:
         staging: Staging,
         on_scenes: Callable[[], None],
         on_selection: Callable[[Selection], None],
+        on_commit_seconds: Callable[[float], None] = lambda _: None,
     ) -> None:
-        """Take the parts, and whom to tell about committed scenes and stored selections."""
+        """Take the parts, and whom to tell about committed scenes and stored selections.
+
+        `on_commit_seconds` is told how long the ledger took for each commit.
+        """
+        self._on_commit_seconds = on_commit_seconds
         self._settings, self._ledger, self._staging = settings, ledger, staging
         self._on_scenes, self._on_selection = on_scenes, on_selection
         self._answers: Mapping[Verb, Callable[[bytes], bytes]] = {
@@ -52,6 +62,7 @@ class Control:
             "top": lambda payload: encode(self._top(decode(TopRequest, payload))),
             "select": lambda payload: encode(self._select(decode(SelectRequest, payload))),
             "status": lambda _: encode(self._ledger.status()),
+            "rates": lambda payload: encode(self._rates(decode(RatesRequest, payload))),
             "scene": lambda payload: self._scene(decode(SceneRequest, payload)).record,
             "overlay": lambda payload: self._overlay(decode(SceneRequest, payload)),
         }
@@ -60,7 +71,7 @@ class Control:
         """Take the questions of every verb."""
         for verb in get_args(Verb):
             questions.declare(
-                keys.control(root=root, verb=verb), self._replier(self._answers[verb])
+                keys.control(root=root, verb=verb), self._replier(self._answers[verb]), asked=verb
             )
 
     def _replier(self, answer: Callable[[bytes], bytes]) -> Callable[[zenoh.Query], None]:
@@ -74,14 +85,26 @@ class Control:
         digests = [entry.sha256 for entry in request.manifest]
         patience_s = 0.0 if request.records else STAGING_PATIENCE_S
         staged = self._staging.collect(digests, patience_s=patience_s)
+        began_s = time.monotonic()
         answer = self._ledger.commit(request, staged)
+        self._on_commit_seconds(time.monotonic() - began_s)
+        if answer.problem:
+            log.warning(
+                "commit refused",
+                worker_id=request.worker_id,
+                lease_id=request.lease_id,
+                problem=answer.problem,
+            )
         if answer.ok:
             self._staging.discard(digests)
             self._on_scenes()
         return answer
 
     def _top(self, request: TopRequest) -> TopReply:
-        return TopReply(scenes=tuple(rank(self._ledger.rank_inputs())[: request.most]))
+        return TopReply(scenes=tuple(rank(self._ledger.rank_inputs(), most=request.most)))
+
+    def _rates(self, request: RatesRequest) -> RatesReply:
+        return RatesReply(rows=tuple(rates(self._ledger.rate_sums(request), request.by)))
 
     def _select(self, request: SelectRequest) -> Selection:
         chosen = select(rank(self._ledger.rank_inputs()), budget=request.budget)

@@ -9,7 +9,7 @@ from typing import Final
 from rich.progress import Progress
 
 from schemas.overlay import decode_overlay
-from service.config import load_settings
+from service.config import Settings, load_settings
 from service.embedded import run_embedded
 from service.picture import draw_scene
 from service.ranking import RankedScene
@@ -19,10 +19,33 @@ from service.status import Status
 PICTURES: Final = 3
 
 
+def demo_settings(
+    out: Path, *, workers: int, log_format: str | None = None, log_level: str | None = None
+) -> Settings:
+    """Settings of a demo in this folder: nothing of the user's fleet is read or written.
+
+    Raises:
+        UsageError: If a value is impossible.
+    """
+    return load_settings(
+        bucket=str(out / "fleet" / "logs"),
+        state=out / "state",
+        artifacts="",
+        database="",
+        include=(),
+        exclude=(),
+        lidar_topic="",
+        workers=workers,
+        supervised="recorded",
+        log_format=log_format,
+        log_level=log_level,
+    )
+
+
 def run_demo(
     out: Path,
     *,
-    workers: int,
+    settings: Settings,
     remark: Callable[[str], None],
     progress: Callable[[], AbstractContextManager[Progress]],
     now_s: float,
@@ -34,7 +57,7 @@ def run_demo(
 
     Args:
         out: Folder for everything; what an earlier demo left there is replaced.
-        workers: Worker processes.
+        settings: As `demo_settings` makes them for this folder.
         remark: Told what happens.
         progress: Makes a progress bar.
         now_s: Time, for rates in the status.
@@ -58,9 +81,6 @@ def run_demo(
     remark(
         f"{len(logs)} simulated logs; the model on these cars was made to err {planted} times: it "
         "misses movers and calls parked cars moving. Mining them takes a few minutes."
-    )
-    settings = load_settings(
-        bucket=str(bucket / "logs"), state=state, workers=workers, supervised="recorded"
     )
     with progress() as bar:
         task = bar.add_task("mining", total=None)

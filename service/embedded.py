@@ -5,20 +5,28 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
+from functools import partial
 from threading import Event
 from typing import Final
 
+from prometheus_client import CollectorRegistry
+
 from schemas.bucket import Bucket, open_bucket
 from schemas.bus import client_session, free_endpoint, router_session
+from schemas.http_endpoint import HttpEndpoint
 from schemas.process import stop_on_signals
 from schemas.work import MiningSettings
 from service.app import Service
 from service.config import DEFAULT_ENDPOINT, Settings
 from service.errors import NothingFoundError
+from service.heartbeat import Heartbeat
 from service.ledger import LeasePolicy, Ledger
-from service.state import StateLock, prepare_state
+from service.metrics import ServiceMetrics
+from service.pages import pages
+from service.state import StateLock, free_bytes, prepare_state
 from service.status import Status
-from service.store.engine import open_store
+from service.store.opening import open_ledger_store, sole_service
+from service.store.sole import SoleService
 
 LOCAL_WORKERS: Final = "local-"
 """Prefix of the ids of workers that live and die with one `run`."""
@@ -48,20 +56,21 @@ def run_embedded(
         NothingFoundError: With `once`, if the bucket holds no log, or no log holds a lidar.
     """
     from workers.pool.local import LocalPool
+    from workers.pool.process import LogStyle
 
     with ExitStack() as opened:
         stop = opened.enter_context(stop_on_signals())
         bucket = open_bucket(settings.bucket)
-        lock, ledger = _open_state(settings, opened)
+        lock, sole, ledger = _open_state(settings, opened, once=once)
         mining = _mining(settings)
         endpoint = settings.listen or free_endpoint()
         opened.enter_context(router_session([endpoint]))
         version = _version_of(mining) if once else ""
         ledger.free_leases(LOCAL_WORKERS)
         service = _enter_service(
-            settings, ledger, bucket, mining, [endpoint], opened, stop=stop, once=once
+            settings, ledger, bucket, mining, [endpoint], opened, stop=stop, sole=sole, once=once
         )
-        lock.announce(endpoint)
+        _announce(lock, sole, endpoint)
         if once and not service.recordings:
             raise NothingFoundError(f"no .mcap log in {bucket.url}")
         pool = LocalPool(
@@ -69,10 +78,14 @@ def run_embedded(
             connect=[endpoint],
             root=settings.root,
             lease_deadline_s=settings.shard_deadline_s,
+            style=LogStyle(settings.log_level, settings.log_format == "json"),
             on_death=lambda worker_id: _take_back(ledger, worker_id),
         )
+        where = _serve_http(settings, service, ledger, opened, pool.registry, once=once)
         opened.enter_context(pool)
-        on_ready(f"mining {bucket.url} with {settings.workers} workers; service at {endpoint}")
+        on_ready(
+            f"mining {bucket.url} with {settings.workers} workers; service at {endpoint}{where}"
+        )
         _stay(service, ledger, pool.check, stop, version=version, on_progress=on_progress)
         status = ledger.status(version or None)
     if once and not stop.is_set():
@@ -86,17 +99,22 @@ def run_service(settings: Settings, *, on_ready: Callable[[str], None]) -> None:
     with ExitStack() as opened:
         stop = opened.enter_context(stop_on_signals())
         bucket = open_bucket(settings.bucket)
-        lock, ledger = _open_state(settings, opened)
+        lock, sole, ledger = _open_state(settings, opened)
         mining = _mining(settings)
-        service = _enter_service(settings, ledger, bucket, mining, connect, opened, stop=stop)
-        lock.announce(",".join(connect))
-        on_ready(f"serving {bucket.url} over {', '.join(connect)}")
+        service = _enter_service(
+            settings, ledger, bucket, mining, connect, opened, stop=stop, sole=sole
+        )
+        _announce(lock, sole, ",".join(connect))
+        where = _serve_http(settings, service, ledger, opened)
+        on_ready(f"serving {bucket.url} over {', '.join(connect)}{where}")
         service.run(stop)
 
 
 def run_workers(settings: Settings, *, on_ready: Callable[[str], None]) -> None:
     """Run workers for a service elsewhere until told to stop."""
     from workers.pool.local import LocalPool
+    from workers.pool.pages import pool_pages
+    from workers.pool.process import LogStyle
 
     connect = (settings.connect or DEFAULT_ENDPOINT).split(",")
     with ExitStack() as opened:
@@ -106,12 +124,19 @@ def run_workers(settings: Settings, *, on_ready: Callable[[str], None]) -> None:
             connect=connect,
             root=settings.root,
             lease_deadline_s=settings.shard_deadline_s,
+            style=LogStyle(settings.log_level, settings.log_format == "json"),
             name="worker",
         )
+        where = ""
+        if listen := settings.worker_http_listen:
+            http = HttpEndpoint(listen, pool_pages(pool), setting="worker_http_listen")
+            where = f"; metrics at {opened.enter_context(http).url}/metrics"
         opened.enter_context(pool)
-        on_ready(f"{settings.workers} workers for the service at {', '.join(connect)}")
+        on_ready(f"{settings.workers} workers for the service at {', '.join(connect)}{where}")
+        heartbeat = Heartbeat(lambda: {"workers": pool.alive()}, heartbeat_s=settings.heartbeat_s)
         while not stop.wait(_LOOK_S):
             pool.check()
+            heartbeat.beat()
 
 
 def _mining(settings: Settings) -> MiningSettings:
@@ -120,14 +145,27 @@ def _mining(settings: Settings) -> MiningSettings:
     return mining
 
 
-def _open_state(settings: Settings, opened: ExitStack) -> tuple[StateLock, Ledger]:
+def _open_state(
+    settings: Settings, opened: ExitStack, *, once: bool = False
+) -> tuple[StateLock, SoleService | None, Ledger]:
     prepare_state(settings.state)
     lock = opened.enter_context(StateLock(settings.state))
-    store = open_store(settings.state)
+    sole = opened.enter_context(sole_service(settings))
+    store = open_ledger_store(settings)
     opened.callback(store.close)
-    policy = LeasePolicy(lease_s=settings.lease_s, max_attempts=settings.max_attempts)
+    policy = LeasePolicy(
+        lease_s=settings.lease_s,
+        max_attempts=settings.max_attempts,
+        settle_s=0.0 if once else settings.settle_s,
+    )
     ledger = Ledger(store, now_s=lambda: time.clock_gettime(time.CLOCK_REALTIME), policy=policy)
-    return lock, ledger
+    return lock, sole, ledger
+
+
+def _announce(lock: StateLock, sole: SoleService | None, endpoint: str) -> None:
+    lock.announce(endpoint)
+    if sole is not None:
+        sole.announce(endpoint)
 
 
 def _enter_service(
@@ -139,6 +177,7 @@ def _enter_service(
     opened: ExitStack,
     *,
     stop: Event,
+    sole: SoleService | None,
     once: bool = False,
 ) -> Service:
     session = opened.enter_context(client_session(connect, stop=stop))
@@ -150,9 +189,45 @@ def _enter_service(
             settings=mining,
             root=settings.root,
             list_interval_s=settings.list_interval_s,
+            include=settings.include,
+            exclude=settings.exclude,
+            settle_s=0.0 if once else settings.settle_s,
             once=once,
+            heartbeat_s=settings.heartbeat_s,
+            hold=None if sole is None else sole.check,
+            metrics=ServiceMetrics(vehicles=settings.vehicles),
+            state_free_bytes=partial(free_bytes, settings.state),
         )
     )
+
+
+def _serve_http(
+    settings: Settings,
+    service: Service,
+    ledger: Ledger,
+    opened: ExitStack,
+    *more: CollectorRegistry,
+    once: bool = False,
+) -> str:
+    """Answer watchers of the service, if the settings want it.
+
+    Returns:
+        Where, as the end of a sentence; empty: nowhere.
+
+    Raises:
+        TransientError: If the address is taken.
+    """
+    if not _wants_http(settings, once=once):
+        return ""
+    routes = pages(service, ledger, service.metrics.registry, *more)
+    endpoint = opened.enter_context(HttpEndpoint(settings.http_listen, routes))
+    return f"; metrics at {endpoint.url}/metrics"
+
+
+def _wants_http(settings: Settings, *, once: bool) -> bool:
+    """Nobody watches a run that ends by itself, unless an address was given for it."""
+    asked_for = not once or "http_listen" in settings.model_fields_set
+    return bool(settings.http_listen) and asked_for
 
 
 def _stay(
@@ -170,7 +245,8 @@ def _stay(
         check_pool()
         if version and ledger.settled(version):
             return
-        shards = ledger.status(version or None).shards_by_state
+        works = ledger.backlog().work.items()  # cheap, unlike a whole status
+        shards = {state: count for (kind, state), count in works if kind == "shard"}
         on_progress(shards.get("done", 0) + shards.get("parked", 0), sum(shards.values()))
 
 

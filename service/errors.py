@@ -11,6 +11,10 @@ class StateUnusableError(PermanentError):
     """The state folder cannot be written, or belongs to a newer version."""
 
 
+class StateOutdatedError(StateUnusableError):
+    """An older version wrote the state; a service that starts on it brings it up to date."""
+
+
 class StateInUseError(TransientError):
     """Another service holds this state folder."""
 

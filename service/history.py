@@ -1,18 +1,18 @@
 """Scenes for those who come late, from the ledger: asked for by number, or by a stock subscriber.
 
 A publisher's cache dies with it, so the history of scenes is the service's to give. Two questions
-are answered: ours, `scene/**?since=N`, and the one that an AdvancedSubscriber with a history asks
-of publishers' caches by itself, so that a subscriber needs no code of ours.
+are answered: ours, `scene/**?since=N` (`schemas/WIRE.md`), and the one that an AdvancedSubscriber
+with a history asks of publishers' caches by itself, so that a subscriber needs no code of ours.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import islice
 from typing import Final
 
 import zenoh
 
 from schemas import keys
-from schemas.bus import RECORD
+from schemas.bus import RANKED, RECORD
 from schemas.errors import PermanentError
 from schemas.events import SceneNumber
 from schemas.wire import encode
@@ -37,20 +37,37 @@ class History:
         questions.declare(keys.all_selected(root=self._root), self.answer_selected)
 
     def answer(self, query: zenoh.Query) -> None:
-        """Reply the current scenes with a greater number than `since`, in their order.
+        """Reply scenes in the order of their numbers, as the parameters ask.
 
-        `since=N&most=M` asks for a page of them, `newest=N` for the N scenes with the highest
-        numbers. A key expression that is narrower than all scenes gets those of them it matches.
+        `since=N` gives the current scenes with a greater number, all without it; with
+        `withdrawn=1` also every withdrawal with a greater number, as a delete. `most=M` stops
+        after so many replies. `newest=N` gives the N current scenes with the highest numbers. A
+        key expression that is narrower than all scenes gets those that it matches.
+
+        Raises:
+            PermanentError: If a parameter is no number, or `since` is beyond the last one.
         """
         newest, most = _number(query, "newest"), _number(query, "most")
+        since, withdrawn = _number(query, "since") or 0, _number(query, "withdrawn") or 0
+        if since > (last := self._ledger.last_seq()):
+            raise PermanentError(
+                f"no event {since} here, the last is {last}: these are the scenes of another "
+                "ledger; drop what you have, and begin anew with since=0"
+            )
         if newest is not None:
-            scenes: Iterator[StoredScene] = iter(self._ledger.newest_scenes(newest))
+            events: Iterator[StoredScene] = iter(self._ledger.newest_scenes(newest))
+        elif withdrawn:
+            events = self._pages(self._ledger.events_since, since, most)
         else:
-            scenes = islice(self._since(_number(query, "since") or 0), most)
-        for scene in scenes:
-            key = self._key(scene)
-            if query.key_expr.intersects(key):
-                query.reply(key, scene.record, encoding=RECORD, attachment=_attachment(scene))
+            events = self._pages(self._ledger.scenes_since, since, most)
+        asked = (
+            (event, key) for event in events if query.key_expr.intersects(key := self._key(event))
+        )
+        for event, key in islice(asked, most):
+            if event.withdrawn:
+                query.reply_del(key, attachment=_attachment(event))
+            else:
+                query.reply(key, event.record, encoding=RECORD, attachment=_attachment(event))
 
     def answer_as_cache(self, query: zenoh.Query) -> None:
         """Reply as the caches of publishers would: every current scene once, with a timestamp.
@@ -59,7 +76,7 @@ class History:
         rises with the number here. A key has one current record, so that its limit of samples a
         key (`_max`) always holds; its limit of age (`_time`) is not kept: all are given.
         """
-        for scene in self._since(0):
+        for scene in self._pages(self._ledger.scenes_since, 0):
             query.reply(
                 self._key(scene),
                 scene.record,
@@ -73,10 +90,13 @@ class History:
         for selection in self._ledger.selections():
             for key, payload in selected_scenes(selection, root=self._root):
                 if query.key_expr.intersects(key):
-                    query.reply(key, payload, encoding=zenoh.Encoding.APPLICATION_JSON)
+                    query.reply(key, payload, encoding=RANKED)
 
-    def _since(self, seq: int) -> Iterator[StoredScene]:
-        while page := self._ledger.scenes_since(seq, PAGE):
+    def _pages(
+        self, read: Callable[[int, int], list[StoredScene]], seq: int, most: int | None = None
+    ) -> Iterator[StoredScene]:
+        limit = PAGE if most is None else max(1, min(PAGE, most))
+        while page := read(seq, limit):
             yield from page
             seq = page[-1].seq
 

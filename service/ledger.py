@@ -1,7 +1,11 @@
 """The record of every recording, shard and scene: what was acknowledged here is on disk."""
 
+import math
 import uuid
 from collections.abc import Callable, Mapping, Sequence
+from typing import Final
+
+from sqlalchemy import Connection
 
 from schemas.work import (
     Answer,
@@ -9,23 +13,31 @@ from schemas.work import (
     ClaimRequest,
     CommitRequest,
     FailRequest,
+    MineLease,
+    NothingToDo,
+    PlanLease,
     Recording,
     RenewRequest,
 )
 from service.ranking import RankedInput, RankedScene
+from service.rates import RatesRequest, RateSums
 from service.selection import Selection
 from service.status import Status
 from service.store import (
+    backlog,
     claims,
     commits,
     events,
     leases,
     manifest,
     overview,
+    rates,
     recordings,
     scenes,
     selections,
 )
+from service.store.backlog import Backlog
+from service.store.effects import StoreObserver
 from service.store.engine import Store, StoreUnavailableError
 from service.store.leases import LeasePolicy
 from service.store.recordings import SyncResult
@@ -40,6 +52,9 @@ __all__ = [
     "StoredScene",
     "SyncResult",
 ]
+
+PRUNE_INTERVAL_S: Final = 3600.0
+"""Between two looks at all leases for those that may be forgotten."""
 
 
 class Ledger:
@@ -75,14 +90,33 @@ class Ledger:
         """Counts the listings taken over, so that claims know whether plans may be wanting."""
         self._seeded: dict[str, int] = {}
         """Pipeline version to the listing for which it is known to have every plan."""
+        self._pruned_s = -math.inf
+
+    def now_s(self) -> float:
+        """Read the clock that everything durable goes by."""
+        return self._now_s()
+
+    def observe(self, observer: StoreObserver) -> None:
+        """Tell one observer, after each transaction, what it did."""
+        self._store.observe(observer)
 
     # What lies in the bucket.
 
     def sync_recordings(self, listed: Sequence[Recording]) -> SyncResult:
-        """Take over a complete listing: new, replaced and deleted recordings."""
+        """Take over a complete listing: new, replaced and deleted recordings.
+
+        Raises:
+            ValueError: If two of them have one log id.
+        """
+        by_log = recordings.by_log(listed)
         with self._store.writing() as connection:
             self._listing += 1
-            return recordings.sync_recordings(connection, listed)
+            return recordings.sync_recordings(connection, by_log, now_s=self._now_s())
+
+    def has_recordings(self) -> bool:
+        """Whether the last listing that was taken over held any recording."""
+        with self._store.reading() as connection:
+            return recordings.has_recordings(connection)
 
     def stale_logs(self) -> list[str]:
         """Logs whose object changed under a reader: the next `sync_recordings` decides on them."""
@@ -108,7 +142,8 @@ class Ledger:
         grant is the term of the lease, counted from the answer: clocks of machines differ.
         """
         version = request.pipeline_version
-        with self._store.writing() as connection:
+
+        def granted(connection: Connection) -> tuple[int, PlanLease | MineLease | NothingToDo]:
             listing = self._listing
             if self._seeded.get(version) != listing:
                 recordings.register_pipeline(connection, version)
@@ -120,13 +155,18 @@ class Ledger:
                 policy=self._policy,
                 lease_id=self._new_lease_id(),
             )
-        self._seeded[version] = listing
+            return listing, grant
+
+        self._seeded[version], grant = self._store.write(granted)
         return ClaimReply(grant=grant)
 
     def renew(self, request: RenewRequest) -> Answer:
         """Lengthen a lease; not ok: it is over, stop working on it."""
-        with self._store.writing() as connection:
-            return leases.renew(connection, request, now_s=self._now_s(), policy=self._policy)
+        return self._store.write(
+            lambda connection: leases.renew(
+                connection, request, now_s=self._now_s(), policy=self._policy
+            )
+        )
 
     def commit(self, request: CommitRequest, staged: Mapping[str, bytes]) -> Answer:
         """Finish a lease, whole or not at all.
@@ -140,22 +180,32 @@ class Ledger:
             ask again. `problem`: it can never be taken, the work is void or wrong.
         """
         verified = manifest.verify(request, staged)
-        with self._store.writing() as connection:
-            return commits.commit(connection, request, verified, now_s=self._now_s())
+        return self._store.write(
+            lambda connection: commits.commit(connection, request, verified, now_s=self._now_s())
+        )
 
     def fail(self, request: FailRequest) -> Answer:
         """Take a lease back with its error: tried again later, or parked."""
-        with self._store.writing() as connection:
-            return leases.fail(connection, request, now_s=self._now_s(), policy=self._policy)
+        return self._store.write(
+            lambda connection: leases.fail(
+                connection, request, now_s=self._now_s(), policy=self._policy
+            )
+        )
 
     def expire(self) -> int:
         """Take back leases whose time is over, attempt counted; call each second.
 
+        Now and then it also forgets leases that ended days ago.
+
         Returns:
             How many there were.
         """
+        now_s = self._now_s()
         with self._store.writing() as connection:
-            return leases.expire(connection, now_s=self._now_s(), policy=self._policy)
+            if abs(now_s - self._pruned_s) >= PRUNE_INTERVAL_S:
+                leases.prune(connection, now_s=now_s)
+                self._pruned_s = now_s
+            return leases.expire(connection, now_s=now_s, policy=self._policy)
 
     def free_leases(self, worker_prefix: str) -> int:
         """Take back leases of workers whose ids begin so, attempt not counted."""
@@ -189,6 +239,11 @@ class Ledger:
         with self._store.reading() as connection:
             return scenes.current_scenes(connection, after=seq, limit=limit)
 
+    def events_since(self, seq: int, limit: int) -> list[StoredScene]:
+        """Current scenes and withdrawals with a greater number, in the order of their numbers."""
+        with self._store.reading() as connection:
+            return scenes.events_since(connection, after=seq, limit=limit)
+
     def newest_scenes(self, limit: int) -> list[StoredScene]:
         """The current scenes with the highest numbers, in the order of their numbers."""
         with self._store.reading() as connection:
@@ -208,6 +263,11 @@ class Ledger:
         """Every current scene as `service.ranking.rank` takes it, records not decoded."""
         with self._store.reading() as connection:
             return scenes.rank_inputs(connection)
+
+    def rate_sums(self, request: RatesRequest) -> list[RateSums]:
+        """Sums over the groups of current scenes that this asks for, in no order."""
+        with self._store.reading() as connection:
+            return rates.rate_sums(connection, request)
 
     # Selections.
 
@@ -237,6 +297,11 @@ class Ledger:
             return selections.selections(connection)
 
     # How far it is.
+
+    def backlog(self) -> Backlog:
+        """What waits, runs and is stuck, under the newest pipeline version."""
+        with self._store.reading() as connection:
+            return backlog.backlog(connection, now_s=self._now_s())
 
     def status(self, pipeline_version: str | None = None) -> Status:
         """How far everything is under this pipeline version; by default the newest."""

@@ -3,6 +3,7 @@
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.ranking import RankedScene
+from service.rates import RateRow
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
 
@@ -21,6 +22,14 @@ class TopReply(BaseModel):
     model_config = _STRICT
 
     scenes: tuple[RankedScene, ...]
+
+
+class RatesReply(BaseModel):
+    """The answer to a `service.rates.RatesRequest`, in the order it is read in."""
+
+    model_config = _STRICT
+
+    rows: tuple[RateRow, ...]
 
 
 class SelectRequest(BaseModel):

@@ -7,7 +7,7 @@ import structlog
 import zenoh
 
 from schemas import keys
-from schemas.bus import RECORD, is_connected
+from schemas.bus import RANKED, RECORD, is_connected
 from schemas.events import SceneNumber
 from schemas.wire import encode
 from service.ledger import Ledger, StoredScene
@@ -49,7 +49,7 @@ class Outbox:
     def publish_selection(self, selection: Selection) -> None:
         """Put every scene of a stored selection to its key, best first."""
         for key, payload in selected_scenes(selection, root=self._root):
-            self._session.put(key, payload, encoding=zenoh.Encoding.APPLICATION_JSON)
+            self._session.put(key, payload, encoding=RANKED)
 
     def _put(self, event: StoredScene) -> None:
         key = keys.scene(root=self._root, log_id=event.log_id, scene_id=event.scene_id)

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
 
-from pydantic import BaseModel, ConfigDict, Field
-
 from schemas.arrays import NS_PER_S
 from schemas.contradiction import SceneState
+from schemas.events import RankedScene as RankedScene
 from schemas.score import SceneScore
 
 TWIN_GAP_NS: Final = NS_PER_S
@@ -47,26 +46,10 @@ class RankedInput:
         )
 
 
-class RankedScene(BaseModel):
-    """One row of the ranking, as `counterpoint top --json` prints it."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    rank: int = Field(ge=1, description="Place in the ranking, 1 first.")
-    scene_id: str
-    log_id: str
-    start_ns: int = Field(ge=0, description="First frame, nanoseconds since the Unix epoch.")
-    end_ns: int = Field(ge=0, description="Last frame, nanoseconds since the Unix epoch.")
-    score: float = Field(ge=0, le=1)
-    reasons: tuple[str, ...] = ()
-    twin_of: str | None = Field(default=None, description="A better scene right beside it.")
-    sha256: str = Field(description="Digest of the record as published.")
-
-
-def rank(scenes: Iterable[RankedInput]) -> list[RankedScene]:
+def rank(scenes: Iterable[RankedInput], *, most: int | None = None) -> list[RankedScene]:
     """Order scenes by score, and mark those beside a better one.
 
-    Every scene is listed. Those that could not be judged (too short, odometry lost) come last;
+    Every scene is ranked. Those that could not be judged (too short, odometry lost) come last;
     equal scores are ordered by log and time, so that the same scenes give the same ranking.
 
     A scene is the twin of a better neighbour: of the same log and lidar, with less than
@@ -75,6 +58,7 @@ def rank(scenes: Iterable[RankedInput]) -> list[RankedScene]:
 
     Args:
         scenes: In any order, ids unique.
+        most: List only the first so many; None: all.
 
     Returns:
         Best first, ranks from 1.
@@ -93,7 +77,7 @@ def rank(scenes: Iterable[RankedInput]) -> list[RankedScene]:
             twin_of=twin_of.get(scene.scene_id),
             sha256=scene.sha256,
         )
-        for place, scene in enumerate(ordered, start=1)
+        for place, scene in enumerate(ordered[:most], start=1)
     ]
 
 

@@ -13,16 +13,17 @@ from service.config import Settings
 from service.errors import NothingFoundError, StateInUseError, UsageError
 from service.ledger import Ledger
 from service.ranking import RankedScene, rank
+from service.rates import RateRow, RatesRequest, rates
 from service.selection import Selection, select
 from service.state import StateLock, endpoint_of_running
 from service.status import Status
-from service.store.engine import open_store, open_store_to_read
+from service.store.opening import open_ledger_store, open_ledger_store_to_read, sole_service
 
 
 class Reader(Protocol):
     """Answers what `top`, `select`, `show` and `status` ask."""
 
-    def top(self) -> list[RankedScene]:
+    def top(self, most: int | None = None) -> list[RankedScene]:
         """Rank every current scene, best first."""
         ...
 
@@ -36,6 +37,10 @@ class Reader(Protocol):
 
     def overlay(self, scene_id: str) -> bytes:
         """Return the stored points of a current scene, encoded."""
+        ...
+
+    def rates(self, request: RatesRequest) -> list[RateRow]:
+        """Say how often the streams contradict each other, by group."""
         ...
 
     def status(self) -> Status:
@@ -52,13 +57,13 @@ class StateReader:
 
     @contextmanager
     def _ledger(self) -> Iterator[Ledger]:
-        with closing(open_store_to_read(self._settings.state)) as store:
+        with closing(open_ledger_store_to_read(self._settings)) as store:
             yield Ledger(store, now_s=lambda: self._now_s)
 
-    def top(self) -> list[RankedScene]:
-        """Rank every current scene, best first."""
+    def top(self, most: int | None = None) -> list[RankedScene]:
+        """Rank every current scene, best first, and list so many; None: all."""
         with self._ledger() as ledger:
-            return rank(ledger.rank_inputs())
+            return rank(ledger.rank_inputs(), most=most)
 
     def select(self, *, budget: int, name: str | None) -> Selection:
         """Store the best distinct scenes as a named selection.
@@ -71,7 +76,8 @@ class StateReader:
         try:
             with (
                 StateLock(self._settings.state),
-                closing(open_store(self._settings.state)) as store,
+                sole_service(self._settings),
+                closing(open_ledger_store(self._settings)) as store,
             ):
                 ledger = Ledger(store, now_s=lambda: self._now_s)
                 chosen = select(rank(ledger.rank_inputs()), budget=budget)
@@ -93,6 +99,11 @@ class StateReader:
     def overlay(self, scene_id: str) -> bytes:
         """Return the stored points of a current scene, encoded."""
         return read_overlay(self._settings.mining().artifacts, self.scene(scene_id))
+
+    def rates(self, request: RatesRequest) -> list[RateRow]:
+        """Say how often the streams contradict each other, by group."""
+        with self._ledger() as ledger:
+            return rates(ledger.rate_sums(request), request.by)
 
     def status(self) -> Status:
         """Say how far everything is."""

@@ -2,23 +2,40 @@
 
 from collections.abc import Callable
 
+import zenoh
+
 from schemas.bus import router_session
 from schemas.process import stop_on_signals
+from service.heartbeat import Heartbeat, Standing
 
 
-def run_router(listen: str, *, on_ready: Callable[[str], None], connect: str = "") -> None:
+def run_router(
+    listen: str,
+    *,
+    on_ready: Callable[[str], None],
+    connect: str = "",
+    heartbeat_s: float = 300.0,
+) -> None:
     """Route until told to stop by SIGTERM or SIGINT.
 
     Args:
         listen: Endpoints to listen on, commas between.
         on_ready: Told in one sentence where it listens.
         connect: Other routers to link to, so that clients may list several and lose one.
+        heartbeat_s: Longest silence of the log, seconds.
 
     Raises:
         TransientError: If an endpoint is taken.
         PermanentError: If an endpoint cannot be listened on here at all.
     """
     others = connect.split(",") if connect else []
-    with stop_on_signals() as stop, router_session(listen.split(","), connect=others):
+    with stop_on_signals() as stop, router_session(listen.split(","), connect=others) as session:
         on_ready(f"routing at {listen}")
-        stop.wait()
+        heartbeat = Heartbeat(lambda: _standing(session), heartbeat_s=heartbeat_s)
+        while not stop.wait(heartbeat.interval_s):
+            heartbeat.beat()
+
+
+def _standing(session: zenoh.Session) -> Standing:
+    kinds = [str(transport.whatami) for transport in session.info.transports()]
+    return {"clients": kinds.count("client"), "routers": kinds.count("router")}

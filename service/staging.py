@@ -15,17 +15,33 @@ MOST_BYTES: Final = 64 * 1024 * 1024
 
 
 class Staging:
-    """Keeps records by digest, oldest dropped first. Nothing here is a promise."""
+    """Keeps records by digest, oldest dropped first. Nothing here is a promise.
+
+    Attributes:
+        missed: Records that the bus lost for good on their way here, as far as it noticed.
+    """
 
     def __init__(self, *, most_bytes: int = MOST_BYTES) -> None:
         self._records: OrderedDict[str, bytes] = OrderedDict()
         self._bytes, self._most_bytes = 0, most_bytes
         self._changed = Condition()
+        self.missed = 0
+
+    def on_miss(self, samples: int) -> None:
+        """Count what the bus lost; the commit that names it brings it all the same."""
+        with self._changed:
+            self.missed += samples
 
     def on_sample(self, sample: zenoh.Sample) -> None:
         """Take a sample from the bus: the callback of the subscription."""
         if sample.kind == zenoh.SampleKind.PUT and len(sample.payload) <= MAX_RECORD_BYTES:
             self.add(sample.payload.to_bytes())
+
+    @property
+    def waiting_bytes(self) -> int:
+        """Size of all that waits for its commit."""
+        with self._changed:
+            return self._bytes
 
     def add(self, record: bytes) -> None:
         """Keep a record; the same one twice is one."""

@@ -3,6 +3,7 @@
 import fcntl
 import json
 import os
+import shutil
 import tempfile
 import time
 from pathlib import Path
@@ -31,6 +32,14 @@ def prepare_state(folder: Path) -> None:
             f"cannot write the state folder: {error.strerror} ({folder}); "
             "mend its permissions or name another with --state"
         ) from error
+
+
+def free_bytes(folder: Path) -> int | None:
+    """Say how much room the disk of a folder has; None while it cannot be asked."""
+    try:
+        return shutil.disk_usage(folder).free
+    except OSError:
+        return None
 
 
 class StateLock:

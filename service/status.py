@@ -14,7 +14,8 @@ class LogStatus(BaseModel):
 
     log_id: str
     state: str = Field(
-        description="waiting, planning, mining, done, refused, parked, or stale (its object "
+        description="waiting, settling (it still grows, or is cut short: planned when it has not "
+        "changed for a while), planning, mining, done, refused, parked, or stale (its object "
         "changed under a reader; the next listing decides)."
     )
     vehicle: str = "unknown"

@@ -6,7 +6,7 @@ from typing import Final
 
 import structlog
 
-from schemas.errors import TransientError
+from schemas.errors import CounterpointError, TransientError
 from schemas.retry import backoff_s
 
 log = structlog.get_logger(__name__)
@@ -22,10 +22,11 @@ def tick(
     interval_s: float,
     stop: Event,
     alarm: Event | None = None,
+    passing: tuple[type[CounterpointError], ...] = (TransientError,),
 ) -> None:
     """Do the work, wait, and do it again, until told to stop.
 
-    A `TransientError` is said once and waited out; every other error ends the loop, and with it the
+    What may pass is said once and waited out; every other error ends the loop, and with it the
     service, since nobody would notice a thread that is no more.
 
     Args:
@@ -34,21 +35,23 @@ def tick(
         interval_s: Wait between two times, seconds.
         stop: Ends the loop.
         alarm: Whoever sets it ends the wait early; set it together with `stop`. None: `stop` alone.
+        passing: Errors that may pass. Said again only when another kind of them follows.
     """
     alarm = alarm or stop
-    waits = None
+    waits, said = None, None
     while not stop.is_set():
         try:
             work()
-        except TransientError as error:
-            if waits is None:
+        except passing as error:
+            if said is not type(error):
                 log.warning("trying again", what=what, problem=str(error))
-                waits = backoff_s(first_s=FIRST_RETRY_S, most_s=MOST_RETRY_S)
+                said = type(error)
+            waits = waits or backoff_s(first_s=FIRST_RETRY_S, most_s=MOST_RETRY_S)
             stop.wait(next(waits))
             continue
         if waits is not None:
             log.info("works again", what=what)
-            waits = None
+            waits, said = None, None
         alarm.wait(interval_s)
         if alarm is not stop:
             alarm.clear()

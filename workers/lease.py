@@ -34,6 +34,10 @@ log = structlog.get_logger(__name__)
 RENEW_SHARE: Final = 1 / 3
 """Of a lease's term: two renewals may fail before it expires."""
 
+ASK_S: Final = 10.0
+RENEW_ASK_S: Final = 5.0
+"""How long one question may take, seconds; then it is asked again, a renewal at its next time."""
+
 Reply = TypeVar("Reply", bound=BaseModel)
 
 
@@ -65,7 +69,7 @@ class Leases:
         try:
             self._ask("fail", encode(request), Answer, stop=Event(), patience_s=patience_s)
         except TransientError as error:
-            log.warning("lease left to expire", lease_id=request.lease_id, problem=str(error))
+            log.warning("lease left to expire", problem=str(error))
 
     def renew(self, lease_id: str) -> Answer:
         """Lengthen a lease; asked once.
@@ -74,7 +78,8 @@ class Leases:
             CounterpointError: If nobody answers now, or not as expected.
         """
         request = RenewRequest(worker_id=self.worker_id, lease_id=lease_id)
-        return decode(Answer, ask(self._session, self._key("renew"), encode(request), timeout_s=5))
+        answer = ask(self._session, self._key("renew"), encode(request), timeout_s=RENEW_ASK_S)
+        return decode(Answer, answer)
 
     def _ask(
         self,
@@ -86,7 +91,12 @@ class Leases:
         patience_s: float = float("inf"),
     ) -> Reply:
         answer = ask_until(
-            self._session, self._key(verb), payload, stop=stop, patience_s=patience_s
+            self._session,
+            self._key(verb),
+            payload,
+            stop=stop,
+            patience_s=patience_s,
+            timeout_s=min(ASK_S, patience_s),
         )
         try:
             return decode(kind, answer)
@@ -116,6 +126,7 @@ class LeaseKeeper(AbstractContextManager["LeaseKeeper"]):
         *,
         stop: Event,
         drain_s: float,
+        on_unrenewed: Callable[[], None] = lambda: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Take the lease.
@@ -125,11 +136,12 @@ class LeaseKeeper(AbstractContextManager["LeaseKeeper"]):
             lease: Which.
             stop: Set when the worker should end.
             drain_s: How long after that the lease may still be worked on, seconds.
+            on_unrenewed: Told of every renewal that got no answer.
             clock: Monotonic seconds.
         """
         self.over, self.drained = Event(), Event()
         self._leases, self._lease, self._stop = leases, lease, stop
-        self._drain_s, self._clock = drain_s, clock
+        self._drain_s, self._on_unrenewed, self._clock = drain_s, on_unrenewed, clock
         self._renew_s = lease.expires_s * RENEW_SHARE
         self._lost = ""
         self._done = Event()
@@ -145,7 +157,7 @@ class LeaseKeeper(AbstractContextManager["LeaseKeeper"]):
         if self.drained.is_set():
             raise StoppedError(f"stopped after draining for {self._drain_s:g} s")
         if self.over.is_set():
-            raise LeaseLostError(f"lease lost: {self._lost} ({self._lease.lease_id})")
+            raise LeaseLostError(f"lease lost: {self._lost}")
 
     def __enter__(self) -> Self:
         """Begin to renew."""
@@ -181,6 +193,7 @@ class LeaseKeeper(AbstractContextManager["LeaseKeeper"]):
             answer = self._leases.renew(self._lease.lease_id)
         except CounterpointError as error:
             log.debug("lease not renewed", lease_id=self._lease.lease_id, problem=str(error))
+            self._on_unrenewed()
             return
         if not answer.ok:
             self._lost = answer.problem or "it expired"

@@ -1,10 +1,11 @@
 """One shard from the bucket to encoded records and overlays: what a worker and `score` both do."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections import Counter
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass, field
 
 from schemas.bucket import Bucket
-from schemas.frame import LidarFrame
+from schemas.frame import LidarFrame, OdometryState
 from schemas.overlay import encode_overlay, overlay_key
 from schemas.score import SceneScore
 from schemas.wire import encode_scene_score, sha256
@@ -12,7 +13,7 @@ from schemas.work import Damage, MiningSettings, MiningStats, Recording, Shard
 from workers.contradiction.overlay import overlay_of
 from workers.ingest.read import read_shard
 from workers.memory import peak_memory_bytes
-from workers.pipeline import mine_shard
+from workers.pipeline import MinedScene, mine_shard
 from workers.registry import Parts
 from workers.stages import StageClock, timed
 
@@ -38,10 +39,26 @@ class MinedRecord:
 
 @dataclass(slots=True)
 class Account:
-    """What mining one shard took and found wrong; never part of a record."""
+    """What mining one shard took and found wrong; never part of a record.
+
+    Attributes:
+        clock: Seconds of each stage.
+        damage: What could not be read.
+        odometry: Scored frames by the health of their pose.
+        odometry_problem: The first reason given for a pose that is not healthy.
+        scenes: Scenes mined.
+        frames: Frames scored, warm-up excluded.
+        points: Their points.
+        bytes_read: From the bucket.
+        bytes_needed: As planned.
+        range_reads: Requests to the bucket.
+    """
 
     clock: StageClock = field(default_factory=StageClock)
     damage: list[Damage] = field(default_factory=list)
+    odometry: Counter[OdometryState] = field(default_factory=Counter)
+    odometry_problem: str = ""
+    scenes: int = 0
     frames: int = 0
     points: int = 0
     bytes_read: int = 0
@@ -71,7 +88,7 @@ def mine_records(
     pipeline_version: str,
     account: Account,
     check: Callable[[], None] = lambda: None,
-) -> Iterator[MinedRecord]:
+) -> Generator[MinedRecord, None, None]:
     """Mine a shard, scene by scene; memory holds a scene or two, never the shard.
 
     Args:
@@ -81,7 +98,8 @@ def mine_records(
         settings: What every worker does alike.
         parts: Odometry and streams.
         pipeline_version: Of settings and parts.
-        account: Scenes are added as they come, reads and damage at the end.
+        account: Scenes are added as they come; reads and damage at the end, also when that is an
+            error or the caller stops early.
         check: Called at every frame; what it raises ends the mining.
 
     Raises:
@@ -98,29 +116,36 @@ def mine_records(
         timed(parts, clock),
         pipeline_version=pipeline_version,
     )
-    for mined in clock.drawn("contradiction", scenes):
-        with clock.stage("encoding"):
-            record = encode_scene_score(mined.score)
-            overlay = overlay_of(
-                mined.scene, mined.instances, class_names=parts.supervised.class_names
-            )
-            encoded = MinedRecord(
-                score=mined.score,
-                record=record,
-                sha256=sha256(record),
-                overlay=encode_overlay(overlay),
-                overlay_key=overlay_key(
-                    log_id=mined.score.log_id,
-                    scene_id=mined.score.scene_id,
-                    pipeline_version=pipeline_version,
-                ),
-            )
-        account.frames += mined.score.frames
-        account.points += mined.score.points
-        yield encoded
-    account.range_reads = reader.range_reads
-    account.bytes_read = reader.bytes_read
-    account.damage.extend(reader.damage)
+    try:
+        for mined in clock.drawn("contradiction", scenes):
+            with clock.stage("encoding"):
+                encoded = _encoded(mined, parts.supervised.class_names, pipeline_version)
+            account.scenes += 1
+            account.frames += mined.score.frames
+            account.points += mined.score.points
+            account.odometry.update(frame.posed.odometry for frame in mined.scene.frames)
+            account.odometry_problem = account.odometry_problem or mined.score.odometry.reason
+            yield encoded
+    finally:
+        account.range_reads = reader.range_reads
+        account.bytes_read = reader.bytes_read
+        account.damage.extend(reader.damage)
+
+
+def _encoded(mined: MinedScene, class_names: tuple[str, ...], pipeline_version: str) -> MinedRecord:
+    record = encode_scene_score(mined.score)
+    overlay = overlay_of(mined.scene, mined.instances, class_names=class_names)
+    return MinedRecord(
+        score=mined.score,
+        record=record,
+        sha256=sha256(record),
+        overlay=encode_overlay(overlay),
+        overlay_key=overlay_key(
+            log_id=mined.score.log_id,
+            scene_id=mined.score.scene_id,
+            pipeline_version=pipeline_version,
+        ),
+    )
 
 
 def _checked(frames: Iterable[LidarFrame], check: Callable[[], None]) -> Iterator[LidarFrame]:

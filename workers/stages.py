@@ -5,11 +5,23 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 from schemas.frame import LidarFrame, PosedFrame
 from schemas.labels import FrameLabels
 from workers.registry import Odometry, Parts, Stream
+
+Stage = Literal[
+    "ingest",
+    "odometry",
+    "supervised",
+    "selfsupervised",
+    "contradiction",
+    "encoding",
+    "publishing",
+    "committing",
+]
+"""Every stage there is: what a metric may be labelled with."""
 
 Item = TypeVar("Item")
 
@@ -22,13 +34,13 @@ class StageClock:
     """
 
     def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
-        self.seconds: dict[str, float] = defaultdict(float)
+        self.seconds: dict[Stage, float] = defaultdict(float)
         self._clock = clock
-        self._stack: list[str] = []
+        self._stack: list[Stage] = []
         self._since_s = clock()
 
     @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
+    def stage(self, name: Stage) -> Iterator[None]:
         """Give the time inside to this stage, but for the stages entered from within."""
         self._switch()
         self._stack.append(name)
@@ -38,7 +50,7 @@ class StageClock:
             self._switch()
             self._stack.pop()
 
-    def drawn(self, name: str, items: Iterable[Item]) -> Iterator[Item]:
+    def drawn(self, name: Stage, items: Iterable[Item]) -> Iterator[Item]:
         """Pass items through, giving the time it takes to draw each to this stage."""
         iterator = iter(items)
         while True:
@@ -71,7 +83,7 @@ class _TimedOdometry:
 
 @dataclass(frozen=True, slots=True)
 class _TimedStream:
-    name: str
+    name: Stage
     inner: Stream
     clock: StageClock
 

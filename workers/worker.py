@@ -6,36 +6,33 @@ without that answer will be done again, byte for byte the same.
 """
 
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
-from typing import Final
+from typing import Final, Literal
 
 import structlog
 import zenoh
 
 from schemas import keys
-from schemas.bus import client_session, recoverable_publisher
+from schemas.bus import client_session
 from schemas.errors import (
+    BucketRefusedError,
     BucketUnreachableError,
     CounterpointError,
     ObjectChangedError,
     PermanentError,
 )
-from schemas.retry import StoppedError, backoff_s, pause
-from schemas.work import (
-    CommitRequest,
-    FailRequest,
-    ManifestEntry,
-    MineLease,
-    NothingToDo,
-    PlanLease,
-)
+from schemas.retry import StoppedError
+from schemas.work import FailRequest, MineLease, NothingToDo, PlanLease
+from workers.attempt import Attempts, Lease
 from workers.equipment import Equipment, equip
-from workers.ingest.plan import plan_recording
+from workers.ingest.footer import StillGrowingError
 from workers.lease import LeaseKeeper, LeaseLostError, Leases
-from workers.mine import Account, mine_records
+from workers.metrics import ShardOutcome, WorkerMetrics
+from workers.router_watch import RouterWatch
+from workers.stores import StoreTroubleError, cause_of, wait_until_over
 
 log = structlog.get_logger(__name__)
 
@@ -65,25 +62,55 @@ class WorkerConfig:
     drain_s: float = DRAIN_S
 
 
+class WorkerObserver:
+    """What a worker tells whoever started it; does nothing until it is overridden."""
+
+    def connected(self, connected: bool) -> None:
+        """Told whether a router is there, at the beginning and at every change."""
+
+    def equipped(self) -> None:
+        """Told when the worker can mine what the service asks for."""
+
+    def working(self, working: bool) -> None:
+        """Told true when work on a lease begins and false when it ends."""
+
+
 def run_worker(
-    config: WorkerConfig, *, stop: Event, on_lease: Callable[[bool], None] = lambda _: None
+    config: WorkerConfig,
+    *,
+    stop: Event,
+    observer: WorkerObserver | None = None,
+    metrics: WorkerMetrics | None = None,
 ) -> None:
     """Work until told to stop.
 
     Args:
         config: Whom to ask.
         stop: When to end; a lease that is soon done is still finished.
-        on_lease: Told true when work on a lease begins and false when it ends.
+        observer: Told how the worker is.
+        metrics: Where it counts.
 
     Raises:
         TransientError: If bucket or artifacts cannot be opened now.
         PermanentError: If what the service asks for cannot be done here at all.
     """
     _one_thread_only()
-    with client_session(config.connect, stop=stop) as session:
+    observer, metrics = observer or WorkerObserver(), metrics or WorkerMetrics()
+    with (
+        structlog.contextvars.bound_contextvars(worker_id=config.worker_id),
+        client_session(config.connect, stop=stop) as session,
+    ):
         alive = keys.live(root=config.root, role="worker", ident=config.worker_id)
-        with session.liveliness().declare_token(alive):
-            Worker(session, config, stop=stop, on_lease=on_lease).run()
+
+        def router_seen(connected: bool) -> None:
+            observer.connected(connected)
+            metrics.router_seen(connected)
+
+        with (
+            session.liveliness().declare_token(alive),
+            RouterWatch(session, router_seen),
+        ):
+            Worker(session, config, stop=stop, observer=observer, metrics=metrics).run()
 
 
 class Worker:
@@ -95,11 +122,16 @@ class Worker:
         config: WorkerConfig,
         *,
         stop: Event,
-        on_lease: Callable[[bool], None],
+        observer: WorkerObserver | None = None,
+        metrics: WorkerMetrics | None = None,
     ) -> None:
-        self._session, self._config, self._stop, self._on_lease = session, config, stop, on_lease
+        self._session, self._config, self._stop = session, config, stop
+        self._observer = observer or WorkerObserver()
+        self._metrics = metrics or WorkerMetrics()
         self._leases = Leases(session, root=config.root, worker_id=config.worker_id)
+        self._attempts = Attempts(session, self._leases, config.root, self._metrics)
         self._equipped: Equipment | None = None
+        self._suspect: tuple[str, str] | None = None
 
     def run(self) -> None:
         """Claim and work until told to stop."""
@@ -110,146 +142,133 @@ class Worker:
                 if isinstance(grant, NothingToDo):
                     self._stop.wait(grant.retry_after_s)
                     continue
-                self._on_lease(True)
-                reachable = self._work(grant, equipment)
-                self._on_lease(False)
-                if not reachable:
-                    self._wait_for_stores(grant, equipment)
+                self._observer.working(True)
+                self._metrics.lease_began()
+                trouble = self._work(grant, equipment)
+                self._metrics.lease_ended()
+                self._observer.working(False)
+                if trouble is not None:
+                    wait_until_over(trouble, stop=self._stop, metrics=self._metrics)
         except StoppedError:
             pass
-        log.info("worker stops", worker_id=self._config.worker_id)
+        log.info("worker stops")
 
     def _equipment(self) -> Equipment:
         """Ask every time: a service that was restarted may want something else now."""
         settings = self._leases.hello(stop=self._stop)
         if self._equipped is None or self._equipped.settings != settings:
             self._equipped = equip(settings)
-            log.info(
-                "worker ready",
-                worker_id=self._config.worker_id,
-                pipeline_version=self._equipped.version,
-            )
+            self._observer.equipped()
+            log.info("worker ready", pipeline_version=self._equipped.version)
         return self._equipped
 
-    def _work(self, lease: PlanLease | MineLease, equipment: Equipment) -> bool:
+    def _work(self, lease: Lease, equipment: Equipment) -> StoreTroubleError | None:
         """Do what a lease asks for, or say why not; only a bug escapes, after it was said too.
 
         Returns:
-            False when a store did not answer: then the next lease would fail the same way.
+            The trouble with a store that any other lease would meet too.
         """
         with (
             structlog.contextvars.bound_contextvars(**_ids(lease)),
             LeaseKeeper(
-                self._leases, lease, stop=self._stop, drain_s=self._config.drain_s
+                self._leases,
+                lease,
+                stop=self._stop,
+                drain_s=self._config.drain_s,
+                on_unrenewed=self._metrics.renewal_failed,
             ) as keeper,
         ):
+            log.debug("lease begins", lease_id=lease.lease_id)
             try:
                 if isinstance(lease, PlanLease):
-                    self._plan(lease, equipment, keeper)
+                    self._attempts.plan(lease, equipment, keeper)
                 else:
-                    self._mine(lease, equipment, keeper)
+                    self._attempts.mine(lease, equipment, keeper)
             except LeaseLostError as error:
-                log.warning("lease abandoned", problem=str(error))
+                log.warning("work dropped", problem=str(error))
+                self._count(lease, "lost")
+            except (BucketUnreachableError, BucketRefusedError) as error:
+                return self._blame(error, lease, equipment)
             except CounterpointError as error:
-                self._fail(lease, error)
-                return not isinstance(error, BucketUnreachableError)
+                return self._fail(lease, error)
             except Exception as error:
                 self._fail(lease, error)
                 raise
-        return True
+            self._suspect = None
+        return None
 
-    def _wait_for_stores(self, lease: PlanLease | MineLease, equipment: Equipment) -> None:
-        """Claim nothing while bucket or artifacts are away: an outage must not park every shard."""
-        for wait_s in backoff_s(first_s=1.0, most_s=30.0):
-            pause(self._stop, wait_s)
-            try:
-                for store in (equipment.bucket, equipment.artifacts):
-                    store.head(lease.recording.parts[0].key)
-            except BucketUnreachableError as error:
-                log.info("store still unreachable", problem=str(error))
-            else:
-                return
+    def _blame(
+        self, error: CounterpointError, lease: Lease, equipment: Equipment
+    ) -> StoreTroubleError | None:
+        """Find out whose fault it is that a log could not be read, and fail accordingly."""
+        if self._stop.is_set():  # whoever starts after us finds out
+            return self._fail(lease, StoppedError(f"told to stop while a store fails: {error}"))
+        target = _target(lease)
+        repeated, self._suspect = target == self._suspect, target
+        cause = cause_of(error, equipment.bucket, lease.recording, repeated=repeated)
+        return self._fail(lease, cause)
 
-    def _plan(self, lease: PlanLease, equipment: Equipment, keeper: LeaseKeeper) -> None:
-        plan = plan_recording(equipment.bucket, lease.recording, equipment.settings)
-        self._commit(self._request(lease, plan=plan), {}, keeper)
-        if plan.refused:
-            log.warning("log refused", problem=plan.refused)
+    def _fail(self, lease: Lease, error: Exception) -> StoreTroubleError | None:
+        """Tell the service why a lease ended without its work.
+
+        Returns:
+            The error, if it is one that must be waited out.
+        """
+        problem = str(error) if isinstance(error, CounterpointError) else _summary(error)
+        outcome = _outcome(error)
+        is_plan = isinstance(lease, PlanLease)
+        say = log.warning if outcome in ("failed", "replaced") else log.info
+        if outcome == "store_away":
+            say = log.debug  # the wait for the store is said
+        say(f"{'plan' if is_plan else 'shard'} {outcome.replace('_', ' ')}", problem=problem)
+        if outcome == "growing":
+            self._metrics.plan_ended("growing")
         else:
-            log.info("log planned", shards=len(plan.shards), damage=len(plan.damage))
-
-    def _mine(self, lease: MineLease, equipment: Equipment, keeper: LeaseKeeper) -> None:
-        account = Account()
-        records: dict[str, bytes] = {}
-        manifest: list[ManifestEntry] = []
-        key = keys.score(
-            root=self._config.root, log_id=lease.recording.log_id, shard=lease.shard.name
-        )
-        with recoverable_publisher(self._session, key) as publisher:
-            for mined in mine_records(
-                equipment.bucket,
-                lease.recording,
-                lease.shard,
-                settings=equipment.settings,
-                parts=equipment.parts,
-                pipeline_version=equipment.version,
-                account=account,
-                check=keeper.check,
-            ):
-                with account.clock.stage("publishing"):
-                    equipment.artifacts.put(mined.overlay_key, mined.overlay)
-                    publisher.put(mined.record)
-                records[mined.score.scene_id] = mined.record
-                manifest.append(ManifestEntry(scene_id=mined.score.scene_id, sha256=mined.sha256))
-            request = self._request(
-                lease,
-                manifest=tuple(manifest),
-                damage=tuple(account.damage),
-                stats=account.stats(),
-            )
-            self._commit(request, records, keeper)
-        log.info("shard mined", scenes=len(manifest), frames=account.frames)
-
-    def _commit(
-        self, request: CommitRequest, records: dict[str, bytes], keeper: LeaseKeeper
-    ) -> None:
-        """Repeat the commit, with what is missing, until the service has everything on disk."""
-        while True:
-            answer = self._leases.commit(request, stop=keeper.drained)
-            if answer.ok:
-                return
-            if not answer.missing:
-                raise LeaseLostError(f"commit refused: {answer.problem}")
-            log.debug("sending again", scenes=len(answer.missing))
-            again = tuple(records[scene_id].decode() for scene_id in answer.missing)
-            request = request.model_copy(update={"records": again})
-
-    def _request(self, lease: PlanLease | MineLease, **result: object) -> CommitRequest:
-        return CommitRequest.model_validate(
-            {"worker_id": self._config.worker_id, "lease_id": lease.lease_id, **result}
-        )
-
-    def _fail(self, lease: PlanLease | MineLease, error: Exception) -> None:
-        on_purpose = isinstance(error, CounterpointError)
-        if isinstance(error, StoppedError):
-            log.info("lease given back", reason=str(error))
-        else:
-            log.warning("lease failed", problem=str(error) if on_purpose else _summary(error))
+            self._count(lease, outcome)
         self._leases.fail(
             FailRequest(
                 worker_id=self._config.worker_id,
                 lease_id=lease.lease_id,
-                error=str(error) if on_purpose else _summary(error),
+                error=problem,
                 permanent=isinstance(error, PermanentError),
-                replaced=isinstance(error, ObjectChangedError),
-                given_back=isinstance(error, StoppedError),
+                replaced=outcome == "replaced",
+                growing=outcome == "growing",
+                given_back=outcome in ("given_back", "store_away"),
             ),
             patience_s=LAST_PATIENCE_S if self._stop.is_set() else FAIL_PATIENCE_S,
         )
+        if isinstance(error, StoreTroubleError):
+            self._metrics.store_failed(error.store, error.kind)
+            return error
+        return None
+
+    def _count(self, lease: Lease, outcome: ShardOutcome) -> None:
+        if isinstance(lease, PlanLease):
+            self._metrics.plan_ended(outcome)
+        else:
+            self._metrics.shard_ended(outcome)
 
 
-def _ids(lease: PlanLease | MineLease) -> dict[str, str]:
-    ids = {"log_id": lease.recording.log_id, "lease_id": lease.lease_id}
+def _target(lease: Lease) -> tuple[str, str]:
+    return lease.recording.log_id, lease.shard.name if isinstance(lease, MineLease) else ""
+
+
+def _outcome(error: Exception) -> ShardOutcome | Literal["growing"]:
+    match error:
+        case StoppedError():
+            return "given_back"
+        case StoreTroubleError():
+            return "store_away"
+        case ObjectChangedError():
+            return "replaced"
+        case StillGrowingError():
+            return "growing"
+        case _:
+            return "failed"
+
+
+def _ids(lease: Lease) -> dict[str, str]:
+    ids = {"log_id": lease.recording.log_id}
     return ids | {"shard": lease.shard.name} if isinstance(lease, MineLease) else ids
 
 

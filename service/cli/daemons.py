@@ -1,40 +1,39 @@
 """Verbs that stay: `run` is everything on one machine; `service`, `worker`, `router` its parts."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from service.cli.options import (
+    Artifacts,
+    BucketUrl,
+    Config,
+    Connect,
+    Database,
+    Exclude,
+    Include,
+    LogFormat,
+    LogLevel,
+    SelfSupervised,
+    ShardSeconds,
+    StateDir,
+    Supervised,
+    settings_for,
+)
 from service.cli.output import progress, remark
 from service.cli.report import say_what_was_found
-from service.config import DEFAULT_ENDPOINT, Settings, load_settings
+from service.config import DEFAULT_ENDPOINT, Settings
 from service.errors import UsageError
 
-BucketUrl = Annotated[
-    str | None,
-    typer.Option("--bucket", help="URL or path of the log bucket, else COUNTERPOINT_BUCKET."),
-]
-StateDir = Annotated[
-    Path | None, typer.Option("--state", help="Folder of ledger and overlays; counterpoint-state.")
-]
-Artifacts = Annotated[str | None, typer.Option("--artifacts", help="URL for overlays.")]
 Once = Annotated[bool, typer.Option("--once", help="Mine what is there, then stop.")]
-ShardSeconds = Annotated[
-    float | None, typer.Option("--shard-seconds", help="Length of a shard's window.")
+DryRun = Annotated[
+    bool,
+    typer.Option("--dry-run", help="List logs, bytes and estimated hours; mine and write nothing."),
 ]
 Listen = Annotated[
     str | None, typer.Option("--listen", help="tcp/ADDRESS:PORT of the router; a free port.")
 ]
-Connect = Annotated[
-    str | None, typer.Option("--connect", help="tcp/HOST:PORT of the router; commas for several.")
-]
 Workers = Annotated[int | None, typer.Option("--workers", help="Worker processes; 2.")]
-Supervised = Annotated[
-    str | None, typer.Option("--supervised", help="salsanext-lmnet or recorded.")
-]
-SelfSupervised = Annotated[
-    str | None, typer.Option("--selfsupervised", help="registration or two-stage.")
-]
 
 
 def add_to(app: typer.Typer) -> None:
@@ -43,7 +42,7 @@ def add_to(app: typer.Typer) -> None:
     app.command(epilog="counterpoint service --bucket s3://fleet --connect tcp/router:7447")(
         service
     )
-    app.command(epilog="counterpoint worker --connect tcp/router:7447")(worker)
+    app.command(epilog="counterpoint worker --connect tcp/router:7447 --workers 8")(worker)
     app.command(epilog="counterpoint router --listen tcp/127.0.0.1:7447")(router)
 
 
@@ -52,26 +51,45 @@ def run(
     state: StateDir = None,
     workers: Workers = None,
     once: Once = False,
+    dry_run: DryRun = False,
     shard_seconds: ShardSeconds = None,
+    include: Include = None,
+    exclude: Exclude = None,
     listen: Listen = None,
     artifacts: Artifacts = None,
+    database: Database = None,
     supervised: Supervised = None,
     selfsupervised: SelfSupervised = None,
+    config: Config = None,
+    log_format: LogFormat = None,
+    log_level: LogLevel = None,
+    json: Annotated[bool, typer.Option("--json", help="With --dry-run: JSON on stdout.")] = False,
 ) -> None:
     """Run router, service and workers on this machine; watch the bucket, or mine it --once."""
-    from service.embedded import run_embedded
-
-    settings = load_settings(
+    settings = settings_for(
+        config,
         bucket=bucket,
         state=state,
         workers=workers,
+        shard_seconds=shard_seconds,
+        include=include,
+        exclude=exclude,
         listen=listen,
         artifacts=artifacts,
+        database=database,
         supervised=supervised,
         selfsupervised=selfsupervised,
-        grid=None if shard_seconds is None else {"shard_s": shard_seconds},
+        log_format=log_format,
+        log_level=log_level,
     )
     need_bucket(settings)
+    if dry_run:
+        _dry_run(settings, as_json=json)
+        return
+    if json:
+        raise UsageError("--json is for --dry-run; a run logs: --log-format json")
+    from service.embedded import run_embedded
+
     with progress() as bar:
         task = bar.add_task("mining", total=None)
         status = run_embedded(
@@ -89,21 +107,33 @@ def service(
     state: StateDir = None,
     connect: Connect = None,
     shard_seconds: ShardSeconds = None,
+    include: Include = None,
+    exclude: Exclude = None,
     artifacts: Artifacts = None,
+    database: Database = None,
     supervised: Supervised = None,
     selfsupervised: SelfSupervised = None,
+    config: Config = None,
+    log_format: LogFormat = None,
+    log_level: LogLevel = None,
 ) -> None:
     """Run the service alone: bucket watch, ledger, ranking. Needs a router and workers."""
     from service.embedded import run_service
 
-    settings = load_settings(
+    settings = settings_for(
+        config,
         bucket=bucket,
         state=state,
         connect=connect,
+        shard_seconds=shard_seconds,
+        include=include,
+        exclude=exclude,
         artifacts=artifacts,
+        database=database,
         supervised=supervised,
         selfsupervised=selfsupervised,
-        grid=None if shard_seconds is None else {"shard_s": shard_seconds},
+        log_format=log_format,
+        log_level=log_level,
     )
     need_bucket(settings)
     run_service(settings, on_ready=remark)
@@ -111,20 +141,37 @@ def service(
 
 def worker(
     connect: Connect = None,
-    workers: Annotated[int, typer.Option("--workers", help="Worker processes.")] = 1,
+    workers: Workers = None,
+    config: Config = None,
+    log_format: LogFormat = None,
+    log_level: LogLevel = None,
 ) -> None:
-    """Run workers for a service elsewhere; they learn bucket and settings from it."""
+    """Run workers for a service elsewhere; they learn bucket and mining settings from it."""
     from service.embedded import run_workers
 
-    run_workers(load_settings(connect=connect, workers=workers), on_ready=remark)
+    settings = settings_for(
+        config, connect=connect, workers=workers, log_format=log_format, log_level=log_level
+    )
+    run_workers(settings, on_ready=remark)
 
 
-def router(listen: Listen = None, connect: Connect = None) -> None:
+def router(
+    listen: Listen = None,
+    connect: Connect = None,
+    config: Config = None,
+    log_format: LogFormat = None,
+    log_level: LogLevel = None,
+) -> None:
     """Run a Zenoh router alone; --connect links it to other routers."""
     from service.router import run_router
 
-    settings = load_settings(listen=listen, connect=connect)
-    run_router(settings.listen or DEFAULT_ENDPOINT, connect=settings.connect, on_ready=remark)
+    settings = settings_for(config, listen=listen, log_format=log_format, log_level=log_level)
+    run_router(
+        settings.listen or DEFAULT_ENDPOINT,
+        connect=connect or "",  # the setting, in a file that all processes share, may be ourselves
+        on_ready=remark,
+        heartbeat_s=settings.heartbeat_s,
+    )
 
 
 def need_bucket(settings: Settings) -> None:
@@ -134,4 +181,24 @@ def need_bucket(settings: Settings) -> None:
         UsageError: If no bucket is named.
     """
     if not settings.bucket:
-        raise UsageError("no log bucket: give --bucket URL, or set COUNTERPOINT_BUCKET")
+        raise UsageError(
+            "no log bucket: give --bucket URL, set COUNTERPOINT_BUCKET, or write `bucket` in the "
+            "settings file"
+        )
+
+
+def _dry_run(settings: Settings, *, as_json: bool) -> None:
+    from service.cli.output import json_line
+    from service.cli.report import say_dry_run
+    from service.dry_run import plan_dry_run
+
+    with progress() as bar:
+        task = bar.add_task("looking into logs", total=None)
+        found = plan_dry_run(
+            settings,
+            on_progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    if as_json:
+        json_line(found)
+    else:
+        say_dry_run(found)

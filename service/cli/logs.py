@@ -9,16 +9,23 @@ import typer
 from schemas.bucket import Bucket, open_bucket, open_object
 from schemas.recordings import recording_of
 from schemas.work import Recording
+from service.cli.options import (
+    Config,
+    Json,
+    SelfSupervised,
+    ShardSeconds,
+    Supervised,
+    settings_for,
+)
 from service.cli.output import json_line, progress, remark, table
 from service.cli.report import say_inspected
-from service.config import load_settings
 from service.errors import NothingFoundError
 
 LogUrl = Annotated[str, typer.Argument(help="URL or path of one .mcap file; any part of a split.")]
 BucketRoot = Annotated[
-    str | None, typer.Option("--bucket", help="Root that log_id is relative to.")
+    str | None,
+    typer.Option("--bucket", help="Root that log_id is relative to, else COUNTERPOINT_BUCKET."),
 ]
-Json = Annotated[bool, typer.Option("--json", help="JSON lines on stdout.")]
 
 
 def add_to(app: typer.Typer) -> None:
@@ -32,11 +39,12 @@ def inspect(
     verify: Annotated[bool, typer.Option(help="Read every chunk and every cloud.")] = False,
     json: Json = False,
     bucket: BucketRoot = None,
+    config: Config = None,
 ) -> None:
     """Say what is in a log, from its index; with --verify from every chunk."""
     from workers.ingest.inspect import inspect_recording
 
-    settings = load_settings(bucket=bucket)
+    settings = settings_for(config, bucket=bucket)
     store, recording = locate(url, root_url=settings.bucket)
     with progress() as bar:
         task = bar.add_task("reading", total=None)
@@ -57,18 +65,20 @@ def score(
     url: LogUrl,
     json: Json = False,
     bucket: BucketRoot = None,
-    shard_seconds: Annotated[float | None, typer.Option(help="Length of a shard.")] = None,
-    supervised: Annotated[str | None, typer.Option(help="Supervised stream, by name.")] = None,
-    selfsupervised: Annotated[
-        str | None, typer.Option(help="Self-supervised stream, by name.")
-    ] = None,
+    shard_seconds: ShardSeconds = None,
+    supervised: Supervised = None,
+    selfsupervised: SelfSupervised = None,
+    config: Config = None,
 ) -> None:
     """Mine one log on this machine, without a bus: one scene after the other."""
     from workers.score import score_recording
 
-    grid = None if shard_seconds is None else {"shard_s": shard_seconds}
-    settings = load_settings(
-        bucket=bucket, grid=grid, supervised=supervised, selfsupervised=selfsupervised
+    settings = settings_for(
+        config,
+        bucket=bucket,
+        shard_seconds=shard_seconds,
+        supervised=supervised,
+        selfsupervised=selfsupervised,
     )
     store, recording = locate(url, root_url=settings.bucket)
     scored = []

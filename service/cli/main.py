@@ -8,8 +8,8 @@ from typer.exceptions import Abort, Exit, TyperException
 
 from schemas.errors import PermanentError, TransientError
 from schemas.process import log_to_stderr
-from service.cli import daemons, logs, measure, scenes
-from service.cli.output import remark
+from service.cli import daemons, logs, measure, rates, scenes, settings
+from service.cli.output import remark, remark_as_events
 
 EX_TEMPFAIL = 75
 
@@ -23,24 +23,25 @@ app = typer.Typer(
     "each other. No label is needed.",
     epilog="Try it: counterpoint demo --out demo-output",
 )
-for group in (daemons, logs, scenes, measure):
+for group in (daemons, logs, scenes, rates, measure, settings):
     group.add_to(app)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; return 0 when done, 1 for bad input or arguments, 75 to try again."""
-    log_to_stderr()
+    log_to_stderr()  # until a verb has read its settings
+    remark_as_events(False)
     try:
-        typer.main.get_command(app).main(
+        ended = typer.main.get_command(app).main(
             args=list(sys.argv[1:] if argv is None else argv),
             prog_name="counterpoint",
             standalone_mode=False,
         )
     except TransientError as error:
-        remark(f"try again later: {error}")
+        remark(f"try again later: {error}", level="error")
         return EX_TEMPFAIL
     except PermanentError as error:
-        remark(f"error: {error}")
+        remark(f"error: {error}", level="error")
         return 1
     except TyperException as error:
         remark(f"error: {error.format_message()} (--help after the command lists its options)")
@@ -52,7 +53,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our pipe has left; nothing is wrong
         return 0
-    return 0
+    return ended if isinstance(ended, int) else 0
 
 
 def console() -> None:

@@ -1,4 +1,4 @@
-"""Verbs that judge and show: `eval motion`, `bench pipeline`, `demo`."""
+"""Verbs that judge and show: `eval motion`, `bench pipeline`, `bench ledger`, `demo`."""
 
 import time
 from pathlib import Path
@@ -7,13 +7,11 @@ from typing import Annotated
 
 import typer
 
+from service.cli.options import Config, Json, LogFormat, LogLevel, log_as, settings_for
 from service.cli.output import json_line, progress, remark, table
-from service.config import load_settings
 from service.errors import UsageError
 
 DEMO_ROWS = 12
-
-Json = Annotated[bool, typer.Option("--json", help="JSON lines on stdout.")]
 
 
 def add_to(app: typer.Typer) -> None:
@@ -25,6 +23,7 @@ def add_to(app: typer.Typer) -> None:
     app.add_typer(evaluation, name="eval")
     bench = typer.Typer(no_args_is_help=True, help="Measure, beside floors of the same run.")
     bench.command(epilog="counterpoint bench pipeline logs/car-7/2026-11-20/drive.mcap")(pipeline)
+    bench.command(epilog="counterpoint bench ledger --folder /var/lib/counterpoint")(ledger)
     app.add_typer(bench, name="bench")
     app.command(epilog="counterpoint demo --out demo-output")(demo)
 
@@ -39,10 +38,11 @@ def motion(
         str, typer.Option("--stream", help="Which labels: selfsupervised or supervised.")
     ] = "selfsupervised",
     json: Json = False,
+    config: Config = None,
 ) -> None:
     """Judge one stream's motion labels, point by point."""
     bounds = parse_frames(frames)
-    settings = load_settings(bucket=bucket)
+    settings = settings_for(config, bucket=bucket)
     from workers.evaluation.motion import evaluate_motion
 
     with progress() as bar:
@@ -81,12 +81,13 @@ def pipeline(
     ] = None,
     frames: Annotated[int, typer.Option("--frames", min=1, help="How many frames to time.")] = 30,
     json: Json = False,
+    config: Config = None,
 ) -> None:
     """Say where the time of `score` goes, beside its parts alone."""
     from service.cli.logs import locate
     from workers.evaluation.bench import bench_pipeline
 
-    settings = load_settings()
+    settings = settings_for(config)
     with TemporaryDirectory() as folder, progress() as bar:
         task = bar.add_task("timing", total=None)
         log = url or _simulated(Path(folder), frames=frames)
@@ -112,6 +113,42 @@ def pipeline(
     )
 
 
+def ledger(
+    folder: Annotated[
+        Path, typer.Option("--folder", help="On the disk that will hold the state.")
+    ] = Path(),
+    scenes_per_shard: Annotated[
+        int, typer.Option("--scenes-per-shard", min=1, help="Records in one commit.")
+    ] = 10,
+    shards: Annotated[int, typer.Option("--shards", min=100, help="Timed for each row.")] = 1000,
+    filled: Annotated[
+        int, typer.Option("--filled", min=0, help="Then once more, on so many scenes; 0: not.")
+    ] = 100_000,
+    json: Json = False,
+) -> None:
+    """Count the durable commits of a second, beside what disk and SQLite alone allow."""
+    from service.bench_ledger import bench_ledger
+
+    with TemporaryDirectory(dir=folder, prefix="bench-ledger-") as state, progress() as bar:
+        task = bar.add_task("timing", total=None)
+        rows = bench_ledger(
+            Path(state),
+            scenes_per_shard=scenes_per_shard,
+            shards=shards,
+            filled=filled,
+            on_progress=lambda what: bar.update(task, description=f"timing {what}"),
+        )
+    if json:
+        for row in rows:
+            json_line(row)
+        return
+    table(
+        f"durable writes, {scenes_per_shard} scenes per shard",
+        ("write", "threads", "scenes in the ledger", "per second", "median ms", "99th ms"),
+        ((r.what, r.threads, r.scenes, r.per_s, r.median_ms, r.p99_ms) for r in rows),
+    )
+
+
 def _simulated(folder: Path, *, frames: int) -> str:
     """Write a street that is long enough, for those who have no log at hand."""
     from workers.evaluation.bench import WARMING_FRAMES
@@ -129,14 +166,18 @@ def demo(
         "demo-output"
     ),
     workers: Annotated[int, typer.Option("--workers", help="Worker processes.")] = 2,
+    log_format: LogFormat = None,
+    log_level: LogLevel = None,
 ) -> None:
     """Simulate street logs, mine them, rank the scenes, draw the best ones."""
     from service.cli.report import say_ranking, say_what_was_found
-    from service.demo import run_demo
+    from service.demo import demo_settings, run_demo
 
+    settings = demo_settings(out, workers=workers, log_format=log_format, log_level=log_level)
+    log_as(settings)
     status, ranking, pictures = run_demo(
         out,
-        workers=workers,
+        settings=settings,
         remark=remark,
         progress=progress,
         now_s=time.clock_gettime(time.CLOCK_REALTIME),

@@ -3,8 +3,10 @@
 import json
 import sys
 from collections.abc import Iterable, Mapping
-from typing import Any, Final
+from threading import Event
+from typing import Any, Final, Literal
 
+import structlog
 from pydantic import BaseModel
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -14,6 +16,7 @@ WIDE: Final = 200
 """Characters of a table that goes into a pipe or a file, where no terminal says its width."""
 
 remarks = Console(stderr=True, highlight=False)
+log = structlog.get_logger(__name__)
 results = Console(highlight=False, width=None if sys.stdout.isatty() else WIDE)
 
 
@@ -24,9 +27,20 @@ def json_line(row: BaseModel | Mapping[str, Any]) -> None:
     sys.stdout.flush()
 
 
-def remark(text: str) -> None:
-    """Say something to the person at the terminal."""
-    remarks.print(text, markup=False, soft_wrap=True)
+_as_events = Event()
+
+
+def remark_as_events(on: bool) -> None:
+    """Choose who reads stderr: a person, or a machine that wants every line to be an event."""
+    (_as_events.set if on else _as_events.clear)()
+
+
+def remark(text: str, *, level: Literal["info", "warning", "error"] = "info") -> None:
+    """Say something to the person at the terminal, or to the machine that reads the log."""
+    if _as_events.is_set():
+        getattr(log, level)(text)
+    else:
+        remarks.print(text, markup=False, soft_wrap=True)
 
 
 def table(title: str, columns: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
@@ -59,7 +73,7 @@ def progress() -> Progress:
         TimeRemainingColumn(),
         console=remarks,
         transient=True,
-        disable=not remarks.is_terminal,
+        disable=not remarks.is_terminal or _as_events.is_set(),
     )
 
 

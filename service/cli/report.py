@@ -5,6 +5,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from service.cli.output import remark, table
+from service.dry_run import DryRun
 from service.ranking import RankedScene
 from service.status import Status
 
@@ -85,22 +86,63 @@ def say_ranking(rows: Sequence[RankedScene], *, most: int | None = None) -> None
 
 def say_inspected(report: dict[str, Any]) -> None:
     """Print what `inspect` found: facts first, then topics, then what cannot be read."""
-    tables = ("topics", "damage")
-    facts = {name: value for name, value in report.items() if name not in tables}
+    facts = {name: value for name, value in report.items() if name not in ("topics", "damage")}
     facts["shards"] = len(report["shards"])
+    start_ns, duration_s = facts.pop("start_ns"), facts.pop("duration_s")
+    facts["start (UTC)"] = None if start_ns is None else _utc(start_ns)
+    facts["duration"] = None if duration_s is None else _duration(duration_s)
     table(
         str(report["log_id"]),
         ("what", "found"),
         (
-            (name, ", ".join(value) if isinstance(value, list) else value)
+            (name.replace("_", " "), ", ".join(value) if isinstance(value, list) else value)
             for name, value in facts.items()
             if name != "log_id"
         ),
     )
-    for name in tables:
-        rows: list[dict[str, Any]] = report[name]
-        if rows:
-            table(name, rows[0].keys(), (row.values() for row in rows))
+    if report["topics"]:
+        columns = ["topic", "message_encoding", "schema_name", "messages"]
+        if any(topic["needs"] for topic in report["topics"]):
+            columns.append("needs")  # what it would take to read a lidar that cannot be read
+        table(
+            "topics",
+            (name.replace("_", " ") for name in columns),
+            ((topic[name] for name in columns) for topic in report["topics"]),
+        )
+    if report["damage"]:
+        table("damage", report["damage"][0].keys(), (row.values() for row in report["damage"]))
+
+
+def say_dry_run(found: DryRun) -> None:
+    """Print what a run would mine, and the estimate with what it stands on."""
+    table(
+        f"logs in {found.bucket}",
+        ("log", "parts", "MB", "duration", "frames", "problem"),
+        (
+            (
+                log.log_id,
+                log.parts,
+                f"{log.bytes / 1e6:.1f}",
+                None if log.duration_s is None else _duration(log.duration_s),
+                log.frames,
+                log.problem,
+            )
+            for log in found.logs
+        ),
+    )
+    remark(
+        f"{len(found.logs)} logs, {found.bytes / 1e9:.2f} GB; {found.looked_into} looked into"
+        + (", the rest estimated by bytes" if found.looked_into < len(found.logs) else "")
+    )
+    if found.frames is None or found.hours is None or found.duration_s is None:
+        remark("no estimate: no log could be looked into; that takes the extra `workers`")
+        return
+    remark(
+        f"about {found.frames} frames in {_duration(found.duration_s)} of recording; about "
+        f"{_hours(found.hours)} on {found.workers} workers with a core each, at "
+        f"{found.seconds_per_frame:.2f} s per frame ({found.pace_from})"
+    )
+    remark("nothing was mined or written")
 
 
 def _shards(by_state: dict[str, int]) -> str:
@@ -109,6 +151,18 @@ def _shards(by_state: dict[str, int]) -> str:
 
 def _percent(part: int, whole: int) -> str:
     return f"{100 * part / whole:.2f} %" if whole else "-"
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest_s = divmod(seconds, 60)
+    hours, minutes = divmod(int(minutes), 60)
+    if hours:
+        return f"{hours} h {minutes:02} min"
+    return f"{minutes} min {rest_s:02.0f} s" if minutes else f"{rest_s:.1f} s"
+
+
+def _hours(hours: float) -> str:
+    return f"{hours:.1f} hours" if hours >= 1 else f"{max(1, round(hours * 60))} min"
 
 
 def _utc(stamp_ns: int) -> str:

@@ -6,19 +6,17 @@ from typing import Annotated, Any
 
 import typer
 
+from service.cli.options import Artifacts, Config, Connect, Database, Json, settings_for
 from service.cli.output import json_line, remark, results, table
 from service.cli.report import say_ranking, say_what_was_found
-from service.config import Settings, load_settings
+from service.config import Settings
 from service.errors import NothingFoundError, UsageError
 from service.merging import SceneEvent
 from service.reading import Reader, StateReader, choose_endpoint
 
-Connect = Annotated[str | None, typer.Option("--connect", help="tcp/HOST:PORT of the router.")]
 StateDir = Annotated[
     Path | None, typer.Option("--state", help="Folder of a run; no daemon is needed then.")
 ]
-Artifacts = Annotated[str | None, typer.Option("--artifacts", help="URL of the overlays.")]
-Json = Annotated[bool, typer.Option("--json", help="JSON lines on stdout.")]
 
 
 def add_to(app: typer.Typer) -> None:
@@ -37,18 +35,42 @@ def watch(
     history: Annotated[
         int | None, typer.Option("--history", min=0, help="Newest scenes first; all by default.")
     ] = None,
+    since: Annotated[
+        int | None, typer.Option("--since", min=0, help="Only events after this number.")
+    ] = None,
+    log: Annotated[
+        str, typer.Option("--log", help="Only logs whose id matches; * also crosses /.")
+    ] = "*",
+    vehicle: Annotated[
+        list[str] | None, typer.Option("--vehicle", help="Only this vehicle. Repeatable.")
+    ] = None,
+    min_score: Annotated[
+        float, typer.Option("--min-score", min=0, max=1, help="Only scenes that score so much.")
+    ] = 0.0,
     json: Json = False,
+    config: Config = None,
 ) -> None:
     """Subscribe to scored scenes: the history first, then each as it is committed."""
     from schemas.process import stop_on_signals
     from service.client import watch_scenes
 
-    settings = load_settings(connect=connect)
+    if history is not None and since is not None:
+        raise UsageError("give --history or --since, not both")
+    settings = settings_for(config, connect=connect)
     endpoint = choose_endpoint(settings)
     remark(f"watching {endpoint}; end with Ctrl-C")
     with stop_on_signals() as stop:
         for event in watch_scenes(
-            endpoint.split(","), root=settings.root, history=history, stop=stop
+            endpoint.split(","),
+            root=settings.root,
+            history=history,
+            since=since,
+            log=log,
+            vehicle=vehicle or (),
+            min_score=min_score,
+            stop=stop,
+            wait=False,
+            on_service=_say_service,
         ):
             if json:
                 json_line(_watched(event))
@@ -61,14 +83,20 @@ def watch(
                 )
 
 
+def _say_service(there: bool) -> None:
+    remark("the service is back" if there else "no service answers; waiting for it")
+
+
 def top(
     n: Annotated[int | None, typer.Option("-n", min=1, help="Rows; all by default.")] = None,
     connect: Connect = None,
     state: StateDir = None,
+    database: Database = None,
     json: Json = False,
+    config: Config = None,
 ) -> None:
     """List every current scene, the most contradicting first."""
-    rows = reader(connect=connect, state=state).top()[:n]
+    rows = reader(config, connect=connect, state=state, database=database).top(n)
     if json:
         for row in rows:
             json_line(row)
@@ -81,10 +109,13 @@ def select(
     name: Annotated[str | None, typer.Option("--name", help="Name of the selection.")] = None,
     connect: Connect = None,
     state: StateDir = None,
+    database: Database = None,
     json: Json = False,
+    config: Config = None,
 ) -> None:
     """Store the best distinct scenes under a name, and publish them."""
-    selection = reader(connect=connect, state=state).select(budget=budget, name=name)
+    source = reader(config, connect=connect, state=state, database=database)
+    selection = source.select(budget=budget, name=name)
     if json:
         for row in selection.scenes:
             json_line({"selection": selection.name} | row.model_dump(mode="json"))
@@ -108,12 +139,14 @@ def show(
     connect: Connect = None,
     state: StateDir = None,
     artifacts: Artifacts = None,
+    database: Database = None,
+    config: Config = None,
 ) -> None:
     """Draw a scene from above in the paper's four colours, with its instances."""
     from schemas.overlay import decode_overlay
     from service.picture import draw_scene
 
-    source = reader(connect=connect, state=state, artifacts=artifacts)
+    source = reader(config, connect=connect, state=state, artifacts=artifacts, database=database)
     score, overlay = source.scene(scene_id), decode_overlay(source.overlay(scene_id))
     if out.suffix.lower() != ".png":
         raise UsageError(f"--out must name a .png file, got {out}")
@@ -122,38 +155,53 @@ def show(
     if camera:
         from service.camera import draw_on_camera
 
-        picture = draw_on_camera(score, overlay, load_settings(bucket=bucket))
+        picture = draw_on_camera(score, overlay, settings_for(config, bucket=bucket))
     else:
         picture = draw_scene(score, overlay)
     picture.save(out)
     remark(f"{out}: {score.scene_id}, score {score.score:.3f}")
 
 
-def status(connect: Connect = None, state: StateDir = None, json: Json = False) -> None:
+def status(
+    connect: Connect = None,
+    state: StateDir = None,
+    database: Database = None,
+    json: Json = False,
+    config: Config = None,
+) -> None:
     """Say how far everything is: logs, shards, scenes, rates, what is damaged, what is parked."""
-    found = reader(connect=connect, state=state).status()
+    found = reader(config, connect=connect, state=state, database=database).status()
     if json:
         json_line(found)
         return
     say_what_was_found(found)
 
 
-def reader(*, connect: str | None, state: Path | None, artifacts: str | None = None) -> Reader:
-    """Choose where to read: `--state` reads the folder, `--connect` asks the service.
+def reader(
+    config: Path | None,
+    *,
+    connect: str | None,
+    state: Path | None,
+    database: str | None,
+    artifacts: str | None = None,
+) -> Reader:
+    """Choose where to read: `--state` or `--database` reads there, `--connect` asks the service.
 
-    Without either, the service of the default state folder is asked when one runs, else the folder
-    is read.
+    Without any, the service that the settings name is asked if they name one, else database or
+    folder are read.
 
     Raises:
         UsageError: If both are given.
-        NothingFoundError: If there is neither a service nor a state folder.
+        NothingFoundError: If there is neither a service nor a state.
     """
-    if connect is not None and state is not None:
+    if connect is not None and (state is not None or database is not None):
         raise UsageError("give --connect or --state, not both")
-    settings = load_settings(connect=connect, state=state, artifacts=artifacts)
-    if state is None and settings.connect:
+    settings = settings_for(
+        config, connect=connect, state=state, database=database, artifacts=artifacts
+    )
+    if state is None and database is None and settings.connect:
         return _remote(settings)
-    if not settings.state.is_dir():
+    if not settings.database and not settings.state.is_dir():
         raise NothingFoundError(
             f"no state folder {settings.state}: name one with --state, or a service with --connect"
         )

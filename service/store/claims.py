@@ -17,6 +17,7 @@ from sqlalchemy import (
 
 from schemas.work import ClaimRequest, MineLease, NothingToDo, PlanLease, Recording, Shard
 from service.store.leases import LeasePolicy
+from service.store.statements import Statement
 from service.store.tables import LEASES, PLANS, RECORDINGS, SHARDS
 from service.store.work import Work, WorkState, change
 
@@ -38,19 +39,24 @@ def claim(
         "pipeline": version,
         "now_s": now_s,
         # A rest longer than any was ordered before the clock stepped back: it is over.
-        "beyond_s": now_s + policy.max_backoff_s,
+        "beyond_s": now_s + max(policy.max_backoff_s, policy.settle_s),
         "enough": policy.plan_ahead,
     }
-    waiting = connection.execute(_WAITING, here).scalar_one()
+    waiting = _WAITING.one(connection, here).waiting
     in_turn = (_PLAN, _SHARD) if waiting < policy.plan_ahead else (_SHARD, _PLAN)
     for query in in_turn:
-        row = connection.execute(query, here).one_or_none()
+        row = query.first(connection, here)
         if row is not None:
             work = Work(row.log_id, row.revision, version, row.name if query is _SHARD else "")
             _lease(connection, work, request, lease_id=lease_id, until_s=now_s + policy.lease_s)
             recording = Recording.model_validate_json(row.recording)
             if query is _PLAN:
-                return PlanLease(lease_id=lease_id, expires_s=policy.lease_s, recording=recording)
+                return PlanLease(
+                    lease_id=lease_id,
+                    expires_s=policy.lease_s,
+                    recording=recording,
+                    settled=policy.is_settled(row.listed_s, now_s=now_s),
+                )
             return MineLease(
                 lease_id=lease_id,
                 expires_s=policy.lease_s,
@@ -58,7 +64,7 @@ def claim(
                 shard=Shard.model_validate_json(row.shard),
             )
     # Soon, while a log is being planned, for its shards are about to come.
-    planning = connection.execute(_PLANNING, here).one_or_none()
+    planning = _PLANNING.first(connection, here)
     return NothingToDo(retry_after_s=1.0 if planning is None else 0.2)
 
 
@@ -66,8 +72,8 @@ def _lease(
     connection: Connection, work: Work, request: ClaimRequest, *, lease_id: str, until_s: float
 ) -> None:
     change(connection, work, state=WorkState.LEASED, lease_id=lease_id)
-    connection.execute(
-        insert(LEASES),
+    _INSERT_LEASE.rows(
+        connection,
         {
             "lease_id": lease_id,
             "worker_id": request.worker_id,
@@ -107,14 +113,19 @@ def _next(table: Table, *columns: Any) -> Select[Any]:
 
 
 # Built once: to build a statement costs more than to run it.
-_PLAN: Final = _next(PLANS).order_by(PLANS.c.log_id)
-_SHARD: Final = _next(SHARDS, SHARDS.c.name, SHARDS.c.shard).order_by(
-    SHARDS.c.log_id, SHARDS.c.lidar_topic, SHARDS.c.shard_index
+_PLAN: Final = Statement(_next(PLANS, RECORDINGS.c.listed_s).order_by(PLANS.c.log_id))
+_SHARD: Final = Statement(
+    _next(SHARDS, SHARDS.c.name, SHARDS.c.shard).order_by(
+        SHARDS.c.log_id, SHARDS.c.lidar_topic, SHARDS.c.shard_index
+    )
 )
-_WAITING: Final = select(func.count()).select_from(
-    select(SHARDS.c.name).where(_ready(SHARDS)).limit(bindparam("enough")).subquery()
+_INSERT_LEASE: Final = Statement(insert(LEASES))
+_WAITING: Final = Statement(
+    select(func.count().label("waiting")).select_from(
+        select(SHARDS.c.name).where(_ready(SHARDS)).limit(bindparam("enough")).subquery()
+    )
 )
-_PLANNING: Final = (
+_PLANNING: Final = Statement(
     select(PLANS.c.log_id)
     .where(PLANS.c.pipeline_version == bindparam("pipeline"), PLANS.c.state == WorkState.LEASED)
     .limit(1)

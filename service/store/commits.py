@@ -1,16 +1,20 @@
 """Commits: a finished plan or shard enters the ledger whole, once, whoever sends it how often."""
 
 import hashlib
+from functools import lru_cache
 from typing import Any, Final
 
-from sqlalchemy import Connection, Row, bindparam, insert, select
+from sqlalchemy import Connection, Row, bindparam, insert, select, update
 
 from schemas.score import SceneScore
 from schemas.wire import canonical_json
 from schemas.work import Answer, CommitRequest, Damage, LogPlan, Shard
+from service.store.adoption import enter_plan
+from service.store.effects import effects_of, kind_of
 from service.store.events import insert_scenes
 from service.store.leases import end_lease, lease_of, work_of
 from service.store.manifest import Verified
+from service.store.statements import Statement
 from service.store.succession import give_way
 from service.store.tables import DAMAGE, SCENES, SHARDS
 from service.store.work import Work, WorkState, change, row_of
@@ -26,6 +30,16 @@ def commit(
     The lease need not be held any more: what a slow worker brings late is as good as any, unless
     another was faster, and a repeat after a lost answer must be told that all is well.
     """
+    effects, kind = effects_of(connection), kind_of("" if request.plan else "shard")
+    before = effects.stored[kind]
+    answer = _answer(connection, request, verified, now_s=now_s)
+    effects.note_commit(kind, answer, stored=effects.stored[kind] > before)
+    return answer
+
+
+def _answer(
+    connection: Connection, request: CommitRequest, verified: Verified, *, now_s: float
+) -> Answer:
     lease = lease_of(connection, request.lease_id, worker_id=request.worker_id)
     if isinstance(lease, str):
         return Answer(ok=False, problem=lease)
@@ -71,8 +85,10 @@ def _commit_plan(connection: Connection, work: Work, row: Row[Any], plan: LogPla
         bytes_read=plan.bytes_read,
     )
     if plan.shards and not plan.refused:
-        connection.execute(insert(SHARDS), [_shard_row(work, shard) for shard in plan.shards])
+        _INSERT_SHARD.run_each(connection, [_shard_row(work, shard) for shard in plan.shards])
     _store_damage(connection, work, plan.damage)
+    enter_plan(connection, work)
+    effects_of(connection).stored["plan"] += 1
     return Answer(ok=True)
 
 
@@ -99,27 +115,31 @@ def _commit_shard(
     if problem:
         return Answer(ok=False, problem=problem)
     stats = request.stats
-    change(
+    _FINISH_SHARD.rows(
         connection,
-        work,
-        state=WorkState.DONE,
-        error="",
-        lease_id="",
-        digest=digest,
-        committed_s=now_s,
-        frames=stats.frames,
-        points=stats.points,
-        bytes_read=stats.bytes_read,
-        bytes_needed=stats.bytes_needed,
-        range_reads=stats.range_reads,
-        peak_memory_bytes=stats.peak_memory_bytes,
-        stage_s=canonical_json(stats.stage_s).decode(),
+        {
+            "at_log": work.log_id,
+            "at_revision": work.revision,
+            "at_pipeline": work.pipeline_version,
+            "at_shard": work.shard,
+            "digest": digest,
+            "committed_s": now_s,
+            "frames": stats.frames,
+            "points": stats.points,
+            "bytes_read": stats.bytes_read,
+            "bytes_needed": stats.bytes_needed,
+            "range_reads": stats.range_reads,
+            "peak_memory_bytes": stats.peak_memory_bytes,
+            "stage_s": canonical_json(stats.stage_s).decode(),
+        },
     )
     _store_damage(connection, work, request.damage)
     current = give_way(
         connection, work, row, {score.scene_id: score.start_ns for score, _, _ in scenes}
     )
     insert_scenes(connection, work, scenes, current=current)
+    effects_of(connection).stored["shard"] += 1
+    effects_of(connection).scenes += [score for score, _, _ in scenes]
     return Answer(ok=True)
 
 
@@ -150,15 +170,15 @@ def _problem_of_scenes(
         leased = (work.log_id, row.lidar_topic, work.pipeline_version)
         if of != leased:
             return f"scene {score.scene_id} is of {of}, but the lease is for {leased}"
-    taken = connection.execute(
-        _TAKEN,
+    taken = _taken(len(scores)).first(
+        connection,
         {
             "log": work.log_id,
             "revision": work.revision,
             "pipeline": work.pipeline_version,
-            "scenes": [score.scene_id for score in scores],
+            **{f"scene_{i}": score.scene_id for i, score in enumerate(scores)},
         },
-    ).first()
+    )
     if taken is not None:
         return f"scene {taken.scene_id} was stored before, from shard {taken.shard}"
     return ""
@@ -190,6 +210,7 @@ def _shard_row(work: Work, shard: Shard) -> dict[str, Any]:
         "range_reads": 0,
         "peak_memory_bytes": 0,
         "stage_s": "{}",
+        "adopted_from": "",
     }
 
 
@@ -212,10 +233,47 @@ def _store_damage(connection: Connection, work: Work, damage: tuple[Damage, ...]
         connection.execute(insert(DAMAGE), rows)
 
 
-# Built once: to build a statement costs more than to run it.
-_TAKEN: Final = select(SCENES.c.scene_id, SCENES.c.shard).where(
-    SCENES.c.log_id == bindparam("log"),
-    SCENES.c.revision == bindparam("revision"),
-    SCENES.c.pipeline_version == bindparam("pipeline"),
-    SCENES.c.scene_id.in_(bindparam("scenes", expanding=True)),
+_INSERT_SHARD: Final = Statement(insert(SHARDS))
+_FINISH_SHARD: Final = Statement(
+    update(SHARDS)
+    .where(
+        SHARDS.c.log_id == bindparam("at_log"),
+        SHARDS.c.revision == bindparam("at_revision"),
+        SHARDS.c.pipeline_version == bindparam("at_pipeline"),
+        SHARDS.c.name == bindparam("at_shard"),
+    )
+    .values(
+        state=WorkState.DONE.value,
+        error="",
+        lease_id="",
+        **{
+            name: bindparam(name)
+            for name in (
+                "digest",
+                "committed_s",
+                "frames",
+                "points",
+                "bytes_read",
+                "bytes_needed",
+                "range_reads",
+                "peak_memory_bytes",
+                "stage_s",
+            )
+        },
+    )
 )
+
+
+@lru_cache(maxsize=256)
+def _taken(scenes: int) -> Statement:
+    """Find one of so many scenes; shards of one grid hold the same number, but for a log's last."""
+    return Statement(
+        select(SCENES.c.scene_id, SCENES.c.shard)
+        .where(
+            SCENES.c.log_id == bindparam("log"),
+            SCENES.c.revision == bindparam("revision"),
+            SCENES.c.pipeline_version == bindparam("pipeline"),
+            SCENES.c.scene_id.in_([bindparam(f"scene_{i}") for i in range(scenes)]),
+        )
+        .limit(1)
+    )

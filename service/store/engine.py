@@ -3,19 +3,21 @@
 import os
 import sqlite3
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 from urllib.parse import quote
 
 from sqlalchemy import Connection, Engine, create_engine, event
-from sqlalchemy.exc import DatabaseError, OperationalError
+from sqlalchemy.exc import DBAPIError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.pool import QueuePool
 
 from schemas.errors import TransientError
 from service.errors import StateUnusableError
+from service.store.effects import StoreObserver, begin_effects
+from service.store.grouping import GroupedWrites, Result
 from service.store.migrations import migrate, require_current
 
 DATABASE_NAME: Final = "counterpoint.sqlite"
@@ -46,6 +48,12 @@ class Store:
         """
         self._engine, self._reader, self._name = engine, engine.execution_options(**reader), name
         self._writer = threading.Lock()
+        self._observer: StoreObserver | None = None
+        self._groups = GroupedWrites(self.writing)
+
+    def observe(self, observer: StoreObserver) -> None:
+        """Tell one observer what happens from now on."""
+        self._observer = observer
 
     @contextmanager
     def writing(self) -> Iterator[Connection]:
@@ -55,7 +63,21 @@ class Store:
             StoreUnavailableError: If the database cannot take it now.
         """
         with self._writer, self._said(), self._engine.begin() as connection:
+            effects = begin_effects(connection)
             yield connection
+        if self._observer is not None:
+            self._observer.on_effects(effects)
+
+    def write(self, work: Callable[[Connection], Result]) -> Result:
+        """Do a short piece of writing, together with those of other threads; then it is on disk.
+
+        Args:
+            work: In a transaction; it may be called again in another, if the first was undone.
+
+        Raises:
+            StoreUnavailableError: If the database cannot take it now.
+        """
+        return self._groups.do(work)
 
     @contextmanager
     def reading(self) -> Iterator[Connection]:
@@ -73,21 +95,33 @@ class Store:
 
     @contextmanager
     def _said(self) -> Iterator[None]:
+        """Say what an error of the database means, and whether it may pass."""
+        driver = self._engine.dialect.loaded_dbapi
         try:
             yield
-        except (OperationalError, PoolTimeoutError) as error:
-            cause = error.orig if isinstance(error, OperationalError) else error
-            raise StoreUnavailableError(
-                f"cannot use the database: {cause} ({self._name}); "
-                "nothing acknowledged is lost, try again when that is mended"
-            ) from error
-        except DatabaseError as error:
-            if type(error) is not DatabaseError:
-                raise  # its subclasses are wrong queries: ours, not the user's
-            raise StateUnusableError(
-                f"not a database, or a damaged one: {error.orig} ({self._name}); "
-                "restore it from a copy, or name another folder with --state"
-            ) from error
+        except (DBAPIError, PoolTimeoutError, driver.Error) as error:
+            cause = error.orig if isinstance(error, DBAPIError) else error
+            if self._observer is not None:
+                self._observer.on_database_error()
+            if isinstance(cause, (driver.OperationalError, PoolTimeoutError)) or _may_pass(cause):
+                raise StoreUnavailableError(
+                    f"cannot use the database: {cause} ({self._name}); "
+                    "nothing acknowledged is lost, try again when that is mended"
+                ) from error
+            if type(cause) is driver.DatabaseError:
+                raise StateUnusableError(
+                    f"not a database, or a damaged one: {cause} ({self._name}); "
+                    "restore it from a copy, or name another folder with --state"
+                ) from error
+            raise  # the other kinds are wrong queries: ours, not the user's
+
+
+def _may_pass(cause: object) -> bool:
+    """Whether PostgreSQL calls an error internal that is none: the standby took over, or will."""
+    return getattr(cause, "sqlstate", None) == _READ_ONLY_SERVER
+
+
+_READ_ONLY_SERVER: Final = "25006"
 
 
 def open_store(folder: Path) -> Store:
@@ -115,19 +149,36 @@ def open_store_to_read(folder: Path) -> Store:
     return _opened(_sqlite(path, read_only=True), name=str(path), read_only=True)
 
 
-def open_store_at(url: str) -> Store:
-    """Open a PostgreSQL database, made up to date as needed.
+def open_store_at(url: str, *, read_only: bool = False) -> Store:
+    """Open a PostgreSQL database, made up to date as needed, or only to read.
 
     Raises:
-        StateUnusableError: If a newer version wrote it.
+        StateUnusableError: If a newer version wrote it, its driver is not installed, or it may only
+            be read and is not of this version.
         StoreUnavailableError: If the server does not answer.
     """
-    engine = create_engine(url, pool_pre_ping=True)
+    engine = postgres_engine(url, pool_pre_ping=True)
     name = engine.url.render_as_string(hide_password=True)
     # Several queries of one view see one commit, as they do on SQLite.
     return _opened(
-        Store(engine, name=name, reader={"isolation_level": "REPEATABLE READ"}), name=name
+        Store(engine, name=name, reader={"isolation_level": "REPEATABLE READ"}),
+        name=name,
+        read_only=read_only,
     )
+
+
+def postgres_engine(url: str, **options: Any) -> Engine:
+    """Make an engine on a PostgreSQL; it connects when it is used.
+
+    Raises:
+        StateUnusableError: If the driver is not installed.
+    """
+    try:
+        return create_engine(url, **options)
+    except ModuleNotFoundError as error:
+        raise StateUnusableError(
+            f"PostgreSQL needs the extra `postgres`: pip install 'counterpoint[postgres]' ({error})"
+        ) from None
 
 
 def _opened(store: Store, *, name: str, read_only: bool = False) -> Store:

@@ -3,10 +3,11 @@
 from collections.abc import Collection, Iterator, Sequence
 from typing import Any, Final
 
-from sqlalchemy import ColumnElement, Connection, bindparam, insert, select, update
+from sqlalchemy import ColumnElement, Connection, Row, and_, bindparam, insert, select, update
 
 from schemas.score import SceneScore
 from schemas.wire import canonical_json
+from service.store.statements import Statement
 from service.store.tables import COUNTERS, SCENES
 from service.store.work import Work
 
@@ -51,13 +52,13 @@ def insert_scenes(
                 "state": score.state.value,
                 "score": score.score,
                 "reasons": canonical_json(score.reasons).decode(),
-                **_point_counts(score),
+                **point_counts(score),
                 "record": record,
                 "sha256": sha256,
             }
         )
     if rows:
-        connection.execute(insert(SCENES), rows)
+        _INSERT_SCENE.run_each(connection, rows)
 
 
 def withdraw(
@@ -80,33 +81,36 @@ def withdraw(
         select(*_KEY, SCENES.c.scene_id).where(SCENES.c.is_current, which).order_by(SCENES.c.seq)
     ).all()
     following = _next_numbers(connection, sum(row.scene_id not in replaced for row in going))
-    for row in going:
-        number = None if row.scene_id in replaced else next(following)
-        connection.execute(
-            update(SCENES)
-            .where(*(column == row[i] for i, column in enumerate(_KEY)))
-            .values(is_current=False, withdrawn_by=by, withdrawn_seq=number)
-        )
+    withdrawn = [
+        {
+            **_key_of(row),
+            "by": by,
+            "number": None if row.scene_id in replaced else next(following),
+        }
+        for row in going
+    ]
+    if withdrawn:
+        connection.execute(_WITHDRAW, withdrawn)
 
 
-def restore(connection: Connection, *, log_id: str, revision: str) -> None:
-    """Make the scenes current again that went when this revision was replaced or deleted."""
+def restore(connection: Connection, which: ColumnElement[bool]) -> None:
+    """Make scenes current again.
+
+    Args:
+        connection: In a transaction that writes.
+        which: Condition on `SCENES`; none of them is current now.
+    """
     returning = connection.execute(
-        select(*_KEY)
-        .where(
-            SCENES.c.log_id == log_id,
-            SCENES.c.revision == revision,
-            SCENES.c.withdrawn_by == "revision",
-        )
-        .order_by(SCENES.c.seq)
+        select(*_KEY).where(which).order_by(SCENES.c.lidar_topic, SCENES.c.start_ns)
     ).all()
     following = _next_numbers(connection, len(returning))
-    for row in returning:
-        connection.execute(
-            update(SCENES)
-            .where(*(column == row[i] for i, column in enumerate(_KEY)))
-            .values(is_current=True, withdrawn_by="", withdrawn_seq=None, seq=next(following))
-        )
+    restored = [{**_key_of(row), "number": next(following)} for row in returning]
+    if restored:
+        connection.execute(_RESTORE, restored)
+
+
+def _key_of(row: Row[*tuple[Any, ...]]) -> dict[str, Any]:
+    return {f"at_{column.name}": row._mapping[column] for column in _KEY}
 
 
 def mark_published(connection: Connection, seq: int) -> None:
@@ -129,11 +133,12 @@ def _next_numbers(connection: Connection, count: int) -> Iterator[int]:
     """Take numbers for events; the row stays locked until the commit, so they are in its order."""
     if count == 0:
         return iter(())
-    last = connection.execute(_COUNT_ON, {"more": count}).scalar_one()
+    last: int = _COUNT_ON.one(connection, {"more": count}).value
     return iter(range(last - count + 1, last + 1))
 
 
-_COUNT_ON: Final = (
+_INSERT_SCENE: Final = Statement(insert(SCENES))
+_COUNT_ON: Final = Statement(
     update(COUNTERS)
     .where(COUNTERS.c.name == "seq")
     .values(value=COUNTERS.c.value + bindparam("more"))
@@ -141,7 +146,7 @@ _COUNT_ON: Final = (
 )
 
 
-def _point_counts(score: SceneScore) -> dict[str, int]:
+def point_counts(score: SceneScore) -> dict[str, int]:
     """Points by agreement, from the shares of the record: exact to its rounding."""
     compared = score.points * score.compared_share
     shares = score.all_points
@@ -155,3 +160,14 @@ def _point_counts(score: SceneScore) -> dict[str, int]:
 
 
 _KEY: Final = (SCENES.c.log_id, SCENES.c.revision, SCENES.c.pipeline_version, SCENES.c.scene_id)
+_AT: Final = and_(*(column == bindparam(f"at_{column.name}") for column in _KEY))
+_WITHDRAW: Final = (
+    update(SCENES)
+    .where(_AT)
+    .values(is_current=False, withdrawn_by=bindparam("by"), withdrawn_seq=bindparam("number"))
+)
+_RESTORE: Final = (
+    update(SCENES)
+    .where(_AT)
+    .values(is_current=True, withdrawn_by="", withdrawn_seq=None, seq=bindparam("number"))
+)

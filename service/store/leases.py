@@ -4,11 +4,17 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Final
 
-from sqlalchemy import Connection, Row, and_, bindparam, select, update
+from sqlalchemy import Connection, Row, and_, bindparam, delete, select, update
 
 from schemas.work import Answer, FailRequest, RenewRequest
+from service.store.effects import effects_of, kind_of
+from service.store.revisions import take_over
+from service.store.statements import Statement
 from service.store.tables import LEASES, RECORDINGS
 from service.store.work import Work, WorkState, change, row_of
+
+LEASES_KEPT_S: Final = 7 * 86_400.0
+"""Longer than any worker goes on with a result that it cannot get rid of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +29,8 @@ class LeasePolicy:
         plan_ahead: Logs are planned before shards are mined while fewer shards than this wait.
             Mining starts early, yet no worker idles while there is a log to open; and a plan is
             made shortly before it is used, so that few go stale in a bucket that changes.
+        settle_s: A revision that was first listed so long ago is planned as it stands; before, only
+            if it is complete.
     """
 
     lease_s: float = 30.0
@@ -30,6 +38,11 @@ class LeasePolicy:
     backoff_s: float = 2.0
     max_backoff_s: float = 60.0
     plan_ahead: int = 16
+    settle_s: float = 0.0
+
+    def is_settled(self, listed_s: float, *, now_s: float) -> bool:
+        """Whether a revision has not changed for long enough; one listed in the future has not."""
+        return now_s - min(listed_s, now_s) >= self.settle_s
 
     def pause_s(self, attempts: int) -> float:
         """How long work rests after this many failures."""
@@ -45,7 +58,7 @@ def renew(
         return Answer(ok=False, problem=lease)
     if not lease.is_held:
         return Answer(ok=False, problem=f"lease is over: {lease.ended_by}")
-    _change(connection, request.lease_id, expires_s=now_s + policy.lease_s)
+    _RENEW.rows(connection, {"at_lease": request.lease_id, "until_s": now_s + policy.lease_s})
     return Answer(ok=True)
 
 
@@ -58,6 +71,8 @@ def fail(
         return Answer(ok=False, problem=lease)
     if lease.is_held and request.given_back:
         _free(connection, lease, by="given back")
+    elif lease.is_held and request.growing and not lease.shard:
+        _let_settle(connection, lease, now_s=now_s, policy=policy)
     elif lease.is_held:
         end_lease(connection, lease.lease_id, by="failed")
         _give_back(
@@ -106,6 +121,13 @@ def free_leases(connection: Connection, worker_prefix: str) -> int:
     return len(theirs)
 
 
+def prune(connection: Connection, *, now_s: float) -> None:
+    """Forget leases that ended long ago; a commit under one is told to claim again."""
+    connection.execute(
+        delete(LEASES).where(~LEASES.c.is_held, LEASES.c.expires_s < now_s - LEASES_KEPT_S)
+    )
+
+
 def resume(connection: Connection, *, now_s: float, policy: LeasePolicy) -> None:
     """Give every held lease a full term: while no service ran, nobody could renew."""
     connection.execute(
@@ -117,9 +139,9 @@ def lease_of(connection: Connection, lease_id: str, *, worker_id: str) -> Row[An
     """Find a lease, or say in one sentence why this worker cannot use it.
 
     Returns:
-        A row of `LEASES`, with `is_current` of its recording; or the sentence.
+        A row of `LEASES`, with `is_current` and `listed_s` of its recording; or the sentence.
     """
-    lease = connection.execute(_LEASE, {"at_lease": lease_id}).one_or_none()
+    lease: Row[Any] | None = _LEASE.first(connection, {"at_lease": lease_id})
     if lease is None:
         return f"no such lease: {lease_id}; claim again"
     if lease.worker_id != worker_id:
@@ -134,17 +156,15 @@ def work_of(lease: Row[Any]) -> Work:
 
 def end_lease(connection: Connection, lease_id: str, *, by: str) -> None:
     """Note that a lease is over, and why."""
-    _change(connection, lease_id, is_held=False, ended_by=by)
-
-
-def _change(connection: Connection, lease_id: str, **values: Any) -> None:
-    connection.execute(_UPDATE, {"at_lease": lease_id, **values})
+    _END.rows(connection, {"at_lease": lease_id, "by": by})
+    effects_of(connection).leases_ended[by] += 1
 
 
 _AT: Final = LEASES.c.lease_id == bindparam("at_lease")
-_UPDATE: Final = update(LEASES).where(_AT)
-_LEASE: Final = (
-    select(LEASES, RECORDINGS.c.is_current)
+_RENEW: Final = Statement(update(LEASES).where(_AT).values(expires_s=bindparam("until_s")))
+_END: Final = Statement(update(LEASES).where(_AT).values(is_held=False, ended_by=bindparam("by")))
+_LEASE: Final = Statement(
+    select(LEASES, RECORDINGS.c.is_current, RECORDINGS.c.listed_s)
     .join(
         RECORDINGS,
         and_(RECORDINGS.c.log_id == LEASES.c.log_id, RECORDINGS.c.revision == LEASES.c.revision),
@@ -160,6 +180,24 @@ def _free(connection: Connection, lease: Row[Any], *, by: str) -> None:
     work = work_of(lease)
     if row_of(connection, work).lease_id == lease.lease_id:
         change(connection, work, state=WorkState.READY, lease_id="")
+
+
+def _let_settle(
+    connection: Connection, lease: Row[Any], *, now_s: float, policy: LeasePolicy
+) -> None:
+    """Let the plan of a recording rest that still grows, until it has not changed for a while."""
+    end_lease(connection, lease.lease_id, by="growing")
+    work = work_of(lease)
+    if row_of(connection, work).lease_id != lease.lease_id:
+        return
+    if lease.listed_s > now_s:  # listed before the clock stepped back: it settles from now on
+        connection.execute(
+            update(RECORDINGS)
+            .where(RECORDINGS.c.log_id == work.log_id, RECORDINGS.c.revision == work.revision)
+            .values(listed_s=now_s)
+        )
+    settled_s = min(lease.listed_s, now_s) + policy.settle_s
+    change(connection, work, state=WorkState.READY, lease_id="", error="", ready_at_s=settled_s)
 
 
 def _worker_died(
@@ -212,6 +250,7 @@ def _give_back(
         error = _died(attempts, verb="mining" if work.shard else "planning", before=row.error)
     if parks or attempts >= policy.max_attempts:
         state = WorkState.PARKED
+        effects_of(connection).parked[kind_of(work.shard)] += 1
     else:
         state = WorkState.STALE if stale else WorkState.READY
     rest_s = policy.pause_s(attempts) if pauses else 0.0
@@ -224,6 +263,8 @@ def _give_back(
         error=error,
         ready_at_s=ready_at_s + rest_s,
     )
+    if state == WorkState.PARKED and not work.shard:
+        take_over(connection, log_id=work.log_id, revision=work.revision)
 
 
 def _died(attempts: int, *, verb: str, before: str) -> str:

@@ -32,7 +32,7 @@ def settled(connection: Connection, pipeline_version: str) -> bool:
 def status(connection: Connection, pipeline_version: str | None, *, now_s: float) -> Status:
     """Count everything under one pipeline version; by default the newest."""
     if pipeline_version is None:
-        pipeline_version = _newest_pipeline(connection)
+        pipeline_version = newest_pipeline(connection)
     plans = {
         row.log_id: row for row in connection.execute(_current_rows(PLANS, pipeline_version, PLANS))
     }
@@ -44,7 +44,8 @@ def status(connection: Connection, pipeline_version: str | None, *, now_s: float
         select(RECORDINGS.c.log_id).where(RECORDINGS.c.is_current).order_by(RECORDINGS.c.log_id)
     ).scalars()
     logs = tuple(
-        _log_status(log_id, plans.get(log_id), shards[log_id], damage[log_id]) for log_id in log_ids
+        _log_status(log_id, plans.get(log_id), shards[log_id], damage[log_id], now_s=now_s)
+        for log_id in log_ids
     )
     counters = {row.name: row.value for row in connection.execute(select(COUNTERS))}
     return Status(
@@ -98,7 +99,8 @@ def _current_rows(table: Table, pipeline_version: str, *columns: Any) -> Any:
     )
 
 
-def _newest_pipeline(connection: Connection) -> str:
+def newest_pipeline(connection: Connection) -> str:
+    """Name the newest pipeline version; empty before any worker has asked for work."""
     newest = select(PIPELINES.c.pipeline_version).order_by(PIPELINES.c.ordinal.desc()).limit(1)
     return connection.execute(newest).scalar_one_or_none() or ""
 
@@ -116,14 +118,19 @@ def _damage(connection: Connection, pipeline_version: str) -> defaultdict[str, l
 
 
 def _log_status(
-    log_id: str, plan: Row[Any] | None, shards: list[Row[Any]], damage: list[Damage]
+    log_id: str,
+    plan: Row[Any] | None,
+    shards: list[Row[Any]],
+    damage: list[Damage],
+    *,
+    now_s: float,
 ) -> LogStatus:
     by_state = dict(sorted(Counter(shard.state for shard in shards).items()))
     if plan is None:
         return LogStatus(log_id=log_id, state="waiting")
     return LogStatus(
         log_id=log_id,
-        state=_log_state(plan.state, by_state),
+        state="settling" if _rests(plan, now_s=now_s) else _log_state(plan.state, by_state),
         vehicle=plan.vehicle,
         date=plan.date,
         software_version=plan.software_version,
@@ -139,6 +146,11 @@ def _log_status(
         bytes_needed=sum(shard.bytes_needed for shard in shards),
         peak_memory_bytes=max((shard.peak_memory_bytes for shard in shards), default=0),
     )
+
+
+def _rests(plan: Row[Any], *, now_s: float) -> bool:
+    """Whether a plan waits for its recording to settle: the only rest that no failure ordered."""
+    return plan.state == WorkState.READY and not plan.error and bool(plan.ready_at_s > now_s)
 
 
 def _log_state(plan: str, shards: dict[str, int]) -> str:
@@ -176,6 +188,7 @@ def _frames_per_s(connection: Connection, pipeline_version: str, *, now_s: float
     """
     recent = and_(
         SHARDS.c.pipeline_version == pipeline_version,
+        SHARDS.c.adopted_from == "",
         SHARDS.c.committed_s > now_s - RATE_WINDOW_S,
         SHARDS.c.committed_s <= now_s,
     )

@@ -1,25 +1,39 @@
 """What lies in the bucket, as the ledger knows it: listings come in, work and scenes follow."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 from sqlalchemy import (
     ColumnElement,
     Connection,
     Table,
     and_,
+    bindparam,
+    delete,
     exists,
     func,
     insert,
     literal,
+    or_,
     select,
     update,
 )
 
 from schemas.work import Recording
-from service.store.events import restore, withdraw
+from service.store.adoption import enter_again
+from service.store.events import withdraw
+from service.store.leases import end_lease
 from service.store.tables import LEASES, PIPELINES, PLANS, RECORDINGS, SCENES, SHARDS
 from service.store.work import OPEN, WorkState
+
+
+@dataclass(frozen=True, slots=True)
+class Listed:
+    """A recording that was listed, and its revision, which takes a while to compute."""
+
+    recording: Recording
+    revision: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,18 +45,32 @@ class SyncResult:
     deleted: tuple[str, ...] = ()
 
 
-def sync_recordings(connection: Connection, recordings: Sequence[Recording]) -> SyncResult:
-    """Make the current recordings those of a complete listing.
-
-    A recording of another revision supersedes the old one: open work on that is cancelled and its
-    scenes are withdrawn; all of it is kept, and comes back if that revision does.
+def by_log(recordings: Sequence[Recording]) -> dict[str, Listed]:
+    """Index a listing by log id, its revisions computed. Pure, so that the transaction is short.
 
     Raises:
         ValueError: If two recordings have one log id.
     """
-    listed = {recording.log_id: recording for recording in recordings}
+    listed = {each.log_id: Listed(each, each.revision) for each in recordings}
     if len(listed) != len(recordings):
         raise ValueError("a listing names one log twice; log ids must be unique in the bucket")
+    return listed
+
+
+def sync_recordings(
+    connection: Connection, listed: Mapping[str, Listed], *, now_s: float
+) -> SyncResult:
+    """Make the current recordings those of a complete listing.
+
+    Open work on a recording that was replaced or deleted is cancelled. The scenes of a deleted one
+    go at once, those of a replaced one stay until the plan of the new revision is finished, refused
+    or parked. All of it is kept, and comes back if that revision does.
+
+    Args:
+        connection: In a transaction that writes.
+        listed: All that the bucket holds.
+        now_s: When it was listed, by the service's clock.
+    """
     known = {
         row.log_id: row.revision
         for row in connection.execute(
@@ -56,12 +84,19 @@ def sync_recordings(connection: Connection, recordings: Sequence[Recording]) -> 
         for log_id in listed.keys() & known.keys()
         if listed[log_id].revision != known[log_id]
     )
-    for log_id in (*deleted, *replaced):
-        _retire(connection, log_id=log_id, revision=known[log_id])
-    for log_id in (*new, *replaced):
-        _enter(connection, listed[log_id])
+    _retire(connection, {log_id: known[log_id] for log_id in (*deleted, *replaced)})
+    _enter_all(connection, [listed[log_id] for log_id in (*new, *replaced)], now_s=now_s)
+    if deleted:
+        existing = select(RECORDINGS.c.log_id).where(RECORDINGS.c.is_current)
+        withdraw(connection, SCENES.c.log_id.not_in(existing), by="revision")
     _take_up_stale(connection)
     return SyncResult(tuple(new), tuple(replaced), tuple(deleted))
+
+
+def has_recordings(connection: Connection) -> bool:
+    """Whether any recording is current."""
+    any_current = select(RECORDINGS.c.log_id).where(RECORDINGS.c.is_current).limit(1)
+    return connection.execute(any_current).one_or_none() is not None
 
 
 def stale_logs(connection: Connection) -> list[str]:
@@ -111,62 +146,62 @@ def seed_plans(connection: Connection, pipeline_version: str) -> None:
     )
 
 
-def _retire(connection: Connection, *, log_id: str, revision: str) -> None:
-    """End a revision: its open work is cancelled, its scenes are history."""
-    connection.execute(
-        update(RECORDINGS)
-        .where(RECORDINGS.c.log_id == log_id, RECORDINGS.c.revision == revision)
-        .values(is_current=False)
-    )
-    for table in (PLANS, SHARDS):
-        connection.execute(
-            update(table)
-            .where(
-                table.c.log_id == log_id,
-                table.c.revision == revision,
-                table.c.state.in_(OPEN),
-            )
-            .values(state=WorkState.CANCELLED, lease_id="")
-        )
-    connection.execute(
-        update(LEASES)
-        .where(LEASES.c.is_held, LEASES.c.log_id == log_id, LEASES.c.revision == revision)
-        .values(is_held=False, ended_by="replaced")
-    )
-    withdraw(
-        connection,
-        and_(SCENES.c.log_id == log_id, SCENES.c.revision == revision),
-        by="revision",
-    )
+def _retire(connection: Connection, going: Mapping[str, str]) -> None:
+    """End the revisions of these logs: their open work is cancelled.
 
-
-def _enter(connection: Connection, recording: Recording) -> None:
-    """Make a revision the current one of its log; one that was known before is taken up again."""
-    key = and_(RECORDINGS.c.log_id == recording.log_id, RECORDINGS.c.revision == recording.revision)
-    back = connection.execute(
-        update(RECORDINGS).where(key).values(is_current=True).returning(RECORDINGS.c.log_id)
-    ).one_or_none()
-    if back is None:
-        connection.execute(
-            insert(RECORDINGS).values(
-                log_id=recording.log_id,
-                revision=recording.revision,
-                recording=recording.model_dump_json(),
-                is_current=True,
-            )
-        )
+    One that nothing was made of, and on which nobody works, is forgotten: an upload makes one with
+    every listing.
+    """
+    if not going:
         return
-    for table in (PLANS, SHARDS):
-        connection.execute(
-            update(table)
-            .where(
-                table.c.log_id == recording.log_id,
-                table.c.revision == recording.revision,
-                table.c.state == WorkState.CANCELLED,
-            )
-            .values(state=WorkState.READY, ready_at_s=0.0)
+    made = select(PLANS.c.log_id, PLANS.c.revision).where(PLANS.c.state.not_in(OPEN)).distinct()
+    kept = {tuple(row) for row in connection.execute(made)}
+    held = [
+        lease
+        for lease in connection.execute(select(LEASES).where(LEASES.c.is_held))
+        if going.get(lease.log_id) == lease.revision
+    ]
+    for lease in held:
+        end_lease(connection, lease.lease_id, by="replaced")
+        kept.add((lease.log_id, lease.revision))
+    every = [{"at_log": log_id, "at_revision": going[log_id]} for log_id in going]
+    for ending in (_END, *_CANCEL):
+        connection.execute(ending, every)
+    forgotten = [key for key in every if (key["at_log"], key["at_revision"]) not in kept]
+    if forgotten:
+        for forgetting in _FORGET:
+            connection.execute(forgetting, forgotten)
+
+
+def _enter_all(connection: Connection, entering: Sequence[Listed], *, now_s: float) -> None:
+    """Make revisions the current ones of their logs; those known before are taken up again."""
+    if not entering:
+        return
+    past = select(RECORDINGS.c.log_id, RECORDINGS.c.revision).where(~RECORDINGS.c.is_current)
+    known = {tuple(row) for row in connection.execute(past)}
+    unknown = []
+    for each in entering:
+        if (each.recording.log_id, each.revision) in known:
+            _enter_again(connection, log_id=each.recording.log_id, revision=each.revision)
+            continue
+        unknown.append(
+            {
+                "log_id": each.recording.log_id,
+                "revision": each.revision,
+                "recording": each.recording.model_dump_json(),
+                "is_current": True,
+                "listed_s": now_s,
+            }
         )
-    restore(connection, log_id=recording.log_id, revision=recording.revision)
+    if unknown:  # in one statement: ten thousand logs may appear at once
+        connection.execute(insert(RECORDINGS), unknown)
+
+
+def _enter_again(connection: Connection, *, log_id: str, revision: str) -> None:
+    """Take up a revision that was current before."""
+    for statement in (_BEGIN, *_GO_ON):
+        connection.execute(statement, {"at_log": log_id, "at_revision": revision})
+    enter_again(connection, log_id=log_id, revision=revision)
 
 
 def _take_up_stale(connection: Connection) -> None:
@@ -179,3 +214,25 @@ def _is_stale(table: Table) -> ColumnElement[bool]:
     # Naming every pipeline version lets both servers use the index that begins with it.
     every = select(PIPELINES.c.pipeline_version)
     return and_(table.c.pipeline_version.in_(every), table.c.state == WorkState.STALE.value)
+
+
+def _at(table: Table) -> ColumnElement[bool]:
+    return and_(table.c.log_id == bindparam("at_log"), table.c.revision == bindparam("at_revision"))
+
+
+# Built once: to build a statement costs more than to run it, and whole buckets come and go.
+_BEGIN: Final = update(RECORDINGS).where(_at(RECORDINGS)).values(is_current=True)
+_END: Final = update(RECORDINGS).where(_at(RECORDINGS)).values(is_current=False)
+_CANCEL: Final = tuple(
+    update(table)
+    .where(_at(table), or_(*(table.c.state == state.value for state in OPEN)))
+    .values(state=WorkState.CANCELLED, lease_id="")
+    for table in (PLANS, SHARDS)
+)
+_GO_ON: Final = tuple(
+    update(table)
+    .where(_at(table), table.c.state == WorkState.CANCELLED)
+    .values(state=WorkState.READY, ready_at_s=0.0)
+    for table in (PLANS, SHARDS)
+)
+_FORGET: Final = tuple(delete(table).where(_at(table)) for table in (PLANS, RECORDINGS))

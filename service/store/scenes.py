@@ -2,9 +2,9 @@
 
 import json
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
-from sqlalchemy import ColumnElement, Connection, Row, Select, select
+from sqlalchemy import ColumnElement, Connection, LargeBinary, Row, Select, and_, literal, select
 
 from schemas.contradiction import SceneState
 from schemas.score import SceneScore
@@ -12,6 +12,8 @@ from schemas.wire import decode
 from service.ranking import RankedInput
 from service.store.events import counter
 from service.store.tables import SCENES
+
+_LAST: Final = 2**63 - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,10 +26,10 @@ class StoredScene:
         scene_id: `<log_id>/<lidar>/<start_ns>`.
         pipeline_version: What mined it.
         score: As in the record.
-        record: Bytes as published.
-        sha256: Digest of `record`.
-        withdrawn: Only from `Ledger.unpublished`: the event with this number says that the scene
-            is no longer current: delete its key instead of putting the record.
+        record: Bytes as published; empty when withdrawn.
+        sha256: Digest of the record as published.
+        withdrawn: Only among events: the one with this number says that the scene is no longer
+            current: delete its key instead of putting the record.
     """
 
     seq: int
@@ -47,16 +49,39 @@ class StoredScene:
 def unpublished(connection: Connection, *, limit: int) -> list[StoredScene]:
     """Read the events after the outbox's cursor, in order: scenes stored, scenes withdrawn."""
     seq = counter(connection, "published")
-    puts = connection.execute(
-        _stored().where(SCENES.c.seq > seq).order_by(SCENES.c.seq).limit(limit)
+    return _events(connection, SCENES.c.seq > seq, after=seq, limit=limit)
+
+
+def events_since(connection: Connection, *, after: int, limit: int) -> list[StoredScene]:
+    """Read, in order, what leads from the scenes that were current then to those that are now.
+
+    Those are the current scenes with a greater number, and every withdrawal with one. A scene that
+    came and went has its withdrawal only: whether an asker knows it cannot be told here, since a
+    scene that returns, or is replaced under its key, gets a new number.
+
+    Args:
+        connection: To read from.
+        after: Only greater numbers.
+        limit: At most so many, the first ones.
+    """
+    return _events(
+        connection, and_(SCENES.c.is_current, SCENES.c.seq > after), after=after, limit=limit
     )
-    gone = connection.execute(
-        _stored(SCENES.c.withdrawn_seq)
-        .where(SCENES.c.withdrawn_seq > seq)
+
+
+def _events(
+    connection: Connection, puts: ColumnElement[bool], *, after: int, limit: int
+) -> list[StoredScene]:
+    # Both walk the index of their number, and stop at the limit.
+    came = connection.execute(_stored().where(puts).order_by(SCENES.c.seq).limit(limit)).all()
+    until = came[-1].number if len(came) == limit else _LAST
+    went = connection.execute(
+        _stored(SCENES.c.withdrawn_seq, record=literal(b"", LargeBinary))
+        .where(SCENES.c.withdrawn_seq > after, SCENES.c.withdrawn_seq < until)
         .order_by(SCENES.c.withdrawn_seq)
         .limit(limit)
     )
-    events = [_scene(row) for row in puts] + [_scene(row, withdrawn=True) for row in gone]
+    events = [_scene(row) for row in came] + [_scene(row, withdrawn=True) for row in went]
     return sorted(events, key=lambda event: event.seq)[:limit]
 
 
@@ -107,7 +132,9 @@ def rank_inputs(connection: Connection) -> list[RankedInput]:
     ]
 
 
-def _stored(seq: ColumnElement[int] = SCENES.c.seq) -> Select[Any]:
+def _stored(
+    seq: ColumnElement[int] = SCENES.c.seq, record: ColumnElement[bytes] = SCENES.c.record
+) -> Select[Any]:
     c = SCENES.c
     return select(
         seq.label("number"),
@@ -115,7 +142,7 @@ def _stored(seq: ColumnElement[int] = SCENES.c.seq) -> Select[Any]:
         c.scene_id,
         c.pipeline_version,
         c.score,
-        c.record,
+        record.label("record"),
         c.sha256,
     )
 

@@ -1,11 +1,12 @@
 """Which pipeline version's scenes are current where several have mined the same stretch."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 from sqlalchemy import Connection, Row, and_, exists, select
 
 from service.store.events import withdraw
+from service.store.statements import Statement
 from service.store.tables import PIPELINES, SCENES, SHARDS
 from service.store.work import Work, WorkState
 
@@ -25,8 +26,7 @@ def give_way(
         Ids of those that become current; what they replace is withdrawn.
     """
     versions = {
-        version.pipeline_version: version.ordinal
-        for version in connection.execute(select(PIPELINES))
+        version.pipeline_version: version.ordinal for version in _VERSIONS.rows(connection, {})
     }
     ours = versions[work.pipeline_version]
     newer = [version for version, ordinal in versions.items() if ordinal > ours]
@@ -90,3 +90,6 @@ def _supersede(
             SCENES.c.start_ns < row.covers_to_ns,
         )
     withdraw(connection, which, by="pipeline", replaced=replaced)
+
+
+_VERSIONS: Final = Statement(select(PIPELINES))

@@ -38,6 +38,7 @@ RECORDINGS: Final = Table(
     _text("revision", key=True),
     _text("recording"),
     _flag("is_current"),
+    _real("listed_s"),
 )
 
 PLANS: Final = Table(
@@ -86,6 +87,7 @@ SHARDS: Final = Table(
     _number("range_reads"),
     _number("peak_memory_bytes"),
     _text("stage_s"),
+    _text("adopted_from"),
 )
 
 LEASES: Final = Table(

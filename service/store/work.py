@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
 from typing import Any, Final
 
 from sqlalchemy import ColumnElement, Connection, Row, Table, and_, bindparam, select, update
 
+from service.store.statements import Statement
 from service.store.tables import PLANS, SHARDS
 
 
@@ -47,12 +49,13 @@ class Work:
 
 def row_of(connection: Connection, work: Work) -> Row[Any]:
     """Read the row of a plan or shard, locked against other writers."""
-    return connection.execute(_SELECT[bool(work.shard)], _key(work)).one()
+    row: Row[Any] = _SELECT[bool(work.shard)].one(connection, _key(work))
+    return row
 
 
 def change(connection: Connection, work: Work, **values: Any) -> None:
     """Set columns of a plan or shard."""
-    connection.execute(_UPDATE[bool(work.shard)], {**_key(work), **values})
+    _update(bool(work.shard), tuple(values)).rows(connection, {**_key(work), **values})
 
 
 def _key(work: Work) -> dict[str, str]:
@@ -76,7 +79,14 @@ def _at(table: Table) -> ColumnElement[bool]:
 # Built once: to build a statement costs more than to run it.
 _TABLES: Final = {False: PLANS, True: SHARDS}
 _SELECT: Final = {
-    is_shard: select(table).where(_at(table)).with_for_update()
+    is_shard: Statement(select(table).where(_at(table)).with_for_update())
     for is_shard, table in _TABLES.items()
 }
-_UPDATE: Final = {is_shard: update(table).where(_at(table)) for is_shard, table in _TABLES.items()}
+
+
+@cache
+def _update(is_shard: bool, columns: tuple[str, ...]) -> Statement:
+    """Set these columns; there are as many sets of them as places that change work."""
+    table = _TABLES[is_shard]
+    values: dict[str, Any] = {column: bindparam(column) for column in columns}
+    return Statement(update(table).where(_at(table)).values(**values))

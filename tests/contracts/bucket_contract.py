@@ -40,6 +40,30 @@ class BucketContract:
             bucket.put(f"{number}", b"x")
         assert [found.key for found in bucket.list(start_after="2")] == ["3", "4"]
 
+    def test_a_listing_of_a_folder_can_begin_after_a_key(self, bucket: Bucket) -> None:
+        for key in ("a/9", "fleet/1", "fleet/2", "fleet/3", "z/1"):
+            bucket.put(key, b"x")
+        after = bucket.list("fleet", start_after="fleet/1")
+        assert [found.key for found in after] == ["fleet/2", "fleet/3"]
+        first = next(bucket.list(start_after="fleet/15"))  # which is no key
+        assert first.key == "fleet/2"
+
+    def test_keys_are_in_the_order_of_their_bytes(self, bucket: Bucket) -> None:
+        keys = ["B", "a", "a-b/1", "a.b", "a/1", "a/1.mcap", "a/10", "a0", "z", "ß", "中", "🚗"]
+        for key in reversed(keys):
+            bucket.put(key + "/log" if key in ("a", "z") else key, b"x")
+        listed = [found.key for found in bucket.list()]
+        assert listed == sorted(listed, key=str.encode)
+        assert len(listed) == len(keys)
+
+    def test_an_empty_object_is_listed_and_read_whole(self, bucket: Bucket) -> None:
+        bucket.put("empty.mcap", b"")
+        (found,) = bucket.list()
+        assert found.size == 0
+        assert bucket.read_all("empty.mcap") == b""
+        with pytest.raises(ObjectChangedError):
+            bucket.read_range("empty.mcap", 0, 1, found.etag)
+
     @pytest.mark.parametrize("key", ["a b.mcap", "ü.mcap", "a%20b.mcap", "x#[1]~.mcap"])
     def test_odd_keys_come_back_as_they_are(self, bucket: Bucket, key: str) -> None:
         bucket.put(key, b"data")

@@ -1,7 +1,7 @@
 """A small bucket and its miners, made of messages alone: what tests of the ledger drive it with."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from schemas.arrays import NS_PER_S
@@ -12,6 +12,7 @@ from schemas.wire import encode_scene_score, sha256
 from schemas.work import (
     Answer,
     Channel,
+    ChunkRef,
     ClaimRequest,
     CommitRequest,
     Damage,
@@ -45,6 +46,45 @@ class Clock:
 
 def recording(log_id: str, *, etag: str = "a") -> Recording:
     return Recording(log_id=log_id, parts=(Part(key=f"{log_id}.mcap", size=100, etag=etag),))
+
+
+def split(log_id: str, *etags: str) -> Recording:
+    """A recording in parts, which are known by their etags."""
+    parts = (
+        Part(key=f"{log_id}_{number}.mcap", size=100, etag=etag)
+        for number, etag in enumerate(etags)
+    )
+    return Recording(log_id=log_id, parts=tuple(parts))
+
+
+def plan_of_parts(recording: Recording) -> LogPlan:
+    """A plan with one shard for each part; the last one knows that it is the last."""
+    count = len(recording.parts)
+    shards = [shard_of(recording.log_id, number, of=count) for number in range(count)]
+    plan = plan_of(recording.log_id)
+    return plan.model_copy(
+        update={
+            "shards": tuple(
+                shard.model_copy(
+                    update={
+                        "lidar": shard.lidar.model_copy(
+                            update={"ids": tuple((part, part + 1) for part in range(count))}
+                        ),
+                        "chunks": (
+                            ChunkRef(
+                                part=shard.index,
+                                offset=64,
+                                length=100,
+                                start_ns=shard.start_ns,
+                                end_ns=shard.end_ns,
+                            ),
+                        ),
+                    }
+                )
+                for shard in shards
+            )
+        }
+    )
 
 
 def shard_of(log_id: str, index: int, *, of: int, topic: str = "/lidar", cells: int = 3) -> Shard:
@@ -135,11 +175,24 @@ def score_of(
     )
 
 
-def mined(shard: Shard, *, pipeline_version: str = "p1") -> dict[str, bytes]:
-    """Digest to record of every scene of a shard, in order; the same whenever it is mined."""
+def mined(
+    shard: Shard, recording: Recording | None = None, *, pipeline_version: str = "p1"
+) -> dict[str, bytes]:
+    """Digest to record of every scene of a shard, in order; the same whenever it is mined.
+
+    Where a recording is given, the scores depend on the parts that the shard reads.
+    """
     starts = range(shard.start_ns, shard.end_ns, 2 * NS_PER_S)
+    read = [recording.parts[ref.part].etag for ref in shard.chunks] if recording else []
+    content = hashlib.sha256("/".join(read).encode()).digest()[0] / 255 if read else None
     scores = [
-        score_of(shard.log_id, start, topic=shard.lidar.topic, pipeline_version=pipeline_version)
+        score_of(
+            shard.log_id,
+            start,
+            score=content,
+            topic=shard.lidar.topic,
+            pipeline_version=pipeline_version,
+        )
         for start in starts
     ]
     records = [encode_scene_score(score) for score in scores]
@@ -160,12 +213,22 @@ class World:
     store: Store
     clock: Clock
     ledger: Ledger
+    planner: Callable[[Recording], LogPlan] = lambda recording: plan_of(recording.log_id)
 
     @classmethod
-    def on(cls, store: Store, *, clock: Clock | None = None, plan_ahead: int = 16) -> "World":
+    def on(
+        cls,
+        store: Store,
+        *,
+        clock: Clock | None = None,
+        plan_ahead: int = 16,
+        settle_s: float = 0.0,
+        planner: Callable[[Recording], LogPlan] | None = None,
+    ) -> "World":
         clock = clock or Clock()
-        policy = LeasePolicy(plan_ahead=plan_ahead)
-        return cls(store, clock, Ledger(store, now_s=clock, policy=policy))
+        policy = LeasePolicy(plan_ahead=plan_ahead, settle_s=settle_s)
+        ledger = Ledger(store, now_s=clock, policy=policy)
+        return cls(store, clock, ledger, planner) if planner else cls(store, clock, ledger)
 
     def listed(self, *log_ids: str, etag: str = "a") -> None:
         self.ledger.sync_recordings([recording(log_id, etag=etag) for log_id in log_ids])
@@ -187,12 +250,12 @@ class World:
     def commit_plan(
         self, lease: PlanLease, worker: str = "w1", plan: LogPlan | None = None
     ) -> Answer:
-        plan = plan or plan_of(lease.recording.log_id)
+        plan = plan or self.planner(lease.recording)
         request = CommitRequest(worker_id=worker, lease_id=lease.lease_id, plan=plan)
         return self.ledger.commit(request, {})
 
     def commit_shard(self, lease: MineLease, worker: str = "w1", version: str = "p1") -> Answer:
-        records = mined(lease.shard, pipeline_version=version)
+        records = mined(lease.shard, lease.recording, pipeline_version=version)
         return self.ledger.commit(shard_commit(lease, records, worker=worker), records)
 
     def fail(self, lease: PlanLease | MineLease, worker: str = "w1", **how: bool) -> Answer:
@@ -202,21 +265,23 @@ class World:
         )
         return self.ledger.fail(request)
 
-    def plan_all(self, version: str = "p1", *, cells: int = 3) -> None:
+    def plan_all(self, version: str = "p1") -> None:
         """Plan until a shard comes, and give that back."""
         while isinstance(grant := self.claim("planner", version), PlanLease):
-            plan = plan_of(grant.recording.log_id, cells=cells)
-            assert self.commit_plan(grant, "planner", plan).ok
+            assert self.commit_plan(grant, "planner").ok
         assert isinstance(grant, MineLease)
         assert self.ledger.free_leases("planner") == 1
 
-    def mine_all(self, version: str = "p1") -> None:
-        """Plan and mine until there is nothing to do."""
+    def mine_all(self, version: str = "p1") -> list[tuple[str, int]]:
+        """Plan and mine until there is nothing to do; gives log and index of what was mined."""
+        mined_now: list[tuple[str, int]] = []
         while not isinstance(grant := self.claim("w1", version), NothingToDo):
             if isinstance(grant, PlanLease):
                 assert self.commit_plan(grant).ok
             else:
+                mined_now.append((grant.shard.log_id, grant.shard.index))
                 assert self.commit_shard(grant, version=version).ok
+        return mined_now
 
     def ids(self) -> list[str]:
         return [scene.scene_id for scene in self.ledger.current_scenes()]

@@ -1,19 +1,13 @@
 """What the ledger promises, on any database: run on a SQLite file, and on a real PostgreSQL."""
 
 import hashlib
-import os
 import random
-import shutil
-import socket
-import subprocess
-import tempfile
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
-from sqlalchemy import create_engine, inspect, text
+from sqlalchemy import inspect, text
 
 from schemas.score import SceneScore
 from schemas.wire import encode_scene_score
@@ -31,8 +25,9 @@ from service.errors import StateUnusableError
 from service.ledger import LeasePolicy, Ledger, SelectionExistsError
 from service.ranking import rank
 from service.selection import select
-from service.store.engine import Store, open_store, open_store_at
+from service.store.engine import Store
 from service.store.tables import METADATA
+from tests.contracts.databases import OnPostgres, OnSqlite
 from tests.contracts.ledger_world import (
     SCENES_PER_SHARD,
     Clock,
@@ -103,25 +98,6 @@ class LedgerContract(ABC):
         with pytest.raises(ValueError, match="one log twice"):
             world.ledger.sync_recordings([recording("a"), recording("a", etag="2")])
         assert world.ledger.status().logs == ()
-
-    def test_a_replaced_recording_is_planned_anew_and_its_scenes_go(self, world: World) -> None:
-        world.listed("a", "b")
-        world.mine_all()
-        world.ledger.mark_published(world.ledger.last_seq())
-        of_a = [scene_id for scene_id in world.ids() if scene_id.startswith("a/")]
-        before = world.ledger.last_seq()
-        world.ledger.sync_recordings([recording("a", etag="2"), recording("b")])
-        assert not any(scene_id.startswith("a/") for scene_id in world.ids())
-        events = world.ledger.unpublished(100)
-        assert [(event.scene_id, event.withdrawn) for event in events] == [
-            (scene_id, True) for scene_id in of_a
-        ]
-        assert [event.seq for event in events] == list(range(before + 1, before + 1 + len(of_a)))
-        lease = world.plan_lease()
-        assert lease.recording == recording("a", etag="2")
-        assert world.commit_plan(lease).ok
-        world.mine_all()
-        assert set(world.ids()) == set(expected_scenes(["a", "b"]))
 
     def test_work_on_a_replaced_recording_is_void(self, world: World) -> None:
         world.listed("a")
@@ -719,57 +695,10 @@ class LedgerContract(ABC):
         store.close()
 
 
-class TestLedgerOnSqlite(LedgerContract):
-    @pytest.fixture(autouse=True)
-    def _folder(self, tmp_path: Path) -> None:
-        self.folder = tmp_path
-
-    def make_store(self) -> Store:
-        return open_store(self.folder)
-
-
-@pytest.fixture(scope="session")
-def postgres() -> Iterator[str]:
-    """A server of our own on a free port, as the URL in front of a database's name."""
-    pytest.importorskip("psycopg", reason="needs the extra `postgres`")
-    programs = sorted(Path("/usr/lib/postgresql").glob("*/bin"))
-    if not programs:
-        pytest.skip("needs Debian's package `postgresql`")
-    # Not in pytest's own folders: they are closed to the user that the server must run as.
-    folder = Path(tempfile.mkdtemp(prefix="postgres-"))
-    is_root = os.geteuid() == 0
-    if is_root:
-        shutil.chown(folder, "postgres", "postgres")
-
-    def run(program: str, *arguments: str) -> None:
-        before = ("setpriv", "--reuid=postgres", "--regid=postgres", "--clear-groups")
-        command = [*(before if is_root else ()), str(programs[-1] / program), *arguments]
-        subprocess.run(command, check=True, cwd="/", stdout=subprocess.DEVNULL, timeout=60)
-
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    data, log = str(folder / "data"), str(folder / "log")
-    run("initdb", "-D", data, "-U", "app", "--auth=trust", "-E", "UTF8", "--no-sync")
-    run("pg_ctl", "-D", data, "-w", "-l", log, "-o", f"-h 127.0.0.1 -p {port} -k {folder}", "start")
-    yield f"postgresql+psycopg://app@127.0.0.1:{port}"
-    run("pg_ctl", "-D", data, "-w", "-m", "immediate", "stop")
-    shutil.rmtree(folder)
+class TestLedgerOnSqlite(OnSqlite, LedgerContract):
+    pass
 
 
 @pytest.mark.integration
-class TestLedgerOnPostgres(LedgerContract):
-    @pytest.fixture(autouse=True)
-    def _database(self, postgres: str, request: pytest.FixtureRequest) -> Iterator[None]:
-        name = f"test_{hashlib.sha256(request.node.nodeid.encode()).hexdigest()[:16]}"
-        admin = create_engine(f"{postgres}/postgres", isolation_level="AUTOCOMMIT")
-        with admin.connect() as connection:
-            connection.execute(text(f"CREATE DATABASE {name}"))
-        self.url = f"{postgres}/{name}"
-        yield
-        with admin.connect() as connection:
-            connection.execute(text(f"DROP DATABASE {name} WITH (FORCE)"))
-        admin.dispose()
-
-    def make_store(self) -> Store:
-        return open_store_at(self.url)
+class TestLedgerOnPostgres(OnPostgres, LedgerContract):
+    pass

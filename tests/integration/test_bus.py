@@ -22,16 +22,15 @@ from schemas.bus import (
     free_endpoint,
     is_connected,
     recoverable_publisher,
+    recoverable_subscriber,
     router_session,
 )
 from schemas.errors import BucketRefusedError, PermanentError, TransientError
 from schemas.retry import StoppedError
 from schemas.wire import decode, encode
-from schemas.work import Answer, CommitRequest, MineLease, MiningSettings, PlanLease
+from schemas.work import Answer, CommitRequest, MineLease, PlanLease
 from service.app import Service
-from service.client import ControlClient, watch_scenes
-from service.merging import SceneEvent
-from service.store.engine import open_store
+from service.client import ControlClient
 from tests.contracts.ledger_world import (
     World,
     expected_scenes,
@@ -39,106 +38,15 @@ from tests.contracts.ledger_world import (
     mined,
     shard_commit,
 )
+from tests.integration.running import DEADLINE_S, ROOT, Running, two_logs, until
 
 pytestmark = pytest.mark.integration
-
-ROOT = keys.DEFAULT_ROOT
-DEADLINE_S = 30.0
-
-
-def until(condition: Callable[[], bool], what: str) -> None:
-    end_s = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < end_s, f"not within {DEADLINE_S:g} s: {what}"
-        threading.Event().wait(0.01)
-
-
-class Running:
-    """Router and service of one test, each of which can be taken away and brought back."""
-
-    def __init__(self, folder: Path) -> None:
-        self.logs = folder / "logs"
-        self.logs.mkdir()
-        (folder / "state").mkdir()
-        self.endpoint = free_endpoint()
-        self.world = World.on(open_store(folder / "state"))
-        self.settings = MiningSettings(
-            bucket=str(self.logs), artifacts=str(folder / "overlays"), supervised="recorded"
-        )
-        self._router = ExitStack()
-        self._service = ExitStack()
-
-    def add_log(self, log_id: str) -> None:
-        (self.logs / f"{log_id}.mcap").write_bytes(log_id.encode())
-
-    def start_router(self) -> None:
-        self._router.enter_context(router_session([self.endpoint]))
-
-    def stop_router(self) -> None:
-        self._router.close()
-
-    def start_service(self) -> None:
-        session = self._service.enter_context(client_session([self.endpoint]))
-        self.service = self._service.enter_context(
-            Service(
-                session,
-                self.world.ledger,
-                bucket=open_bucket(str(self.logs)),
-                settings=self.settings,
-                list_interval_s=0.1,
-            )
-        )
-
-    def stop_service(self) -> None:
-        self._service.close()
-
-    def close(self) -> None:
-        self._service.close()
-        self._router.close()
-        self.world.store.close()
-
-    def watching(self, *, history: int | None = None) -> "Watching":
-        return Watching(self.endpoint, history=history)
-
-
-class Watching:
-    """A client that watches from a thread of its own."""
-
-    def __init__(self, endpoint: str, *, history: int | None) -> None:
-        self.events: list[SceneEvent] = []
-        self._stop = threading.Event()
-        self._scenes = watch_scenes(
-            [endpoint], root=ROOT, history=history, stop=self._stop, idle_s=0.3
-        )
-        self._thread = threading.Thread(target=self._run)
-
-    def __enter__(self) -> "Watching":
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        self._thread.join()
-
-    def _run(self) -> None:
-        for event in self._scenes:
-            self.events.append(event)
-
-    def digests(self) -> dict[str, str]:
-        return {event.scene_id: event.sha256 for event in self.events}
 
 
 @pytest.fixture
 def running(tmp_path: Path) -> Iterator[Running]:
-    parts = Running(tmp_path)
-    for log_id in ("a", "b"):
-        parts.add_log(log_id)
-    parts.start_router()
-    parts.start_service()
-    try:
+    with two_logs(tmp_path) as parts:
         yield parts
-    finally:
-        parts.close()
 
 
 def test_without_a_router_a_command_fails_at_once_and_says_what_to_start() -> None:
@@ -500,6 +408,52 @@ def test_a_service_that_joins_late_still_hears_what_a_living_worker_published(
             running.start_service()
             request = shard_commit(lease, records)
             assert _commit(session, keys.control(root=ROOT, verb="commit"), request).ok
+
+
+def test_what_the_bus_lost_for_good_is_counted() -> None:
+    endpoint = free_endpoint()
+    got: list[bytes] = []
+    misses: list[int] = []
+    with ExitStack() as opened, ExitStack() as router:
+        router.enter_context(router_session([endpoint]))
+        opened.callback(router.close)
+        hearing = opened.enter_context(client_session([endpoint]))
+        opened.enter_context(
+            recoverable_subscriber(
+                hearing,
+                "records/**",
+                lambda sample: got.append(sample.payload.to_bytes()),
+                on_miss=misses.append,
+            )
+        )
+        putting = opened.enter_context(client_session([endpoint]))
+        publisher = opened.enter_context(
+            zenoh.ext.declare_advanced_publisher(  # without a cache, to fetch what was missed from
+                putting,
+                "records/1",
+                congestion_control=zenoh.CongestionControl.DROP,
+                sample_miss_detection=zenoh.ext.MissDetectionConfig(
+                    heartbeat=None, sporadic_heartbeat=0.1
+                ),
+            )
+        )
+
+        def put_until(condition: Callable[[], bool], what: str) -> None:
+            def put() -> bool:
+                publisher.put(b"arrives, or is counted")
+                return condition()
+
+            until(put, what)
+
+        put_until(lambda: bool(got), "a first record")
+        router.close()
+        until(lambda: not is_connected(putting), "the loss of the router to be seen")
+        publisher.put(b"lost")
+        publisher.put(b"lost")
+        router.enter_context(router_session([endpoint]))
+        put_until(lambda: bool(misses), "the miss to be noticed")
+    assert sum(misses) >= 2
+    assert b"lost" not in got
 
 
 def _commit(session: zenoh.Session, key: str, request: CommitRequest) -> Answer:

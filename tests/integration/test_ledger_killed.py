@@ -1,4 +1,4 @@
-"""A writer killed without warning, several times: what it acknowledged is there."""
+"""Writers killed without warning, several times: what they acknowledged is there."""
 
 import subprocess
 import sys
@@ -14,30 +14,38 @@ LOGS = [f"log-{number}" for number in range(40)]
 
 WRITER = """
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from schemas.work import NothingToDo, PlanLease
 from service.store.engine import open_store
 from tests.contracts.ledger_world import World, manifest_of, mined
 
 world = World.on(open_store(Path(sys.argv[1])))
-world.listed(*sys.argv[2:])
+world.listed(*sys.argv[3:])
 world.ledger.free_leases("")
-while not isinstance(grant := world.claim(), NothingToDo):
-    if isinstance(grant, PlanLease):
-        assert world.commit_plan(grant).ok
-    else:
-        assert world.commit_shard(grant).ok
-        for entry in manifest_of(mined(grant.shard)):
-            print(entry.scene_id, entry.sha256, flush=True)
+
+def work(worker):
+    while not isinstance(grant := world.claim(worker), NothingToDo):
+        if isinstance(grant, PlanLease):
+            assert world.commit_plan(grant, worker).ok
+        else:
+            assert world.commit_shard(grant, worker).ok
+            for entry in manifest_of(mined(grant.shard)):
+                sys.stdout.write(f"{entry.scene_id} {entry.sha256}\\n")
+            sys.stdout.flush()
+
+with ThreadPoolExecutor(int(sys.argv[2])) as pool:
+    list(pool.map(work, [f"w{number}" for number in range(int(sys.argv[2]))]))
 """
 
 
 @pytest.mark.integration
-def test_what_was_acknowledged_survives_kill_9_of_the_writer(tmp_path: Path) -> None:
+@pytest.mark.parametrize("threads", [1, 8], ids=["each alone", "in groups"])
+def test_what_was_acknowledged_survives_kill_9_of_the_writer(tmp_path: Path, threads: int) -> None:
     acknowledged: dict[str, str] = {}
     for lines in (1, 40, 75, 100):
         with subprocess.Popen(
-            [sys.executable, "-c", WRITER, str(tmp_path), *LOGS],
+            [sys.executable, "-c", WRITER, str(tmp_path), str(threads), *LOGS],
             cwd=ROOT,
             stdout=subprocess.PIPE,
             text=True,

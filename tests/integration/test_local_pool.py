@@ -7,6 +7,8 @@ import subprocess
 import sys
 import threading
 import time
+import urllib.error
+import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -16,16 +18,18 @@ import pytest
 from schemas.bucket import open_bucket
 from schemas.bus import client_session, free_endpoint, router_session
 from schemas.errors import PermanentError
+from schemas.http_endpoint import HttpEndpoint
 from schemas.keys import DEFAULT_ROOT
 from schemas.work import MiningSettings
 from service.app import Service
 from service.store.engine import open_store
 from tests.contracts.ledger_world import World
 from workers.pool.local import LocalPool
+from workers.pool.pages import pool_pages
 
 pytestmark = pytest.mark.integration
 
-DEADLINE_S = 90.0
+DEADLINE_S = 240.0
 
 ORPHANING = """
 import sys, threading
@@ -70,41 +74,54 @@ def test_a_killed_worker_is_replaced_its_death_told_and_the_pool_stops_in_peace(
     assert not is_running(second)
 
 
-def test_workers_die_with_their_pool_even_when_it_is_killed() -> None:
+def test_workers_die_with_their_pool_even_when_it_is_killed_and_leave_no_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
     with subprocess.Popen(
         [sys.executable, "-c", ORPHANING], stdout=subprocess.PIPE, text=True
     ) as pool:
         assert pool.stdout is not None
         worker = int(pool.stdout.readline())
         assert is_running(worker)
+        assert list(tmp_path.glob("counterpoint-metrics-*"))
         pool.kill()
         pool.wait()
         until(lambda: not is_running(worker), "the end of the orphan")
+    assert not list(tmp_path.glob("counterpoint-metrics-*"))
 
 
 class Served:
     """A service whose bucket may be anything a worker cannot cope with."""
 
     def __init__(self, folder: Path, opened: ExitStack, **asked: str) -> None:
-        (folder / "logs").mkdir()
+        self.logs = folder / "logs"
+        self.logs.mkdir()
         (folder / "state").mkdir()
-        (folder / "logs" / "a.mcap").write_bytes(b"x" * 1000)
+        (self.logs / "a.mcap").write_bytes(b"x" * 1000)
         self.endpoint = free_endpoint()
         opened.enter_context(router_session([self.endpoint]))
         self.world = World.on(open_store(folder / "state"))
         opened.callback(self.world.store.close)
+        self._serving = opened.enter_context(ExitStack())
+        self.serve(**asked)
+
+    def serve(self, **asked: str) -> None:
+        """Start the service, with other settings than before, in the place of the one before."""
+        self._serving.close()
         settings = MiningSettings.model_validate(
-            {"bucket": str(folder / "logs"), "artifacts": str(folder / "overlays")}
+            {"bucket": str(self.logs), "artifacts": str(self.logs.parent / "overlays")}
             | {"supervised": "recorded"}
             | asked
         )
         service = Service(
-            opened.enter_context(client_session([self.endpoint])),
+            self._serving.enter_context(client_session([self.endpoint])),
             self.world.ledger,
-            bucket=open_bucket(str(folder / "logs")),
+            bucket=open_bucket(str(self.logs)),
             settings=settings,
+            list_interval_s=0.2,
         )
-        opened.enter_context(service)
+        self._serving.enter_context(service)
 
 
 @pytest.fixture
@@ -133,10 +150,23 @@ def test_workers_that_cannot_do_what_is_asked_give_up_and_the_pool_says_why(
     assert pool.alive() == 0
 
 
-def test_a_worker_stuck_on_one_lease_is_killed_and_replaced(
-    tmp_path: Path, opened: ExitStack, monkeypatch: pytest.MonkeyPatch
+def test_a_pool_that_was_at_work_waits_for_a_mistake_of_the_service_to_be_mended(
+    tmp_path: Path, opened: ExitStack
 ) -> None:
-    hole = opened.enter_context(socket.create_server(("127.0.0.1", 0)))  # accepts, never answers
+    served = Served(tmp_path, opened)
+    pool = opened.enter_context(LocalPool(1, connect=[served.endpoint], root=DEFAULT_ROOT))
+    until(lambda: counted(pool, "plans_total", outcome="refused") == 1, "a plan")
+    served.serve(supervised="oracle")
+    until(lambda: counted(pool, "restarts_total", cause="unready") >= 1, "a worker that gives up")
+    pool.check()
+    served.serve()
+    (served.logs / "b.mcap").write_bytes(b"y" * 1000)
+    until(lambda: counted(pool, "plans_total", outcome="refused") >= 2, "work that goes on")
+
+
+def dig_hole(opened: ExitStack, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let `s3://hole` be a store that accepts every connection and never answers."""
+    hole = opened.enter_context(socket.create_server(("127.0.0.1", 0)))
     for name, value in {
         "AWS_ENDPOINT": f"http://127.0.0.1:{hole.getsockname()[1]}",
         "AWS_ACCESS_KEY_ID": "id",
@@ -144,6 +174,17 @@ def test_a_worker_stuck_on_one_lease_is_killed_and_replaced(
         "AWS_REGION": "nowhere",
     }.items():
         monkeypatch.setenv(name, value)
+
+
+def counted(pool: LocalPool, name: str, **labels: str) -> float:
+    value = pool.registry.get_sample_value(f"counterpoint_worker_{name}", labels)
+    return -1.0 if value is None else value
+
+
+def test_a_worker_stuck_on_one_lease_is_killed_and_replaced(
+    tmp_path: Path, opened: ExitStack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dig_hole(opened, monkeypatch)
     served = Served(tmp_path, opened, bucket="s3://hole")
     told: list[str] = []
     pool = opened.enter_context(
@@ -158,4 +199,58 @@ def test_a_worker_stuck_on_one_lease_is_killed_and_replaced(
     )
     until(lambda: bool(told), "the death of the stuck worker")
     assert told == [f"{pool.prefix}0"]
+    assert counted(pool, "restarts_total", cause="stuck") == 1
     assert served.world.ledger.worker_died(told[0]) == 1, "its lease is taken back at once"
+
+
+def test_signals_that_come_twice_do_not_cut_a_workers_drain_short(
+    tmp_path: Path, opened: ExitStack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dig_hole(opened, monkeypatch)
+    served = Served(tmp_path, opened, bucket="s3://hole")
+    pool = opened.enter_context(
+        LocalPool(1, connect=[served.endpoint], root=DEFAULT_ROOT, drain_s=5.0)
+    )
+    until(lambda: counted(pool, "busy") == 1, "a worker with a lease")
+    (worker,) = pool.pids()
+    os.kill(worker, signal.SIGTERM)
+    os.kill(worker, signal.SIGINT)
+    os.kill(worker, signal.SIGTERM)
+    until(lambda: worker not in pool.pids(), "the end of the worker")
+    until(lambda: counted(pool, "restarts_total", cause="stopped") == 1, "an end in peace")
+    assert counted(pool, "plans_total", outcome="given_back") == 1
+    assert counted(pool, "restarts_total", cause="crashed") == 0
+
+
+def test_a_pool_serves_what_its_workers_count_and_the_counts_survive_them(
+    tmp_path: Path, opened: ExitStack
+) -> None:
+    served = Served(tmp_path, opened)
+    pool = LocalPool(1, connect=[served.endpoint], root=DEFAULT_ROOT, drain_s=1.0)
+    url = opened.enter_context(HttpEndpoint("127.0.0.1:0", pool_pages(pool))).url
+    assert get(f"{url}/healthz") == (503, "the pool watches its workers no more: it is stopped\n")
+    opened.enter_context(pool)
+    assert get(f"{url}/healthz") == (200, "ok\n")
+    until(lambda: get(f"{url}/readyz") == (200, "ok\n"), "a pool that is ready")
+    until(lambda: counted(pool, "plans_total", outcome="refused") == 1, "a plan")
+    assert counted(pool, "connected") == 1
+
+    (first,) = pool.pids()
+    os.kill(first, signal.SIGKILL)
+    until(lambda: counted(pool, "restarts_total", cause="crashed") == 1, "a death")
+    assert get(f"{url}/readyz")[0] == 503
+    until(lambda: get(f"{url}/readyz")[0] == 200, "a pool that is ready again")
+    (served.logs / "b.mcap").write_bytes(b"y" * 1000)
+    until(lambda: counted(pool, "plans_total", outcome="refused") == 2, "another plan")
+    page = get(f"{url}/metrics")[1]
+    assert 'counterpoint_worker_plans_total{outcome="refused"} 2.0' in page
+    assert "counterpoint_worker_processes_alive 1.0" in page
+
+
+def get(url: str) -> tuple[int, str]:
+    try:
+        with urllib.request.urlopen(url, timeout=30) as answer:  # noqa: S310
+            return answer.status, answer.read().decode()
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, error.read().decode()

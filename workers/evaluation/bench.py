@@ -116,7 +116,7 @@ def _whole_path(
 
     def look() -> None:
         instants.append(perf_counter())
-        seconds.append(dict(account.clock.seconds))
+        seconds.append({str(stage): s for stage, s in account.clock.seconds.items()})
 
     for _ in mine_records(
         bucket,

@@ -10,7 +10,6 @@ from mcap.records import (
     AttachmentIndex,
     Channel,
     ChunkIndex,
-    Footer,
     Metadata,
     MetadataIndex,
     Schema,
@@ -19,6 +18,7 @@ from mcap.records import (
 
 from schemas.work import ChunkRef, Damage
 from workers.errors import NotMcapError
+from workers.ingest.footer import footer_of, read_tail
 from workers.ingest.part import PartReader
 from workers.ingest.records import (
     FOOTER_BYTES,
@@ -29,8 +29,6 @@ from workers.ingest.records import (
     walk,
 )
 
-TAIL_BYTES: Final = 1024 * 1024
-"""Read first: holds the whole summary of all but the largest logs, and small logs as a whole."""
 MAX_SUMMARY_BYTES: Final = 128 * 1024 * 1024
 MAX_METADATA_SPAN_BYTES: Final = 4 * 1024 * 1024
 METADATA_NAMES: Final = ("counterpoint.log", "counterpoint.classes")
@@ -70,6 +68,7 @@ class PartIndex:
         message_counts: Messages by channel id, where the log says so.
         damage: What cannot be read, as far as the index shows it.
         recovered: Whether it was rebuilt by looking through the object.
+        closed: Whether the object ends as its writer meant it to.
     """
 
     number: int
@@ -80,6 +79,7 @@ class PartIndex:
     message_counts: dict[int, int] = field(default_factory=dict)
     damage: list[Damage] = field(default_factory=list)
     recovered: bool = False
+    closed: bool = True
 
 
 @dataclass(slots=True, eq=False)
@@ -105,21 +105,15 @@ def read_summary(reader: PartReader) -> Summary | None:
         NotMcapError: If the object neither begins nor ends as an MCAP file does.
         RecordMalformedError: If there is a summary and it is damaged; the offset is the part's.
     """
-    tail_bytes = min(reader.size, TAIL_BYTES)
-    tail_start = reader.size - tail_bytes
-    tail = reader.read(tail_start, tail_bytes, keep=True)
-    end = len(tail) - len(MAGIC)
-    if bytes(tail[max(end, 0) :]) != MAGIC or end < FOOTER_BYTES:
+    tail = read_tail(reader)
+    if bytes(tail[-len(MAGIC) :]) != MAGIC:
         _refuse_other_formats(reader)
         return None
-    footer_offset = end - FOOTER_BYTES
-    try:
-        footer = parse(Footer, _single(tail[footer_offset:end], Opcode.FOOTER))
-    except RecordMalformedError:
+    footer = footer_of(tail)
+    if footer is None or footer.summary_start == 0:
         return None
-    if footer.summary_start == 0:
-        return None
-    start, stop = footer.summary_start, tail_start + footer_offset
+    footer_offset = len(tail) - len(MAGIC) - FOOTER_BYTES
+    start, stop = footer.summary_start, reader.size - len(MAGIC) - FOOTER_BYTES
     if not len(MAGIC) <= start <= stop or stop - start > MAX_SUMMARY_BYTES:
         raise RecordMalformedError("the footer points outside the file", offset=stop)
     section = reader.read(start, stop - start)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from schemas.arrays import NS_PER_S
 from schemas.bucket import Bucket
 from schemas.work import Channel, ChunkRef, Damage, LogPlan, MiningSettings, Recording
 from workers.errors import CloudUnreadableError
@@ -57,6 +58,8 @@ class LogReport(BaseModel):
     software_version: str
     parts: tuple[str, ...] = Field(description="Keys of its objects.")
     bytes: int = Field(description="Of all its objects.")
+    start_ns: int | None = Field(description="Log time of the first message; None without any.")
+    duration_s: float | None = Field(description="Until the last message.")
     topics: tuple[TopicReport, ...]
     lidar_topic: str | None = Field(description="The densest lidar that is mined; None without.")
     lidar_topics: tuple[str, ...]
@@ -104,6 +107,9 @@ def inspect_recording(
         messages = [sum(found.counts[each] for each in topic.channel.ids) for topic in topics]
         frames = found.clouds
         damage = _merged(damage, found.damage)
+    times = [chunk.ref for part in index.parts for chunk in part.chunks if chunk.ref.end_ns]
+    start_ns = min((ref.start_ns for ref in times), default=None)
+    end_ns = max((ref.end_ns for ref in times), default=0)
     return LogReport(
         log_id=plan.log_id,
         vehicle=plan.vehicle,
@@ -111,6 +117,8 @@ def inspect_recording(
         software_version=plan.software_version,
         parts=tuple(part.key for part in recording.parts),
         bytes=sum(part.size for part in recording.parts),
+        start_ns=start_ns,
+        duration_s=None if start_ns is None else (end_ns - start_ns) / NS_PER_S,
         topics=tuple(
             TopicReport(
                 topic=topic.channel.topic,

@@ -7,10 +7,18 @@ from typing import Final
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
+from schemas.arrays import NS_PER_S
 from schemas.bucket import Bucket
 from schemas.work import ChunkRef, Damage, Recording
 from workers.errors import ChunkUnreadableError, NotMcapError
 from workers.ingest.chunk import messages_in, open_chunk
+from workers.ingest.footer import (
+    StillGrowingError,
+    TruncatedPart,
+    footer_of,
+    is_closed,
+    read_tail,
+)
 from workers.ingest.index import IndexedChunk, PartIndex, Summary, index_of, read_summary
 from workers.ingest.part import PartReader
 from workers.ingest.records import MAGIC, RecordMalformedError, parse, walk
@@ -56,6 +64,15 @@ class LogIndex:
         for part in self.parts:
             yield from part.damage
 
+    @property
+    def truncated(self) -> Iterator[TruncatedPart]:
+        """The objects that were never closed, and how far each can be used."""
+        for reader, part in zip(self.readers, self.parts, strict=True):
+            if not part.closed:
+                first_ns = min((chunk.ref.start_ns for chunk in part.chunks), default=0)
+                last_ns = max((chunk.ref.end_ns for chunk in part.chunks), default=0)
+                yield TruncatedPart(reader.key, reader.size, (last_ns - first_ns) / NS_PER_S)
+
     def metadata(self, name: str) -> list[dict[str, str]]:
         """The metadata records of this name, in the order of the parts."""
         return [
@@ -74,14 +91,23 @@ class LogIndex:
         return open_from(self.readers[ref.part], ref)
 
 
-def index_recording(bucket: Bucket, recording: Recording) -> LogIndex:
+def index_recording(bucket: Bucket, recording: Recording, *, settled: bool = True) -> LogIndex:
     """Index every part of a recording; of several, one that is no MCAP file is damage.
+
+    Args:
+        bucket: Where it lies.
+        recording: Its parts.
+        settled: Take a part without a valid footer as far as it goes; else it may still grow.
 
     Raises:
         NotMcapError: If no part is an MCAP file.
+        StillGrowingError: If a part has no valid footer, and the recording is not settled.
         ObjectChangedError: If a part is no longer what was listed.
     """
     readers = tuple(PartReader(bucket, part, number) for number, part in enumerate(recording.parts))
+    for reader in () if settled else readers:
+        if not is_closed(reader):
+            raise StillGrowingError(key=reader.key, size=reader.size)
     parts: list[PartIndex] = []
     refused: list[NotMcapError] = []
     for reader in readers:
@@ -127,6 +153,7 @@ def _index_part(reader: PartReader) -> PartIndex:
             if indexed is None or indexed != counted:
                 certain = not index.chunks or (indexed is not None and counted is not None)
                 _look_through_gaps(reader, index, summary, thoroughly=certain)
+    index.closed = not index.recovered or footer_of(read_tail(reader)) is not None
     # Of a chunk that is both indexed and found, the index comes first and stays.
     by_offset: dict[int, IndexedChunk] = {}
     for chunk in index.chunks:

@@ -1,6 +1,6 @@
 """Plans a recording: finds its lidars and cuts it into shards, from its index and one chunk."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -18,6 +18,7 @@ from schemas.work import (
 )
 from workers.errors import LogUnusableError, NotMcapError
 from workers.ingest.evidence import Sample, sample_end, sample_middle, sample_topics, true_times
+from workers.ingest.footer import TruncatedPart
 from workers.ingest.frames import intensity_scale_of
 from workers.ingest.identity import METADATA_RECORD, Identity, identify
 from workers.ingest.lidar import choose_lidars, lidar_evidence
@@ -37,19 +38,36 @@ DOUBTFUL_CHUNK_NS: Final = 10 * NS_PER_S
 """A chunk that spans longer, and stands out by it, is opened to see its times."""
 
 
-def plan_recording(bucket: Bucket, recording: Recording, settings: MiningSettings) -> LogPlan:
+def plan_recording(
+    bucket: Bucket,
+    recording: Recording,
+    settings: MiningSettings,
+    *,
+    settled: bool = True,
+    on_truncated: Callable[[TruncatedPart], None] = lambda part: None,
+) -> LogPlan:
     """Find the lidars of a recording and cut it into shards.
 
     What cannot be mined is refused inside the plan, in one sentence, rather than raised.
 
+    Args:
+        bucket: Where it lies.
+        recording: Its parts.
+        settings: Grid and parts.
+        settled: Whether a part without a valid footer is taken as far as it goes.
+        on_truncated: Told every such part.
+
     Raises:
+        StillGrowingError: If a part has no valid footer, and the recording is not settled.
         ObjectChangedError: If a part is no longer what was listed.
         BucketUnreachableError: If the bucket does not answer.
     """
     try:
-        index = index_recording(bucket, recording)
+        index = index_recording(bucket, recording, settled=settled)
     except NotMcapError as error:
         return LogPlan(log_id=recording.log_id, refused=str(error))
+    for part in index.truncated:
+        on_truncated(part)
     return plan_index(index, settings)
 
 

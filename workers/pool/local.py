@@ -1,16 +1,21 @@
 """Worker processes on this machine, kept alive."""
 
+import time
 import uuid
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from threading import Event, Thread
 from types import TracebackType
 from typing import Final, Self
 
 import structlog
+from prometheus_client import CollectorRegistry
 
 from schemas.errors import PermanentError, TransientError
-from workers.pool.process import LogStyle
-from workers.pool.slot import Slot
+from workers.pool.process import LogStyle, Place
+from workers.pool.shared_metrics import SharedMetrics
+from workers.pool.slot import KILL_MARGIN_S, Slot
 from workers.worker import DRAIN_S, WorkerConfig
 
 log = structlog.get_logger(__name__)
@@ -28,6 +33,7 @@ class LocalPool:
 
     Attributes:
         prefix: What the ids of its workers begin with: leases of a dead pool are found by it.
+        registry: What its workers count, summed up, and the pool's own metrics.
     """
 
     def __init__(
@@ -53,17 +59,27 @@ class LocalPool:
             lease_deadline_s: A worker longer than this on one lease is killed.
             style: How the workers log.
             on_death: Told the id of every worker that died, so that its lease need not expire.
+
+        Raises:
+            TransientError: If there is no room for the files in which the workers count.
         """
         self.prefix = f"{name}-{uuid.uuid4().hex[:12]}-"
-        self._on_death = on_death
+        self._on_death, self._drain_s = on_death, drain_s
+        self._folder = TemporaryDirectory(prefix="counterpoint-metrics-")
+        folder = Path(self._folder.name)
+        self._metrics = SharedMetrics(folder, places=size)
+        self.registry: CollectorRegistry = self._metrics.registry
         self._slots = [
             Slot(
                 WorkerConfig(f"{self.prefix}{number}", tuple(connect), root, drain_s),
                 style or LogStyle(),
+                Place(number, folder),
                 deadline_s=lease_deadline_s,
             )
             for number in range(size)
         ]
+        self._metrics.pool.wanted.set(size)
+        self._metrics.pool.alive.set_function(self.alive)
         self._stopping = Event()
         self._watcher = Thread(target=self._watch, name="pool", daemon=True)
 
@@ -88,14 +104,40 @@ class LocalPool:
         if self._slots and all(slot.gave_up for slot in self._slots):
             raise PermanentError(self._slots[0].gave_up)
 
+    def check_alive(self) -> None:
+        """Raise why, if the pool no longer looks after its workers.
+
+        Raises:
+            TransientError: In one sentence.
+        """
+        if not self._watcher.is_alive():
+            raise TransientError("the pool watches its workers no more: it is stopped")
+        if self._slots and all(slot.gave_up for slot in self._slots):
+            raise TransientError(f"every worker has given up: {self._slots[0].gave_up}")
+
+    def check_ready(self) -> None:
+        """Raise why, if no worker could take a lease now.
+
+        Raises:
+            TransientError: In one sentence.
+        """
+        self.check_alive()
+        signs = [slot.signs for slot in self._slots if slot.is_alive()]
+        if not any(each.connected.value for each in signs):
+            raise TransientError("no worker is connected to a router")
+        if not any(each.connected.value and each.equipped.value for each in signs):
+            raise TransientError("no worker is equipped yet: no service has said what to mine")
+
     def stop(self) -> None:
         """Tell the workers to finish what is soon done, and wait; kill those that do not listen."""
         self._stopping.set()
         self._watcher.join()
+        until_s = time.monotonic() + self._drain_s + KILL_MARGIN_S
         for slot in self._slots:
             slot.tell_to_stop()
         for slot in self._slots:
-            slot.wait_until_stopped()
+            slot.wait_until_stopped(until_s)
+        self._folder.cleanup()
 
     def __enter__(self) -> Self:
         """Start."""
@@ -114,7 +156,10 @@ class LocalPool:
     def _watch(self) -> None:
         while not self._stopping.wait(LOOK_S):
             for slot in self._slots:
-                if slot.look():
+                cause = slot.look()
+                if cause is not None:
+                    self._metrics.forget_gauges(slot.place.number)
+                    self._metrics.pool.died(cause)
                     self._tell(slot.worker_id)
 
     def _tell(self, worker_id: str) -> None:

@@ -1,20 +1,26 @@
 """One worker process: what the pool tells it, what it tells the pool, and how it ends."""
 
 import os
+import shutil
+import signal
 import sys
 import time
 from dataclasses import dataclass
 from multiprocessing import parent_process
 from multiprocessing.connection import Connection
 from multiprocessing.sharedctypes import Synchronized
-from threading import Thread
+from pathlib import Path
+from threading import Event, Thread
+from types import FrameType
 from typing import Final, NoReturn
 
 import structlog
 
 from schemas.errors import PermanentError, TransientError
-from schemas.process import log_to_stderr, stop_on_signals
-from workers.worker import WorkerConfig, run_worker
+from schemas.process import log_to_stderr
+from workers.metrics import WorkerMetrics
+from workers.pool.shared_metrics import count_in
+from workers.worker import WorkerConfig, WorkerObserver, run_worker
 
 log = structlog.get_logger(__name__)
 
@@ -37,10 +43,59 @@ BETWEEN_LEASES: Final = -1.0
 """What stands where the time is told when work on the current lease began."""
 
 
+@dataclass(frozen=True, slots=True)
+class Signs:
+    """What a worker shows its pool, in memory that both share.
+
+    Attributes:
+        since_s: When work on the current lease began, monotonic seconds, or one of `NO_LEASE_YET`
+            and `BETWEEN_LEASES`.
+        connected: Whether it has a router.
+        equipped: Whether it can mine what the service asks for.
+    """
+
+    since_s: "Synchronized[float]"
+    connected: "Synchronized[int]"
+    equipped: "Synchronized[int]"
+
+    def clear(self) -> None:
+        """Nothing is known of the worker that comes next."""
+        self.since_s.value = NO_LEASE_YET
+        self.connected.value = self.equipped.value = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where in its pool a worker is.
+
+    Attributes:
+        number: Unique in the pool.
+        metrics_folder: Where the workers of the pool count.
+    """
+
+    number: int
+    metrics_folder: Path
+
+
+class _Showing(WorkerObserver):
+    def __init__(self, signs: Signs) -> None:
+        self._signs = signs
+
+    def connected(self, connected: bool) -> None:
+        self._signs.connected.value = connected
+
+    def equipped(self) -> None:
+        self._signs.equipped.value = True
+
+    def working(self, working: bool) -> None:
+        self._signs.since_s.value = time.monotonic() if working else BETWEEN_LEASES
+
+
 def worker_process(
     config: WorkerConfig,
     style: LogStyle,
-    since_s: "Synchronized[float]",
+    place: Place,
+    signs: Signs,
     problem: "Connection[str, str]",
 ) -> None:
     """Run a worker in a process of its own.
@@ -48,27 +103,44 @@ def worker_process(
     Args:
         config: For the worker.
         style: For its log.
-        since_s: Shared: when work on the current lease began, monotonic seconds, or one of
-            `NO_LEASE_YET` and `BETWEEN_LEASES`.
+        place: Where in the pool it is.
+        signs: What it shows of itself.
         problem: Takes why it gives up for good.
     """
+    stop = _stop_on_signals()
     log_to_stderr(level=style.level, as_json=style.as_json)
-    Thread(target=_end_with_parent, name="parent", daemon=True).start()
-
-    def on_lease(working: bool) -> None:
-        since_s.value = time.monotonic() if working else BETWEEN_LEASES
-
-    with stop_on_signals() as stop:
-        try:
-            run_worker(config, stop=stop, on_lease=on_lease)
-        except TransientError as error:
-            log.warning("worker ends", worker_id=config.worker_id, problem=str(error))
-            _leave(EX_DONE if stop.is_set() else EX_TEMPFAIL)
-        except PermanentError as error:
-            log.error("worker gives up", worker_id=config.worker_id, problem=str(error))
-            problem.send(str(error))
-            _leave(EX_CONFIG)
+    Thread(target=_end_with_parent, args=(place,), name="parent", daemon=True).start()
+    count_in(place.metrics_folder, place.number)
+    metrics = WorkerMetrics()
+    try:
+        run_worker(config, stop=stop, observer=_Showing(signs), metrics=metrics)
+    except TransientError as error:
+        if stop.is_set():
+            _leave(EX_DONE)
+        log.warning("worker ends", worker_id=config.worker_id, problem=str(error))
+        _leave(EX_TEMPFAIL)
+    except PermanentError as error:
+        log.error("worker gives up", worker_id=config.worker_id, problem=str(error))
+        problem.send(str(error))
+        _leave(EX_CONFIG)
     _leave(EX_DONE)
+
+
+def _stop_on_signals() -> Event:
+    """Turn signals into a set event, however many come.
+
+    A service manager may signal every process of ours, and then the pool tells its workers once
+    more: that must not cut the drain short. The pool kills those that take too long, and all die
+    with it.
+    """
+    stop = Event()
+
+    def on_signal(_number: int, _frame: FrameType | None) -> None:
+        stop.set()
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, on_signal)
+    return stop
 
 
 def _leave(code: int) -> NoReturn:
@@ -77,9 +149,13 @@ def _leave(code: int) -> NoReturn:
     os._exit(code)
 
 
-def _end_with_parent() -> None:
-    """Die when the pool's process dies, even of kill -9: nobody would stop or restart us."""
+def _end_with_parent(place: Place) -> None:
+    """Die when the pool's process dies, even of kill -9: nobody would stop or restart us.
+
+    Nobody would take its files away either.
+    """
     parent = parent_process()
     if parent is not None:
         parent.join()
+        shutil.rmtree(place.metrics_folder, ignore_errors=True)
         os._exit(EX_TEMPFAIL)

@@ -5,18 +5,21 @@ import time
 from collections.abc import Iterator
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
-from multiprocessing.sharedctypes import Synchronized
 from typing import Final
 
 import structlog
 
 from schemas.retry import backoff_s
+from workers.metrics import Death
 from workers.pool.process import (
     BETWEEN_LEASES,
     EX_CONFIG,
     EX_DONE,
+    EX_TEMPFAIL,
     NO_LEASE_YET,
     LogStyle,
+    Place,
+    Signs,
     worker_process,
 )
 from workers.worker import WorkerConfig
@@ -27,13 +30,16 @@ FIRST_RESTART_S: Final = 0.5
 MOST_RESTART_S: Final = 30.0
 
 MOST_IDLE_DEATHS: Final = 6
-"""So many deaths in a row without a lease, over about half a minute, and the place is given up."""
+"""So many deaths in a row without a lease, over about half a minute, and a place that never saw a
+worker at work is given up. One that did is filled again for ever: what is wrong now will be mended
+by somebody, and then nobody should have to start the pool again."""
 
 STEADY_S: Final = 60.0
 """A worker that lived this long was not ended by how it starts: its next restart is quick again."""
 
-KILL_MARGIN_S: Final = 10.0
-"""After the drain: saying that a lease is given back, closing the session."""
+KILL_MARGIN_S: Final = 8.0
+"""After the drain: saying that a lease is given back, closing the session. With it a pool of the
+usual drain ends before service managers lose patience, after 30 s."""
 
 
 class Slot:
@@ -41,21 +47,31 @@ class Slot:
 
     Attributes:
         worker_id: Of every worker that fills this place.
+        place: Which one it is.
+        signs: What the worker in it shows of itself.
         gave_up: Why nothing will fill it any more; empty while something may.
     """
 
-    def __init__(self, config: WorkerConfig, style: LogStyle, *, deadline_s: float) -> None:
+    def __init__(
+        self, config: WorkerConfig, style: LogStyle, place: Place, *, deadline_s: float
+    ) -> None:
         """Prepare an empty place.
 
         Args:
             config: For the worker.
             style: For its log.
+            place: Which one it is.
             deadline_s: A worker longer than this on one lease is killed.
         """
-        self.worker_id, self.gave_up = config.worker_id, ""
+        self.worker_id, self.place, self.gave_up = config.worker_id, place, ""
         self._config, self._style, self._deadline_s = config, style, deadline_s
         self._context = multiprocessing.get_context("spawn")
-        self._since_s: Synchronized[float] = self._context.Value("d", NO_LEASE_YET, lock=False)
+        self.signs = Signs(
+            since_s=self._context.Value("d", NO_LEASE_YET, lock=False),
+            connected=self._context.Value("b", 0, lock=False),
+            equipped=self._context.Value("b", 0, lock=False),
+        )
+        self._was_at_work = self._stuck = False
         self._process: SpawnProcess | None = None
         self._last_words: Connection[str, str] | None = None
         self._started_s = self._restart_at_s = 0.0
@@ -73,34 +89,41 @@ class Slot:
         process = self._process
         return process is not None and process.is_alive()
 
-    def look(self) -> bool:
+    def look(self) -> Death | None:
         """Start a worker that is due, kill one that is stuck, bury one that died.
 
         Returns:
-            Whether one was found dead.
+            Why one was found dead; None when none was.
         """
         if self._process is None:
             if not self.gave_up and time.monotonic() >= self._restart_at_s:
                 self._start()
         elif not self._process.is_alive():
-            self._bury(self._process)
-            return True
-        elif 0 < self._since_s.value < time.monotonic() - self._deadline_s:
-            log.error("worker killed: too long on one lease", worker_id=self.worker_id)
+            return self._bury(self._process)
+        elif 0 < self.signs.since_s.value < time.monotonic() - self._deadline_s:
+            log.error(
+                "worker killed: too long on one lease",
+                worker_id=self.worker_id,
+                most_s=self._deadline_s,
+            )
             self._process.kill()
-            self._since_s.value = BETWEEN_LEASES
-        return False
+            self._stuck, self.signs.since_s.value = True, BETWEEN_LEASES
+        return None
 
     def tell_to_stop(self) -> None:
         """Ask the worker to finish what is soon done."""
         if self._process is not None:
             self._process.terminate()
 
-    def wait_until_stopped(self) -> None:
-        """Wait for its end; kill it if it takes longer than a drain may."""
+    def wait_until_stopped(self, until_s: float) -> None:
+        """Wait for its end; kill it if it takes longer than it may.
+
+        Args:
+            until_s: How long it may take, monotonic.
+        """
         if self._process is None:
             return
-        self._process.join(self._config.drain_s + KILL_MARGIN_S)
+        self._process.join(max(0.0, until_s - time.monotonic()))
         if self._process.is_alive():
             log.warning("worker killed: it did not stop", worker_id=self.worker_id)
             self._process.kill()
@@ -108,39 +131,62 @@ class Slot:
         self._process = None
 
     def _start(self) -> None:
-        self._since_s.value = NO_LEASE_YET
+        self.signs.clear()
+        self._stuck = False
         self._last_words, tell = self._context.Pipe(duplex=False)
         self._process = self._context.Process(
             target=worker_process,
-            args=(self._config, self._style, self._since_s, tell),
+            args=(self._config, self._style, self.place, self.signs, tell),
             name=self.worker_id,
         )
         self._process.start()
         tell.close()
         self._started_s = time.monotonic()
 
-    def _bury(self, process: SpawnProcess) -> None:
+    def _bury(self, process: SpawnProcess) -> Death:
         code, lived_s = process.exitcode, time.monotonic() - self._started_s
+        worked = self.signs.since_s.value != NO_LEASE_YET
         self._process = None
-        if lived_s > STEADY_S or self._since_s.value != NO_LEASE_YET:
+        self.signs.clear()
+        self._was_at_work = self._was_at_work or worked
+        if lived_s > STEADY_S or worked:
             self._waits, self._idle_deaths = _restarts(), 0
         self._idle_deaths += code != EX_DONE
-        if code == EX_CONFIG:
-            self.gave_up = _said(self._last_words) or "a worker gave up without saying why"
-        elif self._idle_deaths >= MOST_IDLE_DEATHS:
-            self.gave_up = (
-                f"workers die before they get to work, {self._idle_deaths} times in a row, the "
-                f"last with exit code {code}; their own words are in the log above"
-            )
+        cause = _cause(code, stuck=self._stuck)
+        if not self._was_at_work:
+            self.gave_up = self._hopeless(code)
         wait_s = next(self._waits)
         self._restart_at_s = time.monotonic() + wait_s
+        if self.gave_up:
+            cause = "gave_up"
         if code != EX_DONE:
             log.warning(
                 "worker died",
                 worker_id=self.worker_id,
+                cause=cause,
                 exit_code=code,
                 restart_s=None if self.gave_up else round(wait_s, 1),
             )
+        return cause
+
+    def _hopeless(self, code: int | None) -> str:
+        """Say why no worker will ever get to work here; empty while one may."""
+        if code == EX_CONFIG:
+            return _said(self._last_words) or "a worker gave up without saying why"
+        if self._idle_deaths < MOST_IDLE_DEATHS:
+            return ""
+        return (
+            f"workers die before they get to work, {self._idle_deaths} times in a row, the "
+            f"last with exit code {code}; their own words are in the log above"
+        )
+
+
+def _cause(code: int | None, *, stuck: bool) -> Death:
+    if stuck:
+        return "stuck"
+    if code == EX_DONE:
+        return "stopped"
+    return "unready" if code in (EX_TEMPFAIL, EX_CONFIG) else "crashed"
 
 
 def _restarts() -> Iterator[float]:

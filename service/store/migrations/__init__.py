@@ -5,9 +5,9 @@ from typing import Final
 
 from sqlalchemy import Connection, inspect, text
 
-from service.errors import StateUnusableError
+from service.errors import StateOutdatedError, StateUnusableError
 
-STEPS: Final[tuple[str, ...]] = ("0001_ledger.sql",)
+STEPS: Final[tuple[str, ...]] = ("0001_ledger.sql", "0002_revisions.sql")
 """Step i leads from version i to i + 1. A step that has been released is never edited."""
 
 SCHEMA_VERSION: Final = len(STEPS)
@@ -51,12 +51,12 @@ def require_current(connection: Connection, *, name: str) -> None:
     """Check that a database that may only be read needs no step.
 
     Raises:
-        StateUnusableError: If its version is another.
+        StateUnusableError: If its version is another; `StateOutdatedError` if it is older.
     """
     version = schema_version(connection)
     _refuse_newer(version, name=name)
     if version < SCHEMA_VERSION:
-        raise StateUnusableError(
+        raise StateOutdatedError(
             f"state has schema version {version}, this program reads {SCHEMA_VERSION} ({name}); "
             "start the service on it once to bring it up to date"
         )

@@ -120,7 +120,10 @@ def s3_error(code: str) -> str:
     ("status", "code", "says"),
     [
         pytest.param(403, "SignatureDoesNotMatch", r"refuses these credentials", id="secret"),
-        pytest.param(403, "AccessDenied", r"refuses these credentials \(AccessDenied\)", id="acl"),
+        pytest.param(403, "AccessDenied", "no listing here", id="acl"),
+        pytest.param(403, "InvalidAccessKeyId", "does not know these credentials", id="key"),
+        pytest.param(403, "RequestTimeTooSkewed", "set this machine's clock", id="clock"),
+        pytest.param(400, "ExpiredToken", r"expired \(ExpiredToken\): set AWS_", id="token"),
         pytest.param(404, "NoSuchBucket", "no such bucket", id="bucket"),
         pytest.param(400, "AuthorizationHeaderMalformed", "check bucket, region", id="region"),
         pytest.param(301, "PermanentRedirect", "sends the request elsewhere", id="another region"),

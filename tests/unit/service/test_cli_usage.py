@@ -29,9 +29,22 @@ from service.cli.main import main
         ),
         pytest.param(
             ["run", "--once", "--bucket", ".", "--shard-seconds", "3"],
-            "whole multiple",
+            "--shard-seconds 3: shard_s (3) must be a whole multiple",
             id="shards that cut scenes",
         ),
+        pytest.param(
+            ["service", "--bucket", ".", "--log-level", "loud"],
+            "--log-level loud: must be debug or info",
+            id="no such level",
+        ),
+        pytest.param(
+            ["top", "--config", "nowhere.toml"], "cannot read the settings file", id="no such file"
+        ),
+        pytest.param(
+            ["top", "--state", ".", "--connect", "tcp/127.0.0.1:7447"], "not both", id="two places"
+        ),
+        pytest.param(["run", "--bucket", ".", "--json"], "--log-format json", id="json of a run"),
+        pytest.param(["run", "--bucket", ".", "--dry-run"], "no .mcap log", id="nothing to mine"),
     ],
 )
 def test_a_usage_error_is_one_sentence_and_exit_code_one(
@@ -67,5 +80,5 @@ def test_help_needs_no_bucket_and_lists_every_verb(capsys: pytest.CaptureFixture
     assert main(["--help"]) == 0
     told = capsys.readouterr().out
     verbs = ("run", "service", "worker", "router", "inspect", "score", "watch", "top", "select")
-    for verb in (*verbs, "show", "status", "eval", "bench", "demo"):
+    for verb in (*verbs, "show", "status", "eval", "bench", "demo", "config", "doctor"):
         assert f"  {verb} " in told

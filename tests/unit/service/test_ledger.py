@@ -91,7 +91,7 @@ def test_reading_a_state_that_does_not_exist_is_refused(tmp_path: Path) -> None:
 def test_reading_a_state_of_an_older_version_is_refused(tmp_path: Path) -> None:
     open_store(tmp_path).close()
     with sqlite3.connect(tmp_path / DATABASE_NAME) as connection:
-        connection.execute("UPDATE schema_version SET version = 0")
+        connection.execute("DELETE FROM schema_version WHERE version > 1")
     connection.close()
     with pytest.raises(StateUnusableError, match="start the service on it once"):
         open_store_to_read(tmp_path)
@@ -102,7 +102,7 @@ def test_an_upgrade_that_breaks_off_leaves_the_old_state(
 ) -> None:
     with monkeypatch.context() as newer:
         newer.setattr(migrations, "STEPS", (*migrations.STEPS, "9999_missing.sql"))
-        newer.setattr(migrations, "SCHEMA_VERSION", 2)
+        newer.setattr(migrations, "SCHEMA_VERSION", len(migrations.STEPS))
         with pytest.raises(FileNotFoundError):
             open_store(tmp_path)
     with sqlite3.connect(tmp_path / DATABASE_NAME) as connection:

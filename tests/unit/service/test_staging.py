@@ -46,3 +46,10 @@ def test_a_commit_that_overtook_its_last_record_waits_for_it() -> None:
     found = staging.collect([sha256(b"first"), sha256(b"last")], patience_s=30.0)
     late.join()
     assert list(found.values()) == [b"first", b"last"]
+
+
+def test_what_the_bus_lost_adds_up() -> None:
+    staging = Staging()
+    staging.on_miss(2)
+    staging.on_miss(5)
+    assert staging.missed == 7

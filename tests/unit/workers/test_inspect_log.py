@@ -34,6 +34,8 @@ def test_a_whole_log_is_reported_alike_by_its_index_and_its_chunks(verify: bool)
     assert {topic.topic: topic.messages for topic in report.topics} == {"/gps": 1, LIDAR: 250}
     assert report.lidar_topic == LIDAR
     assert report.frames == 250
+    assert report.start_ns == BEGIN_NS
+    assert report.duration_s == pytest.approx(24.9, abs=0.1)
     assert [shard.name for shard in report.shards] == ["lidar.points-00000", "lidar.points-00001"]
     assert report.damage == ()
     assert report.refused == ""

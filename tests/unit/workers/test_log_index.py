@@ -10,7 +10,7 @@ from schemas.bucket import Bucket, open_bucket
 from schemas.errors import ObjectChangedError
 from tests.tiny_logs import BEGIN_NS, LIDAR, Recorder, Said, drive, only_recording, ring
 from workers.errors import NotMcapError
-from workers.ingest import index as index_module
+from workers.ingest import footer as footer_module
 from workers.ingest.chunk import messages_in
 from workers.ingest.index import IndexedChunk
 from workers.ingest.log_index import LogIndex, index_recording
@@ -55,7 +55,7 @@ def messages_in_index(index: LogIndex) -> int:
 
 
 def small_tail(monkeypatch: pytest.MonkeyPatch, size: int = 4096) -> None:
-    monkeypatch.setattr(index_module, "TAIL_BYTES", size)
+    monkeypatch.setattr(footer_module, "TAIL_BYTES", size)
 
 
 def test_an_intact_log_is_indexed_in_one_read() -> None:

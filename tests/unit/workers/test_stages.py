@@ -43,6 +43,6 @@ def test_a_stage_is_not_charged_for_the_stages_it_draws_on() -> None:
 def test_time_between_two_items_belongs_to_whoever_draws_them() -> None:
     time = Time()
     clock = StageClock(time)
-    for _ in clock.drawn("mining", range(2)):
+    for _ in clock.drawn("contradiction", range(2)):
         time.now_s += 5.0
-    assert clock.seconds["mining"] == 0.0
+    assert clock.seconds["contradiction"] == 0.0

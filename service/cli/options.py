@@ -1,0 +1,90 @@
+"""Options that several verbs share, and how a verb gets its settings from them."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from schemas.process import log_to_stderr
+from service.cli.output import remark_as_events
+from service.config import Settings, load_settings
+
+Config = Annotated[
+    Path | None,
+    typer.Option(
+        "--config",
+        help="TOML file of settings, else COUNTERPOINT_CONFIG; variables and flags win over it.",
+    ),
+]
+BucketUrl = Annotated[
+    str | None,
+    typer.Option("--bucket", help="URL or path of the log bucket, else COUNTERPOINT_BUCKET."),
+]
+StateDir = Annotated[
+    Path | None, typer.Option("--state", help="Folder of ledger and overlays; counterpoint-state.")
+]
+Database = Annotated[
+    str | None,
+    typer.Option("--database", help="URL of a PostgreSQL instead of SQLite in the state folder."),
+]
+Artifacts = Annotated[
+    str | None,
+    typer.Option("--artifacts", help="URL for overlays; the folder artifacts in the state."),
+]
+Connect = Annotated[
+    str | None, typer.Option("--connect", help="tcp/HOST:PORT of the router; commas for several.")
+]
+Supervised = Annotated[
+    str | None,
+    typer.Option("--supervised", help="Supervised stream: salsanext-lmnet or recorded."),
+]
+SelfSupervised = Annotated[
+    str | None,
+    typer.Option("--selfsupervised", help="Self-supervised stream: registration or two-stage."),
+]
+ShardSeconds = Annotated[
+    float | None,
+    typer.Option("--shard-seconds", help="Length of a shard's window, whole scenes; 20."),
+]
+Include = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--include", help="Only keys that match this pattern; * also crosses /. Repeatable."
+    ),
+]
+Exclude = Annotated[
+    list[str] | None,
+    typer.Option("--exclude", help="No key that matches this pattern. Repeatable."),
+]
+LogFormat = Annotated[
+    str | None,
+    typer.Option("--log-format", help="Log lines for people or for machines: console, json."),
+]
+LogLevel = Annotated[
+    str | None,
+    typer.Option("--log-level", help="Least level that is logged: debug, info, warning, error."),
+]
+Json = Annotated[bool, typer.Option("--json", help="JSON lines on stdout.")]
+
+
+def settings_for(config: Path | None, **flags: Any) -> Settings:
+    """Read the settings of a verb, and log from now on as they say.
+
+    Args:
+        config: What `--config` named.
+        flags: As `service.config.read_settings` takes them; a list that is empty was not given.
+
+    Raises:
+        UsageError: If a name is unknown or a value impossible.
+    """
+    given = {name: value for name, value in flags.items() if value != []}
+    settings = load_settings(config=config, **given)
+    log_as(settings)
+    return settings
+
+
+def log_as(settings: Settings) -> None:
+    """Log, and remark, in the format and from the level that the settings name."""
+    as_json = settings.log_format == "json"
+    log_to_stderr(level=settings.log_level, as_json=as_json)
+    remark_as_events(as_json)

@@ -1,0 +1,120 @@
+"""Verbs on the installation itself: `config` says what holds, `doctor` what to mend."""
+
+import sys
+from typing import Annotated
+
+import typer
+
+from service.cli.options import (
+    Artifacts,
+    BucketUrl,
+    Config,
+    Connect,
+    Database,
+    Json,
+    StateDir,
+    log_as,
+)
+from service.cli.output import json_line, progress, remark, table
+from service.config import read_settings
+from service.settings_table import setting_rows, settings_page
+from service.settings_text import shown
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the verbs of this file to the command."""
+    app.command(name="config", epilog="counterpoint config --config fleet.toml")(print_settings)
+    app.command(epilog="counterpoint doctor --config fleet.toml")(doctor)
+
+
+def print_settings(
+    context: typer.Context,
+    config: Config = None,
+    json: Json = False,
+    markdown: Annotated[
+        bool, typer.Option("--markdown", help="Print the page that documents every setting.")
+    ] = False,
+) -> None:
+    """Print every setting: what holds, and where each value came from."""
+    if markdown:
+        sys.stdout.write(settings_page(flags_of(context.find_root().command)))
+        return
+    read = read_settings(config=config)
+    log_as(read.settings)
+    rows = list(setting_rows(read))
+    if json:
+        for row in rows:
+            json_line(row)
+        return
+    table(
+        "settings",
+        ("setting", "value", "from", "mined anew", "what it is"),
+        (
+            (
+                row.setting,
+                shown(row.value),
+                row.origin,
+                "yes" if row.in_pipeline_version else None,
+                row.description,
+            )
+            for row in rows
+        ),
+    )
+    file = f"the file {read.file}" if read.file else "a file (--config; none is read now)"
+    remark(
+        f"flags win over COUNTERPOINT_* variables, these over {file}; when a setting with "
+        "`mined anew` changes, everything in the bucket is mined anew"
+    )
+
+
+def doctor(
+    bucket: BucketUrl = None,
+    state: StateDir = None,
+    connect: Connect = None,
+    artifacts: Artifacts = None,
+    database: Database = None,
+    config: Config = None,
+    json: Json = False,
+) -> None:
+    """Check settings, bucket, artifacts, state, bus and workers; say what to mend."""
+    from service.doctor import examine
+
+    read = read_settings(
+        config=config,
+        bucket=bucket,
+        state=state,
+        connect=connect,
+        artifacts=artifacts,
+        database=database,
+    )
+    log_as(read.settings)
+    findings = []
+    with progress() as bar:
+        task = bar.add_task("examining", total=None)
+        for finding in examine(read):
+            findings.append(finding)
+            bar.update(task, description=f"examined {finding.what}")
+            if json:
+                json_line(finding)
+    if not json:
+        table(
+            "doctor",
+            ("what", "verdict", "found"),
+            ((each.what, each.verdict, each.says) for each in findings),
+        )
+    problems = sum(each.verdict == "problem" for each in findings)
+    warnings = sum(each.verdict == "warning" for each in findings)
+    remark(f"problems: {problems}, warnings: {warnings}")
+    if problems:
+        raise typer.Exit(1)
+
+
+def flags_of(command: object) -> set[str]:
+    """Collect the flags of a command and of every verb below it."""
+    found = {
+        option
+        for parameter in getattr(command, "params", ())
+        for option in parameter.opts
+        if option.startswith("--")
+    }
+    return found.union(*map(flags_of, getattr(command, "commands", {}).values()))

@@ -1,0 +1,73 @@
+"""What `doctor` looks at on the network: the router, the service behind it, ports to listen on."""
+
+import socket
+from collections.abc import Iterator
+
+from schemas import keys
+from schemas.ask import UnansweredError, ask
+from schemas.bus import client_session
+from service.config import Settings
+from service.doctor import Finding, ok, problem, warning
+from service.heartbeat import workers_alive
+from service.state import endpoint_of_running
+
+PATIENCE_S = 3.0
+
+
+def router(settings: Settings) -> Iterator[Finding]:
+    """Connect, ask for a service, count the workers."""
+    endpoint = settings.connect or endpoint_of_running(settings.state)
+    if not endpoint:
+        yield ok("router", "none is named: `run` brings its own; else give --connect tcp/HOST:PORT")
+        return
+    with client_session(endpoint.split(",")) as session:
+        yield ok("router", f"answers at {endpoint}")
+        hello = keys.control(root=settings.root, verb="hello")
+        try:
+            ask(session, hello, timeout_s=PATIENCE_S)
+        except UnansweredError:
+            yield warning(
+                "service",
+                f"none answers under {settings.root!r}: start `counterpoint service`, or check the "
+                "setting root",
+            )
+            return
+        yield ok("service", f"answers under {settings.root!r}")
+        workers = workers_alive(session, root=settings.root)
+        say = ok if workers else warning
+        yield say("service", f"has {workers} workers" + ("" if workers else ": nothing is mined"))
+
+
+def http(settings: Settings) -> Iterator[Finding]:
+    """Look whether the ports for metrics can be listened on."""
+    held = endpoint_of_running(settings.state) is not None
+    for name, listen in (
+        ("http_listen", settings.http_listen),
+        ("worker_http_listen", settings.worker_http_listen),
+    ):
+        if not listen:
+            yield ok("http", f"{name} is empty: nothing is served")
+            continue
+        why = _why_not(listen)
+        if not why:
+            yield ok("http", f"{listen} is free ({name})")
+        elif held and name == "http_listen":
+            yield ok("http", f"{listen} is taken, by the service on this state it seems ({name})")
+        else:
+            say = problem if name == "http_listen" else warning
+            yield say("http", f"cannot listen on {listen}: {why}; choose another {name}")
+
+
+def _why_not(listen: str) -> str:
+    host, colon, port = listen.rpartition(":")
+    if not colon or not port.isdigit() or int(port) > 65_535:
+        return "it is not HOST:PORT"
+    try:
+        found = socket.getaddrinfo(host.strip("[]") or None, int(port), type=socket.SOCK_STREAM)
+        family, kind, protocol, _, address = found[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+    except OSError as error:
+        return error.strerror or str(error)
+    return ""

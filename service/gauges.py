@@ -1,0 +1,234 @@
+"""Every metric that is read rather than counted: how the service stands at the time of a scrape."""
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from threading import Lock
+from typing import Final, Literal, get_args
+
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
+
+from schemas.errors import CounterpointError
+from service.bucket_watch import BucketSeen
+from service.store.backlog import Backlog
+from service.store.effects import WorkKind
+from service.store.work import WorkState
+
+BucketError = Literal["unreachable", "refused"]
+"""How a listing broke off: no answer, or an error of the store's own; it said no."""
+
+NAMESPACE: Final = "counterpoint"
+
+CACHED_S: Final = 5.0
+"""The ledger is counted at most this often, however many scrape."""
+
+RECORDING_STATES: Final = (
+    "waiting",
+    "settling",
+    "planning",
+    "mining",
+    "done",
+    "refused",
+    "parked",
+    "stale",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """Where the gauges are read; each call must be quick.
+
+    Attributes:
+        backlog: The ledger's counts; may raise a `CounterpointError`.
+        bucket_url: Of the log bucket.
+        bucket: What its listings have shown.
+        staging_bytes: Bytes of raw records that wait for their commit.
+        questions_waiting: Questions in the queue.
+        bus_misses: Raw records that were lost on the bus so far.
+        state_free_bytes: Free bytes of the disk that holds the state; None: not known.
+        now_s: Seconds since the Unix epoch.
+    """
+
+    backlog: Callable[[], Backlog] = Backlog
+    bucket_url: str = ""
+    bucket: Callable[[], BucketSeen] = BucketSeen
+    staging_bytes: Callable[[], int] = lambda: 0
+    questions_waiting: Callable[[], int] = lambda: 0
+    bus_misses: Callable[[], int] = lambda: 0
+    state_free_bytes: Callable[[], int | None] = lambda: None
+    now_s: Callable[[], float] = lambda: 0.0
+
+
+@dataclass(slots=True)
+class _Kept:
+    """The last count of the ledger, and when it was made on the monotonic clock."""
+
+    at_s: float = float("-inf")
+    backlog: Backlog | None = None
+    lock: Lock = field(default_factory=Lock)
+
+
+class ServiceGauges(Collector):
+    """Reads how the service stands, once per scrape.
+
+    While the database does not answer, the series that come from it are absent;
+    `counterpoint_database_errors_total` says why.
+    """
+
+    def __init__(self, sources: Sources) -> None:
+        """Take where to read; nothing is read before the first scrape."""
+        self._sources, self._kept = sources, _Kept()
+
+    def describe(self) -> Iterator[Metric]:
+        """Name the metrics without reading any: what a registry asks when this is registered."""
+        yield from _of_ledger(Backlog(), now_s=0.0)
+        yield from _of_parts(Sources())
+
+    def collect(self) -> Iterator[Metric]:
+        """Read everything now, the ledger's counts at most `CACHED_S` old."""
+        backlog = self._backlog()
+        if backlog is not None:
+            yield from _of_ledger(backlog, now_s=self._sources.now_s())
+        yield from _of_parts(self._sources)
+
+    def _backlog(self) -> Backlog | None:
+        with self._kept.lock:
+            now_s = time.monotonic()
+            if now_s - self._kept.at_s >= CACHED_S:
+                try:
+                    self._kept.backlog = self._sources.backlog()
+                except CounterpointError:  # away or damaged; the store's observer has counted it
+                    self._kept.backlog = None
+                self._kept.at_s = now_s
+            return self._kept.backlog
+
+
+def _of_ledger(backlog: Backlog, *, now_s: float) -> Iterator[Metric]:
+    yield _gauge(
+        "work",
+        "Plans and shards under the newest pipeline version, by state; `done` also counts those of "
+        "recordings since replaced. Worry when `ready` only grows: too few workers; and at any "
+        "`parked`.",
+        {
+            (work, state.value): backlog.work.get((work, state.value), 0)
+            for work in get_args(WorkKind)
+            for state in WorkState
+        },
+        labels=("work", "state"),
+    )
+    yield _gauge(
+        "recordings",
+        "Recordings in the bucket by state. Worry when `refused` or `parked` grow; "
+        "`counterpoint status` names each with its problem.",
+        {(state,): backlog.recordings.get(state, 0) for state in RECORDING_STATES},
+        labels=("state",),
+    )
+    oldest = backlog.oldest_listed_s
+    yield _gauge(
+        "oldest_work_age_seconds",
+        "Since the oldest recording with work left was first listed; 0 when none is left. Worry "
+        "when it exceeds what mining one recording takes: the workers do not keep up, or are gone.",
+        0.0 if oldest is None else max(0.0, now_s - oldest),
+    )
+    yield _gauge("leases_held", "Leases that are out now.", backlog.leases_held)
+    yield _gauge(
+        "workers_seen",
+        "Workers that hold a lease now. Worry when 0 while work is `ready`.",
+        backlog.workers,
+    )
+    yield _gauge(
+        "current_scenes", "Scenes that are current: what is ranked.", backlog.current_scenes
+    )
+    yield _gauge(
+        "unpublished_events",
+        "Scene events on disk that the outbox has not put yet. Worry when it only grows: no router "
+        "is connected.",
+        backlog.unpublished,
+    )
+
+
+def _of_parts(sources: Sources) -> Iterator[Metric]:
+    seen = sources.bucket()
+    yield _gauge(
+        "bucket_last_listing_timestamp_seconds",
+        "When the bucket was last listed with success, since the Unix epoch; 0: not yet. Worry "
+        "when older than a few list_interval_s: new logs are not seen.",
+        {(sources.bucket_url,): seen.last_success_s or 0.0},
+        labels=("bucket",),
+    )
+    yield _gauge(
+        "bucket_listing_seconds",
+        "Time that the last complete listing took. Worry when it nears list_interval_s.",
+        seen.duration_s,
+    )
+    yield _gauge(
+        "bucket_objects",
+        "Objects of recordings in the bucket at the last listing. Worry when it falls unasked.",
+        seen.objects,
+    )
+    yield _gauge(
+        "bucket_bytes",
+        "Bytes of recordings in the bucket at the last listing. Worry when it falls unasked.",
+        seen.bytes,
+    )
+    yield _counter(
+        "bucket_errors",
+        "Listings that broke off. Worry when it grows for minutes: unreachable is the network or "
+        "the store, refused is credentials or a bucket that is gone.",
+        {(kind,): seen.errors.get(kind, 0) for kind in get_args(BucketError)},
+        labels=("kind",),
+    )
+    yield _gauge(
+        "staging_bytes",
+        "Raw records that wait for their commit. Worry near 64 MiB: the oldest are dropped then, "
+        "and sent again.",
+        sources.staging_bytes(),
+    )
+    yield _gauge(
+        "questions_waiting",
+        "Questions in the queue. Worry when it stays above some hundred: the disk of the state is "
+        "too slow for so many workers.",
+        sources.questions_waiting(),
+    )
+    yield _counter(
+        "bus_misses",
+        "Raw records lost between a worker and the service; the commit names them, and they are "
+        "sent again. Worry when it grows steadily: the network or the router drops.",
+        {(): sources.bus_misses()},
+    )
+    free = sources.state_free_bytes()
+    yield _gauge(
+        "state_free_bytes",
+        "Free bytes on the disk of the state folder. Worry below 1 GB: when it is full no commit "
+        "is taken.",
+        {} if free is None else {(): free},
+    )
+
+
+def _gauge(
+    name: str,
+    help_: str,
+    values: Mapping[tuple[str, ...], float] | float,
+    *,
+    labels: Sequence[str] = (),
+) -> Metric:
+    family = GaugeMetricFamily(f"{NAMESPACE}_{name}", help_, labels=labels)
+    for label_values, value in (
+        {(): values} if isinstance(values, int | float) else values
+    ).items():
+        family.add_metric(label_values, value)
+    return family
+
+
+def _counter(
+    name: str,
+    help_: str,
+    values: Mapping[tuple[str, ...], float],
+    *,
+    labels: Sequence[str] = (),
+) -> Metric:
+    family = CounterMetricFamily(f"{NAMESPACE}_{name}", help_, labels=labels)
+    for label_values, value in values.items():
+        family.add_metric(label_values, value)
+    return family

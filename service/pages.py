@@ -1,0 +1,62 @@
+"""What the service answers over HTTP: its metrics, whether it lives and is ready, and the rates."""
+
+from collections.abc import Callable, Mapping
+from http import HTTPStatus
+
+from prometheus_client import CollectorRegistry
+
+from schemas.http_endpoint import (
+    Handler,
+    HttpRequest,
+    HttpResponse,
+    json_response,
+    metrics_route,
+    text_response,
+)
+from service.app import Service
+from service.errors import UsageError
+from service.ledger import Ledger
+from service.rates import rates, rates_request
+
+
+def pages(
+    service: Service, ledger: Ledger, *registries: CollectorRegistry
+) -> Mapping[str, Handler]:
+    """Make the handlers of a running service by path.
+
+    Args:
+        service: Asked how it is.
+        ledger: What it remembers.
+        registries: What `/metrics` serves.
+    """
+    return {
+        "/metrics": metrics_route(*registries),
+        "/healthz": lambda _: _health(service.check),
+        "/readyz": lambda _: _readiness(service.not_ready()),
+        "/rates": lambda request: _rates(ledger, request),
+    }
+
+
+def _health(check: Callable[[], None]) -> HttpResponse:
+    check()  # what ended a thread becomes an answer of 500, and is logged
+    return text_response("alive")
+
+
+def _readiness(problems: Mapping[str, str]) -> HttpResponse:
+    status = HTTPStatus.SERVICE_UNAVAILABLE if problems else HTTPStatus.OK
+    return json_response({"ready": not problems, "problems": problems}, status=status)
+
+
+def _rates(ledger: Ledger, request: HttpRequest) -> HttpResponse:
+    """Answer `?by=…&since=…&until=…` with an array of flat rows."""
+    unknown = sorted(request.query.keys() - {"by", "since", "until"})
+    if unknown:
+        raise UsageError(f"unknown parameter {unknown[0]!r}; there are: by, since, until")
+    asked = rates_request(
+        request.query.get("by", "hour"),
+        since=request.query.get("since", ""),
+        until=request.query.get("until", ""),
+        now_s=ledger.now_s(),
+    )
+    rows = rates(ledger.rate_sums(asked), asked.by)
+    return json_response([row.model_dump(mode="json", exclude_none=True) for row in rows])

@@ -1,0 +1,150 @@
+"""What waits, runs and is stuck, counted on indexes alone: cheap enough for every scrape."""
+
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from sqlalchemy import Connection, Table, and_, distinct, func, or_, select, union
+
+from service.store.effects import WorkKind
+from service.store.events import counter
+from service.store.overview import newest_pipeline
+from service.store.tables import LEASES, PLANS, RECORDINGS, SCENES, SHARDS
+from service.store.work import OPEN, WorkState
+
+
+@dataclass(frozen=True, slots=True)
+class Backlog:
+    """The ledger at one moment, under the newest pipeline version.
+
+    Attributes:
+        work: Plans and shards by kind and state; done ones of replaced recordings count as well.
+        recordings: Current recordings by state, named as in `LogStatus`.
+        leases_held: Leases that are out.
+        workers: Workers that hold them.
+        current_scenes: Scenes that are current, of any pipeline version.
+        unpublished: Events that the outbox has not put yet.
+        oldest_listed_s: When the oldest recording with work left was first listed, seconds of the
+            service's clock; None when no work is left.
+    """
+
+    work: dict[tuple[WorkKind, str], int] = field(default_factory=dict)
+    recordings: dict[str, int] = field(default_factory=dict)
+    leases_held: int = 0
+    workers: int = 0
+    current_scenes: int = 0
+    unpublished: int = 0
+    oldest_listed_s: float | None = None
+
+
+def backlog(connection: Connection, *, now_s: float) -> Backlog:
+    """Count what waits, runs and is stuck."""
+    version = newest_pipeline(connection)
+    plans, shards = (_by_state(connection, table, version) for table in (PLANS, SHARDS))
+    held = connection.execute(_HELD).one()
+    work: dict[tuple[WorkKind, str], int] = {("plan", state): n for state, n in plans.items()}
+    work |= {("shard", state): n for state, n in shards.items()}
+    return Backlog(
+        work=work,
+        recordings=_recordings(connection, version, now_s=now_s),
+        leases_held=held.leases,
+        workers=held.workers,
+        current_scenes=connection.execute(_CURRENT_SCENES).scalar_one(),
+        unpublished=counter(connection, "seq") - counter(connection, "published"),
+        oldest_listed_s=_oldest_listed_s(connection, version),
+    )
+
+
+def _by_state(connection: Connection, table: Table, version: str) -> dict[str, int]:
+    counted = connection.execute(
+        select(table.c.state, func.count().label("works"))
+        .where(table.c.pipeline_version == version)
+        .group_by(table.c.state)
+    )
+    states = {row.state: row.works for row in counted}
+    if WorkState.PARKED in states:  # what was replaced while it was parked troubles nobody any more
+        states[WorkState.PARKED.value] = connection.execute(
+            select(func.count())
+            .select_from(table)
+            .join(RECORDINGS, _same_log(table))
+            .where(
+                table.c.pipeline_version == version,
+                table.c.state == WorkState.PARKED,
+                RECORDINGS.c.is_current,
+            )
+        ).scalar_one()
+    return states
+
+
+def _recordings(connection: Connection, version: str, *, now_s: float) -> dict[str, int]:
+    total: int = connection.execute(
+        select(func.count()).select_from(RECORDINGS).where(RECORDINGS.c.is_current)
+    ).scalar_one()
+    plans: dict[str, int] = {
+        row.state: row.logs
+        for row in connection.execute(
+            select(PLANS.c.state, func.count().label("logs"))
+            .join(RECORDINGS, _same_log(PLANS))
+            .where(PLANS.c.pipeline_version == version, RECORDINGS.c.is_current)
+            .group_by(PLANS.c.state)
+        )
+    }
+    settling: int = connection.execute(
+        select(func.count())
+        .select_from(PLANS)
+        .where(
+            PLANS.c.pipeline_version == version,
+            PLANS.c.state == WorkState.READY,
+            PLANS.c.error == "",  # the only rest that no failure ordered
+            PLANS.c.ready_at_s > now_s,
+        )
+    ).scalar_one()
+    stale = _logs_with_shards(connection, version, WorkState.STALE)
+    mining = _logs_with_shards(connection, version, WorkState.READY, WorkState.LEASED) - stale
+    planned = plans.get(WorkState.DONE, 0)
+    return {
+        "waiting": total - sum(plans.values()) + plans.get(WorkState.READY, 0) - settling,
+        "settling": settling,
+        "planning": plans.get(WorkState.LEASED, 0),
+        "mining": len(mining),
+        "done": max(0, planned - len(mining) - len(stale)),
+        "refused": plans.get(WorkState.REFUSED, 0),
+        "parked": plans.get(WorkState.PARKED, 0),
+        "stale": plans.get(WorkState.STALE, 0) + len(stale),
+    }
+
+
+def _logs_with_shards(connection: Connection, version: str, *states: WorkState) -> set[str]:
+    logs = (
+        select(SHARDS.c.log_id)
+        .distinct()
+        .where(SHARDS.c.pipeline_version == version, SHARDS.c.state.in_(states))
+    )
+    return set(connection.execute(logs).scalars())
+
+
+def _oldest_listed_s(connection: Connection, version: str) -> float | None:
+    planned = select(PLANS.c.log_id).where(PLANS.c.pipeline_version == version)
+    opened = union(
+        planned.where(PLANS.c.state.in_(OPEN)),
+        select(SHARDS.c.log_id).where(
+            SHARDS.c.pipeline_version == version, SHARDS.c.state.in_(OPEN)
+        ),
+    )
+    oldest: float | None = connection.execute(
+        select(func.min(RECORDINGS.c.listed_s)).where(
+            RECORDINGS.c.is_current,
+            RECORDINGS.c.listed_s > 0,  # 0: listed before that was noted
+            or_(RECORDINGS.c.log_id.in_(opened), RECORDINGS.c.log_id.not_in(planned)),
+        )
+    ).scalar_one()
+    return oldest
+
+
+def _same_log(table: Table) -> Any:
+    return and_(table.c.log_id == RECORDINGS.c.log_id, table.c.revision == RECORDINGS.c.revision)
+
+
+_HELD: Final = select(
+    func.count().label("leases"), func.count(distinct(LEASES.c.worker_id)).label("workers")
+).where(LEASES.c.is_held)
+_CURRENT_SCENES: Final = select(func.count()).select_from(SCENES).where(SCENES.c.is_current)

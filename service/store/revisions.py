@@ -1,0 +1,63 @@
+"""Which revision's scenes are current, of a recording that was replaced or came back."""
+
+from sqlalchemy import ColumnElement, Connection, and_, exists, false, func, or_, select
+
+from service.store.events import restore, withdraw
+from service.store.tables import PIPELINES, SCENES, SHARDS
+from service.store.work import WorkState
+
+
+def take_over(connection: Connection, *, log_id: str, revision: str) -> None:
+    """Let one revision have every scene of its log: its own return, those of others go.
+
+    Called when its plan is finished, refused or parked: until then the scenes of the revision
+    before stay, since there is nothing yet to show in their place. Of its own scenes those are
+    current that no newer pipeline version has mined anew.
+    """
+    ours = _belongs_to(log_id=log_id, revision=revision)
+    beaten = _beaten(connection, log_id=log_id, revision=revision)
+    coming = and_(~SCENES.c.is_current, ours, ~beaten)
+    replaced = frozenset(connection.execute(select(SCENES.c.scene_id).where(coming)).scalars())
+    going = and_(SCENES.c.log_id == log_id, ~ours)
+    withdraw(connection, going, by="revision", replaced=replaced)
+    withdraw(connection, and_(ours, beaten), by="pipeline", replaced=replaced)
+    restore(connection, coming)
+
+
+def _belongs_to(*, log_id: str, revision: str) -> ColumnElement[bool]:
+    """Whether a scene is of a revision: mined under it, or in a shard that it has adopted."""
+    adopted = exists().where(
+        SHARDS.c.log_id == log_id,
+        SHARDS.c.revision == revision,
+        SHARDS.c.pipeline_version == SCENES.c.pipeline_version,
+        SHARDS.c.name == SCENES.c.shard,
+        SHARDS.c.adopted_from == SCENES.c.revision,
+    )
+    return and_(SCENES.c.log_id == log_id, or_(SCENES.c.revision == revision, adopted))
+
+
+def _beaten(connection: Connection, *, log_id: str, revision: str) -> ColumnElement[bool]:
+    """Whether a newer pipeline version has mined a scene's stretch of this revision, or all."""
+    ordinals = {row.pipeline_version: row.ordinal for row in connection.execute(select(PIPELINES))}
+    shards = connection.execute(
+        select(SHARDS.c.pipeline_version, func.min(SHARDS.c.state), func.max(SHARDS.c.state))
+        .where(SHARDS.c.log_id == log_id, SHARDS.c.revision == revision)
+        .group_by(SHARDS.c.pipeline_version)
+    ).all()
+    beaten: list[ColumnElement[bool]] = [false()]
+    for version, *states in shards:
+        older = [each for each, ordinal in ordinals.items() if ordinal < ordinals[version]]
+        if not older:
+            continue
+        stretch = exists().where(
+            SHARDS.c.log_id == log_id,
+            SHARDS.c.revision == revision,
+            SHARDS.c.pipeline_version == version,
+            SHARDS.c.state == WorkState.DONE,
+            SHARDS.c.lidar_topic == SCENES.c.lidar_topic,
+            SHARDS.c.covers_from_ns <= SCENES.c.start_ns,
+            SHARDS.c.covers_to_ns > SCENES.c.start_ns,
+        )
+        is_older = SCENES.c.pipeline_version.in_(older)
+        beaten.append(is_older if set(states) == {WorkState.DONE} else and_(is_older, stretch))
+    return or_(*beaten)

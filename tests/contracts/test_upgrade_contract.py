@@ -1,0 +1,120 @@
+"""A state of the first schema is brought up to date with everything that lies in it."""
+
+import json
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sqlalchemy import insert, select
+
+from service.errors import StateUnusableError
+from service.store import migrations
+from service.store.engine import Store, open_store_to_read
+from service.store.tables import METADATA, SCHEMA_VERSIONS
+from tests.contracts.databases import OnPostgres, OnSqlite
+from tests.contracts.ledger_world import Clock, World
+
+FIRST = json.loads(Path(__file__).with_name("state_v1.json").read_text(encoding="utf-8"))
+"""Rows by table as the first schema's program wrote them: logs and shards in every state that one
+service can leave, two pipeline versions, a replaced and a deleted log, selections."""
+
+
+def stored(row: dict[str, Any]) -> dict[str, Any]:
+    """A row as the database gives it: records are bytes."""
+    return row | {"record": row["record"].encode()} if "record" in row else row
+
+
+class UpgradeContract(ABC):
+    """Every promise, tested on what `make_store` opens; it must open the same database again."""
+
+    @abstractmethod
+    def make_store(self) -> Store:
+        """Open the test's database, empty at first."""
+
+    @pytest.fixture(autouse=True)
+    def _first(self, database: None, monkeypatch: pytest.MonkeyPatch) -> None:
+        with monkeypatch.context() as before:
+            before.setattr(migrations, "STEPS", migrations.STEPS[:1])
+            before.setattr(migrations, "SCHEMA_VERSION", 1)
+            store = self.make_store()
+        with store.writing() as connection:
+            for name, rows in FIRST["tables"].items():
+                table = METADATA.tables[name]
+                connection.execute(table.delete())  # counters begin with rows of their own
+                connection.execute(insert(table), [stored(row) for row in rows])
+        store.close()
+
+    @pytest.fixture
+    def world(self) -> Iterator[World]:
+        clock = Clock()
+        clock.now_s = FIRST["now_s"]
+        store = self.make_store()
+        yield World.on(store, clock=clock, settle_s=30.0)
+        store.close()
+
+    def test_every_row_is_found_again(self, world: World) -> None:
+        with world.store.reading() as connection:
+            versions = connection.execute(select(SCHEMA_VERSIONS.c.version)).scalars().all()
+            assert sorted(versions) == list(range(1, migrations.SCHEMA_VERSION + 1))
+            for name, rows in FIRST["tables"].items():
+                table = METADATA.tables[name]
+                known = [table.c[column] for column in rows[0]]
+                found = connection.execute(select(*known).order_by(*table.primary_key.columns))
+                key = [column.name for column in table.primary_key.columns]
+                expected = sorted(rows, key=lambda row: [row[column] for column in key])
+                assert [dict(row._mapping) for row in found] == [stored(row) for row in expected]
+
+    def test_states_and_scenes_and_selections_are_what_they_were(self, world: World) -> None:
+        status = world.ledger.status("p2")
+        assert {log.log_id: log.state for log in status.logs} == {
+            "a-done": "mining",
+            "b-replaced": "mining",
+            "d-refused": "refused",
+            "e-parked": "parked",
+            "f-waiting": "waiting",
+            "g-leased": "planning",
+            "h-stale": "stale",
+            "i-resting": "waiting",
+        }
+        assert status.shards_by_state == {"done": 2, "leased": 1, "parked": 1, "ready": 2}
+        assert len(status.parked) == 2
+        kept = [row for row in FIRST["tables"]["scenes"] if row["is_current"]]
+        assert sorted(world.ids()) == sorted(row["scene_id"] for row in kept)
+        assert [each.name for each in world.ledger.selections()] == ["monday", "selection-2"]
+
+    def test_work_goes_on_and_old_revisions_come_back(self, world: World) -> None:
+        world.ledger.resume()
+        world.clock.now_s += 3600
+        world.ledger.expire()
+        recordings = [
+            json.loads(row["recording"])
+            for row in FIRST["tables"]["recordings"]
+            if row["is_current"]
+        ]
+        assert len(recordings) == 8
+        lease = world.plan_lease("w1", "p2")
+        assert lease.settled  # listed when nobody noted when: long ago
+        assert world.commit_plan(lease).ok
+        world.mine_all("p2")
+        done = {"a-done", "b-replaced", "f-waiting", "g-leased", "i-resting"}
+        assert {scene_id.split("/")[0] for scene_id in world.ids()} == done
+        world.listed("a-done", "b-replaced", "c-deleted", etag="1")
+        of_c = [scene_id for scene_id in world.ids() if scene_id.startswith("c-deleted")]
+        assert len(of_c) == 6
+        b_scenes = [s for s in world.ledger.current_scenes() if s.log_id == "b-replaced"]
+        assert {scene.pipeline_version for scene in b_scenes} == {"p1"}
+        world.mine_all("p2")
+        assert {s.pipeline_version for s in world.ledger.current_scenes()} == {"p2"}
+
+
+class TestUpgradeOnSqlite(OnSqlite, UpgradeContract):
+    def test_a_state_that_is_only_read_is_not_brought_up_to_date(self) -> None:
+        with pytest.raises(StateUnusableError, match="start the service on it once"):
+            open_store_to_read(self.folder)
+
+
+@pytest.mark.integration
+class TestUpgradeOnPostgres(OnPostgres, UpgradeContract):
+    pass

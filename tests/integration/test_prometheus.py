@@ -1,0 +1,227 @@
+"""A real Prometheus scrapes a real system: every panel finds data, and alerts fire for real.
+
+What is provoked here fires from the metrics of the product itself; `test_prometheus_alerts.py`
+plays the series of every alert, these too, to a real Prometheus of its own.
+"""
+
+import sqlite3
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+from deploy.grafana.asking import AnswerError, get, query, query_range, rates
+from deploy.grafana.reading import FOLDER, ReadPanel, read_dashboard, variables_of
+from service.store.engine import DATABASE_NAME
+from tests.factories import street_log
+from tests.integration.daemons import System
+from tests.integration.prometheus_server import (
+    PrometheusServer,
+    free_port,
+    need_prometheus,
+    rules_at_once,
+    until,
+)
+from workers.simulation.recorded import Mistake, MistakeKind
+
+pytestmark = [pytest.mark.integration, pytest.mark.timeout(900)]
+
+MINED_S: Final = 400.0
+"""Until the small bucket is mined; generous, since machines that run tests are busy."""
+
+PANELS: Final = [
+    (path, panel) for path in sorted(FOLDER.glob("*.json")) for panel in read_dashboard(path)
+]
+
+MISTAKES: Final = tuple(
+    Mistake(kind, track, 0.0, 9.0)
+    for kind, track in product(
+        (MistakeKind.MISSED_MOVER, MistakeKind.PARKED_CALLED_MOVING), range(12)
+    )
+)
+
+
+@dataclass
+class Watched:
+    """A system with what it mines, and the Prometheus that watches it."""
+
+    system: System
+    prometheus: PrometheusServer
+    http: str
+    bucket: Path
+    state: Path
+    began_s: float
+
+    def value(self, expr: str) -> float:
+        found = query(self.prometheus.address, expr, at_s=time.time())
+        return sum(value for series in found for _, value in series.samples)
+
+
+@pytest.fixture(scope="module")
+def watched(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Watched]:
+    need_prometheus()
+    folder = tmp_path_factory.mktemp("watched")
+    bucket = fill(folder / "bucket")
+    http, worker_http = (f"127.0.0.1:{free_port()}" for _ in range(2))
+    settings = {
+        "COUNTERPOINT_HTTP_LISTEN": http,
+        "COUNTERPOINT_WORKER_HTTP_LISTEN": worker_http,
+        "COUNTERPOINT_VEHICLES": "car-1,car-2",
+        "COUNTERPOINT_LIST_INTERVAL_S": "0.5",
+        "COUNTERPOINT_SETTLE_S": "1",
+        "COUNTERPOINT_MAX_ATTEMPTS": "1",
+    }
+    options = ("--supervised", "recorded", "--shard-seconds", "2")
+    system = System(folder, str(bucket), *options, env=settings)
+    targets = {"counterpoint": [http], "counterpoint-worker": [worker_http]}
+    began_s = time.time()
+    with PrometheusServer(
+        folder / "prometheus", targets=targets, rules=rules_at_once(folder)
+    ) as prometheus:
+        try:
+            system.start()
+            yield Watched(system, prometheus, http, bucket, folder / "state", began_s)
+        finally:
+            system.end()
+
+
+def fill(bucket: Path) -> Path:
+    """Write three drives of two cars, four that were cut off, one damaged, one that is no log."""
+    for vehicle, seed in (("car-1", 1), ("car-1", 2), ("car-2", 3)):
+        path = bucket / vehicle / "2026-03-02" / f"drive-{seed}.mcap"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        street_log(path, frames=40, seed=seed, vehicle=vehicle, mistakes=MISTAKES)
+    whole = (bucket / "car-1" / "2026-03-02" / "drive-1.mcap").read_bytes()
+    other = bucket / "car-9" / "2026-03-02"
+    other.mkdir(parents=True)
+    for number in range(4):
+        (other / f"cut-{number}.mcap").write_bytes(whole[: len(whole) // 3])
+    (other / "text.mcap").write_bytes(b"this is no recording\n" * 100)
+    damaged = street_log(other / "damaged.mcap", frames=40, vehicle="car-9", chunk_bytes=20_000)
+    scratched = bytearray(damaged.read_bytes())
+    for place in range(len(scratched) // 8, len(scratched) * 7 // 8, 15_000):
+        scratched[place : place + 64] = bytes(64)
+    damaged.write_bytes(scratched)
+    return bucket
+
+
+@pytest.fixture(scope="module")
+def mined(watched: Watched) -> Watched:
+    """Wait until everything that can be mined is, and has been scraped."""
+    waiting = 'sum (counterpoint_recordings{state=~"waiting|settling|planning|mining"})'
+    until(
+        "everything is mined",
+        lambda: (
+            watched.value("sum (counterpoint_scenes_total)") >= 9 and watched.value(waiting) == 0
+        ),
+        deadline_s=MINED_S,
+    )
+    return watched
+
+
+@pytest.mark.parametrize(
+    ("path", "panel"), PANELS, ids=[f"{path.stem}: {panel.title}" for path, panel in PANELS]
+)
+def test_every_query_of_every_panel_finds_data(
+    mined: Watched, path: Path, panel: ReadPanel
+) -> None:
+    end_s = time.time()
+    variables = variables_of(
+        path, rate_interval="10s", time_range=f"{round(end_s - mined.began_s)}s"
+    )
+    for target in panel.targets:
+        text = target.filled(variables)
+        if target.kind == "path":
+            rows = rates(mined.http, text)
+            assert rows, text
+            assert all({"group", *target.values} <= row.keys() for row in rows)
+        elif panel.kind == "stat":
+            assert any(s.samples for s in query(mined.prometheus.address, text, at_s=end_s)), text
+        else:
+            found = query_range(
+                mined.prometheus.address, text, start_s=mined.began_s, end_s=end_s, step_s=1
+            )
+            assert any(series.samples for series in found), text
+
+
+def test_no_rule_fails_on_the_real_series(mined: Watched) -> None:
+    assert mined.prometheus.rules_with_errors() == []
+
+
+def test_a_wrong_expression_is_not_taken_for_one_without_data(mined: Watched) -> None:
+    with pytest.raises(AnswerError, match="400"):
+        query(mined.prometheus.address, "sum (", at_s=time.time())
+
+
+@pytest.mark.parametrize(
+    "alert",
+    ["CounterpointLogsRefused", "CounterpointTruncatedLogs", "CounterpointDamagedChunks"],
+)
+def test_what_is_wrong_with_logs_is_told(mined: Watched, alert: str) -> None:
+    mined.prometheus.until_firing(alert)
+
+
+def test_a_healthy_system_is_not_said_to_be_down(mined: Watched) -> None:
+    assert not mined.prometheus.firing().keys() & {
+        "CounterpointDown",
+        "CounterpointWorkerDown",
+        "CounterpointDatabaseSilent",
+        "CounterpointDatabaseErrors",
+        "CounterpointBucketErrors",
+        "CounterpointBucketNotListed",
+        "CounterpointWorkersMissing",
+        "CounterpointWorkParked",
+    }
+
+
+def test_a_bucket_that_is_gone_is_told(mined: Watched) -> None:
+    away = mined.bucket.rename(mined.bucket.with_name("away"))
+    try:
+        mined.prometheus.until_firing("CounterpointBucketErrors")
+    finally:
+        away.rename(mined.bucket)
+
+
+def test_a_database_that_is_held_by_another_is_told(mined: Watched) -> None:
+    with sqlite3.connect(mined.state / DATABASE_NAME, isolation_level=None) as held:
+        held.execute("BEGIN IMMEDIATE")
+        try:
+            mined.prometheus.until_firing("CounterpointDatabaseErrors")
+        finally:
+            held.execute("ROLLBACK")
+    held.close()
+
+
+def test_workers_without_a_router_are_told(mined: Watched) -> None:
+    mined.system.router.kill()
+    try:
+        mined.prometheus.until_firing("CounterpointWorkersDisconnected")
+    finally:
+        mined.system.router.start()
+    until(
+        "the workers are back",
+        lambda: "CounterpointWorkersDisconnected" not in mined.prometheus.firing(),
+    )
+
+
+def test_workers_that_die_over_a_shard_are_told_and_so_is_the_shard_that_is_parked(
+    mined: Watched,
+) -> None:
+    street_log(mined.bucket / "car-2" / "2026-03-02" / "late.mcap", frames=200, vehicle="car-2")
+    until("a lease is out", lambda: "counterpoint_leases_held 0" not in metrics(mined))
+    mined.system.pool.kill()
+    mined.prometheus.until_firing("CounterpointWorkerDown")
+    mined.prometheus.until_firing("CounterpointWorkParked")
+
+
+def test_a_service_that_is_gone_is_told(mined: Watched) -> None:
+    mined.system.service.kill()
+    mined.prometheus.until_firing("CounterpointDown")
+
+
+def metrics(watched: Watched) -> str:
+    return get(watched.http, "/metrics")

@@ -1,0 +1,270 @@
+"""Listings of a bucket that fails, fills, and is suddenly empty."""
+
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
+from urllib.parse import parse_qs, urlsplit
+
+import pytest
+import structlog.testing
+
+from schemas.bucket import Bucket, open_bucket
+from schemas.errors import BucketRefusedError, BucketUnreachableError
+from service.bucket_watch import RESUME_WITHIN_S, BucketWatch
+from service.store.engine import open_store
+from tests.contracts.ledger_world import Clock, World
+
+
+@pytest.fixture
+def world(tmp_path: Path) -> Iterator[World]:
+    folder = tmp_path / "state"
+    folder.mkdir()
+    store = open_store(folder)
+    yield World.on(store)
+    store.close()
+
+
+class PagedStore:
+    """An S3 store as far as listing goes, in pages, that refuses when told to."""
+
+    PAGE = 1000
+
+    def __init__(self, keys: list[str]) -> None:
+        self.keys = sorted(keys)
+        self.pages_left: int | None = None
+        """Pages before it refuses; None: it never does."""
+        self.asked_after: list[str] = []
+        """Where each listing began."""
+        store = self
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                query = {
+                    name: value[0] for name, value in parse_qs(urlsplit(self.path).query).items()
+                }
+                body = store.page(query)
+                self.send_response(200 if body else 403)
+                self.send_header("Content-Length", str(len(body)))
+                self.end_headers()
+                self.wfile.write(body)
+
+            def log_message(self, *args: object) -> None:
+                del args
+
+        self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+
+    def page(self, query: dict[str, str]) -> bytes:
+        after = query.get("continuation-token", query.get("start-after", ""))
+        if "continuation-token" not in query:
+            self.asked_after.append(after)
+        if self.pages_left is not None:
+            if self.pages_left == 0:
+                return b""
+            self.pages_left -= 1
+        rest = [key for key in self.keys if key > after]
+        page = rest[: self.PAGE]
+        contents = "".join(
+            f"<Contents><Key>{key}</Key><Size>7</Size><ETag>e</ETag>"
+            "<LastModified>2026-01-01T00:00:00Z</LastModified></Contents>"
+            for key in page
+        )
+        more = len(rest) > len(page)
+        token = f"<NextContinuationToken>{page[-1]}</NextContinuationToken>" if more else ""
+        truncated = f"<IsTruncated>{str(more).lower()}</IsTruncated>"
+        return f"<ListBucketResult>{truncated}{token}{contents}</ListBucketResult>".encode()
+
+    def bucket(self) -> Bucket:
+        options = {
+            "endpoint": f"http://127.0.0.1:{self.server.server_address[1]}",
+            "access_key_id": "id",
+            "secret_access_key": "key",
+            "region": "us-east-1",
+        }
+        return open_bucket("s3://logs", options=options)
+
+
+@pytest.fixture
+def paged() -> Iterator[PagedStore]:
+    store = PagedStore([f"car/day/log-{number:05d}.mcap" for number in range(10_000)])
+    thread = Thread(target=store.server.serve_forever, kwargs={"poll_interval": 0.01})
+    thread.start()
+    yield store
+    store.server.shutdown()
+    store.server.server_close()
+    thread.join()
+
+
+def memory(*keys: str) -> Bucket:
+    bucket = open_bucket("memory://")
+    for key in keys:
+        bucket.put(key, b"1234567")
+    return bucket
+
+
+def log_ids(world: World) -> list[str]:
+    return [log.log_id for log in world.ledger.status().logs]
+
+
+def test_a_listing_tells_what_it_saw_and_when(world: World) -> None:
+    watch = BucketWatch(memory("a.mcap", "b_0.mcap", "b_1.mcap", "notes.txt"), world.ledger)
+    assert (watch.seen.last_success_s, watch.recordings, watch.listed_at_s) == (None, None, None)
+    assert watch.list_once().new == ("a", "b")
+    seen = watch.seen
+    assert (seen.recordings, seen.objects, seen.bytes) == (2, 3, 21)
+    assert (seen.last_success_s, watch.recordings) == (world.clock.now_s, 2)
+    assert seen.duration_s > 0
+    assert watch.listed_at_s is not None
+
+
+@pytest.mark.parametrize(
+    ("include", "exclude", "found"),
+    [
+        ((), (), ["bus/1/a", "bus/2/a", "car/1/a"]),
+        (("bus/*",), (), ["bus/1/a", "bus/2/a"]),
+        (("car/*", "*/2/*"), (), ["bus/2/a", "car/1/a"]),
+        ((), ("*/1/*",), ["bus/2/a"]),
+        (("bus/*",), ("bus/2/*", "none"), ["bus/1/a"]),
+        (("bus",), (), []),
+        (("BUS/*",), (), []),
+    ],
+)
+def test_patterns_choose_by_the_whole_key(
+    world: World, include: tuple[str, ...], exclude: tuple[str, ...], found: list[str]
+) -> None:
+    bucket = memory("bus/1/a.mcap", "bus/2/a.mcap", "car/1/a.mcap")
+    watch = BucketWatch(bucket, world.ledger, include=include, exclude=exclude)
+    watch.list_once()
+    assert log_ids(world) == found
+
+
+def test_a_listing_that_breaks_off_goes_on_after_the_last_key(
+    world: World, paged: PagedStore
+) -> None:
+    watch = BucketWatch(paged.bucket(), world.ledger)
+    paged.pages_left = 3
+    with pytest.raises(BucketRefusedError, match="refuses these credentials"):
+        watch.list_once()
+    assert log_ids(world) == []
+    with pytest.raises(BucketRefusedError):
+        watch.list_once()
+    paged.pages_left = None
+    assert len(watch.list_once().new) == 10_000
+    assert paged.asked_after == ["", "car/day/log-02999.mcap", "car/day/log-02999.mcap"]
+    assert (watch.seen.objects, watch.seen.bytes) == (10_000, 70_000)
+    assert watch.seen.errors == {"unreachable": 0, "refused": 2}
+    assert watch.list_once() == type(watch.list_once())()
+    assert paged.asked_after[3:] == ["", ""]
+
+
+def test_a_listing_that_shows_nothing_new_still_takes_up_what_seemed_to_change(
+    world: World,
+) -> None:
+    watch = BucketWatch(memory("a.mcap"), world.ledger)
+    watch.list_once()
+    assert world.fail(world.plan_lease(), replaced=True).ok
+    assert world.ledger.stale_logs() == ["a"]
+    world.clock.now_s += 10
+    watch.list_once()
+    assert world.ledger.stale_logs() == []
+    assert watch.seen.last_success_s == world.clock.now_s
+
+
+def test_a_listing_that_broke_off_long_ago_begins_anew(world: World, paged: PagedStore) -> None:
+    clock = Clock()
+    watch = BucketWatch(paged.bucket(), world.ledger, elapsed_s=clock)
+    paged.pages_left = 3
+    with pytest.raises(BucketRefusedError):
+        watch.list_once()
+    clock.now_s += RESUME_WITHIN_S + 1
+    paged.pages_left, paged.keys = None, paged.keys[5:15]
+    watch.list_once()
+    assert paged.asked_after == ["", ""]
+    assert watch.seen.objects == 10
+
+
+def test_an_error_in_mid_run_leaves_what_was_seen(world: World, tmp_path: Path) -> None:
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    (folder / "a.mcap").write_bytes(b"x")
+    watch = BucketWatch(open_bucket(str(folder)), world.ledger)
+    watch.list_once()
+    before = watch.seen
+    folder.rename(tmp_path / "elsewhere")
+    with pytest.raises(BucketUnreachableError, match="is its disk mounted"):
+        watch.list_once()
+    assert watch.seen.errors == {"unreachable": 1, "refused": 0}
+    assert watch.seen.last_success_s == before.last_success_s
+    assert log_ids(world) == ["a"]
+
+
+def test_a_bucket_that_is_suddenly_empty_is_believed_when_it_stays_so(
+    world: World, tmp_path: Path
+) -> None:
+    log = tmp_path / "logs" / "a.mcap"
+    log.parent.mkdir()
+    log.write_bytes(b"x")
+    clock = Clock()
+
+    def watching() -> BucketWatch:
+        bucket = open_bucket(str(log.parent))
+        return BucketWatch(bucket, world.ledger, settle_s=30.0, elapsed_s=clock)
+
+    watch = watching()
+    watch.list_once()
+    log.unlink()
+    watch = watching()  # a service that was started meanwhile knows it from the ledger
+    with structlog.testing.capture_logs() as said:
+        for _ in range(3):
+            assert watch.list_once().deleted == ()
+            clock.now_s += 10
+        assert watch.seen.recordings == 0
+        assert log_ids(world) == ["a"]
+        assert watch.list_once().deleted == ("a",)
+        watch.list_once()
+        log.write_bytes(b"x")
+        assert watch.list_once().new == ("a",)
+    events = [entry["event"] for entry in said]
+    assert [event for event in events if "empty" in event or "again" in event] == [
+        "bucket is suddenly empty; is its disk mounted? logs are kept for now",
+        "bucket stays empty: its logs count as deleted",
+        "bucket holds logs again",
+    ]
+
+
+def test_a_disk_that_is_mounted_again_costs_nothing(world: World, tmp_path: Path) -> None:
+    log = tmp_path / "logs" / "a.mcap"
+    log.parent.mkdir()
+    log.write_bytes(b"x")
+    clock = Clock()
+    bucket = open_bucket(str(log.parent))
+    watch = BucketWatch(bucket, world.ledger, settle_s=30.0, elapsed_s=clock)
+    watch.list_once()
+    world.mine_all()
+    newest = world.ledger.last_seq()
+    aside = log.rename(tmp_path / "a.mcap")
+    for _ in range(5):  # each time shorter than it takes to be believed
+        watch.list_once()
+        clock.now_s += 20
+        aside.rename(log)
+        watch.list_once()
+        log.rename(aside)
+    assert world.ledger.last_seq() == newest
+
+
+def test_a_listing_of_once_believes_an_empty_bucket(world: World, tmp_path: Path) -> None:
+    log = tmp_path / "logs" / "a.mcap"
+    log.parent.mkdir()
+    log.write_bytes(b"x")
+    bucket = open_bucket(str(log.parent))
+    BucketWatch(bucket, world.ledger).list_once()
+    log.unlink()
+    assert BucketWatch(bucket, world.ledger).list_once().deleted == ("a",)
+
+
+def test_a_bucket_that_was_never_filled_is_empty_at_once(world: World) -> None:
+    watch = BucketWatch(memory(), world.ledger, settle_s=30.0)
+    with structlog.testing.capture_logs() as said:
+        watch.list_once()
+        watch.list_once()
+    assert [entry["event"] for entry in said] == ["no logs in the bucket"]

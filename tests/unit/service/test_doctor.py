@@ -1,0 +1,195 @@
+"""The doctor looks at the real thing, and says what to mend."""
+
+import json
+import os
+import socket
+import sqlite3
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from schemas.bus import client_session, free_endpoint, router_session
+from service import doctor_machine, doctor_network, doctor_stores
+from service.cli.main import main
+from service.config import Settings, load_settings, read_settings
+from service.doctor import Finding, examine
+from service.state import StateLock
+from service.store.engine import DATABASE_NAME, open_store
+from tests.contracts.ledger_world import World
+from tests.tiny_logs import Recorder, drive
+
+
+@pytest.fixture(autouse=True)
+def _no_settings_from_outside(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for name in [name for name in os.environ if name.startswith("COUNTERPOINT_")]:
+        monkeypatch.delenv(name)
+    monkeypatch.chdir(tmp_path)
+
+
+def settings(**flags: Any) -> Settings:
+    given: dict[str, Any] = {"http_listen": "", "worker_http_listen": ""}
+    return load_settings(**given | flags)
+
+
+def told(findings: Iterator[Finding]) -> list[tuple[str, str]]:
+    return [(finding.verdict, finding.says) for finding in findings]
+
+
+def a_log() -> Path:
+    log = Path("logs/car-7/today/drive.mcap")
+    log.parent.mkdir(parents=True)
+    log.write_bytes(Recorder().write(drive(1)))
+    return log
+
+
+def test_a_bucket_is_listed_and_read_and_nothing_is_written_to_it() -> None:
+    log = a_log()
+    before = sorted(Path("logs").rglob("*"))
+    (_, lists), (verdict, reads) = told(doctor_stores.bucket(settings(bucket="logs")))
+    assert lists.startswith("1 logs, ")
+    assert (verdict, reads) == ("ok", "byte ranges can be read (car-7/today/drive.mcap)")
+    assert sorted(Path("logs").rglob("*")) == before
+    log.write_bytes(b"something else entirely")
+    assert "does not begin like" in told(doctor_stores.bucket(settings(bucket="logs")))[1][1]
+
+
+def test_a_bucket_without_a_log_that_counts_is_a_warning() -> None:
+    a_log()
+    (finding,) = told(doctor_stores.bucket(settings(bucket="logs", include="bus-*")))
+    assert finding == (
+        "warning",
+        "lists, but no .mcap log in it counts; include: bus-*, exclude: none",
+    )
+
+
+def test_artifacts_are_written_and_read_and_left_as_they_were() -> None:
+    Path("overlays").mkdir()
+    ((verdict, says),) = told(doctor_stores.artifacts(settings(artifacts="overlays")))
+    assert verdict == "ok"
+    assert says.startswith("can be written and read (file:///")
+    assert list(Path("overlays").iterdir()) == []
+
+
+def test_artifacts_in_the_log_bucket_are_a_problem() -> None:
+    a_log()
+    ((verdict, _),) = told(doctor_stores.artifacts(settings(artifacts="logs", bucket="./logs/")))
+    assert verdict == "problem"
+
+
+def test_a_state_that_does_not_exist_is_not_made() -> None:
+    findings = told(doctor_stores.state(settings(state=Path("deep/state"))))
+    assert findings[0] == ("ok", f"will be made ({Path('deep/state').absolute()})")
+    assert not Path("deep").exists()
+
+
+def test_a_state_that_cannot_be_written_is_a_problem() -> None:
+    # Nobody can make files in /proc, not even root, for whom permissions mean nothing.
+    ((verdict, says),) = told(doctor_stores.state(settings(state=Path("/proc/1"))))
+    assert verdict == "problem"
+    assert "mend its permissions" in says
+
+
+def test_whoever_holds_the_state_is_named() -> None:
+    with StateLock(Path.cwd(), endpoint="tcp/127.0.0.1:7447"):
+        findings = told(doctor_stores.state(settings(state=Path.cwd())))
+    assert findings[-1] == ("ok", "a service holds it, at tcp/127.0.0.1:7447")
+
+
+def test_the_file_system_of_a_folder_is_that_of_the_innermost_mount(tmp_path: Path) -> None:
+    mounts = tmp_path / "mountinfo"
+    mounts.write_text(
+        "22 1 0:20 / / rw - ext4 /dev/sda rw\n"
+        f"23 22 0:21 / {tmp_path}/far\\040away rw,relatime shared:1 - nfs4 host:/x rw\n"
+    )
+    assert doctor_stores.file_system_of(tmp_path / "far away" / "state", mounts) == "nfs4"
+    assert doctor_stores.file_system_of(tmp_path / "near", mounts) == "ext4"
+
+
+def test_a_database_of_an_older_version_is_only_a_warning() -> None:
+    open_store(Path.cwd()).close()
+    here = settings(state=Path.cwd())
+    assert told(doctor_stores.database(here))[0][0] == "ok"
+    with closing(sqlite3.connect(DATABASE_NAME)) as connection, connection:
+        connection.execute("DELETE FROM schema_version WHERE version > 1")
+    ((verdict, says),) = told(doctor_stores.database(here))
+    assert verdict == "warning"
+    assert "bring it up to date" in says
+
+
+def test_what_is_no_database_and_what_does_not_answer_are_problems() -> None:
+    Path(DATABASE_NAME).write_bytes(b"no database at all, whatever its name says" * 100)
+    read = read_settings(state=Path.cwd(), bucket="nowhere", connect="tcp/127.0.0.1:9")
+    problems = {}
+    for finding in examine(read):
+        if finding.verdict == "problem":
+            problems[finding.what] = finding.says
+        if finding.what == "http":
+            break
+    assert "does not exist" in problems["bucket"]
+    assert "not a database, or a damaged one" in problems["database"]
+    assert "no router at tcp/127.0.0.1:9" in problems["router"]
+
+
+def test_a_router_without_a_service_is_a_warning() -> None:
+    endpoint = free_endpoint()
+    with router_session([endpoint]), client_session([endpoint]):
+        (router, (verdict, says)) = told(doctor_network.router(settings(connect=endpoint)))
+    assert router == ("ok", f"answers at {endpoint}")
+    assert verdict == "warning"
+    assert "none answers under 'counterpoint'" in says
+
+
+def test_a_port_that_is_taken_is_named() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        listen = f"127.0.0.1:{taken.getsockname()[1]}"
+        findings = told(doctor_network.http(settings(http_listen=listen)))
+    assert findings[0][0] == "problem"
+    assert findings[0][1].startswith(f"cannot listen on {listen}: ")
+    assert findings[1] == ("ok", "worker_http_listen is empty: nothing is served")
+    assert told(doctor_network.http(settings(http_listen=listen)))[0][0] == "ok"
+    assert told(doctor_network.http(settings(http_listen="here")))[0][0] == "problem"
+
+
+def test_more_workers_than_processors_are_a_warning() -> None:
+    finding = next(doctor_machine.devices(settings(workers=256)))
+    assert finding.verdict == "warning"
+    assert next(doctor_machine.devices(settings(workers=1))).verdict == "ok"
+
+
+def test_a_clock_that_was_set_back_is_a_problem() -> None:
+    here = settings(state=Path.cwd())
+    with closing(open_store(Path.cwd())) as store:
+        world = World.on(store)
+        world.clock.now_s = time.clock_gettime(time.CLOCK_REALTIME)
+        world.listed("drive")
+        world.plan_all()
+        assert world.commit_shard(world.mine_lease()).ok
+        assert told(doctor_machine.clock(here))[0][0] == "ok"
+        world.clock.now_s += 7200
+        assert world.commit_shard(world.mine_lease()).ok
+    ((verdict, says),) = told(doctor_machine.clock(here))
+    assert verdict == "problem"
+    assert "the clock was set back" in says
+
+
+def test_without_the_extra_the_workers_part_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor_machine, "NEEDED", ("no_such_module_of_ours",))
+    ((verdict, says),) = told(doctor_machine.parts(settings()))
+    assert verdict == "warning"
+    assert "pip install 'counterpoint[workers]'" in says
+
+
+def test_the_verb_ends_with_one_when_there_is_a_problem(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(doctor_machine, "find_spec", lambda _: None)  # loading them takes seconds
+    assert main(["doctor", "--bucket", "nowhere", "--json"]) == 1
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert {row["what"] for row in rows} >= {"settings", "bucket", "state", "clock", "devices"}
+    a_log()
+    assert main(["doctor", "--bucket", "logs"]) == 0
+    assert "problems: 0" in capsys.readouterr().err

@@ -1,0 +1,112 @@
+"""What workers count: every series there from the start, labels closed, sums that outlive them."""
+
+import multiprocessing
+from pathlib import Path
+
+import pytest
+from prometheus_client import CollectorRegistry
+
+from schemas.frame import OdometryState
+from schemas.work import LogPlan, MiningStats
+from workers.metrics import PoolMetrics, WorkerMetrics
+from workers.pool.shared_metrics import FILE_BYTES, SharedMetrics, count_in
+
+MOST_SERIES = 300
+
+
+def value(registry: CollectorRegistry, name: str, **labels: str) -> float | None:
+    return registry.get_sample_value(f"counterpoint_worker_{name}", labels)
+
+
+def test_every_series_is_there_before_anything_happened() -> None:
+    metrics = WorkerMetrics()
+    PoolMetrics(metrics.registry)
+    families = list(metrics.registry.collect())
+    samples = [sample for family in families for sample in family.samples]
+    assert all(family.name.startswith("counterpoint_worker_") for family in families)
+    assert all(family.samples for family in families), "a rate needs a zero to rise from"
+    assert all(sample.value == 0 for sample in samples if not sample.name.endswith("_created"))
+    assert len(samples) < MOST_SERIES
+
+
+def test_every_help_is_a_sentence() -> None:
+    metrics = WorkerMetrics()
+    PoolMetrics(metrics.registry)
+    for family in metrics.registry.collect():
+        assert family.documentation.endswith("."), family.name
+
+
+def test_a_shard_is_counted_by_what_it_took_and_found() -> None:
+    metrics = WorkerMetrics()
+    stats = MiningStats(
+        frames=20, bytes_read=110, bytes_needed=100, range_reads=3, peak_memory_bytes=7
+    )
+    health = {OdometryState.HEALTHY: 18, OdometryState.LOST: 2}
+    metrics.mined(stats, scenes=1, damaged=4, odometry_frames=health)
+    metrics.shard_committed({"supervised": 3.0, "committing": 0.01}, seconds=9.0)
+    metrics.shard_ended("committed")
+    registry = metrics.registry
+    assert value(registry, "frames_total") == 20
+    assert value(registry, "scenes_total") == 1
+    assert value(registry, "damaged_chunks_total") == 4
+    assert value(registry, "bytes_read_total", work="mine") == 110
+    assert value(registry, "bytes_read_total", work="plan") == 0
+    assert value(registry, "bytes_needed_total") == 100
+    assert value(registry, "odometry_frames_total", state="lost") == 2
+    assert value(registry, "odometry_frames_total", state="degraded") == 0
+    assert value(registry, "stage_seconds_sum", stage="supervised") == 3.0
+    assert value(registry, "shard_seconds_bucket", le="10.0") == 1
+    assert value(registry, "shards_total", outcome="committed") == 1
+    assert value(registry, "peak_memory_bytes") == 7
+
+
+def _work(folder: Path, place: int) -> None:
+    """What a worker process does: at work on a shard when it dies, after one that it finished."""
+    count_in(folder, place)
+    metrics = WorkerMetrics()
+    metrics.planned(LogPlan(log_id="a", range_reads=5), truncated_parts=1)
+    metrics.shard_committed({"odometry": 2.0}, seconds=4.0)
+    metrics.shard_ended("committed")
+    metrics.router_seen(True)
+    metrics.lease_began()
+
+
+def work_in_a_process(folder: Path, place: int) -> None:
+    process = multiprocessing.get_context("fork").Process(target=_work, args=(folder, place))
+    process.start()
+    process.join()
+    assert process.exitcode == 0
+
+
+@pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+def test_counts_go_on_over_restarts_gauges_of_the_dead_vanish_and_files_stay_few(
+    tmp_path: Path,
+) -> None:
+    shared = SharedMetrics(tmp_path, places=2)
+    files = sorted(path.name for path in tmp_path.iterdir())
+    work_in_a_process(tmp_path, 0)
+    work_in_a_process(tmp_path, 1)
+    assert value(shared.registry, "shards_total", outcome="committed") == 2
+    assert value(shared.registry, "busy") == 2
+    shared.forget_gauges(0)
+    assert value(shared.registry, "busy") == 1
+    assert value(shared.registry, "connected") == 1
+    for _ in range(3):
+        work_in_a_process(tmp_path, 0)
+        shared.forget_gauges(0)
+    work_in_a_process(tmp_path, 0)
+    assert value(shared.registry, "shards_total", outcome="committed") == 6
+    assert value(shared.registry, "stage_seconds_count", stage="odometry") == 6
+    assert value(shared.registry, "range_reads_total", work="plan") == 30
+    assert value(shared.registry, "busy") == 2
+    assert sorted(path.name for path in tmp_path.iterdir()) == files
+    assert {path.stat().st_size for path in tmp_path.iterdir()} == {FILE_BYTES}, "none outgrew it"
+
+
+def test_every_kind_of_file_that_the_metrics_need_was_given_its_room(tmp_path: Path) -> None:
+    made, needed = tmp_path / "made", tmp_path / "needed"
+    made.mkdir()
+    needed.mkdir()
+    SharedMetrics(made, places=1)
+    work_in_a_process(needed, 0)
+    assert {path.name for path in needed.iterdir()} == {path.name for path in made.iterdir()}

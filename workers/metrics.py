@@ -1,0 +1,314 @@
+"""Every metric of the workers and of their pool, with its labels and when to worry."""
+
+from collections.abc import Mapping
+from itertools import product
+from typing import Final, Literal, TypeVar, get_args
+
+from prometheus_client import (
+    CollectorRegistry,
+    Counter,
+    Gauge,
+    Histogram,
+    disable_created_metrics,
+)
+
+from schemas.frame import OdometryState
+from schemas.work import LogPlan, MiningStats
+from workers.stages import Stage
+
+NAMESPACE: Final = "counterpoint"
+SUBSYSTEM: Final = "worker"
+
+ShardOutcome = Literal["committed", "failed", "lost", "given_back", "replaced", "store_away"]
+"""How work on a shard ended: committed; the attempt failed; the lease went to another; handed back
+at a stop; its object was replaced; a store was away, or refused everything."""
+
+PlanOutcome = Literal[
+    "committed", "refused", "growing", "failed", "lost", "given_back", "replaced", "store_away"
+]
+"""As of shards; refused: committed as a log that cannot be mined; growing: not yet whole."""
+
+Work = Literal["plan", "mine"]
+Store = Literal["bucket", "artifacts"]
+StoreError = Literal["unreachable", "refused"]
+Death = Literal["crashed", "stuck", "unready", "gave_up", "stopped"]
+"""Why a worker process ended unasked by its pool: a crash or kill; too long on one lease; what it
+needs was not there at its start; it cannot do what the service asks; someone else told it to."""
+
+SHARD_BUCKETS_S: Final = (0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 20.0, 40.0, 80.0, 160.0)
+"""Around the 20 s of lidar that a shard holds by default."""
+
+Metric = TypeVar("Metric", Counter, Gauge, Histogram)
+
+
+class WorkerMetrics:
+    """What one worker counts; a pool serves the sum over its workers.
+
+    Everything here counts attempts: a shard that is mined twice counts twice. What counts each
+    scene once is the service's.
+    """
+
+    def __init__(self, registry: CollectorRegistry | None = None) -> None:
+        """Make every series at once, so that each is there from the first scrape on.
+
+        Args:
+            registry: Where to register; by default one of its own.
+        """
+        self.registry = registry or CollectorRegistry()
+        self._shards = self._counter(
+            "shards",
+            "Shards whose lease ended here, by how. Worry when `failed` grows: the ledger "
+            "names log and error. `store_away` costs no attempt.",
+            outcome=get_args(ShardOutcome),
+        )
+        self._plans = self._counter(
+            "plans",
+            "Logs whose planning lease ended here, by how. `growing` is an upload in progress; "
+            "worry when one log stays so for longer than an upload takes.",
+            outcome=get_args(PlanOutcome),
+        )
+        self._frames = self._counter(
+            "frames",
+            "Lidar frames mined, warm-up excluded, attempts included. Worry when its rate is 0 "
+            "while work is queued.",
+        )
+        self._scenes = self._counter(
+            "scenes", "Scenes mined and published, attempts included: retries count again."
+        )
+        self._odometry_frames = self._counter(
+            "odometry_frames",
+            "Mined frames by how far their pose may be trusted. Worry when more than a tenth are "
+            "not healthy: degraded poses lower a scene's score, lost ones void it.",
+            state=tuple(OdometryState),
+        )
+        self._damaged_chunks = self._counter(
+            "damaged_chunks",
+            "Stretches of logs, mostly one chunk each, that could not be read. Worry when it grows "
+            "steadily: a recorder or an upload loses data.",
+        )
+        self._truncated_parts = self._counter(
+            "truncated_parts",
+            "Objects that end without a valid footer, planned as far as they go. Worry when it "
+            "grows steadily: uploads break off, or recorders are cut off.",
+        )
+        self._bytes_read = self._counter(
+            "bytes_read", "Bytes read from the log bucket, to plan or to mine.", work=get_args(Work)
+        )
+        self._bytes_needed = self._counter(
+            "bytes_needed",
+            "Stored bytes of the chunks that hold mined frames. Worry when bytes read to mine "
+            "exceed twice this: shards are too short for these logs.",
+        )
+        self._range_reads = self._counter(
+            "range_reads", "Requests to the log bucket, to plan or to mine.", work=get_args(Work)
+        )
+        self._store_errors = self._counter(
+            "store_errors",
+            "Leases given up because a store did not answer, or refused. Worry when it grows for "
+            "minutes: unreachable is the network or the store, refused is credentials.",
+            store=get_args(Store),
+            kind=get_args(StoreError),
+        )
+        self._renewals_failed = self._counter(
+            "lease_renewals_failed",
+            "Renewals of leases that got no answer. Worry when it grows steadily: two in a row may "
+            "cost the lease, and the shard is mined again.",
+        )
+        self._stage_seconds = self._histogram(
+            "stage_seconds",
+            "Time of one stage over one shard. Worry when the stages together exceed what a shard "
+            "lasts: then one worker falls behind one car.",
+            stage=get_args(Stage),
+        )
+        self._shard_seconds = self._histogram(
+            "shard_seconds",
+            "Time from lease to commit of one shard. Worry when it comes near shard_deadline_s.",
+        )
+        self._plan_seconds = self._histogram(
+            "plan_seconds",
+            "Time from lease to commit of one plan. Worry above 10 s: the log has no usable index, "
+            "or the bucket is slow.",
+        )
+        self._connected = self._gauge(
+            "connected",
+            "Workers that have a router now. Worry when below the processes alive for a minute.",
+            mode="livesum",
+        )
+        self._busy = self._gauge(
+            "busy",
+            "Workers at work on a lease now. Worry when it is 0 while work is queued.",
+            mode="livesum",
+        )
+        self._waiting = self._gauge(
+            "waiting_for_store",
+            "Workers that claim nothing until this store works again. Worry when above 0 for "
+            "minutes.",
+            mode="livesum",
+            store=get_args(Store),
+        )
+        self._peak_memory = self._gauge(
+            "peak_memory_bytes",
+            "Most memory that any worker process alive has held. Worry near the memory of the "
+            "machine divided by its workers.",
+            mode="livemax",
+        )
+
+    def lease_began(self) -> None:
+        """A worker is at work."""
+        self._busy.set(1)
+
+    def lease_ended(self) -> None:
+        """It no longer is."""
+        self._busy.set(0)
+
+    def shard_ended(self, outcome: ShardOutcome) -> None:
+        """Count a shard's lease that is over."""
+        self._shards.labels(outcome).inc()
+
+    def plan_ended(self, outcome: PlanOutcome) -> None:
+        """Count a plan's lease that is over."""
+        self._plans.labels(outcome).inc()
+
+    def planned(self, plan: LogPlan, *, truncated_parts: int) -> None:
+        """Count what planning took and found."""
+        self._bytes_read.labels("plan").inc(plan.bytes_read)
+        self._range_reads.labels("plan").inc(plan.range_reads)
+        self._damaged_chunks.inc(len(plan.damage))
+        self._truncated_parts.inc(truncated_parts)
+
+    def plan_committed(self, seconds: float) -> None:
+        """Note how long a plan took, from lease to commit."""
+        self._plan_seconds.observe(seconds)
+
+    def mined(
+        self,
+        stats: MiningStats,
+        *,
+        scenes: int,
+        damaged: int,
+        odometry_frames: Mapping[OdometryState, int],
+    ) -> None:
+        """Count what one attempt at a shard took and found, whether it will be committed or not.
+
+        Args:
+            stats: Sums over the attempt.
+            scenes: How many were published.
+            damaged: Stretches that could not be read.
+            odometry_frames: Frames by the health of their pose.
+        """
+        self._frames.inc(stats.frames)
+        self._scenes.inc(scenes)
+        self._damaged_chunks.inc(damaged)
+        self._bytes_read.labels("mine").inc(stats.bytes_read)
+        self._bytes_needed.inc(stats.bytes_needed)
+        self._range_reads.labels("mine").inc(stats.range_reads)
+        self._peak_memory.set(stats.peak_memory_bytes)
+        for state, frames in odometry_frames.items():
+            self._odometry_frames.labels(state.value).inc(frames)
+
+    def shard_committed(self, stage_s: Mapping[Stage, float], *, seconds: float) -> None:
+        """Note how long a shard took, by stage and from lease to commit."""
+        for stage, spent_s in stage_s.items():
+            self._stage_seconds.labels(stage).observe(spent_s)
+        self._shard_seconds.observe(seconds)
+
+    def router_seen(self, connected: bool) -> None:
+        """Note whether this worker has a router now."""
+        self._connected.set(connected)
+
+    def store_failed(self, store: Store, kind: StoreError) -> None:
+        """Count a lease given up because of a store."""
+        self._store_errors.labels(store, kind).inc()
+
+    def waiting_for(self, store: Store, waits: bool) -> None:
+        """Note that a worker waits for a store, or no longer does."""
+        self._waiting.labels(store).set(waits)
+
+    def renewal_failed(self) -> None:
+        """Count a renewal without an answer."""
+        self._renewals_failed.inc()
+
+    def _counter(self, name: str, help_: str, **labels: tuple[str, ...]) -> Counter:
+        return _with_series(
+            Counter(name, help_, list(labels), NAMESPACE, SUBSYSTEM, registry=self.registry), labels
+        )
+
+    def _histogram(self, name: str, help_: str, **labels: tuple[str, ...]) -> Histogram:
+        made = Histogram(
+            name,
+            help_,
+            list(labels),
+            NAMESPACE,
+            SUBSYSTEM,
+            registry=self.registry,
+            buckets=SHARD_BUCKETS_S,
+        )
+        return _with_series(made, labels)
+
+    def _gauge(
+        self,
+        name: str,
+        help_: str,
+        *,
+        mode: Literal["livesum", "livemax"],
+        **labels: tuple[str, ...],
+    ) -> Gauge:
+        made = Gauge(
+            name,
+            help_,
+            list(labels),
+            NAMESPACE,
+            SUBSYSTEM,
+            registry=self.registry,
+            multiprocess_mode=mode,
+        )
+        return _with_series(made, labels)
+
+
+class PoolMetrics:
+    """What the process that keeps workers alive counts of them."""
+
+    def __init__(self, registry: CollectorRegistry) -> None:
+        """Make every series at once."""
+        # a series more for each counter, which nobody reads
+        disable_created_metrics()  # type: ignore[no-untyped-call]  # upstream lacks the types
+        self.wanted = Gauge(
+            "processes_wanted",
+            "Worker processes that this pool keeps alive.",
+            (),
+            NAMESPACE,
+            SUBSYSTEM,
+            registry=registry,
+        )
+        self.alive = Gauge(
+            "processes_alive",
+            "Worker processes that run now. Worry when below those wanted for a minute.",
+            (),
+            NAMESPACE,
+            SUBSYSTEM,
+            registry=registry,
+        )
+        self._deaths = _with_series(
+            Counter(
+                "restarts",
+                "Worker processes that ended unasked, by why; all but `gave_up` are replaced. "
+                "Worry when it grows more than once an hour: `crashed` is often too little memory.",
+                ("cause",),
+                NAMESPACE,
+                SUBSYSTEM,
+                registry=registry,
+            ),
+            {"cause": get_args(Death)},
+        )
+
+    def died(self, cause: Death) -> None:
+        """Count a process that ended unasked."""
+        self._deaths.labels(cause).inc()
+
+
+def _with_series(metric: Metric, labels: Mapping[str, tuple[str, ...]]) -> Metric:
+    """Make the series of every combination of labels: a rate needs a zero to rise from."""
+    if labels:
+        for combination in product(*labels.values()):
+            metric.labels(*combination)
+    return metric

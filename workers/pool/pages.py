@@ -1,0 +1,25 @@
+"""The pages that a pool of workers serves to whoever watches it."""
+
+from collections.abc import Callable, Mapping
+
+from schemas.http_endpoint import Handler, HttpRequest, HttpResponse, metrics_route, text_response
+from workers.pool.local import LocalPool
+
+
+def pool_pages(pool: LocalPool) -> Mapping[str, Handler]:
+    """Return `/metrics`, `/healthz` (it lives) and `/readyz` (a worker could take a lease)."""
+    return {
+        "/metrics": metrics_route(pool.registry),
+        "/healthz": _unless_it_raises(pool.check_alive),
+        "/readyz": _unless_it_raises(pool.check_ready),
+    }
+
+
+def _unless_it_raises(check: Callable[[], None]) -> Handler:
+    """Answer `ok`; what the check raises is answered by the endpoint, as not available."""
+
+    def answer(_request: HttpRequest) -> HttpResponse:
+        check()
+        return text_response("ok")
+
+    return answer
