@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from http.client import HTTPConnection, HTTPException, HTTPResponse
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Final, Literal, Self
-from urllib.parse import urlsplit
+from urllib.parse import unquote, urlsplit
 
 import numpy as np
 
@@ -44,7 +44,7 @@ class FaultyProxy:
         self._shares: dict[Fault, float] = {}
         self._random = np.random.default_rng(seed)
         self._lock = threading.Lock()
-        self._in_mid_body: Callable[[], None] | None = None
+        self._in_mid_body: dict[str, Callable[[], None]] = {}
         self._server = ThreadingHTTPServer(("127.0.0.1", 0), self._handler())
         self._server.daemon_threads = True
         self.endpoint = f"http://127.0.0.1:{self._server.server_port}"
@@ -72,10 +72,10 @@ class FaultyProxy:
         """Let nothing fail any more."""
         self.let_fail({})
 
-    def in_next_body(self, happens: Callable[[], None]) -> None:
-        """Call this once, when half of the next object has been sent, and break off there."""
+    def in_next_body(self, key: str, happens: Callable[[], None]) -> None:
+        """Call this once, when half of the next read of an object is sent, and break off there."""
         with self._lock:
-            self._in_mid_body = happens
+            self._in_mid_body[key] = happens
 
     def _draw(self) -> Fault | None:
         with self._lock:
@@ -93,12 +93,10 @@ class FaultyProxy:
             drawn -= share
         return None
 
-    def _take_happening(self, length: int) -> Callable[[], None] | None:
+    def _take_happening(self, path: str) -> Callable[[], None] | None:
+        key = unquote(urlsplit(path).path).split("/", 2)[-1]
         with self._lock:
-            happens = self._in_mid_body if length > 1 else None
-            if happens is not None:
-                self._in_mid_body = None
-        return happens
+            return self._in_mid_body.pop(key, None)
 
     def _handler(self) -> type[BaseHTTPRequestHandler]:
         proxy = self
@@ -134,8 +132,7 @@ class FaultyProxy:
                     self._reset()  # as if the store's own connection broke
                     return
                 headers = {n: v for n, v in reply.getheaders() if n.lower() not in _HOP}
-                is_object = self.command == "GET" and "etag" in map(str.lower, headers)
-                happens = proxy._take_happening(len(data)) if is_object else None
+                happens = proxy._take_happening(self.path) if self.command == "GET" else None
                 if self.command == "HEAD":
                     headers["Content-Length"] = reply.getheader("Content-Length", "0")
                 self._answer(reply.status, headers, data, truncated=truncated or bool(happens))

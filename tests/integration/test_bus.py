@@ -25,7 +25,7 @@ from schemas.bus import (
     recoverable_subscriber,
     router_session,
 )
-from schemas.errors import BucketRefusedError, PermanentError, TransientError
+from schemas.errors import PermanentError, TransientError
 from schemas.retry import StoppedError
 from schemas.wire import decode, encode
 from schemas.work import Answer, CommitRequest, MineLease, PlanLease
@@ -308,7 +308,7 @@ def test_a_bucket_that_is_gone_withdraws_nothing_and_is_waited_for(running: Runn
     running.service.check()
 
 
-def test_a_bucket_that_refuses_from_now_on_ends_the_service(
+def test_a_bucket_that_refuses_for_a_while_is_waited_out(
     running: Running, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("AWS_ACCESS_KEY_ID", "id")
@@ -330,22 +330,27 @@ def test_a_bucket_that_refuses_from_now_on_ends_the_service(
                 settings=running.settings,
                 list_interval_s=0.1,
             ) as service:
-                until(lambda: _refused(service), "the end of the service")
+                until(lambda: Revoked.listings > LAST_REFUSED, "a listing after the refused ones")
+                service.check()
         finally:
             server.shutdown()
             serving.join()
 
 
+LAST_REFUSED = 3
+
+
 class Revoked(http.server.BaseHTTPRequestHandler):
-    """An S3 server that lists an empty bucket once, and then refuses."""
+    """An S3 server that lists an empty bucket once, refuses twice, and then lists again."""
 
     listings = 0
 
     def do_GET(self) -> None:
         Revoked.listings += 1
         empty = b"<ListBucketResult><Name>fleet</Name></ListBucketResult>"
-        body = empty if Revoked.listings == 1 else b"<Error><Code>AccessDenied</Code></Error>"
-        self.send_response(200 if Revoked.listings == 1 else 403)
+        refuses = 1 < Revoked.listings <= LAST_REFUSED
+        body = b"<Error><Code>AccessDenied</Code></Error>" if refuses else empty
+        self.send_response(403 if refuses else 200)
         self.send_header("Content-Length", str(len(body)))
         self.end_headers()
         self.wfile.write(body)
@@ -487,11 +492,3 @@ def _service_reachable(running: Running) -> bool:
     except TransientError:
         return False
     return True
-
-
-def _refused(service: Service) -> bool:
-    try:
-        service.check()
-    except BucketRefusedError:
-        return True
-    return False

@@ -8,7 +8,7 @@ import pytest
 from tests.integration.bucket_day import FolderHand
 from tests.integration.day_system import Evening, play
 
-pytestmark = [pytest.mark.integration, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.integration, pytest.mark.acceptance, pytest.mark.timeout(900)]
 
 
 def _say(text: str) -> None:

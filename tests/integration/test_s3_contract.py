@@ -6,7 +6,7 @@ from schemas.bucket import Bucket, open_bucket
 from tests.contracts.bucket_contract import BucketContract
 from tests.integration.object_store import Ceph
 
-pytestmark = pytest.mark.integration
+pytestmark = [pytest.mark.integration, pytest.mark.acceptance]
 
 
 class TestS3Bucket(BucketContract):

@@ -19,7 +19,7 @@ from tests.integration.faulty_proxy import FaultyProxy
 from tests.integration.object_store import Ceph
 from tests.integration.running import until
 
-pytestmark = [pytest.mark.integration, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.integration, pytest.mark.acceptance, pytest.mark.timeout(900)]
 
 OBJECTS = 10_000
 PAGES = 10
@@ -69,7 +69,7 @@ def test_a_listing_gives_every_object_once_in_order_and_can_go_on_after_a_key(
     bucket, ordered = ceph.open(many), sorted(KEYS)
     with FaultyProxy(ceph.endpoint) as proxy:
         listed = list(through(proxy, ceph, many).list())
-        assert proxy.requests == PAGES
+        assert PAGES <= proxy.requests <= PAGES + 1, "the last page may be empty"
     assert [found.key for found in listed] == ordered
     assert {found.size for found in listed} == {9}
     for begin in (0, 999, 1000, 5432, OBJECTS - 1):

@@ -14,7 +14,7 @@ from tests.integration.conftest import SHARD_S, SHARDS, Undisturbed, key_of
 from tests.integration.daemons import QUICK
 from tests.integration.object_store import OVERLAYS, READ, Ceph
 
-pytestmark = [pytest.mark.integration, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.integration, pytest.mark.acceptance, pytest.mark.timeout(900)]
 
 
 def counterpoint(*arguments: str, environment: dict[str, str]) -> str:
@@ -53,7 +53,7 @@ def test_a_whole_run_needs_to_read_the_logs_and_to_write_overlays_elsewhere(
     written = {found.key: found.size for found in ceph.open(overlays).list()}
     kept = [key for key, size in written.items() if key.endswith(".overlay") and size]
     assert len(kept) == SHARDS
-    decode_overlay(ceph.open(overlays).read_all(kept[0]))
+    decode_overlay(ceph.open(overlays, user).read_all(kept[0]))  # whose writer owns it
     assert not list((tmp_path / "state").rglob("*.overlay"))
 
 

@@ -25,7 +25,7 @@ from tests.contracts.ledger_world import expected_scenes
 from tests.integration.daemons import Daemon
 from tests.integration.quick_miner import SHARDS_PER_LOG
 
-pytestmark = pytest.mark.integration
+pytestmark = [pytest.mark.integration, pytest.mark.acceptance]
 
 LOG_IDS = [f"log-{number:02d}" for number in range(10)]
 SHARDS = len(LOG_IDS) * SHARDS_PER_LOG
