@@ -13,12 +13,13 @@ from workers.selfsupervised.free_space import Votes
 from workers.selfsupervised.motion import ClusterMotions
 from workers.selfsupervised.neighbours import build_grid, nearest_distances
 from workers.selfsupervised.prepare import MAX_RANGE_M, Prepared
+from workers.selfsupervised.tracker import Tracked
 
 AGREED: Final = 0.95
 """Registration and free space say the same: measured point precision .999 and .965 to .99."""
 
 ALONE: Final = 0.7
-"""Only one of them has an opinion."""
+"""Only one of them has an opinion, or the frames before have."""
 
 GROUND: Final = 0.9
 """Ground does not move; nine in ten points called ground are."""
@@ -43,13 +44,17 @@ def nothing_known(frame: LidarFrame, prepared: Prepared | None = None) -> FrameL
 
 
 def to_labels(
-    frame: LidarFrame, prepared: Prepared, found: ClusterMotions, votes: Votes
+    frame: LidarFrame,
+    prepared: Prepared,
+    found: ClusterMotions,
+    tracked: Tracked,
+    votes: Votes,
 ) -> FrameLabels:
     """Label every point of a frame.
 
-    DYNAMIC: its cluster moves. STATIC: ground, or its cluster fits where it was, or frames of the
-    last second saw something there more often than not. UNKNOWN: no witness, or a motion that
-    free space does not confirm; whatever is invalid, too near, too far or too high.
+    DYNAMIC: its cluster moves, as the frames so far prove. STATIC: ground, or its cluster fits
+    where it was, or frames of the last second saw something there more often than not. UNKNOWN: no
+    witness, or a motion that is not proved; whatever is invalid, too near, too far or too high.
     """
     n = len(frame)
     labels = np.full(n, MotionLabel.UNKNOWN, np.uint8)
@@ -58,7 +63,8 @@ def to_labels(
 
     range_m = np.hypot(prepared.points_m[:, 0], prepared.points_m[:, 1])
     ground = prepared.ground & (range_m > MIN_RANGE_M) & (range_m < MAX_RANGE_M)
-    reattached = _reattached(prepared, found, ground)
+    clusters = found.clusters
+    reattached = _reattached(prepared, clusters.member_mask(tracked.dynamic), ground)
     ground_index = prepared.valid_index[ground & ~reattached]
     labels[ground_index] = MotionLabel.STATIC
     confidence[ground_index] = GROUND
@@ -66,11 +72,11 @@ def to_labels(
     labels[reattached_index] = MotionLabel.DYNAMIC
     confidence[reattached_index] = ALONE
 
-    clusters = found.clusters
-    moves = clusters.member_mask(found.dynamic)
-    both = clusters.member_mask(found.registered & found.seen_through)
-    stands = clusters.member_mask(found.still & ~found.dynamic)
-    was_there = ~moves & (votes.occupied > votes.free) & ~clusters.member_mask(found.unconfirmed)
+    moves = clusters.member_mask(tracked.dynamic)
+    both = moves & clusters.member_mask(found.registered & found.seen_through)
+    stands = clusters.member_mask(found.still & ~found.proved) & ~moves
+    doubted = clusters.member_mask(found.unconfirmed | found.proved)
+    was_there = ~moves & (votes.occupied > votes.free) & ~doubted
     voxel_labels = np.full(len(moves), MotionLabel.UNKNOWN, np.uint8)
     voxel_labels[stands | was_there] = MotionLabel.STATIC
     voxel_labels[moves] = MotionLabel.DYNAMIC
@@ -85,7 +91,7 @@ def to_labels(
 
     ground_mask = np.zeros(n, np.bool_)
     ground_mask[prepared.valid_index[prepared.ground & ~reattached]] = True
-    velocity = np.where(found.dynamic[:, None], found.velocity_m_per_s, 0.0)
+    velocity = np.where(tracked.dynamic[:, None], tracked.velocity_m_per_s, 0.0)
     return FrameLabels(
         labels=labels,
         confidence=confidence,
@@ -95,10 +101,10 @@ def to_labels(
     )
 
 
-def _reattached(prepared: Prepared, found: ClusterMotions, ground: Mask) -> Mask:
+def _reattached(prepared: Prepared, moves: Mask, ground: Mask) -> Mask:
     """Ground points that touch something dynamic; (M,)."""
     touching = np.zeros(len(ground), np.bool_)
-    moving = prepared.voxels.centroids_m[found.clusters.member_mask(found.dynamic)]
+    moving = prepared.voxels.centroids_m[moves]
     asked = np.flatnonzero(ground)
     if len(moving) == 0 or len(asked) == 0:
         return touching

@@ -53,6 +53,12 @@ class Clusters:
         inside = self.of_point[mask]
         return np.bincount(inside[inside >= 0], minlength=len(self))
 
+    def mean(self, values: NDArray[np.generic]) -> NDArray[np.float64]:
+        """(K,) mean of a value over the members of each cluster, of (N,)."""
+        inside = self.of_point >= 0
+        total = np.bincount(self.of_point[inside], values[inside], minlength=len(self))
+        return total / np.maximum(self.sizes, 1)
+
 
 def connected(
     points_m: Points,

@@ -48,7 +48,8 @@ class ClusterMotions:
         seen_through: (K,) free space alone says that it was not there before.
         unconfirmed: (K,) a motion was found that free space does not confirm.
         still: (K,) the cluster fits where it is half a second ago.
-        velocity_m_per_s: (K, 3) over the ground, odom space; zero where none was found.
+        velocity_m_per_s: (K, 3) over the ground, odom space, as registered, confirmed or not.
+        extent_m: (K,) longest horizontal side.
     """
 
     clusters: Clusters
@@ -57,10 +58,11 @@ class ClusterMotions:
     unconfirmed: Mask
     still: Mask
     velocity_m_per_s: NDArray[np.float32]
+    extent_m: NDArray[np.float32]
 
     @property
-    def dynamic(self) -> Mask:
-        """(K,) clusters that at least one witness proves to move."""
+    def proved(self) -> Mask:
+        """(K,) clusters that at least one witness of this frame proves to move."""
         return self.registered | self.seen_through
 
 
@@ -168,6 +170,7 @@ def _joined(
         unconfirmed=both(motions.unconfirmed, part_motions.unconfirmed),
         still=both(fit.still_energy_far < STILL_M, part_fit.still_energy_far < STILL_M),
         velocity_m_per_s=both(motions.velocity_m_per_s, part_motions.velocity_m_per_s),
+        extent_m=both(fit.extent_m, part_fit.extent_m),
     )
 
 
@@ -178,7 +181,7 @@ def _without_strips(points_m: Points, found: ClusterMotions, evidence: Evidence)
     """
     beams_from_odom = evidence.beams_from_odom
     strip = np.zeros(len(found.clusters), np.bool_)
-    for k in np.flatnonzero(found.dynamic):
+    for k in np.flatnonzero(found.proved):
         members = transform(beams_from_odom, points_m[found.clusters.of(int(k))])
         low, high = np.quantile(members[:, 2], [0.03, 0.97])
         away = np.hypot(*members[:, :2].mean(axis=0))
@@ -188,5 +191,5 @@ def _without_strips(points_m: Points, found: ClusterMotions, evidence: Evidence)
         found,
         registered=found.registered & ~strip,
         seen_through=found.seen_through & ~strip,
-        unconfirmed=found.unconfirmed | (strip & found.dynamic),
+        unconfirmed=found.unconfirmed | (strip & found.proved),
     )

@@ -136,3 +136,12 @@ def nearest_distances(grid: PointGrid, points: Points, reach: float) -> NDArray[
         squared, _ = nearest(grid, points[i, 0], points[i, 1], points[i, 2], reach)
         distance[i] = np.sqrt(squared)
     return distance
+
+
+@compiled
+def nearest_indices(grid: PointGrid, points: Points, reach: float) -> NDArray[np.int32]:
+    """Row in `grid.points_m` of each point's nearest neighbour, -1 when none is nearer; (N,)."""
+    index = np.empty(len(points), np.int32)
+    for i in range(len(points)):
+        _, index[i] = nearest(grid, points[i, 0], points[i, 1], points[i, 2], reach)
+    return index

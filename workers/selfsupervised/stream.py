@@ -1,6 +1,7 @@
 """The default self-supervised stream: clusters registered over time, verified by free space."""
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import Final
 
 from schemas.arrays import NS_PER_S
@@ -9,6 +10,7 @@ from schemas.labels import FrameLabels
 from workers.geometry.se3 import inverse
 from workers.selfsupervised.answer import nothing_known, to_labels
 from workers.selfsupervised.deskew import Twist, twist
+from workers.selfsupervised.fragments import fragments_of_movers
 from workers.selfsupervised.free_space import count_votes, visibility
 from workers.selfsupervised.history import (
     FAR_AGE_S,
@@ -20,6 +22,7 @@ from workers.selfsupervised.history import (
 from workers.selfsupervised.motion import find_motions
 from workers.selfsupervised.prepare import Preparation, Prepared
 from workers.selfsupervised.registration import Reference, build_reference
+from workers.selfsupervised.tracker import Tracker
 from workers.selfsupervised.verification import Evidence
 from workers.selfsupervised.versions import version_of
 
@@ -57,6 +60,7 @@ class _Run:
     def __init__(self) -> None:
         self._prepare = Preparation()
         self._history = History()
+        self._tracker = Tracker()
         self._last: PosedFrame | None = None
 
     def label(self, posed: PosedFrame) -> FrameLabels:
@@ -109,7 +113,11 @@ class _Run:
             beams_from_odom=prepared.beams_from_odom,
         )
         found = find_motions(places, _reference(near, now_ns), _reference(far, now_ns), evidence)
-        return to_labels(frame, prepared, found, votes)
+        centre_m = prepared.odom_from_beams[:3, 3]
+        tracked = self._tracker.update(places, found, votes, centre_m=centre_m, now_ns=now_ns)
+        merged = fragments_of_movers(places, found, tracked.dynamic, votes, centre_m=centre_m)
+        tracked = replace(tracked, dynamic=tracked.dynamic | merged)
+        return to_labels(frame, prepared, found, tracked, votes)
 
     def _velocity(self, posed: PosedFrame) -> Twist | None:
         """Twist of the sensor per second; None where two poses in a row cannot be believed."""
@@ -123,6 +131,7 @@ class _Run:
     def _forget(self) -> None:
         """Begin anew: what was before cannot be compared with what comes."""
         self._history.clear()
+        self._tracker.clear()
         self._last = None
 
 

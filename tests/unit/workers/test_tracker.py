@@ -1,0 +1,177 @@
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from workers.selfsupervised.clusters import from_labels
+from workers.selfsupervised.fragments import fragments_of_movers
+from workers.selfsupervised.free_space import Votes
+from workers.selfsupervised.motion import ClusterMotions
+from workers.selfsupervised.tracker import Tracked, Tracker
+
+PERIOD_NS = 100_000_000
+CENTRE_M = np.zeros(3, np.float32)
+
+
+@dataclass(frozen=True)
+class Thing:
+    """A block of voxels, and what one frame finds out about it."""
+
+    at: tuple[float, float]
+    size_m: tuple[float, float, float] = (3.0, 1.5, 1.2)
+    velocity: tuple[float, float] = (0.0, 0.0)
+    proved: bool = False
+    unconfirmed: bool = False
+    still: bool = False
+    occupied: int = 0
+
+
+def voxels_of(thing: Thing) -> NDArray[np.float32]:
+    axes = [np.arange(0.0, side, 0.3) for side in thing.size_m]
+    block = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    placed: NDArray[np.float32] = (block + np.array([*thing.at, 0.0])).astype(np.float32)
+    return placed
+
+
+def world(*things: Thing) -> tuple[NDArray[np.float32], ClusterMotions, Votes]:
+    voxels = [voxels_of(thing) for thing in things]
+    sizes = [len(block) for block in voxels]
+    labels = np.repeat(np.arange(len(things)), sizes).astype(np.int32)
+    found = ClusterMotions(
+        clusters=from_labels(labels),
+        registered=np.array([thing.proved for thing in things]),
+        seen_through=np.zeros(len(things), np.bool_),
+        unconfirmed=np.array([thing.unconfirmed for thing in things]),
+        still=np.array([thing.still for thing in things]),
+        velocity_m_per_s=np.array([[*t.velocity, 0.0] for t in things], np.float32),
+        extent_m=np.array([max(t.size_m[:2]) for t in things], np.float32),
+    )
+    occupied = np.repeat([thing.occupied for thing in things], sizes).astype(np.int16)
+    return np.concatenate(voxels), found, Votes(np.zeros_like(occupied), occupied)
+
+
+class Frames:
+    """Frames a tenth of a second apart, given to one tracker."""
+
+    def __init__(self) -> None:
+        self.tracker, self.now_ns = Tracker(), PERIOD_NS
+
+    def see(self, *things: Thing, after_ns: int = PERIOD_NS) -> Tracked:
+        self.now_ns += after_ns
+        points_m, found, votes = world(*things)
+        return self.tracker.update(points_m, found, votes, centre_m=CENTRE_M, now_ns=self.now_ns)
+
+
+def test_what_was_proved_to_move_still_moves_in_a_frame_that_proves_nothing() -> None:
+    frames = Frames()
+    frames.see(Thing(at=(5.0, 0.0), velocity=(10.0, 0.0), proved=True))
+    seen = frames.see(Thing(at=(6.0, 0.0)))
+    assert seen.dynamic.tolist() == [True]
+    assert seen.velocity_m_per_s[0].tolist() == pytest.approx([10.0, 0.0, 0.0])
+
+
+def test_one_proof_lasts_for_one_frame_and_two_for_three() -> None:
+    frames = Frames()
+    frames.see(Thing(at=(5.0, 0.0), velocity=(10.0, 0.0), proved=True))
+    after_one = [frames.see(Thing(at=(x, 0.0))).dynamic[0] for x in (6.0, 7.0)]
+    assert after_one == [True, False]
+
+    frames = Frames()
+    frames.see(Thing(at=(5.0, 0.0), velocity=(10.0, 0.0), proved=True))
+    frames.see(Thing(at=(6.0, 0.0), velocity=(10.0, 0.0), proved=True))
+    after_two = [frames.see(Thing(at=(x, 0.0))).dynamic[0] for x in (7.0, 8.0, 9.0)]
+    assert after_two == [True, True, False]
+
+
+def test_a_score_fades_by_time_not_by_frames() -> None:
+    at_10_hz, at_5_hz = Frames(), Frames()
+    for frames in (at_10_hz, at_5_hz):
+        for _ in range(2):
+            frames.see(Thing(at=(5.0, 0.0), proved=True))
+    at_10_hz.see(Thing(at=(5.0, 0.0)))
+    at_10_hz.see(Thing(at=(5.0, 0.0)))
+    at_5_hz.see(Thing(at=(5.0, 0.0)), after_ns=2 * PERIOD_NS)
+    assert (
+        at_10_hz.see(Thing(at=(5.0, 0.0))).dynamic.tolist()
+        == at_5_hz.see(Thing(at=(5.0, 0.0))).dynamic.tolist()
+    )
+
+
+def test_a_handful_of_voxels_must_be_proved_twice() -> None:
+    frames, tiny = Frames(), (0.6, 0.6, 0.6)
+    first = frames.see(Thing(at=(5.0, 0.0), size_m=tiny, velocity=(2.0, 0.0), proved=True))
+    second = frames.see(Thing(at=(5.2, 0.0), size_m=tiny, velocity=(2.0, 0.0), proved=True))
+    assert (first.dynamic[0], second.dynamic[0]) == (False, True)
+
+
+def test_what_stands_where_a_mover_came_from_inherits_nothing() -> None:
+    frames = Frames()
+    frames.see(Thing(at=(5.0, 0.0), velocity=(20.0, 0.0), proved=True))
+    seen = frames.see(Thing(at=(5.0, 3.0)), Thing(at=(7.0, 0.0)))
+    assert seen.dynamic.tolist() == [False, True]
+
+
+def test_a_piece_that_was_taken_for_a_mover_does_not_move_the_whole() -> None:
+    frames = Frames()
+    frames.see(Thing(at=(5.0, 0.0), size_m=(1.0, 1.5, 1.2), velocity=(3.0, 0.0), proved=True))
+    seen = frames.see(Thing(at=(5.0, 0.0), size_m=(3.0, 1.5, 1.2)))
+    assert seen.dynamic.tolist() == [False]
+
+
+def test_a_thing_that_is_seen_to_stand_loses_one_proof_at_once() -> None:
+    frames = Frames()
+    frames.see(Thing(at=(5.0, 0.0), velocity=(1.0, 0.0), proved=True))
+    seen = frames.see(Thing(at=(5.1, 0.0), still=True, occupied=5))
+    assert seen.dynamic.tolist() == [False]
+
+
+def test_a_motion_like_the_one_before_is_a_hint_even_where_free_space_is_silent() -> None:
+    frames = Frames()
+    frames.see(Thing(at=(5.0, 0.0), velocity=(10.0, 0.0), proved=True))
+    going_on = Thing(at=(6.0, 0.0), velocity=(10.5, 0.0), unconfirmed=True)
+    assert frames.see(going_on).dynamic.tolist() == [True]
+    assert frames.see(
+        Thing(at=(7.05, 0.0), velocity=(10.5, 0.0), unconfirmed=True)
+    ).dynamic.tolist() == [True]
+
+
+def test_a_cleared_tracker_knows_nothing() -> None:
+    frames = Frames()
+    frames.see(Thing(at=(5.0, 0.0), velocity=(10.0, 0.0), proved=True))
+    frames.tracker.clear()
+    assert frames.see(Thing(at=(6.0, 0.0))).dynamic.tolist() == [False]
+
+
+MOVER = Thing(at=(5.0, 0.0), velocity=(10.0, 0.0), proved=True)
+
+
+@pytest.mark.parametrize(
+    ("piece", "belongs"),
+    [
+        pytest.param(Thing(at=(8.1, 0.0), size_m=(0.6, 0.6, 0.6)), True, id="behind its bumper"),
+        pytest.param(Thing(at=(10.0, 0.0), size_m=(0.6, 0.6, 0.6)), False, id="farther away"),
+        pytest.param(Thing(at=(8.1, 0.0), size_m=(0.6, 0.6, 0.1)), False, id="flat as the road"),
+        pytest.param(Thing(at=(8.1, 0.0), size_m=(3.6, 0.6, 0.6)), False, id="longer than a piece"),
+        pytest.param(
+            Thing(at=(8.1, 0.0), size_m=(0.6, 0.6, 0.6), occupied=6), False, id="was there before"
+        ),
+        pytest.param(
+            Thing(at=(8.1, 0.0), size_m=(0.6, 0.6, 0.6), still=True, occupied=3),
+            False,
+            id="fits where it was",
+        ),
+    ],
+)
+def test_a_small_piece_beside_a_mover_belongs_to_it_unless_something_speaks_against_it(
+    piece: Thing, belongs: bool
+) -> None:
+    points_m, found, votes = world(MOVER, piece)
+    merged = fragments_of_movers(points_m, found, np.array([True, False]), votes, centre_m=CENTRE_M)
+    assert merged.tolist() == [False, belongs]
+
+
+def test_without_a_mover_no_piece_belongs_to_one() -> None:
+    points_m, found, votes = world(Thing(at=(5.0, 0.0)), Thing(at=(8.1, 0.0)))
+    none = fragments_of_movers(points_m, found, np.zeros(2, np.bool_), votes, centre_m=CENTRE_M)
+    assert not none.any()

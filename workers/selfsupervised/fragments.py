@@ -1,0 +1,69 @@
+"""Pieces of movers: what is half hidden falls apart into clusters too small to be judged alone."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import Mask, Points
+from workers.selfsupervised.free_space import Votes
+from workers.selfsupervised.motion import ClusterMotions
+from workers.selfsupervised.neighbours import build_grid, nearest_distances
+
+MAX_VOXELS: Final = 60
+MAX_EXTENT_M: Final = 3.0
+"""A piece is smaller than the thing: half a car."""
+
+REACH_M: Final = 0.9
+"""Half the width of a car: what separates its visible sides when the middle is hidden."""
+
+MIN_NEAR_SHARE: Final = 0.5
+MIN_HEIGHT_M: Final = 0.15
+"""Flatter pieces beside a mover are the road it drives on."""
+
+_STANDS_VOTES: Final = 2.0
+_WAS_THERE_VOTES: Final = 4.0
+_WAS_THERE_FREE_SHARE: Final = 0.1
+
+
+def fragments_of_movers(
+    points_m: Points,
+    found: ClusterMotions,
+    dynamic: Mask,
+    votes: Votes,
+    *,
+    centre_m: NDArray[np.floating],
+) -> Mask:
+    """Find the small clusters that nothing speaks against and that lie close beside a mover.
+
+    Args:
+        points_m: (V, 3) voxel centroids off the ground, odom space.
+        found: Their clusters and motions.
+        dynamic: (K,) clusters that move.
+        votes: What free space says about the voxels.
+        centre_m: (3,) the sensor, odom space.
+
+    Returns:
+        (K,) clusters that belong to something dynamic.
+    """
+    clusters = found.clusters
+    size = np.maximum(clusters.sizes, 1)
+    seen = clusters.mean(votes.occupied)
+    free_share = clusters.count(votes.seen_through) / size
+    stands = found.still & (seen > _STANDS_VOTES)
+    was_there = (free_share < _WAS_THERE_FREE_SHARE) & (seen > _WAS_THERE_VOTES)
+    asked = ~dynamic & (size <= MAX_VOXELS) & (found.extent_m <= MAX_EXTENT_M)
+    asked &= ~stands & ~was_there
+    moving = points_m[clusters.member_mask(dynamic)]
+    if len(moving) == 0 or not asked.any():
+        return np.zeros(len(clusters), np.bool_)
+    members = np.flatnonzero(clusters.member_mask(asked))
+    near = np.zeros(len(points_m), np.bool_)
+    # asked a little farther, because the reach itself is the answer for "nothing found"
+    distance = nearest_distances(build_grid(moving, centre_m), points_m[members], 1.5 * REACH_M)
+    near[members] = distance < REACH_M
+    merged: Mask = asked & (clusters.count(near) > MIN_NEAR_SHARE * size)
+    for k in np.flatnonzero(merged):
+        low, high = np.quantile(points_m[clusters.of(int(k)), 2], [0.03, 0.97])
+        merged[k] = high - low >= MIN_HEIGHT_M
+    return merged

@@ -1,0 +1,169 @@
+"""What moved a moment ago still moves: evidence is carried along with the things that move.
+
+One frame may show a mover in pieces, half hidden, or too flat to be verified; the frames before say
+what it is. The points of moving clusters are carried on by their velocity, and a cluster that most
+of them hit inherits what was known.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import NS_PER_S, Mask, Points
+from workers.selfsupervised.free_space import Votes
+from workers.selfsupervised.motion import ClusterMotions
+from workers.selfsupervised.neighbours import build_grid, nearest_indices
+
+DYNAMIC_SCORE: Final = 0.6
+"""The proof of one frame is worth 1, and still counts two tenths of a second later."""
+
+KEPT_PER_S: Final = 0.7**10
+"""What is left of a score after a second without evidence: 30 % are lost in a tenth."""
+
+CARRIED_SCORE: Final = 0.2
+MIN_SCORE, MAX_SCORE = -1.0, 2.0
+"""Two frames' worth: what was proved for long may be doubted as fast as what was proved twice."""
+
+REACH_M: Final = 0.5
+"""How far from a carried point its thing may be: a velocity that is wrong by 5 m/s."""
+
+MIN_HIT_SHARE: Final = 0.3
+MOST_GROWTH: Final = 2.0
+"""What was proved of a piece is not proved of a thing more than twice its size."""
+
+SMALL_VOXELS: Final = 12
+"""Smaller clusters may be the rim of a shadow: one frame is half a proof."""
+
+_PROOF: Final = 1.0
+_HALF_PROOF: Final = 0.5
+_HINT: Final = 0.2
+_STANDS: Final = -0.7
+_WAS_THERE: Final = -0.2
+_MAX_HINT_EXTENT_M: Final = 6.0
+_SAME_SPEED_M_PER_S: Final = 0.5
+_SAME_SPEED_SHARE: Final = 0.2
+_STANDS_FREE_SHARE: Final = 0.2
+_STANDS_VOTES: Final = 2.0
+_WAS_THERE_VOTES: Final = 4.0
+_NEW_WEIGHT: Final = np.float32(0.6)
+"""Of a velocity just measured; the rest is what was carried: two measurements' worth of memory."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tracked:
+    """What time makes of the motions of K clusters.
+
+    Attributes:
+        dynamic: (K,) moves, all evidence taken together.
+        velocity_m_per_s: (K, 3) over the ground, odom space; zero where nothing is known.
+    """
+
+    dynamic: Mask
+    velocity_m_per_s: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Inherited:
+    known: Mask
+    score: NDArray[np.float32]
+    velocity: NDArray[np.float32]
+
+
+class Tracker:
+    """Carries the points of what moves from frame to frame."""
+
+    def __init__(self) -> None:
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget everything: after a gap, or when the pose is lost."""
+        self._points_m: Points = np.zeros((0, 3), np.float32)
+        self._velocity = np.zeros((0, 3), np.float32)
+        self._score = np.zeros(0, np.float32)
+        self._stamp_ns = 0
+
+    def update(
+        self,
+        points_m: Points,
+        found: ClusterMotions,
+        votes: Votes,
+        *,
+        centre_m: NDArray[np.floating],
+        now_ns: int,
+    ) -> Tracked:
+        """Add the evidence of a frame to what is carried.
+
+        Args:
+            points_m: (V, 3) voxel centroids off the ground, odom space.
+            found: Their clusters and motions.
+            votes: What free space says about the voxels.
+            centre_m: (3,) the sensor, odom space.
+            now_ns: Time of the frame.
+        """
+        clusters = found.clusters
+        dt_s = (now_ns - self._stamp_ns) / NS_PER_S
+        before = self._inherited(points_m, found, centre_m, np.float32(dt_s))
+        kept = before.score * np.float32(KEPT_PER_S**dt_s)
+        summed = kept + _evidence(found, votes, before)
+        score = np.clip(summed, MIN_SCORE, MAX_SCORE).astype(np.float32)
+
+        measured = found.velocity_m_per_s
+        weight = np.where(found.registered, np.where(before.known, _NEW_WEIGHT, 1), 0)[:, None]
+        velocity = (weight * measured + (1 - weight) * before.velocity).astype(np.float32)
+
+        carried = np.flatnonzero(clusters.member_mask(score > CARRIED_SCORE))
+        owner = clusters.of_point[carried]
+        self._points_m, self._stamp_ns = points_m[carried], now_ns
+        self._velocity, self._score = velocity[owner], score[owner]
+        return Tracked(score >= DYNAMIC_SCORE, velocity)
+
+    def _inherited(
+        self,
+        points_m: Points,
+        found: ClusterMotions,
+        centre_m: NDArray[np.floating],
+        dt_s: np.float32,
+    ) -> _Inherited:
+        """Mean score and velocity of the carried points that land on each cluster."""
+        clusters, k = found.clusters, len(found.clusters)
+        if k == 0 or len(self._points_m) == 0:
+            nothing = np.zeros(k, np.float32)
+            return _Inherited(np.zeros(k, np.bool_), nothing, np.zeros((k, 3), np.float32))
+        grid = build_grid(self._points_m + self._velocity * dt_s, centre_m)
+        nearest = nearest_indices(grid, points_m[clusters.members], REACH_M)
+        hit = nearest >= 0
+        source = grid.order[nearest[hit]]
+        owner = np.repeat(np.arange(k), clusters.sizes)[hit]
+        hits = np.bincount(owner, minlength=k)
+        pairs = np.unique(owner.astype(np.int64) << 32 | source)
+        carried = np.bincount(pairs >> 32, minlength=k)
+        known = (hits > MIN_HIT_SHARE * clusters.sizes) & (clusters.sizes <= MOST_GROWTH * carried)
+
+        def mean(values: NDArray[np.float32]) -> NDArray[np.float32]:
+            total = np.bincount(owner, values[source], minlength=k)
+            return np.where(known, total / np.maximum(hits, 1), 0).astype(np.float32)
+
+        velocity = np.stack([mean(self._velocity[:, axis]) for axis in range(3)], axis=1)
+        return _Inherited(known, mean(self._score), velocity)
+
+
+def _evidence(found: ClusterMotions, votes: Votes, before: _Inherited) -> NDArray[np.float64]:
+    """(K,) what this frame alone says: for motion above zero, against it below."""
+    clusters = found.clusters
+    size = np.maximum(clusters.sizes, 1)
+    seen = clusters.mean(votes.occupied)
+    free_share = clusters.count(votes.seen_through) / size
+    change = np.linalg.norm(found.velocity_m_per_s - before.velocity, axis=1)
+    as_before = change < _SAME_SPEED_M_PER_S + _SAME_SPEED_SHARE * np.linalg.norm(
+        before.velocity, axis=1
+    )
+    hint = found.unconfirmed & before.known & as_before & (found.extent_m < _MAX_HINT_EXTENT_M)
+    stands = found.still & (free_share < _STANDS_FREE_SHARE) & (seen > _STANDS_VOTES)
+    was_there = ~found.unconfirmed & (seen > _WAS_THERE_VOTES)
+    return np.select(
+        [found.proved & (size >= SMALL_VOXELS), found.proved, hint, stands, was_there],
+        [_PROOF, _HALF_PROOF, _HINT, _STANDS, _WAS_THERE],
+        default=0.0,
+    )
