@@ -21,10 +21,9 @@ from schemas.work import (
 from service.ledger import Ledger, StoredScene
 from service.messages import RatesReply, SceneRequest, SelectRequest, TopReply, TopRequest
 from service.questions import Questions
-from service.ranking import rank
 from service.rates import RatesRequest, rates
 from service.reading import no_such_scene, read_overlay
-from service.selection import Selection, select
+from service.selection import Selection
 from service.staging import Staging
 
 log = structlog.get_logger(__name__)
@@ -101,13 +100,13 @@ class Control:
         return answer
 
     def _top(self, request: TopRequest) -> TopReply:
-        return TopReply(scenes=tuple(rank(self._ledger.rank_inputs(), most=request.most)))
+        return TopReply(scenes=tuple(self._ledger.ranking(most=request.most)))
 
     def _rates(self, request: RatesRequest) -> RatesReply:
         return RatesReply(rows=tuple(rates(self._ledger.rate_sums(request), request.by)))
 
     def _select(self, request: SelectRequest) -> Selection:
-        chosen = select(rank(self._ledger.rank_inputs()), budget=request.budget)
+        chosen = self._ledger.best_distinct(budget=request.budget)
         selection = self._ledger.save_selection(request.name, budget=request.budget, scenes=chosen)
         self._on_selection(selection)
         return selection

@@ -3,6 +3,7 @@
 import math
 import uuid
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from typing import Final
 
 from sqlalchemy import Connection
@@ -19,9 +20,9 @@ from schemas.work import (
     Recording,
     RenewRequest,
 )
-from service.ranking import RankedInput, RankedScene
+from service.ranking import RankedScene
 from service.rates import RatesRequest, RateSums
-from service.selection import Selection
+from service.selection import Selection, select
 from service.status import Status
 from service.store import (
     backlog,
@@ -31,6 +32,7 @@ from service.store import (
     leases,
     manifest,
     overview,
+    ranking,
     rates,
     recordings,
     scenes,
@@ -259,10 +261,19 @@ class Ledger:
         with self._store.reading() as connection:
             return scenes.current_scene(connection, scene_id)
 
-    def rank_inputs(self) -> list[RankedInput]:
-        """Every current scene as `service.ranking.rank` takes it, records not decoded."""
+    def ranking(self, *, most: int | None = None) -> list[RankedScene]:
+        """Rank current scenes, best first, and list so many; None: all."""
         with self._store.reading() as connection:
-            return scenes.rank_inputs(connection)
+            return list(ranking.ranked(connection, most=most))
+
+    def best_distinct(self, *, budget: int) -> list[RankedScene]:
+        """Choose the scenes that a selection of this budget takes, best first.
+
+        Raises:
+            ValueError: If the budget is below 1.
+        """
+        with self._store.reading() as connection, closing(ranking.ranked(connection)) as ranked:
+            return select(ranked, budget=budget)
 
     def rate_sums(self, request: RatesRequest) -> list[RateSums]:
         """Sums over the groups of current scenes that this asks for, in no order."""

@@ -12,9 +12,9 @@ from schemas.score import SceneScore
 from service.config import Settings
 from service.errors import NothingFoundError, StateInUseError, UsageError
 from service.ledger import Ledger
-from service.ranking import RankedScene, rank
+from service.ranking import RankedScene
 from service.rates import RateRow, RatesRequest, rates
-from service.selection import Selection, select
+from service.selection import Selection
 from service.state import StateLock, endpoint_of_running
 from service.status import Status
 from service.store.opening import open_ledger_store, open_ledger_store_to_read, sole_service
@@ -63,7 +63,7 @@ class StateReader:
     def top(self, most: int | None = None) -> list[RankedScene]:
         """Rank every current scene, best first, and list so many; None: all."""
         with self._ledger() as ledger:
-            return rank(ledger.rank_inputs(), most=most)
+            return ledger.ranking(most=most)
 
     def select(self, *, budget: int, name: str | None) -> Selection:
         """Store the best distinct scenes as a named selection.
@@ -80,7 +80,7 @@ class StateReader:
                 closing(open_ledger_store(self._settings)) as store,
             ):
                 ledger = Ledger(store, now_s=lambda: self._now_s)
-                chosen = select(rank(ledger.rank_inputs()), budget=budget)
+                chosen = ledger.best_distinct(budget=budget)
                 return ledger.save_selection(name, budget=budget, scenes=chosen)
         except StateInUseError:
             endpoint = endpoint_of_running(self._settings.state) or "its endpoint"

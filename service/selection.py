@@ -1,7 +1,7 @@
 """Which scenes go to the labellers: the best distinct ones under a budget. Pure."""
 
 from collections.abc import Iterable
-from itertools import islice
+from itertools import islice, takewhile
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -25,7 +25,7 @@ def select(ranking: Iterable[RankedScene], *, budget: int) -> list[RankedScene]:
     are scenes without any contradiction, even when the budget is not used up.
 
     Args:
-        ranking: As `service.ranking.rank` returns it.
+        ranking: Best first; read only as far as needed.
         budget: Scenes the labellers can take, at least 1.
 
     Returns:
@@ -36,5 +36,5 @@ def select(ranking: Iterable[RankedScene], *, budget: int) -> list[RankedScene]:
     """
     if budget < 1:
         raise ValueError(f"budget must be at least 1 scene, got {budget}")
-    distinct = (scene for scene in ranking if scene.twin_of is None and scene.score > 0)
-    return list(islice(distinct, budget))
+    contradicting = takewhile(lambda scene: scene.score > 0, ranking)
+    return list(islice((scene for scene in contradicting if scene.twin_of is None), budget))

@@ -1,15 +1,12 @@
-"""Scenes as readers get them: the outbox, the history, one by one, and for ranking."""
+"""Scenes as readers get them: the outbox, the history, and one by one."""
 
-import json
 from dataclasses import dataclass
 from typing import Any, Final
 
 from sqlalchemy import ColumnElement, Connection, LargeBinary, Row, Select, and_, literal, select
 
-from schemas.contradiction import SceneState
 from schemas.score import SceneScore
 from schemas.wire import decode
-from service.ranking import RankedInput
 from service.store.events import counter
 from service.store.tables import SCENES
 
@@ -110,26 +107,6 @@ def current_scene(connection: Connection, scene_id: str) -> StoredScene | None:
         _stored().where(SCENES.c.is_current, SCENES.c.scene_id == scene_id)
     ).one_or_none()
     return None if row is None else _scene(row)
-
-
-def rank_inputs(connection: Connection) -> list[RankedInput]:
-    """Read what ranking needs of every current scene; no record is decoded."""
-    names = [
-        field for field in RankedInput.__dataclass_fields__ if field not in {"state", "reasons"}
-    ]
-    rows = connection.execute(
-        select(*(SCENES.c[name] for name in names), SCENES.c.state, SCENES.c.reasons)
-        .where(SCENES.c.is_current)
-        .order_by(SCENES.c.seq)
-    )
-    return [
-        RankedInput(
-            **{name: row._mapping[name] for name in names},
-            state=SceneState(row.state),
-            reasons=tuple(json.loads(row.reasons)),
-        )
-        for row in rows
-    ]
 
 
 def _stored(

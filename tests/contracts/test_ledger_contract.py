@@ -23,8 +23,6 @@ from schemas.work import (
 )
 from service.errors import StateUnusableError
 from service.ledger import LeasePolicy, Ledger, SelectionExistsError
-from service.ranking import rank
-from service.selection import select
 from service.store.engine import Store
 from service.store.tables import METADATA
 from tests.contracts.databases import OnPostgres, OnSqlite
@@ -554,21 +552,13 @@ class LedgerContract(ABC):
 
     # Ranking and selection.
 
-    def test_ranking_inputs_are_those_of_the_records(self, world: World) -> None:
-        world.listed("a")
-        world.mine_all()
-        inputs = world.ledger.rank_inputs()
-        scenes = world.ledger.current_scenes()
-        assert inputs == [type(inputs[0]).of(s.decoded(), sha256=s.sha256) for s in scenes]
-
     def test_a_selection_is_durable_and_never_changes(self, world: World) -> None:
         world.listed("a", "b")
         world.mine_all()
-        ranking = rank(world.ledger.rank_inputs())
-        chosen = select(ranking, budget=2)
+        chosen = world.ledger.best_distinct(budget=2)
         first = world.ledger.save_selection(None, budget=2, scenes=chosen)
         named = world.ledger.save_selection(
-            "for-monday", budget=3, scenes=select(ranking, budget=3)
+            "for-monday", budget=3, scenes=world.ledger.best_distinct(budget=3)
         )
         assert first.name == "selection-1"
         assert list(first.scenes) == chosen

@@ -7,14 +7,14 @@ from sqlalchemy import Connection, inspect, text
 
 from service.errors import StateOutdatedError, StateUnusableError
 
-STEPS: Final[tuple[str, ...]] = ("0001_ledger.sql", "0002_revisions.sql")
+STEPS: Final[tuple[str, ...]] = ("0001_ledger.sql", "0002_revisions.sql", "0003_ranking.sql")
 """Step i leads from version i to i + 1. A step that has been released is never edited."""
 
 SCHEMA_VERSION: Final = len(STEPS)
 
 _SPELLINGS: Final = {
-    "sqlite": {"{blob}": "BLOB", "{true}": "1"},
-    "postgresql": {"{blob}": "BYTEA", "{true}": "TRUE"},
+    "sqlite": {"{blob}": "BLOB", "{true}": "1", "{bytewise}": ""},
+    "postgresql": {"{blob}": "BYTEA", "{true}": "TRUE", "{bytewise}": 'COLLATE "C"'},
 }
 """What the two servers spell differently; the steps are otherwise plain SQL. SQLite uses a partial
 index only where its condition is spelled as the query spells it, hence `= 1`."""

@@ -1,0 +1,90 @@
+"""The ranking of current scenes, read in its order: what nobody asks for is not touched."""
+
+import json
+from collections.abc import Generator
+from typing import Any, Final
+
+from sqlalchemy import ColumnElement, Connection, bindparam, literal_column, select
+
+from service.ranking import RankedInput, RankedScene, twin_of
+from service.store.statements import Statement
+from service.store.tables import SCENES
+
+_AT_ONCE: Final = 500
+"""Rows that are held at a time, however many are ranked."""
+
+
+def ranked(
+    connection: Connection, *, most: int | None = None
+) -> Generator[RankedScene, None, None]:
+    """Rank current scenes, best first, ranks from 1; no record is decoded.
+
+    Args:
+        connection: In the transaction that shall be seen; it is read as long as this is iterated.
+        most: Only the first so many; None: all.
+    """
+    query = (
+        select(*_READ, _C.lidar_topic, _C.reasons, _C.sha256)
+        .where(_C.is_current)
+        .order_by(_UNJUDGED, _C.score.desc(), _bytewise(connection), _C.start_ns, _C.scene_id)
+        .limit(most)
+    )
+    with connection.execute(query, execution_options={"yield_per": _AT_ONCE}) as rows:
+        for rank, row in enumerate(rows, start=1):
+            yield RankedScene(
+                rank=rank,
+                scene_id=row.scene_id,
+                log_id=row.log_id,
+                start_ns=row.start_ns,
+                end_ns=row.end_ns,
+                score=row.score,
+                reasons=tuple(json.loads(row.reasons)),
+                twin_of=_twin_of(connection, row),
+                sha256=row.sha256,
+            )
+
+
+def _twin_of(connection: Connection, row: Any) -> str | None:
+    here = {"log": row.log_id, "topic": row.lidar_topic, "start": row.start_ns}
+    return twin_of(
+        _input(row),
+        before=_input_or_none(_BEFORE.first(connection, here)),
+        after=_input_or_none(_AFTER.first(connection, here)),
+    )
+
+
+def _input_or_none(row: Any) -> RankedInput | None:
+    return None if row is None else _input(row)
+
+
+def _input(row: Any) -> RankedInput:
+    return RankedInput(
+        scene_id=row.scene_id,
+        log_id=row.log_id,
+        start_ns=row.start_ns,
+        end_ns=row.end_ns,
+        score=row.score,
+        state=row.state,
+    )
+
+
+def _bytewise(connection: Connection) -> ColumnElement[str]:
+    """Order logs as Python orders text; SQLite does, PostgreSQL by the locale unless told."""
+    return _C.log_id if connection.dialect.name == "sqlite" else _C.log_id.collate("C")
+
+
+_C: Final = SCENES.c
+_READ: Final = (_C.scene_id, _C.log_id, _C.start_ns, _C.end_ns, _C.score, _C.state)
+
+_UNJUDGED: Final[ColumnElement[bool]] = literal_column("(state <> 'scored')")
+"""Spelled as in the index, or it would not serve."""
+
+_OF_LIDAR: Final = select(*_READ).where(
+    _C.is_current, _C.log_id == bindparam("log"), _C.lidar_topic == bindparam("topic")
+)
+_BEFORE: Final = Statement(
+    _OF_LIDAR.where(_C.start_ns < bindparam("start")).order_by(_C.start_ns.desc()).limit(1)
+)
+_AFTER: Final = Statement(
+    _OF_LIDAR.where(_C.start_ns > bindparam("start")).order_by(_C.start_ns).limit(1)
+)
