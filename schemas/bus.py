@@ -27,8 +27,8 @@ DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 HEARTBEAT_S: Final = 0.2
 """How soon after the last put of a burst a subscriber learns what it missed."""
 
-CACHE_SAMPLES: Final = 1024
-"""Records a publisher keeps for a subscriber that missed some; a shard has a few dozen."""
+CACHE_SAMPLES: Final = 128
+"""Records a publisher keeps for a subscriber that missed some; a shard has a dozen or two."""
 
 RECORD: Final = zenoh.Encoding(SCENE_SCORE_ENCODING[0]).with_schema(SCENE_SCORE_ENCODING[1])
 """Encoding of a scored scene."""
@@ -55,8 +55,8 @@ def router_session(listen: Sequence[str], *, connect: Sequence[str] = ()) -> zen
         TransientError: If an endpoint is taken.
         PermanentError: If an endpoint cannot be listened on here at all.
     """
-    _check(listen)
-    _check(connect)
+    check_endpoints(listen)
+    check_endpoints(connect)
     try:
         return zenoh.open(_config("router", listen=listen, connect=connect))
     except zenoh.ZError as error:
@@ -82,7 +82,7 @@ def client_session(connect: Sequence[str], *, stop: Event | None = None) -> zeno
         TransientError: If no router answers and nobody wants to wait, or `stop` was set.
         PermanentError: If an endpoint is malformed.
     """
-    _check(connect)
+    check_endpoints(connect)
     where = ", ".join(connect)
     waits = backoff_s(first_s=0.1, most_s=2.0)
     said = False
@@ -165,7 +165,12 @@ def _config(mode: str, *, listen: Sequence[str] = (), connect: Sequence[str] = (
     return config
 
 
-def _check(endpoints: Sequence[str]) -> None:
+def check_endpoints(endpoints: Sequence[str]) -> None:
+    """Refuse what cannot be an endpoint, before anything is started for it.
+
+    Raises:
+        PermanentError: If one is malformed.
+    """
     for endpoint in endpoints:
         protocol, slash, address = endpoint.partition("/")
         _, colon, port = address.rpartition(":")

@@ -25,9 +25,9 @@ def _part(text: str) -> str:
     return quote(text, safe="-_.~")
 
 
-def score(*, root: str, log_id: str, shard: str) -> str:
-    """Key a worker puts the raw scores of one shard to."""
-    return f"{root}/v1/score/{_part(log_id)}/{_part(shard)}"
+def score(*, root: str, worker_id: str) -> str:
+    """Key a worker puts its raw scores to, whatever shard they are of."""
+    return f"{root}/v1/score/{_part(worker_id)}"
 
 
 def all_scores(*, root: str) -> str:

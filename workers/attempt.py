@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import structlog
 import zenoh
 
-from schemas import keys
-from schemas.bus import recoverable_publisher
 from schemas.work import CommitRequest, ManifestEntry, MineLease, PlanLease
 from workers.equipment import Equipment
 from workers.ingest.footer import TruncatedPart
@@ -29,15 +27,13 @@ class Attempts:
     """What every attempt of one worker needs.
 
     Attributes:
-        session: Where records are published.
+        publisher: Where records are published.
         leases: The service.
-        root: First part of every key.
         metrics: Where is counted.
     """
 
-    session: zenoh.Session
+    publisher: zenoh.ext.AdvancedPublisher
     leases: Leases
-    root: str
     metrics: WorkerMetrics
 
     def plan(self, lease: PlanLease, equipment: Equipment, keeper: LeaseKeeper) -> None:
@@ -84,37 +80,35 @@ class Attempts:
         account = Account()
         records: dict[str, bytes] = {}
         manifest: list[ManifestEntry] = []
-        key = keys.score(root=self.root, log_id=lease.recording.log_id, shard=lease.shard.name)
-        with recoverable_publisher(self.session, key) as publisher:
-            mining = mine_records(
-                equipment.bucket,
-                lease.recording,
-                lease.shard,
-                settings=equipment.settings,
-                parts=equipment.parts,
-                pipeline_version=equipment.version,
-                account=account,
-                check=keeper.check,
-            )
-            try:
-                with closing(mining):
-                    for mined in mining:
-                        with account.clock.stage("publishing"):
-                            put_artifact(equipment.artifacts, mined.overlay_key, mined.overlay)
-                            publisher.put(mined.record)
-                        scene_id = mined.score.scene_id
-                        records[scene_id] = mined.record
-                        manifest.append(ManifestEntry(scene_id=scene_id, sha256=mined.sha256))
-            finally:
-                self._count(account)
-            request = self._request(
-                lease,
-                manifest=tuple(manifest),
-                damage=tuple(account.damage),
-                stats=account.stats(),
-            )
-            with account.clock.stage("committing"):
-                self._commit(request, records, keeper)
+        mining = mine_records(
+            equipment.bucket,
+            lease.recording,
+            lease.shard,
+            settings=equipment.settings,
+            parts=equipment.parts,
+            pipeline_version=equipment.version,
+            account=account,
+            check=keeper.check,
+        )
+        try:
+            with closing(mining):
+                for mined in mining:
+                    with account.clock.stage("publishing"):
+                        put_artifact(equipment.artifacts, mined.overlay_key, mined.overlay)
+                        self.publisher.put(mined.record)
+                    scene_id = mined.score.scene_id
+                    records[scene_id] = mined.record
+                    manifest.append(ManifestEntry(scene_id=scene_id, sha256=mined.sha256))
+        finally:
+            self._count(account)
+        request = self._request(
+            lease,
+            manifest=tuple(manifest),
+            damage=tuple(account.damage),
+            stats=account.stats(),
+        )
+        with account.clock.stage("committing"):
+            self._commit(request, records, keeper)
         seconds = time.monotonic() - began_s
         self.metrics.shard_committed(account.clock.seconds, seconds=seconds)
         self.metrics.shard_ended("committed")

@@ -43,15 +43,22 @@ def main(endpoint: str, worker_id: str, mine_s: str, commits: str) -> None:
         client_session([endpoint], stop=stop) as session,
     ):
         leases = Leases(session, root=keys.DEFAULT_ROOT, worker_id=worker_id)
+        key = keys.score(root=keys.DEFAULT_ROOT, worker_id=worker_id)
         try:
-            while not stop.is_set():
-                _next(session, leases, stop, mine_s=float(mine_s), noted=noted)
+            with recoverable_publisher(session, key) as publisher:
+                while not stop.is_set():
+                    _next(publisher, leases, stop, mine_s=float(mine_s), noted=noted)
         except StoppedError:
             return
 
 
 def _next(
-    session: zenoh.Session, leases: Leases, stop: Event, *, mine_s: float, noted: TextIO
+    publisher: zenoh.ext.AdvancedPublisher,
+    leases: Leases,
+    stop: Event,
+    *,
+    mine_s: float,
+    noted: TextIO,
 ) -> None:
     leases.hello(stop=stop)
     lease = leases.claim("day-1", stop=stop).grant
@@ -64,11 +71,11 @@ def _next(
             request = CommitRequest(worker_id=leases.worker_id, lease_id=lease.lease_id, plan=plan)
             leases.commit(request, stop=keeper.drained)
         else:
-            _mine(session, leases, lease, keeper, mine_s=mine_s, noted=noted)
+            _mine(publisher, leases, lease, keeper, mine_s=mine_s, noted=noted)
 
 
 def _mine(
-    session: zenoh.Session,
+    publisher: zenoh.ext.AdvancedPublisher,
     leases: Leases,
     lease: MineLease,
     keeper: LeaseKeeper,
@@ -77,29 +84,27 @@ def _mine(
     noted: TextIO,
 ) -> None:
     records: dict[str, bytes] = {}
-    key = keys.score(root=keys.DEFAULT_ROOT, log_id=lease.shard.log_id, shard=lease.shard.name)
-    with recoverable_publisher(session, key) as publisher:
-        for scene_id, record in records_of(lease.shard):
-            keeper.over.wait(mine_s / SCENES_PER_SHARD)
-            publisher.put(record)
-            records[scene_id] = record
-        request = CommitRequest(
-            worker_id=leases.worker_id,
-            lease_id=lease.lease_id,
-            manifest=tuple(
-                ManifestEntry(scene_id=scene_id, sha256=sha256(record))
-                for scene_id, record in records.items()
-            ),
-            stats=MiningStats(frames=20 * len(records), points=1000 * len(records)),
-        )
-        while True:
-            begun_s = time.perf_counter()
-            answer = leases.commit(request, stop=keeper.drained)
-            noted.write(f"{time.perf_counter() - begun_s:.6f}\n")
-            if answer.ok or not answer.missing:
-                return
-            again = tuple(records[scene_id].decode() for scene_id in answer.missing)
-            request = request.model_copy(update={"records": again})
+    for scene_id, record in records_of(lease.shard):
+        keeper.over.wait(mine_s / SCENES_PER_SHARD)
+        publisher.put(record)
+        records[scene_id] = record
+    request = CommitRequest(
+        worker_id=leases.worker_id,
+        lease_id=lease.lease_id,
+        manifest=tuple(
+            ManifestEntry(scene_id=scene_id, sha256=sha256(record))
+            for scene_id, record in records.items()
+        ),
+        stats=MiningStats(frames=20 * len(records), points=1000 * len(records)),
+    )
+    while True:
+        begun_s = time.perf_counter()
+        answer = leases.commit(request, stop=keeper.drained)
+        noted.write(f"{time.perf_counter() - begun_s:.6f}\n")
+        if answer.ok or not answer.missing:
+            return
+        again = tuple(records[scene_id].decode() for scene_id in answer.missing)
+        request = request.model_copy(update={"records": again})
 
 
 def records_of(shard: Shard) -> Iterator[tuple[str, bytes]]:

@@ -47,7 +47,7 @@ def _next(session: zenoh.Session, leases: Leases, stop: Event) -> None:
 def _mine(session: zenoh.Session, leases: Leases, lease: MineLease, keeper: LeaseKeeper) -> None:
     records = mined(lease.shard)
     by_scene = {entry.scene_id: records[entry.sha256] for entry in manifest_of(records)}
-    key = keys.score(root=keys.DEFAULT_ROOT, log_id=lease.shard.log_id, shard=lease.shard.name)
+    key = keys.score(root=keys.DEFAULT_ROOT, worker_id=leases.worker_id)
     with recoverable_publisher(session, key) as publisher:
         for record in records.values():
             keeper.over.wait(0.02)  # so that a kill may come between two records

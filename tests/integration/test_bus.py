@@ -383,7 +383,7 @@ def test_a_commit_names_what_never_arrived_and_takes_it_from_the_next_one(
     first, *rest = records.values()
     key = keys.control(root=ROOT, verb="commit")
     with client_session([running.endpoint]) as session:
-        score_key = keys.score(root=ROOT, log_id=lease.shard.log_id, shard=lease.shard.name)
+        score_key = keys.score(root=ROOT, worker_id="w1")
         with recoverable_publisher(session, score_key) as publisher:
             publisher.put(first)
             request = shard_commit(lease, records)
@@ -405,7 +405,7 @@ def test_a_service_that_joins_late_still_hears_what_a_living_worker_published(
     lease = grant
     records = mined(lease.shard)
     with client_session([running.endpoint]) as session:
-        score_key = keys.score(root=ROOT, log_id=lease.shard.log_id, shard=lease.shard.name)
+        score_key = keys.score(root=ROOT, worker_id="w1")
         with recoverable_publisher(session, score_key) as publisher:
             running.stop_service()
             for record in records.values():
