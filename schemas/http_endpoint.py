@@ -110,10 +110,15 @@ class HttpEndpoint:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Take no more questions, drop those still open, end every thread."""
-        self._server.shutdown()
-        self._thread.join()
-        self._server.drop_clients()
+        """Close."""
+        self.close()
+
+    def close(self) -> None:
+        """Take no more questions, drop those still open, end every thread; again: do nothing."""
+        if self._thread.is_alive():
+            self._server.shutdown()
+            self._thread.join()
+            self._server.drop_clients()
         self._server.server_close()
 
 

@@ -328,7 +328,9 @@ class FailRequest(BaseModel):
         "while. No attempt is used up.",
     )
     given_back: bool = Field(
-        default=False, description="The worker was told to stop: no fault, and no attempt used up."
+        default=False,
+        description="The worker was told to stop, or a store as a whole is in trouble: no fault of "
+        "this work, and no attempt used up.",
     )
 
 

@@ -23,10 +23,12 @@ import zenoh
 
 from schemas import keys
 from schemas.bucket import Bucket
-from schemas.bus import recoverable_subscriber
+from schemas.bus import is_connected, recoverable_subscriber
 from schemas.errors import BucketRefusedError, TransientError
+from schemas.router_watch import RouterWatch
 from schemas.work import MiningSettings
 from service.bucket_watch import BucketWatch
+from service.clock_watch import ClockWatch
 from service.control import Control
 from service.errors import StateInUseError
 from service.gauges import Sources
@@ -114,6 +116,7 @@ class Service:
         self._heartbeat = Heartbeat(self._standing, heartbeat_s=heartbeat_s)
         self._staging = Staging()
         self._outbox = Outbox(session, ledger, root=root)
+        self._clock = ClockWatch()
         self._history = History(session, ledger, root=root)
         self.metrics = metrics or ServiceMetrics()
         ledger.observe(self.metrics)
@@ -135,6 +138,8 @@ class Service:
                 questions_waiting=lambda: self._questions.waiting,
                 bus_misses=lambda: self._staging.missed,
                 state_free_bytes=state_free_bytes,
+                router_connected=lambda: is_connected(session),
+                clock_steps=lambda: self._clock.steps,
                 now_s=ledger.now_s,
             )
         )
@@ -160,6 +165,7 @@ class Service:
         with ExitStack() as opening:
             pool = opening.enter_context(ThreadPoolExecutor(THREADS, thread_name_prefix="service"))
             opening.callback(self._end)
+            opening.enter_context(RouterWatch(self._session, lambda _: self._news.set()))
             opening.enter_context(
                 recoverable_subscriber(
                     self._session,
@@ -229,9 +235,7 @@ class Service:
             for number in range(WRITING_THREADS + READING_THREADS)
         ]
         self._threads += [
-            pool.submit(
-                every, self._ledger.expire, what="expiry of leases", interval_s=EXPIRY_INTERVAL_S
-            ),
+            pool.submit(every, self._expire, what="expiry of leases", interval_s=EXPIRY_INTERVAL_S),
             pool.submit(
                 every,
                 self._outbox.publish,
@@ -265,6 +269,10 @@ class Service:
                     every, self._hold, what="hold on the database", interval_s=HOLD_INTERVAL_S
                 )
             )
+
+    def _expire(self) -> None:
+        self._clock.look()
+        self._ledger.expire()
 
     def _standing(self) -> Standing:
         return service_standing(

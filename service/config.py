@@ -142,6 +142,25 @@ class Settings(MiningSettings):
         return MiningSettings(**shared | {"artifacts": artifacts})
 
 
+def cache_folder() -> Path:
+    """Return where this machine keeps what can be made again, beside the compiled loops.
+
+    No place that is cleaned while a daemon lives, as `/tmp` is: `NUMBA_CACHE_DIR`, else the user's
+    cache folder.
+
+    Raises:
+        UsageError: If there is neither.
+    """
+    if kept := os.environ.get("NUMBA_CACHE_DIR"):
+        return Path(kept)
+    if cache := os.environ.get("XDG_CACHE_HOME"):
+        return Path(cache) / "counterpoint"
+    try:
+        return Path.home() / ".cache" / "counterpoint"
+    except RuntimeError:
+        raise UsageError("no home folder to keep files in: set NUMBA_CACHE_DIR") from None
+
+
 @dataclass(frozen=True, slots=True)
 class ReadSettings:
     """Settings, and where each value comes from.

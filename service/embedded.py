@@ -12,17 +12,20 @@ from typing import Final
 from prometheus_client import CollectorRegistry
 
 from schemas.bucket import Bucket, open_bucket
-from schemas.bus import client_session, free_endpoint, router_session
+from schemas.bus import check_endpoints, client_session, free_endpoint, router_session
 from schemas.http_endpoint import HttpEndpoint
 from schemas.process import stop_on_signals
+from schemas.retry import StoppedError
 from schemas.work import MiningSettings
 from service.app import Service
-from service.config import DEFAULT_ENDPOINT, Settings
+from service.config import DEFAULT_ENDPOINT, Settings, cache_folder
 from service.errors import NothingFoundError
+from service.gauges import Sources
 from service.heartbeat import Heartbeat
 from service.ledger import LeasePolicy, Ledger
 from service.metrics import ServiceMetrics
 from service.pages import pages
+from service.readiness import Daemon
 from service.state import StateLock, free_bytes, prepare_state
 from service.status import Status
 from service.store.opening import open_ledger_store, sole_service
@@ -68,7 +71,16 @@ def run_embedded(
         version = _version_of(mining) if once else ""
         ledger.free_leases(LOCAL_WORKERS)
         service = _enter_service(
-            settings, ledger, bucket, mining, [endpoint], opened, stop=stop, sole=sole, once=once
+            settings,
+            ledger,
+            bucket,
+            mining,
+            [endpoint],
+            opened,
+            stop=stop,
+            sole=sole,
+            once=once,
+            metrics=ServiceMetrics(vehicles=settings.vehicles),
         )
         _announce(lock, sole, endpoint)
         if once and not service.recordings:
@@ -77,11 +89,18 @@ def run_embedded(
             settings.workers,
             connect=[endpoint],
             root=settings.root,
+            home=settings.state,
             lease_deadline_s=settings.shard_deadline_s,
             style=LogStyle(settings.log_level, settings.log_format == "json"),
             on_death=lambda worker_id: _take_back(ledger, worker_id),
         )
-        where = _serve_http(settings, service, ledger, opened, pool.registry, once=once)
+        opened.callback(pool.stop)
+        daemon = Daemon()
+        daemon.up(service, pool)
+        registries = (service.metrics.registry, pool.registry)
+        where = ""
+        if _wants_http(settings, once=once):
+            where = _metrics_at(_open_pages(settings, daemon, ledger, opened, *registries))
         opened.enter_context(pool)
         on_ready(
             f"mining {bucket.url} with {settings.workers} workers; service at {endpoint}{where}"
@@ -101,11 +120,32 @@ def run_service(settings: Settings, *, on_ready: Callable[[str], None]) -> None:
         bucket = open_bucket(settings.bucket)
         lock, sole, ledger = _open_state(settings, opened)
         mining = _mining(settings)
-        service = _enter_service(
-            settings, ledger, bucket, mining, connect, opened, stop=stop, sole=sole
-        )
+        metrics = ServiceMetrics(vehicles=settings.vehicles)
+        daemon = Daemon(router=f"waiting for a router at {', '.join(connect)}")
+        http = None
+        if _wants_http(settings, once=False):  # before the router is there: it may take long
+            metrics.read_from(_before_start(settings, bucket, ledger))
+            http = _open_pages(settings, daemon, ledger, opened, metrics.registry)
+        try:
+            service = _enter_service(
+                settings,
+                ledger,
+                bucket,
+                mining,
+                connect,
+                opened,
+                stop=stop,
+                sole=sole,
+                metrics=metrics,
+            )
+        except StoppedError:  # there never was a router
+            return
+        daemon.up(service)
         _announce(lock, sole, ",".join(connect))
-        where = _serve_http(settings, service, ledger, opened)
+        where = ""
+        if http is not None:
+            opened.callback(http.close)  # whoever asks must not meet a service that is closed
+            where = _metrics_at(http)
         on_ready(f"serving {bucket.url} over {', '.join(connect)}{where}")
         service.run(stop)
 
@@ -117,20 +157,23 @@ def run_workers(settings: Settings, *, on_ready: Callable[[str], None]) -> None:
     from workers.pool.process import LogStyle
 
     connect = (settings.connect or DEFAULT_ENDPOINT).split(",")
+    check_endpoints(connect)  # here, not by each worker that starts
     with ExitStack() as opened:
         stop = opened.enter_context(stop_on_signals())
         pool = LocalPool(
             settings.workers,
             connect=connect,
             root=settings.root,
+            home=cache_folder(),
             lease_deadline_s=settings.shard_deadline_s,
             style=LogStyle(settings.log_level, settings.log_format == "json"),
             name="worker",
         )
+        opened.callback(pool.stop)
         where = ""
         if listen := settings.worker_http_listen:
             http = HttpEndpoint(listen, pool_pages(pool), setting="worker_http_listen")
-            where = f"; metrics at {opened.enter_context(http).url}/metrics"
+            where = _metrics_at(opened.enter_context(http))
         opened.enter_context(pool)
         on_ready(f"{settings.workers} workers for the service at {', '.join(connect)}{where}")
         heartbeat = Heartbeat(lambda: {"workers": pool.alive()}, heartbeat_s=settings.heartbeat_s)
@@ -178,6 +221,7 @@ def _enter_service(
     *,
     stop: Event,
     sole: SoleService | None,
+    metrics: ServiceMetrics,
     once: bool = False,
 ) -> Service:
     session = opened.enter_context(client_session(connect, stop=stop))
@@ -195,32 +239,40 @@ def _enter_service(
             once=once,
             heartbeat_s=settings.heartbeat_s,
             hold=None if sole is None else sole.check,
-            metrics=ServiceMetrics(vehicles=settings.vehicles),
+            metrics=metrics,
             state_free_bytes=partial(free_bytes, settings.state),
         )
     )
 
 
-def _serve_http(
+def _before_start(settings: Settings, bucket: Bucket, ledger: Ledger) -> Sources:
+    """Where the metrics are read until there is a service: what is known without a router."""
+    return Sources(
+        backlog=ledger.backlog,
+        bucket_url=bucket.url,
+        state_free_bytes=partial(free_bytes, settings.state),
+        now_s=ledger.now_s,
+    )
+
+
+def _open_pages(
     settings: Settings,
-    service: Service,
+    daemon: Daemon,
     ledger: Ledger,
     opened: ExitStack,
-    *more: CollectorRegistry,
-    once: bool = False,
-) -> str:
-    """Answer watchers of the service, if the settings want it.
-
-    Returns:
-        Where, as the end of a sentence; empty: nowhere.
+    *registries: CollectorRegistry,
+) -> HttpEndpoint:
+    """Answer watchers of the service.
 
     Raises:
         TransientError: If the address is taken.
     """
-    if not _wants_http(settings, once=once):
-        return ""
-    routes = pages(service, ledger, service.metrics.registry, *more)
-    endpoint = opened.enter_context(HttpEndpoint(settings.http_listen, routes))
+    routes = pages(daemon, ledger, *registries)
+    return opened.enter_context(HttpEndpoint(settings.http_listen, routes))
+
+
+def _metrics_at(endpoint: HttpEndpoint) -> str:
+    """Say where the metrics are, as the end of a sentence."""
     return f"; metrics at {endpoint.url}/metrics"
 
 

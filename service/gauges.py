@@ -18,6 +18,9 @@ from service.store.work import WorkState
 BucketError = Literal["unreachable", "refused"]
 """How a listing broke off: no answer, or an error of the store's own; it said no."""
 
+ClockStep = Literal["forward", "back"]
+"""Which way a clock was set."""
+
 NAMESPACE: Final = "counterpoint"
 
 CACHED_S: Final = 5.0
@@ -47,6 +50,8 @@ class Sources:
         questions_waiting: Questions in the queue.
         bus_misses: Raw records that were lost on the bus so far.
         state_free_bytes: Free bytes of the disk that holds the state; None: not known.
+        router_connected: Whether a router is there.
+        clock_steps: How often the clock was set, by direction.
         now_s: Seconds since the Unix epoch.
     """
 
@@ -57,6 +62,8 @@ class Sources:
     questions_waiting: Callable[[], int] = lambda: 0
     bus_misses: Callable[[], int] = lambda: 0
     state_free_bytes: Callable[[], int | None] = lambda: None
+    router_connected: Callable[[], bool] = lambda: False
+    clock_steps: Callable[[], Mapping[str, int]] = lambda: {}
     now_s: Callable[[], float] = lambda: 0.0
 
 
@@ -79,6 +86,10 @@ class ServiceGauges(Collector):
     def __init__(self, sources: Sources) -> None:
         """Take where to read; nothing is read before the first scrape."""
         self._sources, self._kept = sources, _Kept()
+
+    def read_from(self, sources: Sources) -> None:
+        """Read elsewhere from now on."""
+        self._sources = sources
 
     def describe(self) -> Iterator[Metric]:
         """Name the metrics without reading any: what a registry asks when this is registered."""
@@ -196,6 +207,20 @@ def _of_parts(sources: Sources) -> Iterator[Metric]:
         "Raw records lost between a worker and the service; the commit names them, and they are "
         "sent again. Worry when it grows steadily: the network or the router drops.",
         {(): sources.bus_misses()},
+    )
+    yield _gauge(
+        "router_connected",
+        "1 while the service has a router, else 0. Worry at 0 for a minute: no worker is answered, "
+        "no scene published; workers keep what they mined.",
+        int(sources.router_connected()),
+    )
+    steps = sources.clock_steps()
+    yield _counter(
+        "clock_steps",
+        "Times that the clock of the service's machine was set by seconds, or the machine was "
+        "suspended. Worry when it grows: leases end early after a step forward.",
+        {(way,): steps.get(way, 0) for way in get_args(ClockStep)},
+        labels=("direction",),
     )
     free = sources.state_free_bytes()
     yield _gauge(

@@ -143,6 +143,7 @@ class ServiceMetrics:
             "Transactions that the database could not finish. Worry at any growth: disk full, "
             "database locked, or its server away; nothing acknowledged is lost.",
         )
+        self._gauges: ServiceGauges | None = None
         build = Gauge(
             "build_info",
             "1; its label says which version runs.",
@@ -176,8 +177,12 @@ class ServiceMetrics:
         self._questions.labels(verb, outcome).inc()
 
     def read_from(self, sources: Sources) -> None:
-        """Also serve what is read at the time of a scrape; once for one registry."""
-        self.registry.register(ServiceGauges(sources))
+        """Also serve what is read at the time of a scrape; said again: read elsewhere."""
+        if self._gauges is None:
+            self._gauges = ServiceGauges(sources)
+            self.registry.register(self._gauges)
+        else:
+            self._gauges.read_from(sources)
 
     def _count_scenes(self, scores: Sequence[SceneScore]) -> None:
         # Summed up first: a counter takes longer to find and raise than all else here.

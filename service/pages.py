@@ -13,32 +13,32 @@ from schemas.http_endpoint import (
     metrics_route,
     text_response,
 )
-from service.app import Service
 from service.errors import UsageError
 from service.ledger import Ledger
 from service.rates import rates, rates_request
+from service.readiness import Watched
 
 
 def pages(
-    service: Service, ledger: Ledger, *registries: CollectorRegistry
+    watched: Watched, ledger: Ledger, *registries: CollectorRegistry
 ) -> Mapping[str, Handler]:
-    """Make the handlers of a running service by path.
+    """Make the handlers of a service, running or about to, by path.
 
     Args:
-        service: Asked how it is.
+        watched: Asked how it is.
         ledger: What it remembers.
         registries: What `/metrics` serves.
     """
     return {
         "/metrics": metrics_route(*registries),
-        "/healthz": lambda _: _health(service.check),
-        "/readyz": lambda _: _readiness(service.not_ready()),
+        "/healthz": lambda _: _health(watched.check),
+        "/readyz": lambda _: _readiness(watched.not_ready()),
         "/rates": lambda request: _rates(ledger, request),
     }
 
 
 def _health(check: Callable[[], None]) -> HttpResponse:
-    check()  # what ended a thread becomes an answer of 500, and is logged
+    check()  # a bug that ended a thread is answered by 500 and logged, an idle pool by 503
     return text_response("alive")
 
 

@@ -16,7 +16,7 @@ import structlog
 import zenoh
 
 from schemas import keys
-from schemas.bus import client_session
+from schemas.bus import client_session, recoverable_publisher
 from schemas.errors import (
     BucketRefusedError,
     BucketUnreachableError,
@@ -25,13 +25,13 @@ from schemas.errors import (
     PermanentError,
 )
 from schemas.retry import StoppedError
+from schemas.router_watch import RouterWatch
 from schemas.work import FailRequest, MineLease, NothingToDo, PlanLease
 from workers.attempt import Attempts, Lease
 from workers.equipment import Equipment, equip
 from workers.ingest.footer import StillGrowingError
 from workers.lease import LeaseKeeper, LeaseLostError, Leases
 from workers.metrics import ShardOutcome, WorkerMetrics
-from workers.router_watch import RouterWatch
 from workers.stores import StoreTroubleError, cause_of, wait_until_over
 
 log = structlog.get_logger(__name__)
@@ -129,29 +129,35 @@ class Worker:
         self._observer = observer or WorkerObserver()
         self._metrics = metrics or WorkerMetrics()
         self._leases = Leases(session, root=config.root, worker_id=config.worker_id)
-        self._attempts = Attempts(session, self._leases, config.root, self._metrics)
         self._equipped: Equipment | None = None
         self._suspect: tuple[str, str] | None = None
 
     def run(self) -> None:
         """Claim and work until told to stop."""
+        key = keys.score(root=self._config.root, worker_id=self._config.worker_id)
         try:
-            while not self._stop.is_set():
-                equipment = self._equipment()
-                grant = self._leases.claim(equipment.version, stop=self._stop).grant
-                if isinstance(grant, NothingToDo):
-                    self._stop.wait(grant.retry_after_s)
-                    continue
-                self._observer.working(True)
-                self._metrics.lease_began()
-                trouble = self._work(grant, equipment)
-                self._metrics.lease_ended()
-                self._observer.working(False)
-                if trouble is not None:
-                    wait_until_over(trouble, stop=self._stop, metrics=self._metrics)
+            # One publisher for life: a router never forgets a key that was declared.
+            with recoverable_publisher(self._session, key) as publisher:
+                attempts = Attempts(publisher, self._leases, self._metrics)
+                while not self._stop.is_set():
+                    self._claim_and_work(attempts)
         except StoppedError:
             pass
         log.info("worker stops")
+
+    def _claim_and_work(self, attempts: Attempts) -> None:
+        equipment = self._equipment()
+        grant = self._leases.claim(equipment.version, stop=self._stop).grant
+        if isinstance(grant, NothingToDo):
+            self._stop.wait(grant.retry_after_s)
+            return
+        self._observer.working(True)
+        self._metrics.lease_began()
+        trouble = self._work(attempts, grant, equipment)
+        self._metrics.lease_ended()
+        self._observer.working(False)
+        if trouble is not None:
+            wait_until_over(trouble, stop=self._stop, metrics=self._metrics)
 
     def _equipment(self) -> Equipment:
         """Ask every time: a service that was restarted may want something else now."""
@@ -162,7 +168,9 @@ class Worker:
             log.info("worker ready", pipeline_version=self._equipped.version)
         return self._equipped
 
-    def _work(self, lease: Lease, equipment: Equipment) -> StoreTroubleError | None:
+    def _work(
+        self, attempts: Attempts, lease: Lease, equipment: Equipment
+    ) -> StoreTroubleError | None:
         """Do what a lease asks for, or say why not; only a bug escapes, after it was said too.
 
         Returns:
@@ -181,9 +189,9 @@ class Worker:
             log.debug("lease begins", lease_id=lease.lease_id)
             try:
                 if isinstance(lease, PlanLease):
-                    self._attempts.plan(lease, equipment, keeper)
+                    attempts.plan(lease, equipment, keeper)
                 else:
-                    self._attempts.mine(lease, equipment, keeper)
+                    attempts.mine(lease, equipment, keeper)
             except LeaseLostError as error:
                 log.warning("work dropped", problem=str(error))
                 self._count(lease, "lost")

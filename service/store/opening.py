@@ -1,11 +1,28 @@
 """Opens the database that the settings name: PostgreSQL by URL, else SQLite in the state folder."""
 
-from contextlib import AbstractContextManager, nullcontext
+import re
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
-from typing import Protocol
+from typing import Final, Protocol
 
-from service.store.engine import Store, open_store, open_store_at, open_store_to_read
+from service.errors import StateUnusableError
+from service.settings_text import shown
+from service.store.engine import (
+    Store,
+    StoreUnavailableError,
+    open_store,
+    open_store_at,
+    open_store_to_read,
+)
 from service.store.sole import SoleService
+
+_NO: Final = re.compile(
+    r"password authentication failed for user \"[^\"]*\"|no password supplied"
+    r"|no pg_hba\.conf entry for [^\n]*|(?:role|database) \"[^\"]*\" does not exist"
+)
+"""How PostgreSQL refuses a login: its driver has no number for that. A server that speaks another
+language is taken for one that is away."""
 
 
 class WhereStateLies(Protocol):
@@ -28,21 +45,26 @@ def open_ledger_store(settings: WhereStateLies) -> Store:
     Whoever writes holds the lock of the state folder, and `sole_service` for PostgreSQL.
 
     Raises:
-        StateUnusableError: If a newer version wrote it, or it is no database.
+        StateUnusableError: If a newer version wrote it, it is no database, or refuses the login.
         StoreUnavailableError: If it is locked, the disk is full, or the server does not answer.
     """
-    return open_store_at(settings.database) if settings.database else open_store(settings.state)
+    if settings.database:
+        with _refusals_said(settings.database):
+            return open_store_at(settings.database)
+    return open_store(settings.state)
 
 
 def open_ledger_store_to_read(settings: WhereStateLies) -> Store:
     """Open for reading only, beside a running service or without one.
 
     Raises:
-        StateUnusableError: If there is none, or its version is not this program's.
+        StateUnusableError: If there is none, its version is not this program's, or it refuses the
+            login.
         StoreUnavailableError: If the server does not answer.
     """
     if settings.database:
-        return open_store_at(settings.database, read_only=True)
+        with _refusals_said(settings.database):
+            return open_store_at(settings.database, read_only=True)
     return open_store_to_read(settings.state)
 
 
@@ -51,6 +73,25 @@ def sole_service(settings: WhereStateLies) -> AbstractContextManager[SoleService
 
     Raises:
         StateInUseError: If another service holds it.
+        StateUnusableError: If the server refuses the login.
         StoreUnavailableError: If the server does not answer.
     """
-    return SoleService(settings.database) if settings.database else nullcontext()
+    if settings.database:
+        with _refusals_said(settings.database):
+            return SoleService(settings.database)
+    return nullcontext()
+
+
+@contextmanager
+def _refusals_said(url: str) -> Iterator[None]:
+    """Tell a server that says no from one that is away: at the start nobody is there to wait."""
+    try:
+        yield
+    except StoreUnavailableError as error:
+        refusal = _NO.search(str(error.__cause__))
+        if refusal is None:
+            raise
+        raise StateUnusableError(
+            f"the database refuses us: {refusal.group()} ({shown(url)}); mend user, password "
+            "(in `database`, PGPASSWORD or .pgpass) or the database's name"
+        ) from error

@@ -1,11 +1,15 @@
 """The pages of whole daemons: where they are served, what is on them, and when they cannot be."""
 
+import json
+import os
 import re
+import signal
 import socket
 import subprocess
 import time
+import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -39,6 +43,37 @@ def url_of(one: Daemon) -> str:
     return found[1]
 
 
+def until(condition: Callable[[], bool], one: Daemon) -> None:
+    end_s = time.monotonic() + DEADLINE_S
+    while not condition():
+        assert one.is_running(), one.said()
+        assert time.monotonic() < end_s, one.said()
+        time.sleep(0.05)
+
+
+def problems(url: str) -> dict[str, str]:
+    """What `/readyz` names."""
+    try:
+        told = json.loads(page(f"{url}/readyz"))
+    except urllib.error.HTTPError as refused:
+        with refused:
+            told = json.loads(refused.read())
+    found: dict[str, str] = told["problems"]
+    return found
+
+
+def worker_pids(one: Daemon) -> list[int]:
+    """Workers of a `run`, from the kernel's list of its children."""
+
+    def found() -> list[int]:
+        threads = Path(f"/proc/{one.pid}/task").iterdir()
+        children = [child for at in threads for child in (at / "children").read_text().split()]
+        return [int(c) for c in children if "spawn_main" in Path(f"/proc/{c}/cmdline").read_text()]
+
+    until(lambda: bool(found()), one)
+    return found()
+
+
 def page(url: str) -> str:
     with urllib.request.urlopen(url, timeout=30) as answer:  # noqa: S310
         text: str = answer.read().decode()
@@ -54,6 +89,13 @@ def test_run_serves_the_service_and_its_workers_on_one_page(tmp_path: Path) -> N
         assert "\ncounterpoint_frames_total 0.0\n" in metrics
         assert "\ncounterpoint_worker_processes_wanted 1.0\n" in metrics
         assert page(f"{url}/healthz") == "alive\n"
+        (worker,) = worker_pids(run)
+        until(lambda: problems(url) == {}, run)
+        os.kill(worker, signal.SIGKILL)
+        until(lambda: set(problems(url)) == {"workers"}, run)
+        assert problems(url)["workers"].startswith("no worker is ")
+        assert page(f"{url}/healthz") == "alive\n", "a worker that died is replaced"
+        until(lambda: problems(url) == {}, run)
         try:
             checked = subprocess.run(
                 ["promtool", "check", "metrics"],

@@ -1,6 +1,8 @@
 """The local pool with real worker processes: killed, stuck, useless, orphaned, told to stop."""
 
 import os
+import resource
+import shutil
 import signal
 import socket
 import subprocess
@@ -10,14 +12,16 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
+from structlog.testing import capture_logs
 
 from schemas.bucket import open_bucket
 from schemas.bus import client_session, free_endpoint, router_session
-from schemas.errors import PermanentError
+from schemas.errors import PermanentError, TransientError
 from schemas.http_endpoint import HttpEndpoint
 from schemas.keys import DEFAULT_ROOT
 from schemas.work import MiningSettings
@@ -33,9 +37,10 @@ DEADLINE_S = 240.0
 
 ORPHANING = """
 import sys, threading
+from pathlib import Path
 from workers.pool.local import LocalPool
 if __name__ == "__main__":
-    pool = LocalPool(1, connect=["tcp/127.0.0.1:1"], root="none")
+    pool = LocalPool(1, connect=["tcp/127.0.0.1:1"], root="none", home=Path(sys.argv[1]))
     pool.start()
     while not pool.pids():
         threading.Event().wait(0.01)
@@ -59,10 +64,17 @@ def is_running(pid: int) -> bool:
         return False
 
 
-def test_a_killed_worker_is_replaced_its_death_told_and_the_pool_stops_in_peace() -> None:
+def test_a_killed_worker_is_replaced_its_death_told_and_the_pool_stops_in_peace(
+    tmp_path: Path,
+) -> None:
     told: list[str] = []
     with LocalPool(
-        1, connect=[free_endpoint()], root=DEFAULT_ROOT, on_death=told.append, drain_s=1.0
+        1,
+        connect=[free_endpoint()],
+        root=DEFAULT_ROOT,
+        home=tmp_path,
+        on_death=told.append,
+        drain_s=1.0,
     ) as pool:
         until(lambda: pool.alive() == 1, "a worker")
         first = pool.pids()[0]
@@ -72,30 +84,111 @@ def test_a_killed_worker_is_replaced_its_death_told_and_the_pool_stops_in_peace(
         second = pool.pids()[0]
         pool.check()
     assert not is_running(second)
+    assert not list(tmp_path.iterdir())
+
+
+def test_workers_are_replaced_and_counted_although_the_folder_of_metrics_is_taken_away(
+    tmp_path: Path, opened: ExitStack
+) -> None:
+    served = Served(tmp_path, opened)
+    with capture_logs() as said:
+        pool = opened.enter_context(pool_of(served))
+        until(lambda: counted(pool, "plans_total", outcome="refused") == 1, "a plan")
+        (folder,) = served.home.iterdir()
+        shutil.rmtree(folder)
+        (first,) = pool.pids()
+        os.kill(first, signal.SIGKILL)
+        until(lambda: pool.alive() == 1 and pool.pids() != [first], "another worker")
+        pool.check()
+        (served.logs / "b.mcap").write_bytes(b"y" * 1000)
+        until(lambda: counted(pool, "plans_total", outcome="refused") == 1, "a plan that counts")
+        shutil.rmtree(folder)
+        until(lambda: len(list(folder.glob("*.db"))) > 0, "files made again without a death")
+    removed = [each for each in said if "were removed" in each["event"]]
+    assert [each["folder"] for each in removed] == [str(folder)] * 2
+    assert counted(pool, "restarts_total", cause="crashed") == 1
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_pool_whose_watching_ends_by_a_bug_says_so_wherever_it_is_asked(
+    tmp_path: Path, opened: ExitStack
+) -> None:
+    def bug(_worker_id: str) -> None:
+        raise LookupError("of all things")
+
+    pool = LocalPool(
+        1,
+        connect=[free_endpoint()],
+        root=DEFAULT_ROOT,
+        home=tmp_path,
+        on_death=bug,
+        drain_s=1.0,
+    )
+    url = opened.enter_context(HttpEndpoint("127.0.0.1:0", pool_pages(pool))).url
+    opened.enter_context(pool)
+    until(lambda: pool.alive() == 1, "a worker")
+    pool.check()
+    os.kill(pool.pids()[0], signal.SIGKILL)
+    until(lambda: get(f"{url}/healthz")[0] == 503, "a page that tells")
+    sentence = "the pool watches its workers no more: LookupError('of all things')"
+    assert get(f"{url}/healthz") == (503, f"{sentence}\n")
+    assert get(f"{url}/readyz") == (503, f"{sentence}\n")
+    with pytest.raises(TransientError, match="no more: LookupError"):
+        pool.check()
+
+
+def test_a_worker_that_cannot_be_started_now_is_started_later(
+    tmp_path: Path, opened: ExitStack
+) -> None:
+    pool = LocalPool(1, connect=[free_endpoint()], root=DEFAULT_ROOT, home=tmp_path, drain_s=1.0)
+    with capture_logs() as said, no_free_handles():
+        opened.enter_context(pool)
+        until(lambda: len(said) >= 2, "two attempts")
+        assert pool.alive() == 0
+        pool.check()
+    assert {each["event"] for each in said} == {"worker cannot be started"}
+    assert {each["problem"] for each in said} == {"Too many open files"}
+    until(lambda: pool.alive() == 1, "a worker")
+
+
+@contextmanager
+def no_free_handles() -> Iterator[None]:
+    """Let this process open nothing more."""
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    opened = len(list(Path("/proc/self/fd").iterdir()))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (opened + 5, before[1]))
+    hogs: list[int] = []
+    try:
+        with pytest.raises(OSError, match="Too many open files"):
+            hogs.extend(os.open(os.devnull, os.O_RDONLY) for _ in range(opened + 5))
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+        for hog in hogs:
+            os.close(hog)
 
 
 def test_workers_die_with_their_pool_even_when_it_is_killed_and_leave_no_files(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
 ) -> None:
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
     with subprocess.Popen(
-        [sys.executable, "-c", ORPHANING], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", ORPHANING, str(tmp_path)], stdout=subprocess.PIPE, text=True
     ) as pool:
         assert pool.stdout is not None
         worker = int(pool.stdout.readline())
         assert is_running(worker)
-        assert list(tmp_path.glob("counterpoint-metrics-*"))
+        assert list(tmp_path.glob("worker-metrics-*"))
         pool.kill()
         pool.wait()
         until(lambda: not is_running(worker), "the end of the orphan")
-    assert not list(tmp_path.glob("counterpoint-metrics-*"))
+    assert not list(tmp_path.iterdir())
 
 
 class Served:
     """A service whose bucket may be anything a worker cannot cope with."""
 
     def __init__(self, folder: Path, opened: ExitStack, **asked: str) -> None:
-        self.logs = folder / "logs"
+        self.logs, self.home = folder / "logs", folder / "home"
         self.logs.mkdir()
         (folder / "state").mkdir()
         (self.logs / "a.mcap").write_bytes(b"x" * 1000)
@@ -124,6 +217,18 @@ class Served:
         self._serving.enter_context(service)
 
 
+def pool_of(served: Served, *, drain_s: float = 1.0, **how: Any) -> LocalPool:
+    """Make a pool of one worker for a service."""
+    return LocalPool(
+        1,
+        connect=[served.endpoint],
+        root=DEFAULT_ROOT,
+        home=served.home,
+        drain_s=drain_s,
+        **how,
+    )
+
+
 @pytest.fixture
 def opened() -> Iterator[ExitStack]:
     with ExitStack() as stack:
@@ -134,7 +239,7 @@ def test_workers_that_cannot_do_what_is_asked_give_up_and_the_pool_says_why(
     tmp_path: Path, opened: ExitStack
 ) -> None:
     served = Served(tmp_path, opened, supervised="oracle")
-    pool = opened.enter_context(LocalPool(1, connect=[served.endpoint], root=DEFAULT_ROOT))
+    pool = opened.enter_context(pool_of(served))
 
     said: list[str] = []
 
@@ -154,7 +259,7 @@ def test_a_pool_that_was_at_work_waits_for_a_mistake_of_the_service_to_be_mended
     tmp_path: Path, opened: ExitStack
 ) -> None:
     served = Served(tmp_path, opened)
-    pool = opened.enter_context(LocalPool(1, connect=[served.endpoint], root=DEFAULT_ROOT))
+    pool = opened.enter_context(pool_of(served))
     until(lambda: counted(pool, "plans_total", outcome="refused") == 1, "a plan")
     served.serve(supervised="oracle")
     until(lambda: counted(pool, "restarts_total", cause="unready") >= 1, "a worker that gives up")
@@ -188,14 +293,7 @@ def test_a_worker_stuck_on_one_lease_is_killed_and_replaced(
     served = Served(tmp_path, opened, bucket="s3://hole")
     told: list[str] = []
     pool = opened.enter_context(
-        LocalPool(
-            1,
-            connect=[served.endpoint],
-            root=DEFAULT_ROOT,
-            lease_deadline_s=2.0,
-            drain_s=0.5,
-            on_death=told.append,
-        )
+        pool_of(served, lease_deadline_s=2.0, drain_s=0.5, on_death=told.append)
     )
     until(lambda: bool(told), "the death of the stuck worker")
     assert told == [f"{pool.prefix}0"]
@@ -208,9 +306,7 @@ def test_signals_that_come_twice_do_not_cut_a_workers_drain_short(
 ) -> None:
     dig_hole(opened, monkeypatch)
     served = Served(tmp_path, opened, bucket="s3://hole")
-    pool = opened.enter_context(
-        LocalPool(1, connect=[served.endpoint], root=DEFAULT_ROOT, drain_s=5.0)
-    )
+    pool = opened.enter_context(pool_of(served, drain_s=5.0))
     until(lambda: counted(pool, "busy") == 1, "a worker with a lease")
     (worker,) = pool.pids()
     os.kill(worker, signal.SIGTERM)
@@ -226,7 +322,7 @@ def test_a_pool_serves_what_its_workers_count_and_the_counts_survive_them(
     tmp_path: Path, opened: ExitStack
 ) -> None:
     served = Served(tmp_path, opened)
-    pool = LocalPool(1, connect=[served.endpoint], root=DEFAULT_ROOT, drain_s=1.0)
+    pool = pool_of(served)
     url = opened.enter_context(HttpEndpoint("127.0.0.1:0", pool_pages(pool))).url
     assert get(f"{url}/healthz") == (503, "the pool watches its workers no more: it is stopped\n")
     opened.enter_context(pool)

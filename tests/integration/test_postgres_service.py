@@ -17,10 +17,10 @@ import pytest
 from schemas.bus import free_endpoint, router_session
 from service.cli.main import main
 from service.config import load_settings
-from service.errors import StateInUseError, UsageError
+from service.errors import StateInUseError, StateUnusableError, UsageError
 from service.reading import StateReader
 from service.store.engine import StoreUnavailableError
-from service.store.opening import open_ledger_store
+from service.store.opening import open_ledger_store, open_ledger_store_to_read, sole_service
 from service.store.sole import DatabaseTakenError, SoleService
 from tests.contracts.ledger_world import World
 from tests.integration.daemons import Daemon
@@ -59,6 +59,12 @@ class Postgres:
 
     def stop(self) -> None:
         self._do("pg_ctl", "-D", self._data, "-w", "-m", "immediate", "stop")
+
+    def ask_for_passwords(self) -> None:
+        """Trust nobody any more who logs in from now on."""
+        hba = Path(self._data) / "pg_hba.conf"
+        hba.write_text("host all all 127.0.0.1/32 scram-sha-256\n")
+        self._do("pg_ctl", "-D", self._data, "reload")
 
     def _do(self, program: str, *arguments: str) -> None:
         subprocess.run(
@@ -167,6 +173,35 @@ def test_who_loses_the_database_to_another_ends(postgres: Postgres) -> None:
         ):
             sole.check()
         sole.check()
+
+
+def test_a_wrong_password_is_a_mistake_at_the_start_and_waited_out_in_mid_run(
+    postgres: Postgres, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    settings = load_settings(database=postgres.url, state=tmp_path)
+    with closing(open_ledger_store(settings)) as store, SoleService(postgres.url):
+        with store.writing() as connection:
+            connection.exec_driver_sql("ALTER ROLE app PASSWORD 'old'")
+        postgres.ask_for_passwords()
+        for url, said in (
+            (postgres.url, "no password supplied"),
+            (postgres.url.replace("app@", "app:wrong@"), "password authentication failed"),
+            (postgres.url.replace("app@", "nobody:wrong@"), 'failed for user "nobody"'),
+            (postgres.url.replace("app@", "app:old@") + "x", 'database "postgresx" does not exist'),
+        ):
+            wrong = load_settings(database=url, state=tmp_path)
+            for opening in (open_ledger_store, open_ledger_store_to_read, sole_service):
+                with pytest.raises(StateUnusableError, match="the database refuses us") as refused:
+                    opening(wrong)
+                assert said in str(refused.value)
+            assert main(["top", "--database", url]) == 1
+            told = capsys.readouterr().err
+            assert said in told
+            assert "wrong@" not in told
+            assert told.count("\n") == 1, "one sentence"
+        store._engine.dispose()  # as after an outage: it must log in again, and may not
+        with pytest.raises(StoreUnavailableError, match="no password supplied"), store.reading():
+            pass
 
 
 def test_reading_verbs_read_the_database_beside_a_service(

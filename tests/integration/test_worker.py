@@ -14,6 +14,7 @@ from schemas.bucket import open_bucket
 from schemas.bus import client_session, free_endpoint, router_session
 from schemas.keys import DEFAULT_ROOT
 from schemas.retry import StoppedError
+from schemas.router_watch import RouterWatch
 from schemas.work import Grid, MiningSettings, PlanLease
 from service.app import Service
 from service.store.engine import open_store
@@ -21,7 +22,6 @@ from tests.contracts.ledger_world import World
 from tests.integration.small_s3 import SmallS3
 from workers.lease import LeaseKeeper, LeaseLostError, Leases
 from workers.metrics import WorkerMetrics
-from workers.router_watch import RouterWatch
 from workers.simulation.lidar import UNEVEN_64, Lidar
 from workers.simulation.worlds import build_street
 from workers.simulation.write import write_log

@@ -4,7 +4,6 @@ import time
 import uuid
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from threading import Event, Thread
 from types import TracebackType
 from typing import Final, Self
@@ -24,6 +23,8 @@ LEASE_DEADLINE_S: Final = 1800.0
 """No honest shard takes this long: twenty seconds of lidar at a hundredth of real time."""
 
 LOOK_S: Final = 0.1
+MEND_S: Final = 1.0
+"""How often to look for files that somebody took away."""
 
 
 class LocalPool:
@@ -42,6 +43,7 @@ class LocalPool:
         *,
         connect: Sequence[str],
         root: str,
+        home: Path,
         name: str = "local",
         drain_s: float = DRAIN_S,
         lease_deadline_s: float = LEASE_DEADLINE_S,
@@ -54,6 +56,8 @@ class LocalPool:
             size: Workers to keep alive.
             connect: Endpoints of routers.
             root: First part of every key.
+            home: Where the files in which the workers count may lie: a local disk, no place that
+                is cleaned while we live, as `/tmp` is.
             name: What the ids of its workers begin with.
             drain_s: How long a worker told to stop may go on with its lease, seconds.
             lease_deadline_s: A worker longer than this on one lease is killed.
@@ -65,15 +69,13 @@ class LocalPool:
         """
         self.prefix = f"{name}-{uuid.uuid4().hex[:12]}-"
         self._on_death, self._drain_s = on_death, drain_s
-        self._folder = TemporaryDirectory(prefix="counterpoint-metrics-")
-        folder = Path(self._folder.name)
-        self._metrics = SharedMetrics(folder, places=size)
+        self._metrics = SharedMetrics(home, places=size)
         self.registry: CollectorRegistry = self._metrics.registry
         self._slots = [
             Slot(
                 WorkerConfig(f"{self.prefix}{number}", tuple(connect), root, drain_s),
                 style or LogStyle(),
-                Place(number, folder),
+                Place(number, self._metrics.folder),
                 deadline_s=lease_deadline_s,
             )
             for number in range(size)
@@ -81,6 +83,7 @@ class LocalPool:
         self._metrics.pool.wanted.set(size)
         self._metrics.pool.alive.set_function(self.alive)
         self._stopping = Event()
+        self._failure: Exception | None = None
         self._watcher = Thread(target=self._watch, name="pool", daemon=True)
 
     def start(self) -> None:
@@ -96,13 +99,15 @@ class LocalPool:
         return [pid for slot in self._slots if (pid := slot.pid) is not None]
 
     def check(self) -> None:
-        """Raise why, if every worker has given up: then nothing will ever be mined here.
+        """Raise why, if nothing will be mined here any more.
 
         Raises:
-            PermanentError: With what the first of them said.
+            PermanentError: If every worker has given up; with what the first of them said.
+            TransientError: If the pool no longer looks after its workers.
         """
         if self._slots and all(slot.gave_up for slot in self._slots):
             raise PermanentError(self._slots[0].gave_up)
+        self.check_alive()
 
     def check_alive(self) -> None:
         """Raise why, if the pool no longer looks after its workers.
@@ -111,7 +116,8 @@ class LocalPool:
             TransientError: In one sentence.
         """
         if not self._watcher.is_alive():
-            raise TransientError("the pool watches its workers no more: it is stopped")
+            why = "it is stopped" if self._failure is None else f"{self._failure!r}"
+            raise TransientError(f"the pool watches its workers no more: {why}")
         if self._slots and all(slot.gave_up for slot in self._slots):
             raise TransientError(f"every worker has given up: {self._slots[0].gave_up}")
 
@@ -131,13 +137,14 @@ class LocalPool:
     def stop(self) -> None:
         """Tell the workers to finish what is soon done, and wait; kill those that do not listen."""
         self._stopping.set()
-        self._watcher.join()
+        if self._watcher.ident is not None:
+            self._watcher.join()
         until_s = time.monotonic() + self._drain_s + KILL_MARGIN_S
         for slot in self._slots:
             slot.tell_to_stop()
         for slot in self._slots:
             slot.wait_until_stopped(until_s)
-        self._folder.cleanup()
+        self._metrics.remove()
 
     def __enter__(self) -> Self:
         """Start."""
@@ -154,13 +161,25 @@ class LocalPool:
         self.stop()
 
     def _watch(self) -> None:
-        while not self._stopping.wait(LOOK_S):
-            for slot in self._slots:
-                cause = slot.look()
-                if cause is not None:
-                    self._metrics.forget_gauges(slot.place.number)
-                    self._metrics.pool.died(cause)
-                    self._tell(slot.worker_id)
+        """Look after the workers; whatever ends this is remembered, for `check_alive` to raise."""
+        mend_at_s = time.monotonic() + MEND_S
+        try:
+            while not self._stopping.wait(LOOK_S):
+                if time.monotonic() >= mend_at_s:
+                    self._metrics.mend()
+                    mend_at_s = time.monotonic() + MEND_S
+                self._look()
+        except Exception as error:
+            self._failure = error
+            raise
+
+    def _look(self) -> None:
+        for slot in self._slots:
+            cause = slot.look()
+            if cause is not None:
+                self._metrics.forget_gauges(slot.place.number)
+                self._metrics.pool.died(cause)
+                self._tell(slot.worker_id)
 
     def _tell(self, worker_id: str) -> None:
         try:

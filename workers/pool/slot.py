@@ -97,7 +97,7 @@ class Slot:
         """
         if self._process is None:
             if not self.gave_up and time.monotonic() >= self._restart_at_s:
-                self._start()
+                self._try_to_start()
         elif not self._process.is_alive():
             return self._bury(self._process)
         elif 0 < self.signs.since_s.value < time.monotonic() - self._deadline_s:
@@ -130,17 +130,36 @@ class Slot:
             self._process.join()
         self._process = None
 
+    def _try_to_start(self) -> None:
+        try:
+            self._start()
+        except OSError as error:  # no process, memory or file handle is to be had now
+            wait_s = next(self._waits)
+            self._restart_at_s = time.monotonic() + wait_s
+            log.warning(
+                "worker cannot be started",
+                worker_id=self.worker_id,
+                problem=error.strerror or str(error),
+                restart_s=round(wait_s, 1),
+            )
+
     def _start(self) -> None:
         self.signs.clear()
         self._stuck = False
-        self._last_words, tell = self._context.Pipe(duplex=False)
-        self._process = self._context.Process(
+        last_words, tell = self._context.Pipe(duplex=False)
+        process = self._context.Process(
             target=worker_process,
             args=(self._config, self._style, self.place, self.signs, tell),
             name=self.worker_id,
         )
-        self._process.start()
-        tell.close()
+        try:
+            process.start()
+        except OSError:
+            last_words.close()
+            raise
+        finally:
+            tell.close()
+        self._process, self._last_words = process, last_words
         self._started_s = time.monotonic()
 
     def _bury(self, process: SpawnProcess) -> Death:

@@ -167,3 +167,11 @@ def test_a_silent_client_makes_room_when_its_time_is_up(monkeypatch: pytest.Monk
             silent.sendall(b"GET /heal")
             assert silent.recv(1) == b""
         assert asked(endpoint, "/healthz")[0] == 200
+
+
+def test_an_endpoint_may_be_closed_before_its_block_ends() -> None:
+    with HttpEndpoint(ANYWHERE, {}) as endpoint:
+        endpoint.close()
+        with pytest.raises(ConnectionRefusedError):
+            asked(endpoint, "/healthz")
+        endpoint.close()

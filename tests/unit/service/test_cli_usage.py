@@ -62,6 +62,44 @@ def test_a_usage_error_is_one_sentence_and_exit_code_one(
     assert "Traceback" not in written.err
 
 
+@pytest.mark.parametrize("verb", ["run", "service", "worker", "router"])
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        pytest.param("list_interval = 5", "bad.toml: unknown setting list_interval; did", id="key"),
+        pytest.param("workers = -1", "bad.toml: workers = -1: must be a whole number", id="value"),
+        pytest.param("", "unknown variable COUNTERPOINT_WORKRES; did you mean", id="variable"),
+    ],
+)
+def test_no_daemon_starts_with_settings_that_cannot_be_meant(
+    verb: str,
+    text: str,
+    says: str,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("bad.toml").write_text(text)
+    if not text:
+        monkeypatch.setenv("COUNTERPOINT_WORKRES", "3")
+    assert main([verb, "--config", "bad.toml"]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("error: ")
+    assert says in said
+    assert said.count("\n") == 1, "one sentence"
+    assert [path.name for path in tmp_path.iterdir()] == ["bad.toml"], "nothing was begun"
+
+
+def test_workers_are_not_started_for_an_endpoint_that_is_none(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["worker", "--connect", "router:7447"]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("error: not an endpoint: 'router:7447'; write it as tcp/host:port")
+    assert said.count("\n") == 1, "one sentence"
+
+
 def test_a_router_that_is_not_there_means_try_again(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

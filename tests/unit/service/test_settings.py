@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from service.cli.main import main
-from service.config import Settings, load_settings, read_settings
+from service.config import Settings, cache_folder, load_settings, read_settings
 from service.errors import UsageError
 from service.settings_table import setting_rows
 
@@ -168,3 +168,16 @@ def test_a_daemon_that_logs_json_says_its_errors_as_json(
     assert "does not exist" in events[-1]["event"]
     assert main(argv) == 1
     assert capsys.readouterr().err.startswith("error: ")
+
+
+def test_what_can_be_made_again_is_kept_with_the_compiled_loops_never_in_tmp(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "/var/cache/counterpoint")
+    assert cache_folder() == Path("/var/cache/counterpoint")
+    monkeypatch.delenv("NUMBA_CACHE_DIR")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert cache_folder() == tmp_path / "counterpoint"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv("HOME", "/home/me")
+    assert cache_folder() == Path("/home/me/.cache/counterpoint")

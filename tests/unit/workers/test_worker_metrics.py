@@ -1,14 +1,18 @@
 """What workers count: every series there from the start, labels closed, sums that outlive them."""
 
 import multiprocessing
+import shutil
 from pathlib import Path
 
 import pytest
 from prometheus_client import CollectorRegistry
+from structlog.testing import capture_logs
 
+from schemas.errors import TransientError
 from schemas.frame import OdometryState
 from schemas.work import LogPlan, MiningStats
 from workers.metrics import PoolMetrics, WorkerMetrics
+from workers.pool.metrics_folder import MetricsFolder
 from workers.pool.shared_metrics import FILE_BYTES, SharedMetrics, count_in
 
 MOST_SERIES = 300
@@ -78,35 +82,104 @@ def work_in_a_process(folder: Path, place: int) -> None:
     assert process.exitcode == 0
 
 
+def places(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir() if path.suffix == ".db")
+
+
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
 def test_counts_go_on_over_restarts_gauges_of_the_dead_vanish_and_files_stay_few(
     tmp_path: Path,
 ) -> None:
     shared = SharedMetrics(tmp_path, places=2)
-    files = sorted(path.name for path in tmp_path.iterdir())
-    work_in_a_process(tmp_path, 0)
-    work_in_a_process(tmp_path, 1)
+    files = places(shared.folder)
+    work_in_a_process(shared.folder, 0)
+    work_in_a_process(shared.folder, 1)
     assert value(shared.registry, "shards_total", outcome="committed") == 2
     assert value(shared.registry, "busy") == 2
     shared.forget_gauges(0)
     assert value(shared.registry, "busy") == 1
     assert value(shared.registry, "connected") == 1
     for _ in range(3):
-        work_in_a_process(tmp_path, 0)
+        work_in_a_process(shared.folder, 0)
         shared.forget_gauges(0)
-    work_in_a_process(tmp_path, 0)
+    work_in_a_process(shared.folder, 0)
     assert value(shared.registry, "shards_total", outcome="committed") == 6
     assert value(shared.registry, "stage_seconds_count", stage="odometry") == 6
     assert value(shared.registry, "range_reads_total", work="plan") == 30
     assert value(shared.registry, "busy") == 2
-    assert sorted(path.name for path in tmp_path.iterdir()) == files
-    assert {path.stat().st_size for path in tmp_path.iterdir()} == {FILE_BYTES}, "none outgrew it"
+    assert places(shared.folder) == files
+    sizes = {path.stat().st_size for path in shared.folder.glob("*.db")}
+    assert sizes == {FILE_BYTES}, "none outgrew it"
+    shared.remove()
+    assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
 def test_every_kind_of_file_that_the_metrics_need_was_given_its_room(tmp_path: Path) -> None:
-    made, needed = tmp_path / "made", tmp_path / "needed"
-    made.mkdir()
+    shared, needed = SharedMetrics(tmp_path, places=1), tmp_path / "needed"
     needed.mkdir()
-    SharedMetrics(made, places=1)
     work_in_a_process(needed, 0)
-    assert {path.name for path in needed.iterdir()} == {path.name for path in made.iterdir()}
+    assert places(needed) == places(shared.folder)
+
+
+@pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+def test_files_that_somebody_took_away_are_made_again_and_it_is_said_once(tmp_path: Path) -> None:
+    shared = SharedMetrics(tmp_path, places=2)
+    files = places(shared.folder)
+    with capture_logs() as said:
+        shared.mend()
+        assert not said
+        next(shared.folder.glob("gauge*_0.db")).unlink()
+        shared.forget_gauges(0)
+        shutil.rmtree(shared.folder)
+        shared.forget_gauges(1)
+        shared.mend()
+    assert [each["files"] for each in said] == [1, len(files)]
+    assert places(shared.folder) == files
+    work_in_a_process(shared.folder, 1)
+    assert value(shared.registry, "shards_total", outcome="committed") == 1
+
+
+@pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+def test_where_nothing_can_be_kept_it_is_said_once_and_workers_count_for_themselves(
+    tmp_path: Path,
+) -> None:
+    shared = SharedMetrics(tmp_path, places=1)
+    shutil.rmtree(shared.folder)
+    shared.folder.write_text("in the way")
+    with capture_logs() as said:
+        for _ in range(3):
+            shared.mend()
+            shared.forget_gauges(0)
+    assert [each["event"] for each in said] == [
+        "metrics of the workers cannot be kept; mining goes on without them"
+    ]
+    work_in_a_process(shared.folder / "nowhere", 0)
+    shared.folder.unlink()
+    with capture_logs() as said:
+        shared.mend()
+    assert "made again" in said[0]["event"]
+
+
+def test_a_place_that_cannot_be_is_refused_with_what_to_do(tmp_path: Path) -> None:
+    (tmp_path / "home").write_text("a file")
+    with pytest.raises(TransientError, match="NUMBA_CACHE_DIR") as refused:
+        SharedMetrics(tmp_path / "home", places=1)
+    assert str(tmp_path / "home") in str(refused.value)
+
+
+def test_what_a_killed_pool_left_is_taken_away_and_what_a_living_one_holds_is_not(
+    tmp_path: Path,
+) -> None:
+    living, killed = MetricsFolder(tmp_path), MetricsFolder(tmp_path)
+    assert living.hold()
+    assert killed.hold()
+    (killed.path / "counter_0.db").write_bytes(b"left")
+    killed._let_go()  # as the kernel does at a kill
+    another = MetricsFolder(tmp_path)
+    assert another.hold()
+    assert not another.hold(), "it is there"
+    assert sorted(tmp_path.iterdir()) == sorted([living.path, another.path])
+    living.remove()
+    another.remove()
+    assert not list(tmp_path.iterdir())

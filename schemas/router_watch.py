@@ -1,4 +1,4 @@
-"""Sees whether a worker has a router, and says so when that changes: Zenoh itself says nothing."""
+"""Sees whether a session has a router, and says so when that changes: Zenoh itself says nothing."""
 
 import time
 from collections.abc import Callable
