@@ -58,9 +58,17 @@ class Bucket:
         url: Where it lies, without credentials.
     """
 
-    def __init__(self, store: ObjectStore, *, url: str) -> None:
-        """Wrap a store; `open_bucket` is the usual way in."""
+    def __init__(self, store: ObjectStore, *, url: str, folder: Path | None = None) -> None:
+        """Wrap a store; `open_bucket` is the usual way in.
+
+        Args:
+            store: What holds the objects.
+            url: Where it lies, without credentials.
+            folder: Of a local store: while it does not exist the store is unreachable, since a
+                disk that is not mounted must not look like an empty one.
+        """
         self.url = url
+        self._folder = folder
         self._store = store
         self._lock = threading.Lock()
         self._reads = 0
@@ -92,6 +100,7 @@ class Bucket:
             if isinstance(self._store, LocalStore):
                 # A file system lists in an order of its own.
                 found = sorted((meta for batch in batches for meta in batch), key=_path)
+                self._need_folder()  # what went in the middle of it lists as far as it came
                 yield from map(_object_meta, found)
                 return
             for batch in batches:
@@ -104,6 +113,7 @@ class Bucket:
         try:
             return _object_meta(obstore.head(self._store, key))
         except (FileNotFoundError, NotFoundError):
+            self._need_folder()
             return None
         except (BaseError, OSError, ValueError) as error:
             raise explain(error, url=self.url, key=key) from None
@@ -127,6 +137,7 @@ class Bucket:
             got = obstore.get(self._store, key, options=options)
             data = got.bytes().to_bytes()
         except (BaseError, OSError, ValueError) as error:
+            self._need_folder()
             raise explain(error, url=self.url, key=key) from None
         self._count(len(data))
         if len(data) != length:
@@ -146,6 +157,7 @@ class Bucket:
         try:
             data = obstore.get(self._store, key).bytes().to_bytes()
         except (BaseError, OSError, ValueError) as error:
+            self._need_folder()
             raise explain(error, url=self.url, key=key) from None
         self._count(len(data))
         return data
@@ -156,6 +168,10 @@ class Bucket:
             obstore.put(self._store, key, data)
         except (BaseError, OSError, ValueError) as error:
             raise explain(error, url=self.url, key=key, writing=True) from None
+
+    def _need_folder(self) -> None:
+        if self._folder is not None and not self._folder.is_dir():
+            raise BucketUnreachableError(f"the folder is gone; is its disk mounted? ({self.url})")
 
     def _count(self, length: int) -> None:
         with self._lock:
@@ -237,7 +253,7 @@ def _open_folder(path: Path, *, create: bool) -> Bucket:
         store = LocalStore(folder)
     except (BaseError, OSError) as error:
         raise explain(error, url=str(folder), writing=create) from None
-    return Bucket(store, url=folder.as_uri())
+    return Bucket(store, url=folder.as_uri(), folder=folder)
 
 
 def _plain(url: str) -> str:

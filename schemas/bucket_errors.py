@@ -54,6 +54,8 @@ _CONNECTION_PROBLEMS: Final = (
     ("timed out", "no answer in time"),
     ("Timeout", "no answer in time"),
 )
+_MOVED_ON: Final = ("412", "416")
+"""Another etag than the one that was listed; an object that ends before the range begins."""
 _STATUS: Final = re.compile(r"\bstatus: (\d{3})\b|non-2xx status code: (\d{3})\b")
 _CODE: Final = re.compile(r"<Code>([A-Za-z]{1,60})</Code>")
 
@@ -87,11 +89,12 @@ def explain(
         return BucketRefusedError(f"{_denial(said, url=url, doing=doing)} {where}")
     if isinstance(error, PermissionError) or "PermissionDenied" in text:
         return BucketRefusedError(f"no permission to {'write' if writing else 'read'} {where}")
-    if isinstance(error, FileNotFoundError | NotFoundError):
+    # What breaks off in mid-read is asked for again, and comes as no more than "some error".
+    if isinstance(error, FileNotFoundError | NotFoundError) or said == "NoSuchKey":
         if key and not writing:
             return ObjectChangedError(key=key)
         return BucketRefusedError(f"there is no such bucket or folder {where}")
-    if isinstance(error, PreconditionError) or "StartTooLarge" in text or status == "416":
+    if isinstance(error, PreconditionError) or "StartTooLarge" in text or status in _MOVED_ON:
         return ObjectChangedError(key=key)
     if "BareRedirect" in text:
         return BucketRefusedError(

@@ -176,15 +176,18 @@ def decode_overlay(payload: bytes) -> Overlay:
         raise PackUnreadableError(f"not a well-formed overlay: {error}") from error
 
 
-def overlay_key(*, log_id: str, scene_id: str, pipeline_version: str) -> str:
+def overlay_key(*, log_id: str, scene_id: str, pipeline_version: str, sha256: str) -> str:
     """Object key of a scene's overlay in the artifacts bucket.
+
+    It names the digest of the scene's record, since a log that is replaced has other scenes under
+    the same ids, and those of before return if its bytes do.
 
     Folders follow the log's key, each percent-encoded: one file name of a long key would exceed
     what file systems take. `@` is always encoded in a part, so no log can lie in another's folder.
     """
     log = "/".join(_part(part) for part in log_id.split("/"))
     scene = "/".join(_part(part) for part in scene_id.removeprefix(f"{log_id}/").split("/"))
-    return f"overlays/{_part(pipeline_version)}/{log}/@/{scene}.overlay"
+    return f"overlays/{_part(pipeline_version)}/{log}/@/{scene}-{sha256[:16]}.overlay"
 
 
 def _to_planes(points_cm: NDArray[np.int16]) -> NDArray[np.uint8]:

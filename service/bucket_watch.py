@@ -5,9 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
-from pathlib import Path
 from typing import Final
-from urllib.parse import unquote, urlsplit
 
 import structlog
 
@@ -148,7 +146,6 @@ class BucketWatch:
         if listed:
             log.info("listing goes on", after=listed[-1].key, objects=len(listed))
         try:
-            _need_folder(self._bucket.url)
             for found in self._bucket.list(start_after=listed[-1].key if listed else None):
                 listed.append(found)
         except (BucketUnreachableError, BucketRefusedError) as error:
@@ -184,12 +181,3 @@ def is_wanted(key: str, *, include: Sequence[str], exclude: Sequence[str]) -> bo
     """Whether an object counts: it matches a pattern to include, if any, and none to exclude."""
     included = not include or any(fnmatchcase(key, each) for each in include)
     return included and not any(fnmatchcase(key, each) for each in exclude)
-
-
-def _need_folder(url: str) -> None:
-    """A folder that is gone lists as an empty one: its logs must not count as deleted."""
-    parts = urlsplit(url)
-    if parts.scheme == "file" and not Path(unquote(parts.path)).is_dir():
-        raise BucketUnreachableError(
-            f"the folder of the logs is gone; is its disk mounted? ({url})"
-        )

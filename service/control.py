@@ -118,4 +118,4 @@ class Control:
         return stored
 
     def _overlay(self, request: SceneRequest) -> bytes:
-        return read_overlay(self._settings.artifacts, self._scene(request).decoded())
+        return read_overlay(self._settings.artifacts, self._scene(request))

@@ -11,7 +11,7 @@ from schemas.overlay import overlay_key
 from schemas.score import SceneScore
 from service.config import Settings
 from service.errors import NothingFoundError, StateInUseError, UsageError
-from service.ledger import Ledger
+from service.ledger import Ledger, StoredScene
 from service.ranking import RankedScene
 from service.rates import RateRow, RatesRequest, rates
 from service.selection import Selection
@@ -90,15 +90,18 @@ class StateReader:
 
     def scene(self, scene_id: str) -> SceneScore:
         """Return the record of a current scene."""
+        return self._scene(scene_id).decoded()
+
+    def overlay(self, scene_id: str) -> bytes:
+        """Return the stored points of a current scene, encoded."""
+        return read_overlay(self._settings.mining().artifacts, self._scene(scene_id))
+
+    def _scene(self, scene_id: str) -> StoredScene:
         with self._ledger() as ledger:
             stored = ledger.scene(scene_id)
         if stored is None:
             raise no_such_scene(scene_id)
-        return stored.decoded()
-
-    def overlay(self, scene_id: str) -> bytes:
-        """Return the stored points of a current scene, encoded."""
-        return read_overlay(self._settings.mining().artifacts, self.scene(scene_id))
+        return stored
 
     def rates(self, request: RatesRequest) -> list[RateRow]:
         """Say how often the streams contradict each other, by group."""
@@ -111,22 +114,23 @@ class StateReader:
             return ledger.status()
 
 
-def read_overlay(artifacts_url: str, score: SceneScore) -> bytes:
+def read_overlay(artifacts_url: str, scene: StoredScene) -> bytes:
     """Read the overlay of a scene from where the workers put it.
 
     Raises:
         NothingFoundError: If it is not there.
     """
     key = overlay_key(
-        log_id=score.log_id,
-        scene_id=score.scene_id,
-        pipeline_version=score.producers.pipeline_version,
+        log_id=scene.log_id,
+        scene_id=scene.scene_id,
+        pipeline_version=scene.pipeline_version,
+        sha256=scene.sha256,
     )
     try:
         return open_bucket(artifacts_url).read_all(key)
     except ObjectChangedError:
         raise NothingFoundError(
-            f"no overlay of {score.scene_id} in {artifacts_url}; name its place with --artifacts"
+            f"no overlay of {scene.scene_id} in {artifacts_url}; name its place with --artifacts"
         ) from None
 
 

@@ -134,16 +134,18 @@ def mine_records(
 
 def _encoded(mined: MinedScene, class_names: tuple[str, ...], pipeline_version: str) -> MinedRecord:
     record = encode_scene_score(mined.score)
+    digest = sha256(record)
     overlay = overlay_of(mined.scene, mined.instances, class_names=class_names)
     return MinedRecord(
         score=mined.score,
         record=record,
-        sha256=sha256(record),
+        sha256=digest,
         overlay=encode_overlay(overlay),
         overlay_key=overlay_key(
             log_id=mined.score.log_id,
             scene_id=mined.score.scene_id,
             pipeline_version=pipeline_version,
+            sha256=digest,
         ),
     )
 

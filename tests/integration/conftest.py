@@ -17,7 +17,7 @@ from tests.factories import street_log
 from tests.integration.object_store import PACKAGES, Ceph, missing_programs
 from workers.score import score_recording
 
-VEHICLES: Final = ("car-0", "car-1", "car-2", "car-3", "car-4")
+VEHICLES: Final = ("car-0", "car-1", "car-2", "car-3", "car-4", "car-5")
 SECONDS, SHARD_S = 6, 2
 SHARDS: Final = SECONDS // SHARD_S
 """Of each log of the small fleet, with one scene each."""

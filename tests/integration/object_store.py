@@ -11,7 +11,7 @@ import socket
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from email.utils import formatdate
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
@@ -131,9 +131,11 @@ class Ceph:
         key = (f"--uid={user.name}", f"--access-key={user.key_id}")
         self._administer("key", "rm", "--key-type=s3", *key)
 
-    def restore_key(self, user: Identity) -> None:
-        """Give a user the same keys again."""
-        self._administer("key", "create", "--key-type=s3", *_named(user))
+    def give_new_key(self, user: Identity) -> Identity:
+        """Give a user other keys, and return the user with them."""
+        new = replace(user, key_id=f"{user.key_id}N", secret=f"{user.secret}N")
+        self._administer("key", "create", "--key-type=s3", *_named(new))
+        return new
 
     def options(self, user: Identity = ADMIN) -> dict[str, str]:
         """Return what `open_bucket` needs to act as this user."""
@@ -169,7 +171,9 @@ class Ceph:
         self._await_end(pid)
 
     def start(self) -> None:
-        """Start the gateway again and wait until it answers."""
+        """Start the gateway again, if it does not run, and wait until it answers."""
+        if self._answers():
+            return
         configured = ("-c", str(self._folder / "ceph.conf"), "-n", "client.rgw")
         subprocess.run(["radosgw", *configured], check=True, capture_output=True)
         end_s = time.monotonic() + _DEADLINE_S

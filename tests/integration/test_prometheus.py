@@ -28,7 +28,7 @@ from tests.integration.prometheus_server import (
 )
 from workers.simulation.recorded import Mistake, MistakeKind
 
-pytestmark = [pytest.mark.integration, pytest.mark.acceptance, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.integration, pytest.mark.timeout(900)]
 
 MINED_S: Final = 400.0
 """Until the small bucket is mined; generous, since machines that run tests are busy."""

@@ -18,7 +18,7 @@ from tests.integration.prometheus_server import (
     until,
 )
 
-pytestmark = [pytest.mark.integration, pytest.mark.acceptance]
+pytestmark = [pytest.mark.integration]
 
 TESTS = sorted((DEPLOY / "prometheus" / "tests").glob("*.yml"))
 SECONDS = {"m": 60, "h": 3600}

@@ -8,7 +8,7 @@ from schemas.bus import free_endpoint, router_session
 from service.cli.main import main
 from tests.integration.object_store import Ceph, Identity
 
-pytestmark = [pytest.mark.integration, pytest.mark.acceptance]
+pytestmark = pytest.mark.integration
 
 NOBODY = Identity("nobody", "AKNOBODY", "s3cr3t/of+nobody")
 CREDENTIALS = ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY")

@@ -19,7 +19,7 @@ from tests.integration.faulty_proxy import FaultyProxy
 from tests.integration.object_store import Ceph
 from tests.integration.running import until
 
-pytestmark = [pytest.mark.integration, pytest.mark.acceptance, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.integration, pytest.mark.timeout(900)]
 
 OBJECTS = 10_000
 PAGES = 10

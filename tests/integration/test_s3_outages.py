@@ -3,37 +3,56 @@
 One daemon lives through all of it; each test gives it the log of another vehicle.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+import re
+import urllib.request
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import obstore
 import pytest
+from prometheus_client.parser import text_string_to_metric_families
 
 from service.status import LogStatus
 from tests.integration.conftest import SHARD_S, SHARDS, Undisturbed, key_of
-from tests.integration.daemons import System
+from tests.integration.credential_server import CredentialServer
+from tests.integration.daemons import Daemon, System
 from tests.integration.faulty_proxy import Fault, FaultyProxy
-from tests.integration.object_store import OVERLAYS, READ, Ceph, Identity
+from tests.integration.object_store import OVERLAYS, READ, Ceph
 
-pytestmark = [pytest.mark.integration, pytest.mark.acceptance, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.integration, pytest.mark.timeout(900)]
 
 ONE_FAILURE_PARKS = {"COUNTERPOINT_MAX_ATTEMPTS": "1", "COUNTERPOINT_LIST_INTERVAL_S": "0.5"}
+PAGES = {
+    "COUNTERPOINT_HTTP_LISTEN": "127.0.0.1:0",
+    "COUNTERPOINT_WORKER_HTTP_LISTEN": "127.0.0.1:0",
+}
 
 FOOTER_BYTES = 64
 """At most so much more is read of a log that was listed a moment ago: whether it is whole."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Outpost:
     """Service and workers as one user of the store, behind a proxy, and their log bucket."""
 
     ceph: Ceph
     proxy: FaultyProxy
+    credentials: CredentialServer
     system: System
-    user: Identity
     logs: str
     fleet: Path
+    heard: dict[str, int] = field(default_factory=dict)
+    """Name of a daemon to how much of what it said belongs to the tests before."""
+
+    def begin(self) -> None:
+        """Forget what was said so far."""
+        for daemon in self.system.daemons:
+            self.heard[daemon.name] = len(daemon.said())
+
+    def said(self, daemon: Daemon) -> str:
+        """What a daemon has said in this test."""
+        return daemon.said()[self.heard[daemon.name] :]
 
     def upload(self, vehicle: str, *, to: str = "") -> None:
         """Put the log of a vehicle into the bucket, or in the place of another's."""
@@ -59,10 +78,47 @@ class Outpost:
         self.system.until(is_there, f"{vehicle} is {' or '.join(states)}")
         return found[0]
 
-    def until_said(self, words: str) -> None:
-        """Wait until both the service and a worker have said this."""
-        self.system.until(lambda: words in self.system.service.said(), f"service says {words!r}")
-        self.system.until(lambda: words in self.system.pool.said(), f"a worker says {words!r}")
+    def until_said(self, daemon: Daemon, words: str) -> None:
+        """Wait until a daemon has said this."""
+        self.system.until(lambda: words in self.said(daemon), f"{daemon.name} says {words!r}")
+
+    def counted(self, daemon: Daemon, name: str, **labels: str) -> float:
+        """Sum of the samples of a daemon's page that have these labels."""
+        (url,) = re.findall(r"metrics at (http://\S+/metrics)", daemon.said())
+        with urllib.request.urlopen(url, timeout=60) as answer:  # noqa: S310
+            page = answer.read().decode()
+        found = [
+            sample.value
+            for family in text_string_to_metric_families(page)
+            for sample in family.samples
+            if sample.name == f"counterpoint_{name}" and labels.items() <= sample.labels.items()
+        ]
+        assert found, f"no {name} {labels} in\n{page}"
+        return sum(found)
+
+    def trouble_is_said_counted_and_over(
+        self, words: str, kind: str, *, begins: Callable[[], None], ends: Callable[[], None]
+    ) -> None:
+        """Begin trouble, wait until service and workers wait, end it, and see them go on."""
+        service, pool = self.system.service, self.system.pool
+        listings = self.counted(service, "bucket_errors_total", kind=kind)
+        leases = self.counted(pool, "worker_store_errors_total", kind=kind)
+        begins()
+        for daemon in (service, pool):
+            self.until_said(daemon, words)
+        self.system.until(
+            lambda: self.counted(pool, "worker_waiting_for_store") >= 1, "a worker that waits"
+        )
+        listed_s = self.counted(service, "bucket_last_listing_timestamp_seconds")
+        ends()
+        self.until_said(service, "works again what='listing of the bucket'")
+        self.until_said(pool, "store works again")
+        assert self.counted(service, "bucket_errors_total", kind=kind) > listings
+        assert self.counted(pool, "worker_store_errors_total", kind=kind) > leases
+        assert self.counted(service, "bucket_last_listing_timestamp_seconds") > listed_s
+        self.system.until(
+            lambda: self.counted(pool, "worker_waiting_for_store") == 0, "no worker that waits"
+        )
 
     def records(self, vehicle: str) -> dict[str, str]:
         """Scene id to digest of a vehicle's current scenes."""
@@ -84,17 +140,25 @@ def outpost(ceph: Ceph, fleet: Path, tmp_path_factory: pytest.TempPathFactory) -
     logs, overlays, user = ceph.make_bucket(), ceph.make_bucket(), ceph.make_user()
     ceph.allow(logs, {user: READ})
     ceph.allow(overlays, {user: OVERLAYS})
-    with FaultyProxy(ceph.endpoint) as proxy:
+    folder = tmp_path_factory.mktemp("outpost")
+    environment = ceph.environment(user)
+    del environment["AWS_ACCESS_KEY_ID"], environment["AWS_SECRET_ACCESS_KEY"]
+    with FaultyProxy(ceph.endpoint) as proxy, CredentialServer(user, folder) as credentials:
+        environment |= credentials.environment | {"AWS_ENDPOINT_URL": proxy.endpoint}
         system = System(
-            tmp_path_factory.mktemp("outpost"),
+            folder,
             f"s3://{logs}",
             *("--shard-seconds", str(SHARD_S), "--supervised", "recorded"),
             *("--artifacts", f"s3://{overlays}"),
-            env=ceph.environment(user, endpoint=proxy.endpoint) | ONE_FAILURE_PARKS,
+            env=environment | PAGES | ONE_FAILURE_PARKS,
         )
         try:
             system.start()
-            yield Outpost(ceph, proxy, system, user, logs, fleet)
+            outpost = Outpost(ceph, proxy, credentials, system, logs, fleet)
+            outpost.begin()
+            for daemon in (system.service, system.pool):
+                outpost.until_said(daemon, "metrics at http://")
+            yield outpost
             assert system.stop() == [0, 0, 0]
         finally:
             system.end()
@@ -102,6 +166,7 @@ def outpost(ceph: Ceph, fleet: Path, tmp_path_factory: pytest.TempPathFactory) -
 
 @pytest.fixture(autouse=True)
 def _calm(outpost: Outpost) -> Iterator[None]:
+    outpost.begin()
     yield
     outpost.proxy.calm()
 
@@ -138,24 +203,53 @@ def test_a_store_that_fails_for_longer_than_anyone_retries_is_waited_for(
 ) -> None:
     outpost.upload("car-2")
     outpost.until("car-2", "mining")
-    outpost.proxy.storm()
-    outpost.until_said("answers with error 503")
-    outpost.proxy.calm()
+    outpost.trouble_is_said_counted_and_over(
+        "answers with error 503",
+        "unreachable",
+        begins=outpost.proxy.storm,
+        ends=outpost.proxy.calm,
+    )
     outpost.is_as_if_undisturbed("car-2", undisturbed["car-2"])
 
 
-def test_keys_taken_away_are_waited_for_and_work_again_without_a_restart(
+def test_a_gateway_that_is_gone_for_longer_than_anyone_retries_is_waited_for(
     outpost: Outpost, undisturbed: dict[str, Undisturbed]
 ) -> None:
+    outpost.upload("car-5")
+    outpost.until("car-5", "mining")
+    try:
+        outpost.trouble_is_said_counted_and_over(
+            "the store cannot be reached",
+            "unreachable",
+            begins=outpost.ceph.kill,
+            ends=outpost.ceph.start,
+        )
+    finally:
+        outpost.ceph.start()
+    outpost.is_as_if_undisturbed("car-5", undisturbed["car-5"])
+
+
+def test_keys_that_expire_are_waited_for_and_new_ones_work_without_a_restart(
+    outpost: Outpost, undisturbed: dict[str, Undisturbed]
+) -> None:
+    expired = outpost.credentials.user
     outpost.upload("car-3")
     outpost.until("car-3", "mining")
-    outpost.ceph.remove_key(outpost.user)
-    outpost.until_said("does not know these credentials (InvalidAccessKeyId)")
-    outpost.ceph.restore_key(outpost.user)
+
+    def renew() -> None:
+        outpost.credentials.user = outpost.ceph.give_new_key(expired)
+
+    outpost.trouble_is_said_counted_and_over(
+        "the store allows these credentials no ",  # what this store says of keys from a service
+        "refused",
+        begins=lambda: outpost.ceph.remove_key(expired),
+        ends=renew,
+    )
     outpost.is_as_if_undisturbed("car-3", undisturbed["car-3"])
     said = "".join(daemon.said() for daemon in outpost.system.daemons)
-    assert outpost.user.key_id not in said
-    assert outpost.user.secret not in said
+    for user in (expired, outpost.credentials.user):
+        assert user.key_id not in said
+        assert user.secret not in said
 
 
 def test_an_object_replaced_while_it_is_read_is_never_mixed_with_its_successor(
@@ -164,7 +258,7 @@ def test_an_object_replaced_while_it_is_read_is_never_mixed_with_its_successor(
     outpost.proxy.in_next_body(key_of("car-4"), lambda: outpost.upload("car-4"))
     outpost.upload("car-0", to="car-4")
     outpost.is_as_if_undisturbed("car-4", undisturbed["car-4"])
-    assert "was replaced or deleted while it was read" in outpost.system.pool.said()
+    outpost.until_said(outpost.system.pool, "was replaced or deleted while it was read (car-4/")
 
 
 def test_an_object_deleted_while_it_is_read_is_gone_with_the_next_listing(
@@ -179,6 +273,7 @@ def test_an_object_deleted_while_it_is_read_is_gone_with_the_next_listing(
     outpost.proxy.in_next_body(key_of("car-9"), happens)
     outpost.upload("car-1", to="car-9")
     outpost.system.until(lambda: bool(deleted), "a read of it")
+    outpost.until_said(outpost.system.pool, "was replaced or deleted while it was read (car-9/")
     outpost.system.until(lambda: "car-9/2026-03-02/drive" not in known_logs(outpost), "it is gone")
     assert outpost.system.client.status().parked == ()
     assert outpost.records("car-9") == {}

@@ -14,7 +14,7 @@ from tests.integration.conftest import SHARD_S, SHARDS, Undisturbed, key_of
 from tests.integration.daemons import QUICK
 from tests.integration.object_store import OVERLAYS, READ, Ceph
 
-pytestmark = [pytest.mark.integration, pytest.mark.acceptance, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.integration, pytest.mark.timeout(900)]
 
 
 def counterpoint(*arguments: str, environment: dict[str, str]) -> str:

@@ -9,7 +9,7 @@ from threading import Thread
 import pytest
 
 from schemas.bucket import Bucket, open_bucket, open_object
-from schemas.errors import BucketRefusedError, ObjectChangedError
+from schemas.errors import BucketRefusedError, BucketUnreachableError, ObjectChangedError
 from tests.contracts.bucket_contract import BucketContract
 
 KEY_ID, SECRET = "AKIAPUBLICID", "s3cr3t/of+the/car"
@@ -52,6 +52,26 @@ def test_a_wrong_url_is_refused(url: str, says: str) -> None:
     with pytest.raises(BucketRefusedError, match=says) as caught:
         open_bucket(url)
     assert "s3cr3t" not in str(caught.value)
+
+
+def test_a_folder_that_is_gone_is_away_and_none_of_its_objects_replaced(tmp_path: Path) -> None:
+    """Else every shard that waits would use up an attempt while a disk is not mounted."""
+    folder = tmp_path / "disk"
+    (folder / "car-1").mkdir(parents=True)
+    (folder / "car-1" / "a.mcap").write_bytes(b"x")
+    bucket = open_bucket(str(folder))
+    [listed] = bucket.list()
+    folder.rename(tmp_path / "elsewhere")
+    for use in (
+        lambda: list(bucket.list()),
+        lambda: bucket.head(listed.key),
+        lambda: bucket.read_range(listed.key, 0, 1, listed.etag),
+        lambda: bucket.read_all(listed.key),
+    ):
+        with pytest.raises(BucketUnreachableError, match="is its disk mounted"):
+            use()
+    (tmp_path / "elsewhere").rename(folder)
+    assert bucket.read_range(listed.key, 0, 1, listed.etag) == b"x"
 
 
 def test_a_file_is_no_folder_of_logs(tmp_path: Path) -> None:

@@ -183,14 +183,27 @@ def test_the_key_names_log_version_and_scene_and_stays_a_plain_path() -> None:
         log_id="münchen/car 7/../drive",
         scene_id="münchen/car 7/../drive/lidar.top/1700000000000000000",
         pipeline_version="abcdef012345",
+        sha256="0123456789abcdef" * 4,
     )
     assert key == (
         "overlays/abcdef012345/m%C3%BCnchen/car%207/%2E%2E/drive/@/"
-        "lidar.top/1700000000000000000.overlay"
+        "lidar.top/1700000000000000000-0123456789abcdef.overlay"
     )
 
 
 def test_no_two_scenes_share_a_key() -> None:
     named = [("a", "a/b/1"), ("a/b", "a/b/b/1"), ("a/@", "a/@/b/1"), ("a", "a/b/2")]
-    keys = {overlay_key(log_id=log, scene_id=s, pipeline_version="v") for log, s in named}
+    keys = {
+        overlay_key(log_id=log, scene_id=s, pipeline_version="v", sha256="0" * 64)
+        for log, s in named
+    }
     assert len(keys) == len(named)
+
+
+def test_what_a_replaced_log_shows_does_not_overwrite_what_may_return() -> None:
+    """The scenes of old bytes come back without being mined, and need their own points then."""
+    before, after = (
+        overlay_key(log_id="a", scene_id="a/b/1", pipeline_version="v", sha256=digest * 64)
+        for digest in "12"
+    )
+    assert before != after

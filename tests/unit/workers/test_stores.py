@@ -2,12 +2,13 @@
 
 import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 from obstore.store import MemoryStore
 from structlog.testing import capture_logs
 
-from schemas.bucket import Bucket, ObjectMeta
+from schemas.bucket import Bucket, ObjectMeta, open_bucket
 from schemas.errors import (
     BucketRefusedError,
     BucketUnreachableError,
@@ -96,6 +97,23 @@ def test_a_stretch_that_never_comes_is_in_the_end_the_objects_fault() -> None:
 def test_credentials_that_come_and_go_never_park_anything() -> None:
     _, cause = judged(REFUSED, lambda key, size: None, repeated=True)
     assert isinstance(cause, StoreTroubleError)
+
+
+def test_a_disk_that_is_not_mounted_is_waited_for_and_no_log_is_to_blame(tmp_path: Path) -> None:
+    disk, elsewhere = tmp_path / "disk", tmp_path / "elsewhere"
+    disk.mkdir()
+    (disk / "a.mcap").write_bytes(b"x")
+    bucket = open_bucket(str(disk))
+    recording = recording_in(bucket)
+    disk.rename(elsewhere)
+    with pytest.raises(BucketUnreachableError) as caught:
+        bucket.read_range("a.mcap", 0, 1, recording.parts[0].etag)
+    cause = cause_of(caught.value, bucket, recording, repeated=True)
+    assert isinstance(cause, StoreTroubleError)
+    with pytest.raises(BucketUnreachableError):
+        cause.again()
+    elsewhere.rename(disk)
+    cause.again()
 
 
 def test_a_log_that_was_replaced_during_the_outage_is_planned_anew() -> None:
