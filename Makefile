@@ -22,11 +22,8 @@ check: .venv/.installed    ## Format, lint, types, imports: what needs no server
 test: check                ## The checks, then unit, contract and architecture tests
 	$(BIN)/pytest -q
 
-integration: .venv/.installed  ## Real router, real processes, killed and restarted
-	$(BIN)/pytest -q -m "integration and not acceptance"
-
-acceptance: .venv/.installed  ## An S3 gateway, Prometheus, full disks, a whole day of a bucket
-	$(BIN)/pytest -q -m acceptance
+integration: .venv/.installed  ## Real processes and servers, killed and restarted; a bucket's day
+	$(BIN)/pytest -q -m integration
 
 fix: .venv/.installed      ## Format, and repair what can be repaired safely
 	$(BIN)/ruff format .
@@ -38,4 +35,4 @@ demo: .venv/.installed     ## Simulated street logs, the whole system, a ranked 
 bench: .venv/.installed    ## Where the time goes, beside floors measured in the same run
 	$(BIN)/counterpoint bench pipeline
 
-.PHONY: help install check test integration acceptance fix demo bench
+.PHONY: help install check test integration fix demo bench

@@ -59,6 +59,10 @@ class Daemon:
     def is_running(self) -> bool:
         return self._process is not None and self._process.poll() is None
 
+    def ended(self) -> int | None:
+        """With what it ended by itself; None while it runs."""
+        return None if self._process is None else self._process.poll()
+
     def kill(self) -> None:
         assert self._process is not None
         self._process.kill()
@@ -98,9 +102,9 @@ class System:
             options: More of `counterpoint service`.
             env: More variables, for all three.
         """
-        self.endpoint = free_endpoint()
+        self.endpoint, self.state = free_endpoint(), folder / "state"
         at = ("--connect", self.endpoint)
-        serve = ("service", "--bucket", bucket, "--state", str(folder / "state"), *at, *options)
+        serve = ("service", "--bucket", bucket, "--state", str(self.state), *at, *options)
         self.router = Daemon(folder, "router", "router", "--listen", self.endpoint, env=env)
         self.service = Daemon(folder, "service", *serve, env=env)
         self.pool = Daemon(folder, "pool", "worker", "--workers", "2", *at, env=env)

@@ -1,139 +1,217 @@
 """Plays the day of `bucket_day` on real processes, and mines the bucket that it leaves afresh."""
 
-import json
-import os
-import subprocess
-import sys
-import threading
+import random
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Final
 
-from schemas.keys import DEFAULT_ROOT
-from service.client import watch_scenes
-from tests.integration.bucket_day import STAYS, Hand, Kills, Step, day
-from tests.integration.daemons import QUICK, System
+from schemas.recordings import group_recordings
+from tests.integration.bucket_day import Change, stories
+from tests.integration.bucket_hand import Hand
+from tests.integration.daemons import System
+from tests.integration.day_blows import KILLS, OF_MINERS, Blows, Kill
+from tests.integration.day_glance import Glance
+from tests.integration.day_watchers import Watcher, history, stock_subscriber
+from tests.integration.evening import Evening, Tally, count_up, found_in, mined_afresh
 
-LIVELY = {"COUNTERPOINT_LIST_INTERVAL_S": "0.5", "COUNTERPOINT_SETTLE_S": "3"}
-PAUSE_S = 0.7
-"""Between two things that happen: more than one listing."""
+LIVELY: Final = {
+    "COUNTERPOINT_LIST_INTERVAL_S": "0.5",
+    "COUNTERPOINT_SETTLE_S": "3",
+    "COUNTERPOINT_SUPERVISED": "recorded",
+    "COUNTERPOINT_GRID__SCENE_S": "1",
+    "COUNTERPOINT_GRID__SHARD_S": "1",
+    "COUNTERPOINT_GRID__WARMUP_S": "0.5",
+}
+"""A day has a minute: everything is short."""
 
+PAUSES_S: Final = (0.1, 1.2)
+"""Between two things that happen: less than a listing, or more."""
 
-@dataclass(frozen=True, slots=True)
-class Evening:
-    """What there is at the end of the day.
-
-    Attributes:
-        top: Rows of the ranking, as the daemon that lived through the day gives them.
-        fresh: The same from a run that saw only the bucket's last state.
-        watched: Scene id to digest, as a subscriber has it who listened all day.
-    """
-
-    top: list[dict[str, Any]]
-    fresh: list[dict[str, Any]]
-    watched: dict[str, str]
-
-
-class Watcher:
-    """A subscriber who listens all day, and keeps what is current."""
-
-    def __init__(self, endpoint: str) -> None:
-        self.current: dict[str, str] = {}
-        self.withdrawn = 0
-        self._endpoint, self._stop = endpoint, threading.Event()
-        self._thread = threading.Thread(target=self._watch, daemon=True)
-
-    def start(self) -> None:
-        self._thread.start()
-
-    def end(self) -> None:
-        self._stop.set()
-        self._thread.join()
-
-    def _watch(self) -> None:
-        for event in watch_scenes([self._endpoint], root=DEFAULT_ROOT, stop=self._stop, idle_s=0.5):
-            if event.withdrawn:
-                self.withdrawn += 1
-                self.current.pop(event.scene_id, None)
-            else:
-                self.current[event.scene_id] = event.sha256
+HEARD_S: Final = 60.0
+"""For subscribers to hear the last of it."""
 
 
 def play(
     folder: Path,
-    bucket: str,
     hand: Hand,
     *,
-    kill_store: Callable[[], None] = lambda: None,
+    seed: int,
     env: Mapping[str, str] | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> Evening:
-    """Live through the day, and mine what it leaves once more from nothing.
+    """Live through a day, and mine what it leaves once more from nothing.
 
     Args:
         folder: For states and logs of the processes.
-        bucket: URL of the log bucket, empty in the morning.
-        hand: Whoever drops logs in it.
-        kill_store: Kills the store behind the bucket and starts it again.
-        env: How to reach it.
+        hand: Whoever drops logs in the bucket, which is empty in the morning.
+        seed: Makes up the day.
+        env: How the processes reach the bucket.
         say: Told what happens.
     """
-    env = {**LIVELY, **(env or {})}
-    system = System(folder, bucket, "--supervised", "recorded", env=env)
-    watcher = Watcher(system.endpoint)
-    begun_s = time.monotonic()
+    day = Day(folder, hand, seed=seed, env={**LIVELY, **(env or {})}, say=say)
     try:
-        system.start()
-        system.until(lambda: system.status() is not None, "an answer")
-        watcher.start()
-        kills = Kills(
-            service=system.service.restart,
-            worker=system.kill_worker,
-            router=system.router.restart,
-            store=kill_store,
-        )
-        for step in day(hand, kills):
-            say(f"{time.monotonic() - begun_s:5.1f} s  {step.what}")
-            _live_through(system, step)
-        system.until(lambda: system.states() == STAYS, f"the logs come to {STAYS}")
-        rows = [row.model_dump(mode="json") for row in system.client.top()]
-        held = {row["scene_id"]: row["sha256"] for row in rows}
-        system.until(lambda: watcher.current == held, "the watcher has what is current")
-        say(f"{time.monotonic() - begun_s:5.1f} s  the day is over: {len(rows)} scenes")
-        watcher.end()
-        assert system.stop() == [0, 0, 0]
+        return day.live()
     finally:
-        system.end()
-    return Evening(rows, _mined_afresh(folder, bucket, env), watcher.current)
+        day.end()
 
 
-def _live_through(system: System, step: Step) -> None:
-    step.happens()
-    if step.until is None:
-        time.sleep(PAUSE_S)
-        return
-    log_id, state = step.until
-    system.until(lambda: system.states().get(log_id) == state, f"{log_id} is {state}")
+class Day:
+    """Processes, subscribers, and what happens to all of them."""
 
+    def __init__(
+        self,
+        folder: Path,
+        hand: Hand,
+        *,
+        seed: int,
+        env: Mapping[str, str],
+        say: Callable[[str], None],
+    ) -> None:
+        self._folder, self._hand, self._env, self._tell = folder, hand, env, say
+        self._rng = random.Random(f"day {seed}")  # noqa: S311  # the same seed, the same day
+        self._stories = stories(seed)
+        self._system = System(folder, hand.url, env=env)
+        self._tally = Tally()
+        self._listed: dict[str, str] = {}
+        """Log id to revision, of what lies in the bucket."""
+        self._begun_s = time.monotonic()
+        self._glance = Glance(self._system.state)
+        self._blows = Blows(self._system, hand, self._tally, say=self._say)
+        self._all_day = Watcher(
+            self._system.endpoint,
+            on_scene=lambda text: self._say("scene", text),
+            on_service=lambda there: self._say(
+                "scene", "the service is back" if there else "the service is gone"
+            ),
+        )
+        self._away_at_noon = Watcher(self._system.endpoint)
+        self._noon = deque((0.35, 0.8))
+        """Shares of the day at which he goes and comes back."""
 
-def _mined_afresh(folder: Path, bucket: str, env: Mapping[str, str]) -> list[dict[str, Any]]:
-    state = str(folder / "fresh")
-    command = [sys.executable, "-m", "service.cli.main"]
-    once = ["run", "--once", "--supervised", "recorded"]
-    surroundings = os.environ | QUICK | dict(env)
-    subprocess.run(
-        [*command, *once, "--bucket", bucket, "--state", state],
-        env=surroundings,
-        check=True,
-        capture_output=True,
-    )
-    listed = subprocess.run(
-        [*command, "top", "--state", state, "--json"],
-        env=surroundings,
-        check=True,
-        capture_output=True,
-        text=True,
-    )
-    return [json.loads(line) for line in listed.stdout.splitlines()]
+    def live(self) -> Evening:
+        """Begin, let everything happen, wait until all is mined, and look."""
+        self._say("day", f"begins; {len(self._stories)} logs have something before them")
+        self._system.start()
+        self._blows.until(lambda: self._system.status() is not None, "an answer")
+        for watcher in (self._all_day, self._away_at_noon):
+            watcher.start()
+        self._let_all_happen()
+        self._say("day", "nothing happens any more")
+        self._blows.until(self._is_over, "all is mined, and as the stories end")
+        evening = self._look()
+        self._say("day", f"is over: {len(evening.lived.records)} scenes are current")
+        return evening
+
+    def end(self) -> None:
+        """Leave nothing running."""
+        for watcher in (self._all_day, self._away_at_noon):
+            watcher.end()
+        self._system.end()
+        self._glance.close()
+
+    def _let_all_happen(self) -> None:
+        changes = sum(len(story.changes) for story in self._stories)
+        going = {story.log_id: deque(story.changes) for story in self._stories}
+        kills = deque(self._rng.sample(KILLS, len(KILLS)))
+        while going:
+            log_id = self._next_of(going)
+            self._make(log_id, going[log_id].popleft())
+            if not going[log_id]:
+                del going[log_id]
+            made = self._tally.changes.total()
+            self._take_noon_off(made / changes)
+            if len(kills) > len(KILLS) * (1 - made / changes):
+                self._kill_next(kills)
+        while kills:  # of miners, while there was nothing to lose
+            self._blows.until(
+                lambda: self._glance.sees_mining() or self._is_over(), "something is mined"
+            )
+            self._kill_next(kills, anyway=True)
+
+    def _next_of(self, going: Mapping[str, deque[Change]]) -> str:
+        """Choose a log to which the next thing can happen, or wait until there is one."""
+        ready: list[str] = []
+
+        def some_ready() -> bool:
+            seen = self._glance.look()
+            ready[:] = [
+                log_id
+                for log_id, changes in going.items()
+                if seen.has_come_to(changes[0].after, log_id, revision=self._listed.get(log_id))
+            ]
+            return bool(ready)
+
+        self._blows.until(some_ready, f"something can happen to one of {sorted(going)}")
+        return self._rng.choice(ready)
+
+    def _make(self, log_id: str, change: Change) -> None:
+        size = "" if change.data is None else f" ({len(change.data) / 1e6:.2f} MB)"
+        self._say("bucket", f"{change.key} {change.kind}{size}")
+        if change.data is None:
+            self._hand.delete(change.key)
+        else:
+            self._hand.put(change.key, change.data)
+        self._tally.changes[change.kind] += 1
+        self._listed = {
+            recording.log_id: recording.revision
+            for recording in group_recordings(self._hand.open().list())
+        }
+        time.sleep(self._rng.uniform(*PAUSES_S))
+
+    def _kill_next(self, kills: deque[Kill], *, anyway: bool = False) -> None:
+        if kills[0] in OF_MINERS and not anyway and not self._glance.sees_mining():
+            kills.rotate(-1)  # its turn comes when there is something to lose
+        else:
+            self._blows.strike(kills.popleft())
+
+    def _is_over(self) -> bool:
+        ends = {story.log_id: story.ends for story in self._stories if story.ends is not None}
+        seen = self._glance.look()
+        states = {log_id: log.state for log_id, log in seen.logs.items()}
+        return seen.revisions == self._listed and states == ends
+
+    def _take_noon_off(self, share: float) -> None:
+        """Let one subscriber be away while half of the day happens."""
+        if self._noon and share > self._noon[0]:
+            self._noon.popleft()
+            if self._noon:
+                self._say("kill", "a subscriber")
+                self._tally.kills["subscriber"] += 1
+                self._away_at_noon.end()
+            else:
+                self._say("scene", "the subscriber resumes after the last number he has noted")
+                self._away_at_noon.start()
+
+    def _look(self) -> Evening:
+        """Ask everybody what is current, end the processes, and mine the bucket afresh."""
+        state, endpoint = self._system.state, self._system.endpoint
+        late = Watcher(endpoint)
+        late.start()
+        lived = found_in(state, top=("--connect", endpoint), env=self._env)
+        watchers = {
+            "who listened all day": self._all_day,
+            "who was away at noon": self._away_at_noon,
+            "who came in the evening": late,
+        }
+        end_s = time.monotonic() + HEARD_S
+        for watcher in watchers.values():
+            while watcher.current != lived.records and time.monotonic() < end_s:
+                time.sleep(0.05)
+            watcher.end()
+            assert watcher.seqs == sorted(set(watcher.seqs)), "an event came twice or too late"
+        heard = {who: watcher.current for who, watcher in watchers.items()}
+        heard["the history"] = history(endpoint)
+        heard["a stock subscriber"] = stock_subscriber(
+            endpoint, until=lambda records: records == lived.records
+        )
+        ended = self._system.stop()
+        assert ended == [0, 0, 0], f"processes told to stop end with {ended}"
+        count_up(self._tally, state)
+        self._say("day", "over; a fresh run mines the bucket as it lies there")
+        fresh = mined_afresh(self._folder / "fresh", self._hand.url, env=self._env)
+        return Evening(lived, fresh, heard, self._tally, self._all_day.withdrawn)
+
+    def _say(self, who: str, what: str) -> None:
+        self._tell(f"{time.monotonic() - self._begun_s:6.1f} s  {who:<7} {what}")

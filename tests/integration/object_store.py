@@ -71,7 +71,19 @@ class Ceph:
         self.endpoint = f"http://127.0.0.1:{self._port}"
 
     def up(self) -> None:
-        """Start everything, and make the gateway's pools by a first write."""
+        """Start everything, and make the gateway's pools by a first write.
+
+        A monitor that is asked before it is ready on a busy machine ends the start: once more then.
+        """
+        if problem := self._begin():
+            self.down()
+            shutil.rmtree(self._folder)
+            self._folder.mkdir()
+            if again := self._begin():
+                raise RuntimeError(f"ceph-up.sh failed twice:\n{problem}\n{again}")
+        self.open(self.make_bucket()).put("first", b"")
+
+    def _begin(self) -> str:
         programs = self._folder / "programs"
         programs.mkdir()
         (programs / "ceph-osd").write_text(_PATIENT_OSD.format(path=shutil.which("ceph-osd")))
@@ -82,9 +94,7 @@ class Ceph:
             capture_output=True,
             text=True,
         )
-        if begun.returncode:
-            raise RuntimeError(f"ceph-up.sh failed:\n{(begun.stdout + begun.stderr)[-3000:]}")
-        self.open(self.make_bucket()).put("first", b"")
+        return (begun.stdout + begun.stderr)[-3000:] if begun.returncode else ""
 
     def down(self) -> None:
         """Kill every process: nothing of the store is wanted any more."""
