@@ -1,7 +1,7 @@
 """What a stream says about a point, and what two streams say together."""
 
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import IntEnum, StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,38 @@ AGREEMENT_COLOURS: dict[Agreement, tuple[int, int, int]] = {
 """The paper's four colours (section III-C, figures), red, green, blue; grey is ours."""
 
 
+class Blindness(StrEnum):
+    """Why a stream judged nothing off the ground in a frame.
+
+    NO_POINTS: nothing came back. NO_BEAMS: the beams could not be measured, so it cannot be told
+    what was seen through. NO_POSE: the odometry is lost. NO_PAST: nothing to compare with yet, at
+    the start and after a gap. NO_FIT: the frame does not fit those before it, so its pose, its
+    time or theirs is wrong.
+    """
+
+    NO_POINTS = "no_points"
+    NO_BEAMS = "no_beams"
+    NO_POSE = "no_pose"
+    NO_PAST = "no_past"
+    NO_FIT = "no_fit"
+
+
+@dataclass(frozen=True, slots=True)
+class FrameHealth:
+    """What a stream had to go by in one frame.
+
+    Attributes:
+        blindness: Why it judged nothing off the ground; None where it did.
+        reason: The same in words; empty where it judged.
+        seen_share: Share of what it was asked about that an earlier frame saw, or saw through; NaN
+            where none was asked.
+    """
+
+    blindness: Blindness | None = None
+    reason: str = ""
+    seen_share: float = float("nan")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameLabels:
     """What one stream says about every point of one frame.
@@ -54,6 +86,9 @@ class FrameLabels:
         ground_mask: (N,) true on the ground; None from a stream that does not look for it.
         cluster: (N,) index into `cluster_velocity_m_per_s`, -1 none; None without clusters.
         cluster_velocity_m_per_s: (K, 3) velocity of each cluster over the ground, odom space.
+        confirmed: (N,) dynamic, and proved more than once: what an alarm may be raised on; None
+            from a stream that does not tell.
+        health: What the stream had to go by.
 
     Raises:
         ValueError: If lengths differ or an array has the wrong type.
@@ -65,6 +100,8 @@ class FrameLabels:
     ground_mask: Mask | None = None
     cluster: NDArray[np.int32] | None = None
     cluster_velocity_m_per_s: NDArray[np.float32] | None = None
+    confirmed: Mask | None = None
+    health: FrameHealth = FrameHealth()
 
     def __post_init__(self) -> None:
         """Check every array once, and make it read-only."""
@@ -84,6 +121,8 @@ class FrameLabels:
                 shape=(None, 3),
                 dtype=np.float32,
             )
+        if self.confirmed is not None:
+            check_array("confirmed", self.confirmed, shape=(n,), dtype=np.bool_)
         freeze(
             self.labels,
             self.confidence,
@@ -91,4 +130,5 @@ class FrameLabels:
             self.ground_mask,
             self.cluster,
             self.cluster_velocity_m_per_s,
+            self.confirmed,
         )

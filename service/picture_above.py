@@ -59,13 +59,13 @@ def draw_above(
     image = Image.fromarray(pixels)
     draw = ImageDraw.Draw(image)
     if rings:
-        _draw_rings(draw, fine)
+        draw_rings(draw, fine)
     _draw_paths(draw, overlay, fine)
     _draw_boxes(draw, overlay, fine)
-    _draw_ego(draw, fine)
+    draw_ego(draw, fine)
     image = image.resize((view.size_px, view.size_px), Image.Resampling.BOX)
     draw = ImageDraw.Draw(image)
-    _draw_scale(draw, view, ring_names=rings)
+    draw_scale(draw, view, ring_names=rings)
     _draw_labels(draw, overlay, view, labels)
     return image
 
@@ -110,7 +110,8 @@ def _draw_points(pixels: NDArray[np.uint8], overlay: Overlay, view: View, *, dot
         stamp(agreements == agreement, AGREEMENT_COLOURS[agreement], radius_px)
 
 
-def _draw_rings(draw: ImageDraw.ImageDraw, view: View) -> None:
+def draw_rings(draw: ImageDraw.ImageDraw, view: View) -> None:
+    """Draw distances from the sensor."""
     (origin,) = view.to_px(np.zeros((1, 2)))
     for range_m in _ring_ranges(view):
         radius = range_m * view.px_per_m
@@ -165,7 +166,8 @@ def _ink(overlay: Overlay, instance: int) -> Colour:
     return INK[Agreement(int(overlay.instance_kind[instance]))]
 
 
-def _draw_ego(draw: ImageDraw.ImageDraw, view: View) -> None:
+def draw_ego(draw: ImageDraw.ImageDraw, view: View) -> None:
+    """Draw where the sensor is and where it looks."""
     nose_m = np.array([[1.6, 0.0], [-1.2, 0.9], [-0.6, 0.0], [-1.2, -0.9]])
     draw.polygon([(float(x), float(y)) for x, y in view.to_px(nose_m)], fill=_EGO)
 
@@ -208,7 +210,8 @@ def _fits(
     return all(right < t[0] or left > t[2] or bottom < t[1] or top > t[3] for t in taken)
 
 
-def _draw_scale(draw: ImageDraw.ImageDraw, view: View, *, ring_names: bool) -> None:
+def draw_scale(draw: ImageDraw.ImageDraw, view: View, *, ring_names: bool) -> None:
+    """Draw a bar of a round length, and the distances of the rings."""
     bar_m = next(m for m in (20, 10, 5, 2, 1, 0) if m * view.px_per_m <= view.size_px / 3)
     right, bottom = view.size_px - 14, view.size_px - 14
     left = right - bar_m * view.px_per_m

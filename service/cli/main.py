@@ -8,7 +8,7 @@ from typer.exceptions import Abort, Exit, TyperException
 
 from schemas.errors import PermanentError, TransientError
 from schemas.process import log_to_stderr
-from service.cli import daemons, logs, measure, rates, scenes, settings
+from service.cli import daemons, evaluate, logs, measure, rates, scenes, settings
 from service.cli.output import remark, remark_as_events
 
 EX_TEMPFAIL = 75
@@ -23,7 +23,7 @@ app = typer.Typer(
     "each other. No label is needed.",
     epilog="Try it: counterpoint demo --out demo-output",
 )
-for group in (daemons, logs, scenes, rates, measure, settings):
+for group in (daemons, logs, scenes, rates, evaluate, measure, settings):
     group.add_to(app)
 
 

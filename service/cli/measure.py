@@ -1,4 +1,4 @@
-"""Verbs that judge and show: `eval motion`, `bench pipeline`, `bench ledger`, `demo`."""
+"""Verbs that measure and show: `bench pipeline`, `bench ledger`, `demo`."""
 
 import time
 from pathlib import Path
@@ -9,70 +9,17 @@ import typer
 
 from service.cli.options import Config, Json, LogFormat, LogLevel, log_as, settings_for
 from service.cli.output import json_line, progress, remark, table
-from service.errors import UsageError
 
 DEMO_ROWS = 12
 
 
 def add_to(app: typer.Typer) -> None:
     """Add the verbs of this file to the command."""
-    evaluation = typer.Typer(no_args_is_help=True, help="Judge against truth.")
-    evaluation.command(epilog="counterpoint eval motion logs --truth truth --frames 10:56 --json")(
-        motion
-    )
-    app.add_typer(evaluation, name="eval")
     bench = typer.Typer(no_args_is_help=True, help="Measure, beside floors of the same run.")
     bench.command(epilog="counterpoint bench pipeline logs/car-7/2026-11-20/drive.mcap")(pipeline)
     bench.command(epilog="counterpoint bench ledger --folder /var/lib/counterpoint")(ledger)
     app.add_typer(bench, name="bench")
     app.command(epilog="counterpoint demo --out demo-output")(demo)
-
-
-def motion(
-    bucket: Annotated[str, typer.Argument(help="URL or path of a bucket of logs.")],
-    truth: Annotated[Path, typer.Option("--truth", help="Truth of BUCKET/x/y.mcap in DIR/x/y.")],
-    frames: Annotated[
-        str, typer.Option("--frames", help="A:B, half open, per log; earlier ones warm up.")
-    ] = "0:",
-    stream: Annotated[
-        str, typer.Option("--stream", help="Which labels: selfsupervised or supervised.")
-    ] = "selfsupervised",
-    json: Json = False,
-    config: Config = None,
-) -> None:
-    """Judge one stream's motion labels, point by point."""
-    bounds = parse_frames(frames)
-    settings = settings_for(config, bucket=bucket)
-    from workers.evaluation.motion import evaluate_motion
-
-    with progress() as bar:
-        task = bar.add_task("evaluating", total=None)
-        rows = evaluate_motion(
-            bucket,
-            truth,
-            frames=bounds,
-            settings=settings.mining(),
-            stream=stream,
-            on_progress=lambda done, total: bar.update(task, completed=done, total=total),
-        )
-    if json:
-        for row in rows:
-            json_line(row)
-        return
-    table(
-        f"dynamic points, {stream} stream",
-        ("log", "frames", "IoU 25", "IoU 50", "IoU 80 m", "precision 50", "recall 50"),
-        (
-            (
-                row.log,
-                row.frames,
-                *(row.iou[r] for r in ("25", "50", "80")),
-                row.precision["50"],
-                row.recall["50"],
-            )
-            for row in rows
-        ),
-    )
 
 
 def pipeline(
@@ -187,21 +134,3 @@ def demo(
     for path in pictures:
         remark(f"picture: {path}")
     remark(f"more: counterpoint top --state {out / 'state'}")
-
-
-def parse_frames(text: str) -> tuple[int, int | None]:
-    """Read `A:B`, half open; either side may be empty.
-
-    Raises:
-        UsageError: If it is not two counts with a colon between.
-    """
-    first, colon, last = text.partition(":")
-    try:
-        if not colon:
-            raise ValueError
-        bounds = (int(first or 0), int(last) if last else None)
-    except ValueError:
-        raise UsageError(f"--frames must be A:B, such as 10:56, got {text!r}") from None
-    if bounds[0] < 0 or (bounds[1] is not None and bounds[1] <= bounds[0]):
-        raise UsageError(f"--frames {text!r} holds no frame")
-    return bounds

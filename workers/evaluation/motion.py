@@ -1,30 +1,50 @@
 """Judges motion labels against truth, on the very path that mining takes."""
 
-from collections.abc import Callable, Iterator
-from itertools import tee
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from schemas.bucket import Bucket, open_bucket
-from schemas.frame import LidarFrame
+from schemas.arrays import Mask, MotionLabels, Points
+from schemas.bucket import open_bucket
 from schemas.labels import Agreement, FrameLabels
 from schemas.recordings import group_recordings
-from schemas.work import MiningSettings, Recording
+from schemas.work import MiningSettings
 from workers.contradiction.compare import compare
 from workers.evaluation.counting import count_frame
-from workers.evaluation.table import (
-    LogCounts,
-    LogEvaluation,
-    StreamCounts,
-    StreamName,
-    evaluation_of,
-    total_of,
-)
-from workers.evaluation.truth import LogTruth, TruthUnusableError
-from workers.evaluation.whole_log import shards_of_log
-from workers.ingest.read import read_shard
-from workers.registry import Parts, Stream, build_parts
+from workers.evaluation.counts import LogCounts, StreamCounts, StreamName, total_of
+from workers.evaluation.disturbance import Disturbance
+from workers.evaluation.judged import Answered, answers_of
+from workers.evaluation.table import LogEvaluation, evaluation_of
+from workers.evaluation.truth import FrameTruth, LogTruth, TruthUnusableError
+from workers.registry import build_parts
+
+UNDISTURBED = Disturbance()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JudgedFrame:
+    """One frame that was judged: M points, those of the beams that were kept.
+
+    Attributes:
+        log_id: Whose it is.
+        name: As its truth is named, `x/y/NNNNNN`.
+        points_m: (M, 3) sensor space.
+        labels: (M,) of the judged stream.
+        confirmed: (M,) which of them it confirms; None where it does not tell.
+        truth: (M,) true motion, in codes of the truth.
+        kept: (N,) which points of the recorded cloud they are; None for all.
+    """
+
+    log_id: str
+    name: str
+    points_m: Points
+    labels: MotionLabels
+    confirmed: Mask | None
+    truth: NDArray[np.uint8]
+    kept: Mask | None
 
 
 def evaluate_motion(
@@ -35,6 +55,8 @@ def evaluate_motion(
     settings: MiningSettings,
     stream: str = "selfsupervised",
     both: bool = True,
+    disturbance: Disturbance = UNDISTURBED,
+    on_frame: Callable[[JudgedFrame], None] = lambda judged: None,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[LogEvaluation]:
     """Judge a stream's motion labels on every log of a bucket that has truth.
@@ -50,6 +72,8 @@ def evaluate_motion(
         settings: Names of the parts and how logs are read.
         stream: Whose figures stand at the top of each row.
         both: Run the other stream too, for its table and for the share of contradicted points.
+        disturbance: What the logs are made worse by before anything sees them.
+        on_frame: Told of each judged frame what the stream at the top said about it.
         on_progress: Told how many frames are done, and of about how many.
 
     Returns:
@@ -75,20 +99,32 @@ def evaluate_motion(
         supervised=settings.supervised,
         selfsupervised=settings.selfsupervised,
     )
-    streams = _streams(parts, chosen, both=both)
+    streams: tuple[StreamName, ...] = ("selfsupervised", "supervised") if both else (chosen,)
     judged = [_clipped(frames, len(found)) for _, found in known]
     total = sum(each.stop for each in judged if each)
     rows, counts, done = [], [], 0
     for (recording, found), numbers in zip(known, judged, strict=True):
         counted = LogCounts(streams={name: StreamCounts() for name in streams})
-        run = _labelled(bucket, recording, found, parts, streams, settings) if numbers else ()
-        for frame, labels, number in run:
-            if number >= numbers.stop:
+        run = answers_of(
+            bucket,
+            recording,
+            found,
+            parts=parts,
+            streams=streams,
+            settings=settings,
+            disturbance=disturbance,
+        )
+        for answered in run if numbers else ():
+            if answered.number >= numbers.stop:
                 break
-            done += 1
+            done += disturbance.every
             on_progress(done, total)
-            if number in numbers:
-                _count(counted, frame, labels, found, number)
+            true = found.of(answered.whole, number=answered.number)
+            if answered.number in numbers and true is not None:
+                true = true if answered.kept is None else true.of_points(answered.kept)
+                _count(counted, answered, true, recording.log_id)
+                said, name = answered.labels[chosen], found.name_of(answered.number)
+                on_frame(_judged(answered, said, true, recording.log_id, name))
         counts.append(counted)
         rows.append(evaluation_of(recording.log_id, counted, stream=chosen))
     return [*rows, evaluation_of("all", total_of(counts), stream=chosen)]
@@ -99,52 +135,39 @@ def _clipped(frames: tuple[int, int | None], length: int) -> range:
     return range(first, length if last is None else min(last, length))
 
 
-def _streams(parts: Parts, chosen: StreamName, *, both: bool) -> dict[StreamName, Stream]:
-    streams: dict[StreamName, Stream] = {
-        "selfsupervised": parts.selfsupervised,
-        "supervised": parts.supervised,
-    }
-    return streams if both else {chosen: streams[chosen]}
+def _judged(
+    answered: Answered, said: FrameLabels, true: FrameTruth, log_id: str, name: str
+) -> JudgedFrame:
+    return JudgedFrame(
+        log_id=log_id,
+        name=name,
+        points_m=answered.posed.frame.points_m,
+        labels=said.labels,
+        confirmed=said.confirmed,
+        truth=true.motion,
+        kept=answered.kept,
+    )
 
 
-def _labelled(
-    bucket: Bucket,
-    recording: Recording,
-    truth: LogTruth,
-    parts: Parts,
-    streams: dict[StreamName, Stream],
-    settings: MiningSettings,
-) -> Iterator[tuple[LidarFrame, dict[StreamName, FrameLabels], int]]:
-    """Run the streams over a whole log; yield each frame, their labels and the frame's number."""
-    position = 0
-    for shard in shards_of_log(bucket, recording, settings, topic=truth.topic):
-        reader = read_shard(bucket, recording, shard, settings)
-        posed, *inputs = tee(parts.odometry(reader.frames()), 1 + len(streams))
-        answers = [run(each) for run, each in zip(streams.values(), inputs, strict=True)]
-        for each, *labels in zip(posed, *answers, strict=True):
-            frame = each.frame
-            if not shard.start_ns <= frame.stamp_ns < shard.end_ns:
-                continue
-            number = truth.number_of(frame, position=position)
-            position += 1
-            yield frame, dict(zip(streams, labels, strict=True)), number
-
-
-def _count(
-    counts: LogCounts,
-    frame: LidarFrame,
-    labels: dict[StreamName, FrameLabels],
-    truth: LogTruth,
-    number: int,
-) -> None:
-    true = truth.of(frame, number=number)
-    if true is None:
-        return
+def _count(counts: LogCounts, answered: Answered, true: FrameTruth, log_id: str) -> None:
     counts.frames += 1
-    for name, said in labels.items():
-        counts.streams[name].add(count_frame(said.labels, true, frame.points_m))
-    if len(labels) > 1:
-        agreements = compare(labels["supervised"].labels, labels["selfsupervised"].labels)
+    for stage, took_ms in answered.stage_ms.items():
+        counts.stage_ms.setdefault(stage, []).append(took_ms)
+    counts.stage_ms.setdefault("total", []).append(sum(answered.stage_ms.values()))
+    for name, said in answered.labels.items():
+        counts.streams[name].add(
+            count_frame(
+                said,
+                true,
+                answered.posed.frame.points_m,
+                log_id=log_id,
+                odom_from_sensor=answered.posed.odom_from_sensor,
+            )
+        )
+    if len(answered.labels) > 1:
+        agreements = compare(
+            answered.labels["supervised"].labels, answered.labels["selfsupervised"].labels
+        )
         compared = agreements != Agreement.NOT_COMPARED
         counts.compared += int(compared.sum())
         differs = (agreements != Agreement.BOTH_STATIC) & (agreements != Agreement.BOTH_DYNAMIC)

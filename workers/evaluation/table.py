@@ -1,95 +1,36 @@
-"""Counts of right and wrong labels, and the table of ratios that is made of them."""
+"""The table of ratios that is made of what was counted: one row for each log, one for all."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
-from typing import Final, Literal, Self
+from collections.abc import Callable, Mapping
+from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-StreamName = Literal["selfsupervised", "supervised"]
-
-RANGES_M: Final = (25, 50, 80)
-"""Horizontal ranges under which points are counted."""
+from workers.evaluation.counts import (
+    ERROR_STEP_M_PER_S,
+    LogCounts,
+    ObjectCounts,
+    RangeCounts,
+    StreamCounts,
+    StreamName,
+)
 
 Ratios = dict[str, float | None]
 """By range in metres, `"25"`, `"50"`, `"80"`; null where nothing was there to be counted."""
 
-
-@dataclass(slots=True)
-class RangeCounts:
-    """What was counted under one range, over frames and logs.
-
-    Attributes:
-        hits: Points that are dynamic and were called so.
-        false_alarms: Points that are static and were called dynamic.
-        misses: Points that are dynamic and were not called so; UNKNOWN is no such call.
-        unknown: Points of known truth on which the stream said UNKNOWN.
-        judged: Points of known truth.
-        objects: Moving objects with enough points.
-        objects_found: Those of which more than half the points were called dynamic.
-    """
-
-    hits: int = 0
-    false_alarms: int = 0
-    misses: int = 0
-    unknown: int = 0
-    judged: int = 0
-    objects: int = 0
-    objects_found: int = 0
-
-    def add(self, other: Self) -> None:
-        """Add another's counts to these."""
-        for name in self.__dataclass_fields__:
-            setattr(self, name, getattr(self, name) + getattr(other, name))
+_PERCENTILE: Final = 0.9
 
 
-@dataclass(slots=True)
-class StreamCounts:
-    """What was counted of one stream.
+class FoundObjects(BaseModel):
+    """How many moving objects of one kind there were under 80 m, and how many were found."""
 
-    Attributes:
-        by_range: Counts under each of `RANGES_M`.
-        false_clusters: Dynamic clusters of at least 25 points under 80 m with nothing moving in.
-        has_tracks: Whether any truth told objects apart.
-    """
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
-    by_range: dict[int, RangeCounts] = field(
-        default_factory=lambda: {r: RangeCounts() for r in RANGES_M}
-    )
-    false_clusters: int = 0
-    has_tracks: bool = False
-
-    def add(self, other: Self) -> None:
-        """Add another's counts to these."""
-        for range_m, counts in self.by_range.items():
-            counts.add(other.by_range[range_m])
-        self.false_clusters += other.false_clusters
-        self.has_tracks |= other.has_tracks
-
-
-@dataclass(slots=True)
-class LogCounts:
-    """What was counted in one log, or in all of them.
-
-    Attributes:
-        frames: Frames that were judged.
-        streams: Counts of each stream.
-        compared: Points that both streams labelled.
-        contradicted: Those on which they differ.
-    """
-
-    frames: int = 0
-    streams: dict[StreamName, StreamCounts] = field(default_factory=dict)
-    compared: int = 0
-    contradicted: int = 0
-
-    def add(self, other: Self) -> None:
-        """Add another's counts to these."""
-        self.frames += other.frames
-        self.compared += other.compared
-        self.contradicted += other.contradicted
-        for name, counts in other.streams.items():
-            self.streams.setdefault(name, StreamCounts()).add(counts)
+    observations: int = Field(description="Objects of at least 20 points, frame by frame.")
+    found: int = Field(description="Those of which more than half the points were found.")
+    tracks: int = Field(description="Different objects among the observations.")
+    tracks_found: int = Field(description="Those found in one frame at least.")
 
 
 class StreamTable(BaseModel):
@@ -103,9 +44,26 @@ class StreamTable(BaseModel):
     object_recall: Ratios = Field(
         description="Moving objects of at least 20 points of which more than half were found."
     )
+    object_recall_by_class: Ratios = Field(description="The same under 80 m, by class of truth.")
+    object_recall_by_speed: Ratios = Field(description="By true speed over the ground, m/s.")
+    object_recall_by_size: Ratios = Field(description="By the longest side of the true box, m.")
+    object_recall_by_points: Ratios = Field(description="By points of the object in the frame.")
+    objects_by_class: dict[str, FoundObjects] = Field(description="The counts behind it.")
     unknown_share: Ratios = Field(description="Points of known truth labelled UNKNOWN.")
     false_clusters_per_frame: float | None = Field(
         description="Clusters of at least 25 points called dynamic, under 80 m, nothing moving in."
+    )
+    confirmed_iou: Ratios = Field(
+        description="IoU if only confirmed points were called dynamic; null without confirmation."
+    )
+    confirmed_precision: Ratios = Field(description="Precision of confirmed points.")
+    confirmed_recall: Ratios = Field(description="Recall of confirmed points.")
+    confirmed_object_recall: Ratios = Field(description="Object recall of confirmed points.")
+    confirmed_false_clusters_per_frame: float | None = Field(
+        description="False clusters of confirmed points only; null without confirmation."
+    )
+    velocity_error_m_per_s: dict[str, float | None] = Field(
+        description="Horizontal, of dynamic points that were found: median, mean, p90."
     )
 
 
@@ -122,6 +80,9 @@ class JudgedLog(BaseModel):
 class LogEvaluation(StreamTable, JudgedLog):
     """The table of one log, or of all: the judged stream's own, then every stream's."""
 
+    ms_per_frame: dict[str, float | None] = Field(
+        description="Median milliseconds of each stage in the judged frames, and of their total."
+    )
     contradicted_share: float | None = Field(
         description="Share of compared points on which the streams differ; null with one stream."
     )
@@ -136,46 +97,93 @@ def evaluation_of(log: str, counts: LogCounts, *, stream: StreamName) -> LogEval
     }
     top = tables.get(stream) or _table(StreamCounts(), frames=0)
     return LogEvaluation(
-        **top.model_dump(),
+        **{name: getattr(top, name) for name in StreamTable.model_fields},
         log=log,
         stream=stream,
         frames=counts.frames,
+        ms_per_frame={
+            stage: round(float(np.median(times)), 3) if times else None
+            for stage, times in counts.stage_ms.items()
+        },
         contradicted_share=_ratio(counts.contradicted, counts.compared),
         streams=tables,
     )
 
 
-def total_of(counts: Iterable[LogCounts]) -> LogCounts:
-    """Sum the counts of several logs."""
-    total = LogCounts()
-    for each in counts:
-        total.add(each)
-    return total
-
-
 def _table(counts: StreamCounts, *, frames: int) -> StreamTable:
-    by_range = counts.by_range
-    return StreamTable(
-        iou=_ratios(by_range, ("hits",), ("hits", "false_alarms", "misses")),
-        precision=_ratios(by_range, ("hits",), ("hits", "false_alarms")),
-        recall=_ratios(by_range, ("hits",), ("hits", "misses")),
-        object_recall=_ratios(by_range, ("objects_found",), ("objects",)),
-        unknown_share=_ratios(by_range, ("unknown",), ("judged",)),
-        false_clusters_per_frame=_ratio(counts.false_clusters, frames),
+    objects = {
+        f"object_recall_by_{dimension}": {
+            kind: _ratio(each.found, each.observed)
+            for kind, each in _in_order(counts.objects.get(dimension, {}))
+        }
+        for dimension in ("class", "speed", "size", "points")
+    }
+    return StreamTable.model_validate(
+        {
+            **_point_ratios(counts.by_range),
+            **{f"confirmed_{k}": v for k, v in _point_ratios(counts.confirmed).items()},
+            **objects,
+            "objects_by_class": {
+                kind: _found(each) for kind, each in _in_order(counts.objects.get("class", {}))
+            },
+            "unknown_share": _ratios(counts.by_range, lambda c: (c.unknown, c.judged)),
+            "false_clusters_per_frame": _ratio(counts.false_clusters, frames),
+            "confirmed_false_clusters_per_frame": (
+                _ratio(counts.confirmed_false_clusters, frames) if counts.confirms else None
+            ),
+            "velocity_error_m_per_s": _velocity_error(counts.velocity_errors),
+        }
     )
 
 
-def _ratios(
-    by_range: Mapping[int, RangeCounts], part: tuple[str, ...], whole: tuple[str, ...]
-) -> Ratios:
+def _in_order(kinds: Mapping[str, ObjectCounts]) -> list[tuple[str, ObjectCounts]]:
+    """Sort names by the alphabet, steps such as `10-20` by where they begin."""
+
+    def place(entry: tuple[str, ObjectCounts]) -> tuple[float, str]:
+        first = entry[0].partition("-")[0]
+        return (float(first) if first.replace(".", "").isdigit() else 0.0), entry[0]
+
+    return sorted(kinds.items(), key=place)
+
+
+def _point_ratios(by_range: Mapping[int, RangeCounts]) -> dict[str, Ratios]:
     return {
-        str(range_m): _ratio(
-            sum(getattr(counts, name) for name in part),
-            sum(getattr(counts, name) for name in whole),
-        )
-        for range_m, counts in by_range.items()
+        "iou": _ratios(by_range, lambda c: (c.hits, c.hits + c.false_alarms + c.misses)),
+        "precision": _ratios(by_range, lambda c: (c.hits, c.hits + c.false_alarms)),
+        "recall": _ratios(by_range, lambda c: (c.hits, c.hits + c.misses)),
+        "object_recall": _ratios(by_range, lambda c: (c.objects_found, c.objects)),
     }
+
+
+def _ratios(
+    by_range: Mapping[int, RangeCounts], of: Callable[[RangeCounts], tuple[int, int]]
+) -> Ratios:
+    return {str(range_m): _ratio(*of(counts)) for range_m, counts in by_range.items()}
 
 
 def _ratio(part: int, whole: int) -> float | None:
     return round(part / whole, 6) if whole else None
+
+
+def _found(counts: ObjectCounts) -> FoundObjects:
+    return FoundObjects(
+        observations=counts.observed,
+        found=counts.found,
+        tracks=len(counts.tracks),
+        tracks_found=len(counts.tracks_found),
+    )
+
+
+def _velocity_error(errors: NDArray[np.int64]) -> dict[str, float | None]:
+    """Median, mean and 90th percentile of errors that were counted in steps."""
+    total = int(errors.sum())
+    if not total:
+        return {"median": None, "mean": None, "p90": None}
+    middles = (np.arange(len(errors)) + 0.5) * ERROR_STEP_M_PER_S
+    below = np.cumsum(errors)
+
+    def quantile(share: float) -> float:
+        return round(float(middles[np.searchsorted(below, share * total)]), 4)
+
+    mean = round(float((middles * errors).sum() / total), 4)
+    return {"median": quantile(0.5), "mean": mean, "p90": quantile(_PERCENTILE)}

@@ -2,17 +2,19 @@
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.arrays import Mask
 from schemas.errors import PermanentError
 from schemas.frame import LidarFrame
 from schemas.recordings import EXTENSION
 from schemas.work import Recording
+from workers.evaluation.objects import Objects, TrueObject, objects_in, rotations_in
 
 TRUTH_UNKNOWN: Final = 0
 TRUTH_STATIC: Final = 1
@@ -31,11 +33,20 @@ class FrameTruth:
         number: Of the frame among the lidar messages of its log, from 0.
         motion: (N,) `TRUTH_UNKNOWN`, `TRUTH_STATIC` or `TRUTH_DYNAMIC`.
         track: (N,) id of the object a point belongs to, -1 none; None where truth has no tracks.
+        objects: What truth knows of them, by id.
+        world_from_sensor: (3, 3) true attitude of the sensor; None where not known.
     """
 
     number: int
     motion: NDArray[np.uint8]
     track: NDArray[np.int16] | None
+    objects: Objects = field(default_factory=dict)
+    world_from_sensor: NDArray[np.float64] | None = None
+
+    def of_points(self, kept: Mask) -> "FrameTruth":
+        """The truth of some of the points: where `kept`, (N,), is true."""
+        track = None if self.track is None else self.track[kept]
+        return replace(self, motion=self.motion[kept], track=track)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +68,11 @@ class LogTruth:
     """
 
     topic: str
+    _root: Path
     _entries: tuple[_Entry, ...]
     _number_of_stamp: Mapping[int, int]
+    _objects: Mapping[Path, Mapping[int, Mapping[int, TrueObject]]]
+    _rotations: Mapping[int, NDArray[np.float64]]
 
     @classmethod
     def beside(cls, recording: Recording, truth: Path) -> Self | None:
@@ -70,8 +84,8 @@ class LogTruth:
         """
         entries: list[_Entry] = []
         topics: list[str] = []
-        for part in recording.parts:
-            folder = truth / part.key.removesuffix(EXTENSION)
+        folders = [truth / part.key.removesuffix(EXTENSION) for part in recording.parts]
+        for folder in folders:
             for entry, topic in _entries_of(folder):
                 entries.append(entry)
                 topics.append(topic)
@@ -82,7 +96,14 @@ class LogTruth:
             for time_ns in (entry.stamp_ns, entry.log_time_ns):
                 if time_ns is not None:
                     stamps.setdefault(time_ns, number)
-        return cls(topics[0], tuple(entries), stamps)
+        return cls(
+            topics[0],
+            truth,
+            tuple(entries),
+            stamps,
+            {folder: objects_in(folder) for folder in folders},
+            {stamp: pose for folder in folders for stamp, pose in rotations_in(folder).items()},
+        )
 
     def __len__(self) -> int:
         """Count the frames that the truth knows, those without labels included."""
@@ -108,6 +129,10 @@ class LogTruth:
                 f"{position}); is it the truth of another log?"
             ) from None
 
+    def name_of(self, number: int) -> str:
+        """Name a frame as its truth is named: `x/y/NNNNNN` for a part `x/y.mcap`."""
+        return self._entries[number].path.relative_to(self._root).with_suffix("").as_posix()
+
     def of(self, frame: LidarFrame, *, number: int) -> FrameTruth | None:
         """Read the truth of one frame; None where it has no labels of motion.
 
@@ -127,7 +152,13 @@ class LogTruth:
                 f"truth labels {len(motion)} points, frame {number} has {len(frame)} "
                 f"({frame.log_id}, {path})"
             )
-        return FrameTruth(number, motion, track)
+        return FrameTruth(
+            number,
+            motion,
+            track,
+            self._objects[path.parent].get(int(path.stem), {}),
+            self._rotations.get(frame.stamp_ns),
+        )
 
 
 def _entries_of(folder: Path) -> Iterator[tuple[_Entry, str]]:

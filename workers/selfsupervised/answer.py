@@ -6,12 +6,12 @@ import numpy as np
 
 from schemas.arrays import Mask
 from schemas.frame import LidarFrame
-from schemas.labels import FrameLabels, MotionLabel
+from schemas.labels import FrameHealth, FrameLabels, MotionLabel
 from workers.geometry.se3 import transform
 from workers.selfsupervised.beam_table import MIN_RANGE_M
 from workers.selfsupervised.free_space import Votes
 from workers.selfsupervised.motion import ClusterMotions
-from workers.selfsupervised.neighbours import build_grid, nearest_distances
+from workers.selfsupervised.neighbours import build_grid, nearest_indices
 from workers.selfsupervised.prepare import MAX_RANGE_M, Prepared
 from workers.selfsupervised.tracker import Tracked
 
@@ -28,7 +28,9 @@ REATTACH_M: Final = 0.2
 """Ground removal takes the lowest hand's breadth of what stands on it; movers get it back."""
 
 
-def nothing_known(frame: LidarFrame, prepared: Prepared | None = None) -> FrameLabels:
+def nothing_known(
+    frame: LidarFrame, prepared: Prepared | None = None, *, health: FrameHealth
+) -> FrameLabels:
     """Answer UNKNOWN for everything; the ground is still the ground where it was found."""
     n = len(frame)
     ground = np.zeros(n, np.bool_)
@@ -40,6 +42,8 @@ def nothing_known(frame: LidarFrame, prepared: Prepared | None = None) -> FrameL
         ground_mask=ground,
         cluster=np.full(n, -1, np.int32),
         cluster_velocity_m_per_s=np.zeros((0, 3), np.float32),
+        confirmed=np.zeros(n, np.bool_),
+        health=health,
     )
 
 
@@ -64,7 +68,12 @@ def to_labels(
     range_m = np.hypot(prepared.points_m[:, 0], prepared.points_m[:, 1])
     ground = prepared.ground & (range_m > MIN_RANGE_M) & (range_m < MAX_RANGE_M)
     clusters = found.clusters
-    reattached = _reattached(prepared, clusters.member_mask(tracked.dynamic), ground)
+    reattached, to_confirmed = _reattached(
+        prepared,
+        clusters.member_mask(tracked.dynamic),
+        clusters.member_mask(tracked.confirmed),
+        ground,
+    )
     ground_index = prepared.valid_index[ground & ~reattached]
     labels[ground_index] = MotionLabel.STATIC
     confidence[ground_index] = GROUND
@@ -88,6 +97,9 @@ def to_labels(
     labels[point_index] = voxel_labels[of_point]
     confidence[point_index] = voxel_confidence[of_point]
     cluster[point_index] = clusters.of_point[of_point]
+    confirmed = np.zeros(n, np.bool_)
+    confirmed[point_index] = clusters.member_mask(tracked.confirmed)[of_point]
+    confirmed[prepared.valid_index[to_confirmed]] = True
 
     ground_mask = np.zeros(n, np.bool_)
     ground_mask[prepared.valid_index[prepared.ground & ~reattached]] = True
@@ -98,19 +110,24 @@ def to_labels(
         ground_mask=ground_mask,
         cluster=cluster,
         cluster_velocity_m_per_s=velocity.astype(np.float32),
+        confirmed=confirmed,
     )
 
 
-def _reattached(prepared: Prepared, moves: Mask, ground: Mask) -> Mask:
-    """Ground points that touch something dynamic; (M,)."""
+def _reattached(
+    prepared: Prepared, moves: Mask, confirmed: Mask, ground: Mask
+) -> tuple[Mask, Mask]:
+    """Ground points that touch something dynamic, and those that touch confirmed; (M,) each."""
     touching = np.zeros(len(ground), np.bool_)
-    moving = prepared.voxels.centroids_m[moves]
+    to_confirmed = np.zeros(len(ground), np.bool_)
+    moving = np.flatnonzero(moves)
     asked = np.flatnonzero(ground)
     if len(moving) == 0 or len(asked) == 0:
-        return touching
-    grid = build_grid(moving, prepared.odom_from_beams[:3, 3])
+        return touching, to_confirmed
+    grid = build_grid(prepared.voxels.centroids_m[moving], prepared.odom_from_beams[:3, 3])
     places = transform(prepared.odom_from_beams, prepared.points_m[asked])
-    # asked a little farther, because the reach itself is the answer for "nothing found"
-    distance = nearest_distances(grid, places, 1.5 * REATTACH_M)
-    touching[asked[distance < REATTACH_M]] = True
-    return touching
+    nearest = nearest_indices(grid, places, REATTACH_M)
+    found = nearest >= 0
+    touching[asked[found]] = True
+    to_confirmed[asked[found]] = confirmed[moving[grid.order[nearest[found]]]]
+    return touching, to_confirmed

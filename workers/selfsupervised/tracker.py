@@ -22,6 +22,12 @@ DYNAMIC_SCORE: Final = 0.6
 KEPT_PER_S: Final = 0.7**10
 """What is left of a score after a second without evidence: 30 % are lost in a tenth."""
 
+CONFIRMED_SCORE: Final = 1.15
+"""A proof and half a proof in two frames in a row, a little late: 0.7 + 0.5. One frame gives 1."""
+
+CONFIRMED_VOXELS: Final = 150
+"""Free space that is wrong about so many voxels at once has not been seen."""
+
 CARRIED_SCORE: Final = 0.2
 MIN_SCORE, MAX_SCORE = -1.0, 2.0
 """Two frames' worth: what was proved for long may be doubted as fast as what was proved twice."""
@@ -57,10 +63,12 @@ class Tracked:
 
     Attributes:
         dynamic: (K,) moves, all evidence taken together.
+        confirmed: (K,) and that was proved in two frames, or of very many voxels.
         velocity_m_per_s: (K, 3) over the ground, odom space; zero where nothing is known.
     """
 
     dynamic: Mask
+    confirmed: Mask
     velocity_m_per_s: NDArray[np.float32]
 
 
@@ -117,7 +125,9 @@ class Tracker:
         owner = clusters.of_point[carried]
         self._points_m, self._stamp_ns = points_m[carried], now_ns
         self._velocity, self._score = velocity[owner], score[owner]
-        return Tracked(score >= DYNAMIC_SCORE, velocity)
+        dynamic = score >= DYNAMIC_SCORE
+        large = clusters.sizes >= CONFIRMED_VOXELS
+        return Tracked(dynamic, dynamic & (large | (score >= CONFIRMED_SCORE)), velocity)
 
     def _inherited(
         self,

@@ -8,13 +8,14 @@ import pytest
 from numpy.typing import NDArray
 
 from schemas.bucket import open_bucket
-from schemas.labels import MotionLabel
+from schemas.labels import FrameLabels, MotionLabel
 from schemas.recordings import group_recordings
 from schemas.work import MiningSettings
 from tests.factories import SMALL_LIDAR, frame, street_log
 from workers.evaluation.counting import count_frame
+from workers.evaluation.counts import LogCounts, total_of
 from workers.evaluation.motion import evaluate_motion
-from workers.evaluation.table import LogCounts, LogEvaluation, evaluation_of, total_of
+from workers.evaluation.table import LogEvaluation, evaluation_of
 from workers.evaluation.truth import FrameTruth, LogTruth, TruthUnusableError
 from workers.simulation.lidar import sweep
 from workers.simulation.recorded import Mistake, MistakeKind, record
@@ -34,8 +35,9 @@ def at_ranges(*range_m: float) -> NDArray[np.float32]:
     return np.array([(r, 0.0, 5.0) for r in range_m], dtype=np.float32)
 
 
-def labels(*values: int) -> NDArray[np.uint8]:
-    return np.array(values, dtype=np.uint8)
+def labels(*values: int) -> FrameLabels:
+    said = np.array(values, dtype=np.uint8)
+    return FrameLabels(labels=said, confidence=np.ones(len(said), np.float16))
 
 
 def table(counts: LogCounts) -> LogEvaluation:

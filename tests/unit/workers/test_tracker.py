@@ -1,4 +1,4 @@
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -144,6 +144,27 @@ def test_a_cleared_tracker_knows_nothing() -> None:
 
 
 MOVER = Thing(at=(5.0, 0.0), velocity=(10.0, 0.0), proved=True)
+SMALL_M = (1.5, 1.2, 1.2)
+
+
+def tracked_as(dynamic: list[bool], *, confirmed: list[bool]) -> Tracked:
+    still = np.zeros((len(dynamic), 3), np.float32)
+    return Tracked(np.array(dynamic), np.array(confirmed), still)
+
+
+def test_what_is_proved_in_two_frames_is_confirmed_and_what_is_proved_once_is_not() -> None:
+    frames = Frames()
+    once = frames.see(replace(MOVER, size_m=SMALL_M))
+    assert (once.dynamic.tolist(), once.confirmed.tolist()) == ([True], [False])
+    twice = frames.see(replace(MOVER, size_m=SMALL_M, at=(6.0, 0.0)))
+    assert (twice.dynamic.tolist(), twice.confirmed.tolist()) == ([True], [True])
+
+
+def test_what_is_too_large_to_be_an_error_of_free_space_is_confirmed_at_once() -> None:
+    large = Thing(at=(5.0, 0.0), size_m=(4.0, 1.8, 1.5), velocity=(10.0, 0.0), proved=True)
+    assert Frames().see(large).confirmed.tolist() == [True]
+    standing = Thing(at=(5.0, 0.0), size_m=(4.0, 1.8, 1.5))
+    assert Frames().see(standing).confirmed.tolist() == [False]
 
 
 @pytest.mark.parametrize(
@@ -167,11 +188,16 @@ def test_a_small_piece_beside_a_mover_belongs_to_it_unless_something_speaks_agai
     piece: Thing, belongs: bool
 ) -> None:
     points_m, found, votes = world(MOVER, piece)
-    merged = fragments_of_movers(points_m, found, np.array([True, False]), votes, centre_m=CENTRE_M)
-    assert merged.tolist() == [False, belongs]
+    for confirmed in (True, False):
+        tracked = tracked_as([True, False], confirmed=[confirmed, False])
+        whole = fragments_of_movers(points_m, found, tracked, votes, centre_m=CENTRE_M)
+        assert whole.dynamic.tolist() == [True, belongs]
+        assert whole.confirmed.tolist() == [confirmed, belongs and confirmed]
 
 
 def test_without_a_mover_no_piece_belongs_to_one() -> None:
     points_m, found, votes = world(Thing(at=(5.0, 0.0)), Thing(at=(8.1, 0.0)))
-    none = fragments_of_movers(points_m, found, np.zeros(2, np.bool_), votes, centre_m=CENTRE_M)
-    assert not none.any()
+    tracked = tracked_as([False, False], confirmed=[False, False])
+    none = fragments_of_movers(points_m, found, tracked, votes, centre_m=CENTRE_M)
+    assert not none.dynamic.any()
+    assert not none.confirmed.any()

@@ -1,0 +1,195 @@
+"""The verb `eval motion`: one stream's labels against truth, in tables, files and pictures."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from service.cli.options import Config, Json, settings_for
+from service.cli.output import json_line, progress, remark, table
+from service.errors import UsageError
+
+if TYPE_CHECKING:
+    from workers.evaluation.table import LogEvaluation
+
+WORST_FRAMES = 10
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the verbs of this file to the command."""
+    evaluation = typer.Typer(no_args_is_help=True, help="Judge against truth.")
+    evaluation.command(epilog="counterpoint eval motion logs --truth truth --frames 10:56 --json")(
+        motion
+    )
+    app.add_typer(evaluation, name="eval")
+
+
+def motion(
+    bucket: Annotated[str, typer.Argument(help="URL or path of a bucket of logs.")],
+    truth: Annotated[Path, typer.Option("--truth", help="Truth of BUCKET/x/y.mcap in DIR/x/y.")],
+    frames: Annotated[
+        str, typer.Option("--frames", help="A:B, half open, per log; earlier ones warm up.")
+    ] = "0:",
+    stream: Annotated[
+        str, typer.Option("--stream", help="Which labels: selfsupervised or supervised.")
+    ] = "selfsupervised",
+    alone: Annotated[
+        bool, typer.Option("--alone", help="Do not run the other stream beside it.")
+    ] = False,
+    rows: Annotated[
+        str, typer.Option("--rows", help="Beams to keep, a slice from the lowest up: 0::2.")
+    ] = "",
+    every: Annotated[int, typer.Option("--every", min=1, help="Keep one frame in so many.")] = 1,
+    yaw_noise_deg: Annotated[
+        float, typer.Option("--yaw-noise-deg", min=0.0, help="Turn each pose at random, degrees.")
+    ] = 0.0,
+    labels: Annotated[
+        Path | None, typer.Option("--labels", help="Write what was judged to DIR/x/y/NNNNNN.npz.")
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", help="Draw the table into this PNG file.")
+    ] = None,
+    pictures: Annotated[
+        Path | None, typer.Option("--pictures", help="Draw the ten worst frames into this folder.")
+    ] = None,
+    json: Json = False,
+    config: Config = None,
+) -> None:
+    """Judge one stream's motion labels, point by point."""
+    bounds, beams = parse_frames(frames), parse_rows(rows)
+    settings = settings_for(config, bucket=bucket)
+    from service.picture_judged import draw_worst
+    from service.picture_table import draw_table
+    from workers.evaluation.disturbance import Disturbance
+    from workers.evaluation.motion import JudgedFrame, evaluate_motion
+    from workers.evaluation.worst import WorstFrames
+    from workers.evaluation.written_labels import write_labels
+
+    worst = WorstFrames(WORST_FRAMES)
+
+    def keep(judged: JudgedFrame) -> None:
+        if labels is not None:
+            write_labels(labels, judged)
+        if pictures is not None:
+            worst.add(judged)
+
+    with progress() as bar:
+        task = bar.add_task("evaluating", total=None)
+        evaluated = evaluate_motion(
+            bucket,
+            truth,
+            frames=bounds,
+            settings=settings.mining(),
+            stream=stream,
+            both=not alone,
+            disturbance=Disturbance(beams, every, yaw_noise_deg),
+            on_frame=keep,
+            on_progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    if json:
+        for row in evaluated:
+            json_line(row)
+    else:
+        _say(evaluated, stream)
+    if plot is not None:
+        plot.parent.mkdir(parents=True, exist_ok=True)
+        draw_table(evaluated).save(plot)
+        remark(f"plot: {plot}")
+    if pictures is not None:
+        for path in draw_worst(pictures, worst.frames):
+            remark(f"picture: {path}")
+
+
+def _say(evaluated: "list[LogEvaluation]", stream: str) -> None:
+    """Print what a person wants to see first; the JSON lines hold everything."""
+    table(
+        f"dynamic points, {stream} stream",
+        ("log", "frames", "IoU 25", "IoU 50", "IoU 80 m", "precision 80", "recall 80", "unknown"),
+        (
+            (
+                row.log,
+                row.frames,
+                *(row.iou[r] for r in ("25", "50", "80")),
+                row.precision["80"],
+                row.recall["80"],
+                row.unknown_share["80"],
+            )
+            for row in evaluated
+        ),
+    )
+    table(
+        "moving objects of 20 points and more; clusters of 25 points where nothing moves",
+        (
+            *("log", "found 25", "found 50", "found 80 m", "false clusters per frame"),
+            *("confirmed: IoU 80 m", "false clusters", "velocity error m/s", "ms per frame"),
+        ),
+        (
+            (
+                row.log,
+                *(row.object_recall[r] for r in ("25", "50", "80")),
+                row.false_clusters_per_frame,
+                row.confirmed_iou["80"],
+                row.confirmed_false_clusters_per_frame,
+                row.velocity_error_m_per_s["median"],
+                row.ms_per_frame.get("total"),
+            )
+            for row in evaluated
+        ),
+    )
+    total = evaluated[-1]
+    kinds = {
+        "class": total.object_recall_by_class,
+        "speed, m/s": total.object_recall_by_speed,
+        "longest side, m": total.object_recall_by_size,
+        "points": total.object_recall_by_points,
+    }
+    table(
+        "moving objects found under 80 m, all logs",
+        ("by", "kind", "found", "tracks found"),
+        (
+            (by, kind, share, _tracks(total, kind) if by == "class" else None)
+            for by, shares in kinds.items()
+            for kind, share in shares.items()
+        ),
+    )
+
+
+def _tracks(row: "LogEvaluation", kind: str) -> str:
+    counted = row.objects_by_class[kind]
+    return f"{counted.tracks_found} of {counted.tracks}"
+
+
+def parse_rows(text: str) -> slice | None:
+    """Read a slice as Python writes it, `0::2`; nothing keeps every beam.
+
+    Raises:
+        UsageError: If it is no slice.
+    """
+    if not text:
+        return None
+    try:
+        bounds = [int(part) if part else None for part in text.split(":")]
+        if not 2 <= len(bounds) <= 3:
+            raise ValueError
+        range(1)[slice(*bounds)]  # refuses a step of 0
+    except ValueError:
+        raise UsageError(f"--rows must be a slice, such as 0::2, got {text!r}") from None
+    return slice(*bounds)
+
+
+def parse_frames(text: str) -> tuple[int, int | None]:
+    """Read `A:B`, half open; either side may be empty.
+
+    Raises:
+        UsageError: If it is not two counts with a colon between.
+    """
+    first, colon, last = text.partition(":")
+    try:
+        if not colon:
+            raise ValueError
+        bounds = (int(first or 0), int(last) if last else None)
+    except ValueError:
+        raise UsageError(f"--frames must be A:B, such as 10:56, got {text!r}") from None
+    if bounds[0] < 0 or (bounds[1] is not None and bounds[1] <= bounds[0]):
+        raise UsageError(f"--frames {text!r} holds no frame")
+    return bounds

@@ -1,0 +1,162 @@
+"""What is counted of right and wrong labels: sums that add up over frames and logs."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Final, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+StreamName = Literal["selfsupervised", "supervised"]
+
+RANGES_M: Final = (25, 50, 80)
+"""Horizontal ranges under which points are counted."""
+
+ERROR_STEP_M_PER_S: Final = 0.01
+_ERROR_STEPS: Final = 6001
+"""Errors of velocity are counted in steps up to 60 m/s, so that memory does not grow with logs."""
+
+
+@dataclass(slots=True)
+class RangeCounts:
+    """What was counted under one range, over frames and logs.
+
+    Attributes:
+        hits: Points that are dynamic and were called so.
+        false_alarms: Points that are static and were called dynamic.
+        misses: Points that are dynamic and were not called so; UNKNOWN is no such call.
+        unknown: Points of known truth on which the stream said UNKNOWN.
+        judged: Points of known truth.
+        objects: Moving objects with enough points.
+        objects_found: Those of which more than half the points were called dynamic.
+    """
+
+    hits: int = 0
+    false_alarms: int = 0
+    misses: int = 0
+    unknown: int = 0
+    judged: int = 0
+    objects: int = 0
+    objects_found: int = 0
+
+    def add(self, other: Self) -> None:
+        """Add another's counts to these."""
+        for name in self.__dataclass_fields__:
+            setattr(self, name, getattr(self, name) + getattr(other, name))
+
+
+def _by_range() -> dict[int, RangeCounts]:
+    return {range_m: RangeCounts() for range_m in RANGES_M}
+
+
+@dataclass(slots=True)
+class ObjectCounts:
+    """Moving objects of one kind under 80 m.
+
+    Attributes:
+        observed: Objects with enough points, frame by frame.
+        found: Those of which more than half the points were called dynamic.
+        tracks: Log and track of each of them.
+        tracks_found: Those found in one frame at least.
+    """
+
+    observed: int = 0
+    found: int = 0
+    tracks: set[tuple[str, int]] = field(default_factory=set)
+    tracks_found: set[tuple[str, int]] = field(default_factory=set)
+
+    def add(self, other: Self) -> None:
+        """Add another's counts to these."""
+        self.observed += other.observed
+        self.found += other.found
+        self.tracks |= other.tracks
+        self.tracks_found |= other.tracks_found
+
+
+ObjectKinds = dict[str, dict[str, ObjectCounts]]
+"""By what objects are told apart (`class`, `speed`, `size`, `points`), then by kind."""
+
+
+@dataclass(slots=True)
+class StreamCounts:
+    """What was counted of one stream.
+
+    Attributes:
+        by_range: Counts under each of `RANGES_M`.
+        confirmed: The same if only confirmed points were called dynamic; stays zero where the
+            stream confirms nothing.
+        objects: Moving objects under 80 m by class, speed, size and points.
+        false_clusters: Dynamic clusters of at least 25 points under 80 m with nothing moving in.
+        confirmed_false_clusters: The same of confirmed points only.
+        confirms: Whether the stream tells confirmed points apart.
+        velocity_errors: (E,) dynamic points called so, by the error of their velocity.
+    """
+
+    by_range: dict[int, RangeCounts] = field(default_factory=_by_range)
+    confirmed: dict[int, RangeCounts] = field(default_factory=_by_range)
+    objects: ObjectKinds = field(default_factory=dict)
+    false_clusters: int = 0
+    confirmed_false_clusters: int = 0
+    confirms: bool = False
+    velocity_errors: NDArray[np.int64] = field(
+        default_factory=lambda: np.zeros(_ERROR_STEPS, np.int64)
+    )
+
+    def add(self, other: Self) -> None:
+        """Add another's counts to these."""
+        for range_m in RANGES_M:
+            self.by_range[range_m].add(other.by_range[range_m])
+            self.confirmed[range_m].add(other.confirmed[range_m])
+        for dimension, kinds in other.objects.items():
+            for kind, counts in kinds.items():
+                self.objects_of(dimension, kind).add(counts)
+        self.false_clusters += other.false_clusters
+        self.confirmed_false_clusters += other.confirmed_false_clusters
+        self.confirms |= other.confirms
+        self.velocity_errors += other.velocity_errors
+
+    def objects_of(self, dimension: str, kind: str) -> ObjectCounts:
+        """Counts of one kind of objects, made when first asked for."""
+        return self.objects.setdefault(dimension, {}).setdefault(kind, ObjectCounts())
+
+    def add_velocity_errors(self, errors_m_per_s: NDArray[np.floating]) -> None:
+        """Count the error of each of some points; those beyond 60 m/s as 60 m/s."""
+        steps = np.minimum(errors_m_per_s / ERROR_STEP_M_PER_S, _ERROR_STEPS - 1).astype(np.int64)
+        self.velocity_errors += np.bincount(steps, minlength=_ERROR_STEPS)
+
+
+@dataclass(slots=True)
+class LogCounts:
+    """What was counted in one log, or in all of them.
+
+    Attributes:
+        frames: Frames that were judged.
+        streams: Counts of each stream.
+        compared: Points that both streams labelled.
+        contradicted: Those on which they differ.
+        stage_ms: Milliseconds of each stage in each judged frame.
+    """
+
+    frames: int = 0
+    streams: dict[StreamName, StreamCounts] = field(default_factory=dict)
+    compared: int = 0
+    contradicted: int = 0
+    stage_ms: dict[str, list[float]] = field(default_factory=dict)
+
+    def add(self, other: Self) -> None:
+        """Add another's counts to these."""
+        self.frames += other.frames
+        self.compared += other.compared
+        self.contradicted += other.contradicted
+        for name, counts in other.streams.items():
+            self.streams.setdefault(name, StreamCounts()).add(counts)
+        for stage, times in other.stage_ms.items():
+            self.stage_ms.setdefault(stage, []).extend(times)
+
+
+def total_of(counts: Iterable[LogCounts]) -> LogCounts:
+    """Sum the counts of several logs."""
+    total = LogCounts()
+    for each in counts:
+        total.add(each)
+    return total

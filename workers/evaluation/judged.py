@@ -1,0 +1,103 @@
+"""Runs the streams over a whole log, disturbed or not, frame by frame, with the time they take."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import tee
+
+from schemas.arrays import Mask
+from schemas.bucket import Bucket
+from schemas.frame import LidarFrame, PosedFrame
+from schemas.labels import FrameLabels
+from schemas.work import MiningSettings, Recording
+from workers.evaluation.counts import StreamName
+from workers.evaluation.disturbance import Disturbance, Numbered, with_yaw_noise, without_beams
+from workers.evaluation.floors import MS_PER_S
+from workers.evaluation.truth import LogTruth
+from workers.evaluation.whole_log import shards_of_log
+from workers.ingest.read import read_shard
+from workers.registry import Parts
+from workers.stages import StageClock, timed
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answered:
+    """What the streams say about one frame.
+
+    Attributes:
+        number: Of the frame in the truth.
+        whole: The frame as it was recorded.
+        posed: The frame as the streams saw it, with the pose they were given.
+        kept: (N,) which of the recorded points they saw; None for all.
+        labels: What each of them says about those.
+        stage_ms: How long each stage took for it.
+    """
+
+    number: int
+    whole: LidarFrame
+    posed: PosedFrame
+    kept: Mask | None
+    labels: Mapping[StreamName, FrameLabels]
+    stage_ms: Mapping[str, float]
+
+
+def answers_of(
+    bucket: Bucket,
+    recording: Recording,
+    truth: LogTruth,
+    *,
+    parts: Parts,
+    streams: Sequence[StreamName],
+    settings: MiningSettings,
+    disturbance: Disturbance,
+) -> Iterator[Answered]:
+    """Run streams over a whole log, from its first frame on.
+
+    Args:
+        bucket: Where the log lies.
+        recording: The log.
+        truth: Of the log; it says which lidar is judged, and numbers the frames.
+        parts: What poses the frames, and what labels them.
+        streams: Which of their streams are run.
+        settings: How the log is read.
+        disturbance: What the log is made worse by.
+
+    Raises:
+        LogUnusableError: If the log cannot be mined, or tells no beams where some are left out.
+        TruthUnusableError: If the truth does not know a frame.
+    """
+    number_of_stamp: dict[int, int] = {}
+    for shard in shards_of_log(bucket, recording, settings, topic=truth.topic):
+        clock = StageClock()
+        read = clock.drawn("ingest", read_shard(bucket, recording, shard, settings).frames())
+        numbered = (
+            each
+            for each in _numbered(read, truth, number_of_stamp)
+            if each.number % disturbance.every == 0
+        )
+        given = tee(without_beams(numbered, disturbance.rows), 3)
+        watched = timed(parts, clock)
+        posed = watched.odometry(each.frame for each in given[0])
+        noisy = with_yaw_noise(posed, (each.number for each in given[1]), disturbance.yaw_noise_deg)
+        pulled, *inputs = tee(noisy, 1 + len(streams))
+        run = {"supervised": watched.supervised, "selfsupervised": watched.selfsupervised}
+        answers = [run[name](each) for name, each in zip(streams, inputs, strict=True)]
+        before: dict[str, float] = {}
+        for each, frame, *labels in zip(given[2], pulled, *answers, strict=True):
+            seconds = {str(stage): s for stage, s in clock.seconds.items()}
+            took_ms = {k: MS_PER_S * (s - before.get(k, 0.0)) for k, s in seconds.items()}
+            before = seconds
+            if shard.start_ns <= each.whole.stamp_ns < shard.end_ns:
+                said = dict(zip(streams, labels, strict=True))
+                yield Answered(each.number, each.whole, frame, each.kept, said, took_ms)
+
+
+def _numbered(
+    frames: Iterable[LidarFrame], truth: LogTruth, number_of_stamp: dict[int, int]
+) -> Iterator[Numbered]:
+    """Number frames as the truth does; the warm-up of a shard has its numbers already."""
+    for frame in frames:
+        number = number_of_stamp.get(frame.stamp_ns)
+        if number is None:
+            number = truth.number_of(frame, position=len(number_of_stamp))
+            number_of_stamp[frame.stamp_ns] = number
+        yield Numbered(number, frame, frame)
