@@ -31,6 +31,7 @@ class BucketSeen:
         objects: Objects they consist of.
         bytes: Their sizes together.
         errors: Listings that broke off, by `unreachable` and `refused`.
+        problem: Why the last one broke off; empty after a whole one.
     """
 
     last_success_s: float | None = None
@@ -39,6 +40,7 @@ class BucketSeen:
     objects: int = 0
     bytes: int = 0
     errors: Mapping[str, int] = field(default_factory=lambda: {"unreachable": 0, "refused": 0})
+    problem: str = ""
 
 
 class BucketWatch:
@@ -101,7 +103,7 @@ class BucketWatch:
         else:
             result = self._take_over(objects)
         now_s, took_s = self._ledger.now_s(), self._took_s
-        self.seen = replace(self.seen, last_success_s=now_s, duration_s=took_s)
+        self.seen = replace(self.seen, last_success_s=now_s, duration_s=took_s, problem="")
         self.listed_at_s, self._took_s = self._elapsed_s(), 0.0
         return result
 
@@ -151,7 +153,7 @@ class BucketWatch:
         except (BucketUnreachableError, BucketRefusedError) as error:
             refused = isinstance(error, BucketRefusedError)
             self._errors["refused" if refused else "unreachable"] += 1
-            self.seen = replace(self.seen, errors=dict(self._errors))
+            self.seen = replace(self.seen, errors=dict(self._errors), problem=str(error))
             self._broke_off_s = self._elapsed_s()
             raise
         finally:

@@ -135,6 +135,8 @@ def watch_scenes(
         PermanentError: If the service refuses: `since` is beyond its last number, so that this is
             another ledger; or if its records cannot be read.
     """
+    if not connect:
+        raise ValueError("connect must name a router, such as tcp/127.0.0.1:7447")
     if history is not None and since is not None:
         raise ValueError("give history or since, not both: since means all after that number")
     vehicles = frozenset((vehicle,) if isinstance(vehicle, str) else vehicle)

@@ -19,6 +19,9 @@ LOOK_S: Final = 5.0
 BUSY_S: Final = 60.0
 """While things change, one line sums up each minute, however much happens in it."""
 
+WORK: Final = ("logs_waiting", "logs_growing", "shards_waiting", "shards_leased")
+"""A daemon with any of these is not quiet, however long it is silent: a slow shard is no idling."""
+
 Standing: TypeAlias = Mapping[str, int | float | None]
 """How things stand, by name; what ends in `_s` grows by itself and is no news."""
 
@@ -66,8 +69,11 @@ class Heartbeat:
         if not news and silent_s < self._heartbeat_s:
             return
         is_first, self._said, self._said_at_s = self._said is None, standing, self._clock_s()
-        new_scenes = {"new_scenes": news["scenes"]} if "scenes" in news and not is_first else {}
-        log.info("busy" if news else "quiet", **standing, **new_scenes)
+        change = 0 if is_first else news.get("scenes", 0)
+        name = "new_scenes" if change > 0 else "withdrawn_scenes"
+        new_scenes = {name: abs(change)} if change else {}
+        waits = any(standing.get(name) for name in WORK)
+        log.info("busy" if news or waits else "quiet", **standing, **new_scenes)
 
 
 def service_standing(
@@ -89,6 +95,7 @@ def service_standing(
         "scenes": backlog.current_scenes,
         "logs": sum(backlog.recordings.values()),
         "logs_waiting": backlog.recordings.get("waiting", 0),
+        "logs_growing": backlog.recordings.get("settling", 0),
         "shards_done": backlog.work.get(("shard", WorkState.DONE), 0),
         "shards_waiting": backlog.work.get(("shard", WorkState.READY), 0),
         "shards_leased": backlog.work.get(("shard", WorkState.LEASED), 0),

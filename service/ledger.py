@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from typing import Final
 
+import structlog
 from sqlalchemy import Connection
 
 from schemas.work import (
@@ -57,6 +58,8 @@ __all__ = [
 
 PRUNE_INTERVAL_S: Final = 3600.0
 """Between two looks at all leases for those that may be forgotten."""
+
+log = structlog.get_logger(__name__)
 
 
 class Ledger:
@@ -145,10 +148,12 @@ class Ledger:
         """
         version = request.pipeline_version
 
-        def granted(connection: Connection) -> tuple[int, PlanLease | MineLease | NothingToDo]:
-            listing = self._listing
+        def granted(
+            connection: Connection,
+        ) -> tuple[int, str, PlanLease | MineLease | NothingToDo]:
+            listing, before = self._listing, ""
             if self._seeded.get(version) != listing:
-                recordings.register_pipeline(connection, version)
+                before = recordings.register_pipeline(connection, version)
                 recordings.seed_plans(connection, version)
             grant = claims.claim(
                 connection,
@@ -157,9 +162,15 @@ class Ledger:
                 policy=self._policy,
                 lease_id=self._new_lease_id(),
             )
-            return listing, grant
+            return listing, before, grant
 
-        self._seeded[version], grant = self._store.write(granted)
+        self._seeded[version], before, grant = self._store.write(granted)
+        if before:
+            log.warning(
+                "new pipeline version: every log is mined anew",
+                pipeline_version=version,
+                before=before,
+            )
         return ClaimReply(grant=grant)
 
     def renew(self, request: RenewRequest) -> Answer:

@@ -102,9 +102,10 @@ def not_ready(
     if not is_connected(session):
         problems["router"] = "no router is connected; scenes and leases wait for one"
     if seen.last_success_s is None:
-        problems["bucket"] = "the bucket has not been listed yet"
+        problems["bucket"] = f"the bucket has not been listed yet; {seen.problem}".rstrip("; ")
     elif list_interval_s is not None:
         age_s = ledger.now_s() - seen.last_success_s
         if age_s > LISTING_GRACE_S + LISTINGS_MISSED * list_interval_s:
-            problems["bucket"] = f"the bucket was last listed {age_s:.0f} s ago; the log says why"
+            why = seen.problem or "no listing has ended since"
+            problems["bucket"] = f"the bucket was last listed {age_s:.0f} s ago: {why}"
     return problems

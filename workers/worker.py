@@ -226,8 +226,8 @@ class Worker:
         outcome = _outcome(error)
         is_plan = isinstance(lease, PlanLease)
         say = log.warning if outcome in ("failed", "replaced") else log.info
-        if outcome == "store_away":
-            say = log.debug  # the wait for the store is said
+        if outcome in ("store_away", "growing"):
+            say = log.debug  # the wait for the store is said; the service counts what grows
         say(f"{'plan' if is_plan else 'shard'} {outcome.replace('_', ' ')}", problem=problem)
         if outcome == "growing":
             self._metrics.plan_ended("growing")

@@ -1,4 +1,4 @@
-"""Verbs that measure and show: `bench pipeline`, `bench ledger`, `demo`."""
+"""Verbs that measure and show: `bench pipeline`, `bench motion`, `bench ledger`, `demo`."""
 
 import time
 from pathlib import Path
@@ -17,6 +17,7 @@ def add_to(app: typer.Typer) -> None:
     """Add the verbs of this file to the command."""
     bench = typer.Typer(no_args_is_help=True, help="Measure, beside floors of the same run.")
     bench.command(epilog="counterpoint bench pipeline logs/car-7/2026-11-20/drive.mcap")(pipeline)
+    bench.command(epilog="counterpoint bench motion logs/car-7/2026-11-20/drive.mcap")(motion)
     bench.command(epilog="counterpoint bench ledger --folder /var/lib/counterpoint")(ledger)
     app.add_typer(bench, name="bench")
     app.command(epilog="counterpoint demo --out demo-output")(demo)
@@ -57,6 +58,53 @@ def pipeline(
             (row.part, *(f"{ms:.1f}" for ms in (row.mean_ms, row.median_ms, row.p95_ms)), row.share)
             for row in rows
         ),
+    )
+
+
+def motion(
+    url: Annotated[str, typer.Argument(help="URL or path of one .mcap file.")],
+    frames: Annotated[
+        str, typer.Option("--frames", help="N after ten that warm up, or A:B, half open.")
+    ] = "10:",
+    processor: Annotated[
+        bool, typer.Option("--processor", help="Seconds of the processor, not of the wall.")
+    ] = False,
+    json: Json = False,
+    config: Config = None,
+) -> None:
+    """Say where the time of the self-supervised stream goes, beside KISS-ICP and Patchwork++."""
+    from service.cli.evaluate import parse_frames
+    from service.cli.logs import locate
+    from workers.evaluation.bench_motion import bench_motion
+
+    bounds = (10, 10 + int(frames)) if frames.isdecimal() else parse_frames(frames)
+    settings = settings_for(config)
+    with progress() as bar:
+        task = bar.add_task("timing", total=None)
+        store, recording = locate(url, root_url=settings.bucket)
+        timed = bench_motion(
+            store,
+            recording,
+            settings.mining(),
+            frames=bounds,
+            clock=time.process_time if processor else time.perf_counter,
+            on_progress=lambda done: bar.update(task, completed=done),
+        )
+    if json:
+        json_line(timed)
+        return
+    table(
+        f"{timed.log}: milliseconds per frame of {timed.points} points, one thread",
+        ("part", "median", "mean", "95th percentile"),
+        (
+            (row.part, *(f"{ms:.1f}" for ms in (row.median_ms, row.mean_ms, row.p95_ms)))
+            for row in timed.parts
+        ),
+    )
+    remark(
+        f"the stream takes {timed.ratio:.2f} times as long as KISS-ICP and Patchwork++ together, "
+        f"{timed.ratio_with_odometry:.2f} with odometry; at most {timed.memory_mib:.0f} MiB "
+        "beyond the interpreter"
     )
 
 
@@ -121,7 +169,7 @@ def demo(
     from service.demo import demo_settings, run_demo
 
     settings = demo_settings(out, workers=workers, log_format=log_format, log_level=log_level)
-    log_as(settings)
+    log_as(settings, is_daemon=True)
     status, ranking, pictures = run_demo(
         out,
         settings=settings,

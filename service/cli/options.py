@@ -79,12 +79,17 @@ def settings_for(config: Path | None, **flags: Any) -> Settings:
     """
     given = {name: value for name, value in flags.items() if value != []}
     settings = load_settings(config=config, **given)
-    log_as(settings)
+    log_as(settings, is_daemon="log_format" in flags)
     return settings
 
 
-def log_as(settings: Settings) -> None:
-    """Log, and remark, in the format and from the level that the settings name."""
-    as_json = settings.log_format == "json"
+def log_as(settings: Settings, *, is_daemon: bool) -> None:
+    """Log, and remark, from the level that the settings name.
+
+    Args:
+        settings: One file serves daemons and people.
+        is_daemon: Whether the format is theirs too; a verb that a person types speaks to a person.
+    """
+    as_json = is_daemon and settings.log_format == "json"
     log_to_stderr(level=settings.log_level, as_json=as_json)
     remark_as_events(as_json)

@@ -47,6 +47,11 @@ def say_what_was_found(status: Status) -> None:
             f"{status.plan_bytes_read / 1e6:.1f} MB; "
             f"a worker held at most {status.peak_memory_bytes / 1e6:.0f} MB"
         )
+    if status.pipeline_version:
+        remark(
+            f"logs and frames are those of pipeline version {status.pipeline_version}, the newest; "
+            "scenes of one before stand until it has mined their log"
+        )
     points = status.points
     compared = (
         points.both_static

@@ -40,7 +40,7 @@ def print_settings(
         sys.stdout.write(settings_page(flags_of(context.find_root().command)))
         return
     read = read_settings(config=config)
-    log_as(read.settings)
+    log_as(read.settings, is_daemon=False)
     rows = list(setting_rows(read))
     if json:
         for row in rows:
@@ -87,7 +87,7 @@ def doctor(
         artifacts=artifacts,
         database=database,
     )
-    log_as(read.settings)
+    log_as(read.settings, is_daemon=False)
     findings = []
     with progress() as bar:
         task = bar.add_task("examining", total=None)

@@ -12,7 +12,6 @@ from sqlalchemy import (
     bindparam,
     delete,
     exists,
-    func,
     insert,
     literal,
     or_,
@@ -105,14 +104,20 @@ def stale_logs(connection: Connection) -> list[str]:
     return sorted(connection.execute(plans.union(shards)).scalars())
 
 
-def register_pipeline(connection: Connection, pipeline_version: str) -> None:
-    """Note a pipeline version; of several, the one first seen last is the newest."""
+def register_pipeline(connection: Connection, pipeline_version: str) -> str:
+    """Note a pipeline version; of several, the one first seen last is the newest.
+
+    Returns:
+        The one that was the newest, if this takes its place just now; else empty.
+    """
     known = select(PIPELINES.c.ordinal).where(PIPELINES.c.pipeline_version == pipeline_version)
-    if connection.execute(known).one_or_none() is None:
-        newest = connection.execute(select(func.max(PIPELINES.c.ordinal))).scalar_one() or 0
-        connection.execute(
-            insert(PIPELINES).values(pipeline_version=pipeline_version, ordinal=newest + 1)
-        )
+    if connection.execute(known).one_or_none() is not None:
+        return ""
+    newest = select(PIPELINES.c.pipeline_version, PIPELINES.c.ordinal)
+    before = connection.execute(newest.order_by(PIPELINES.c.ordinal.desc()).limit(1)).one_or_none()
+    ordinal = 1 if before is None else before.ordinal + 1
+    connection.execute(insert(PIPELINES).values(pipeline_version=pipeline_version, ordinal=ordinal))
+    return "" if before is None else str(before.pipeline_version)
 
 
 def seed_plans(connection: Connection, pipeline_version: str) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 from sqlalchemy import inspect, text
+from structlog.testing import capture_logs
 
 from schemas.score import SceneScore
 from schemas.wire import encode_scene_score
@@ -549,6 +550,14 @@ class LedgerContract(ABC):
         assert world.ledger.scene(every[7].scene_id) == every[7]
         assert world.ledger.scene("a/lidar/0") is None
         assert every[7].decoded().scene_id == every[7].scene_id
+
+    def test_a_version_that_takes_the_place_of_another_is_said_once(self, world: World) -> None:
+        world.listed("a")
+        with capture_logs() as lines:
+            for version in ("p1", "p1", "p2", "p1", "p2"):
+                world.claim(version=version)
+        said = [(line["pipeline_version"], line["before"]) for line in lines]
+        assert said == [("p2", "p1")]
 
     # Ranking and selection.
 

@@ -112,9 +112,13 @@ class LocalPool:
     def check_alive(self) -> None:
         """Raise why, if the pool no longer looks after its workers.
 
+        One that was told to stop has not failed, however long its workers take to drain.
+
         Raises:
             TransientError: In one sentence.
         """
+        if self._stopping.is_set() and self._failure is None:
+            return
         if not self._watcher.is_alive():
             why = "it is stopped" if self._failure is None else f"{self._failure!r}"
             raise TransientError(f"the pool watches its workers no more: {why}")

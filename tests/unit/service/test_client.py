@@ -25,6 +25,11 @@ def test_history_and_since_together_are_refused_before_anything_is_opened() -> N
         watch_scenes([free_endpoint()], history=3, since=3)
 
 
+def test_a_watcher_must_be_told_a_router() -> None:
+    with pytest.raises(ValueError, match="must name a router"):
+        watch_scenes([])
+
+
 def test_a_watcher_that_does_not_wait_says_that_there_is_no_router() -> None:
     with pytest.raises(TransientError, match="no router at"):
         next(watch_scenes([free_endpoint()], wait=False))

@@ -73,6 +73,24 @@ def test_the_line_says_what_is_new() -> None:
     assert [(line["scenes"], line["new_scenes"]) for line in lines] == [(30, 18)]
 
 
+def test_scenes_that_went_are_said_as_withdrawn() -> None:
+    daemon = Daemon()
+    daemon.lives(60, scenes_each=1)
+    with capture_logs() as lines:
+        daemon.now_s, daemon.stands["scenes"] = 121, 9
+        daemon.heartbeat.beat()
+    assert [(line["withdrawn_scenes"], "new_scenes" in line) for line in lines] == [(3, False)]
+
+
+@pytest.mark.parametrize(
+    "what", ["logs_waiting", "logs_growing", "shards_waiting", "shards_leased"]
+)
+def test_a_daemon_with_work_is_not_called_quiet_while_nothing_is_finished(what: str) -> None:
+    daemon = Daemon()
+    daemon.stands[what] = 1
+    assert {event for _, event, _ in daemon.lives(1000)} == {"busy"}
+
+
 def test_a_short_heartbeat_is_kept() -> None:
     daemon = Daemon(heartbeat_s=10)
     assert [when for when, _, _ in daemon.lives(30)] == [10, 20, 30]
