@@ -124,6 +124,7 @@ class PosedFrame:
         static_residual_m: Median distance of static structure to the map after registration,
             metres; NaN on the first frame.
         reason: Why the pose is not healthy; empty when it is.
+        jumped: Whether it went where no car goes from one frame to the next.
     """
 
     frame: LidarFrame
@@ -131,6 +132,7 @@ class PosedFrame:
     odometry: OdometryState = OdometryState.HEALTHY
     static_residual_m: float = field(default=float("nan"))
     reason: str = ""
+    jumped: bool = False
 
     def __post_init__(self) -> None:
         """Check the pose once, and make it read-only."""

@@ -50,6 +50,21 @@ class OdometryHealth(BaseModel):
     reason: str = Field(default="", max_length=200, description="Why not healthy, if so.")
 
 
+class StreamHealth(BaseModel):
+    """What the self-supervised stream had to go by: silence where blind means nothing."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    unknown_share: Share = Field(description="Share of the returns that it did not judge.")
+    seen_share: Share | None = Field(
+        description="Mean share of what it was asked about, off the ground and in reach, that an "
+        "earlier frame saw or saw through; null if it was never asked."
+    )
+    blind_share: Share = Field(description="Share of frames in which it judged nothing.")
+    pose_jumps: int = Field(ge=0, description="Frames whose pose went where no car goes.")
+    reason: str = Field(default="", max_length=200, description="Why it was blind, if it was.")
+
+
 class Producers(BaseModel):
     """What made the labels: the name and version of each stream's model."""
 
@@ -91,4 +106,9 @@ class SceneScore(BaseModel):
         max_length=MAX_TRACKS, description="The strongest tracks, strongest first."
     )
     odometry: OdometryHealth
+    health: StreamHealth | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="Of the self-supervised stream; absent from records of earlier services.",
+    )
     producers: Producers

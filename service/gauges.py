@@ -16,7 +16,8 @@ from service.store.effects import WorkKind
 from service.store.work import WorkState
 
 BucketError = Literal["unreachable", "refused"]
-"""How a listing broke off: no answer, or an error of the store's own; it said no."""
+"""How a listing broke off: no answer, an error of the store's own, a folder that is gone, as when
+its disk is not mounted; or the store said no."""
 
 ClockStep = Literal["forward", "back"]
 """Which way a clock was set."""
@@ -120,7 +121,7 @@ def _of_ledger(backlog: Backlog, *, now_s: float) -> Iterator[Metric]:
         "work",
         "Plans and shards under the newest pipeline version, by state; `done` also counts those of "
         "recordings since replaced. Worry when `ready` only grows: too few workers; and at any "
-        "`parked`.",
+        "`parked`, which is not tried again.",
         {
             (work, state.value): backlog.work.get((work, state.value), 0)
             for work in get_args(WorkKind)
@@ -130,7 +131,7 @@ def _of_ledger(backlog: Backlog, *, now_s: float) -> Iterator[Metric]:
     )
     yield _gauge(
         "recordings",
-        "Recordings in the bucket by state. Worry when `refused` or `parked` grow; "
+        "Recordings in the bucket by state. Worry at any `refused` or `parked`: "
         "`counterpoint status` names each with its problem.",
         {(state,): backlog.recordings.get(state, 0) for state in RECORDING_STATES},
         labels=("state",),
@@ -185,8 +186,8 @@ def _of_parts(sources: Sources) -> Iterator[Metric]:
     )
     yield _counter(
         "bucket_errors",
-        "Listings that broke off. Worry when it grows for minutes: unreachable is the network or "
-        "the store, refused is credentials or a bucket that is gone.",
+        "Listings that broke off. Worry when it grows for minutes: unreachable is the network, the "
+        "store, or a folder that is gone; refused is credentials, or a bucket that is gone.",
         {(kind,): seen.errors.get(kind, 0) for kind in get_args(BucketError)},
         labels=("kind",),
     )

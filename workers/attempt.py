@@ -96,6 +96,7 @@ class Attempts:
                     with account.clock.stage("publishing"):
                         put_artifact(equipment.artifacts, mined.overlay_key, mined.overlay)
                         self.publisher.put(mined.record)
+                    self.metrics.scene_mined(mined.score)
                     scene_id = mined.score.scene_id
                     records[scene_id] = mined.record
                     manifest.append(ManifestEntry(scene_id=scene_id, sha256=mined.sha256))
@@ -120,6 +121,8 @@ class Attempts:
             scenes=account.scenes,
             damaged=len(account.damage),
             odometry_frames=account.odometry,
+            blind_frames=account.blindness,
+            motion_points=account.motion,
         )
 
     def _commit(

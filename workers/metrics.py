@@ -13,6 +13,8 @@ from prometheus_client import (
 )
 
 from schemas.frame import OdometryState
+from schemas.labels import Blindness, MotionLabel
+from schemas.score import SceneScore
 from schemas.work import LogPlan, MiningStats
 from workers.stages import Stage
 
@@ -37,6 +39,11 @@ needs was not there at its start; it cannot do what the service asks; someone el
 
 SHARD_BUCKETS_S: Final = (0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 20.0, 40.0, 80.0, 160.0)
 """Around the 20 s of lidar that a shard holds by default."""
+
+RESIDUAL_BUCKETS_M: Final = (0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.2, 0.3, 0.5)
+"""Around 0.1 m, what the spacing of 64 beams alone makes of it."""
+
+SHARE_BUCKETS: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 
 Metric = TypeVar("Metric", Counter, Gauge, Histogram)
 
@@ -80,6 +87,35 @@ class WorkerMetrics:
             "Mined frames by how far their pose may be trusted. Worry when more than a tenth are "
             "not healthy: degraded poses lower a scene's score, lost ones void it.",
             state=tuple(OdometryState),
+        )
+        self._pose_jumps = self._counter(
+            "pose_jumps",
+            "Mined frames whose pose went where no car goes from one frame to the next. Worry when "
+            "it grows steadily: frames are dropped, or time stamps are wrong.",
+        )
+        self._blind_frames = self._counter(
+            "blind_frames",
+            "Mined frames in which the self-supervised stream judged nothing off the ground, by "
+            "why. `no_past` is the start of a log or a gap. Worry when the others exceed a tenth.",
+            cause=tuple(Blindness),
+        )
+        self._motion_points = self._counter(
+            "motion_points",
+            "Returns of the mined frames by what the self-supervised stream says of them. Worry "
+            "when the share of `unknown` rises: it lost its footing, and finds nothing.",
+            label=tuple(label.name.lower() for label in MotionLabel),
+        )
+        self._static_residual = self._histogram(
+            "static_residual_m",
+            "Median distance of static structure to the frame before, metres, by scene. Worry when "
+            "it rises: poses, calibration or time stamps got worse.",
+            buckets=RESIDUAL_BUCKETS_M,
+        )
+        self._seen_share = self._histogram(
+            "seen_share",
+            "Share of what the self-supervised stream was asked about that an earlier frame saw or "
+            "saw through, by scene. Worry below a half: beams or origin of the sensor are wrong.",
+            buckets=SHARE_BUCKETS,
         )
         self._damaged_chunks = self._counter(
             "damaged_chunks",
@@ -187,6 +223,8 @@ class WorkerMetrics:
         scenes: int,
         damaged: int,
         odometry_frames: Mapping[OdometryState, int],
+        blind_frames: Mapping[Blindness, int],
+        motion_points: Mapping[MotionLabel, int],
     ) -> None:
         """Count what one attempt at a shard took and found, whether it will be committed or not.
 
@@ -195,6 +233,8 @@ class WorkerMetrics:
             scenes: How many were published.
             damaged: Stretches that could not be read.
             odometry_frames: Frames by the health of their pose.
+            blind_frames: Frames without an answer of the self-supervised stream, by why.
+            motion_points: Returns by that stream's answer.
         """
         self._frames.inc(stats.frames)
         self._scenes.inc(scenes)
@@ -205,6 +245,19 @@ class WorkerMetrics:
         self._peak_memory.set(stats.peak_memory_bytes)
         for state, frames in odometry_frames.items():
             self._odometry_frames.labels(state.value).inc(frames)
+        for cause, frames in blind_frames.items():
+            self._blind_frames.labels(cause.value).inc(frames)
+        for label, points in motion_points.items():
+            self._motion_points.labels(label.name.lower()).inc(points)
+
+    def scene_mined(self, score: SceneScore) -> None:
+        """Note what the streams of one scene had to go by."""
+        if score.odometry.static_residual_m > 0.0:  # 0 where nothing was measured
+            self._static_residual.observe(score.odometry.static_residual_m)
+        if score.health is not None:
+            self._pose_jumps.inc(score.health.pose_jumps)
+            if score.health.seen_share is not None:
+                self._seen_share.observe(score.health.seen_share)
 
     def shard_committed(self, stage_s: Mapping[Stage, float], *, seconds: float) -> None:
         """Note how long a shard took, by stage and from lease to commit."""
@@ -233,7 +286,14 @@ class WorkerMetrics:
             Counter(name, help_, list(labels), NAMESPACE, SUBSYSTEM, registry=self.registry), labels
         )
 
-    def _histogram(self, name: str, help_: str, **labels: tuple[str, ...]) -> Histogram:
+    def _histogram(
+        self,
+        name: str,
+        help_: str,
+        *,
+        buckets: tuple[float, ...] = SHARD_BUCKETS_S,
+        **labels: tuple[str, ...],
+    ) -> Histogram:
         made = Histogram(
             name,
             help_,
@@ -241,7 +301,7 @@ class WorkerMetrics:
             NAMESPACE,
             SUBSYSTEM,
             registry=self.registry,
-            buckets=SHARD_BUCKETS_S,
+            buckets=buckets,
         )
         return _with_series(made, labels)
 

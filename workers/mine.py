@@ -4,8 +4,12 @@ from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from schemas.bucket import Bucket
+from schemas.contradiction import LabelledFrame
 from schemas.frame import LidarFrame, OdometryState
+from schemas.labels import Blindness, MotionLabel
 from schemas.overlay import encode_overlay, overlay_key
 from schemas.score import SceneScore
 from schemas.wire import encode_scene_score, sha256
@@ -45,6 +49,8 @@ class Account:
         clock: Seconds of each stage.
         damage: What could not be read.
         odometry: Scored frames by the health of their pose.
+        blindness: Scored frames without an answer of the self-supervised stream, by why.
+        motion: Returns of the scored frames by that stream's answer.
         odometry_problem: The first reason given for a pose that is not healthy.
         scenes: Scenes mined.
         frames: Frames scored, warm-up excluded.
@@ -57,6 +63,8 @@ class Account:
     clock: StageClock = field(default_factory=StageClock)
     damage: list[Damage] = field(default_factory=list)
     odometry: Counter[OdometryState] = field(default_factory=Counter)
+    blindness: Counter[Blindness] = field(default_factory=Counter)
+    motion: Counter[MotionLabel] = field(default_factory=Counter)
     odometry_problem: str = ""
     scenes: int = 0
     frames: int = 0
@@ -64,6 +72,17 @@ class Account:
     bytes_read: int = 0
     bytes_needed: int = 0
     range_reads: int = 0
+
+    def add(self, frames: Iterable[LabelledFrame]) -> None:
+        """Count the frames of a scene by what the streams had to go by."""
+        for frame in frames:
+            self.odometry[frame.posed.odometry] += 1
+            said = frame.predictive
+            if said.health.blindness is not None:
+                self.blindness[said.health.blindness] += 1
+            labels = said.labels[frame.posed.frame.valid_mask]
+            for label, points in enumerate(np.bincount(labels, minlength=len(MotionLabel))):
+                self.motion[MotionLabel(label)] += int(points)
 
     def stats(self) -> MiningStats:
         """Sum up."""
@@ -123,7 +142,7 @@ def mine_records(
             account.scenes += 1
             account.frames += mined.score.frames
             account.points += mined.score.points
-            account.odometry.update(frame.posed.odometry for frame in mined.scene.frames)
+            account.add(mined.scene.frames)
             account.odometry_problem = account.odometry_problem or mined.score.odometry.reason
             yield encoded
     finally:

@@ -1,8 +1,9 @@
 """Asks a Prometheus and a service what the panels ask them."""
 
 import json
+from contextlib import closing
 from dataclasses import dataclass
-from http.client import HTTPConnection
+from http.client import HTTPConnection, HTTPException
 from typing import Any
 from urllib.parse import urlencode
 
@@ -28,16 +29,16 @@ def get(address: str, path: str, **parameters: str) -> str:
         parameters: More of them.
 
     Raises:
-        AnswerError: If the status is not 200.
+        AnswerError: If nobody answers there, or the status is not 200.
     """
     question = f"{path}?{urlencode(parameters)}" if parameters else path
-    connection = HTTPConnection(address, timeout=30)
     try:
-        connection.request("GET", question)
-        response = connection.getresponse()
-        body = response.read().decode()
-    finally:
-        connection.close()
+        with closing(HTTPConnection(address, timeout=30)) as connection:
+            connection.request("GET", question)
+            response = connection.getresponse()
+            body = response.read().decode()
+    except (OSError, HTTPException, UnicodeError) as error:
+        raise AnswerError(f"{address} does not answer: {error}") from error
     if response.status != 200:
         raise AnswerError(f"{address}{question}: {response.status} {body}")
     return body
@@ -71,15 +72,27 @@ def query(prometheus: str, expr: str, *, at_s: float) -> list[Series]:
 
 
 def rates(service: str, path: str) -> list[dict[str, Any]]:
-    """Ask the store of a service for rows."""
-    rows: list[dict[str, Any]] = json.loads(get(service, path))
+    """Ask the store of a service for rows.
+
+    Raises:
+        AnswerError: If it does not answer, or refuses the question.
+    """
+    rows: list[dict[str, Any]] = _json(service, path)
     return rows
 
 
 def _data(prometheus: str, path: str, **parameters: str | float) -> dict[str, Any]:
     asked = {name: str(value) for name, value in parameters.items()}
-    answer: dict[str, Any] = json.loads(get(prometheus, path, **asked))["data"]
+    answer: dict[str, Any] = _json(prometheus, path, **asked)["data"]
     return answer
+
+
+def _json(address: str, path: str, **parameters: str) -> Any:
+    body = get(address, path, **parameters)
+    try:
+        return json.loads(body)
+    except ValueError as error:
+        raise AnswerError(f"{address}{path} answers with no JSON: {body[:80]!r}") from error
 
 
 def _series(labels: dict[str, str], values: list[tuple[float, str]]) -> Series:

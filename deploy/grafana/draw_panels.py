@@ -24,7 +24,7 @@ from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 from PIL import Image
 
-from deploy.grafana.asking import Series, query, query_range, rates
+from deploy.grafana.asking import AnswerError, Series, query, query_range, rates
 from deploy.grafana.panels import COLUMNS
 from deploy.grafana.reading import FOLDER, ReadPanel, Target, read_dashboard, variables_of
 from deploy.grafana.units import written
@@ -270,7 +270,11 @@ def _clock(day: float, _: object) -> str:
 
 
 def main() -> None:
-    """Draw both dashboards, up to now."""
+    """Draw both dashboards, up to now.
+
+    Raises:
+        SystemExit: With 1 and one sentence, if somebody does not answer or nothing can be written.
+    """
     mpl.use("agg")
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--prometheus", default="127.0.0.1:9090", help="host:port")
@@ -279,6 +283,16 @@ def main() -> None:
     parser.add_argument("--rate-interval", default="1m", help="What $__rate_interval becomes.")
     parser.add_argument("--out", type=Path, default=Path(), help="Folder for the pictures.")
     asked = parser.parse_args()
+    try:
+        asked.out.mkdir(parents=True, exist_ok=True)
+        _draw_all(asked)
+    except AnswerError as error:
+        parser.exit(1, f"error: {error}; check --prometheus and --service, and that both run\n")
+    except OSError as error:
+        parser.exit(1, f"error: cannot write pictures to {asked.out}: {error}\n")
+
+
+def _draw_all(asked: argparse.Namespace) -> None:
     end_s = time.clock_gettime(time.CLOCK_REALTIME)
     for path in sorted(FOLDER.glob("*.json")):
         variables = variables_of(

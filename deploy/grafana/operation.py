@@ -410,6 +410,67 @@ TROUBLE: Final = Row(
             ),
         ),
         Panel(
+            title="Frames without an answer, by why",
+            description="Share of the mined frames in which the self-supervised stream judged "
+            "nothing. `no_past`: start of a log, or a gap. `no_fit`: the frame contradicts those "
+            "before it as a whole, so its pose or time is wrong.",
+            unit="percentunit",
+            most=1,
+            stacked=True,
+            queries=(
+                Query(
+                    f"{per_second('counterpoint_worker_blind_frames_total', 'cause')}"
+                    " / ignoring (cause) group_left () "
+                    f"{per_second('counterpoint_worker_frames_total')}",
+                    "{{cause}}",
+                ),
+            ),
+        ),
+        Panel(
+            title="What the self-supervised stream says",
+            description="Share of the returns by its answer. When `unknown` rises it finds "
+            "nothing, and nothing contradicts.",
+            unit="percentunit",
+            most=1,
+            stacked=True,
+            colours={"static": "#8a8f98", "dynamic": "#e0752d", "unknown": "#3a3d42"},
+            queries=(
+                Query(
+                    f"{per_second('counterpoint_worker_motion_points_total', 'label')}"
+                    " / ignoring (label) group_left () "
+                    f"{per_second('counterpoint_worker_motion_points_total')}",
+                    "{{label}}",
+                ),
+            ),
+        ),
+        Panel(
+            title="How well frames fit",
+            description="Distance of static structure to the frame before, by scene, and frames "
+            "per hour whose pose went where no car goes.",
+            unit="short",
+            queries=(
+                Query(quantile(0.5, "counterpoint_worker_static_residual_m"), "residual, m"),
+                Query(quantile(0.95, "counterpoint_worker_static_residual_m"), "residual, 95 %"),
+                Query(
+                    f"{per_second('counterpoint_worker_pose_jumps_total')} * 3600",
+                    "jumps per hour",
+                ),
+            ),
+        ),
+        Panel(
+            title="Places that were seen before",
+            description="Share of what the self-supervised stream was asked about that an earlier "
+            "frame saw or saw through, by scene. Below a half: beams or origin of the sensor are "
+            "wrong.",
+            unit="percentunit",
+            most=1,
+            thresholds=((0.5, YELLOW),),
+            queries=(
+                Query(quantile(0.5, "counterpoint_worker_seen_share"), "median"),
+                Query(quantile(0.05, "counterpoint_worker_seen_share"), "lowest 5 %"),
+            ),
+        ),
+        Panel(
             title="Records lost on the bus, per hour",
             description="Noticed, and sent again in the commit. Also: renewals of leases without "
             "an answer.",

@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Sequence
 
+import structlog
 import typer
 from typer.exceptions import Abort, Exit, TyperException
 
@@ -11,7 +12,10 @@ from schemas.process import log_to_stderr
 from service.cli import daemons, evaluate, logs, measure, rates, scenes, settings
 from service.cli.output import remark, remark_as_events
 
+EX_SOFTWARE = 70
 EX_TEMPFAIL = 75
+
+log = structlog.get_logger(__name__)
 
 app = typer.Typer(
     name="counterpoint",
@@ -28,7 +32,10 @@ for group in (daemons, logs, scenes, rates, evaluate, measure, settings):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; return 0 when done, 1 for bad input or arguments, 75 to try again."""
+    """Run one command; return 0 when done, 1 for bad input or arguments, 75 to try again.
+
+    What nobody foresaw is our fault: 70, with the trace; who keeps daemons alive may try again.
+    """
     log_to_stderr()  # until a verb has read its settings
     remark_as_events(False)
     try:
@@ -53,6 +60,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our pipe has left; nothing is wrong
         return 0
+    except Exception:
+        log.exception("this is a fault of the program; please report it with these lines")
+        return EX_SOFTWARE
     return ended if isinstance(ended, int) else 0
 
 

@@ -11,7 +11,7 @@ import pytest
 import typer
 import yaml
 
-from service.cli.main import app
+from service.cli.main import EX_TEMPFAIL, app
 from service.config import Settings
 from workers.pool.slot import KILL_MARGIN_S
 from workers.worker import DRAIN_S
@@ -221,3 +221,18 @@ def test_the_unit_starts_a_verb_that_exists_and_leaves_the_drain_to_the_pool() -
     assert stop is not None
     assert int(stop[1]) > DRAIN_S + KILL_MARGIN_S
     assert "MemoryDenyWriteExecute=" not in unit  # loops are compiled while running
+
+
+def test_the_unit_tries_again_what_may_pass_and_nothing_else() -> None:
+    unit = (DEPLOY / "systemd" / "counterpoint.service").read_text()
+    assert "\nRestart=on-failure\n" in unit
+    stays_down = re.search(r"^RestartPreventExitStatus=(.+)$", unit, re.M)
+    assert stays_down is not None
+    assert "1" in stays_down[1].split()
+    assert str(EX_TEMPFAIL) not in stays_down[1].split()
+
+
+def test_the_example_of_credentials_sets_none_to_nothing() -> None:
+    # An empty key in the environment hides the role that a machine may have.
+    text = (DEPLOY / "counterpoint.env.example").read_text(encoding="utf-8")
+    assert re.findall(r"^\w+=\s*$", text, re.M) == []

@@ -167,7 +167,8 @@ def test_every_alert_says_what_is_wrong_and_what_to_do() -> None:
         assert rule["labels"]["severity"] in {"critical", "warning", "info"}, name
         assert said["summary"].endswith("."), name
         assert said["description"].endswith("."), name
-        assert said["runbook"] == f"deploy/README.md#{name.lower()}"
+        place = f"deploy/README.md#{name.lower()}"
+        assert said["runbook_url"] == "{{ $externalLabels.runbooks }}" + place
         assert name.lower() in headings, f"the runbook says nothing of {name}"
 
 

@@ -32,7 +32,7 @@ from schemas.wire import encode
 from schemas.work import Shard
 from workers.contradiction.reasons import class_word, reasons_of
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
-from workers.contradiction.shares import odometry_health, point_shares
+from workers.contradiction.shares import odometry_health, point_shares, stream_health
 from workers.contradiction.strength import RankedTrack, rank_tracks
 
 
@@ -108,6 +108,7 @@ def score_scene(
             for track_id, each in enumerate(ranked[:MAX_TRACKS])
         ),
         odometry=health,
+        health=stream_health(scene),
         producers=Producers(
             supervised=parts.supervised.version,
             selfsupervised=parts.selfsupervised.version,

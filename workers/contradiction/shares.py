@@ -1,6 +1,7 @@
-"""Raw figures of a scene that need no instances: shares of the four outcomes, odometry health."""
+"""Raw figures of a scene that need no instances: shares of outcomes, health of poses and stream."""
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -10,8 +11,8 @@ from numpy.typing import NDArray
 
 from schemas.contradiction import LabelledFrame, Scene
 from schemas.frame import OdometryState
-from schemas.labels import Agreement
-from schemas.score import AgreementShares, OdometryHealth
+from schemas.labels import Agreement, MotionLabel
+from schemas.score import AgreementShares, OdometryHealth, StreamHealth
 
 SHARE_DIGITS: Final = 4
 MAX_REASON_LENGTH: Final = 200
@@ -71,6 +72,28 @@ def odometry_health(scene: Scene) -> OdometryHealth:
         static_residual_m=round(float(np.median(residuals)), 3) if residuals else 0.0,
         distance_m=round(float(steps_m.sum()), 2),
         reason="" if worst is OdometryState.HEALTHY else reason[:MAX_REASON_LENGTH],
+    )
+
+
+def stream_health(scene: Scene) -> StreamHealth:
+    """Sum up what the self-supervised stream had to go by, and the commonest reason for none."""
+    returns = unknown = 0
+    for frame in scene.frames:
+        valid = frame.posed.frame.valid_mask
+        returns += int(valid.sum())
+        unknown += int((frame.predictive.labels[valid] == MotionLabel.UNKNOWN).sum())
+    health = [frame.predictive.health for frame in scene.frames]
+    blind = [each for each in health if each.blindness is not None]
+    causes = Counter(each.blindness for each in blind)
+    commonest = causes.most_common(1)[0][0] if causes else None
+    reason = next((each.reason for each in blind if each.blindness is commonest), "")
+    seen = [each.seen_share for each in health if math.isfinite(each.seen_share)]
+    return StreamHealth(
+        unknown_share=round(unknown / returns, SHARE_DIGITS) if returns else 0.0,
+        seen_share=round(sum(seen) / len(seen), SHARE_DIGITS) if seen else None,
+        blind_share=round(len(blind) / len(health), SHARE_DIGITS),
+        pose_jumps=sum(frame.posed.jumped for frame in scene.frames),
+        reason=reason[:MAX_REASON_LENGTH],
     )
 
 

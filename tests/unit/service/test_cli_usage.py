@@ -107,6 +107,19 @@ def test_a_router_that_is_not_there_means_try_again(
     assert "no router at tcp/127.0.0.1:9" in capsys.readouterr().err
 
 
+def test_a_fault_of_the_program_is_not_taken_for_bad_input(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("nobody foresaw this")
+
+    monkeypatch.setattr("service.cli.scenes.settings_for", broken)
+    assert main(["status"]) == 70, "1 would tell systemd not to try again"
+    said = capsys.readouterr().err
+    assert "a fault of the program" in said
+    assert "nobody foresaw this" in said
+
+
 def test_a_state_that_is_not_there_is_named(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

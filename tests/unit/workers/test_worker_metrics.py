@@ -10,7 +10,10 @@ from structlog.testing import capture_logs
 
 from schemas.errors import TransientError
 from schemas.frame import OdometryState
+from schemas.labels import Blindness, MotionLabel
+from schemas.score import StreamHealth
 from schemas.work import LogPlan, MiningStats
+from tests.factories import scene_score
 from workers.metrics import PoolMetrics, WorkerMetrics
 from workers.pool.metrics_folder import MetricsFolder
 from workers.pool.shared_metrics import FILE_BYTES, SharedMetrics, count_in
@@ -20,6 +23,12 @@ MOST_SERIES = 300
 
 def value(registry: CollectorRegistry, name: str, **labels: str) -> float | None:
     return registry.get_sample_value(f"counterpoint_worker_{name}", labels)
+
+
+def stream_health(*, seen_share: float, pose_jumps: int) -> StreamHealth:
+    return StreamHealth(
+        unknown_share=0.3, seen_share=seen_share, blind_share=0.1, pose_jumps=pose_jumps
+    )
 
 
 def test_every_series_is_there_before_anything_happened() -> None:
@@ -46,7 +55,15 @@ def test_a_shard_is_counted_by_what_it_took_and_found() -> None:
         frames=20, bytes_read=110, bytes_needed=100, range_reads=3, peak_memory_bytes=7
     )
     health = {OdometryState.HEALTHY: 18, OdometryState.LOST: 2}
-    metrics.mined(stats, scenes=1, damaged=4, odometry_frames=health)
+    metrics.mined(
+        stats,
+        scenes=1,
+        damaged=4,
+        odometry_frames=health,
+        blind_frames={Blindness.NO_FIT: 3},
+        motion_points={MotionLabel.STATIC: 70, MotionLabel.UNKNOWN: 30},
+    )
+    metrics.scene_mined(scene_score(health=stream_health(seen_share=0.97, pose_jumps=1)))
     metrics.shard_committed({"supervised": 3.0, "committing": 0.01}, seconds=9.0)
     metrics.shard_ended("committed")
     registry = metrics.registry
@@ -58,6 +75,13 @@ def test_a_shard_is_counted_by_what_it_took_and_found() -> None:
     assert value(registry, "bytes_needed_total") == 100
     assert value(registry, "odometry_frames_total", state="lost") == 2
     assert value(registry, "odometry_frames_total", state="degraded") == 0
+    assert value(registry, "blind_frames_total", cause="no_fit") == 3
+    assert value(registry, "blind_frames_total", cause="no_past") == 0
+    assert value(registry, "motion_points_total", label="unknown") == 30
+    assert value(registry, "pose_jumps_total") == 1
+    assert value(registry, "static_residual_m_bucket", le="0.06") == 1
+    assert value(registry, "seen_share_bucket", le="0.95") == 0
+    assert value(registry, "seen_share_count") == 1
     assert value(registry, "stage_seconds_sum", stage="supervised") == 3.0
     assert value(registry, "shard_seconds_bucket", le="10.0") == 1
     assert value(registry, "shards_total", outcome="committed") == 1
