@@ -13,6 +13,7 @@ from workers.selfsupervised.free_space import Votes
 from workers.selfsupervised.motion import ClusterMotions
 from workers.selfsupervised.neighbours import build_grid, nearest_indices
 from workers.selfsupervised.prepare import MAX_RANGE_M, Prepared
+from workers.selfsupervised.steps import step
 from workers.selfsupervised.tracker import Tracked
 
 AGREED: Final = 0.95
@@ -47,6 +48,7 @@ def nothing_known(
     )
 
 
+@step("answer")
 def to_labels(
     frame: LidarFrame,
     prepared: Prepared,

@@ -15,6 +15,9 @@ _MAX_CONE_ERROR = 0.35
 """Spread of a beam's elevation over the spacing of beams, above which rings are no cones: a point
 would land in the wrong row more often than not."""
 
+_MIN_SPACING = 1e-3
+"""0.06 degrees: half of the closest beams that are sold. Closer ones are one beam, or one place."""
+
 _SECTOR_RAD = np.radians(0.5)
 
 
@@ -75,13 +78,16 @@ def _from_rings(
     if error > _MAX_CONE_ERROR:
         origin = _meeting_point(points, rows, len(known))
         tangents, error = _cones(points - origin, rows, len(known))
-    trusted = bool(error <= _MAX_CONE_ERROR)
+    spacing = float(np.median(np.diff(np.sort(tangents))))
+    reason = "recorded beams are no cones about any point" if error > _MAX_CONE_ERROR else ""
+    if not reason and spacing < _MIN_SPACING:
+        reason = f"{len(known)} recorded beams look the same way"
     return BeamTable(
         np.sort(tangents).astype(np.float32),
         origin,
         _max_gap(tangents),
-        trusted=trusted,
-        reason="" if trusted else "recorded beams are no cones about any point",
+        trusted=not reason,
+        reason=reason,
     )
 
 

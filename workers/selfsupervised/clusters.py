@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Points
 from workers.selfsupervised.compiled import compiled
-from workers.selfsupervised.neighbours import CELL_XY_M, CELL_Z_M, PointGrid, build_grid, cell_along
+from workers.selfsupervised.components import components
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,73 +78,51 @@ def connected(
         groups: (N,) only points of one group are joined; one group by default.
     """
     n = len(points_m)
-    index = np.arange(n, dtype=np.int32) if among is None else np.flatnonzero(among)
+    index = np.arange(n, dtype=np.int32)
+    if among is not None:
+        index = index[among]
     own = np.zeros(len(index), np.int32) if groups is None else groups[index].astype(np.int32)
-    if len(index) == 0:
-        return from_labels(np.full(n, -1, np.int32))
-    chosen = points_m[index]
-    grid = build_grid(chosen, chosen.mean(axis=0))
-    root = _roots(grid, own[grid.order], np.float32(reach_m))
-    of_chosen = np.empty(len(index), np.int32)
-    of_chosen[grid.order] = grid.order[root]
-    size = np.bincount(of_chosen, minlength=len(index))
-    of_chosen[size[of_chosen] < min_points] = -1
+    root = components(points_m, index, own, np.float32(reach_m))
+    size = np.bincount(root, minlength=len(index))
+    root[size[root] < min_points] = -1
     labels = np.full(n, -1, np.int32)
-    labels[index] = of_chosen
+    labels[index] = root
     return from_labels(labels)
 
 
 def from_labels(labels: NDArray[np.int32]) -> Clusters:
     """Collect the members of arbitrary labels, numbered anew in their order; -1 is none."""
-    inside = np.flatnonzero(labels >= 0)
-    found, of_inside = np.unique(labels[inside], return_inverse=True)
-    of_point = np.full(len(labels), -1, np.int32)
-    of_point[inside] = of_inside
-    members = inside[np.argsort(of_inside, kind="stable")].astype(np.int32)
-    start = np.zeros(len(found) + 1, np.int32)
-    np.cumsum(np.bincount(of_inside, minlength=len(found)), out=start[1:])
-    return Clusters(of_point, members, start)
+    return Clusters(*_collected(labels.astype(np.int32, copy=False)))
 
 
 @compiled
-def _find(parent: NDArray[np.int32], i: int) -> int:
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    return i
-
-
-@compiled
-def _roots(grid: PointGrid, group: NDArray[np.int32], reach: np.float32) -> NDArray[np.int32]:
-    points, start, origin, shape = grid.points_m, grid.start, grid.origin_m, grid.shape
-    n = len(points)
-    parent = np.arange(n).astype(np.int32)
+def _collected(
+    labels: NDArray[np.int32],
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
+    """Count, number and sort in one go each, as labels are small whole numbers."""
+    n, most = len(labels), -1
     for i in range(n):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        z0 = cell_along(z - reach, origin[2], CELL_Z_M, shape[2])
-        z1 = cell_along(z + reach, origin[2], CELL_Z_M, shape[2])
-        root = _find(parent, i)
-        for cx in range(
-            cell_along(x - reach, origin[0], CELL_XY_M, shape[0]),
-            cell_along(x + reach, origin[0], CELL_XY_M, shape[0]) + 1,
-        ):
-            for cy in range(
-                cell_along(y - reach, origin[1], CELL_XY_M, shape[1]),
-                cell_along(y + reach, origin[1], CELL_XY_M, shape[1]) + 1,
-            ):
-                column = (cx * shape[1] + cy) * shape[2]
-                for j in range(start[column + z0], start[column + z1 + 1]):
-                    if j >= i:
-                        break
-                    if parent[j] == root or group[j] != group[i]:
-                        continue
-                    dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
-                    if dx * dx + dy * dy + dz * dz < reach * reach:
-                        other = _find(parent, j)
-                        if other != root:
-                            # the smaller index becomes the root: independent of visiting order
-                            parent[max(root, other)] = min(root, other)
-                            root = min(root, other)
+        most = max(most, labels[i])
+    size = np.zeros(most + 1, np.int32)
     for i in range(n):
-        parent[i] = _find(parent, i)
-    return parent
+        if labels[i] >= 0:
+            size[labels[i]] += 1
+    number = np.empty(most + 1, np.int32)
+    count = 0
+    for label in range(most + 1):
+        number[label] = count
+        count += size[label] > 0
+    start = np.zeros(count + 1, np.int32)
+    for label in range(most + 1):
+        if size[label] > 0:
+            start[number[label] + 1] = start[number[label]] + size[label]
+    fill = start[:-1].copy()
+    of_point = np.full(n, -1, np.int32)
+    members = np.empty(start[count], np.int32)
+    for i in range(n):
+        if labels[i] >= 0:
+            k = number[labels[i]]
+            of_point[i] = k
+            members[fill[k]] = i
+            fill[k] += 1
+    return of_point, members, start

@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from schemas.arrays import Points, Transform
 from schemas.frame import LidarFrame
 from workers.selfsupervised.compiled import compiled
+from workers.selfsupervised.steps import step
 
 Twist = NDArray[np.float64]
 """(6,) rotation vector in radians, then translation in metres; per second when divided by time."""
@@ -41,6 +42,7 @@ def time_from_middle_s(frame: LidarFrame) -> NDArray[np.float32] | None:
     return ((frame.offset_ns - (first + last) / 2) * 1e-9).astype(np.float32)
 
 
+@step("deskew")
 def deskew(points_m: Points, time_from_middle_s: NDArray[np.float32], velocity: Twist) -> Points:
     """Bring points to where they would have been measured in the middle of the sweep.
 

@@ -10,6 +10,7 @@ from schemas.arrays import Points
 from workers.selfsupervised.free_space import Votes
 from workers.selfsupervised.motion import ClusterMotions
 from workers.selfsupervised.neighbours import build_grid, nearest_indices
+from workers.selfsupervised.steps import step
 from workers.selfsupervised.tracker import Tracked
 
 MAX_VOXELS: Final = 60
@@ -28,6 +29,7 @@ _WAS_THERE_VOTES: Final = 4.0
 _WAS_THERE_FREE_SHARE: Final = 0.1
 
 
+@step("fragments")
 def fragments_of_movers(
     points_m: Points,
     found: ClusterMotions,

@@ -10,11 +10,18 @@ from numpy.typing import NDArray
 from schemas.arrays import Mask, Points, Transform
 from workers.selfsupervised.beam_table import BeamTable
 from workers.selfsupervised.compiled import compiled
-from workers.selfsupervised.range_image import column_of, row_above
+from workers.selfsupervised.range_image import column_of, guessed_row_above, row_guesses
+from workers.selfsupervised.steps import step
 
 FREE: Final = 1
 OCCUPIED: Final = -1
 HIDDEN: Final = 0
+FREE_IF_TALL: Final = 2
+"""Seen through between beams that are far apart: nothing taller than `WIDE_GAP_M` was there."""
+
+WIDE_GAP_M: Final = 0.5
+"""Whatever takes part in traffic is taller, so that one of two beams this far apart hits it at
+whatever angle they are: a wheel is 0.6 m, a bonnet 0.9 m high."""
 
 OCCUPIED_MARGIN_M: Final = 0.25
 OCCUPIED_MARGIN_PER_M: Final = 0.006
@@ -30,6 +37,7 @@ MIN_FREE_VOTES: Final = 2
 MIN_FREE_SHARE: Final = 0.5
 
 
+@step("free space")
 def visibility(
     points_m: Points,
     sensor_from_points: Transform,
@@ -37,6 +45,9 @@ def visibility(
     table: BeamTable,
 ) -> NDArray[np.int8]:
     """Ask one frame about places: FREE (seen through), OCCUPIED (something there) or HIDDEN.
+
+    Where the two beams are farther apart than the table's widest gap, but not farther than 0.5 m
+    at the place, and both came back from beyond, the answer is FREE_IF_TALL.
 
     A place is compared with the cells of the two beams that bracket it, three columns wide. Any
     return at its range says OCCUPIED, any nearer one hides it, and if all that came back lies
@@ -68,10 +79,13 @@ class Votes:
     Attributes:
         free: (N,) frames that saw through the place.
         occupied: (N,) frames that saw something there.
+        free_if_tall: (N,) those of `free` whose beams passed it far apart.
     """
 
     free: NDArray[np.int16]
     occupied: NDArray[np.int16]
+
+    free_if_tall: NDArray[np.int16]
 
     @property
     def known(self) -> Mask:
@@ -85,18 +99,26 @@ class Votes:
         One frame may err by a mixed pixel; a thin or leafy thing is seen through now and then
         but is seen as well.
         """
-        enough = self.free >= MIN_FREE_VOTES
-        return enough & (self.free >= MIN_FREE_SHARE * (self.free + self.occupied))
+        return _mostly(self.free, self.occupied)
+
+    @property
+    def closely_seen_through(self) -> Mask:
+        """(N,) the same by beams that are close together: even a flat thing was not there."""
+        return _mostly(self.free - self.free_if_tall, self.occupied)
+
+
+def _mostly(free: NDArray[np.int16], occupied: NDArray[np.int16]) -> Mask:
+    return (free >= MIN_FREE_VOTES) & (free >= MIN_FREE_SHARE * (free + occupied))
 
 
 def count_votes(answers: Iterable[NDArray[np.int8]], n: int) -> Votes:
     """Sum the answers of several frames about the same n places."""
-    free = np.zeros(n, np.int16)
-    occupied = np.zeros(n, np.int16)
+    free, occupied, free_if_tall = np.zeros((3, n), np.int16)
     for answer in answers:
-        free += answer == FREE
+        free += answer >= FREE
+        free_if_tall += answer == FREE_IF_TALL
         occupied += answer == OCCUPIED
-    return Votes(free, occupied)
+    return Votes(free, occupied, free_if_tall)
 
 
 @compiled
@@ -109,6 +131,7 @@ def _visibility(
 ) -> NDArray[np.int8]:
     rows, columns = image.shape
     answer = np.zeros(len(points), np.int8)
+    guesses = row_guesses(tangents)
     for i in range(len(points)):
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
         x = pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * pz + pose[0, 3]
@@ -117,32 +140,33 @@ def _visibility(
         across = np.sqrt(x * x + y * y)
         distance = np.sqrt(x * x + y * y + z * z)
         tangent = z / max(across, np.float32(1e-3))
-        above = row_above(tangents, tangent)
-        if above == 0 or above == rows or tangents[above] - tangents[above - 1] > max_gap:
+        above = guessed_row_above(tangents, guesses, tangent)
+        if above == 0 or above == rows:
+            continue
+        gap = tangents[above] - tangents[above - 1]
+        wide = gap > max_gap
+        if wide and gap * across > WIDE_GAP_M:
             continue
         column = column_of(x, y, columns)
         at = OCCUPIED_MARGIN_M + OCCUPIED_MARGIN_PER_M * distance
-        beyond = FREE_MARGIN_M + FREE_MARGIN_PER_M * distance
-        occupied, nearer, unclear = False, False, False
-        filled_below, filled_above = 0, 0
-        for row in range(above - 1, above + 1):
-            for step in range(-1, 2):
-                seen = image[row, (column + step + columns) % columns]
-                if seen == 0.0:
-                    continue
-                if abs(seen - distance) < at:
-                    occupied = True
-                elif seen < distance:
-                    nearer = True
-                elif seen <= distance + beyond:
-                    unclear = True
-                if row == above:
-                    filled_above += 1
-                else:
-                    filled_below += 1
-        filled = filled_below + filled_above
-        if occupied:
+        free_from = distance + (FREE_MARGIN_M + FREE_MARGIN_PER_M * distance)
+        left = column - 1 if column > 0 else columns - 1
+        right = column + 1 if column < columns - 1 else 0
+        # sums of comparisons instead of branches, which no processor can foresee here
+        occupied, blocked, below, over = 0, 0, 0, 0
+        for at_column in (left, column, right):
+            lower, upper = image[above - 1, at_column], image[above, at_column]
+            has_lower, has_upper = int(lower != 0.0), int(upper != 0.0)
+            occupied += has_lower & int(abs(lower - distance) < at)
+            occupied += has_upper & int(abs(upper - distance) < at)
+            blocked += has_lower & int(lower <= free_from)
+            blocked += has_upper & int(upper <= free_from)
+            below += has_lower
+            over += has_upper
+        if occupied > 0:
             answer[i] = OCCUPIED
-        elif not nearer and not unclear and (min(filled_below, filled_above) > 0 or filled > 2):
+        elif blocked == 0 and min(below, over) > 0:
+            answer[i] = FREE_IF_TALL if wide else FREE
+        elif blocked == 0 and not wide and below + over > 2:
             answer[i] = FREE
     return answer

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
+from workers.selfsupervised.steps import step
 
 GUARD_M = 0.5
 GUARD_PER_M = 0.04
@@ -18,13 +19,17 @@ the sensor a car at 4-6 m hides the road, and a plane would be fitted to the car
 _DEFAULT_HEIGHT_M = 1.8
 _HEIGHTS_M = (0.4, 4.5)
 _BIN_M = 0.05
+_ROAD_SHARE = 0.5
+"""Of the votes of the commonest height. Reflections in a wet road come from below it, but they are
+single; the road within 20 m is seen in columns all around."""
 
 
 def estimate_sensor_height(points_m: NDArray[np.floating]) -> float:
-    """Height of the sensor over the road: the commonest height of what lies around the car.
+    """Height of the sensor over the road: the lowest of the common heights around the car.
 
     Every column 0.5 m wide votes once, with its lowest point, so that walls and dense near
-    returns do not outvote the road.
+    returns do not outvote the road. Nothing lies under it: where few beams reach the road, the
+    sides of cars in a jam may be commoner, but never lower.
 
     Args:
         points_m: (N, 3) valid points about the sensor, metres.
@@ -43,11 +48,14 @@ def estimate_sensor_height(points_m: NDArray[np.floating]) -> float:
     lowest = near[order[np.flatnonzero(np.r_[True, np.diff(column[order]) != 0])], 2]
     votes, edges = np.histogram(-lowest, bins=np.arange(low, high + _BIN_M, _BIN_M))
     smooth = np.convolve(votes, [1, 2, 3, 2, 1], mode="same")
-    best = int(np.argmax(smooth))
+    best = int(np.flatnonzero(smooth >= _ROAD_SHARE * smooth.max())[-1])
+    while best > 0 and smooth[best - 1] > smooth[best]:
+        best -= 1
     inside = (-lowest > edges[best] - 2 * _BIN_M) & (-lowest < edges[best] + 3 * _BIN_M)
     return float(np.median(-lowest[inside]))
 
 
+@step("ground")
 def ground_mask(points_m: Points, *, sensor_height_m: float) -> Mask:
     """Say which points lie on the ground: Patchwork++ (Lee, Lim, Myung, IROS 2022), and the guard.
 

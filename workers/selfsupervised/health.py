@@ -1,6 +1,7 @@
 """Whether a pose may be believed: what a car cannot do, and structure that does not fit."""
 
 from collections import deque
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -26,6 +27,42 @@ LOST_RESIDUAL_M: Final = 0.5
 RESIDUAL_JUMP: Final = 2.0
 _REMEMBERED: Final = 10
 
+MIN_POINTS: Final = 100
+MIN_PLACES: Final = 30
+"""Cells of 1.5 m (the spacing of key points) that a frame must fill to fix six unknowns."""
+
+_PLACE_M: Final = 1.5
+_PLACE_SAMPLES: Final = 2000
+
+
+def too_little(points_m: NDArray[np.floating], *, places: int = MIN_PLACES) -> str:
+    """Say why a frame's returns tell nothing of where the sensor is; empty when they do.
+
+    Args:
+        points_m: (N, 3) about the sensor, finite, metres.
+        places: How many cells of 1.5 m they must fill.
+    """
+    if len(points_m) < MIN_POINTS:
+        return f"only {len(points_m)} usable points, {MIN_POINTS} are needed"
+    thinned = points_m[:: max(1, len(points_m) // _PLACE_SAMPLES)]
+    found = len(np.unique(np.floor(thinned / _PLACE_M).astype(np.int64), axis=0))
+    return "" if found >= places else f"points in {found} places only"
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What is thought of one pose.
+
+    Attributes:
+        state: Whether it may be trusted.
+        reason: Why not; empty when it may.
+        jumped: Whether it went where no car goes.
+    """
+
+    state: OdometryState = OdometryState.HEALTHY
+    reason: str = ""
+    jumped: bool = False
+
 
 class HealthMonitor:
     """Judges each pose by the motion and the residuals before it."""
@@ -34,18 +71,13 @@ class HealthMonitor:
         self._velocity: NDArray[np.float64] | None = None
         self._residuals_m: deque[float] = deque(maxlen=_REMEMBERED)
 
-    def judge(
-        self, velocity: NDArray[np.float64], dt_s: float, residual_m: float
-    ) -> tuple[OdometryState, str]:
+    def judge(self, velocity: NDArray[np.float64], dt_s: float, residual_m: float) -> Judgement:
         """Judge the motion that a registration found.
 
         Args:
             velocity: (6,) twist per second since the last registered frame.
             dt_s: Time between the two.
             residual_m: Median distance of key points to the frame before; NaN if there is none.
-
-        Returns:
-            The state, and why it is not healthy.
         """
         before, self._velocity = self._velocity, velocity
         usual = float(np.median(self._residuals_m)) if self._residuals_m else residual_m
@@ -53,26 +85,26 @@ class HealthMonitor:
             self._residuals_m.append(residual_m)
 
         speed, turn = float(np.linalg.norm(velocity[3:])), float(np.linalg.norm(velocity[:3]))
+        lost, degraded = OdometryState.LOST, OdometryState.DEGRADED
         if speed > MAX_SPEED_M_PER_S:
-            return OdometryState.LOST, f"{speed:.0f} m/s is too fast for a car"
+            return Judgement(lost, f"{speed:.0f} m/s is too fast for a car", jumped=True)
         if turn > MAX_TURN_RAD_PER_S:
-            return OdometryState.LOST, f"{np.degrees(turn):.0f} degrees per second is no turn"
+            said = f"{np.degrees(turn):.0f} degrees per second is no turn"
+            return Judgement(lost, said, jumped=True)
         if residual_m > LOST_RESIDUAL_M:
-            return OdometryState.LOST, f"structure is {residual_m:.2f} m off"
+            return Judgement(lost, f"structure is {residual_m:.2f} m off")
         if before is not None:
             jump_m = float(np.linalg.norm(velocity[3:] - before[3:])) * dt_s
             jump_rad = float(np.linalg.norm(velocity[:3] - before[:3])) * dt_s
             limit_m = MAX_ACCELERATION_M_PER_S2 * dt_s**2 + POSE_NOISE_M
             limit_rad = MAX_TURN_CHANGE_RAD_PER_S2 * dt_s**2 + POSE_NOISE_RAD
-            if jump_m > limit_m + LOST_JUMP_M:
-                return OdometryState.LOST, f"pose jumped by {jump_m:.2f} m"
             if jump_m > limit_m:
-                return OdometryState.DEGRADED, f"pose jumped by {jump_m:.2f} m"
+                state = lost if jump_m > limit_m + LOST_JUMP_M else degraded
+                return Judgement(state, f"pose jumped by {jump_m:.2f} m", jumped=True)
             if jump_rad > limit_rad:
-                return OdometryState.DEGRADED, f"pose turned by {np.degrees(jump_rad):.1f} degrees"
+                said = f"pose turned by {np.degrees(jump_rad):.1f} degrees"
+                return Judgement(degraded, said, jumped=True)
         if residual_m > max(DEGRADED_RESIDUAL_M, RESIDUAL_JUMP * usual):
-            return (
-                OdometryState.DEGRADED,
-                f"structure is {residual_m:.2f} m off, {usual:.2f} m is usual",
-            )
-        return OdometryState.HEALTHY, ""
+            said = f"structure is {residual_m:.2f} m off, {usual:.2f} m is usual"
+            return Judgement(degraded, said)
+        return Judgement()

@@ -7,11 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
-from workers.geometry.se3 import transform
 from workers.selfsupervised.clusters import Clusters, connected, from_labels
 from workers.selfsupervised.free_space import Votes
 from workers.selfsupervised.neighbours import nearest_distances
 from workers.selfsupervised.registration import STILL_M, Reference, Registered, register
+from workers.selfsupervised.steps import step
+from workers.selfsupervised.strips import are_strips
 from workers.selfsupervised.verification import GOOD_FIT_NEAR_M, Evidence, Motions, judge
 
 REACH_M: Final = 0.5
@@ -29,10 +30,6 @@ _CHILD_SHARE: Final = 0.9
 _CHILD_FREE_VOXELS: Final = 12
 _CHILD_FREE_ENERGY_M: Final = 0.3
 _NEW_M: Final = 0.2
-_FLAT_M: Final = 0.25
-_ROAD_M: Final = 0.4
-_ROAD_PER_M: Final = 0.02
-"""What is lower than this over the plane under the car may be road: a kerb, and a slope of 2 %."""
 
 
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -94,6 +91,7 @@ def find_motions(
     return _without_strips(points_m, whole, evidence)
 
 
+@step("clusters")
 def find_clusters(points_m: Points, votes: Votes) -> Clusters:
     """Cluster the voxels; clusters in which movers and others seem to be mixed, more closely."""
     clusters = connected(points_m, reach_m=REACH_M, min_points=MIN_VOXELS)
@@ -116,6 +114,7 @@ def find_clusters(points_m: Points, votes: Votes) -> Clusters:
     return from_labels(labels)
 
 
+@step("parts")
 def find_parts(
     points_m: Points,
     clusters: Clusters,
@@ -144,6 +143,7 @@ def find_parts(
     return parts.keep(parts.sizes < _CHILD_SHARE * parent_sizes)
 
 
+@step("joining")
 def _joined(
     clusters: Clusters,
     fit: Registered,
@@ -175,21 +175,17 @@ def _joined(
 
 
 def _without_strips(points_m: Points, found: ClusterMotions, evidence: Evidence) -> ClusterMotions:
-    """Nothing flat on the road moves: strips of ground and kerb come and go with shadows.
-
-    Flat things above the road are roofs and bonnets, which a single beam may graze.
-    """
-    beams_from_odom = evidence.beams_from_odom
-    strip = np.zeros(len(found.clusters), np.bool_)
-    for k in np.flatnonzero(found.proved):
-        members = transform(beams_from_odom, points_m[found.clusters.of(int(k))])
-        low, high = np.quantile(members[:, 2], [0.03, 0.97])
-        away = np.hypot(*members[:, :2].mean(axis=0))
-        road = _ROAD_M + _ROAD_PER_M * away - evidence.sensor_height_m
-        strip[k] = high - low < _FLAT_M and high < road
+    """Nothing flat on the road moves."""
+    strip = are_strips(
+        points_m,
+        found.clusters,
+        found.proved,
+        beams_from_odom=evidence.beams_from_odom,
+        sensor_height_m=evidence.sensor_height_m,
+    )
     return replace(
         found,
         registered=found.registered & ~strip,
         seen_through=found.seen_through & ~strip,
-        unconfirmed=found.unconfirmed | (strip & found.proved),
+        unconfirmed=found.unconfirmed | strip,
     )

@@ -57,16 +57,33 @@ def _mark(points: Points, origin: NDArray[np.float32]) -> NDArray[np.uint64]:
 
 
 @compiled
-def score_at(occupancy: Occupancy, cells: NDArray[np.int64], dx: int, dy: int) -> float:
-    """Share of cells that fall on occupied ones: 1 where a point was, 1/3 beside one."""
+def scores_around(
+    occupancy: Occupancy, cells: NDArray[np.int64], cx: int, cy: int, reach: int
+) -> NDArray[np.float64]:
+    """Score shifts of cells: the share that falls on occupied ones, a third for beside one.
+
+    Args:
+        occupancy: Of the frame that is shifted to.
+        cells: (n, 3) from `cells_of`.
+        cx: Shift in the middle of those tried, in cells along x.
+        cy: The same along y.
+        reach: How many cells around it are tried along each axis.
+
+    Returns:
+        (2 * reach + 1, 2 * reach + 1), 1 where all cells fall on points.
+    """
+    side = 2 * reach + 1
+    hits = np.zeros((side, side), np.int64)
     bits = occupancy.bits
-    hits = 0
-    for i in range(len(cells)):
-        x, y, z = cells[i, 0] + dx, cells[i, 1] + dy, np.uint64(cells[i, 2])
-        if x < 0 or y < 0 or x >= _COLUMNS or y >= _COLUMNS:
-            continue
-        hits += 2 * int((bits[x, y, 0] >> z) & np.uint64(1))
-        hits += int((bits[x, y, 1] >> z) & np.uint64(1))
+    for n in range(len(cells)):
+        z = np.uint64(cells[n, 2])
+        x0, y0 = cells[n, 0] + cx - reach, cells[n, 1] + cy - reach
+        first, last = max(0, -y0), min(side, _COLUMNS - y0)
+        for i in range(max(0, -x0), min(side, _COLUMNS - x0)):
+            for j in range(first, last):
+                on = np.int64((bits[x0 + i, y0 + j, 0] >> z) & np.uint64(1))
+                beside = np.int64((bits[x0 + i, y0 + j, 1] >> z) & np.uint64(1))
+                hits[i, j] += 2 * on + beside
     return hits / (3.0 * len(cells))
 
 

@@ -12,16 +12,12 @@ from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from workers.geometry.se3 import inverse, transform
 from workers.selfsupervised.deskew import motion, twist
 from workers.selfsupervised.ground import estimate_sensor_height
-from workers.selfsupervised.health import HealthMonitor
+from workers.selfsupervised.health import HealthMonitor, Judgement, too_little
 from workers.selfsupervised.neighbours import PointGrid, build_grid, nearest_distances
 from workers.selfsupervised.versions import version_of
 
 MAX_GAP_S: Final = 0.5
 """After a longer silence the constant velocity that ICP starts from means nothing."""
-
-MIN_POINTS: Final = 100
-MIN_PLACES: Final = 30
-"""Cells of 1.5 m (the spacing of key points) that a frame must fill to fix six unknowns."""
 
 MIN_RANGE_M: Final = 2.5
 MAX_RANGE_M: Final = 100.0
@@ -77,9 +73,9 @@ class _Run:
         dt_s = 0.0 if self._stamp_ns is None else (frame.stamp_ns - self._stamp_ns) / NS_PER_S
         restarted = ""
         if self._stamp_ns is not None and not 0.0 < dt_s <= MAX_GAP_S:
-            restarted = (
-                f"time went back by {-dt_s:.2f} s" if dt_s <= 0.0 else f"no frame for {dt_s:.2f} s"
-            )
+            restarted = f"no frame for {dt_s:.2f} s"
+            if dt_s <= 0.0:
+                restarted = f"time went back by {-dt_s:.2f} s" if dt_s else "time stood still"
             self._restart()
         self._stamp_ns = frame.stamp_ns
 
@@ -87,7 +83,7 @@ class _Run:
         predicted = self._pose
         if self._velocity is not None:
             predicted = predicted @ motion(self._velocity * dt_s)
-        problem = _too_little(points)
+        problem = too_little(points)
         if problem:
             return self._unregistered(frame, predicted, problem)
 
@@ -101,16 +97,18 @@ class _Run:
             return self._unregistered(frame, predicted, "registration did not converge")
 
         residual_m = self._residual(keypoints, pose)
-        state, reason = OdometryState.HEALTHY, ""
+        judged = Judgement()
         if self._registered_ns is not None:
             moved = twist(inverse(self._pose) @ pose) / dt_s
-            state, reason = self._health.judge(moved, dt_s, residual_m)
+            judged = self._health.judge(moved, dt_s, residual_m)
             self._velocity = moved
         self._pose, self._registered_ns = pose, frame.stamp_ns
         self._previous = build_grid(transform(pose, _structure(points)), pose[:3, 3])
         if restarted:
-            state, reason = OdometryState.DEGRADED, f"odometry starts anew: {restarted}"
-        return PosedFrame(frame, pose.copy(), state, residual_m, reason)
+            judged = Judgement(OdometryState.DEGRADED, f"odometry starts anew: {restarted}")
+        return PosedFrame(
+            frame, pose.copy(), judged.state, residual_m, judged.reason, jumped=judged.jumped
+        )
 
     def _restart(self) -> None:
         """Forget the map and the motion, keep the pose."""
@@ -171,15 +169,6 @@ def _structure(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Points off the road and near: rings on the road move with the car."""
     squared = points[:, 0] ** 2 + points[:, 1] ** 2
     return points[(points[:, 2] > -1.0) & (squared < 40.0**2)]
-
-
-def _too_little(points: NDArray[np.float64]) -> str:
-    """Why these points fix no pose; empty when they do."""
-    if len(points) < MIN_POINTS:
-        return f"only {len(points)} usable points"
-    thinned = points[:: max(1, len(points) // 2000)]
-    places = len(np.unique(np.floor(thinned / 1.5).astype(np.int64), axis=0))
-    return "" if places >= MIN_PLACES else f"points in {places} places only"
 
 
 def _new_kiss(pose: Transform) -> Any:

@@ -8,10 +8,13 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points, Transform
 from schemas.frame import LidarFrame
+from schemas.labels import Blindness, FrameHealth
 from workers.geometry.se3 import inverse, transform
 from workers.selfsupervised.beam_table import MIN_RANGE_M, BeamTable, estimate_beam_table
+from workers.selfsupervised.compiled import compiled
 from workers.selfsupervised.deskew import Twist, deskew, time_from_middle_s
 from workers.selfsupervised.ground import estimate_sensor_height, ground_mask
+from workers.selfsupervised.health import too_little
 from workers.selfsupervised.range_image import range_image
 from workers.selfsupervised.voxels import Voxels, voxelize
 
@@ -20,6 +23,17 @@ MAX_RANGE_M: Final = 80.0
 
 MAX_HEIGHT_M: Final = 3.0
 """Over the sensor: the highest lorry ends below it wherever the sensor is on a car's roof."""
+
+FARTHEST_M: Final = 1000.0
+"""No lidar of a car sees as far; what lies beyond, or is no number, is no return."""
+
+MIN_PLACES: Final = 3
+"""Cells of 1.5 m that a frame must fill to be compared; whether they fix a pose, odometry says."""
+
+_RELEARN_RETURNS: Final = 2
+_MORE_BEAMS: Final = 1.2
+_RELEARN_FRAMES: Final = 10
+"""A sensor whose beams could not be trusted in the first second will not be trusted later."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,11 +63,18 @@ class Prepared:
 
 
 class Preparation:
-    """Prepares the frames of one sensor; learns its beams and its height from the first."""
+    """Prepares the frames of one sensor; learns its beams and its height from the first.
+
+    They are learned anew where a frame with more than twice the returns shows more beams, and,
+    while they cannot be trusted, from each frame of the first second: a log may begin with next to
+    nothing, or behind a lorry.
+    """
 
     def __init__(self) -> None:
         self.table: BeamTable | None = None
         self.sensor_height_m: float = 0.0
+        self._learned_returns = 0
+        self._tried = 0
 
     def __call__(
         self, frame: LidarFrame, odom_from_sensor: Transform, velocity: Twist | None
@@ -67,20 +88,20 @@ class Preparation:
                 when it is not known.
 
         Returns:
-            None when the frame says nothing: no valid point, or no beams that could be measured.
+            None when the frame says nothing: next to no point, or no beams that could be measured.
         """
-        valid_index = np.flatnonzero(frame.valid_mask)
+        valid_index = _returns(frame)
         points_m = frame.points_m[valid_index]
-        if self.table is None and len(points_m):
-            table = estimate_beam_table(points_m, frame.ring[valid_index])
-            self.table = table if len(table.tangents) else None
-        if self.table is None or len(points_m) == 0:
+        if too_little(points_m, places=MIN_PLACES):
+            return None
+        self._learn(points_m, frame.ring[valid_index])
+        if self.table is None or len(self.table.tangents) == 0:
             return None
         time_s = time_from_middle_s(frame)
         if velocity is not None and time_s is not None:
             points_m = deskew(points_m, time_s[valid_index], velocity)
         points_m = points_m - self.table.origin_m.astype(np.float32)
-        if self.sensor_height_m == 0.0:
+        if not self.sensor_height_m:
             self.sensor_height_m = estimate_sensor_height(points_m)
         ground = ground_mask(points_m, sensor_height_m=self.sensor_height_m)
 
@@ -103,3 +124,50 @@ class Preparation:
             odom_from_beams=odom_from_beams,
             beams_from_odom=inverse(odom_from_beams),
         )
+
+    def problem(self, frame: LidarFrame) -> FrameHealth:
+        """Say why nothing can be judged in a frame, as far as points and beams are to blame."""
+        index = _returns(frame)
+        if len(index) == 0:
+            what = f"none of {len(frame)} points is a return" if len(frame) else "no point"
+            return FrameHealth(Blindness.NO_POINTS, what)
+        little = too_little(frame.points_m[index], places=MIN_PLACES)
+        if little:
+            return FrameHealth(Blindness.NO_POINTS, little)
+        reason = self.table.reason if self.table is not None else ""
+        return FrameHealth(Blindness.NO_BEAMS, f"beams cannot be trusted: {reason}")
+
+    def _learn(self, points_m: Points, ring: NDArray[np.int16]) -> None:
+        """Measure the beams where they are not known, or a frame shows much more of them."""
+        richer = len(points_m) > _RELEARN_RETURNS * self._learned_returns
+        doubted = self.table is None or not self.table.trusted
+        if not richer and not (doubted and self._tried < _RELEARN_FRAMES):
+            return
+        self._tried += 1
+        self._learned_returns = len(points_m)
+        table = estimate_beam_table(points_m, ring)
+        known = 0 if self.table is None or doubted else len(self.table.tangents)
+        if known and not (table.trusted and len(table.tangents) > _MORE_BEAMS * known):
+            return
+        self.table, self.sensor_height_m = table, 0.0
+
+
+def _returns(frame: LidarFrame) -> NDArray[np.int64]:
+    """Points that say something of the world: none invalid, no number, or beyond all reach."""
+    return _near_enough(frame.points_m, frame.valid_mask, np.float32(FARTHEST_M))
+
+
+@compiled
+def _near_enough(points: Points, valid: Mask, farthest: np.float32) -> NDArray[np.int64]:
+    """Row by row: a maximum along so short an axis takes numpy ten times as long."""
+    index = np.empty(len(points), np.int64)
+    count = 0
+    for i in range(len(points)):
+        if valid[i] and (
+            abs(points[i, 0]) < farthest
+            and abs(points[i, 1]) < farthest
+            and abs(points[i, 2]) < farthest
+        ):
+            index[count] = i
+            count += 1
+    return index[:count].copy()

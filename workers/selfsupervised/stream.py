@@ -151,10 +151,18 @@ class _Run:
         return replace(labels, health=FrameHealth(seen_share=seen_share))
 
     def _velocity(self, posed: PosedFrame) -> Twist | None:
-        """Twist of the sensor per second; None where two poses in a row cannot be believed."""
+        """Twist of the sensor per second; None where two poses in a row cannot be believed.
+
+        A jump of one pose would be undone within the next sweep as well, and bend its cloud.
+        """
         last = self._last
         healthy = posed.odometry is OdometryState.HEALTHY
-        if last is None or not healthy or last.odometry is not OdometryState.HEALTHY:
+        if (
+            last is None
+            or self._misfits
+            or not healthy
+            or last.odometry is not OdometryState.HEALTHY
+        ):
             return None
         dt_s = (posed.frame.stamp_ns - last.frame.stamp_ns) / NS_PER_S
         return twist(inverse(last.odom_from_sensor) @ posed.odom_from_sensor) / dt_s

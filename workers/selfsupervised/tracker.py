@@ -15,6 +15,7 @@ from schemas.arrays import NS_PER_S, Mask, Points
 from workers.selfsupervised.free_space import Votes
 from workers.selfsupervised.motion import ClusterMotions
 from workers.selfsupervised.neighbours import build_grid, nearest_indices
+from workers.selfsupervised.steps import step
 
 DYNAMIC_SCORE: Final = 0.6
 """The proof of one frame is worth 1, and still counts two tenths of a second later."""
@@ -92,6 +93,7 @@ class Tracker:
         self._score = np.zeros(0, np.float32)
         self._stamp_ns = 0
 
+    @step("tracker")
     def update(
         self,
         points_m: Points,

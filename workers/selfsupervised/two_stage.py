@@ -7,7 +7,7 @@ import numpy as np
 
 from schemas.arrays import NS_PER_S
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
-from schemas.labels import FrameLabels, MotionLabel
+from schemas.labels import Blindness, FrameHealth, FrameLabels, MotionLabel
 from workers.geometry.se3 import transform
 from workers.selfsupervised.answer import ALONE, GROUND, nothing_known
 from workers.selfsupervised.history import MAX_GAP_NS
@@ -55,12 +55,18 @@ class TwoStage:
         for posed in frames:
             frame = posed.frame
             prepared = prepare(frame, posed.odom_from_sensor, None)
-            if prepared is None or posed.odometry is OdometryState.LOST:
+            if prepared is None:
                 before = None
-                yield nothing_known(frame, prepared)
+                yield nothing_known(frame, health=prepare.problem(frame))
+                continue
+            if posed.odometry is OdometryState.LOST:
+                before = None
+                lost = FrameHealth(Blindness.NO_POSE, f"odometry lost: {posed.reason}")
+                yield nothing_known(frame, prepared, health=lost)
                 continue
             if before is None or not 0 < frame.stamp_ns - before[0] <= MAX_GAP_NS:
-                yield nothing_known(frame, prepared)
+                first = FrameHealth(Blindness.NO_PAST, "no frame before it to compare with")
+                yield nothing_known(frame, prepared, health=first)
             else:
                 places = _in_beams(prepared)
                 other_from_this = before[1].beams_from_odom @ prepared.odom_from_beams

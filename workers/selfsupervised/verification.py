@@ -11,6 +11,7 @@ from workers.selfsupervised.beam_table import BeamTable
 from workers.selfsupervised.clusters import Clusters
 from workers.selfsupervised.free_space import FREE, Votes, visibility
 from workers.selfsupervised.registration import Registered
+from workers.selfsupervised.steps import step
 
 MIN_SPEED_M_PER_S: Final = 0.7
 """Half a brisk walk. Over 0.5 s it is 0.35 m, three times what sampling and pose noise fake."""
@@ -34,6 +35,9 @@ _SAME_FIT_M: Final = 0.02
 
 _MIN_SHORT_SPEED: Final = 3.0
 _MAX_FREE_EXTENT_M: Final = 20.0
+
+FLAT_M: Final = 0.25
+"""What one beam sees of a thing, which may be all that there is of it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,6 +85,7 @@ class Evidence:
     beams_from_odom: Transform
 
 
+@step("verification")
 def judge(
     points_m: Points,
     clusters: Clusters,
@@ -108,7 +113,7 @@ def judge(
     size = np.maximum(clusters.sizes, 1)
     seen_through = clusters.count(evidence.votes.seen_through)
     was_free = np.where(
-        near, clusters.count(evidence.near == FREE), clusters.count(evidence.far == FREE)
+        near, clusters.count(evidence.near >= FREE), clusters.count(evidence.far >= FREE)
     )
     shift = np.where(near[:, None], fit.shift_near_m, fit.shift_far_m)
     left_free = _left_free(points_m, clusters, far | near, shift, evidence)
@@ -121,7 +126,7 @@ def judge(
     velocity = np.where(near[:, None], velocity_near, velocity_far)
     return Motions(
         registered=candidate & confirmed,
-        seen_through=_seen_through(clusters, fit, evidence.votes, seen_through),
+        seen_through=_seen_through(points_m, clusters, fit, evidence.votes),
         unconfirmed=candidate & ~confirmed,
         velocity_m_per_s=np.nan_to_num(velocity).astype(np.float32),
     )
@@ -180,13 +185,20 @@ def _left_free(
         evidence.image,
         evidence.table,
     )
-    return np.bincount(owner[answer == FREE], minlength=len(clusters))
+    return np.bincount(owner[answer >= FREE], minlength=len(clusters))
 
 
-def _seen_through(
-    clusters: Clusters, fit: Registered, votes: Votes, seen_through: NDArray[np.int64]
-) -> Mask:
+def _seen_through(points_m: Points, clusters: Clusters, fit: Registered, votes: Votes) -> Mask:
+    """Clusters that were not there before, by free space alone.
+
+    A flat thing may have been there, between two beams that are far apart.
+    """
     size = clusters.sizes
+    seen_through = np.where(
+        _heights_m(points_m, clusters) < FLAT_M,
+        clusters.count(votes.closely_seen_through),
+        clusters.count(votes.seen_through),
+    )
     known = clusters.count(votes.known)
     enough = np.minimum(5, np.maximum(3, size / 2))
     decided: Mask = (
@@ -196,3 +208,11 @@ def _seen_through(
         & (fit.extent_m < _MAX_FREE_EXTENT_M)
     )
     return decided
+
+
+def _heights_m(points_m: Points, clusters: Clusters) -> NDArray[np.float32]:
+    height = points_m[clusters.members, 2]
+    begin = clusters.start[:-1]
+    if len(begin) == 0:
+        return np.zeros(0, np.float32)
+    return np.maximum.reduceat(height, begin) - np.minimum.reduceat(height, begin)

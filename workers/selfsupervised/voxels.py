@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Points
 from workers.selfsupervised.compiled import compiled
+from workers.selfsupervised.steps import step
 
 VOXEL_M = 0.15
 """A hand's breadth: under the spacing of beams beyond 20 m, over the noise of any range sensor."""
@@ -29,6 +30,7 @@ class Voxels(NamedTuple):
         return copied
 
 
+@step("voxels")
 def voxelize(points_m: Points, *, voxel_m: float = VOXEL_M) -> Voxels:
     """Replace the points of each voxel by their mean.
 

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 from workers.selfsupervised.beam_table import BeamTable, estimate_beam_table
 from workers.selfsupervised.free_space import (
     FREE,
+    FREE_IF_TALL,
     HIDDEN,
     OCCUPIED,
     Votes,
@@ -99,6 +100,42 @@ def test_the_nearest_return_counts_in_a_cell() -> None:
 def test_an_image_has_a_row_per_beam_and_says_nothing_where_nothing_came_back() -> None:
     assert IMAGE.shape == (len(ELEVATIONS_DEG), COLUMNS)
     assert (IMAGE[:, : COLUMNS // 4] == 0).all()
+
+
+SPARSE = BeamTable(
+    tangents=TABLE.tangents[::6], origin_m=np.zeros(3), max_gap=float(np.tan(np.radians(1.6)))
+)
+
+
+def ask_sparse(*place: float, seen: NDArray[np.float32] | None = None) -> int:
+    """Ask beams three degrees apart, 0.42 m at 8 m and 0.63 m at 12 m."""
+    image = range_image(wall(20.0) if seen is None else seen, SPARSE)
+    return int(visibility(np.array([place], np.float32), np.eye(4), image, SPARSE)[0])
+
+
+def test_beams_half_a_metre_apart_see_that_nothing_tall_was_there() -> None:
+    assert ask_sparse(8.0, 0.0, 0.0) == FREE_IF_TALL
+    assert ask_sparse(12.0, 0.0, 0.0) == HIDDEN
+
+
+def test_one_of_two_beams_that_are_far_apart_proves_nothing() -> None:
+    seen = wall(20.0)
+    below = seen[seen[:, 2] < np.hypot(seen[:, 0], seen[:, 1]) * np.tan(np.radians(-0.5))]
+    assert ask_sparse(8.0, 0.0, 0.0, seen=below) == HIDDEN
+    assert ask(8.0, 0.0, -0.12, image=range_image(below, TABLE)) == FREE
+
+
+def test_something_between_beams_that_are_far_apart_is_seen_by_either() -> None:
+    assert ask_sparse(20.0, 0.0, 0.0) == HIDDEN
+    near = np.concatenate([wall(20.0), wall(8.0, half_width_m=1.0)])
+    assert ask_sparse(8.0, 0.0, 0.0, seen=near) == OCCUPIED
+
+
+def test_beams_far_apart_count_but_not_as_close_ones() -> None:
+    votes = count_votes([np.array([FREE_IF_TALL, FREE, FREE_IF_TALL], np.int8)] * 2, 3)
+    votes = Votes(votes.free, votes.occupied + np.array([0, 0, 4], np.int16), votes.free_if_tall)
+    assert votes.seen_through.tolist() == [True, True, False]
+    assert votes.closely_seen_through.tolist() == [False, True, False]
 
 
 def test_one_frame_that_saw_through_a_place_is_not_enough() -> None:

@@ -81,5 +81,23 @@ def test_the_height_of_the_sensor_is_that_of_the_road_below_it(height_m: float) 
     assert estimate_sensor_height(points) == pytest.approx(height_m, abs=0.05)
 
 
+def test_cars_in_a_jam_do_not_make_the_road_higher_than_it_is() -> None:
+    road = rings(np.array([4.0, 9.0]), -2.3)
+    doors = np.concatenate(
+        [side_of_a_car(x, y) for x in np.arange(-19.0, 16.0, 5.0) for y in (-7.0, -4.0, 4.0, 7.0)]
+    )
+    # few beams reach lower than the doors: the first 0.4 m over the road are seen in no column
+    doors = doors[doors[:, 2] > 0.5 - HEIGHT_M] - (0.0, 0.0, 2.3 - HEIGHT_M)
+    points = np.concatenate([road, doors]).astype(np.float32)
+    assert estimate_sensor_height(points) == pytest.approx(2.3, abs=0.05)
+
+
+def test_a_few_reflections_under_the_road_are_not_the_road() -> None:
+    road = rings(np.geomspace(3.0, 60.0, 40), -HEIGHT_M)
+    under = rings(np.array([6.0]), -HEIGHT_M - 1.0)[::20]
+    points = np.concatenate([road, under]).astype(np.float32)
+    assert estimate_sensor_height(points) == pytest.approx(HEIGHT_M, abs=0.05)
+
+
 def test_a_roof_is_assumed_where_no_road_is_seen() -> None:
     assert estimate_sensor_height(np.zeros((0, 3), np.float32)) == pytest.approx(1.8)

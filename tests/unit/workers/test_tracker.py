@@ -48,7 +48,11 @@ def world(*things: Thing) -> tuple[NDArray[np.float32], ClusterMotions, Votes]:
         extent_m=np.array([max(t.size_m[:2]) for t in things], np.float32),
     )
     occupied = np.repeat([thing.occupied for thing in things], sizes).astype(np.int16)
-    return np.concatenate(voxels), found, Votes(np.zeros_like(occupied), occupied)
+    return (
+        np.concatenate(voxels),
+        found,
+        Votes(np.zeros_like(occupied), occupied, np.zeros_like(occupied)),
+    )
 
 
 class Frames:

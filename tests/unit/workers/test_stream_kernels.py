@@ -1,0 +1,159 @@
+"""The compiled loops of the self-supervised stream against slow and plain references."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from workers.selfsupervised.clusters import connected, from_labels
+from workers.selfsupervised.neighbours import build_grid, nearest_indices
+from workers.selfsupervised.occupancy import CELL_M, build_occupancy, cells_of, scores_around
+from workers.selfsupervised.range_image import (
+    column_of,
+    guessed_row_above,
+    row_above,
+    row_guesses,
+)
+from workers.selfsupervised.steps import step, watched
+from workers.selfsupervised.strips import are_strips
+
+ZEROS_AND_ONES = np.array([[0, 0, -1, 1], [0, 1, 0, 0]], np.float32)
+
+
+def street(n: int, *, seed: int) -> NDArray[np.float32]:
+    """Points in clumps, over a few metres and far outliers."""
+    some = np.random.default_rng(seed)
+    middle = some.uniform([-30, -30, -3], [30, 30, 3], (n // 20, 3))
+    points = middle[some.integers(0, len(middle), n)] + some.normal(0, 0.4, (n, 3))
+    points[::500] *= 10.0
+    clumped: NDArray[np.float32] = points.astype(np.float32)
+    return clumped
+
+
+@pytest.mark.parametrize("reach_m", [0.3, 0.5])
+@pytest.mark.parametrize("grouped", [False, True])
+def test_clusters_are_the_components_of_all_pairs_within_reach(
+    reach_m: float, *, grouped: bool
+) -> None:
+    points = street(3000, seed=1)
+    some = np.random.default_rng(2)
+    groups = some.integers(0, 3 if grouped else 1, len(points)).astype(np.int32)
+    among = some.random(len(points)) < 0.8
+    pairs = cKDTree(points).query_pairs(reach_m, output_type="ndarray")
+    joined = pairs[
+        among[pairs].all(axis=1)
+        & (groups[pairs[:, 0]] == groups[pairs[:, 1]])
+        & (np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1) < reach_m)
+    ]
+    graph = coo_matrix((np.ones(len(joined)), joined.T), shape=(len(points),) * 2)
+    _, component = connected_components(graph, directed=False)
+    expected = np.full(len(points), -1)
+    for number in range(component.max() + 1):
+        inside = np.flatnonzero((component == number) & among)
+        if len(inside) >= 3:
+            expected[inside] = inside[0]
+
+    found = connected(points, reach_m=reach_m, min_points=3, among=among, groups=groups)
+    named = np.append(found.members[found.start[:-1]], -1)
+    assert np.array_equal(named[found.of_point], expected)
+    assert len(found) > 20
+
+
+def test_labels_are_collected_in_their_order() -> None:
+    labels = np.array([7, -1, 2, 7, 2, 0, 7], np.int32)
+    found = from_labels(labels)
+    assert found.of_point.tolist() == [2, -1, 1, 2, 1, 0, 2]
+    assert [found.of(k).tolist() for k in range(3)] == [[5], [2, 4], [0, 3, 6]]
+    assert len(from_labels(np.full(4, -1, np.int32))) == 0
+
+
+def test_the_nearest_of_few_points_far_off_the_centre_is_found() -> None:
+    points = street(40, seed=3) + np.array([200.0, -150.0, 30.0], np.float32)
+    asked = points + np.random.default_rng(4).normal(0, 0.5, points.shape).astype(np.float32)
+    grid = build_grid(points, np.zeros(3))
+    found = nearest_indices(grid, asked, 0.9)
+    distance, nearest = cKDTree(points).query(asked)
+    assert np.array_equal(found >= 0, distance < 0.9)
+    assert np.array_equal(grid.order[found[found >= 0]], nearest[found >= 0])
+
+
+def test_coarse_scores_count_cells_on_points_and_beside_them() -> None:
+    points = street(500, seed=5)[:, :] * np.float32(0.2)
+    occupancy = build_occupancy(points, np.zeros(3))
+    cells = cells_of(occupancy, points[::20])
+    scores = scores_around(occupancy, cells, 2, -1, 3)
+    on = {tuple(cell) for cell in cells_of(occupancy, points).tolist()}
+    steps = np.array(np.meshgrid([-1, 0, 1], [-1, 0, 1], [-1, 0, 1])).reshape(3, -1).T
+    beside = {tuple(np.add(cell, by).tolist()) for cell in on for by in steps}
+    for i, j in ((0, 0), (3, 3), (6, 1)):
+        moved = [(x + 2 + i - 3, y - 1 + j - 3, z) for x, y, z in cells.tolist()]
+        hits = sum(2 * (cell in on) + (cell in beside) for cell in moved)
+        assert scores[i, j] == pytest.approx(hits / (3 * len(cells)))
+    assert CELL_M == 0.3
+
+
+def test_columns_are_those_of_the_exact_angle() -> None:
+    some = np.random.default_rng(6)
+    columns = 1800
+    edges = (np.arange(columns + 1) / columns * 2 - 1) * np.pi
+    angle = np.concatenate([edges, edges + 1e-6, some.uniform(-np.pi, np.pi, 5000)])
+    away = some.uniform(0.1, 90.0, len(angle))
+    x, y = (away * np.cos(angle)).astype(np.float32), (away * np.sin(angle)).astype(np.float32)
+    x, y = np.append(x, ZEROS_AND_ONES[0]), np.append(y, ZEROS_AND_ONES[1])
+    scale = columns / (2 * np.pi)
+    exact = ((np.arctan2(y, x) + np.float64(np.pi)) * scale).astype(int).clip(0, columns - 1)
+    found = np.array([column_of(*place, columns) for place in zip(x, y, strict=True)])
+    assert np.array_equal(found, exact)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 16, 64])
+def test_guessed_rows_are_those_of_a_search(rows: int) -> None:
+    some = np.random.default_rng(rows)
+    tangents = np.sort(some.uniform(-0.4, 0.3, rows)).astype(np.float32)
+    guesses = row_guesses(tangents)
+    asked = np.concatenate([tangents, some.uniform(-0.6, 0.5, 500).astype(np.float32)])
+    for tangent in asked:
+        expected = int(np.searchsorted(tangents, tangent))
+        assert guessed_row_above(tangents, guesses, tangent) == expected
+        assert row_above(tangents, tangent) == expected
+
+
+def test_only_what_is_flat_and_low_is_a_strip() -> None:
+    some = np.random.default_rng(7)
+    flat = some.uniform([0, 0, 0], [3, 1, 0.1], (40, 3))
+    kerb, bonnet = flat + np.array([10, 0, -2.0]), flat + np.array([10, 5, -1.0])
+    child = flat * np.array([0.1, 0.3, 10]) + np.array([10, -5, -2.0])
+    points = np.concatenate([kerb, bonnet, child, kerb]).astype(np.float32)
+    clusters = from_labels(np.repeat(np.arange(4, dtype=np.int32), 40))
+    found = are_strips(
+        points,
+        clusters,
+        np.array([True, True, True, False]),
+        beams_from_odom=np.eye(4),
+        sensor_height_m=2.0,
+    )
+    assert found.tolist() == [True, False, False, False]
+
+
+def test_a_step_is_seen_only_while_it_is_watched() -> None:
+    entered: list[str] = []
+
+    @contextmanager
+    def watch(name: str) -> Iterator[None]:
+        entered.append(name)
+        yield
+
+    @step("doubling")
+    def double(x: int) -> int:
+        return 2 * x
+
+    assert double(1) == 2
+    with watched(watch):
+        assert double(2) == 4
+    assert double(3) == 6
+    assert entered == ["doubling"]

@@ -1,0 +1,58 @@
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from workers.selfsupervised.beam_table import BeamTable
+from workers.selfsupervised.clusters import from_labels
+from workers.selfsupervised.free_space import FREE, FREE_IF_TALL, HIDDEN, count_votes
+from workers.selfsupervised.registration import Registered
+from workers.selfsupervised.verification import Evidence, judge
+
+
+def block(x: float, height_m: float) -> NDArray[np.float32]:
+    """A side two metres long, in steps of a tenth."""
+    along, up = np.meshgrid(np.arange(0.0, 2.0, 0.1), np.arange(0.0, height_m, 0.1))
+    points = np.stack([x + along, np.full_like(along, 6.0), up], axis=-1).reshape(-1, 3)
+    placed: NDArray[np.float32] = points.astype(np.float32)
+    return placed
+
+
+def unregistered(count: int) -> Registered:
+    nothing, shift = np.full(count, 9.0, np.float32), np.zeros((count, 3), np.float32)
+    return Registered(
+        tried=np.zeros(count, np.bool_),
+        extent_m=np.full(count, 2.0, np.float32),
+        still_energy_far=nothing,
+        still_energy_near=nothing,
+        energy_far=nothing,
+        energy_near=nothing,
+        shift_far_m=shift,
+        shift_near_m=shift,
+        energy_between=nothing,
+    )
+
+
+@pytest.mark.parametrize(
+    ("answer", "moves"),
+    [(FREE, [True, True]), (FREE_IF_TALL, [False, True]), (HIDDEN, [False, False])],
+)
+def test_what_one_beam_sees_may_have_been_between_two_that_are_far_apart(
+    answer: int, moves: list[bool]
+) -> None:
+    flat, tall = block(0.0, 0.1), block(10.0, 1.0)
+    points_m = np.concatenate([flat, tall])
+    labels = np.repeat([0, 1], [len(flat), len(tall)]).astype(np.int32)
+    answers = np.full(len(points_m), answer, np.int8)
+    evidence = Evidence(
+        votes=count_votes([answers] * 3, len(points_m)),
+        near=answers,
+        far=answers,
+        image=np.zeros((2, 1800), np.float32),
+        table=BeamTable(np.array([-0.1, 0.1], np.float32), np.zeros(3), 0.03),
+        sensor_height_m=1.8,
+        beams_from_odom=np.eye(4),
+    )
+    motions = judge(
+        points_m, from_labels(labels), unregistered(2), evidence, near_age_s=0.1, far_age_s=0.5
+    )
+    assert motions.seen_through.tolist() == moves
