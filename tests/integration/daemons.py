@@ -167,12 +167,15 @@ class System:
 def _workers_of(pool: int) -> list[int]:
     """Children of the pool that run a worker, from the kernel's list."""
     threads = Path(f"/proc/{pool}/task").iterdir()
-    children = [child for at in threads for child in (at / "children").read_text().split()]
-    return sorted(int(child) for child in children if "spawn_main" in _command_line(int(child)))
+    children = [child for at in threads for child in _read(at / "children").split()]
+    return sorted(
+        int(pid) for pid in children if "spawn_main" in _read(Path(f"/proc/{pid}/cmdline"))
+    )
 
 
-def _command_line(pid: int) -> str:
+def _read(path: Path) -> str:
+    """Read a file of a thread or process; empty when that has just ended."""
     try:
-        return Path(f"/proc/{pid}/cmdline").read_text()
+        return path.read_text()
     except OSError:
         return ""

@@ -258,6 +258,6 @@ def _free_ports() -> int:
 def _is_running(pid: int) -> bool:
     try:
         stat = Path(f"/proc/{pid}/stat").read_text()
-    except FileNotFoundError:
+    except OSError:  # it ended before, or while this was read
         return False
     return stat.rpartition(")")[2].split()[0] != "Z"

@@ -67,8 +67,13 @@ def worker_pids(one: Daemon) -> list[int]:
 
     def found() -> list[int]:
         threads = Path(f"/proc/{one.pid}/task").iterdir()
-        children = [child for at in threads for child in (at / "children").read_text().split()]
-        return [int(c) for c in children if "spawn_main" in Path(f"/proc/{c}/cmdline").read_text()]
+        try:
+            children = [child for at in threads for child in (at / "children").read_text().split()]
+            return [
+                int(c) for c in children if "spawn_main" in Path(f"/proc/{c}/cmdline").read_text()
+            ]
+        except (FileNotFoundError, ProcessLookupError):  # one has just ended: look again
+            return []
 
     until(lambda: bool(found()), one)
     return found()
@@ -92,8 +97,7 @@ def test_run_serves_the_service_and_its_workers_on_one_page(tmp_path: Path) -> N
         (worker,) = worker_pids(run)
         until(lambda: problems(url) == {}, run)
         os.kill(worker, signal.SIGKILL)
-        until(lambda: set(problems(url)) == {"workers"}, run)
-        assert problems(url)["workers"].startswith("no worker is ")
+        until(lambda: problems(url).get("workers", "").startswith("no worker is "), run)
         assert page(f"{url}/healthz") == "alive\n", "a worker that died is replaced"
         until(lambda: problems(url) == {}, run)
         try:
