@@ -38,6 +38,9 @@ class LogStyle:
     as_json: bool = False
 
 
+_REMOVALS: Final = 5
+"""Another thread, or another worker, may just be making a file in what is taken away."""
+
 NO_LEASE_YET: Final = 0.0
 BETWEEN_LEASES: Final = -1.0
 """What stands where the time is told when work on the current lease began."""
@@ -157,5 +160,8 @@ def _end_with_parent(place: Place) -> None:
     parent = parent_process()
     if parent is not None:
         parent.join()
-        shutil.rmtree(place.metrics_folder, ignore_errors=True)
+        for _ in range(_REMOVALS):
+            shutil.rmtree(place.metrics_folder, ignore_errors=True)
+            if not place.metrics_folder.exists():
+                break
         os._exit(EX_TEMPFAIL)

@@ -27,7 +27,10 @@ not."""
 JUMP: Final = 2.0
 _REACH_M: Final = 1.0
 _SAMPLES: Final = 1000
-_FEWEST: Final = 30
+_FEWEST: Final = _SAMPLES
+"""With fewer places the distance to a neighbour tells how far apart the beams are, which a car that
+starts to drive changes as much as a wrong pose does: nothing can be told."""
+
 _REMEMBERED: Final = 10
 
 
