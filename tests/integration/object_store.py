@@ -182,7 +182,7 @@ class Ceph:
 
     def start(self) -> None:
         """Start the gateway again, if it does not run, and wait until it answers."""
-        if self._answers():
+        if _is_running(int((self._folder / "client.rgw.pid").read_text() or "0")):
             return
         configured = ("-c", str(self._folder / "ceph.conf"), "-n", "client.rgw")
         subprocess.run(["radosgw", *configured], check=True, capture_output=True)
@@ -256,8 +256,11 @@ def _free_ports() -> int:
 
 
 def _is_running(pid: int) -> bool:
+    """Whether any thread of a process is left: the first may be a zombie while others listen."""
+    process = Path(f"/proc/{pid}")
     try:
-        stat = Path(f"/proc/{pid}/stat").read_text()
+        stat = (process / "stat").read_text()
+        threads = len(list((process / "task").iterdir()))
     except OSError:  # it ended before, or while this was read
         return False
-    return stat.rpartition(")")[2].split()[0] != "Z"
+    return threads > 1 or stat.rpartition(")")[2].split()[0] != "Z"
