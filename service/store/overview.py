@@ -2,9 +2,21 @@
 
 import json
 from collections import Counter, defaultdict
+from collections.abc import Iterable
 from typing import Any, Final
 
-from sqlalchemy import ColumnElement, Connection, Row, Table, and_, exists, func, or_, select
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Row,
+    Table,
+    and_,
+    exists,
+    func,
+    literal,
+    or_,
+    select,
+)
 
 from schemas.work import Damage
 from service.status import LogStatus, ParkedWork, PointTotals, Status
@@ -37,7 +49,7 @@ def status(connection: Connection, pipeline_version: str | None, *, now_s: float
         row.log_id: row for row in connection.execute(_current_rows(PLANS, pipeline_version, PLANS))
     }
     shards: defaultdict[str, list[Row[Any]]] = defaultdict(list)
-    for row in connection.execute(_current_rows(SHARDS, pipeline_version, *_SHARD_COLUMNS)):
+    for row in connection.execute(_shard_sums(pipeline_version)):
         shards[row.log_id].append(row)
     damage = _damage(connection, pipeline_version)
     log_ids = connection.execute(
@@ -53,7 +65,7 @@ def status(connection: Connection, pipeline_version: str | None, *, now_s: float
         logs=logs,
         logs_by_state=dict(sorted(Counter(log.state for log in logs).items())),
         shards_by_state=_total(log.shards for log in logs),
-        parked=_parked(plans, shards),
+        parked=_parked(connection, pipeline_version),
         scenes=connection.execute(
             select(func.count()).select_from(SCENES).where(SCENES.c.is_current)
         ).scalar_one(),
@@ -69,23 +81,6 @@ def status(connection: Connection, pipeline_version: str | None, *, now_s: float
     )
 
 
-_SHARD_COLUMNS: Final = tuple(
-    SHARDS.c[name]
-    for name in (
-        "log_id",
-        "name",
-        "state",
-        "attempts",
-        "error",
-        "frames",
-        "bytes_read",
-        "bytes_needed",
-        "range_reads",
-        "peak_memory_bytes",
-    )
-)
-
-
 def _same_log(table: Table) -> ColumnElement[bool]:
     return and_(table.c.log_id == RECORDINGS.c.log_id, table.c.revision == RECORDINGS.c.revision)
 
@@ -97,6 +92,27 @@ def _current_rows(table: Table, pipeline_version: str, *columns: Any) -> Any:
         .where(RECORDINGS.c.is_current, table.c.pipeline_version == pipeline_version)
         .order_by(*table.primary_key.columns)
     )
+
+
+def _shard_sums(pipeline_version: str) -> Any:
+    """Sum up the shards of each log and state in the database: a log of a day has hundreds."""
+    sums = (func.sum(SHARDS.c[name]).label(name) for name in _SUMMED)
+    return (
+        select(
+            SHARDS.c.log_id,
+            SHARDS.c.state,
+            func.count().label("shards"),
+            func.max(SHARDS.c.peak_memory_bytes).label("peak_memory_bytes"),
+            *sums,
+        )
+        .join(RECORDINGS, _same_log(SHARDS))
+        .where(RECORDINGS.c.is_current, SHARDS.c.pipeline_version == pipeline_version)
+        .group_by(SHARDS.c.log_id, SHARDS.c.state)
+        .order_by(SHARDS.c.log_id, SHARDS.c.state)
+    )
+
+
+_SUMMED: Final = ("frames", "bytes_read", "bytes_needed", "range_reads")
 
 
 def newest_pipeline(connection: Connection) -> str:
@@ -125,7 +141,7 @@ def _log_status(
     *,
     now_s: float,
 ) -> LogStatus:
-    by_state = dict(sorted(Counter(shard.state for shard in shards).items()))
+    by_state = {row.state: row.shards for row in shards}
     if plan is None:
         return LogStatus(log_id=log_id, state="waiting")
     return LogStatus(
@@ -138,13 +154,13 @@ def _log_status(
         problem=plan.error,
         damage=tuple(sorted(damage, key=lambda piece: (piece.key, piece.offset))),
         shards=by_state,
-        frames=sum(shard.frames for shard in shards),
+        frames=_sum(row.frames for row in shards),
         plan_range_reads=plan.range_reads,
         plan_bytes_read=plan.bytes_read,
-        mine_range_reads=sum(shard.range_reads for shard in shards),
-        mine_bytes_read=sum(shard.bytes_read for shard in shards),
-        bytes_needed=sum(shard.bytes_needed for shard in shards),
-        peak_memory_bytes=max((shard.peak_memory_bytes for shard in shards), default=0),
+        mine_range_reads=_sum(row.range_reads for row in shards),
+        mine_bytes_read=_sum(row.bytes_read for row in shards),
+        bytes_needed=_sum(row.bytes_needed for row in shards),
+        peak_memory_bytes=max((row.peak_memory_bytes for row in shards), default=0),
     )
 
 
@@ -168,16 +184,17 @@ def _total(counts: Any) -> dict[str, int]:
     return dict(sorted(total.items()))
 
 
-def _parked(
-    plans: dict[str, Row[Any]], shards: dict[str, list[Row[Any]]]
-) -> tuple[ParkedWork, ...]:
-    rows = [(row, "") for row in plans.values()]
-    rows += [(row, row.name) for its in shards.values() for row in its]
-    parked = [
-        ParkedWork(log_id=row.log_id, shard=name, attempts=row.attempts, error=row.error)
-        for row, name in rows
-        if row.state == WorkState.PARKED
-    ]
+def _sum(values: Iterable[Any]) -> int:
+    return sum(int(value) for value in values)  # PostgreSQL sums to a decimal
+
+
+def _parked(connection: Connection, pipeline_version: str) -> tuple[ParkedWork, ...]:
+    parked: list[ParkedWork] = []
+    for table, name in ((PLANS, literal("")), (SHARDS, SHARDS.c.name)):
+        columns = (table.c.log_id, name.label("shard"), table.c.attempts, table.c.error)
+        rows = _current_rows(table, pipeline_version, *columns)
+        found = connection.execute(rows.where(table.c.state == WorkState.PARKED)).mappings()
+        parked += (ParkedWork(**row) for row in found)
     return tuple(sorted(parked, key=lambda work: (work.log_id, work.shard)))
 
 
