@@ -61,9 +61,9 @@ def _kiss_icp() -> Odometry:
 
 
 def _salsanext_lmnet() -> Stream:
-    from workers.supervised.stream import SalsaNextLmnet
+    from workers.supervised.stream import RangeImageStream
 
-    return SalsaNextLmnet.shipped()
+    return RangeImageStream.shipped()
 
 
 def _recorded() -> Stream:

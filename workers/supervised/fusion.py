@@ -1,10 +1,13 @@
 """Fusion of both networks to semantic motion labels: what can move, and does, is dynamic."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Confidences, Mask, MotionLabels
-from schemas.labels import MotionLabel
+from schemas.labels import FrameLabels, MotionLabel
+from workers.supervised.classes import ClassSet
 
 
 def fuse(*, judged_mask: Mask, movable_mask: Mask, moving_mask: Mask | None) -> MotionLabels:
@@ -47,3 +50,74 @@ def confidence_of(labels: MotionLabels, dynamic_share: NDArray[np.float32]) -> C
     """
     sure = np.where(labels == MotionLabel.DYNAMIC, dynamic_share, 1 - dynamic_share)
     return np.where(labels == MotionLabel.UNKNOWN, 0, np.clip(sure, 0, 1)).astype(np.float16)
+
+
+@dataclass(frozen=True, slots=True)
+class Fusion:
+    """What two networks, or one, make of each point.
+
+    What moves is said by the motion network, or by the semantic one where its classes tell it;
+    where nobody says it, movable points are UNKNOWN.
+
+    Attributes:
+        kinds: Classes of the semantic network; None without one: everything can move.
+        motions: Classes of the motion network; None without one.
+    """
+
+    kinds: ClassSet | None
+    motions: ClassSet | None
+
+    def labels(
+        self,
+        *,
+        judged_mask: Mask,
+        kind: NDArray[np.int16] | None,
+        motion: NDArray[np.int16] | None,
+        dynamic_share: NDArray[np.float32],
+    ) -> FrameLabels:
+        """Combine what was said of each point.
+
+        Args:
+            judged_mask: (N,) points the networks saw.
+            kind: (N,) class index of the semantic network; None without one.
+            motion: (N,) class index of the motion network; None without one, or without a past.
+            dynamic_share: (N,) how likely each point is dynamic, 0 to 1.
+
+        Returns:
+            Labels, confidences and classes of the frame.
+        """
+        movable, moving = np.ones_like(judged_mask), None
+        if self.kinds is not None and kind is not None:
+            movable = self.kinds.movable[kind]
+            if self.motions is None and self.kinds.tells_motion:
+                movable = moving = self.kinds.moving[kind]
+        if self.motions is not None and motion is not None:
+            moving = self.motions.moving[motion]
+        labels = fuse(judged_mask=judged_mask, movable_mask=movable, moving_mask=moving)
+        return FrameLabels(
+            labels=labels,
+            confidence=confidence_of(labels, dynamic_share),
+            class_id=None if kind is None else np.where(judged_mask, kind, np.int16(-1)),
+        )
+
+    def dynamic_share(
+        self, semantic: NDArray[np.float32] | None, motion: NDArray[np.float32] | None
+    ) -> NDArray[np.float32]:
+        """Say how likely each pixel or point is dynamic.
+
+        Args:
+            semantic: (K, ...) probabilities of the semantic network; None without one.
+            motion: (L, ...) probabilities of the motion network; None without one.
+
+        Returns:
+            (...) probability of a movable class times the probability of moving, each as far as it
+            is known.
+        """
+        shares = []
+        if self.kinds is not None and semantic is not None:
+            by_itself = self.motions is None and self.kinds.tells_motion
+            shares.append(semantic[self.kinds.moving if by_itself else self.kinds.movable].sum(0))
+        if self.motions is not None and motion is not None:
+            shares.append(motion[self.motions.moving].sum(axis=0))
+        share: NDArray[np.float32] = shares[0] if len(shares) == 1 else shares[0] * shares[1]
+        return share

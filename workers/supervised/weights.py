@@ -5,29 +5,24 @@ import json
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 import safetensors
 import safetensors.torch
 import torch
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from schemas.errors import PermanentError
-from workers.geometry.range_image import SensorProfile
-from workers.supervised.lmnet import LMNet
+from workers.geometry.range_image import CHANNELS, SensorProfile
+from workers.supervised.classes import ClassMeaning
+from workers.supervised.lmnet import MOVING, LMNet
+from workers.supervised.networks import run_eagerly
 from workers.supervised.residual_image import ResidualSettings
 from workers.supervised.salsanext import SalsaNext
 
 
 class WeightsUnusableError(PermanentError):
     """Weights are missing, damaged, or belong to another network than their sidecar says."""
-
-
-class ClassMeaning(BaseModel):
-    """One output of a network."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    name: str = Field(min_length=1)
-    movable: bool = Field(default=False, description="Can move by itself, whether or not it does.")
 
 
 class WeightsCard(BaseModel):
@@ -75,8 +70,35 @@ class LoadedWeights:
         digest: Hex sha256 of both files' bytes.
     """
 
+    channels = CHANNELS
+
     def __init__(self, net: SalsaNext, card: WeightsCard, digest: str) -> None:
         self.net, self.card, self.digest = net, card, digest
+
+    @property
+    def profile(self) -> SensorProfile:
+        """Layout and normalisation of the image."""
+        return self.card.profile
+
+    @property
+    def residual(self) -> ResidualSettings | None:
+        """The past frames that LMNet sees."""
+        return self.card.residual
+
+    @property
+    def classes(self) -> tuple[ClassMeaning, ...]:
+        """Meaning of each output. The first, "unlabelled", was never taught; LMNet tells motion."""
+        tells_motion = self.card.network == "lmnet"
+        return tuple(
+            meaning.model_copy(
+                update={"ignored": number == 0, "moving": tells_motion and number == MOVING}
+            )
+            for number, meaning in enumerate(self.card.classes)
+        )
+
+    def probabilities(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Map an image (C, H, W) to the probabilities of its classes (K, H, W)."""
+        return run_eagerly(self.net, image)
 
 
 def save_weights(path: Path, net: SalsaNext, card: WeightsCard) -> None:

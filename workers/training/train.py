@@ -12,9 +12,10 @@ import torch
 
 from schemas.errors import CounterpointError, TransientError
 from workers.geometry.range_image import SensorProfile
+from workers.supervised.classes import ClassMeaning
 from workers.supervised.lmnet import MOTION_CLASSES
 from workers.supervised.residual_image import ResidualSettings
-from workers.supervised.weights import ClassMeaning, WeightsCard, load_weights
+from workers.supervised.weights import WeightsCard, load_weights
 from workers.training.fit import TrainingSettings, train
 from workers.training.images import TrainingImages, build_images
 from workers.training.pandaset import CLASSES, PANDAR64_DEG, read_clouds

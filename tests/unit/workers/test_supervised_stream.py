@@ -9,11 +9,11 @@ from schemas.arrays import NS_PER_S
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.labels import FrameLabels, MotionLabel
 from workers.geometry.range_image import SensorProfile
+from workers.supervised.classes import ClassMeaning
 from workers.supervised.lmnet import MOTION_CLASSES
 from workers.supervised.residual_image import ResidualSettings
-from workers.supervised.stream import SalsaNextLmnet
+from workers.supervised.stream import RangeImageStream
 from workers.supervised.weights import (
-    ClassMeaning,
     LoadedWeights,
     WeightsCard,
     WeightsUnusableError,
@@ -60,6 +60,10 @@ def _loaded(folder: Path, card: WeightsCard, *, always: int | None = None) -> Lo
     return load_weights(path)
 
 
+def _stream(semantic: LoadedWeights, motion: LoadedWeights) -> RangeImageStream:
+    return RangeImageStream(semantic, motion, name="salsanext-lmnet")
+
+
 def _frames(count: int, *, n: int = 800, lost: tuple[int, ...] = ()) -> list[PosedFrame]:
     rng = np.random.default_rng(5)
     frames = []
@@ -89,7 +93,7 @@ def _same(one: FrameLabels, other: FrameLabels) -> bool:
 
 
 def test_every_point_of_every_frame_gets_one_answer(tmp_path: Path) -> None:
-    stream = SalsaNextLmnet(_loaded(tmp_path, SEMANTIC), _loaded(tmp_path, MOTION))
+    stream = _stream(_loaded(tmp_path, SEMANTIC), _loaded(tmp_path, MOTION))
     frames = _frames(3)
     answers = list(stream(frames))
     assert len(answers) == 3
@@ -106,14 +110,14 @@ def test_every_point_of_every_frame_gets_one_answer(tmp_path: Path) -> None:
 
 
 def test_the_same_frames_give_the_same_bytes_again(tmp_path: Path) -> None:
-    stream = SalsaNextLmnet(_loaded(tmp_path, SEMANTIC), _loaded(tmp_path, MOTION))
+    stream = _stream(_loaded(tmp_path, SEMANTIC), _loaded(tmp_path, MOTION))
     frames = _frames(3)
     for one, other in zip(stream(frames), list(stream(frames)), strict=True):
         assert _same(one, other)
 
 
 def test_a_frame_is_answered_before_the_next_one_is_read(tmp_path: Path) -> None:
-    stream = SalsaNextLmnet(_loaded(tmp_path, SEMANTIC), _loaded(tmp_path, MOTION))
+    stream = _stream(_loaded(tmp_path, SEMANTIC), _loaded(tmp_path, MOTION))
     source = iter(_frames(2))
     answers = stream(source)
     next(answers)
@@ -123,9 +127,7 @@ def test_a_frame_is_answered_before_the_next_one_is_read(tmp_path: Path) -> None
 def test_cars_are_unknown_until_there_is_a_past_and_again_after_the_pose_was_lost(
     tmp_path: Path,
 ) -> None:
-    stream = SalsaNextLmnet(
-        _loaded(tmp_path, SEMANTIC, always=1), _loaded(tmp_path, MOTION, always=2)
-    )
+    stream = _stream(_loaded(tmp_path, SEMANTIC, always=1), _loaded(tmp_path, MOTION, always=2))
     frames = _frames(4, lost=(2,))
     first, second, lost, after = (
         set(answer.labels[posed.frame.valid_mask & (answer.confidence > 0)].tolist())
@@ -138,9 +140,7 @@ def test_cars_are_unknown_until_there_is_a_past_and_again_after_the_pose_was_los
 
 
 def test_houses_are_static_from_the_first_frame_on(tmp_path: Path) -> None:
-    stream = SalsaNextLmnet(
-        _loaded(tmp_path, SEMANTIC, always=2), _loaded(tmp_path, MOTION, always=2)
-    )
+    stream = _stream(_loaded(tmp_path, SEMANTIC, always=2), _loaded(tmp_path, MOTION, always=2))
     frames = _frames(2)
     for posed, answer in zip(frames, stream(frames), strict=True):
         judged = posed.frame.valid_mask & (answer.labels != MotionLabel.UNKNOWN)
@@ -151,16 +151,22 @@ def test_houses_are_static_from_the_first_frame_on(tmp_path: Path) -> None:
 
 def test_the_version_follows_the_weights(tmp_path: Path) -> None:
     semantic, motion = _loaded(tmp_path, SEMANTIC), _loaded(tmp_path, MOTION)
-    version = SalsaNextLmnet(semantic, motion).version
-    assert version == SalsaNextLmnet(semantic, motion).version
+    version = _stream(semantic, motion).version
+    assert version == _stream(semantic, motion).version
     assert version.startswith("salsanext-lmnet@")
-    assert SalsaNextLmnet(_loaded(tmp_path, SEMANTIC, always=1), motion).version != version
+    assert _stream(_loaded(tmp_path, SEMANTIC, always=1), motion).version != version
 
 
 def test_weights_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
     semantic, motion = _loaded(tmp_path, SEMANTIC), _loaded(tmp_path, MOTION)
+    with pytest.raises(WeightsUnusableError, match="no class of the motion network"):
+        _stream(motion, semantic)
+    with pytest.raises(WeightsUnusableError, match="needs a semantic or a motion network"):
+        RangeImageStream(None, None, name="nothing")
+    for name, card in (("salsanext", MOTION), ("lmnet", SEMANTIC)):
+        save_weights(tmp_path / "swapped" / f"{name}.safetensors", card.build(), card)
     with pytest.raises(WeightsUnusableError, match="got lmnet and salsanext"):
-        SalsaNextLmnet(motion, semantic)
+        RangeImageStream.salsanext_lmnet(tmp_path / "swapped")
     other = MOTION.model_copy(
         update={
             "profile": SensorProfile(
@@ -169,13 +175,13 @@ def test_weights_that_do_not_belong_together_are_refused(tmp_path: Path) -> None
         }
     )
     with pytest.raises(WeightsUnusableError, match="different range images"):
-        SalsaNextLmnet(semantic, _loaded(tmp_path, other))
+        _stream(semantic, _loaded(tmp_path, other))
 
 
 def test_the_shipped_weights_are_small_and_say_where_they_come_from() -> None:
     folder = Path(__file__).parents[3] / "workers" / "supervised" / "weights"
     assert sum(path.stat().st_size for path in folder.iterdir()) < 4_000_000
-    stream = SalsaNextLmnet.shipped()
+    stream = RangeImageStream.shipped()
     assert {"car", "pedestrian", "building"} <= set(stream.class_names)
     for name in ("salsanext", "lmnet"):
         card = load_weights(folder / f"{name}.safetensors").card
@@ -190,7 +196,7 @@ def test_the_shipped_weights_fit_the_scene_they_were_made_from(reference: Path) 
     name = Path("pandaset", "panda-01", "2019-05-11", "pandaset-002")
     log = reference / "data" / "logs" / name.with_suffix(".mcap")
     clouds = list(read_clouds(log, reference / "data" / "truth" / name, range(40, 50)))
-    stream = SalsaNextLmnet.shipped()
+    stream = RangeImageStream.shipped()
     movable_classes = [
         index
         for index, (_, movable) in enumerate(CLASSES)

@@ -6,9 +6,10 @@ import pytest
 import torch
 
 from workers.geometry.range_image import SensorProfile
+from workers.supervised.classes import ClassMeaning
 from workers.supervised.lmnet import MOTION_CLASSES
 from workers.supervised.residual_image import ResidualSettings
-from workers.supervised.weights import ClassMeaning, WeightsCard, load_weights
+from workers.supervised.weights import WeightsCard, load_weights
 from workers.training.augment import Sample, augment, network_input
 from workers.training.fit import TrainingSettings, train
 from workers.training.images import Cloud, TrainingImages, build_images

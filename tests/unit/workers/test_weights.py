@@ -8,9 +8,9 @@ import torch
 
 from schemas.errors import PermanentError
 from workers.geometry.range_image import SensorProfile
+from workers.supervised.classes import ClassMeaning
 from workers.supervised.residual_image import ResidualSettings
 from workers.supervised.weights import (
-    ClassMeaning,
     WeightsCard,
     WeightsUnusableError,
     load_weights,

@@ -1,0 +1,60 @@
+"""What the supervised stream asks of a network, whoever trained it and whatever runs it."""
+
+from typing import Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from workers.geometry.range_image import SensorProfile
+from workers.supervised.classes import ClassMeaning
+from workers.supervised.residual_image import ResidualSettings
+
+
+class RangeImageNetwork(Protocol):
+    """A network over range images.
+
+    Attributes:
+        profile: Layout and normalisation of the image.
+        channels: Which of `workers.geometry.range_image.CHANNELS` it sees, in which order.
+        residual: The past frames whose residuals follow these channels; None for none.
+        classes: Meaning of each output.
+        digest: Hex digest of everything that changes its answers.
+    """
+
+    @property
+    def profile(self) -> SensorProfile:
+        """Layout and normalisation of the image."""
+        ...
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Which of the measurements it sees, in which order."""
+        ...
+
+    @property
+    def residual(self) -> ResidualSettings | None:
+        """The past frames it sees."""
+        ...
+
+    @property
+    def classes(self) -> tuple[ClassMeaning, ...]:
+        """Meaning of each output."""
+        ...
+
+    @property
+    def digest(self) -> str:
+        """Hex digest of everything that changes its answers."""
+        ...
+
+    def probabilities(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Map an image (C, H, W) to the probabilities of its classes (K, H, W)."""
+        ...
+
+
+def run_eagerly(net: torch.nn.Module, image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Run a torch network over one image: (C, H, W) in, (K, H, W) out."""
+    x = torch.from_numpy(image)[None].contiguous(memory_format=torch.channels_last)
+    with torch.inference_mode():
+        answer: NDArray[np.float32] = net(x)[0].contiguous().numpy()
+    return answer
