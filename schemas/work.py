@@ -48,8 +48,14 @@ class MiningSettings(BaseModel):
     grid: Grid = Field(default_factory=Grid, description="Scene and shard lengths, warm-up.")
     supervised: str = Field(
         default="salsanext-lmnet",
-        description="Supervised stream, by name: salsanext-lmnet, or recorded (what the model on "
-        "the car said).",
+        description="Supervised stream, by name: salsanext-lmnet, recorded (what the model on the "
+        "car said), or own (your model).",
+    )
+    model: str = Field(
+        default="",
+        description="Your own model: the adapter's TOML file for `own`, or a folder of imported "
+        "weights for salsanext-lmnet. Every worker reads it there; what is in it counts, not where "
+        "it lies.",
     )
     selfsupervised: str = Field(
         default="registration",

@@ -24,7 +24,7 @@ from service.settings_text import allowed, impossible
 DEFAULT_STATE = Path("counterpoint-state")
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 
-NOT_IN_VERSION: Final = frozenset({"bucket", "artifacts"})
+NOT_IN_VERSION: Final = frozenset({"bucket", "artifacts", "model"})
 """Of the settings that workers share, those that no pipeline version depends on."""
 
 
@@ -139,7 +139,8 @@ class Settings(MiningSettings):
         """Return what every worker must do alike."""
         shared = {name: getattr(self, name) for name in MiningSettings.model_fields}
         artifacts = self.artifacts or (self.state.resolve() / "artifacts").as_uri()
-        return MiningSettings(**shared | {"artifacts": artifacts})
+        model = str(Path(self.model).resolve()) if self.model else ""
+        return MiningSettings(**shared | {"artifacts": artifacts, "model": model})
 
 
 def cache_folder() -> Path:

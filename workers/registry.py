@@ -7,6 +7,7 @@ answer per frame, in order.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final, Protocol, TypeVar
 
 from schemas.frame import LidarFrame, PosedFrame
@@ -60,15 +61,25 @@ def _kiss_icp() -> Odometry:
     return KissOdometry()
 
 
-def _salsanext_lmnet() -> Stream:
+def _salsanext_lmnet(model: str) -> Stream:
     from workers.supervised.stream import RangeImageStream
 
-    return RangeImageStream.shipped()
+    return RangeImageStream.salsanext_lmnet(Path(model)) if model else RangeImageStream.shipped()
 
 
-def _recorded() -> Stream:
+def _own(model: str) -> Stream:
+    from workers.supervised.own_model import open_own_model
+
+    if not model:
+        raise UnknownPartError("supervised stream 'own' needs the setting model: an adapter.toml")
+    return open_own_model(Path(model))
+
+
+def _recorded(model: str) -> Stream:
     from workers.supervised.recorded import Recorded
 
+    if model:
+        raise UnknownPartError(f"recorded labels come from the log: no model is used ({model})")
     return Recorded()
 
 
@@ -85,35 +96,42 @@ def _two_stage() -> Stream:
 
 
 ODOMETRIES: Final[Mapping[str, Callable[[], Odometry]]] = {"kiss-icp": _kiss_icp}
-SUPERVISED: Final[Mapping[str, Callable[[], Stream]]] = {
+SUPERVISED: Final[Mapping[str, Callable[[str], Stream]]] = {
     "salsanext-lmnet": _salsanext_lmnet,
     "recorded": _recorded,
+    "own": _own,
 }
 SELFSUPERVISED: Final[Mapping[str, Callable[[], Stream]]] = {
     "registration": _registration,
     "two-stage": _two_stage,
 }
 
-Part = TypeVar("Part")
+Maker = TypeVar("Maker")
 
 
-def _build(what: str, name: str, table: Mapping[str, Callable[[], Part]]) -> Part:
+def _named(what: str, name: str, table: Mapping[str, Maker]) -> Maker:
     try:
-        build = table[name]
+        return table[name]
     except KeyError:
         known = ", ".join(sorted(table))
         raise UnknownPartError(f"no {what} {name!r}; known: {known}") from None
-    return build()
 
 
-def build_parts(*, odometry: str, supervised: str, selfsupervised: str) -> Parts:
+def build_parts(*, odometry: str, supervised: str, selfsupervised: str, model: str = "") -> Parts:
     """Build the parts of these names.
+
+    Args:
+        odometry: One of `ODOMETRIES`.
+        supervised: One of `SUPERVISED`.
+        selfsupervised: One of `SELFSUPERVISED`.
+        model: Where the supervised stream's model lies; empty: what ships, or none.
 
     Raises:
         UnknownPartError: If one does not exist; the message lists those that do.
+        PermanentError: If its model cannot be used.
     """
     return Parts(
-        odometry=_build("odometry", odometry, ODOMETRIES),
-        supervised=_build("supervised stream", supervised, SUPERVISED),
-        selfsupervised=_build("self-supervised stream", selfsupervised, SELFSUPERVISED),
+        odometry=_named("odometry", odometry, ODOMETRIES)(),
+        supervised=_named("supervised stream", supervised, SUPERVISED)(model),
+        selfsupervised=_named("self-supervised stream", selfsupervised, SELFSUPERVISED)(),
     )

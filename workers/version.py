@@ -9,8 +9,8 @@ from schemas.work import MiningSettings
 from workers.contradiction.version import contradiction_version
 from workers.registry import Parts, build_parts
 
-NOT_IN_VERSION: Final = frozenset({"bucket", "artifacts"})
-"""Where logs lie and overlays go changes no record; every other setting may."""
+NOT_IN_VERSION: Final = frozenset({"bucket", "artifacts", "model"})
+"""Where logs and models lie and overlays go changes no record; every other setting may."""
 
 
 def pipeline_version(settings: MiningSettings, parts: Parts) -> str:
@@ -44,6 +44,7 @@ def parts_of(settings: MiningSettings) -> Parts:
         odometry=settings.odometry,
         supervised=settings.supervised,
         selfsupervised=settings.selfsupervised,
+        model=settings.model,
     )
 
 

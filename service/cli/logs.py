@@ -12,6 +12,7 @@ from schemas.work import Recording
 from service.cli.options import (
     Config,
     Json,
+    Model,
     SelfSupervised,
     ShardSeconds,
     Supervised,
@@ -67,6 +68,7 @@ def score(
     bucket: BucketRoot = None,
     shard_seconds: ShardSeconds = None,
     supervised: Supervised = None,
+    model: Model = None,
     selfsupervised: SelfSupervised = None,
     config: Config = None,
 ) -> None:
@@ -78,6 +80,7 @@ def score(
         bucket=bucket,
         shard_seconds=shard_seconds,
         supervised=supervised,
+        model=model,
         selfsupervised=selfsupervised,
     )
     store, recording = locate(url, root_url=settings.bucket)

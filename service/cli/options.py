@@ -36,7 +36,11 @@ Connect = Annotated[
 ]
 Supervised = Annotated[
     str | None,
-    typer.Option("--supervised", help="Supervised stream: salsanext-lmnet or recorded."),
+    typer.Option("--supervised", help="Supervised stream: salsanext-lmnet, recorded or own."),
+]
+Model = Annotated[
+    str | None,
+    typer.Option("--model", help="Your own model: its adapter.toml; or a folder of weights."),
 ]
 SelfSupervised = Annotated[
     str | None,

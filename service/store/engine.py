@@ -24,6 +24,9 @@ DATABASE_NAME: Final = "counterpoint.sqlite"
 BUSY_TIMEOUT_MS: Final = 10_000
 """A reader of another process may hold up a checkpoint for this long before a writer gives up."""
 
+CACHE_KIB: Final = 512
+"""Pages that each connection keeps; fifteen may be open, and the kernel keeps the file as well."""
+
 _READS: Final = "counterpoint_reads"
 
 
@@ -209,6 +212,7 @@ def _sqlite(path: Path, *, read_only: bool = False) -> Store:
         try:
             connection.execute(f"PRAGMA busy_timeout={BUSY_TIMEOUT_MS}")
             connection.execute("PRAGMA foreign_keys=ON")
+            connection.execute(f"PRAGMA cache_size=-{CACHE_KIB}")
             if not read_only:
                 connection.execute("PRAGMA journal_mode=WAL")
                 connection.execute("PRAGMA synchronous=FULL")

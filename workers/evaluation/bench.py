@@ -109,6 +109,7 @@ def _whole_path(
         odometry=settings.odometry,
         supervised=settings.supervised,
         selfsupervised=settings.selfsupervised,
+        model=settings.model,
     )
     account = Account()
     instants: list[float] = []

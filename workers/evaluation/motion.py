@@ -98,6 +98,7 @@ def evaluate_motion(
         odometry=settings.odometry,
         supervised=settings.supervised,
         selfsupervised=settings.selfsupervised,
+        model=settings.model,
     )
     streams: tuple[StreamName, ...] = ("selfsupervised", "supervised") if both else (chosen,)
     judged = [_clipped(frames, len(found)) for _, found in known]

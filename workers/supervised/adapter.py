@@ -1,0 +1,106 @@
+"""The adapter of your own model: a small TOML file that says what its networks take and give.
+
+It lies beside the exported networks that it names; `deploy/OWN_MODEL.md` explains each entry.
+"""
+
+import tomllib
+from pathlib import Path
+from typing import Final, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from workers.geometry.range_image import CHANNELS, SensorProfile
+from workers.supervised.classes import ClassMeaning
+from workers.supervised.residual_image import ResidualSettings
+from workers.supervised.weights import WeightsUnusableError
+
+_STRICT: Final = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+Channel = Literal["range", "x", "y", "z", "intensity"]
+
+
+class NetworkEntry(BaseModel):
+    """One exported network."""
+
+    model_config = _STRICT
+
+    file: str = Field(min_length=1, description="Beside the adapter: .onnx, .pt or .pt2.")
+    input: Literal["range-image", "points"] = Field(
+        default="range-image",
+        description="What it is given: (1, C, H, W), normalised, or (1, N, C) of the valid points "
+        "in metres.",
+    )
+    channels: tuple[Channel, ...] = Field(
+        default=CHANNELS, min_length=1, description="What it sees, in this order."
+    )
+    output: str = Field(default="", description="Name of the output, where there are several.")
+    answer: Literal["logits", "probabilities", "labels"] = Field(
+        default="logits",
+        description="What it gives: (1, K, H, W) scores or (1, H, W) class numbers; of points "
+        "(1, N, K) or (1, N).",
+    )
+    classes: tuple[ClassMeaning, ...] = Field(
+        min_length=1, max_length=254, description="In the order of outputs."
+    )
+    residual: ResidualSettings | None = Field(
+        default=None, description="Past frames whose residual images follow the channels."
+    )
+
+    @model_validator(mode="after")
+    def _is_possible(self) -> Self:
+        if all(meaning.ignored for meaning in self.classes):
+            raise ValueError("every class is ignored")
+        if self.residual is not None and self.input == "points":
+            raise ValueError("residual images belong to range images, not to points")
+        return self
+
+
+class Adapter(BaseModel):
+    """What a model of one's own is."""
+
+    model_config = _STRICT
+
+    name: str = Field(pattern=r"^[A-Za-z0-9._-]+$", description="What the stream's version says.")
+    profile: SensorProfile | None = Field(
+        default=None, description="Layout and normalisation of the range image."
+    )
+    semantic: NetworkEntry | None = Field(default=None, description="Says what each point is.")
+    motion: NetworkEntry | None = Field(default=None, description="Says what moves.")
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        entries = [entry for entry in (self.semantic, self.motion) if entry is not None]
+        if not entries:
+            raise ValueError("name a network under [semantic], [motion] or both")
+        if len({entry.input for entry in entries}) > 1:
+            raise ValueError("both networks take range images, or both take points")
+        if entries[0].input == "range-image" and self.profile is None:
+            raise ValueError("networks over range images need a [profile]")
+        return self
+
+    @property
+    def image(self) -> SensorProfile | None:
+        """Layout of the range image that the networks take; None if they take points."""
+        entry = self.semantic or self.motion
+        return self.profile if entry is not None and entry.input == "range-image" else None
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read an adapter.
+
+        Raises:
+            WeightsUnusableError: If it cannot be read or says something impossible; the message
+                names file and entry.
+        """
+        try:
+            return cls.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+        except OSError as error:
+            raise WeightsUnusableError(
+                f"cannot read the adapter of your own model: {error.strerror} ({path})"
+            ) from error
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise WeightsUnusableError(f"the adapter is no TOML: {error} ({path})") from error
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(map(str, first["loc"])) or "the adapter"
+            raise WeightsUnusableError(f"{where}: {first['msg']} ({path})") from error

@@ -1,0 +1,129 @@
+"""Your own model as the supervised stream: exported networks, and what their adapter says."""
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.geometry.range_image import SensorProfile
+from workers.supervised.adapter import Adapter, NetworkEntry
+from workers.supervised.classes import ClassMeaning
+from workers.supervised.point_stream import PointStream
+from workers.supervised.residual_image import ResidualSettings
+from workers.supervised.runtimes import open_network
+from workers.supervised.stream import RangeImageStream
+from workers.supervised.weights import WeightsUnusableError
+
+
+class OwnNetwork:
+    """An exported network with its meaning.
+
+    Args:
+        entry: What the adapter says of it.
+        folder: Where the adapter lies.
+        profile: Layout of the range image; None for a network over points.
+
+    Raises:
+        WeightsUnusableError: If it cannot be opened, or answers in another shape than it says.
+    """
+
+    def __init__(self, entry: NetworkEntry, folder: Path, profile: SensorProfile | None) -> None:
+        self._entry, self._profile = entry, profile
+        self._path = folder / entry.file
+        self._run = open_network(self._path, output=entry.output)
+        said = self._path.read_bytes() + entry.model_dump_json().encode()
+        self.digest = hashlib.sha256(said + repr(profile).encode()).hexdigest()
+        count = len(entry.channels) + (len(entry.residual.ages_s) if entry.residual else 0)
+        trial = (17, count) if profile is None else (count, profile.rows, profile.columns)
+        self.probabilities(np.zeros(trial, dtype=np.float32))
+
+    @property
+    def profile(self) -> SensorProfile:
+        """Layout and normalisation of the range image."""
+        if self._profile is None:
+            raise WeightsUnusableError(f"a network over points has no range image ({self._path})")
+        return self._profile
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """What it sees, in this order."""
+        return self._entry.channels
+
+    @property
+    def residual(self) -> ResidualSettings | None:
+        """The past frames it sees."""
+        return self._entry.residual
+
+    @property
+    def classes(self) -> tuple[ClassMeaning, ...]:
+        """Meaning of each output."""
+        return self._entry.classes
+
+    def probabilities(self, array: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Ask the network.
+
+        Args:
+            array: (C, H, W) image, or (N, C) points.
+
+        Returns:
+            (K, H, W), or (K, N): probabilities of the classes; certain where it gives class
+            numbers.
+
+        Raises:
+            WeightsUnusableError: If it fails, or answers otherwise than its adapter says.
+        """
+        answer = self._run(array[None])
+        classes, places = len(self._entry.classes), array.shape[1:]
+        is_image = self._profile is not None
+        if not is_image:
+            places = array.shape[:1]
+        if self._entry.answer == "labels":
+            expected: tuple[int, ...] = (1, *places)
+        else:
+            expected = (1, classes, *places) if is_image else (1, *places, classes)
+        if answer.shape != expected:
+            raise WeightsUnusableError(
+                f"the network gives {answer.shape}; {self._entry.answer} of {classes} classes are "
+                f"{expected}: see answer and classes of the adapter ({self._path})"
+            )
+        if self._entry.answer == "labels":
+            return self._certain(answer[0])
+        scores = answer[0].astype(np.float32)
+        if not np.isfinite(scores).all():
+            raise WeightsUnusableError(f"the network gives NaN or infinite scores ({self._path})")
+        scores = scores if is_image else np.ascontiguousarray(scores.T)
+        return _softmax(scores) if self._entry.answer == "logits" else scores
+
+    def _certain(self, numbers: NDArray[Any]) -> NDArray[np.float32]:
+        classes = len(self._entry.classes)
+        if numbers.size and not (numbers.min() >= 0 and numbers.max() < classes):
+            raise WeightsUnusableError(
+                f"the network gives class {numbers.max()}, its adapter names {classes} "
+                f"({self._path})"
+            )
+        return np.stack([(numbers == number).astype(np.float32) for number in range(classes)])
+
+
+def _softmax(scores: NDArray[np.float32]) -> NDArray[np.float32]:
+    raised = np.exp(scores - scores.max(axis=0, keepdims=True))
+    shares: NDArray[np.float32] = raised / raised.sum(axis=0, keepdims=True)
+    return shares
+
+
+def open_own_model(path: Path) -> RangeImageStream | PointStream:
+    """Open the model that an adapter describes.
+
+    Raises:
+        WeightsUnusableError: If the adapter says something impossible, or a network is not what it
+            says.
+    """
+    adapter = Adapter.read(path)
+    semantic, motion = (
+        None if entry is None else OwnNetwork(entry, path.parent, adapter.image)
+        for entry in (adapter.semantic, adapter.motion)
+    )
+    if adapter.image is None:
+        return PointStream(semantic, motion, name=adapter.name)
+    return RangeImageStream(semantic, motion, name=adapter.name)

@@ -1,0 +1,109 @@
+"""Networks over bare points as the supervised stream: no image, no way back to be found."""
+
+import hashlib
+from collections.abc import Iterable, Iterator
+from typing import Final, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from schemas.frame import LidarFrame, PosedFrame
+from schemas.labels import FrameLabels
+from workers.supervised.classes import ClassMeaning, ClassSet
+from workers.supervised.fusion import Fusion
+
+_REVISION: Final = "1"
+"""Rises when the same networks give other answers."""
+
+
+class PointNetwork(Protocol):
+    """A network over points."""
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Which of range, x, y, z (metres, sensor space) and intensity it sees, in which order."""
+        ...
+
+    @property
+    def classes(self) -> tuple[ClassMeaning, ...]:
+        """Meaning of each output."""
+        ...
+
+    @property
+    def digest(self) -> str:
+        """Hex digest of everything that changes its answers."""
+        ...
+
+    def probabilities(self, array: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Map points (N, C) to the probabilities of their classes (K, N)."""
+        ...
+
+
+class PointStream:
+    """Networks over the valid points of each frame; the others are UNKNOWN.
+
+    Args:
+        semantic: Says of each point what it is; None if only motion is known.
+        motion: Says of each point whether it moves; None if the classes of the other say so.
+        name: What versions call the stream.
+    """
+
+    def __init__(
+        self, semantic: PointNetwork | None, motion: PointNetwork | None, *, name: str
+    ) -> None:
+        self._networks = [network for network in (semantic, motion) if network is not None]
+        self._classes = [ClassSet(network.classes) for network in self._networks]
+        self._name = name
+        self._fusion = Fusion(
+            kinds=None if semantic is None else self._classes[0],
+            motions=None if motion is None else self._classes[-1],
+        )
+
+    @property
+    def version(self) -> str:
+        """`name@digest` of code revision and networks."""
+        parts = " ".join((_REVISION, *(network.digest for network in self._networks)))
+        return f"{self._name}@{hashlib.sha256(parts.encode()).hexdigest()[:12]}"
+
+    @property
+    def class_names(self) -> tuple[str, ...]:
+        """Names that `FrameLabels.class_id` indexes; none where only motion is known."""
+        kinds = self._fusion.kinds
+        return () if kinds is None else tuple(meaning.name for meaning in kinds.classes)
+
+    def __call__(self, frames: Iterable[PosedFrame]) -> Iterator[FrameLabels]:
+        """Yield the labels of each frame, in order."""
+        torch.set_num_threads(1)  # a worker owns one core, and sums keep their order
+        for posed in frames:
+            yield self._label(posed.frame)
+
+    def _label(self, frame: LidarFrame) -> FrameLabels:
+        valid = np.flatnonzero(frame.valid_mask)
+        measured = _measured(frame, valid)
+        answers, points = [], []
+        for network, classes in zip(self._networks, self._classes, strict=True):
+            columns = [measured[channel] for channel in network.channels]
+            answer = network.probabilities(np.stack(columns, axis=1)) if len(valid) else None
+            whole = np.zeros((len(network.classes), len(frame)), dtype=np.float32)
+            codes = np.zeros(len(frame), dtype=np.uint8)
+            if answer is not None:
+                whole[:, valid], codes[valid] = answer, classes.best(answer)
+            answers.append(whole)
+            points.append(classes.class_of(codes))
+        fusion = self._fusion
+        semantic = answers[0] if fusion.kinds is not None else None
+        motion = answers[-1] if fusion.motions is not None else None
+        return fusion.labels(
+            judged_mask=frame.valid_mask,
+            kind=points[0] if semantic is not None else None,
+            motion=points[-1] if motion is not None else None,
+            dynamic_share=fusion.dynamic_share(semantic, motion),
+        )
+
+
+def _measured(frame: LidarFrame, valid: NDArray[np.intp]) -> dict[str, NDArray[np.float32]]:
+    points_m = frame.points_m[valid]
+    x, y, z = points_m.T
+    range_m = np.sqrt(x * x + y * y + z * z)
+    return {"range": range_m, "x": x, "y": y, "z": z, "intensity": frame.intensity[valid]}
