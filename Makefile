@@ -25,6 +25,9 @@ test: check                ## The checks, then unit, contract and architecture t
 integration: .venv/.installed  ## Real processes and servers, killed and restarted; a bucket's day
 	$(BIN)/pytest -q -m integration
 
+golden: .venv/.installed   ## Compare every part with reference outputs: make golden DIR=../shared/golden
+	$(BIN)/python -m tests.golden $(DIR)
+
 fix: .venv/.installed      ## Format, and repair what can be repaired safely
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
@@ -35,4 +38,4 @@ demo: .venv/.installed     ## Simulated street logs, the whole system, a ranked 
 bench: .venv/.installed    ## Where the time goes, beside floors measured in the same run
 	$(BIN)/counterpoint bench pipeline
 
-.PHONY: help install check test integration fix demo bench
+.PHONY: help install check test integration golden fix demo bench

@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -7,7 +5,6 @@ from schemas.labels import MotionLabel
 from workers.supervised.fusion import confidence_of, fuse
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
-KITTI360_MOVABLE = (24, 25, 26, 27, 28, 29, 30, 31, 32, 33, 43)
 
 
 @pytest.mark.parametrize(
@@ -45,21 +42,3 @@ def test_confidence_is_that_of_the_label_given() -> None:
 def test_confidence_stays_within_zero_and_one() -> None:
     labels = np.array([DYNAMIC, STATIC], dtype=np.uint8)
     assert confidence_of(labels, np.array([1.001, 1.001], dtype=np.float32)).tolist() == [1.0, 0.0]
-
-
-@pytest.mark.reference
-@pytest.mark.parametrize("case", ["arrays", "kitti360_000000"])
-def test_points_are_dynamic_where_the_published_code_says_so(reference: Path, case: str) -> None:
-    golden = np.load(reference / "golden" / "fusion" / f"{case}.npz")
-    prefix = "kitti360_" if case == "arrays" else ""
-    semantic, motion, fused = (
-        golden[next(key for key in golden if key.startswith(prefix) and key.endswith(name))]
-        for name in ("semantic", "motion", "fused")
-    )
-    labels = fuse(
-        judged_mask=np.ones(len(semantic), dtype=np.bool_),
-        movable_mask=np.isin(semantic, KITTI360_MOVABLE),
-        moving_mask=motion == 2,
-    )
-    np.testing.assert_array_equal(labels == DYNAMIC, fused >= 200)
-    assert (labels == DYNAMIC).any()

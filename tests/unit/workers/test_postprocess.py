@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -92,22 +90,3 @@ def test_an_empty_frame_has_no_voters() -> None:
     image = project(np.zeros((0, 3), dtype=np.float32), PROFILE)
     voters = find_voters(image, [np.zeros((8, 64), dtype=np.uint8)], KnnSettings())
     assert len(voters.vote(np.zeros((8, 64), dtype=np.uint8))) == 0
-
-
-@pytest.mark.reference
-@pytest.mark.parametrize("classes", [3, 20])
-def test_real_points_get_the_classes_that_the_published_code_gives(
-    reference: Path, classes: int
-) -> None:
-    geometry = reference / "golden" / "geometry"
-    points = np.load(geometry / "range_projection_000000.npz")["points"]
-    golden = np.load(geometry / f"knn_{classes}classes_000000.npz")
-    profile = SensorProfile(
-        name="kitti", rows=64, columns=2048, fov_up_deg=3, fov_down_deg=-25, clamp=True
-    )
-    image = project(points[:, :3], profile)
-    found = find_voters(image, [golden["argmax_image"]], KnnSettings(wrap=False)).vote(
-        golden["argmax_image"]
-    )
-    # Where nobody votes the published code answers class 1; here that is no class.
-    np.testing.assert_array_equal(np.where(found == 0, 1, found), golden["knn_labels"])

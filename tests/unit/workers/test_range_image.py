@@ -1,5 +1,4 @@
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -126,26 +125,3 @@ def test_channels_are_normalised_and_empty_pixels_are_zero() -> None:
 def test_a_profile_that_no_image_can_have_is_refused(change: dict[str, object]) -> None:
     with pytest.raises(ValueError, match="profile 'even'"):
         replace(EVEN, **change)  # type: ignore[arg-type]
-
-
-@pytest.mark.reference
-@pytest.mark.parametrize("number", [0, 1, 2])
-def test_real_frames_are_projected_as_the_published_code_does(reference: Path, number: int) -> None:
-    golden = np.load(reference / "golden" / "geometry" / f"range_projection_{number:06d}.npz")
-    image = project(golden["points"][:, :3], KITTI360)
-    differs = image.index != golden["proj_idx"]
-    for row, column in golden["ambiguous_pixels_row_col"]:
-        differs[row, column] = False
-    assert differs.sum() <= 4  # the last bit of arctan2 and arcsin depends on the processor
-    assert_allclose(image.range_m[~differs], golden["proj_range"][~differs], rtol=1e-6)
-
-
-@pytest.mark.reference
-def test_real_channels_are_normalised_as_the_published_loader_does(reference: Path) -> None:
-    golden = np.load(reference / "golden" / "geometry" / "range_projection_000000.npz")
-    points = golden["points"]
-    image = project(points[:, :3], KITTI360)
-    channels = image_channels(image, points[:, :3], points[:, 3], KITTI360)
-    same = (image.index == golden["proj_idx"]) & (image.index != 0)  # there, index 0 is not seen
-    assert same.mean() > 0.999
-    assert_allclose(channels[:, same], golden["network_input"][:, same], atol=1e-5)

@@ -1,8 +1,3 @@
-import importlib.util
-from pathlib import Path
-from types import ModuleType
-
-import numpy as np
 import pytest
 import torch
 
@@ -48,32 +43,3 @@ def test_a_gradient_reaches_every_parameter() -> None:
 def test_a_width_that_pixel_shuffling_cannot_split_is_refused(width: int) -> None:
     with pytest.raises(ValueError, match="multiple of 4"):
         SalsaNext(width=width)
-
-
-def _recipe(golden: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location("fill_parameters", golden / "fill_parameters.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-@pytest.mark.reference
-@pytest.mark.parametrize("case", ["batch2_32x64", "random_64x256", "real_64x512"])
-@pytest.mark.parametrize("name", ["salsanext", "lmnet"])
-def test_the_networks_answer_as_the_published_ones_do(
-    reference: Path, name: str, case: str
-) -> None:
-    networks = reference / "golden" / "networks"
-    net = SalsaNext() if name == "salsanext" else LMNet(residuals=8)
-    filled = _recipe(reference / "golden").fill(networks / f"{name}_parameters.json")
-    assert list(filled) == list(net.state_dict())
-    net.load_state_dict({key: torch.from_numpy(value) for key, value in filled.items()})
-    golden = np.load(networks / f"{name}_{case}.npz")
-    with torch.inference_mode():
-        shares = net.eval()(torch.from_numpy(golden["input"])).numpy()
-    np.testing.assert_allclose(shares, golden["softmax"], atol=1e-5)
-    second, first = np.sort(shares, axis=1)[:, -2:].swapaxes(0, 1)
-    clear = first - second > 1e-5
-    assert (shares.argmax(axis=1)[clear] == golden["argmax"][clear]).all()

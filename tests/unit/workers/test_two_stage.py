@@ -1,7 +1,4 @@
-from pathlib import Path
-
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
@@ -121,17 +118,3 @@ def test_nothing_is_known_after_a_gap_or_without_a_pose() -> None:
 
 def test_versions_differ_with_the_rule() -> None:
     assert TwoStage().version != TwoStage(rule=PAPER).version
-
-
-@pytest.mark.reference
-@pytest.mark.parametrize("case", ["coherent_noise", "merged", "only_fast", "random_noise"])
-def test_both_stages_are_those_of_the_reference_outputs(reference: Path, case: str) -> None:
-    with np.load(reference / "golden" / "motion" / f"synthetic_{case}.npz") as golden:
-        kept = golden["kept_x_below_25"]
-        points = golden["points"][kept]
-        moved = (golden["points_plus_relative_flow"] - golden["points"])[kept]
-        found = two_stage(points, moved, dt_s=float(golden["dt_s"]), rule=PAPER)
-        np.testing.assert_array_equal(found.first_cluster, golden["stage1_cluster"])
-        np.testing.assert_array_equal(found.candidate, golden["stage1_potentially_dynamic"])
-        np.testing.assert_array_equal(found.second_cluster, golden["stage2_cluster"])
-        np.testing.assert_array_equal(found.dynamic, golden["motion_label"])

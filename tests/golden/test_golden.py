@@ -1,0 +1,88 @@
+"""Proves the project against the reference outputs, one test per file."""
+
+import os
+import subprocess
+import sys
+from fnmatch import fnmatch
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.golden.checks import LATER, check_file, check_of, files_in
+
+ROOT = Path(__file__).resolve().parents[2]
+GOLDEN = Path(os.environ.get("COUNTERPOINT_REFERENCE", ROOT.parent / "shared")) / "golden"
+NAMES = [name for name in files_in(GOLDEN) if not any(fnmatch(name, later) for later in LATER)]
+SMALL = "geometry/residual_images.npz"
+
+
+@pytest.mark.reference
+@pytest.mark.parametrize("name", NAMES or ["geometry/range_projection_000000.npz"])
+def test_outputs_are_those_of_the_published_code(reference: Path, name: str) -> None:
+    checked = check_file(reference / "golden", name)
+    assert checked.differences, checked.problem
+    assert [each for each in checked.differences if not each.holds] == []
+
+
+@pytest.mark.parametrize("name", LATER)
+def test_what_is_not_built_yet_has_no_check(name: str) -> None:
+    assert check_of(name.replace("*", "a.npz")) is None
+
+
+def _run(folder: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "tests.golden", str(folder)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=240,
+    )
+
+
+def _fusion(folder: Path, *, fused: int) -> None:
+    (folder / "fusion").mkdir(parents=True)
+    np.savez(
+        folder / "fusion" / "made_up.npz",
+        semantic=np.array([26, 26, 11], np.int16),
+        motion=np.array([2, 1, 2], np.int16),
+        fused=np.array([fused, 26, 11], np.int16),
+    )
+
+
+def test_a_folder_of_other_frames_is_compared_and_every_file_listed(tmp_path: Path) -> None:
+    _fusion(tmp_path, fused=202)
+    (tmp_path / "lidarcoda").mkdir()
+    np.savez(tmp_path / "lidarcoda" / "frustum.npz", points=np.zeros(3))
+    (tmp_path / "geometry").mkdir()
+    np.savez(tmp_path / SMALL, k1_frame1=np.zeros((64, 2048), np.float32))
+    ran = _run(tmp_path)
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    rows = {line.split()[1]: line.rstrip() for line in ran.stdout.splitlines() if ".npz" in line}
+    assert rows["made_up.npz"].endswith("holds")
+    assert rows["frustum.npz"].endswith("not checked")
+    assert "needs geometry/calibration.json" in rows["residual_images.npz"]
+    assert rows["residual_images.npz"].endswith("not checked")
+    assert "3 files: 1 hold, 0 fail, 2 not checked" in ran.stdout
+
+
+def test_one_wrong_point_fails(tmp_path: Path) -> None:
+    _fusion(tmp_path, fused=26)
+    ran = _run(tmp_path)
+    assert ran.returncode == 1
+    assert "FAILS" in ran.stdout
+
+
+def test_a_damaged_file_fails_and_the_others_are_still_compared(tmp_path: Path) -> None:
+    _fusion(tmp_path, fused=202)
+    whole = (tmp_path / "fusion" / "made_up.npz").read_bytes()
+    (tmp_path / "fusion" / "cut.npz").write_bytes(whole[: len(whole) // 2])
+    ran = _run(tmp_path)
+    assert ran.returncode == 1
+    assert "2 files: 1 hold, 1 fail, 0 not checked" in ran.stdout
+
+
+def test_a_folder_without_reference_outputs_is_refused(tmp_path: Path) -> None:
+    assert _run(tmp_path).returncode == 2
+    assert _run(tmp_path / "nowhere").returncode == 2
