@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
+from workers.geometry.form import Form
 
 CHANNELS: Final = ("range", "x", "y", "z", "intensity")
 """What a network sees in each pixel, in the published order (SalsaNext, LiDAR-MOS)."""
@@ -64,19 +65,21 @@ class SensorProfile:
         beams = np.radians(np.asarray(self.elevations_deg, dtype=np.float64))[::-1]
         return ((beams[1:] + beams[:-1]) / 2).astype(np.float32)
 
-    def row_of(self, elevation_rad: NDArray[np.float32]) -> NDArray[np.int32]:
-        """Row of each elevation; -1 outside the field of view unless the profile clamps."""
-        up = np.float32(np.radians(self.fov_up_deg))
-        down = np.float32(np.radians(self.fov_down_deg))
+    def row_of(
+        self, elevation_rad: NDArray[np.floating], *, clamp: bool = False
+    ) -> NDArray[np.int32]:
+        """Row of each elevation; -1 outside the field of view unless it or the profile clamps."""
+        number = elevation_rad.dtype.type
+        up, down = number(np.radians(self.fov_up_deg)), number(np.radians(self.fov_down_deg))
         row: NDArray[np.int32]
         if self.elevations_deg is None:
-            share = np.float32(1) - (elevation_rad - down) / (up - down)
-            row = np.floor(share * np.float32(self.rows)).astype(np.int32)
+            share = number(1) - (elevation_rad - down) / (up - down)
+            row = np.floor(share * number(self.rows)).astype(np.int32)
             row = np.clip(row, 0, self.rows - 1)
         else:
             below = np.searchsorted(self._row_edges_rad, elevation_rad)
             row = (self.rows - 1 - below).astype(np.int32)
-        if not self.clamp:
+        if not (clamp or self.clamp):
             row[(elevation_rad > up) | (elevation_rad < down)] = -1
         return row
 
@@ -91,6 +94,7 @@ class RangeImage:
         row: (N,) int32, row of each point; -1 where the point is not projected.
         column: (N,) int32, column of each point; -1 where the point is not projected.
         point_range_m: (N,) float32, distance of each point, metres; zero where invalid.
+        form: How it was projected.
     """
 
     index: NDArray[np.int32]
@@ -98,6 +102,12 @@ class RangeImage:
     row: NDArray[np.int32]
     column: NDArray[np.int32]
     point_range_m: NDArray[np.float32]
+    form: Form = Form.CORRECTED
+
+    @property
+    def seen_mask(self) -> Mask:
+        """(H, W) true where a network sees a point; in the paper's form the first is not seen."""
+        return self.index > 0 if self.form is Form.PAPER else self.index >= 0
 
     @property
     def projected_mask(self) -> Mask:
@@ -111,63 +121,72 @@ def project(
     *,
     valid_mask: Mask | None = None,
     gate_m: tuple[float, float] | None = None,
+    form: Form = Form.CORRECTED,
+    precision: type[np.float32] | type[np.float64] = np.float32,
 ) -> RangeImage:
     """Project points to a range image; of several in one pixel the nearest is seen.
 
-    Follows RangeNet++ and SalsaNext (columns by azimuth, clockwise from behind; rows by elevation,
-    top first; float32), with their faults corrected: the point with index 0 counts as seen, points
-    at the origin and invalid ones are left out, and of two equally near points the lower index
-    wins.
+    As RangeNet++ and SalsaNext do it: columns by azimuth, clockwise from behind; rows by elevation,
+    top first. The corrected form differs from the published code in this:
+
+    - the pixel of the point with index 0 counts as seen (published: as empty, `seen_mask`);
+    - points above and below the field of view stay out (published: in the first and last row);
+    - of two equally near points the lower index wins (published: either; so here in both forms);
+    - points at the origin and invalid ones stay out (published: the program ends; here in both).
 
     Args:
         points_m: (N, 3) sensor space, metres.
-        profile: The layout of the image.
+        profile: The layout of the image; one that clamps does so in both forms.
         valid_mask: (N,) points that may be projected; None for all.
         gate_m: Only points farther than the first and nearer than the second are projected.
+        form: Which of the two.
+        precision: Of the arithmetic. SalsaNext's loader has single, LMNet's double precision; the
+            two see about ten pixels of a frame differently.
 
     Returns:
         The image; points that are invalid or outside the field of view have row -1.
     """
-    points_m = points_m.astype(np.float32, copy=False)
-    x, y, z = points_m[:, 0], points_m[:, 1], points_m[:, 2]
+    points: NDArray[np.floating] = points_m.astype(precision, copy=False)
+    x, y, z = points[:, 0], points[:, 1], points[:, 2]
     range_m = np.sqrt(x * x + y * y + z * z)
     usable = np.isfinite(range_m) & (range_m > 0)
     if valid_mask is not None:
         usable &= valid_mask
     if gate_m is not None:
-        usable &= (range_m > np.float32(gate_m[0])) & (range_m < np.float32(gate_m[1]))
-    safe_range = np.where(usable, range_m, np.float32(1))
+        usable &= (range_m > precision(gate_m[0])) & (range_m < precision(gate_m[1]))
+    safe_range = np.where(usable, range_m, precision(1))
     azimuth = -np.arctan2(y, x)
-    share = np.float32(0.5) * (azimuth / np.float32(np.pi) + np.float32(1))
-    elevation = np.arcsin(np.clip(np.where(usable, z, np.float32(0)) / safe_range, -1, 1))
-    row = profile.row_of(elevation)
+    share = precision(0.5) * (azimuth / precision(np.pi) + precision(1))
+    elevation = np.arcsin(np.clip(np.where(usable, z, precision(0)) / safe_range, -1, 1))
+    row = profile.row_of(elevation, clamp=form is Form.PAPER)
     row[~usable] = -1
     seen = np.flatnonzero(row >= 0)
     column = np.full(len(row), -1, dtype=np.int32)
     column[seen] = np.clip(
-        np.floor(share[seen] * np.float32(profile.columns)), 0, profile.columns - 1
+        np.floor(share[seen] * precision(profile.columns)), 0, profile.columns - 1
     ).astype(np.int32)
     index, image = _nearest(
         seen, row[seen] * np.int32(profile.columns) + column[seen], range_m[seen], profile
     )
-    return RangeImage(index, image, row, column, np.where(usable, range_m, np.float32(0)))
+    own_range = np.where(usable, range_m, precision(0)).astype(np.float32)
+    return RangeImage(index, image, row, column, own_range, form)
 
 
 def _nearest(
     seen: NDArray[np.intp],
     pixel: NDArray[np.int32],
-    range_m: NDArray[np.float32],
+    range_m: NDArray[np.floating],
     profile: SensorProfile,
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Keep the nearest point of each pixel; of equally near ones the first."""
     shape = (profile.rows, profile.columns)
-    depth = np.full(profile.rows * profile.columns, np.inf, dtype=np.float32)
+    depth = np.full(profile.rows * profile.columns, np.inf, dtype=range_m.dtype)
     np.minimum.at(depth, pixel, range_m)
     nearest = range_m == depth[pixel]
     index = np.full(depth.shape, -1, dtype=np.int32)
     index[pixel[nearest][::-1]] = seen[nearest][::-1]  # the last write stays: the lowest index
     depth[index < 0] = -1
-    return index.reshape(shape), depth.reshape(shape)
+    return index.reshape(shape), depth.reshape(shape).astype(np.float32, copy=False)
 
 
 def image_channels(
@@ -184,7 +203,7 @@ def image_channels(
     Returns:
         (5, H, W) float32 in the order of `CHANNELS`; zero in empty pixels.
     """
-    filled = image.index >= 0
+    filled = image.seen_mask
     shown = image.index[filled]
     channels = np.zeros((len(CHANNELS), *image.index.shape), dtype=np.float32)
     values = (image.point_range_m[shown], *points_m[shown].T, intensity[shown])

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from schemas.arrays import Mask
+from workers.geometry.form import Form
 from workers.geometry.range_image import RangeImage
 
 
@@ -20,15 +21,22 @@ class KnnSettings:
         window: Side of the square that is searched, pixels, odd.
         sigma: Of the Gaussian that discounts near pixels, pixels.
         cutoff_m: Pixels farther than this in (discounted) range do not vote.
-        wrap: The first and last column are neighbours, as they are on the sensor; the published
-            code does not know.
+        form: CORRECTED differs from the published code in this: the first and last column are
+            neighbours, as they are on the sensor; beyond the image there is nothing (published:
+            returns at range 0, whose votes are lost, for what is nearer than the cutoff); who has
+            no voter has no class (published: class 1).
     """
 
     neighbours: int = 5
     window: int = 5
     sigma: float = 1.0
     cutoff_m: float = 1.0
-    wrap: bool = True
+    form: Form = Form.CORRECTED
+
+    @property
+    def wrap(self) -> bool:
+        """Whether the first column continues the last."""
+        return self.form is Form.CORRECTED
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,11 +47,17 @@ class Voters:
         own_pixel: (N,) flat pixel of each point, -1 where it is not projected.
         contested: (M,) points whose surroundings disagree; all others follow their own pixel.
         pixel: (M, k) flat pixels that vote for them, -1 where fewer are near enough.
+        form: What becomes of points without a vote.
     """
 
     own_pixel: NDArray[np.int32]
     contested: NDArray[np.intp]
     pixel: NDArray[np.int32]
+    form: Form = Form.CORRECTED
+
+    def look_up(self, class_image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Give each point the class of its own pixel, as without this step; 0 where it has none."""
+        return np.where(self.own_pixel >= 0, class_image.ravel()[self.own_pixel], np.uint8(0))
 
     def vote(self, class_image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Give each point the commonest class of its voters, the lowest id on a tie.
@@ -53,10 +67,10 @@ class Voters:
                 `find_voters`.
 
         Returns:
-            (N,) class of each point; 0 where it is not projected or nobody votes.
+            (N,) class of each point; 0 where it is not projected, or (corrected) nobody votes.
         """
         flat = class_image.ravel()
-        labels = np.where(self.own_pixel >= 0, flat[self.own_pixel], np.uint8(0))
+        labels = self.look_up(class_image)
         if len(self.contested):
             ballots = np.where(self.pixel >= 0, flat[self.pixel], np.uint8(0)).astype(np.intp)
             classes = int(flat.max()) + 1
@@ -64,7 +78,10 @@ class Voters:
             counts = np.bincount((ballots + offset).ravel(), minlength=ballots.shape[0] * classes)
             counts = counts.reshape(-1, classes)
             counts[:, 0] = 0
-            labels[self.contested] = counts.argmax(axis=1)
+            winners = counts.argmax(axis=1)
+            if self.form is Form.PAPER:
+                winners[winners == 0] = 1
+            labels[self.contested] = winners
         return labels
 
     def average(self, value_image: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -108,7 +125,7 @@ def find_voters(
     for class_image in class_images:
         mixed |= _mixed(class_image, image.index >= 0, settings)
     contested = np.flatnonzero((own_pixel >= 0) & mixed.ravel()[own_pixel])
-    return Voters(own_pixel, contested, _nearest(image, contested, settings))
+    return Voters(own_pixel, contested, _nearest(image, contested, settings), settings.form)
 
 
 def _mixed(class_image: NDArray[np.uint8], seen: Mask, settings: KnnSettings) -> Mask:
@@ -130,7 +147,7 @@ def _nearest(
     ranges = np.where(image.index >= 0, image.range_m, np.float32(np.inf))
     flat = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
     ranges, flat = (
-        _pad(ranges, reach, np.inf, wrap=settings.wrap),
+        _pad(ranges, reach, 0 if settings.form is Form.PAPER else np.inf, wrap=settings.wrap),
         _pad(flat, reach, -1, wrap=settings.wrap),
     )
     steps = np.arange(-reach, reach + 1)

@@ -34,7 +34,7 @@ def residual_image(
     """Compare the current ranges with those that a past frame predicts.
 
     LiDAR-MOS: ``|range - past range| / range`` where both lie inside the range gate, zero
-    elsewhere.
+    elsewhere. The past frame is projected in the form that the current one was.
 
     Args:
         image: Projection of the current frame.
@@ -46,11 +46,28 @@ def residual_image(
         (H, W) float32, share of the current range; zero where nothing can be compared.
     """
     low, high = np.float32(settings.min_range_m), np.float32(settings.max_range_m)
-    past = project(past_points_m, profile, gate_m=(settings.min_range_m, settings.max_range_m))
+    gate_m = (settings.min_range_m, settings.max_range_m)
+    past = project(past_points_m, profile, gate_m=gate_m, form=image.form)
     current = image.range_m
     both = (current > low) & (current < high) & (past.range_m > 0)
     safe = np.where(both, current, np.float32(1))
     return np.where(both, np.abs(current - past.range_m) / safe, np.float32(0))
+
+
+def with_residuals(
+    image: RangeImage, channels: NDArray[np.float32], residuals: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Lay LMNet's input out: the channels of the frame, then its residuals where it is seen.
+
+    Args:
+        image: Projection of the frame.
+        channels: (5, H, W) as `image_channels` gives them.
+        residuals: (K, H, W) one residual image per age; they are not normalised.
+
+    Returns:
+        (5 + K, H, W) float32.
+    """
+    return np.concatenate((channels, residuals * image.seen_mask))
 
 
 class ResidualHistory:

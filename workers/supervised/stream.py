@@ -17,7 +17,7 @@ from workers.supervised.classes import ClassSet
 from workers.supervised.fusion import Fusion
 from workers.supervised.networks import RangeImageNetwork
 from workers.supervised.postprocess import KnnSettings, find_voters
-from workers.supervised.residual_image import ResidualHistory
+from workers.supervised.residual_image import ResidualHistory, with_residuals
 from workers.supervised.weights import WeightsUnusableError, load_weights
 
 SHIPPED: Final = Path(__file__).parent / "weights"
@@ -138,7 +138,7 @@ class RangeImageStream:
                 residuals, ages = past.residuals(
                     image, stamp_ns=frame.stamp_ns, odom_from_sensor=posed.odom_from_sensor
                 )
-                channels = np.concatenate((channels, residuals))
+                channels = with_residuals(image, channels, residuals)
                 visible = image.index[image.index >= 0]
                 past.push(
                     frame.points_m[visible],

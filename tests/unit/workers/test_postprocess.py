@@ -3,6 +3,7 @@ import pytest
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
+from workers.geometry.form import Form
 from workers.geometry.range_image import RangeImage, SensorProfile, project
 from workers.supervised.postprocess import KnnSettings, find_voters
 
@@ -61,15 +62,15 @@ def test_leaving_out_uniform_surroundings_changes_no_answer() -> None:
     np.testing.assert_array_equal(lean.vote(classes), full.vote(classes))
 
 
-@pytest.mark.parametrize(("wrap", "expected"), [(True, CAR), (False, HOUSE)])
-def test_the_first_column_continues_the_last(wrap: bool, expected: int) -> None:
+@pytest.mark.parametrize(("form", "expected"), [(Form.CORRECTED, CAR), (Form.PAPER, HOUSE)])
+def test_the_first_column_continues_the_last(form: Form, expected: int) -> None:
     """A point behind the sensor, its pixel hidden by a house, its fellows beyond the seam."""
     beyond_the_seam = [_pixel(row, column, 20) for row in range(2, 7) for column in (62, 63)]
     points = np.array([_pixel(4, 0, 20), _pixel(4, 0, 5), *beyond_the_seam], dtype=np.float32)
     truth = np.array([CAR, HOUSE] + [CAR] * len(beyond_the_seam), dtype=np.uint8)
     image = project(points, PROFILE)
     classes = _seen(image, truth)
-    voters = find_voters(image, [classes, np.full_like(classes, 3)], KnnSettings(wrap=wrap))
+    voters = find_voters(image, [classes, np.full_like(classes, 3)], KnnSettings(form=form))
     assert voters.vote(classes)[0] == expected
 
 
@@ -90,3 +91,28 @@ def test_an_empty_frame_has_no_voters() -> None:
     image = project(np.zeros((0, 3), dtype=np.float32), PROFILE)
     voters = find_voters(image, [np.zeros((8, 64), dtype=np.uint8)], KnnSettings())
     assert len(voters.vote(np.zeros((8, 64), dtype=np.uint8))) == 0
+
+
+@pytest.mark.parametrize(("form", "expected"), [(Form.CORRECTED, 0), (Form.PAPER, 1)])
+def test_who_has_no_voter_has_no_class_and_as_published_the_first(
+    form: Form, expected: int
+) -> None:
+    image = project(np.array([_pixel(4, 20, 20)], dtype=np.float32), PROFILE)
+    nothing = np.zeros(image.index.shape, dtype=np.uint8)
+    assert find_voters(image, [nothing], KnnSettings(form=form)).vote(nothing) == expected
+
+
+@pytest.mark.parametrize(("form", "expected"), [(Form.CORRECTED, CAR), (Form.PAPER, HOUSE)])
+def test_as_published_nothing_beyond_the_image_takes_votes_of_near_returns(
+    form: Form, expected: int
+) -> None:
+    """A return at 0.9 m in the top row: its two votes stand against more cars farther away."""
+    cars = [_pixel(row, column, 1.95) for row in range(3) for column in range(28, 33)]
+    own = [_pixel(0, 30, 0.9), _pixel(0, 30, 0.85)]
+    house = [_pixel(0, 29, 0.9), _pixel(0, 31, 0.9)]
+    points = np.array([*own, *house, *cars], dtype=np.float32)
+    truth = np.array([HOUSE] * 4 + [CAR] * len(cars), dtype=np.uint8)
+    image = project(points, PROFILE)
+    classes = _seen(image, truth)
+    settings = KnnSettings(neighbours=15, form=form)
+    assert find_voters(image, [classes], settings).vote(classes)[0] == expected

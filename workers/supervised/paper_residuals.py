@@ -1,0 +1,69 @@
+"""Residual images as the published loader has them: of the last frames, however old they are."""
+
+from collections import deque
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import Points, Transform
+from workers.geometry.form import Form
+from workers.geometry.range_image import SensorProfile, project
+from workers.geometry.se3 import inverse, transform
+from workers.supervised.residual_image import ResidualSettings, residual_image
+
+PUBLISHED_RESIDUALS: Final = 8
+
+
+class PaperResiduals:
+    """A ring of the last frames, each compared with the current one.
+
+    `ResidualHistory` is the corrected form; it differs in this:
+
+    - channels go by age in seconds, here by the count of frames, so that a sensor at 20 Hz, or a
+      dropped frame, gives residuals the network has never seen;
+    - the current frame is the image that the network sees, here one of its own, gated: what is
+      hidden behind returns of the own car is compared.
+
+    Args:
+        profile: Layout of the image.
+        count: How many past frames are compared.
+        settings: The range gate; ages do not count.
+    """
+
+    def __init__(
+        self,
+        profile: SensorProfile,
+        *,
+        count: int = PUBLISHED_RESIDUALS,
+        settings: ResidualSettings | None = None,
+    ) -> None:
+        self._profile = profile
+        self._settings = settings or ResidualSettings()
+        self._count = count
+        self._past: deque[tuple[Transform, Points]] = deque(maxlen=count)
+
+    def __call__(self, points_m: Points, odom_from_sensor: Transform) -> NDArray[np.float32]:
+        """Compare a frame with those before it, then remember it.
+
+        Args:
+            points_m: (N, 3) valid points, sensor space, metres.
+            odom_from_sensor: (4, 4) pose of the frame.
+
+        Returns:
+            (K, H, W) float32, the youngest past frame first; zero where there is none yet.
+        """
+        settings, profile = self._settings, self._profile
+        image = project(
+            points_m,
+            profile,
+            gate_m=(settings.min_range_m, settings.max_range_m),
+            form=Form.PAPER,
+        )
+        residuals = np.zeros((self._count, *image.range_m.shape), dtype=np.float32)
+        sensor_from_odom = inverse(odom_from_sensor)
+        for channel, (odom_from_past, past_m) in zip(residuals, self._past, strict=False):
+            moved = transform(sensor_from_odom @ odom_from_past, past_m)
+            channel[:] = residual_image(image, moved, profile, settings)
+        self._past.appendleft((odom_from_sensor, points_m))
+        return residuals
