@@ -27,8 +27,6 @@ CHECKS: Final[Mapping[str, Check]] = {
 
 LATER: Final = (
     "lidarcoda/*",
-    "chain/*",
-    "discrepancy/*",
     "losses/flowstep3d_*",
     "losses/gndnet_*",
     "metrics/*",

@@ -64,6 +64,9 @@ def cluster_places(
     """
     if len(points_m) < settings.min_points:
         return np.full(len(points_m), -1, dtype=np.int64)
+    if settings.voxel_m == 0:
+        found = DBSCAN(eps=settings.eps_m, min_samples=settings.min_points)
+        return np.asarray(found.fit_predict(points_m), dtype=np.int64)
     voxel_m = settings.voxel_m
     while True:
         centroids_m, place, weight = _places(points_m, voxel_m)
@@ -103,7 +106,7 @@ def _instances_of(
     members = [order[first[c] : first[c + 1]] for c in range(found)]
     for member in sorted(members, key=lambda m: int(m[0])):
         index = candidates[member]
-        if len(index) < settings.min_points:
+        if len(index) < settings.min_points and settings.voxel_m > 0:
             continue  # a border place may have gone to a neighbour: what is left is too small
         centre_m, size_m, yaw_rad = fit_box(points_m[index])
         yield Instance(

@@ -1,6 +1,10 @@
 """The motion of the objects themselves: scene flow without the part that ego-motion explains."""
 
+import numpy as np
+from numpy.typing import NDArray
+
 from schemas.arrays import Flow, Points, Transform
+from workers.geometry.camera_filter import CameraCalibration, from_flow_space
 from workers.geometry.se3 import transform
 
 
@@ -22,3 +26,24 @@ def object_flow(scene_flow: Flow, points_m: Points, other_from_this: Transform) 
     """
     ego_flow = transform(other_from_this, points_m) - points_m
     return scene_flow - ego_flow
+
+
+def flow_ends(
+    flow_points_m: Points, flow_m: Flow, calibration: CameraCalibration, this_from_other: Transform
+) -> NDArray[np.float64]:
+    """Say where points of the flow's space end, seen from where they began: the published chain.
+
+    `object_flow` expresses the same motion in the axes of the other frame, in single precision, and
+    knows no camera.
+
+    Args:
+        flow_points_m: (N, 3) as `to_flow_space` gives them, metres.
+        flow_m: (N, 3) displacement to the other frame in that space, ego-motion included.
+        calibration: The camera.
+        this_from_other: (4, 4) ego-motion: the other frame's sensor space to this one's.
+
+    Returns:
+        (N, 3) ends in this frame's sensor space; less the points, the object flow.
+    """
+    ends_m = from_flow_space(flow_points_m + flow_m, calibration).astype(np.float32)  # as published
+    return ends_m @ this_from_other[:3, :3].T + this_from_other[:3, 3]

@@ -1,6 +1,6 @@
 """Two-stage clustering of object flow into what moves: the rule of the paper."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -41,6 +41,28 @@ PER_SECOND: Final = TwoStageRule()
 PAPER: Final = TwoStageRule(flow_reach_m=0.015)
 
 
+@dataclass(frozen=True, slots=True)
+class ClusterSpeed:
+    """What a stage knew of a cluster when it decided.
+
+    Attributes:
+        cluster: Its number, -1 for the noise.
+        points: That it has.
+        judged_points: Of them, those that count; in stage 1 the ones over 80 km/h do not.
+        median_m_per_s: Speed of those; 0 if there are none.
+        spread: Standard deviation of their speed over its mean; 0 if there are none, NaN if they
+            stand still.
+        moves: Potentially dynamic (stage 1), dynamic (stage 2).
+    """
+
+    cluster: int
+    points: float
+    judged_points: float
+    median_m_per_s: float
+    spread: float
+    moves: bool
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class TwoStageResult:
     """What both stages found.
@@ -50,12 +72,16 @@ class TwoStageResult:
         candidate: (N,) member of a potentially dynamic cluster of stage 1.
         second_cluster: (N,) cluster of stage 2, -1 noise, -2 not in stage 2.
         dynamic: (N,) what moves.
+        first_speeds: Every cluster of stage 1 by number, the noise first where there is some.
+        second_speeds: The same of stage 2.
     """
 
     first_cluster: NDArray[np.int64]
     candidate: Mask
     second_cluster: NDArray[np.int64]
     dynamic: Mask
+    first_speeds: tuple[ClusterSpeed, ...] = ()
+    second_speeds: tuple[ClusterSpeed, ...] = ()
 
 
 def two_stage(
@@ -90,23 +116,46 @@ def two_stage(
 
     first = _dbscan(points_m, rule.reach_m, rule.min_points, weight)
     usual = speed <= rule.max_speed_m_per_s
+    first_speeds = []
     for cluster in np.unique(first):
         inside = first == cluster
-        spread = _spread(speed[inside & usual], weight[inside & usual])
-        candidate |= inside & (spread < rule.max_spread)
+        found = _speed_of(int(cluster), speed, weight, inside, inside & usual)
+        found = replace(found, moves=found.judged_points > 0 and found.spread < rule.max_spread)
+        candidate |= inside & found.moves
+        first_speeds.append(found)
     if not candidate.any():
-        return TwoStageResult(first, candidate, second, dynamic)
+        return TwoStageResult(first, candidate, second, dynamic, tuple(first_speeds))
 
     reach_m = rule.flow_reach_m_per_s * dt_s if rule.flow_reach_m is None else rule.flow_reach_m
     second[candidate] = _dbscan(
         np.asarray(flow_m)[candidate], reach_m, rule.min_flow_points, weight[candidate]
     )
-    for cluster in range(int(second.max()) + 1):
+    second_speeds = []
+    for cluster in np.unique(second[candidate]):
         inside = second == cluster
-        spread = _spread(speed[inside], weight[inside])
-        fast = _median(speed[inside], weight[inside]) >= rule.min_speed_m_per_s
-        dynamic |= inside & (spread <= rule.max_spread) & fast
-    return TwoStageResult(first, candidate, second, dynamic)
+        found = _speed_of(int(cluster), speed, weight, inside, inside)
+        fast = found.median_m_per_s >= rule.min_speed_m_per_s
+        found = replace(found, moves=cluster >= 0 and fast and found.spread <= rule.max_spread)
+        dynamic |= inside & found.moves
+        second_speeds.append(found)
+    return TwoStageResult(
+        first, candidate, second, dynamic, tuple(first_speeds), tuple(second_speeds)
+    )
+
+
+def _speed_of(
+    cluster: int,
+    speed: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    inside: Mask,
+    counted: Mask,
+) -> ClusterSpeed:
+    """Measure a cluster; whether it moves is said later."""
+    speed, points, weight = speed[counted], float(weight[inside].sum()), weight[counted]
+    if len(speed) == 0:
+        return ClusterSpeed(cluster, points, 0.0, 0.0, 0.0, moves=False)
+    median, spread = _median(speed, weight), _spread(speed, weight)
+    return ClusterSpeed(cluster, points, float(weight.sum()), median, spread, moves=False)
 
 
 def _dbscan(
@@ -122,8 +171,6 @@ def _dbscan(
 
 def _spread(speed: NDArray[np.float64], weight: NDArray[np.float64]) -> float:
     """Standard deviation over mean; NaN, which compares false, when there is no mean."""
-    if len(speed) == 0:
-        return float("nan")
     mean = np.average(speed, weights=weight)
     if mean == 0.0:
         return float("nan")

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from schemas.labels import Agreement, MotionLabel
+from workers.contradiction.categories import categories
 from workers.contradiction.compare import compare
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
@@ -51,3 +52,9 @@ def test_streams_that_labelled_different_points_are_refused() -> None:
 def test_an_empty_frame_has_no_agreements() -> None:
     nothing = np.zeros(0, dtype=np.uint8)
     assert len(compare(nothing, nothing)) == 0
+
+
+def test_the_papers_numbers_are_one_to_four_and_none_where_nothing_was_compared() -> None:
+    semantic = np.array([0, 1, 0, 1, 2], dtype=np.uint8)
+    predictive = np.array([0, 1, 1, 0, 1], dtype=np.uint8)
+    assert categories(compare(semantic, predictive)).tolist() == [1, 2, 3, 4, 0]

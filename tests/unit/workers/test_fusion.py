@@ -2,7 +2,13 @@ import numpy as np
 import pytest
 
 from schemas.labels import MotionLabel
-from workers.supervised.fusion import confidence_of, fuse
+from workers.supervised.fusion import (
+    confidence_of,
+    fuse,
+    is_dynamic_label,
+    semantic_kitti_motion,
+    semantic_motion_labels,
+)
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
 
@@ -42,3 +48,18 @@ def test_confidence_is_that_of_the_label_given() -> None:
 def test_confidence_stays_within_zero_and_one() -> None:
     labels = np.array([DYNAMIC, STATIC], dtype=np.uint8)
     assert confidence_of(labels, np.array([1.001, 1.001], dtype=np.float32)).tolist() == [1.0, 0.0]
+
+
+def test_the_published_ids_tell_class_and_motion_at_once() -> None:
+    semantic = np.array([26, 26, 11, 43, 33, -1], np.int16)
+    motion = np.array([2, 1, 2, 2, 2, 2], np.int16)
+    fused = semantic_motion_labels(semantic, motion)
+    assert fused.tolist() == [202, 26, 11, 210, 209, -1]
+    assert is_dynamic_label(fused).tolist() == [True, False, False, True, True, False]
+    assert semantic.tolist() == [26, 26, 11, 43, 33, -1]
+
+
+def test_as_lidar_mos_writes_it_only_movable_classes_move_whatever_the_instance() -> None:
+    semantic = np.array([10, 10 | 7 << 16, 40, 0], np.uint32)
+    motion = np.array([9, 251, 251, 251], np.uint32)
+    assert semantic_kitti_motion(semantic, motion).tolist() == [9, 251, 9, 9]

@@ -11,7 +11,7 @@ from tests.labelled_worlds import CLASS_NAMES, START_NS, Thing, labelled_frame
 from workers.contradiction.boxes import fit_box
 from workers.contradiction.compare import compare
 from workers.contradiction.instances import cluster_places, find_instances
-from workers.contradiction.settings import InstanceSettings
+from workers.contradiction.settings import PAPER_INSTANCES, InstanceSettings
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
 MISSED = ContradictionKind.ONLY_PREDICTIVE_DYNAMIC
@@ -102,6 +102,15 @@ def test_clusters_over_places_are_those_of_dbscan_over_points() -> None:
     assert len(set(ours[ours >= 0].tolist())) == len(BLOBS)
     assert (ours >= 0).sum() == pytest.approx((plain >= 0).sum(), abs=6)
     assert len(set(zip(ours[both].tolist(), plain[both].tolist(), strict=True))) == len(BLOBS)
+
+
+def test_in_the_papers_form_every_point_counts_for_itself() -> None:
+    rng = np.random.default_rng(5)
+    points = rng.normal(0, 0.5, (400, 3)).astype(np.float32)
+    points[200:] += np.float32(1.8)
+    expected = DBSCAN(eps=1.0, min_samples=25).fit_predict(points)
+    np.testing.assert_array_equal(cluster_places(points, settings=PAPER_INSTANCES), expected)
+    assert (cluster_places(points[:24], settings=PAPER_INSTANCES) == -1).all()
 
 
 def test_a_stream_that_fails_on_a_whole_frame_costs_little_time() -> None:

@@ -1,8 +1,11 @@
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.labels import MotionLabel
+from workers.geometry.camera_filter import CameraCalibration, to_flow_space
+from workers.selfsupervised.object_flow import flow_ends
 from workers.selfsupervised.two_stage import TwoStage
 from workers.selfsupervised.two_stage_clustering import PAPER, PER_SECOND, TwoStageRule, two_stage
 
@@ -65,6 +68,31 @@ def test_a_voxel_counts_as_the_points_in_it() -> None:
     assert not two_stage(points, flows, dt_s=DT_S).dynamic.any()
     weights = np.full(20, 10)
     assert two_stage(points, flows, dt_s=DT_S, weights=weights).dynamic.all()
+
+
+def test_each_stage_says_what_it_knew_of_its_clusters() -> None:
+    points = np.concatenate([blob((10, 0, 0)), blob((20, 0, 0)), blob((30, 0, 0))])
+    flows = np.concatenate([flow((6, 0, 0)), flow((0, 0, 0)), flow((30, 0, 0))])
+    found = two_stage(points, flows, dt_s=DT_S)
+    moving, still, fast = found.first_speeds
+    assert (moving.points, moving.judged_points, moving.moves) == (200, 200, True)
+    assert moving.median_m_per_s == pytest.approx(6.0)
+    assert np.isnan(still.spread)
+    assert not still.moves
+    assert (fast.points, fast.judged_points, fast.spread, fast.moves) == (200, 0, 0, False)
+    (second,) = found.second_speeds
+    assert (second.cluster, second.points, second.moves) == (0, 200, True)
+
+
+def test_where_flow_ends_is_said_in_the_space_in_which_it_began() -> None:
+    axes = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]], np.float64)
+    camera = CameraCalibration(np.eye(4)[:3], axes, 10, 10)
+    points = blob((10, 0, 0))
+    ahead = np.eye(4)
+    ahead[0, 3] = 0.5  # the other frame was taken 0.5 m farther on
+    stands = np.tile(np.array([0, 0, -0.5], np.float32), (200, 1))  # so all comes nearer
+    ends = flow_ends(to_flow_space(points, camera), stands, camera, ahead)
+    np.testing.assert_allclose(ends, points, atol=1e-5)
 
 
 def test_no_points_are_no_motion() -> None:
