@@ -1,0 +1,154 @@
+"""Sets of points in plain torch: furthest point sampling, nearest neighbours, interpolation.
+
+What PointNet++ (Qi et al., NeurIPS 2017) does on unordered points and FlowStep3D needs. Distances
+are sums of squared differences, never `|a|^2 - 2ab + |b|^2`: far from the origin that form loses
+centimetres. Memory is bounded: no more than `CHUNK` distances are held at a time.
+"""
+
+from typing import Final
+
+import torch
+from torch import Tensor
+
+CHUNK: Final = 1 << 22
+"""Distances held at a time, 16 MiB in float32: 100,000 points then need no more than 1,000."""
+
+NEAREST_M: Final = 1e-10
+"""Interpolation takes smaller distances for this one, so that a point on a sample takes its value;
+published."""
+
+
+def sample_furthest(points: Tensor, count: int) -> Tensor:
+    """Choose points far from each other: each is the furthest from all chosen before it.
+
+    Starts with index 0; of equally far points the lowest index is taken. When more are wanted than
+    there are, index 0 is repeated once no distance is left.
+
+    Args:
+        points: (B, N, 3).
+        count: How many to choose.
+
+    Returns:
+        (B, count) int64 indices, in the order they were chosen.
+    """
+    x, y, z = (axis.contiguous() for axis in points.unbind(dim=2))
+    batch = points.shape[0]
+    chosen = torch.zeros(batch, count, dtype=torch.int64, device=points.device)
+    nearest = torch.full_like(x, torch.inf)
+    far, along = torch.empty_like(x), torch.empty_like(x)
+    last = chosen[:, :1]
+    for place in range(1, count):
+        torch.sub(x, x.gather(1, last), out=far).square_()
+        far.add_(torch.sub(y, y.gather(1, last), out=along).square_())
+        far.add_(torch.sub(z, z.gather(1, last), out=along).square_())
+        torch.minimum(nearest, far, out=nearest)
+        last = nearest.argmax(dim=1, keepdim=True)
+        chosen[:, place] = last[:, 0]
+    return chosen
+
+
+def squared_distances(queries: Tensor, points: Tensor) -> Tensor:
+    """Square of the distance from every query to every point, by differences.
+
+    Args:
+        queries: (B, M, 3).
+        points: (B, N, 3).
+
+    Returns:
+        (B, M, N), square of the unit of the points.
+    """
+    total = (queries[:, :, None, 0] - points[:, None, :, 0]).square_()
+    for axis in (1, 2):
+        total.add_((queries[:, :, None, axis] - points[:, None, :, axis]).square_())
+    return total
+
+
+def find_nearest(queries: Tensor, points: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """Find the nearest points of each query, nearest first; of equally near ones the lowest index.
+
+    Args:
+        queries: (B, M, 3).
+        points: (B, N, 3), not empty.
+        count: How many; no more than there are points are found.
+
+    Returns:
+        (B, M, min(count, N)) squared distances, and int64 indices of the points.
+    """
+    count = min(count, points.shape[1])
+    rows = max(1, CHUNK // (points.shape[0] * points.shape[1]))
+    found = [_nearest(part, points, count) for part in torch.split(queries, rows, dim=1)]
+    distances, indices = zip(*found, strict=True)
+    return torch.cat(distances, dim=1), torch.cat(indices, dim=1)
+
+
+def _nearest(queries: Tensor, points: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """Search once, and search queries with ties again, slowly: selection alone breaks no ties."""
+    distances = squared_distances(queries, points)
+    one_more = min(count + 1, points.shape[1])
+    best, index = distances.topk(one_more, dim=2, largest=False)
+    tied = (best[:, :, 1:] == best[:, :, :-1]).any(dim=2)
+    best, index = best[:, :, :count].contiguous(), index[:, :, :count].contiguous()
+    if tied.any():
+        sorted_, order = distances[tied].sort(dim=1, stable=True)
+        best[tied], index[tied] = sorted_[:, :count], order[:, :count]
+    return best, index
+
+
+def gather_points(values: Tensor, index: Tensor) -> Tensor:
+    """Take rows by index.
+
+    Args:
+        values: (B, N, C).
+        index: (B, ...) int64 into N.
+
+    Returns:
+        (B, ..., C).
+    """
+    flat = index.flatten(start_dim=1)[:, :, None].expand(-1, -1, values.shape[2])
+    return values.gather(1, flat).view(*index.shape, values.shape[2])
+
+
+def gather_features(values: Tensor, index: Tensor) -> Tensor:
+    """Take columns by index.
+
+    Args:
+        values: (B, C, N).
+        index: (B, ...) int64 into N.
+
+    Returns:
+        (B, C, ...).
+    """
+    flat = index.flatten(start_dim=1)[:, None, :].expand(-1, values.shape[1], -1)
+    return values.gather(2, flat).view(*values.shape[:2], *index.shape[1:])
+
+
+def interpolation(queries: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+    """Weigh the three nearest points of each query by the inverse of their distance.
+
+    Args:
+        queries: (B, M, 3).
+        points: (B, N, 3), not empty; with fewer than three, all of them.
+
+    Returns:
+        (B, M, 3) weights that sum to 1, and int64 indices of the points.
+    """
+    squared, index = find_nearest(queries, points, 3)
+    inverse = squared.sqrt_().clamp_(min=NEAREST_M).reciprocal_()
+    return inverse / inverse.sum(dim=2, keepdim=True), index
+
+
+def interpolate(values: Tensor, weights: Tensor, index: Tensor) -> Tensor:
+    """Carry values from points to queries.
+
+    Args:
+        values: (B, C, N) at the points.
+        weights: (B, M, 3) of `interpolation`.
+        index: (B, M, 3) of `interpolation`.
+
+    Returns:
+        (B, C, M) at the queries.
+    """
+    carried = gather_features(values, index[:, :, 0]) * weights[:, None, :, 0]
+    for nearest in range(1, index.shape[2]):
+        carried += gather_features(values, index[:, :, nearest]) * weights[:, None, :, nearest]
+    return carried
