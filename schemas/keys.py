@@ -17,6 +17,7 @@ Verb = Literal[
     "status",
     "scene",
     "rates",
+    "retry",
 ]
 """What may be asked of the service."""
 

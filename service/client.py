@@ -16,11 +16,19 @@ from schemas.retry import StoppedError
 from schemas.score import SceneScore
 from schemas.wire import decode, encode
 from service.merging import Holding, SceneEvent, SceneMerge, Wanted
-from service.messages import RatesReply, SceneRequest, SelectRequest, TopReply, TopRequest
+from service.messages import (
+    RatesReply,
+    RetryReply,
+    RetryRequest,
+    SceneRequest,
+    SelectRequest,
+    TopReply,
+    TopRequest,
+)
 from service.ranking import RankedScene
 from service.rates import RateRow, RatesRequest
 from service.selection import Selection
-from service.status import Status
+from service.status import ParkedWork, Status
 from service.subscription import SceneSubscription
 
 log = structlog.get_logger(__name__)
@@ -63,6 +71,11 @@ class ControlClient:
     def status(self) -> Status:
         """Say how far everything is."""
         return decode(Status, self._ask("status"))
+
+    def retry(self, log_ids: Sequence[str] | None = None) -> list[ParkedWork]:
+        """Have parked work tried again, of these logs or all; say what was parked."""
+        wanted = None if log_ids is None else tuple(log_ids)
+        return list(decode(RetryReply, self._ask("retry", RetryRequest(log_ids=wanted))).retried)
 
     def rates(self, request: RatesRequest) -> list[RateRow]:
         """Say how often the streams contradict each other, by group."""

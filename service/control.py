@@ -2,6 +2,8 @@
 
 import time
 from collections.abc import Callable, Mapping
+from itertools import groupby
+from operator import attrgetter
 from typing import Final, get_args
 
 import structlog
@@ -19,7 +21,15 @@ from schemas.work import (
     RenewRequest,
 )
 from service.ledger import Ledger, StoredScene
-from service.messages import RatesReply, SceneRequest, SelectRequest, TopReply, TopRequest
+from service.messages import (
+    RatesReply,
+    RetryReply,
+    RetryRequest,
+    SceneRequest,
+    SelectRequest,
+    TopReply,
+    TopRequest,
+)
 from service.questions import Questions
 from service.rates import RatesRequest, rates
 from service.reading import no_such_scene, read_overlay
@@ -64,6 +74,7 @@ class Control:
             "rates": lambda payload: encode(self._rates(decode(RatesRequest, payload))),
             "scene": lambda payload: self._scene(decode(SceneRequest, payload)).record,
             "overlay": lambda payload: self._overlay(decode(SceneRequest, payload)),
+            "retry": lambda payload: encode(self._retry(decode(RetryRequest, payload))),
         }
 
     def declare(self, questions: Questions, *, root: str) -> None:
@@ -110,6 +121,19 @@ class Control:
         selection = self._ledger.save_selection(request.name, budget=request.budget, scenes=chosen)
         self._on_selection(selection)
         return selection
+
+    def _retry(self, request: RetryRequest) -> RetryReply:
+        retried = self._ledger.retry(request.log_ids)
+        for log_id, works in groupby(retried, key=attrgetter("log_id")):
+            parked = list(works)
+            log.info(
+                "parked work is tried again",
+                log_id=log_id,
+                works=len(parked),
+                shard=parked[0].shard or None,
+                before=parked[0].error,
+            )
+        return RetryReply(retried=tuple(retried))
 
     def _scene(self, request: SceneRequest) -> StoredScene:
         stored = self._ledger.scene(request.scene_id)

@@ -121,7 +121,7 @@ def _of_ledger(backlog: Backlog, *, now_s: float) -> Iterator[Metric]:
         "work",
         "Plans and shards under the newest pipeline version, by state; `done` also counts those of "
         "recordings since replaced. Worry when `ready` only grows: too few workers; and at any "
-        "`parked`, which is not tried again.",
+        "`parked`, which is not tried again until `counterpoint retry`.",
         {
             (work, state.value): backlog.work.get((work, state.value), 0)
             for work in get_args(WorkKind)

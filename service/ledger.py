@@ -24,7 +24,7 @@ from schemas.work import (
 from service.ranking import RankedScene
 from service.rates import RatesRequest, RateSums
 from service.selection import Selection, select
-from service.status import Status
+from service.status import ParkedWork, Status
 from service.store import (
     backlog,
     claims,
@@ -36,6 +36,7 @@ from service.store import (
     ranking,
     rates,
     recordings,
+    retrying,
     scenes,
     selections,
 )
@@ -229,6 +230,21 @@ class Ledger:
         """Take back the leases of one worker, attempt counted: its work may have killed it."""
         with self._store.writing() as connection:
             return leases.worker_died(connection, worker_id, policy=self._policy)
+
+    def retry(self, log_ids: Sequence[str] | None = None) -> list[ParkedWork]:
+        """Open parked work again, with all of its attempts; what is done stays done.
+
+        Args:
+            log_ids: Only that of these logs; None: all that `status` names as parked.
+
+        Returns:
+            What was parked until now; once more, and nothing is.
+
+        Raises:
+            NothingFoundError: If one of these logs is not in the bucket; then nothing is changed.
+        """
+        with self._store.writing() as connection:
+            return retrying.retry(connection, log_ids)
 
     # Scenes and outbox.
 

@@ -4,6 +4,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.ranking import RankedScene
 from service.rates import RateRow
+from service.status import ParkedWork
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
 
@@ -47,3 +48,21 @@ class SceneRequest(BaseModel):
     model_config = _STRICT
 
     scene_id: str = Field(min_length=1)
+
+
+class RetryRequest(BaseModel):
+    """Asks for parked work to be tried again."""
+
+    model_config = _STRICT
+
+    log_ids: tuple[str, ...] | None = Field(
+        default=None, description="Only that of these logs; None: all that is parked."
+    )
+
+
+class RetryReply(BaseModel):
+    """What is tried again from now on, each with the attempts and the error it was parked with."""
+
+    model_config = _STRICT
+
+    retried: tuple[ParkedWork, ...]

@@ -127,8 +127,14 @@ class ServiceMetrics:
         )
         self._parked = self._counter(
             "work_parked",
-            "Plans and shards parked: not tried again. Worry at any growth; `counterpoint status` "
-            "names each with its error.",
+            "Plans and shards parked: not tried again until `counterpoint retry`. Worry at any "
+            "growth; `counterpoint status` names each with its error.",
+            work=get_args(WorkKind),
+        )
+        self._retried = self._counter(
+            "work_retried",
+            "Parked plans and shards that are tried again, by `counterpoint retry`. Worry when "
+            "those parked grow after it: what made them fail is still there.",
             work=get_args(WorkKind),
         )
         self._questions = self._counter(
@@ -163,6 +169,8 @@ class ServiceMetrics:
             self._leases_ended.labels(reason.replace(" ", "_")).inc(count)
         for work, count in effects.parked.items():
             self._parked.labels(work).inc(count)
+        for work, count in effects.retried.items():
+            self._retried.labels(work).inc(count)
 
     def on_database_error(self) -> None:
         """Count a transaction that could not be finished."""

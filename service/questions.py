@@ -33,7 +33,7 @@ Answer = Callable[[zenoh.Query], None]
 Outcome = Literal["answered", "refused", "try_again", "malformed", "unsent"]
 """How a question ended: answered; never possible; not now; not understood; the asker had gone."""
 
-WRITES: Final[frozenset[Asked]] = frozenset({"claim", "renew", "commit", "fail", "select"})
+WRITES: Final[frozenset[Asked]] = frozenset({"claim", "renew", "commit", "fail", "select", "retry"})
 """Questions that are answered only after a transaction."""
 
 MOST_WAITING: Final = 4096

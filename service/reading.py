@@ -1,6 +1,6 @@
 """Where the reading verbs look: a running service over the bus, or a state folder without one."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Protocol
@@ -16,12 +16,12 @@ from service.ranking import RankedScene
 from service.rates import RateRow, RatesRequest, rates
 from service.selection import Selection
 from service.state import StateLock, endpoint_of_running
-from service.status import Status
+from service.status import ParkedWork, Status
 from service.store.opening import open_ledger_store, open_ledger_store_to_read, sole_service
 
 
 class Reader(Protocol):
-    """Answers what `top`, `select`, `show` and `status` ask."""
+    """Answers what `top`, `select`, `show`, `status` and `retry` ask."""
 
     def top(self, most: int | None = None) -> list[RankedScene]:
         """Rank every current scene, best first."""
@@ -47,6 +47,10 @@ class Reader(Protocol):
         """Say how far everything is."""
         ...
 
+    def retry(self, log_ids: Sequence[str] | None = None) -> list[ParkedWork]:
+        """Have parked work tried again, of these logs or all; say what was parked."""
+        ...
+
 
 class StateReader:
     """Reads a state folder directly, beside a running service or without one."""
@@ -65,11 +69,12 @@ class StateReader:
         with self._ledger() as ledger:
             return ledger.ranking(most=most)
 
-    def select(self, *, budget: int, name: str | None) -> Selection:
-        """Store the best distinct scenes as a named selection.
+    @contextmanager
+    def _ledger_to_write(self, *, what: str) -> Iterator[Ledger]:
+        """Hold the state for as long as it takes to change something.
 
         Raises:
-            UsageError: If a service runs on this state: it alone writes, and it publishes.
+            UsageError: If a service runs on this state: it alone writes.
         """
         with self._ledger():
             pass  # refuses a folder without a state, before anything is made in it
@@ -79,14 +84,32 @@ class StateReader:
                 sole_service(self._settings),
                 closing(open_ledger_store(self._settings)) as store,
             ):
-                ledger = Ledger(store, now_s=lambda: self._now_s)
-                chosen = ledger.best_distinct(budget=budget)
-                return ledger.save_selection(name, budget=budget, scenes=chosen)
+                yield Ledger(store, now_s=lambda: self._now_s)
         except StateInUseError:
             endpoint = endpoint_of_running(self._settings.state) or "its endpoint"
             raise UsageError(
-                f"a service runs on this state and alone may select: use --connect {endpoint}"
+                f"a service runs on this state and alone may {what}: use --connect {endpoint}"
             ) from None
+
+    def select(self, *, budget: int, name: str | None) -> Selection:
+        """Store the best distinct scenes as a named selection.
+
+        Raises:
+            UsageError: If a service runs on this state: it alone writes, and it publishes.
+        """
+        with self._ledger_to_write(what="select") as ledger:
+            chosen = ledger.best_distinct(budget=budget)
+            return ledger.save_selection(name, budget=budget, scenes=chosen)
+
+    def retry(self, log_ids: Sequence[str] | None = None) -> list[ParkedWork]:
+        """Have parked work tried again by the next run, of these logs or all.
+
+        Raises:
+            UsageError: If a service runs on this state: it alone writes.
+            NothingFoundError: If one of these logs is not in the bucket.
+        """
+        with self._ledger_to_write(what="retry") as ledger:
+            return ledger.retry(log_ids)
 
     def scene(self, scene_id: str) -> SceneScore:
         """Return the record of a current scene."""

@@ -35,7 +35,7 @@ class LogStatus(BaseModel):
 
 
 class ParkedWork(BaseModel):
-    """A plan or shard that is not tried again."""
+    """A plan or shard that is not tried again, unless a person asks for it."""
 
     model_config = _STRICT
 
@@ -67,6 +67,10 @@ class Status(BaseModel):
     logs_by_state: dict[str, int] = Field(default_factory=dict)
     shards_by_state: dict[str, int] = Field(default_factory=dict)
     parked: tuple[ParkedWork, ...] = ()
+    retried: tuple[ParkedWork, ...] = Field(
+        default=(),
+        description="Was parked with this error, is tried again, and has not failed since.",
+    )
     scenes: int = Field(default=0, description="Current scenes, of any pipeline version.")
     frames: int = Field(default=0, description="Frames scored under this pipeline version.")
     frames_per_s: float = Field(default=0.0, description="Over the commits of the last minute.")

@@ -319,8 +319,8 @@ TROUBLE: Final = Row(
         ),
         Panel(
             title="Parked",
-            description="Plans and shards that are not tried again, and how many were added per "
-            "hour.",
+            description="Plans and shards that are not tried again until `counterpoint retry`, how "
+            "many were added per hour, and how many that verb has opened again.",
             unit="short",
             thresholds=((1, RED),),
             queries=(
@@ -328,6 +328,10 @@ TROUBLE: Final = Row(
                 Query(
                     f"{per_second('counterpoint_work_parked_total', 'work')} * 3600",
                     "{{work}} per hour",
+                ),
+                Query(
+                    f"{per_second('counterpoint_work_retried_total', 'work')} * 3600",
+                    "{{work}} tried again, per hour",
                 ),
             ),
         ),

@@ -30,8 +30,9 @@ def say_what_was_found(status: Status) -> None:
             for log in status.logs
         ),
     )
+    told_below = {work.log_id for work in (*status.parked, *status.retried) if not work.shard}
     for log in status.logs:
-        if log.problem:
+        if log.problem and log.log_id not in told_below:
             remark(f"{log.state}: {log.log_id}: {log.problem}")
         for damage in log.damage:
             remark(
@@ -40,6 +41,10 @@ def say_what_was_found(status: Status) -> None:
             )
     for work in status.parked:
         remark(f"parked: {work.log_id} {work.shard} after {work.attempts}: {work.error}")
+    if status.parked:
+        remark("what is parked waits for `counterpoint retry`, when its cause is mended")
+    for work in status.retried:
+        remark(f"tried again: {work.log_id} {work.shard}; before that: {work.error}")
     if status.bytes_needed:
         remark(
             f"mining read {status.bytes_read / 1e6:.1f} MB, "

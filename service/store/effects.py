@@ -26,6 +26,7 @@ class Effects:
         commits: Answers to commits, by kind and outcome.
         leases_ended: Leases ended, by reason as the ledger writes it.
         parked: Plans and shards that are not tried again, by kind.
+        retried: Parked ones that are tried again after all, since a person asked for it, by kind.
     """
 
     scenes: list[SceneScore] = field(default_factory=list)
@@ -33,6 +34,7 @@ class Effects:
     commits: Counter[tuple[WorkKind, CommitOutcome]] = field(default_factory=Counter)
     leases_ended: Counter[str] = field(default_factory=Counter)
     parked: Counter[WorkKind] = field(default_factory=Counter)
+    retried: Counter[WorkKind] = field(default_factory=Counter)
 
     def note_commit(self, kind: WorkKind, answer: Answer, *, stored: bool) -> None:
         """Count the answer to one commit."""

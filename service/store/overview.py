@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter, defaultdict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, Final
 
 from sqlalchemy import (
@@ -65,7 +65,8 @@ def status(connection: Connection, pipeline_version: str | None, *, now_s: float
         logs=logs,
         logs_by_state=dict(sorted(Counter(log.state for log in logs).items())),
         shards_by_state=_total(log.shards for log in logs),
-        parked=_parked(connection, pipeline_version),
+        parked=_stuck(connection, pipeline_version, _is_parked),
+        retried=_stuck(connection, pipeline_version, _is_retried),
         scenes=connection.execute(
             select(func.count()).select_from(SCENES).where(SCENES.c.is_current)
         ).scalar_one(),
@@ -188,14 +189,24 @@ def _sum(values: Iterable[Any]) -> int:
     return sum(int(value) for value in values)  # PostgreSQL sums to a decimal
 
 
-def _parked(connection: Connection, pipeline_version: str) -> tuple[ParkedWork, ...]:
-    parked: list[ParkedWork] = []
+def _stuck(
+    connection: Connection, pipeline_version: str, which: Callable[[Table], ColumnElement[bool]]
+) -> tuple[ParkedWork, ...]:
+    stuck: list[ParkedWork] = []
     for table, name in ((PLANS, literal("")), (SHARDS, SHARDS.c.name)):
         columns = (table.c.log_id, name.label("shard"), table.c.attempts, table.c.error)
-        rows = _current_rows(table, pipeline_version, *columns)
-        found = connection.execute(rows.where(table.c.state == WorkState.PARKED)).mappings()
-        parked += (ParkedWork(**row) for row in found)
-    return tuple(sorted(parked, key=lambda work: (work.log_id, work.shard)))
+        rows = _current_rows(table, pipeline_version, *columns).where(which(table))
+        stuck += (ParkedWork(**row) for row in connection.execute(rows).mappings())
+    return tuple(sorted(stuck, key=lambda work: (work.log_id, work.shard)))
+
+
+def _is_parked(table: Table) -> ColumnElement[bool]:
+    return table.c.state == WorkState.PARKED
+
+
+def _is_retried(table: Table) -> ColumnElement[bool]:
+    """Whether this was parked and opened again: only then is there an error without an attempt."""
+    return and_(table.c.state.in_(OPEN), table.c.attempts == 0, table.c.error != "")
 
 
 def _frames_per_s(connection: Connection, pipeline_version: str, *, now_s: float) -> float:

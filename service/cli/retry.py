@@ -1,0 +1,49 @@
+"""`retry`: parked work is tried again, once what made it fail is mended."""
+
+from typing import Annotated
+
+import typer
+
+from service.cli.options import Config, Connect, Database, Json
+from service.cli.output import json_line, remark, table
+from service.cli.scenes import StateDir, reader
+from service.errors import UsageError
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the verb of this file to the command."""
+    app.command(epilog="counterpoint retry --all --connect tcp/127.0.0.1:7447")(retry)
+
+
+def retry(
+    log_ids: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[LOG_ID]...", help="Logs, as `counterpoint status` names them."),
+    ] = None,
+    everything: Annotated[bool, typer.Option("--all", help="Everything that is parked.")] = False,
+    connect: Connect = None,
+    state: StateDir = None,
+    database: Database = None,
+    json: Json = False,
+    config: Config = None,
+) -> None:
+    """Try parked plans and shards again, with all their attempts; what is done stays done."""
+    if bool(log_ids) is everything:
+        raise UsageError("name the logs to retry, or give --all for everything that is parked")
+    wanted = None if everything else log_ids
+    source = reader(config, connect=connect, state=state, database=database)
+    retried = source.retry(wanted)
+    if json:
+        for work in retried:
+            json_line(work)
+    elif retried:
+        table(
+            f"{len(retried)} tried again",
+            ("log", "shard", "attempts before", "error before"),
+            ((work.log_id, work.shard, work.attempts, work.error) for work in retried),
+        )
+    without = sorted(set(wanted or ()) - {work.log_id for work in retried})
+    for log_id in without:
+        remark(f"nothing of {log_id} is parked")
+    if everything and not retried:
+        remark("nothing is parked")

@@ -1,0 +1,78 @@
+"""Parked work that a person has tried again, after mending what made it fail."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from sqlalchemy import Connection, Table, and_, select
+
+from service.errors import NothingFoundError
+from service.status import ParkedWork
+from service.store.effects import effects_of, kind_of
+from service.store.overview import newest_pipeline
+from service.store.tables import PLANS, RECORDINGS, SHARDS
+from service.store.work import Work, WorkState, change
+
+MOST_NAMED = 5
+"""Unknown logs in one sentence."""
+
+
+def retry(connection: Connection, log_ids: Sequence[str] | None) -> list[ParkedWork]:
+    """Make parked work ready again as if it had never been tried; its error stays to be read.
+
+    Under the newest pipeline version, of current recordings: what `status` names as parked.
+
+    Args:
+        connection: In a transaction that writes.
+        log_ids: Only that of these logs; None: of all.
+
+    Returns:
+        What was parked, in the order of log and shard, as it was.
+
+    Raises:
+        NothingFoundError: If one of these logs is not in the bucket.
+    """
+    if log_ids is not None:
+        _refuse_unknown(connection, log_ids)
+    version = newest_pipeline(connection)
+    retried = []
+    for table in (PLANS, SHARDS):
+        for row in _parked(connection, table, version):
+            if log_ids is not None and row.log_id not in log_ids:
+                continue
+            shard = row.name if table is SHARDS else ""
+            work = Work(row.log_id, row.revision, version, shard)
+            change(connection, work, state=WorkState.READY, attempts=0, ready_at_s=0.0)
+            effects_of(connection).retried[kind_of(shard)] += 1
+            retried.append(
+                ParkedWork(log_id=row.log_id, shard=shard, attempts=row.attempts, error=row.error)
+            )
+    return sorted(retried, key=lambda work: (work.log_id, work.shard))
+
+
+def _parked(connection: Connection, table: Table, version: str) -> Sequence[Any]:
+    """Rows of parked work of current recordings, locked against whoever asks for the same."""
+    same_log = and_(
+        table.c.log_id == RECORDINGS.c.log_id, table.c.revision == RECORDINGS.c.revision
+    )
+    return connection.execute(
+        select(*table.primary_key.columns, table.c.attempts, table.c.error)
+        .join(RECORDINGS, same_log)
+        .where(
+            table.c.pipeline_version == version,
+            table.c.state == WorkState.PARKED,
+            RECORDINGS.c.is_current,
+        )
+        .with_for_update(of=table)
+    ).all()
+
+
+def _refuse_unknown(connection: Connection, log_ids: Sequence[str]) -> None:
+    current = select(RECORDINGS.c.log_id).where(RECORDINGS.c.is_current)
+    unknown = sorted(set(log_ids) - set(connection.execute(current).scalars()))
+    if unknown:
+        named = ", ".join(map(repr, unknown[:MOST_NAMED]))
+        more = f" and {len(unknown) - MOST_NAMED} more" if len(unknown) > MOST_NAMED else ""
+        raise NothingFoundError(
+            f"no such log in the bucket: {named}{more}; `counterpoint status` lists them, "
+            "and nothing was changed"
+        )
