@@ -208,6 +208,9 @@ class LogPlan(BaseModel):
     lidar_topics: tuple[str, ...] = ()
     shards: tuple[Shard, ...] = ()
     damage: tuple[Damage, ...] = ()
+    truncated_parts: int = Field(
+        default=0, ge=0, description="Objects that were never closed: used as far as they go."
+    )
     refused: str = Field(default="", description="Why the log cannot be mined; empty when it can.")
     range_reads: int = Field(default=0, ge=0)
     bytes_read: int = Field(default=0, ge=0)

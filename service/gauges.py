@@ -11,7 +11,7 @@ from prometheus_client.registry import Collector
 
 from schemas.errors import CounterpointError
 from service.bucket_watch import BucketSeen
-from service.store.backlog import Backlog
+from service.store.backlog import Backlog, LogDamage
 from service.store.effects import WorkKind
 from service.store.work import WorkState
 
@@ -135,6 +135,15 @@ def _of_ledger(backlog: Backlog, *, now_s: float) -> Iterator[Metric]:
         "`counterpoint status` names each with its problem.",
         {(state,): backlog.recordings.get(state, 0) for state in RECORDING_STATES},
         labels=("state",),
+    )
+    yield _gauge(
+        "damaged_recordings",
+        "Recordings in the bucket that are mined only in part, each once: `truncated` ones have an "
+        "object that was never closed, and are mined as far as it goes; of `unreadable` ones "
+        "stretches cannot be read. Worry when it grows: uploads break off, or a recorder loses "
+        "data; `counterpoint status` names each.",
+        {(damage,): backlog.damaged.get(damage, 0) for damage in get_args(LogDamage)},
+        labels=("damage",),
     )
     oldest = backlog.oldest_listed_s
     yield _gauge(

@@ -23,6 +23,9 @@ class LogStatus(BaseModel):
     software_version: str = "unknown"
     lidar_topics: tuple[str, ...] = ()
     problem: str = Field(default="", description="Why it was refused or parked.")
+    truncated_parts: int = Field(
+        default=0, description="Objects that were never closed: used as far as they go."
+    )
     damage: tuple[Damage, ...] = ()
     shards: dict[str, int] = Field(default_factory=dict, description="Shards by state.")
     frames: int = Field(default=0, description="Frames scored.")

@@ -397,6 +397,15 @@ TROUBLE: Final = Row(
             ),
         ),
         Panel(
+            title="Logs mined only in part",
+            description="Recordings in the bucket now. `truncated`: an object was never closed, "
+            "and is mined as far as it goes. `unreadable`: stretches cannot be read, the rest is "
+            "mined. `counterpoint status` names each.",
+            unit="short",
+            stacked=True,
+            queries=(Query("sum by (damage) (counterpoint_damaged_recordings)", "{{damage}}"),),
+        ),
+        Panel(
             title="Frames by health of their pose",
             description="Share of the mined frames. Degraded poses lower a scene's score, lost "
             "ones void it.",

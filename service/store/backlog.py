@@ -1,15 +1,19 @@
 """What waits, runs and is stuck, counted on indexes alone: cheap enough for every scrape."""
 
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, Final, Literal
 
-from sqlalchemy import Connection, Table, and_, distinct, func, or_, select, union
+from sqlalchemy import Connection, Table, and_, distinct, exists, func, or_, select, union
 
 from service.store.effects import WorkKind
 from service.store.events import counter
 from service.store.overview import newest_pipeline
-from service.store.tables import LEASES, PLANS, RECORDINGS, SCENES, SHARDS
+from service.store.tables import DAMAGE, LEASES, PLANS, RECORDINGS, SCENES, SHARDS
 from service.store.work import OPEN, WorkState
+
+LogDamage = Literal["truncated", "unreadable"]
+"""Why a log is mined only in part: an object was never closed, and was used as far as it goes; or,
+of whole objects, stretches cannot be read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,6 +23,7 @@ class Backlog:
     Attributes:
         work: Plans and shards by kind and state; done ones of replaced recordings count as well.
         recordings: Current recordings by state, named as in `LogStatus`.
+        damaged: Current recordings that are mined only in part, by why; each is counted once.
         leases_held: Leases that are out.
         workers: Workers that hold them.
         current_scenes: Scenes that are current, of any pipeline version.
@@ -29,6 +34,7 @@ class Backlog:
 
     work: dict[tuple[WorkKind, str], int] = field(default_factory=dict)
     recordings: dict[str, int] = field(default_factory=dict)
+    damaged: dict[LogDamage, int] = field(default_factory=dict)
     leases_held: int = 0
     workers: int = 0
     current_scenes: int = 0
@@ -46,6 +52,7 @@ def backlog(connection: Connection, *, now_s: float) -> Backlog:
     return Backlog(
         work=work,
         recordings=_recordings(connection, version, now_s=now_s),
+        damaged=_damaged(connection, version),
         leases_held=held.leases,
         workers=held.workers,
         current_scenes=connection.execute(_CURRENT_SCENES).scalar_one(),
@@ -110,6 +117,30 @@ def _recordings(connection: Connection, version: str, *, now_s: float) -> dict[s
         "refused": plans.get(WorkState.REFUSED, 0),
         "parked": plans.get(WorkState.PARKED, 0),
         "stale": plans.get(WorkState.STALE, 0) + len(stale),
+    }
+
+
+def _damaged(connection: Connection, version: str) -> dict[LogDamage, int]:
+    planned = (
+        select(func.count())
+        .select_from(PLANS)
+        .join(RECORDINGS, _same_log(PLANS))
+        .where(
+            PLANS.c.pipeline_version == version,
+            PLANS.c.state == WorkState.DONE,
+            RECORDINGS.c.is_current,
+        )
+    )
+    has_damage = exists().where(
+        DAMAGE.c.pipeline_version == version,
+        DAMAGE.c.log_id == PLANS.c.log_id,
+        DAMAGE.c.revision == PLANS.c.revision,
+    )
+    return {
+        "truncated": connection.execute(planned.where(PLANS.c.truncated_parts > 0)).scalar_one(),
+        "unreadable": connection.execute(
+            planned.where(PLANS.c.truncated_parts == 0, has_damage)
+        ).scalar_one(),
     }
 
 

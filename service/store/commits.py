@@ -83,6 +83,7 @@ def _commit_plan(connection: Connection, work: Work, row: Row[Any], plan: LogPla
         digest=digest,
         range_reads=plan.range_reads,
         bytes_read=plan.bytes_read,
+        truncated_parts=plan.truncated_parts,
     )
     if plan.shards and not plan.refused:
         _INSERT_SHARD.run_each(connection, [_shard_row(work, shard) for shard in plan.shards])

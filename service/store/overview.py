@@ -153,6 +153,7 @@ def _log_status(
         software_version=plan.software_version,
         lidar_topics=tuple(json.loads(plan.lidar_topics)),
         problem=plan.error,
+        truncated_parts=plan.truncated_parts,
         damage=tuple(sorted(damage, key=lambda piece: (piece.key, piece.offset))),
         shards=by_state,
         frames=_sum(row.frames for row in shards),

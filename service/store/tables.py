@@ -59,6 +59,7 @@ PLANS: Final = Table(
     _text("digest"),
     _number("range_reads"),
     _number("bytes_read"),
+    _number("truncated_parts"),
 )
 
 SHARDS: Final = Table(

@@ -1,7 +1,8 @@
 """What is counted over a ledger, on any database: rates, what waits, and what became true."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import pytest
 
@@ -9,13 +10,22 @@ from schemas.arrays import NS_PER_S
 from schemas.contradiction import SceneState
 from schemas.score import AgreementShares, SceneScore
 from schemas.wire import encode_scene_score, sha256
-from schemas.work import FailRequest, MineLease, PlanLease
+from schemas.work import Damage, FailRequest, LogPlan, MineLease, PlanLease
 from service.ledger import Ledger
 from service.rates import RateRow, RatesBy, RatesRequest, rates
+from service.store.backlog import LogDamage
 from service.store.effects import Effects
 from service.store.engine import Store
 from tests.contracts.databases import OnPostgres, OnSqlite
-from tests.contracts.ledger_world import START_NS, World, plan_of, score_of, shard_commit
+from tests.contracts.ledger_world import (
+    START_NS,
+    World,
+    mined,
+    plan_of,
+    recording,
+    score_of,
+    shard_commit,
+)
 
 HOUR_NS = 3600 * NS_PER_S
 
@@ -240,6 +250,44 @@ class CountsContract(ABC):
         agree()
         world.ledger.mark_published(2)
         agree()
+
+    def test_logs_that_are_mined_only_in_part_are_counted_once_for_as_long_as_they_are_there(
+        self, world: World
+    ) -> None:
+        def plan(log_id: str, **found: Any) -> LogPlan:
+            return plan_of(log_id, shards=1).model_copy(update={"damage": ()} | found)
+
+        def damaged() -> Mapping[LogDamage, int]:
+            return world.ledger.backlog().damaged
+
+        scratch = Damage(key="x.mcap", offset=4, bytes=8, what="CRC differs")
+        plans = {
+            "cut": plan("cut", truncated_parts=2, damage=(scratch,)),
+            "refused": plan("refused", truncated_parts=1, shards=(), refused="no lidar"),
+            "scratched": plan("scratched", damage=(scratch, scratch)),
+            "torn": plan("torn"),
+            "whole": plan("whole"),
+        }
+        world.planner = lambda recording: plans[recording.log_id]
+        world.listed(*plans)
+        assert damaged() == {"truncated": 0, "unreadable": 0}
+        world.plan_all()
+        assert damaged() == {"truncated": 1, "unreadable": 1}
+        while isinstance(lease := world.claim(), MineLease):
+            found = (scratch,) if lease.shard.log_id == "torn" else ()
+            records = mined(lease.shard)
+            request = shard_commit(lease, records).model_copy(update={"damage": found})
+            assert world.ledger.commit(request, records).ok
+        assert damaged() == {"truncated": 1, "unreadable": 2}
+        assert [log.truncated_parts for log in world.ledger.status().logs] == [2, 1, 0, 0, 0]
+        plans["cut"] = plan("cut")  # the whole object has arrived
+        rest = [recording(log_id) for log_id in ("torn", "whole")]
+        world.ledger.sync_recordings([recording("cut", etag="whole"), *rest])
+        assert damaged() == {"truncated": 0, "unreadable": 1}
+        world.mine_all()
+        assert damaged() == {"truncated": 0, "unreadable": 1}
+        world.ledger.register_pipeline("p2")
+        assert damaged() == {"truncated": 0, "unreadable": 0}
 
     def test_the_oldest_recording_with_work_left_gives_the_age(self, world: World) -> None:
         assert world.ledger.backlog().oldest_listed_s is None

@@ -78,6 +78,8 @@ class UpgradeContract(ABC):
             "h-stale": "stale",
             "i-resting": "waiting",
         }
+        assert [log.log_id for log in status.logs if log.truncated_parts] == ["a-done"]
+        assert world.ledger.backlog().damaged == {"truncated": 1, "unreadable": 1}
         assert status.shards_by_state == {"done": 2, "leased": 1, "parked": 1, "ready": 2}
         assert len(status.parked) == 2
         kept = [row for row in FIRST["tables"]["scenes"] if row["is_current"]]

@@ -148,6 +148,14 @@ def test_every_query_of_every_panel_finds_data(
             assert any(series.samples for series in found), text
 
 
+@pytest.mark.parametrize(("damage", "logs"), [("truncated", 4), ("unreadable", 1)])
+def test_logs_that_are_mined_only_in_part_are_counted_as_logs(
+    mined: Watched, damage: str, logs: int
+) -> None:
+    expr = f'counterpoint_damaged_recordings{{damage="{damage}"}}'
+    until("it is scraped", lambda: mined.value(expr) == logs)
+
+
 def test_no_rule_fails_on_the_real_series(mined: Watched) -> None:
     assert mined.prometheus.rules_with_errors() == []
 

@@ -107,6 +107,7 @@ def plan_index(index: LogIndex, settings: MiningSettings) -> LogPlan:
         lidar_topics=tuple(sample.topic.channel.topic for sample in chosen),
         shards=tuple(shards),
         damage=(*index.damage, *_not_in_shards(damage, shards, index)),
+        truncated_parts=sum(1 for _ in index.truncated),
         refused=refused,
         range_reads=index.range_reads,
         bytes_read=index.bytes_read,

@@ -7,7 +7,12 @@ from sqlalchemy import Connection, inspect, text
 
 from service.errors import StateOutdatedError, StateUnusableError
 
-STEPS: Final[tuple[str, ...]] = ("0001_ledger.sql", "0002_revisions.sql", "0003_ranking.sql")
+STEPS: Final[tuple[str, ...]] = (
+    "0001_ledger.sql",
+    "0002_revisions.sql",
+    "0003_ranking.sql",
+    "0004_truncated.sql",
+)
 """Step i leads from version i to i + 1. A step that has been released is never edited."""
 
 SCHEMA_VERSION: Final = len(STEPS)

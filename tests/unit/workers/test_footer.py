@@ -91,6 +91,7 @@ def test_a_settled_log_that_was_cut_off_is_planned_as_far_as_it_goes_and_said_so
     (part,) = told
     assert (part.key, part.size) == ("drive_0.mcap", len(cut))
     assert 1.0 < part.seconds < 3.5
+    assert plan.truncated_parts == 1
 
 
 def test_nothing_is_said_of_logs_that_were_closed_with_or_without_an_index() -> None:
@@ -98,5 +99,6 @@ def test_nothing_is_said_of_logs_that_were_closed_with_or_without_an_index() -> 
         WHOLE, Recorder(repeat_channels=False, repeat_schemas=False).write(drive(4))
     )
     told: list[TruncatedPart] = []
-    plan_recording(bucket, only_recording(bucket), settings(), on_truncated=told.append)
+    plan = plan_recording(bucket, only_recording(bucket), settings(), on_truncated=told.append)
     assert told == []
+    assert plan.truncated_parts == 0
