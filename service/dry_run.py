@@ -1,10 +1,13 @@
-"""`run --dry-run`: what lies in the bucket, and about how long mining all of it would take."""
+"""`run --dry-run`: what lies in the bucket, what of it is left to mine, and for about how long."""
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Final
 
+import structlog
 from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.bucket import Bucket, open_bucket
@@ -13,9 +16,14 @@ from schemas.recordings import group_recordings
 from schemas.work import Recording
 from service.bucket_watch import is_wanted
 from service.config import Settings
+from service.doctor_machine import NEEDED
 from service.errors import NothingFoundError, StateUnusableError
 from service.store.opening import open_ledger_store_to_read
+from service.store.overview import newest_pipeline
 from service.store.pace import Pace, pace
+from service.store.standing import LogStanding, Standings
+
+log = structlog.get_logger(__name__)
 
 MOST_LOOKED_INTO: Final = 32
 """Logs whose index is read, two range reads each: enough for a mean, seconds on any bucket."""
@@ -30,15 +38,25 @@ _STRICT: Final = ConfigDict(frozen=True, extra="forbid")
 
 
 class DryLog(BaseModel):
-    """One log that would be mined."""
+    """One log in the bucket."""
 
     model_config = _STRICT
 
     log_id: str
     parts: int
     bytes: int
+    standing: LogStanding = Field(
+        default="new",
+        description="What the state knows of it. new, changed (mined as other objects) and anew "
+        "(mined by another pipeline version): all of it is mined; in part; mined, refused and "
+        "parked: nothing is.",
+    )
+    left_share: float = Field(default=1.0, ge=0, le=1, description="Of its bytes, to be mined.")
+    parked: int = Field(default=0, description="Plans and shards of it that are not tried again.")
     duration_s: float | None = Field(default=None, description="None: not looked into.")
-    frames: int | None = Field(default=None, description="None: not looked into, or not indexed.")
+    frames: int | None = Field(
+        default=None, description="In all of it, or mined of it; None: not known."
+    )
     problem: str = Field(default="", description="Why it cannot be mined, of those looked into.")
 
 
@@ -50,27 +68,36 @@ class DryRun(BaseModel):
     bucket: str
     logs: tuple[DryLog, ...]
     bytes: int = Field(description="Of all logs.")
-    looked_into: int = Field(description="Logs whose index was read, spread evenly.")
-    frames: int | None = Field(description="Estimated by bytes from those; None: none of use.")
-    duration_s: float | None = Field(description="Of recording, estimated likewise.")
+    left_bytes: int = Field(description="Of these, to be mined.")
+    by_standing: dict[str, int] = Field(description="Logs by what the state knows of them.")
+    pipeline_version: str = Field(
+        description="What would mine; empty: there is no state to compare with, all is left."
+    )
+    state_version: str = Field(description="The newest in the state; another one is beaten.")
+    looked_into: int = Field(description="Logs whose index was read, of those with work left.")
+    frames: int | None = Field(description="To be mined, estimated by bytes; None: of no log.")
+    duration_s: float | None = Field(description="Of recording to be mined, estimated likewise.")
     workers: int
     seconds_per_frame: float
     pace_from: str = Field(description="What the seconds per frame stand on.")
-    hours: float | None = Field(description="On so many workers, a core each.")
+    hours: float | None = Field(description="For what is left, on so many workers, a core each.")
 
 
 def plan_dry_run(
     settings: Settings, *, on_progress: Callable[[int, int], None] = lambda _done, _total: None
 ) -> DryRun:
-    """List the logs that count, look into a few, and extrapolate. Nothing is written.
+    """List the logs that count, look into a few that are not mined yet, and extrapolate.
+
+    Nothing is written. Where there is a state, what it has mined under the pipeline version that
+    these settings make is left out.
 
     Args:
-        settings: Bucket, patterns, workers, and the state that may tell how fast mining is here.
+        settings: Bucket, patterns, workers, and the state that may tell what is mined and how fast.
         on_progress: Told logs looked into and to look into.
 
     Raises:
         NothingFoundError: If no log counts.
-        TransientError: If the bucket does not answer.
+        TransientError: If the bucket, or the database, does not answer.
         PermanentError: If it refuses.
     """
     bucket = open_bucket(settings.bucket)
@@ -81,21 +108,28 @@ def plan_dry_run(
     )
     if not recordings:
         raise NothingFoundError(f"no .mcap log that counts in {bucket.url}; see include, exclude")
-    sampled = _spread(len(recordings)) if find_spec("mcap") is not None else []
+    known = _known(settings)
+    listed = [_listed(each, known.standings) for each in recordings]
+    left = [number for number, log in enumerate(listed) if log.left_share]
+    sampled = [left[i] for i in _spread(len(left))] if find_spec("mcap") is not None else []
     looked: dict[int, DryLog] = {}
     for number in sampled:
-        looked[number] = _look(bucket, recordings[number], settings)
+        looked[number] = _look(bucket, recordings[number], listed[number], settings)
         on_progress(len(looked), len(sampled))
-    logs = tuple(looked.get(i) or _listed(each) for i, each in enumerate(recordings))
-    total = sum(log.bytes for log in logs)
+    logs = tuple(looked.get(i, log) for i, log in enumerate(listed))
     told = [log for log in looked.values() if log.frames is not None]
-    frames = _extrapolated([log.frames or 0 for log in told], told, total)
-    seconds = _extrapolated([log.duration_s or 0.0 for log in told], told, total)
-    seconds_per_frame, pace_from = _pace(settings)
+    guessed = [log for i, log in enumerate(logs) if i not in looked or log.frames is None]
+    frames = _left_of([log.frames or 0 for log in told], told, guessed)
+    seconds = _left_of([log.duration_s or 0.0 for log in told], told, guessed)
+    seconds_per_frame, pace_from = _pace(known.pace)
     return DryRun(
         bucket=bucket.url,
         logs=logs,
-        bytes=total,
+        bytes=sum(log.bytes for log in logs),
+        left_bytes=round(sum(log.bytes * log.left_share for log in logs)),
+        by_standing=dict(Counter(log.standing for log in logs)),
+        pipeline_version=known.pipeline_version,
+        state_version=known.state_version,
         looked_into=len(looked),
         frames=None if frames is None else round(frames),
         duration_s=seconds,
@@ -112,15 +146,28 @@ def _spread(count: int) -> list[int]:
     return sorted({round(i * (count - 1) / max(1, chosen - 1)) for i in range(chosen)})
 
 
-def _listed(recording: Recording) -> DryLog:
-    size = sum(part.size for part in recording.parts)
-    return DryLog(log_id=recording.log_id, parts=len(recording.parts), bytes=size)
+def _listed(recording: Recording, standings: Standings | None) -> DryLog:
+    log = DryLog(
+        log_id=recording.log_id,
+        parts=len(recording.parts),
+        bytes=sum(part.size for part in recording.parts),
+    )
+    if standings is None:
+        return log
+    found = standings.of(recording.log_id, recording.revision)
+    return log.model_copy(
+        update={
+            "standing": found.standing,
+            "left_share": found.left_share,
+            "parked": found.parked,
+            "frames": None if found.left_share else found.frames,
+        }
+    )
 
 
-def _look(bucket: Bucket, recording: Recording, settings: Settings) -> DryLog:
+def _look(bucket: Bucket, recording: Recording, listed: DryLog, settings: Settings) -> DryLog:
     from workers.ingest.inspect import inspect_recording
 
-    listed = _listed(recording)
     try:
         report = inspect_recording(bucket, recording, settings.mining())
     except PermanentError as error:
@@ -133,15 +180,19 @@ def _look(bucket: Bucket, recording: Recording, settings: Settings) -> DryLog:
     return listed.model_copy(update=found)
 
 
-def _extrapolated(
-    amounts: Sequence[float], of_logs: Sequence[DryLog], total_bytes: int
+def _left_of(
+    amounts: Sequence[float], told: Sequence[DryLog], guessed: Sequence[DryLog]
 ) -> float | None:
-    looked_bytes = sum(log.bytes for log in of_logs)
-    return sum(amounts) * total_bytes / looked_bytes if looked_bytes else None
+    """Sum up what is left: of logs that were looked into as told, of others by their bytes."""
+    left_bytes = sum(log.bytes * log.left_share for log in guessed)
+    told_bytes = sum(log.bytes for log in told)
+    if left_bytes and not told_bytes:
+        return None
+    known = sum(amount * log.left_share for amount, log in zip(amounts, told, strict=True))
+    return known + (left_bytes * sum(amounts) / told_bytes if left_bytes else 0.0)
 
 
-def _pace(settings: Settings) -> tuple[float, str]:
-    found = _mined_pace(settings)
+def _pace(found: Pace | None) -> tuple[float, str]:
     frames = 0 if found is None else found.frames
     if found is not None and frames >= ENOUGH_FRAMES:
         return found.seconds_per_frame, f"measured on {frames} frames mined in this state"
@@ -152,10 +203,33 @@ def _pace(settings: Settings) -> tuple[float, str]:
     )
 
 
-def _mined_pace(settings: Settings) -> Pace | None:
+@dataclass(frozen=True, slots=True)
+class _Known:
+    """What a state tells; nothing where there is none, or one of another schema."""
+
+    pace: Pace | None = None
+    standings: Standings | None = None
+    pipeline_version: str = ""
+    state_version: str = ""
+
+
+def _known(settings: Settings) -> _Known:
     try:
         store = open_ledger_store_to_read(settings)
-    except StateUnusableError:  # none there yet, or of another version: it tells us nothing
-        return None
+    except StateUnusableError as error:
+        log.debug("no state to compare with", problem=str(error))
+        return _Known()
     with closing(store), store.reading() as connection:
-        return pace(connection)
+        newest = newest_pipeline(connection)
+        version = (_version(settings) or newest) if newest else ""
+        standings = Standings(connection, version) if version else None
+        return _Known(pace(connection), standings, version, newest)
+
+
+def _version(settings: Settings) -> str:
+    """Say which pipeline version these settings make; empty where workers are not installed."""
+    if any(find_spec(name) is None for name in NEEDED):
+        return ""
+    from workers.version import version_of
+
+    return version_of(settings.mining())

@@ -29,7 +29,10 @@ from service.errors import UsageError
 Once = Annotated[bool, typer.Option("--once", help="Mine what is there, then stop.")]
 DryRun = Annotated[
     bool,
-    typer.Option("--dry-run", help="List logs, bytes and estimated hours; mine and write nothing."),
+    typer.Option(
+        "--dry-run",
+        help="List logs, what is left to mine of them, and the estimated hours; write nothing.",
+    ),
 ]
 Listen = Annotated[
     str | None, typer.Option("--listen", help="tcp/ADDRESS:PORT of the router; a free port.")

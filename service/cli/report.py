@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from service.cli.output import remark, table
-from service.dry_run import DryRun
+from service.dry_run import DryLog, DryRun
 from service.ranking import RankedScene
 from service.status import Status
 
@@ -127,12 +127,14 @@ def say_dry_run(found: DryRun) -> None:
     """Print what a run would mine, and the estimate with what it stands on."""
     table(
         f"logs in {found.bucket}",
-        ("log", "parts", "MB", "duration", "frames", "problem"),
+        ("log", "parts", "MB", "in the state", "left", "duration", "frames", "problem"),
         (
             (
                 log.log_id,
                 log.parts,
                 f"{log.bytes / 1e6:.1f}",
+                _standing(log) if found.pipeline_version else None,
+                f"{100 * log.left_share:.0f} %",
                 None if log.duration_s is None else _duration(log.duration_s),
                 log.frames,
                 log.problem,
@@ -140,19 +142,44 @@ def say_dry_run(found: DryRun) -> None:
             for log in found.logs
         ),
     )
+    left = sum(log.left_share > 0 for log in found.logs)
+    if found.pipeline_version:
+        _say_compared(found)
     remark(
-        f"{len(found.logs)} logs, {found.bytes / 1e9:.2f} GB; {found.looked_into} looked into"
-        + (", the rest estimated by bytes" if found.looked_into < len(found.logs) else "")
+        f"{len(found.logs)} logs, {found.bytes / 1e9:.2f} GB; left to mine: {left} logs, "
+        f"{found.left_bytes / 1e9:.2f} GB, {found.looked_into} looked into"
+        + (", the rest estimated by bytes" if found.looked_into < left else "")
     )
+    if not left:
+        remark("nothing is left to mine; nothing was mined or written")
+        return
     if found.frames is None or found.hours is None or found.duration_s is None:
         remark("no estimate: no log could be looked into; that takes the extra `workers`")
         return
     remark(
-        f"about {found.frames} frames in {_duration(found.duration_s)} of recording; about "
+        f"left: about {found.frames} frames in {_duration(found.duration_s)} of recording; about "
         f"{_hours(found.hours)} on {found.workers} workers with a core each, at "
         f"{found.seconds_per_frame:.2f} s per frame ({found.pace_from})"
     )
     remark("nothing was mined or written")
+
+
+def _say_compared(found: DryRun) -> None:
+    counts = ", ".join(f"{count} {what}" for what, count in sorted(found.by_standing.items()))
+    remark(f"under pipeline version {found.pipeline_version} the state has: {counts}")
+    if found.pipeline_version != found.state_version:
+        remark(
+            f"the newest pipeline version in the state is another, {found.state_version}: what "
+            "only that one has mined is mined anew"
+        )
+    if changed := found.by_standing.get("changed"):
+        remark(f"of {changed} changed logs, what lies in objects that stayed is not mined again")
+    if parked := sum(log.parked for log in found.logs):
+        remark(f"{parked} plans and shards are parked, and not counted: `counterpoint retry`")
+
+
+def _standing(log: DryLog) -> str:
+    return f"{log.standing}, {log.parked} parked" if log.parked else log.standing
 
 
 def _shards(by_state: dict[str, int]) -> str:

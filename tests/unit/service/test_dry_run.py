@@ -10,14 +10,23 @@ from typing import Any
 
 import pytest
 
-from schemas.work import MiningStats
+from schemas.bucket import open_bucket
+from schemas.recordings import group_recordings
+from schemas.work import MineLease, MiningStats, PlanLease, Recording
 from service.cli.main import main
 from service.config import load_settings
-from service.dry_run import DEFAULT_SECONDS_PER_FRAME, MOST_LOOKED_INTO, DryRun, plan_dry_run
+from service.dry_run import (
+    DEFAULT_SECONDS_PER_FRAME,
+    MOST_LOOKED_INTO,
+    DryLog,
+    DryRun,
+    plan_dry_run,
+)
 from service.errors import NothingFoundError
 from service.store.engine import open_store
-from tests.contracts.ledger_world import World, mined, shard_commit
+from tests.contracts.ledger_world import World, mined, plan_of, shard_commit
 from tests.tiny_logs import Recorder, drive
+from workers.version import version_of
 
 
 @pytest.fixture(autouse=True)
@@ -100,6 +109,137 @@ def test_a_state_that_has_mined_tells_the_pace(tmp_path: Path) -> None:
     found = dry_run(tmp_path)
     assert found.seconds_per_frame == pytest.approx(0.25)
     assert found.pace_from == "measured on 400 frames mined in this state"
+
+
+def recordings_in(folder: Path) -> list[Recording]:
+    return group_recordings(open_bucket(str(folder / "logs")).list())
+
+
+def mine(folder: Path, version: str, *, until: int = 100) -> None:
+    """Mine the bucket in three shards a log, so many of them, as `refused` and `parked` say."""
+    (folder / "state").mkdir(exist_ok=True)
+    with closing(open_store(folder / "state")) as store:
+        world = World.on(store)
+        world.ledger.sync_recordings(recordings_in(folder))
+        while until and isinstance(lease := world.claim(version=version), PlanLease | MineLease):
+            log_id = lease.recording.log_id
+            if isinstance(lease, PlanLease):
+                refused = "no lidar" if log_id.startswith("refused") else ""
+                assert world.commit_plan(lease, plan=plan_of(log_id, refused=refused)).ok
+            elif log_id.startswith("parked") and lease.shard.index == 1:
+                assert world.fail(lease, permanent=True).ok
+            else:
+                assert world.commit_shard(lease, version=version).ok
+                until -= 1
+        world.ledger.free_leases("w1")
+
+
+def logs_of(folder: Path, *names: str, seconds: int = 1) -> None:
+    (folder / "logs").mkdir(exist_ok=True)
+    for name in names:
+        (folder / "logs" / f"{name}.mcap").write_bytes(Recorder().write(drive(seconds)))
+
+
+def standings(found: DryRun) -> dict[str, str]:
+    return {log.log_id: log.standing for log in found.logs}
+
+
+@pytest.fixture(scope="module")
+def version() -> str:
+    return version_of(load_settings(bucket="logs").mining())
+
+
+def test_what_is_mined_already_counts_no_hours(tmp_path: Path, version: str) -> None:
+    logs_of(tmp_path, "done", "parked", "refused")
+    mine(tmp_path, version)
+    found = dry_run(tmp_path)
+    assert standings(found) == {"done": "mined", "parked": "mined", "refused": "refused"}
+    assert [log.parked for log in found.logs] == [0, 1, 0]
+    assert [log.frames for log in found.logs] == [180, 120, 0]
+    assert (found.left_bytes, found.looked_into, found.frames, found.hours) == (0, 0, 0, 0)
+    assert found.pipeline_version == found.state_version == version
+    logs_of(tmp_path, "late", seconds=2)
+    found = dry_run(tmp_path)
+    assert standings(found)["late"] == "new"
+    assert (found.looked_into, found.frames) == (1, 20)
+    assert found.left_bytes == next(log.bytes for log in found.logs if log.log_id == "late")
+
+
+def test_of_a_log_that_is_mined_in_part_the_rest_counts(tmp_path: Path, version: str) -> None:
+    logs_of(tmp_path, "half", seconds=3)
+    mine(tmp_path, version, until=2)
+    found = dry_run(tmp_path)
+    (log,) = found.logs
+    assert log.standing == "in part"
+    assert log.left_share == pytest.approx(1 / 3)
+    assert (log.frames, found.frames) == (30, 10)
+    assert found.duration_s == pytest.approx(2.9 / 3, abs=0.05)
+
+
+def test_another_pipeline_version_mines_everything_anew(tmp_path: Path, version: str) -> None:
+    logs_of(tmp_path, "done", "refused")
+    mine(tmp_path, "an older one")
+    logs_of(tmp_path, "late")
+    found = dry_run(tmp_path)
+    assert standings(found) == {"done": "anew", "late": "new", "refused": "new"}
+    assert found.by_standing == {"anew": 1, "new": 2}
+    assert (found.pipeline_version, found.state_version) == (version, "an older one")
+    assert found.frames == 30
+    mine(tmp_path, version, until=1)  # it has begun, and all plans are made
+    assert standings(dry_run(tmp_path)) == {"done": "in part", "late": "new", "refused": "refused"}
+    other = dry_run(tmp_path, grid={"shard_s": 10})
+    assert standings(other)["done"] == "anew"
+    assert other.pipeline_version not in (version, "an older one")
+
+
+def test_a_log_whose_objects_changed_is_left(tmp_path: Path, version: str) -> None:
+    logs_of(tmp_path, "grown")
+    mine(tmp_path, version)
+    before = (tmp_path / "logs" / "grown.mcap").read_bytes()
+    logs_of(tmp_path, "grown", seconds=2)
+    found = dry_run(tmp_path)
+    assert (standings(found), found.frames) == ({"grown": "changed"}, 20)
+    (tmp_path / "logs" / "grown.mcap").write_bytes(before)
+    os.utime(tmp_path / "logs" / "grown.mcap", ns=(1, 1))
+    assert standings(dry_run(tmp_path)) == {"grown": "changed"}, "another etag in a folder"
+
+
+def test_a_log_that_is_back_as_it_was_is_not_mined_again(tmp_path: Path, version: str) -> None:
+    logs_of(tmp_path, "a", "b")
+    mine(tmp_path, version)
+    away = (tmp_path / "logs" / "b.mcap").rename(tmp_path / "b.mcap")
+    mine(tmp_path, version)
+    away.rename(tmp_path / "logs" / "b.mcap")
+    assert standings(dry_run(tmp_path)) == {"a": "mined", "b": "mined"}
+
+
+def test_without_a_state_all_is_left(tmp_path: Path) -> None:
+    logs_of(tmp_path, "a")
+    found = dry_run(tmp_path)
+    assert found.logs[0] == DryLog(
+        log_id="a", parts=1, bytes=found.bytes, duration_s=0.9, frames=10
+    )
+    assert (found.left_bytes, found.pipeline_version) == (found.bytes, "")
+    assert not (tmp_path / "state").exists()
+
+
+def test_the_verb_says_what_is_left(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], version: str
+) -> None:
+    logs_of(tmp_path, "done", "parked")
+    mine(tmp_path, version)
+    at = ["--bucket", str(tmp_path / "logs"), "--state", str(tmp_path / "state"), "--dry-run"]
+    assert main(["run", *at]) == 0
+    told = capsys.readouterr().err
+    assert f"under pipeline version {version} the state has: 2 mined" in told
+    assert "left to mine: 0 logs" in told
+    assert "1 plans and shards are parked, and not counted: `counterpoint retry`" in told
+    logs_of(tmp_path, "late")
+    assert main(["run", *at, "--shard-seconds", "10"]) == 0
+    told = capsys.readouterr().err
+    assert "the state has: 2 anew, 1 new" in told
+    assert f"version in the state is another, {version}" in told
+    assert "left: about 30 frames" in told
 
 
 def test_the_verb_prints_a_table_or_json(
