@@ -31,15 +31,17 @@ def draw_table(evaluated: Sequence["LogEvaluation"]) -> Image.Image:
     """Draw IoU, precision, recall and object recall of every log by range, objects by kind.
 
     Args:
-        evaluated: A row for each log and a last one for all of them; logs in which no frame was
-            judged are left out.
+        evaluated: A row for each log and stream, and last ones for all logs; logs in which no
+            frame was judged are left out.
     """
     rows = [row for row in evaluated if row.frames]
     measures = ("iou", "confirmed_iou", "precision", "recall", "object_recall")
     names = [(row, measure) for row in rows for measure in measures]
+    totals = [row for row in evaluated if row.log == evaluated[-1].log]
     kinds = [
-        (f"{by}: {kind}", share)
-        for by, shares in (_by_kind(evaluated[-1]) if evaluated else {}).items()
+        (f"{total.stream}, {by}: {kind}" if len(totals) > 1 else f"{by}: {kind}", share)
+        for total in totals
+        for by, shares in _by_kind(total).items()
         for kind, share in shares.items()
     ]
     height = 170 + _GROUP_PX * len(names) + 34 * len(rows) + _ROW_PX * len(kinds)

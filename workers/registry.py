@@ -7,12 +7,14 @@ answer per frame, in order.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final, Protocol, TypeVar
 
 from schemas.frame import LidarFrame, PosedFrame
 from schemas.labels import FrameLabels
 from workers.errors import UnknownPartError
+from workers.selfsupervised.scene_flow import SCENE_FLOWS
 
 
 class Odometry(Protocol):
@@ -89,10 +91,18 @@ def _registration() -> Stream:
     return Registration()
 
 
-def _two_stage() -> Stream:
+def _two_stage(flow: str, *, published: bool = False) -> Stream:
     from workers.selfsupervised.two_stage import TwoStage
+    from workers.selfsupervised.two_stage_clustering import PAPER, PER_SECOND
 
-    return TwoStage()
+    return TwoStage(flow, PAPER if published else PER_SECOND)
+
+
+def _two_stage_tracked(*, published: bool = False) -> Stream:
+    from workers.selfsupervised.two_stage_clustering import PAPER, PER_SECOND
+    from workers.selfsupervised.two_stage_tracked import TrackedTwoStage
+
+    return TrackedTwoStage(PAPER if published else PER_SECOND)
 
 
 ODOMETRIES: Final[Mapping[str, Callable[[], Odometry]]] = {"kiss-icp": _kiss_icp}
@@ -103,8 +113,18 @@ SUPERVISED: Final[Mapping[str, Callable[[str], Stream]]] = {
 }
 SELFSUPERVISED: Final[Mapping[str, Callable[[], Stream]]] = {
     "registration": _registration,
-    "two-stage": _two_stage,
+    "two-stage": partial(_two_stage, "nearest-neighbour"),
+    "two-stage:tracked": _two_stage_tracked,
+    "two-stage:tracked:published": partial(_two_stage_tracked, published=True),
+    **{f"two-stage:{flow}": partial(_two_stage, flow) for flow in SCENE_FLOWS},
+    **{
+        f"two-stage:{flow}:published": partial(_two_stage, flow, published=True)
+        for flow in SCENE_FLOWS
+    },
 }
+"""`two-stage:FLOW` is the rule of the paper on a scene flow, `…:published` with its numbers as
+published, per frame; `two-stage` alone takes the nearest neighbour. What enters `SCENE_FLOWS`
+is a stream of that name here."""
 
 Maker = TypeVar("Maker")
 
@@ -131,7 +151,22 @@ def build_parts(*, odometry: str, supervised: str, selfsupervised: str, model: s
         PermanentError: If its model cannot be used.
     """
     return Parts(
-        odometry=_named("odometry", odometry, ODOMETRIES)(),
-        supervised=_named("supervised stream", supervised, SUPERVISED)(model),
-        selfsupervised=_named("self-supervised stream", selfsupervised, SELFSUPERVISED)(),
+        odometry=build_odometry(odometry),
+        supervised=build_supervised(supervised, model=model),
+        selfsupervised=build_selfsupervised(selfsupervised),
     )
+
+
+def build_odometry(name: str) -> Odometry:
+    """Build the odometry of this name, or raise `UnknownPartError`."""
+    return _named("odometry", name, ODOMETRIES)()
+
+
+def build_supervised(name: str, *, model: str = "") -> Stream:
+    """Build the supervised stream of this name, or raise as `build_parts` does."""
+    return _named("supervised stream", name, SUPERVISED)(model)
+
+
+def build_selfsupervised(name: str) -> Stream:
+    """Build the self-supervised stream of this name, or raise `UnknownPartError`."""
+    return _named("self-supervised stream", name, SELFSUPERVISED)()

@@ -1,4 +1,4 @@
-"""The verb `eval motion`: one stream's labels against truth, in tables, files and pictures."""
+"""The verb `eval motion`: labels of streams against truth, in tables, files and pictures."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -31,8 +31,13 @@ def motion(
         str, typer.Option("--frames", help="A:B, half open, per log; earlier ones warm up.")
     ] = "0:",
     stream: Annotated[
-        str, typer.Option("--stream", help="Which labels: selfsupervised or supervised.")
-    ] = "selfsupervised",
+        list[str] | None,
+        typer.Option(
+            "--stream",
+            help="Which labels: selfsupervised (default), supervised, or a part by its name. Given "
+            "more than once: side by side, a row each.",
+        ),
+    ] = None,
     alone: Annotated[
         bool, typer.Option("--alone", help="Do not run the other stream beside it.")
     ] = False,
@@ -55,7 +60,8 @@ def motion(
     json: Json = False,
     config: Config = None,
 ) -> None:
-    """Judge one stream's motion labels, point by point."""
+    """Judge motion labels point by point, of one stream or of several side by side."""
+    streams = tuple(dict.fromkeys(stream or ["selfsupervised"]))
     bounds, beams = parse_frames(frames), parse_rows(rows)
     settings = settings_for(config, bucket=bucket)
     from service.picture_judged import draw_worst
@@ -65,13 +71,16 @@ def motion(
     from workers.evaluation.worst import WorstFrames
     from workers.evaluation.written_labels import write_labels
 
-    worst = WorstFrames(WORST_FRAMES)
+    worst = {name: WorstFrames(WORST_FRAMES) for name in streams}
+
+    def of_stream(folder: Path, name: str) -> Path:
+        return folder if len(streams) == 1 else folder / name.replace(":", "-")
 
     def keep(judged: JudgedFrame) -> None:
         if labels is not None:
-            write_labels(labels, judged)
+            write_labels(of_stream(labels, judged.stream), judged)
         if pictures is not None:
-            worst.add(judged)
+            worst[judged.stream].add(judged)
 
     with progress() as bar:
         task = bar.add_task("evaluating", total=None)
@@ -80,7 +89,7 @@ def motion(
             truth,
             frames=bounds,
             settings=settings.mining(),
-            stream=stream,
+            stream=streams,
             both=not alone,
             disturbance=Disturbance(beams, every, yaw_noise_deg),
             on_frame=keep,
@@ -90,24 +99,31 @@ def motion(
         for row in evaluated:
             json_line(row)
     else:
-        _say(evaluated, stream)
+        _say(evaluated, streams)
     if plot is not None:
         plot.parent.mkdir(parents=True, exist_ok=True)
         draw_table(evaluated).save(plot)
         remark(f"plot: {plot}")
     if pictures is not None:
-        for path in draw_worst(pictures, worst.frames):
-            remark(f"picture: {path}")
+        for name, frames_of_stream in worst.items():
+            for path in draw_worst(of_stream(pictures, name), frames_of_stream.frames):
+                remark(f"picture: {path}")
 
 
-def _say(evaluated: "list[LogEvaluation]", stream: str) -> None:
+def _say(evaluated: "list[LogEvaluation]", streams: tuple[str, ...]) -> None:
     """Print what a person wants to see first; the JSON lines hold everything."""
+    several = len(streams) > 1
+
+    def named(row: "LogEvaluation", *cells: object) -> tuple[object, ...]:
+        return (row.log, row.stream, *cells) if several else (row.log, *cells)
+
+    first = ("log", "stream") if several else ("log",)
     table(
-        f"dynamic points, {stream} stream",
-        ("log", "frames", "IoU 25", "IoU 50", "IoU 80 m", "precision 80", "recall 80", "unknown"),
+        "dynamic points, side by side" if several else f"dynamic points, {streams[0]} stream",
+        (*first, "frames", "IoU 25", "IoU 50", "IoU 80 m", "precision 80", "recall 80", "unknown"),
         (
-            (
-                row.log,
+            named(
+                row,
                 row.frames,
                 *(row.iou[r] for r in ("25", "50", "80")),
                 row.precision["80"],
@@ -120,12 +136,12 @@ def _say(evaluated: "list[LogEvaluation]", stream: str) -> None:
     table(
         "moving objects of 20 points and more; clusters of 25 points where nothing moves",
         (
-            *("log", "found 25", "found 50", "found 80 m", "false clusters per frame"),
+            *(*first, "found 25", "found 50", "found 80 m", "false clusters per frame"),
             *("confirmed: IoU 80 m", "false clusters", "velocity error m/s", "ms per frame"),
         ),
         (
-            (
-                row.log,
+            named(
+                row,
                 *(row.object_recall[r] for r in ("25", "50", "80")),
                 row.false_clusters_per_frame,
                 row.confirmed_iou["80"],
@@ -136,19 +152,18 @@ def _say(evaluated: "list[LogEvaluation]", stream: str) -> None:
             for row in evaluated
         ),
     )
-    total = evaluated[-1]
-    kinds = {
-        "class": total.object_recall_by_class,
-        "speed, m/s": total.object_recall_by_speed,
-        "longest side, m": total.object_recall_by_size,
-        "points": total.object_recall_by_points,
-    }
     table(
         "moving objects found under 80 m, all logs",
-        ("by", "kind", "found", "tracks found"),
+        (*first[1:], "by", "kind", "found", "tracks found"),
         (
-            (by, kind, share, _tracks(total, kind) if by == "class" else None)
-            for by, shares in kinds.items()
+            named(total, by, kind, share, _tracks(total, kind) if by == "class" else None)[1:]
+            for total in evaluated[-len(streams) :]
+            for by, shares in {
+                "class": total.object_recall_by_class,
+                "speed, m/s": total.object_recall_by_speed,
+                "longest side, m": total.object_recall_by_size,
+                "points": total.object_recall_by_points,
+            }.items()
             for kind, share in shares.items()
         ),
     )

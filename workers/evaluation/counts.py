@@ -1,13 +1,15 @@
 """What is counted of right and wrong labels: sums that add up over frames and logs."""
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Final, Literal, Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-StreamName = Literal["selfsupervised", "supervised"]
+StreamName = str
+"""`selfsupervised` or `supervised`, as the settings choose them, or a part's own name."""
 
 RANGES_M: Final = (25, 50, 80)
 """Horizontal ranges under which points are counted."""
@@ -132,22 +134,22 @@ class LogCounts:
     Attributes:
         frames: Frames that were judged.
         streams: Counts of each stream.
-        compared: Points that both streams labelled.
+        compared: By supervised and self-supervised stream, points that both labelled.
         contradicted: Those on which they differ.
-        stage_ms: Milliseconds of each stage in each judged frame.
+        stage_ms: Milliseconds of each stage, and of each stream, in each judged frame.
     """
 
     frames: int = 0
     streams: dict[StreamName, StreamCounts] = field(default_factory=dict)
-    compared: int = 0
-    contradicted: int = 0
+    compared: Counter[tuple[StreamName, StreamName]] = field(default_factory=Counter)
+    contradicted: Counter[tuple[StreamName, StreamName]] = field(default_factory=Counter)
     stage_ms: dict[str, list[float]] = field(default_factory=dict)
 
     def add(self, other: Self) -> None:
         """Add another's counts to these."""
         self.frames += other.frames
-        self.compared += other.compared
-        self.contradicted += other.contradicted
+        self.compared.update(other.compared)
+        self.contradicted.update(other.contradicted)
         for name, counts in other.streams.items():
             self.streams.setdefault(name, StreamCounts()).add(counts)
         for stage, times in other.stage_ms.items():

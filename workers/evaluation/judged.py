@@ -1,8 +1,9 @@
 """Runs the streams over a whole log, disturbed or not, frame by frame, with the time they take."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import tee
+from typing import cast
 
 from schemas.arrays import Mask
 from schemas.bucket import Bucket
@@ -15,8 +16,8 @@ from workers.evaluation.floors import MS_PER_S
 from workers.evaluation.truth import LogTruth
 from workers.evaluation.whole_log import shards_of_log
 from workers.ingest.read import read_shard
-from workers.registry import Parts
-from workers.stages import StageClock, timed
+from workers.registry import Odometry, Stream
+from workers.stages import Stage, StageClock
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,8 +46,8 @@ def answers_of(
     recording: Recording,
     truth: LogTruth,
     *,
-    parts: Parts,
-    streams: Sequence[StreamName],
+    odometry: Odometry,
+    streams: Mapping[StreamName, Stream],
     settings: MiningSettings,
     disturbance: Disturbance,
 ) -> Iterator[Answered]:
@@ -56,8 +57,8 @@ def answers_of(
         bucket: Where the log lies.
         recording: The log.
         truth: Of the log; it says which lidar is judged, and numbers the frames.
-        parts: What poses the frames, and what labels them.
-        streams: Which of their streams are run.
+        odometry: What poses the frames.
+        streams: What labels them, by name; all see the same frames and poses.
         settings: How the log is read.
         disturbance: What the log is made worse by.
 
@@ -75,12 +76,14 @@ def answers_of(
             if each.number % disturbance.every == 0
         )
         given = tee(without_beams(numbered, disturbance.rows), 3)
-        watched = timed(parts, clock)
-        posed = watched.odometry(each.frame for each in given[0])
+        posed = clock.drawn("odometry", odometry(each.frame for each in given[0]))
         noisy = with_yaw_noise(posed, (each.number for each in given[1]), disturbance.yaw_noise_deg)
         pulled, *inputs = tee(noisy, 1 + len(streams))
-        run = {"supervised": watched.supervised, "selfsupervised": watched.selfsupervised}
-        answers = [run[name](each) for name, each in zip(streams, inputs, strict=True)]
+        answers = [
+            # streams are stages to the clock, with names of their own
+            clock.drawn(cast(Stage, name), stream(each))
+            for (name, stream), each in zip(streams.items(), inputs, strict=True)
+        ]
         before: dict[str, float] = {}
         for each, frame, *labels in zip(given[2], pulled, *answers, strict=True):
             seconds = {str(stage): s for stage, s in clock.seconds.items()}

@@ -1,7 +1,8 @@
 """Judges motion labels against truth, on the very path that mining takes."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -9,17 +10,18 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Mask, MotionLabels, Points
 from schemas.bucket import open_bucket
-from schemas.labels import Agreement, FrameLabels
+from schemas.labels import Agreement
 from schemas.recordings import group_recordings
 from schemas.work import MiningSettings
 from workers.contradiction.compare import compare
+from workers.evaluation.alternatives import OF_SETTINGS, build_streams, is_supervised
 from workers.evaluation.counting import count_frame
 from workers.evaluation.counts import LogCounts, StreamCounts, StreamName, total_of
 from workers.evaluation.disturbance import Disturbance
 from workers.evaluation.judged import Answered, answers_of
 from workers.evaluation.table import LogEvaluation, evaluation_of
 from workers.evaluation.truth import FrameTruth, LogTruth, TruthUnusableError
-from workers.registry import build_parts
+from workers.registry import build_odometry
 
 UNDISTURBED = Disturbance()
 
@@ -29,6 +31,7 @@ class JudgedFrame:
     """One frame that was judged: M points, those of the beams that were kept.
 
     Attributes:
+        stream: Whose labels they are.
         log_id: Whose it is.
         name: As its truth is named, `x/y/NNNNNN`.
         points_m: (M, 3) sensor space.
@@ -38,6 +41,7 @@ class JudgedFrame:
         kept: (N,) which points of the recorded cloud they are; None for all.
     """
 
+    stream: StreamName
     log_id: str
     name: str
     points_m: Points
@@ -53,7 +57,7 @@ def evaluate_motion(
     *,
     frames: tuple[int, int | None] = (0, None),
     settings: MiningSettings,
-    stream: str = "selfsupervised",
+    stream: StreamName | Sequence[StreamName] = "selfsupervised",
     both: bool = True,
     disturbance: Disturbance = UNDISTURBED,
     on_frame: Callable[[JudgedFrame], None] = lambda judged: None,
@@ -70,22 +74,27 @@ def evaluate_motion(
         frames: First frame that is judged and the first that is not any more (None: all the rest),
             counted in each log; earlier ones run through the streams unjudged.
         settings: Names of the parts and how logs are read.
-        stream: Whose figures stand at the top of each row.
-        both: Run the other stream too, for its table and for the share of contradicted points.
+        stream: Whose figures stand at the top of each row: `selfsupervised` or `supervised` as the
+            settings name them, or a part by name; several are judged side by side, on the same
+            frames and poses.
+        both: Where one of the first two is judged, run the other too, for its table and for the
+            share of contradicted points.
         disturbance: What the logs are made worse by before anything sees them.
-        on_frame: Told of each judged frame what the stream at the top said about it.
+        on_frame: Told of each judged frame what each stream at the top said about it.
         on_progress: Told how many frames are done, and of about how many.
 
     Returns:
-        One row for each log, and a last one, `all`, of the counts of all logs.
+        One row for each log and stream, and last ones, `all`, of the counts of all logs.
 
     Raises:
         TruthUnusableError: If no log has truth, or truth does not fit its log.
         LogUnusableError: If a log with truth cannot be mined.
+        UnknownPartError: If a stream does not exist.
     """
-    if stream not in ("selfsupervised", "supervised"):
-        raise LookupError(f"no stream {stream!r}; known: selfsupervised, supervised")
-    chosen: StreamName = "supervised" if stream == "supervised" else "selfsupervised"
+    chosen = (stream,) if isinstance(stream, str) else tuple(dict.fromkeys(stream))
+    alone = chosen[0] if len(chosen) == 1 else ""
+    beside = tuple(name for name in OF_SETTINGS if both and alone in OF_SETTINGS and name != alone)
+    streams = build_streams((*chosen, *beside), settings)
     bucket = open_bucket(bucket_url)
     known = [
         (recording, found)
@@ -94,13 +103,7 @@ def evaluate_motion(
     ]
     if not known:
         raise TruthUnusableError(f"no log of {bucket.url} has truth in {truth}")
-    parts = build_parts(
-        odometry=settings.odometry,
-        supervised=settings.supervised,
-        selfsupervised=settings.selfsupervised,
-        model=settings.model,
-    )
-    streams: tuple[StreamName, ...] = ("selfsupervised", "supervised") if both else (chosen,)
+    odometry = build_odometry(settings.odometry)
     judged = [_clipped(frames, len(found)) for _, found in known]
     total = sum(each.stop for each in judged if each)
     rows, counts, done = [], [], 0
@@ -110,7 +113,7 @@ def evaluate_motion(
             bucket,
             recording,
             found,
-            parts=parts,
+            odometry=odometry,
             streams=streams,
             settings=settings,
             disturbance=disturbance,
@@ -124,11 +127,17 @@ def evaluate_motion(
             if answered.number in numbers and true is not None:
                 true = true if answered.kept is None else true.of_points(answered.kept)
                 _count(counted, answered, true, recording.log_id)
-                said, name = answered.labels[chosen], found.name_of(answered.number)
-                on_frame(_judged(answered, said, true, recording.log_id, name))
+                for each in chosen:
+                    on_frame(_judged(answered, each, true, recording.log_id, found))
         counts.append(counted)
-        rows.append(evaluation_of(recording.log_id, counted, stream=chosen))
-    return [*rows, evaluation_of("all", total_of(counts), stream=chosen)]
+        rows.extend(_rows(recording.log_id, counted, chosen, beside))
+    return [*rows, *_rows("all", total_of(counts), chosen, beside)]
+
+
+def _rows(
+    log: str, counts: LogCounts, chosen: Sequence[StreamName], beside: Sequence[StreamName]
+) -> list[LogEvaluation]:
+    return [evaluation_of(log, counts, stream=name, beside=beside) for name in chosen]
 
 
 def _clipped(frames: tuple[int, int | None], length: int) -> range:
@@ -137,11 +146,13 @@ def _clipped(frames: tuple[int, int | None], length: int) -> range:
 
 
 def _judged(
-    answered: Answered, said: FrameLabels, true: FrameTruth, log_id: str, name: str
+    answered: Answered, stream: StreamName, true: FrameTruth, log_id: str, truth: LogTruth
 ) -> JudgedFrame:
+    said = answered.labels[stream]
     return JudgedFrame(
+        stream=stream,
         log_id=log_id,
-        name=name,
+        name=truth.name_of(answered.number),
         points_m=answered.posed.frame.points_m,
         labels=said.labels,
         confirmed=said.confirmed,
@@ -154,7 +165,6 @@ def _count(counts: LogCounts, answered: Answered, true: FrameTruth, log_id: str)
     counts.frames += 1
     for stage, took_ms in answered.stage_ms.items():
         counts.stage_ms.setdefault(stage, []).append(took_ms)
-    counts.stage_ms.setdefault("total", []).append(sum(answered.stage_ms.values()))
     for name, said in answered.labels.items():
         counts.streams[name].add(
             count_frame(
@@ -165,11 +175,11 @@ def _count(counts: LogCounts, answered: Answered, true: FrameTruth, log_id: str)
                 odom_from_sensor=answered.posed.odom_from_sensor,
             )
         )
-    if len(answered.labels) > 1:
-        agreements = compare(
-            answered.labels["supervised"].labels, answered.labels["selfsupervised"].labels
-        )
+    supervised = [name for name in answered.labels if is_supervised(name)]
+    others = [name for name in answered.labels if not is_supervised(name)]
+    for semantic, predictive in product(supervised, others):
+        agreements = compare(answered.labels[semantic].labels, answered.labels[predictive].labels)
         compared = agreements != Agreement.NOT_COMPARED
-        counts.compared += int(compared.sum())
         differs = (agreements != Agreement.BOTH_STATIC) & (agreements != Agreement.BOTH_DYNAMIC)
-        counts.contradicted += int(np.count_nonzero(compared & differs))
+        counts.compared[semantic, predictive] += int(compared.sum())
+        counts.contradicted[semantic, predictive] += int(np.count_nonzero(compared & differs))

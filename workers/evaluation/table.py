@@ -1,6 +1,6 @@
 """The table of ratios that is made of what was counted: one row for each log, one for all."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence, Set
 from typing import Final
 
 import numpy as np
@@ -73,7 +73,10 @@ class JudgedLog(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     log: str = Field(description="Log id, or `all`.")
-    stream: StreamName = Field(description="Whose figures stand at the top level.")
+    stream: StreamName = Field(
+        description="Whose figures stand at the top level: `selfsupervised` or "
+        "`supervised`, whatever the settings name, or a part by its own name."
+    )
     frames: int = Field(ge=0, description="Frames that were judged.")
 
 
@@ -84,30 +87,62 @@ class LogEvaluation(StreamTable, JudgedLog):
         description="Median milliseconds of each stage in the judged frames, and of their total."
     )
     contradicted_share: float | None = Field(
-        description="Share of compared points on which the streams differ; null with one stream."
+        description="Share of compared points on which the stream and the first of the other kind "
+        "differ; null where none of the other kind was run."
     )
     streams: dict[StreamName, StreamTable] = Field(description="The same table for each stream.")
 
 
-def evaluation_of(log: str, counts: LogCounts, *, stream: StreamName) -> LogEvaluation:
-    """Turn what was counted in a log into its table."""
+def evaluation_of(
+    log: str,
+    counts: LogCounts,
+    *,
+    stream: StreamName,
+    beside: Sequence[StreamName] | None = None,
+) -> LogEvaluation:
+    """Turn what was counted in a log into its table.
+
+    Args:
+        log: Log id, or `all`.
+        counts: What was counted of it.
+        stream: Whose figures stand at the top.
+        beside: The other streams that the row is about; all that were counted by default.
+    """
+    shown = {stream, *(counts.streams if beside is None else beside)}
     tables = {
         name: _table(stream_counts, frames=counts.frames)
         for name, stream_counts in sorted(counts.streams.items())
+        if name in shown
     }
     top = tables.get(stream) or _table(StreamCounts(), frames=0)
+    pair = next((pair for pair in counts.compared if stream in pair), None)
     return LogEvaluation(
         **{name: getattr(top, name) for name in StreamTable.model_fields},
         log=log,
         stream=stream,
         frames=counts.frames,
-        ms_per_frame={
-            stage: round(float(np.median(times)), 3) if times else None
-            for stage, times in counts.stage_ms.items()
-        },
-        contradicted_share=_ratio(counts.contradicted, counts.compared),
+        ms_per_frame=_stage_times(counts, shown),
+        contradicted_share=(
+            _ratio(counts.contradicted[pair], counts.compared[pair]) if pair else None
+        ),
         streams=tables,
     )
+
+
+def _stage_times(counts: LogCounts, shown: Set[StreamName]) -> dict[str, float | None]:
+    """Median of each stage, streams that are not shown left out, and of their sum."""
+    stages = {
+        stage: times
+        for stage, times in counts.stage_ms.items()
+        if stage in shown or stage not in counts.streams
+    }
+    if not stages:
+        return {}
+    stages["total"] = np.sum(list(stages.values()), axis=0).tolist()
+    return {
+        stage: round(float(np.median(times)), 3) if times else None
+        for stage, times in stages.items()
+    }
 
 
 def _table(counts: StreamCounts, *, frames: int) -> StreamTable:

@@ -32,9 +32,21 @@ def nearest_neighbour_flow(
     return flow
 
 
+def registered_clusters_flow(
+    points_m: Points, other_points_m: Points, other_from_this: Transform
+) -> Flow:
+    """Let every cluster go, as a whole, to where it fits the other frame best."""
+    from workers.selfsupervised.rigid_flow import rigid_flow
+
+    return rigid_flow(points_m, other_points_m, other_from_this)
+
+
 SCENE_FLOWS: Final[Mapping[str, SceneFlowSource]] = {
     "nearest-neighbour": nearest_neighbour_flow,
+    "registered-clusters": registered_clusters_flow,
 }
+"""All there are: each is a stream `two-stage:NAME` too, and so would a learned one be, which loads
+its network when it is first called."""
 
 
 def scene_flow_source(name: str) -> SceneFlowSource:

@@ -19,6 +19,7 @@ MISSED, FALSE = (250, 210, 40), (255, 70, 70)
 def judged(name: str, *, called: bool, moves: bool) -> JudgedFrame:
     label = MotionLabel.DYNAMIC if called else MotionLabel.STATIC
     return JudgedFrame(
+        stream="selfsupervised",
         log_id="x/y",
         name=name,
         points_m=np.array([[30.0, 10.0, 0.0]], np.float32),

@@ -34,6 +34,7 @@ def judged(*, wrong: int, name: str = "x/y/000000") -> JudgedFrame:
     labels[:wrong] = MotionLabel.DYNAMIC
     labels[-1] = MotionLabel.UNKNOWN
     return JudgedFrame(
+        stream="selfsupervised",
         log_id="x/y",
         name=name,
         points_m=np.full((20, 3), 5.0, np.float32),

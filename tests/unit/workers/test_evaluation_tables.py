@@ -128,9 +128,9 @@ def test_without_a_true_pose_no_velocity_is_judged() -> None:
 
 
 def test_the_time_of_a_stage_is_the_median_of_its_frames() -> None:
-    logs = [LogCounts(frames=1, stage_ms={"odometry": [t], "total": [2 * t]}) for t in (1, 2, 9)]
+    logs = [LogCounts(frames=1, stage_ms={"odometry": [t], "supervised": [t]}) for t in (1, 2, 9)]
     row = evaluation_of("x", total_of(logs), stream="selfsupervised")
-    assert row.ms_per_frame == {"odometry": 2.0, "total": 4.0}
+    assert row.ms_per_frame == {"odometry": 2.0, "supervised": 2.0, "total": 4.0}
 
 
 def test_a_truth_with_few_columns_tells_what_it_can(tmp_path: Path) -> None:

@@ -1,0 +1,51 @@
+"""The streams that are judged, by name: those of the settings, or parts side by side."""
+
+from collections.abc import Iterable
+from typing import Final
+
+from schemas.work import MiningSettings
+from workers.errors import UnknownPartError
+from workers.evaluation.counts import StreamName
+from workers.registry import (
+    SELFSUPERVISED,
+    SUPERVISED,
+    Stream,
+    build_selfsupervised,
+    build_supervised,
+)
+
+OF_SETTINGS: Final[tuple[StreamName, ...]] = ("selfsupervised", "supervised")
+"""Whatever parts the settings name for these two."""
+
+
+def is_supervised(name: StreamName) -> bool:
+    """Say whether a stream's labels come of a supervised model."""
+    return name == "supervised" or name in SUPERVISED
+
+
+def build_streams(
+    names: Iterable[StreamName], settings: MiningSettings
+) -> dict[StreamName, Stream]:
+    """Build streams by name, each once, in the order given.
+
+    Args:
+        names: `selfsupervised`, `supervised`, or a part of either kind.
+        settings: What the first two stand for.
+
+    Raises:
+        UnknownPartError: If one does not exist; the message lists those that do.
+    """
+    return {name: _build(name, settings) for name in dict.fromkeys(names)}
+
+
+def _build(name: StreamName, settings: MiningSettings) -> Stream:
+    if name in OF_SETTINGS:
+        if is_supervised(name):
+            return build_supervised(settings.supervised, model=settings.model)
+        return build_selfsupervised(settings.selfsupervised)
+    if name in SUPERVISED:
+        return build_supervised(name)
+    if name in SELFSUPERVISED:
+        return build_selfsupervised(name)
+    known = ", ".join([*OF_SETTINGS, *sorted(SELFSUPERVISED), *sorted(SUPERVISED)])
+    raise UnknownPartError(f"no stream {name!r}; known: {known}")
