@@ -44,7 +44,7 @@ def _build(name: StreamName, settings: MiningSettings) -> Stream:
             return build_supervised(settings.supervised, model=settings.model)
         return build_selfsupervised(settings.selfsupervised)
     if name in SUPERVISED:
-        return build_supervised(name)
+        return build_supervised(name, model=settings.model if name == "own" else "")
     if name in SELFSUPERVISED:
         return build_selfsupervised(name)
     known = ", ".join([*OF_SETTINGS, *sorted(SELFSUPERVISED), *sorted(SUPERVISED)])
