@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points, Transform, check_array, freeze
+from schemas.camera import CameraCalibration
 
 StampAt = Literal["start", "middle", "end"]
 """Which instant of the revolution a frame's stamp names."""
@@ -68,6 +69,7 @@ class LidarFrame:
         has_point_time: Whether `offset_ns` was recorded rather than left zero.
         stamp_at: Which instant of the revolution `stamp_ns` names.
         recorded: The labels of the model that ran on the car, where the log holds them.
+        camera: The camera whose view is compared, where one is wanted.
 
     Raises:
         ValueError: If an array has the wrong shape or dtype, or lengths differ.
@@ -83,6 +85,7 @@ class LidarFrame:
     has_point_time: bool = False
     stamp_at: StampAt = "start"
     recorded: RecordedLabels | None = None
+    camera: CameraCalibration | None = None
 
     def __post_init__(self) -> None:
         """Check every array once, and make it read-only for the rest of its life."""

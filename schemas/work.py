@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from schemas.camera import CameraCalibration
 from schemas.wire import canonical_json
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
@@ -63,6 +64,11 @@ class MiningSettings(BaseModel):
     )
     odometry: str = Field(default="kiss-icp", description="Odometry, by name: kiss-icp.")
     lidar_topic: str = Field(default="", description="Mine this topic only; empty: by evidence.")
+    camera: str = Field(
+        default="",
+        description="For streams that compare only what a camera sees: `recorded` takes the "
+        "calibration of the log's front camera, a JSON file states one for all logs; empty: none.",
+    )
     path_template: str = Field(
         default="{vehicle}/{date}/{name}",
         description="Vehicle and date of a log, matched from the right of its key, where the log "
@@ -153,6 +159,7 @@ class Shard(BaseModel):
     index: int = Field(ge=0)
     lidar: Channel
     recorded: RecordedSource | None = None
+    camera: CameraCalibration | None = None
     anchor_ns: int = Field(ge=0, description="First frame of the log: origin of the grid.")
     warmup_start_ns: int = Field(ge=0)
     start_ns: int = Field(ge=0)

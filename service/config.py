@@ -15,6 +15,7 @@ from urllib.parse import urlsplit
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, ValidationError
 from pydantic_core import from_json
 
+from schemas.camera import RECORDED, CameraCalibration
 from schemas.keys import DEFAULT_ROOT
 from schemas.work import MiningSettings
 from service.errors import UsageError
@@ -140,7 +141,25 @@ class Settings(MiningSettings):
         shared = {name: getattr(self, name) for name in MiningSettings.model_fields}
         artifacts = self.artifacts or (self.state.resolve() / "artifacts").as_uri()
         model = str(Path(self.model).resolve()) if self.model else ""
-        return MiningSettings(**shared | {"artifacts": artifacts, "model": model})
+        camera = _camera(self.camera)
+        return MiningSettings(**shared | {"artifacts": artifacts, "model": model, "camera": camera})
+
+
+def _camera(said: str) -> str:
+    """Read the calibration that a file states: its content, not its path, goes to the workers."""
+    if said in ("", RECORDED):
+        return said
+    try:
+        stated = CameraCalibration.model_validate_json(Path(said).read_bytes())
+    except OSError as error:
+        raise UsageError(
+            f"camera: `{RECORDED}` or a JSON file of a calibration: {error.strerror} ({said})"
+        ) from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "the file"
+        raise UsageError(f"camera: {where}: {first['msg']} ({said})") from error
+    return stated.model_dump_json(exclude_none=True)
 
 
 def cache_folder() -> Path:

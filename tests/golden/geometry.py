@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points, Transform
+from schemas.camera import CameraCalibration
 from tests.golden.difference import Difference, near, same
 from tests.golden.files import Arrays, arrays, document, number_of, present
 from workers.geometry.camera_filter import (
-    CameraCalibration,
     camera_filter,
     from_flow_space,
     is_ahead_within,
@@ -127,7 +127,7 @@ def check_poses(folder: Path, file: Path) -> list[Difference]:
     """Compare poses of the camera, of the lidar, and from frame to frame."""
     golden = arrays(file)
     lidar = golden["lidar_to_world"]
-    camera_from_lidar = calibration_of(folder).camera_from_lidar
+    camera_from_lidar = calibration_of(folder).extrinsics
     camera = conjugate(camera_from_lidar, lidar)
     back = conjugate(np.linalg.inv(camera_from_lidar).astype(np.float64), golden["cam0_poses"])
     deltas = [inverse(now) @ after for now, after in itertools.pairwise(lidar)]
@@ -200,9 +200,9 @@ def calibration_of(folder: Path) -> CameraCalibration:
     read = document(folder / "geometry" / "calibration.json")
     camera_from_lidar: Transform = np.eye(4)
     camera_from_lidar[:3] = np.reshape(read["Tr"], (3, 4))
-    return CameraCalibration(
-        pixel_from_camera=np.reshape(np.asarray(read["P2"], np.float64), (3, 4)),
-        camera_from_lidar=camera_from_lidar,
+    return CameraCalibration.of(
+        np.reshape(np.asarray(read["P2"], np.float64), (3, 4)),
+        camera_from_lidar,
         width=read["image_width"],
         height=read["image_height"],
     )

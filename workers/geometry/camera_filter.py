@@ -6,7 +6,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import Mask, Points, Transform
+from schemas.arrays import Mask, Points
+from schemas.camera import CameraCalibration
 from workers.geometry.form import Form
 from workers.geometry.ground_rule import NOT_GROUND
 
@@ -17,26 +18,6 @@ REACH_M: Final = 25.0
 """The paper compares points nearer than this."""
 
 _FLOW_SIGNS: Final = np.array([-1, -1, 1], np.float32)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CameraCalibration:
-    """Where points of the lidar lie in an undistorted image.
-
-    Attributes:
-        pixel_from_camera: (3, 4) projection to pixels, KITTI's `P2`.
-        camera_from_lidar: (4, 4) lidar's sensor space to the camera's: x right, y down, z ahead.
-        width: Of the image, pixels.
-        height: Of the image, pixels.
-        rectified_from_camera: (4, 4) rotation that the projection expects, KITTI's `R0_rect`; the
-            published code leaves it out.
-    """
-
-    pixel_from_camera: NDArray[np.float64]
-    camera_from_lidar: Transform
-    width: int
-    height: int
-    rectified_from_camera: Transform | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,9 +64,9 @@ def camera_filter(
     paper = form is Form.PAPER
     rectified_m = camera_m
     if calibration.rectified_from_camera is not None and not paper:
-        rotation = calibration.rectified_from_camera
+        rotation = np.array(calibration.rectified_from_camera)
         rectified_m = camera_m @ rotation[:3, :3].T + rotation[:3, 3]
-    projection = calibration.pixel_from_camera
+    projection = calibration.projection
     projected = rectified_m @ projection[:, :3].T + projection[:, 3]
     ahead = points_m[:, 0] > 0 if paper else rectified_m[:, 2] > 0
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -119,12 +100,12 @@ def from_flow_space(
     flow_points_m: NDArray[np.floating], calibration: CameraCalibration
 ) -> NDArray[np.float64]:
     """Bring points of the flow's space back to the lidar's; in double precision, as flow needs."""
-    back = np.linalg.inv(calibration.camera_from_lidar)  # printed to 13 digits: no exact rotation
+    back = np.linalg.inv(calibration.extrinsics)  # printed to 13 digits: no exact rotation
     in_camera = flow_points_m.astype(np.float64) * _FLOW_SIGNS
     in_lidar: NDArray[np.float64] = in_camera @ back[:3, :3].T + back[:3, 3]
     return in_lidar
 
 
 def _in_camera(points_m: Points, calibration: CameraCalibration) -> NDArray[np.float64]:
-    camera = calibration.camera_from_lidar
+    camera = calibration.extrinsics
     return points_m.astype(np.float64) @ camera[:3, :3].T + camera[:3, 3]

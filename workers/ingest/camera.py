@@ -12,10 +12,10 @@ from schemas.arrays import NS_PER_S, Transform
 from schemas.bucket import Bucket
 from schemas.errors import PermanentError
 from schemas.work import Recording
+from workers.ingest.camera_calibration import NoViewError, calibrations_in, camera_from_lidar
 from workers.ingest.camera_messages import (
     Calibration,
     CameraImage,
-    calibration,
     camera_image,
     holds_calibrations,
     holds_images,
@@ -27,12 +27,7 @@ from workers.ingest.log_index import index_recording
 from workers.ingest.moment import Moment, readable
 from workers.ingest.point_time import point_time
 from workers.ingest.topics import Topic, topics_of
-from workers.ingest.transforms import (
-    TransformTree,
-    holds_transforms,
-    is_static,
-    stated_transforms,
-)
+from workers.ingest.transforms import holds_transforms
 
 MAX_APART_NS: Final = NS_PER_S // 2
 """An image farther from the frame shows another situation."""
@@ -43,10 +38,6 @@ VIEW_COS: Final = float(np.cos(np.deg2rad(30)))
 
 class CameraUnavailableError(PermanentError):
     """The log has no calibrated camera that saw a frame."""
-
-
-class _NoViewError(Exception):
-    """One camera cannot show the frame; another may."""
 
 
 def read_camera(
@@ -86,13 +77,13 @@ def read_camera(
     wanted = [topic for topic in topics if _is_of_a_camera(topic)]
     delay_ns = (sample.bounds.least_ns + sample.bounds.most_ns) // 2
     moment = Moment(index, wanted, log_time_ns=stamp_ns + delay_ns, reach_ns=MAX_APART_NS)
-    frame = _Frame(moment, sample, stamp_ns, _calibrations(moment))
+    frame = _Frame(moment, sample, stamp_ns, calibrations_in(moment))
     views: list[CameraView] = []
     problems: list[str] = []
     for topic in images:
         try:
             views.append(_view(frame, topic))
-        except _NoViewError as error:
+        except NoViewError as error:
             problems.append(f"{topic.channel.topic} {error}")
     if not views:
         raise _unavailable("; ".join(problems), recording)
@@ -119,30 +110,20 @@ def _is_of_a_camera(topic: Topic) -> bool:
     return holds_images(channel) or holds_calibrations(channel) or holds_transforms(channel)
 
 
-def _calibrations(moment: Moment) -> list[Calibration]:
-    """One of each topic, the nearest that can be read."""
-    return [
-        found
-        for topic in moment.topics
-        if holds_calibrations(topic.channel)
-        for found in readable(moment.near(topic), calibration)[:1]
-    ]
-
-
 def _view(frame: _Frame, topic: Topic) -> CameraView:
     images = readable(frame.moment.near(topic), camera_image)
     if not images:
-        raise _NoViewError("has no image that can be read near the frame")
+        raise NoViewError("has no image that can be read near the frame")
     found = _calibration_for(images[0], frame.calibrations)
     if found is None:
-        raise _NoViewError("has no calibration")
-    camera_from_lidar = _camera_from_lidar(frame, found.frame_id or images[0].frame_id)
-    seen_ns = frame.stamp_ns + _swept_after_ns(frame.sample, camera_from_lidar)
+        raise NoViewError("has no calibration")
+    placed = camera_from_lidar(frame.moment, frame.sample, found.frame_id or images[0].frame_id)
+    seen_ns = frame.stamp_ns + _swept_after_ns(frame.sample, placed)
     image = min(images, key=lambda each: (abs(each.stamp_ns - seen_ns), each.stamp_ns))
     apart_ns = abs(image.stamp_ns - seen_ns)
     if apart_ns > MAX_APART_NS:
-        raise _NoViewError(f"has its nearest image {apart_ns / NS_PER_S:.1f} s from the frame")
-    return _combine(image, found, camera_from_lidar)
+        raise NoViewError(f"has its nearest image {apart_ns / NS_PER_S:.1f} s from the frame")
+    return _combine(image, found, placed)
 
 
 def _calibration_for(image: CameraImage, calibrations: Sequence[Calibration]) -> Calibration | None:
@@ -165,25 +146,6 @@ def _folder(topic: str) -> str:
 def _shared_parts(one: str, other: str) -> int:
     pairs = zip(one.split("/"), other.split("/"), strict=False)
     return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
-
-
-def _camera_from_lidar(frame: _Frame, camera: str) -> Transform:
-    """Chain the log's transforms: static ones first, then those stated around the frame."""
-    cloud = frame.sample.clouds[0]
-    tree = TransformTree()
-    topics = [topic for topic in frame.moment.topics if holds_transforms(topic.channel)]
-    for topic in sorted(topics, key=lambda topic: not is_static(topic.channel)):
-        static = is_static(topic.channel)
-        messages = frame.moment.all(topic) if static else frame.moment.near(topic)
-        for stated in readable(messages, stated_transforms):
-            tree.add_stated(stated)
-        camera_from_space = tree.find(to=camera, source=cloud.frame_id)
-        if camera_from_space is not None:
-            origin = cloud.space_from_points
-            return camera_from_space if origin is None else camera_from_space @ origin
-    raise _NoViewError(
-        f"is not tied to the lidar: no transform from {cloud.frame_id!r} to {camera!r}"
-    )
 
 
 def _swept_after_ns(sample: Sample, camera_from_lidar: Transform) -> int:
@@ -209,7 +171,7 @@ def _combine(image: CameraImage, found: Calibration, camera_from_lidar: Transfor
     if bent or not projection.any():
         projection = np.hstack((found.intrinsics, np.zeros((3, 1))))
     if not (projection[0, 0] and projection[1, 1]):
-        raise _NoViewError("has a calibration without focal lengths")
+        raise NoViewError("has a calibration without focal lengths")
     scale = np.diag((width / (found.width or width), height / (found.height or height), 1.0))
     return CameraView(
         topic=image.topic,
@@ -232,6 +194,4 @@ def _size(image: CameraImage) -> tuple[int, int]:
         with Image.open(BytesIO(image.data)) as opened:
             return opened.size
     except (UnidentifiedImageError, OSError, ValueError) as error:
-        raise _NoViewError(
-            f"has an image in format {image.format!r} that cannot be read"
-        ) from error
+        raise NoViewError(f"has an image in format {image.format!r} that cannot be read") from error

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
+from schemas.camera import CameraCalibration
 from schemas.frame import LidarFrame, RecordedLabels, StampAt
 from workers.errors import CloudUnreadableError
 from workers.ingest.point_time import point_time
@@ -35,6 +36,7 @@ def frame_from_cloud(
     intensity_scale: float,
     stamp_at: StampAt,
     recorded: RecordedLabels | None = None,
+    camera: CameraCalibration | None = None,
 ) -> LidarFrame:
     """Make the frame of a cloud; point i of the message is point i of the frame.
 
@@ -46,6 +48,7 @@ def frame_from_cloud(
         intensity_scale: Recorded value that means 1.
         stamp_at: Which instant of the sweep the header's stamp names.
         recorded: The labels of the model that ran on the car, if the log holds them.
+        camera: The camera whose view is compared, if one is wanted.
 
     Raises:
         CloudUnreadableError: If the cloud has points, but no x, y or z.
@@ -67,6 +70,7 @@ def frame_from_cloud(
         has_point_time=times.recorded,
         stamp_at=stamp_at,
         recorded=recorded,
+        camera=camera,
     )
 
 

@@ -6,6 +6,7 @@ from typing import Final
 
 from schemas.arrays import NS_PER_S
 from schemas.bucket import Bucket
+from schemas.camera import RECORDED, CameraCalibration
 from schemas.work import (
     Channel,
     ChunkRef,
@@ -17,6 +18,7 @@ from schemas.work import (
     Shard,
 )
 from workers.errors import LogUnusableError, NotMcapError
+from workers.ingest.camera_calibration import find_calibration
 from workers.ingest.evidence import Sample, sample_end, sample_middle, sample_topics, true_times
 from workers.ingest.footer import TruncatedPart
 from workers.ingest.frames import intensity_scale_of
@@ -95,7 +97,8 @@ def plan_index(index: LogIndex, settings: MiningSettings) -> LogPlan:
         for sample in chosen:
             recorded = _recorded(index, topics, sample, samples, settings)
             channel = _without_schema(sample.topic.channel)
-            lidar = _Lidar(channel, anchor_ns, recorded, identity)
+            camera = _camera(index, topics, sample, settings)
+            lidar = _Lidar(channel, anchor_ns, recorded, camera, identity)
             shards += _shards(index, lidar, sample, samples, settings, damage)
     except LogUnusableError as error:
         refused, shards = str(error), []
@@ -121,6 +124,7 @@ class _Lidar:
     channel: Channel
     anchor_ns: int
     recorded: RecordedSource | None
+    camera: CameraCalibration | None
     identity: Identity
 
 
@@ -212,6 +216,14 @@ def _recorded(
     return source.model_copy(update={"channel": _without_schema(source.channel)})
 
 
+def _camera(
+    index: LogIndex, topics: Sequence[Topic], sample: Sample, settings: MiningSettings
+) -> CameraCalibration | None:
+    if settings.camera == RECORDED:
+        return find_calibration(index, topics, sample)
+    return CameraCalibration.model_validate_json(settings.camera) if settings.camera else None
+
+
 def _shards(
     index: LogIndex,
     lidar: _Lidar,
@@ -237,6 +249,7 @@ def _shards(
             index=window.index,
             lidar=lidar.channel,
             recorded=lidar.recorded,
+            camera=lidar.camera,
             anchor_ns=lidar.anchor_ns,
             warmup_start_ns=window.warmup_start_ns,
             start_ns=window.start_ns,

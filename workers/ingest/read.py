@@ -84,6 +84,7 @@ class ShardReader:
                 intensity_scale=self.shard.intensity_scale,
                 stamp_at=self.settings.stamp_at,
                 recorded=labels,
+                camera=self.shard.camera,
             )
             previous_ns = frame.stamp_ns
             if self._wants(frame.stamp_ns):

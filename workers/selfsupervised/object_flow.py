@@ -4,7 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Flow, Points, Transform
-from workers.geometry.camera_filter import CameraCalibration, from_flow_space
+from schemas.camera import CameraCalibration
+from workers.geometry.camera_filter import from_flow_space
 from workers.geometry.se3 import transform
 
 

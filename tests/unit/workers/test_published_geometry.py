@@ -5,8 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from schemas.arrays import Points
+from schemas.camera import CameraCalibration
 from workers.geometry.camera_filter import (
-    CameraCalibration,
     camera_filter,
     from_flow_space,
     to_flow_space,
@@ -21,9 +21,9 @@ from workers.supervised.residual_image import with_residuals
 
 EVEN = SensorProfile(name="even", rows=4, columns=8, fov_up_deg=10, fov_down_deg=-10)
 AXES = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, -0.3], [0, 0, 0, 1]], np.float64)
-CAMERA = CameraCalibration(
-    pixel_from_camera=np.array([[500, 0, 320, 0], [0, 500, 240, 0], [0, 0, 1, 0]], np.float64),
-    camera_from_lidar=AXES,
+CAMERA = CameraCalibration.of(
+    np.array([[500, 0, 320, 0], [0, 500, 240, 0], [0, 0, 1, 0]], np.float64),
+    AXES,
     width=640,
     height=480,
 )
@@ -106,7 +106,7 @@ def test_near_is_25_m_around_and_as_published_a_box_of_35_m() -> None:
 def test_the_rectifying_rotation_counts_in_the_corrected_form_only() -> None:
     turned = np.eye(4)
     turned[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]  # the camera really looks aside
-    calibration = replace(CAMERA, rectified_from_camera=turned)
+    calibration = CAMERA.model_copy(update={"rectified_from_camera": turned.tolist()})
     points, ground = _points((10, 0, 0)), np.ones(1, np.int8)
     assert len(camera_filter(points, ground, calibration).kept) == 0
     assert len(camera_filter(points, ground, calibration, form=Form.PAPER).kept) == 1

@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from schemas.camera import CameraCalibration
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.labels import MotionLabel
-from workers.geometry.camera_filter import CameraCalibration, to_flow_space
+from workers.geometry.camera_filter import to_flow_space
 from workers.selfsupervised.object_flow import flow_ends
 from workers.selfsupervised.two_stage import TwoStage
 from workers.selfsupervised.two_stage_clustering import PAPER, PER_SECOND, TwoStageRule, two_stage
@@ -86,7 +87,7 @@ def test_each_stage_says_what_it_knew_of_its_clusters() -> None:
 
 def test_where_flow_ends_is_said_in_the_space_in_which_it_began() -> None:
     axes = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]], np.float64)
-    camera = CameraCalibration(np.eye(4)[:3], axes, 10, 10)
+    camera = CameraCalibration.of(np.eye(4)[:3], axes, width=10, height=10)
     points = blob((10, 0, 0))
     ahead = np.eye(4)
     ahead[0, 3] = 0.5  # the other frame was taken 0.5 m farther on

@@ -40,6 +40,7 @@ CHANGED = {
     "lidar_topic": "/lidar/left",
     "path_template": "{date}/{name}",
     "stamp_at": "end",
+    "camera": "recorded",
     "intensity_scale": 255.0,
 }
 

@@ -1,0 +1,110 @@
+"""Finds where a log's cameras are and how they see, for the filter that keeps what one sees."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from schemas.arrays import NS_PER_S, Transform
+from schemas.camera import CameraCalibration
+from workers.errors import LogUnusableError
+from workers.ingest.camera_messages import Calibration, calibration, holds_calibrations
+from workers.ingest.evidence import Sample
+from workers.ingest.log_index import LogIndex
+from workers.ingest.moment import Moment, readable
+from workers.ingest.topics import Topic
+from workers.ingest.transforms import (
+    TransformTree,
+    holds_transforms,
+    is_static,
+    stated_transforms,
+)
+
+
+class NoViewError(Exception):
+    """One camera cannot show the lidar's points; another may."""
+
+
+def find_calibration(index: LogIndex, topics: Sequence[Topic], sample: Sample) -> CameraCalibration:
+    """Find the calibration of the camera that looks most ahead.
+
+    Args:
+        index: Of the log.
+        topics: Of the log.
+        sample: First clouds of the lidar.
+
+    Raises:
+        LogUnusableError: If no camera has a calibration and a known place; it says why.
+    """
+    wanted = [
+        topic
+        for topic in topics
+        if holds_calibrations(topic.channel) or holds_transforms(topic.channel)
+    ]
+    delay_ns = (sample.bounds.least_ns + sample.bounds.most_ns) // 2
+    logged_ns = sample.first_stamp_ns + delay_ns
+    moment = Moment(index, wanted, log_time_ns=logged_ns, reach_ns=NS_PER_S)
+    found: list[CameraCalibration] = []
+    problems: list[str] = []
+    for stated in calibrations_in(moment):
+        try:
+            found.append(_combined(stated, camera_from_lidar(moment, sample, stated.frame_id)))
+        except NoViewError as error:
+            problems.append(f"{stated.topic} {error}")
+    if not found:
+        why = "; ".join(problems) or "no topic holds a calibration (sensor_msgs or foxglove)"
+        raise LogUnusableError(
+            f"no camera for the camera filter: {why}; state one with the setting camera"
+        )
+    return max(found, key=lambda each: float(each.extrinsics[2, 0]))
+
+
+def calibrations_in(moment: Moment) -> list[Calibration]:
+    """One of each topic, the nearest that can be read."""
+    return [
+        found
+        for topic in moment.topics
+        if holds_calibrations(topic.channel)
+        for found in readable(moment.near(topic), calibration)[:1]
+    ]
+
+
+def camera_from_lidar(moment: Moment, sample: Sample, camera: str) -> Transform:
+    """Chain the log's transforms: static ones first, then those stated around the moment.
+
+    Args:
+        moment: Knows the topics of transforms.
+        sample: Of the lidar.
+        camera: Space of the camera, by the log's own name.
+
+    Returns:
+        (4, 4) sensor space of the lidar to the camera's.
+
+    Raises:
+        NoViewError: If the log does not tie the two.
+    """
+    cloud = sample.clouds[0]
+    tree = TransformTree()
+    topics = [topic for topic in moment.topics if holds_transforms(topic.channel)]
+    for topic in sorted(topics, key=lambda topic: not is_static(topic.channel)):
+        static = is_static(topic.channel)
+        messages = moment.all(topic) if static else moment.near(topic)
+        for stated in readable(messages, stated_transforms):
+            tree.add_stated(stated)
+        camera_from_space = tree.find(to=camera, source=cloud.frame_id)
+        if camera_from_space is not None:
+            origin = cloud.space_from_points
+            return camera_from_space if origin is None else camera_from_space @ origin
+    raise NoViewError(
+        f"is not tied to the lidar: no transform from {cloud.frame_id!r} to {camera!r}"
+    )
+
+
+def _combined(stated: Calibration, placed: Transform) -> CameraCalibration:
+    projection = stated.projection
+    if not projection.any():
+        projection = np.hstack((stated.intrinsics, np.zeros((3, 1))))
+    if not (projection[0, 0] and projection[1, 1]):
+        raise NoViewError("has a calibration without focal lengths")
+    if not (stated.width > 0 and stated.height > 0):
+        raise NoViewError("does not say how large its images are")
+    return CameraCalibration.of(projection, placed, width=stated.width, height=stated.height)
