@@ -59,6 +59,18 @@ class SensorProfile:
                 f"profile {self.name!r} needs {self.rows} falling beam elevations, one a row"
             )
 
+    @property
+    def layout(self) -> tuple[object, ...]:
+        """What decides which point is in which pixel; two profiles alike in it share an image."""
+        return (
+            self.rows,
+            self.columns,
+            self.fov_up_deg,
+            self.fov_down_deg,
+            self.elevations_deg,
+            self.clamp,
+        )
+
     @cached_property
     def _row_edges_rad(self) -> NDArray[np.float32]:
         """Inner edges between rows, rising, midway between neighbouring beams."""

@@ -9,10 +9,10 @@ from typing import Final, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from workers.checkpoints.errors import WeightsUnusableError
 from workers.geometry.range_image import CHANNELS, SensorProfile
 from workers.supervised.classes import ClassMeaning
 from workers.supervised.residual_image import ResidualSettings
-from workers.supervised.weights import WeightsUnusableError
 
 _STRICT: Final = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from workers.checkpoints.errors import WeightsUnusableError
 from workers.geometry.range_image import SensorProfile
 from workers.supervised.adapter import Adapter, NetworkEntry
 from workers.supervised.classes import ClassMeaning
@@ -14,7 +15,6 @@ from workers.supervised.point_stream import PointStream
 from workers.supervised.residual_image import ResidualSettings
 from workers.supervised.runtimes import open_network
 from workers.supervised.stream import RangeImageStream
-from workers.supervised.weights import WeightsUnusableError
 
 
 class OwnNetwork:

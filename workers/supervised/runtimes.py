@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from workers.supervised.weights import WeightsUnusableError
+from workers.checkpoints.errors import WeightsUnusableError
 
 Run = Callable[[NDArray[np.float32]], NDArray[Any]]
 """A network: one array in, one array out."""

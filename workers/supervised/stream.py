@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from schemas.frame import OdometryState, PosedFrame
 from schemas.labels import FrameLabels
+from workers.checkpoints.errors import WeightsUnusableError
 from workers.geometry.range_image import CHANNELS, RangeImage, image_channels, project
 from workers.supervised.classes import ClassSet
 from workers.supervised.fusion import Fusion
 from workers.supervised.networks import RangeImageNetwork
 from workers.supervised.postprocess import KnnSettings, find_voters
 from workers.supervised.residual_image import ResidualHistory, with_residuals
-from workers.supervised.weights import WeightsUnusableError, load_weights
+from workers.supervised.weights import load_weights
 
 SHIPPED: Final = Path(__file__).parent / "weights"
 """Folder of the weights that come with the package; its MODEL_CARD.md says what they are."""
@@ -56,10 +57,10 @@ class RangeImageStream:
         if not self._networks:
             raise WeightsUnusableError("the supervised stream needs a semantic or a motion network")
         self._profile = self._networks[0].profile
-        if any(network.profile != self._profile for network in self._networks):
+        if any(network.profile.layout != self._profile.layout for network in self._networks):
             raise WeightsUnusableError(
                 "the semantic and the motion network were made for different range images; "
-                "train both with one sensor profile"
+                "train both with one layout of rows, columns and field of view"
             )
         self._classes = [ClassSet(network.classes) for network in self._networks]
         self._fusion = Fusion(
@@ -130,10 +131,13 @@ class RangeImageStream:
     def _label(self, posed: PosedFrame, pasts: Sequence[ResidualHistory | None]) -> FrameLabels:
         frame = posed.frame
         image = project(frame.points_m, self._profile, valid_mask=frame.valid_mask)
-        measured = image_channels(image, frame.points_m, frame.intensity, self._profile)
+        measured = {
+            profile: image_channels(image, frame.points_m, frame.intensity, profile)
+            for profile in {network.profile: None for network in self._networks}
+        }
         answers, ages = [], 1
         for network, past in zip(self._networks, pasts, strict=True):
-            channels = _chosen(measured, network.channels)
+            channels = _chosen(measured[network.profile], network.channels)
             if past is not None:
                 residuals, ages = past.residuals(
                     image, stamp_ns=frame.stamp_ns, odom_from_sensor=posed.odom_from_sensor

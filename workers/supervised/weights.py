@@ -1,18 +1,15 @@
-"""Weights on disk: a safetensors file and a JSON sidecar that says what they belong to."""
+"""Weights of the supervised stream: what their card says, how they are kept and loaded."""
 
-import hashlib
-import json
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import safetensors
-import safetensors.torch
-import torch
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
-from schemas.errors import PermanentError
+from workers.checkpoints import stored
+from workers.checkpoints.errors import WeightsUnusableError
+from workers.checkpoints.stored import Card
 from workers.geometry.range_image import CHANNELS, SensorProfile
 from workers.supervised.classes import ClassMeaning
 from workers.supervised.lmnet import MOVING, LMNet
@@ -21,25 +18,14 @@ from workers.supervised.residual_image import ResidualSettings
 from workers.supervised.salsanext import SalsaNext
 
 
-class WeightsUnusableError(PermanentError):
-    """Weights are missing, damaged, or belong to another network than their sidecar says."""
-
-
-class WeightsCard(BaseModel):
+class WeightsCard(Card):
     """Everything beside the numbers that changes what a network says, and whom to thank."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    format_version: Literal[1] = 1
     network: Literal["salsanext", "lmnet"]
     classes: tuple[ClassMeaning, ...] = Field(min_length=2, description="In the order of outputs.")
     width: int = Field(ge=4, multiple_of=4, description="Channels of the first stage.")
     profile: SensorProfile = Field(description="Layout and normalisation of the range image.")
     residual: ResidualSettings | None = Field(default=None, description="LMNet's past frames.")
-    attribution: str = Field(description="Where the training data came from.")
-    data_license: str = Field(description="Licence of the training data.")
-    training: dict[str, str | int | float] = Field(description="How the weights were made.")
-    scores: dict[str, float] = Field(default={}, description="Measured when they were made.")
 
     def build(self) -> SalsaNext:
         """Build the network these weights belong to, with random parameters.
@@ -113,14 +99,9 @@ def save_weights(path: Path, net: SalsaNext, card: WeightsCard) -> None:
         card: What the weights belong to.
     """
     tensors = {
-        key: (value.half() if value.ndim == 4 else value).contiguous().cpu()
-        for key, value in net.state_dict().items()
+        key: value.half() if value.ndim == 4 else value for key, value in net.state_dict().items()
     }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(safetensors.torch.save(tensors))
-    path.with_suffix(".json").write_text(
-        json.dumps(card.model_dump(mode="json"), indent=1) + "\n", encoding="utf-8"
-    )
+    stored.save(path, tensors, card)
 
 
 def load_weights(path: Path) -> LoadedWeights:
@@ -134,58 +115,7 @@ def load_weights(path: Path) -> LoadedWeights:
 
     Raises:
         WeightsUnusableError: If a file is missing or damaged, or keys or shapes differ; the message
-            names the file and the first difference.
+            names the file and what differs.
     """
-    try:
-        sidecar = path.with_suffix(".json").read_bytes()
-        stored = path.read_bytes()
-    except OSError as error:
-        raise WeightsUnusableError(
-            f"cannot read weights: {error.strerror or error}; a .safetensors and a .json file "
-            f"of one name are needed ({error.filename or path})"
-        ) from error
-    try:
-        card = WeightsCard.model_validate_json(sidecar)
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise WeightsUnusableError(
-            f"weights' sidecar is not valid: {'.'.join(map(str, first['loc']))}: {first['msg']} "
-            f"({path.with_suffix('.json')})"
-        ) from error
-    try:
-        tensors = safetensors.torch.load(stored)
-    except safetensors.SafetensorError as error:
-        raise WeightsUnusableError(f"weights are damaged: {error} ({path})") from error
-    net = card.build()
-    _check(tensors, net.state_dict(), path)
-    net.load_state_dict(
-        {
-            key: value.float() if value.is_floating_point() else value
-            for key, value in tensors.items()
-        }
-    )
-    net.eval()
-    return LoadedWeights(net, card, hashlib.sha256(sidecar + stored).hexdigest())
-
-
-def _check(stored: dict[str, torch.Tensor], expected: dict[str, torch.Tensor], path: Path) -> None:
-    """Compare names and shapes before anything is loaded."""
-    missing = [key for key in expected if key not in stored]
-    if missing:
-        raise WeightsUnusableError(
-            f"weights lack {len(missing)} parameters, the first is {missing[0]} ({path})"
-        )
-    extra = sorted(key for key in stored if key not in expected)
-    if extra:
-        raise WeightsUnusableError(
-            f"weights hold {len(extra)} parameters that the network has not, "
-            f"the first is {extra[0]} ({path})"
-        )
-    for key, value in expected.items():
-        if stored[key].shape != value.shape:
-            raise WeightsUnusableError(
-                f"weights of {key} are {tuple(stored[key].shape)}, the network needs "
-                f"{tuple(value.shape)} ({path})"
-            )
-        if not torch.isfinite(stored[key].float()).all():
-            raise WeightsUnusableError(f"weights of {key} are not all finite ({path})")
+    read = stored.load(path, WeightsCard, WeightsCard.build)
+    return LoadedWeights(read.net, read.card, read.digest)

@@ -13,6 +13,7 @@ from torch import nn
 from schemas.arrays import NS_PER_S
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.labels import FrameLabels, MotionLabel
+from workers.checkpoints.errors import WeightsUnusableError
 from workers.geometry.range_image import SensorProfile, project
 from workers.registry import build_parts
 from workers.supervised.networks import RangeImageNetwork
@@ -20,7 +21,7 @@ from workers.supervised.own_model import open_own_model
 from workers.supervised.residual_image import ResidualSettings
 from workers.supervised.salsanext import SalsaNext
 from workers.supervised.stream import SHIPPED, RangeImageStream
-from workers.supervised.weights import LoadedWeights, WeightsUnusableError, load_weights
+from workers.supervised.weights import LoadedWeights, load_weights
 from workers.training.pandaset import read_clouds
 
 SMALL = SensorProfile(

@@ -8,6 +8,7 @@ import torch
 from schemas.arrays import NS_PER_S
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.labels import FrameLabels, MotionLabel
+from workers.checkpoints.errors import WeightsUnusableError
 from workers.geometry.range_image import SensorProfile
 from workers.supervised.classes import ClassMeaning
 from workers.supervised.lmnet import MOTION_CLASSES
@@ -16,7 +17,6 @@ from workers.supervised.stream import RangeImageStream
 from workers.supervised.weights import (
     LoadedWeights,
     WeightsCard,
-    WeightsUnusableError,
     load_weights,
     save_weights,
 )
@@ -176,6 +176,17 @@ def test_weights_that_do_not_belong_together_are_refused(tmp_path: Path) -> None
     )
     with pytest.raises(WeightsUnusableError, match="different range images"):
         _stream(semantic, _loaded(tmp_path, other))
+
+
+def test_each_network_sees_the_frame_as_its_own_training_normalised_it(tmp_path: Path) -> None:
+    semantic = _loaded(tmp_path, SEMANTIC)
+    elsewhere = PROFILE.__class__(**{**vars(PROFILE), "name": "other", "means": (9.0,) * 5})
+    other = _loaded(tmp_path, MOTION.model_copy(update={"profile": elsewhere}))
+    same = _loaded(tmp_path, MOTION)
+    frames = _frames(2)
+    one, two = (list(_stream(semantic, motion)(frames))[-1] for motion in (same, other))
+    assert np.array_equal(one.class_id, two.class_id)
+    assert not np.array_equal(one.confidence, two.confidence)
 
 
 def test_the_shipped_weights_are_small_and_say_where_they_come_from() -> None:

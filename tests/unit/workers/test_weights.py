@@ -7,12 +7,12 @@ import safetensors.torch
 import torch
 
 from schemas.errors import PermanentError
+from workers.checkpoints.errors import WeightsUnusableError
 from workers.geometry.range_image import SensorProfile
 from workers.supervised.classes import ClassMeaning
 from workers.supervised.residual_image import ResidualSettings
 from workers.supervised.weights import (
     WeightsCard,
-    WeightsUnusableError,
     load_weights,
     save_weights,
 )
@@ -78,8 +78,8 @@ def _not_a_number(tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        pytest.param(_without, "lack 1 parameters, the first is logits.bias", id="missing"),
-        pytest.param(_with, "that the network has not, the first is logits.scale", id="extra"),
+        pytest.param(_without, r"lack 1 parameter: logits.bias \(", id="missing"),
+        pytest.param(_with, "hold 1 parameter that the network has not: logits.scale", id="extra"),
         pytest.param(_other_shape, r"logits.bias are \(7,\), the network needs \(2,\)", id="shape"),
         pytest.param(_not_a_number, "logits.bias are not all finite", id="not a number"),
     ],
