@@ -29,7 +29,6 @@ LATER: Final = (
     "lidarcoda/*",
     "losses/flowstep3d_*",
     "losses/gndnet_*",
-    "metrics/*",
     "networks/delora_*",
     "networks/flowstep3d_*",
     "networks/gndnet_*",
