@@ -27,8 +27,6 @@ CHECKS: Final[Mapping[str, Check]] = {
 
 LATER: Final = (
     "lidarcoda/*",
-    "losses/flowstep3d_*",
-    "losses/gndnet_*",
     "networks/delora_*",
     "networks/flowstep3d_*",
     "networks/gndnet_*",
