@@ -6,12 +6,13 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from schemas.arrays import Points, Transform
 from schemas.camera import CameraCalibration
 from tests.golden.difference import Difference, near, same
-from tests.golden.files import Arrays, arrays, document, number_of, present
+from tests.golden.files import Arrays, arrays, document, number_of, parameters, present
 from workers.geometry.camera_filter import (
     camera_filter,
     from_flow_space,
@@ -20,10 +21,11 @@ from workers.geometry.camera_filter import (
 )
 from workers.geometry.form import Form
 from workers.geometry.ground_rule import ground_labels
-from workers.geometry.pillars import pillars
+from workers.geometry.pillars import Pillars, pillars
 from workers.geometry.published_profiles import KITTI360
 from workers.geometry.range_image import image_channels, project
 from workers.geometry.se3 import conjugate, inverse
+from workers.selfsupervised.gndnet import GndNet, decorate
 from workers.supervised.paper_residuals import PaperResiduals
 from workers.supervised.postprocess import KnnSettings, find_voters
 from workers.supervised.residual_image import with_residuals
@@ -159,7 +161,7 @@ def check_camera_filter(folder: Path, file: Path) -> list[Difference]:
 
 
 def check_pillars(folder: Path, file: Path) -> list[Difference]:
-    """Compare where pillars stand, their points, and what the encoder takes."""
+    """Compare where pillars stand, their points, and what the encoder makes of them."""
     golden = arrays(file)
     points = arrays(folder / "geometry" / f"range_projection_{number_of(file):06d}.npz")["points"]
     found = pillars(points[:, :3], points[:, 3])
@@ -170,13 +172,29 @@ def check_pillars(folder: Path, file: Path) -> list[Difference]:
         same("points_in_pillar", found.counts, golden["points_in_pillar"]),
         near("pillar_point_sum", sums, golden["pillar_point_sum"], tolerance=1e-6),
         same("voxels", found.points[chosen], golden["selected_voxels"]),
-        near(
-            "decorated features",
-            found.features()[chosen],
-            golden["selected_decorated_features"],
-            tolerance=2e-5,
-        ),
+        *_encoded(folder, found, golden),
     ]
+
+
+def _encoded(folder: Path, found: Pillars, golden: Arrays) -> list[Difference]:
+    """Compare decorated points and, where the network's parameters are there, its encoding."""
+    chosen = golden["selected_pillars"]
+    taken = (
+        torch.from_numpy(found.points[chosen]),
+        torch.from_numpy(found.counts[chosen]).long(),
+        torch.from_numpy(found.coordinates_zyx[chosen]).long(),
+    )
+    wanted = golden["selected_decorated_features"]
+    compared = [near("decorated features", decorate(*taken).numpy(), wanted, tolerance=2e-5)]
+    if (folder / "networks" / "gndnet_parameters.json").is_file():
+        net = GndNet()
+        filled = parameters(folder, "gndnet")
+        net.load_state_dict({key: torch.from_numpy(value) for key, value in filled.items()})
+        with torch.inference_mode():
+            encoding = net.eval().voxel_feature_extractor(*taken).numpy()
+        expected = golden["selected_pillar_encoding"]
+        compared.append(near("pillar encoding", encoding, expected, tolerance=2e-5))
+    return compared
 
 
 def check_ground_rule(folder: Path, file: Path) -> list[Difference]:

@@ -10,7 +10,12 @@ from numpy.typing import NDArray
 
 from tests.golden.difference import Difference, relative, same, to_scale
 from tests.golden.files import arrays, document
-from workers.training.elevation_loss import elevation_loss, second_order_smoothness
+from workers.training.elevation_loss import (
+    DATA_WEIGHT,
+    SMOOTHNESS_WEIGHT,
+    elevation_loss,
+    second_order_smoothness,
+)
 from workers.training.flow_loss import (
     FINE_TUNING,
     PRE_TRAINING,
@@ -122,6 +127,7 @@ def check_elevation(folder: Path, file: Path) -> list[Difference]:
     loss = elevation_loss(drawn, truth)
     (gradient,) = torch.autograd.grad(loss, drawn)
     return [
+        same("alpha_beta", [DATA_WEIGHT, SMOOTHNESS_WEIGHT], golden["alpha_beta"]),
         relative("smooth_l1_mean", close, golden["smooth_l1_mean"], tolerance=VALUE),
         relative("spatial_smoothness", smooth, golden["spatial_smoothness"], tolerance=VALUE),
         relative("total", loss.item(), golden["total"], tolerance=VALUE),

@@ -11,8 +11,6 @@ from schemas.arrays import Points
 LIDAR_HEIGHT_M: Final = 1.733
 """Of KITTI's sensor over the road: GndNet wants heights over the ground, not over the sensor."""
 
-FEATURES: Final = 9
-
 
 @dataclass(frozen=True, slots=True)
 class PillarGrid:
@@ -51,7 +49,8 @@ class Pillars:
     """The columns of one cloud that have points, in the order of their first point.
 
     Attributes:
-        points: (M, K, 4) float32 x, y, z, intensity of each pillar's points, zeros behind.
+        points: (M, K, 4) float32 x, y, z, intensity of each pillar's points, zeros behind; what
+            GndNet's encoder adds to them is `workers.selfsupervised.gndnet.decorate`.
         coordinates_zyx: (M, 3) int32 cell of each pillar; z is always 0.
         counts: (M,) int32 points kept.
         grid: Where they stand.
@@ -61,25 +60,6 @@ class Pillars:
     coordinates_zyx: NDArray[np.int32]
     counts: NDArray[np.int32]
     grid: PillarGrid
-
-    def features(self) -> NDArray[np.float32]:
-        """Decorate each point as GndNet's encoder takes it.
-
-        Returns:
-            (M, K, 9) float32: x, y, z, intensity, x, y, z from the mean of the pillar's points, x
-            and y from the pillar's centre; zeros where there is no point.
-        """
-        grid, xyz = self.grid, self.points[:, :, :3]
-        count = np.maximum(self.counts, 1).astype(np.float32)[:, None, None]
-        mean = xyz.sum(axis=1, keepdims=True) / count
-        corner = np.array([grid.x_m[0], grid.y_m[0]], np.float32) + np.float32(grid.side_m / 2)
-        cell = self.coordinates_zyx[:, [2, 1]].astype(np.float32)
-        centre = cell * np.float32(grid.side_m) + corner
-        decorated = np.concatenate(
-            (self.points, xyz - mean, xyz[:, :, :2] - centre[:, None]), axis=2
-        )
-        decorated[np.arange(decorated.shape[1]) >= self.counts[:, None]] = 0
-        return decorated
 
 
 def pillars(

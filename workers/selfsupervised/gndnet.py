@@ -11,15 +11,14 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-GRID: Final = (100, 100)
+from workers.geometry.pillars import GNDNET_GRID
+
+GRID: Final = GNDNET_GRID.shape
 """Cells of the elevation map along y and x, published."""
 
-CELL_M: Final = 1.0
-GRID_ORIGIN_M: Final = (-47.0, -50.0)
+CELL_M: Final = GNDNET_GRID.side_m
+GRID_ORIGIN_M: Final = (GNDNET_GRID.x_m[0], GNDNET_GRID.y_m[0])
 """Lower edge of the grid in x and y, sensor space, published."""
-
-PILLAR_POINTS: Final = 100
-"""Points kept of one pillar, published; further ones are dropped."""
 
 POINT_CHANNELS: Final = 4
 """x, y, z over the ground (metres) and intensity (0 to 1)."""

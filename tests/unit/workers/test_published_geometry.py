@@ -127,10 +127,6 @@ def test_pillars_keep_the_first_points_and_the_order_of_their_first() -> None:
     assert found.counts.tolist() == [2, 1]
     assert found.points[0, :, 3].tolist() == [0, 2]
     assert_allclose(found.points[0, 0], [5.5, 5.5, 1.733, 0], atol=1e-6)
-    features = found.features()
-    assert features.shape == (2, 2, 9)
-    assert_allclose(features[0, 1, 4:], [0.05, 0.05, 0, 0.1, 0.1], atol=1e-5)
-    assert (features[1, 1] == 0).all()
 
 
 def test_no_more_pillars_stand_than_are_allowed() -> None:
