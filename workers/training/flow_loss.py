@@ -5,16 +5,15 @@ Estimation", CVPR 2021, and its code, which has no Laplacian term. All functions
 clouds and are differentiable in the flow; which points are neighbours is found without gradient.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
-_BLOCK: Final = 512
-"""Points whose distances to all others are in memory at once: with 100,000 others 0.2 GB, and three
-times that while they are sorted."""
+from workers.selfsupervised.point_sets import CHUNK, find_nearest, squared_distances
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,40 +155,17 @@ def ball_neighbours(points_m: Tensor, count: int, *, radius_m: float) -> Tensor:
     Returns:
         (N, count) int64.
     """
-    rows = []
-    n = len(points_m)
+    points, n = points_m.detach()[None], len(points_m)
     index = torch.arange(n, device=points_m.device)
-    for block in _blocks(points_m):
-        inside = _squared(block, points_m) < radius_m**2
+    rows = []
+    for block in torch.split(points, max(1, CHUNK // n), dim=1):
+        inside = squared_distances(block, points)[0] < radius_m**2
         first = torch.where(inside, index, n).topk(min(count, n), largest=False, sorted=True).values
-        if first.shape[1] < count:
-            first = torch.cat((first, first.new_full((len(first), count - first.shape[1]), n)), 1)
+        first = functional.pad(first, (0, count - first.shape[1]), value=n)
         rows.append(torch.where(first == n, first[:, :1], first))
     return torch.cat(rows)
 
 
 def _nearest(points_m: Tensor, other_points_m: Tensor, count: int) -> Tensor:
-    """(N, count) indices of the nearest others, sorted; of equally near ones the lower first."""
-    rows = []
-    for block in _blocks(points_m):
-        squared = _squared(block, other_points_m)
-        rows.append(
-            squared.argmin(dim=1, keepdim=True)
-            if count == 1
-            else squared.sort(dim=1, stable=True).indices[:, :count]
-        )
-    return torch.cat(rows)
-
-
-def _blocks(points_m: Tensor) -> Iterator[Tensor]:
-    for start in range(0, len(points_m), _BLOCK):
-        yield points_m.detach()[start : start + _BLOCK]
-
-
-def _squared(points_m: Tensor, other_points_m: Tensor) -> Tensor:
-    """(N, M) squared distances by differences: the expanded form loses millimetres far out."""
-    others = other_points_m.detach()
-    total = torch.zeros(len(points_m), len(others), device=others.device, dtype=others.dtype)
-    for axis in range(3):
-        total += (points_m[:, None, axis] - others[None, :, axis]) ** 2
-    return total
+    """(N, count) indices of the nearest others, nearest first; found without gradient."""
+    return find_nearest(points_m.detach()[None], other_points_m.detach()[None], count)[1][0]
