@@ -9,7 +9,18 @@ from typer.exceptions import Abort, Exit, TyperException
 
 from schemas.errors import PermanentError, TransientError
 from schemas.process import log_to_stderr
-from service.cli import daemons, evaluate, logs, measure, rates, retry, scenes, settings, weights
+from service.cli import (
+    daemons,
+    evaluate,
+    logs,
+    measure,
+    parts,
+    rates,
+    retry,
+    scenes,
+    settings,
+    weights,
+)
 from service.cli.output import remark, remark_as_events
 
 EX_SOFTWARE = 70
@@ -27,7 +38,7 @@ app = typer.Typer(
     "each other. No label is needed.",
     epilog="Try it: counterpoint demo --out demo-output",
 )
-for group in (daemons, logs, scenes, rates, retry, evaluate, measure, settings, weights):
+for group in (daemons, logs, scenes, rates, retry, evaluate, measure, parts, settings, weights):
     group.add_to(app)
 
 

@@ -57,7 +57,7 @@ def table(title: str, columns: Iterable[str], rows: Iterable[Iterable[object]]) 
             column,
             justify="right" if numeric else "left",
             overflow="fold",
-            no_wrap=column in ("scene", "log"),  # ids are there to be copied
+            no_wrap=column in ("scene", "log", "name"),  # they are there to be copied
         )
     for row in materialised:
         out.add_row(*row)

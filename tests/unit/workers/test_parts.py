@@ -1,0 +1,48 @@
+import json
+
+import pytest
+
+from schemas.work import MiningSettings
+from service.cli.main import main
+from workers.parts import part_cards
+from workers.registry import ODOMETRIES, SELFSUPERVISED, SUPERVISED
+
+
+def test_every_part_that_can_be_chosen_is_described_once() -> None:
+    described = [(card.part, card.name) for card in part_cards()]
+    tables = {"odometry": ODOMETRIES, "supervised": SUPERVISED, "selfsupervised": SELFSUPERVISED}
+    chosen = [(kind, name) for kind, table in tables.items() for name in table]
+    assert sorted(described) == sorted(chosen)
+
+
+def test_the_default_of_each_kind_stands_first_and_is_what_runs() -> None:
+    defaults = [card for card in part_cards() if card.default]
+    settings = MiningSettings(bucket=".", artifacts=".")
+    assert [card.name for card in defaults] == [
+        settings.odometry,
+        settings.supervised,
+        settings.selfsupervised,
+    ]
+    kinds = [card.part for card in part_cards()]
+    assert [kinds.index(card.part) for card in defaults] == [
+        part_cards().index(card) for card in defaults
+    ]
+
+
+def test_what_needs_weights_that_do_not_ship_says_so() -> None:
+    cards = {card.name: card for card in part_cards()}
+    assert cards["salsanext-lmnet"].weights.startswith("ships")
+    assert "adapter" in cards["own"].weights
+    assert cards["registration"].weights == "none"
+    assert all(card.licence and card.source and card.what.endswith(".") for card in cards.values())
+
+
+def test_parts_are_listed_as_lines_of_json_and_as_a_table(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["parts", "--json"]) == 0
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert {"part", "name", "default", "paper", "licence", "weights"} < set(rows[0])
+    assert main(["parts"]) == 0
+    shown = capsys.readouterr().out
+    assert all(row["name"] in shown for row in rows)

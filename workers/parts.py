@@ -1,0 +1,119 @@
+"""What each replaceable part is: its source, its licence, and what weights it needs.
+
+`workers.registry` builds parts by name, this file describes them, without loading any.
+"""
+
+from collections.abc import Mapping
+from typing import Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from schemas.work import MiningSettings
+from workers.registry import ODOMETRIES, SELFSUPERVISED, SUPERVISED
+
+PartKind = Literal["odometry", "supervised", "selfsupervised"]
+
+
+class PartCard(BaseModel):
+    """A part that can be chosen by name."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    part: PartKind = Field(description="What it stands for; the setting that names it.")
+    name: str = Field(description="As the setting says it.")
+    default: bool = Field(description="Whether it is what runs if nothing is said.")
+    paper: bool = Field(description="Whether it is a part of the paper's chain.")
+    what: str = Field(description="What it does, in a sentence.")
+    source: str = Field(description="Where the method is from.")
+    licence: str = Field(description="Of the code that runs.")
+    weights: str = Field(description="What weights it needs, and whether they ship; none: nothing.")
+
+
+class _Card(BaseModel):
+    model_config = ConfigDict(frozen=True)
+
+    what: str
+    source: str
+    paper: bool = False
+    licence: str = "Apache-2.0"
+    weights: str = "none"
+
+
+_ODOMETRY: Final[Mapping[str, _Card]] = {
+    "kiss-icp": _Card(
+        what="Point-to-point ICP against a local map, its trust checked frame by frame.",
+        source="KISS-ICP (Vizzo et al., RA-L 2023); the paper has DeLORA",
+        licence="MIT (kiss-icp)",
+    ),
+}
+
+_SUPERVISED: Final[Mapping[str, _Card]] = {
+    "salsanext-lmnet": _Card(
+        what="SalsaNext says what can move, LMNet what moves, both over one range image.",
+        source="SalsaNext (Cortinhal et al., 2020), LiDAR-MOS (Chen et al., RA-L 2021)",
+        paper=True,
+        weights="ships: width 8, PandaSet (CC BY 4.0); or a folder in the setting model",
+    ),
+    "recorded": _Card(
+        what="Labels that the model on the car wrote into the log.",
+        source="the log",
+    ),
+    "own": _Card(
+        what="Your exported network over range images or points.",
+        source="yours",
+        licence="yours (run by Apache-2.0 code, ONNX by onnxruntime, MIT)",
+        weights="ONNX, TorchScript or torch.export, named by the adapter in the setting model",
+    ),
+}
+
+_RULE: Final = "arXiv 2407.14306, section III-B"
+_FLOWS: Final[Mapping[str, str]] = {
+    "nearest-neighbour": "each point goes to the nearest one",
+    "registered-clusters": "each cluster goes where it fits best",
+    "tracked": "only what the default stream proved to move has flow",
+}
+
+_SELFSUPERVISED: Final[Mapping[str, _Card]] = {
+    "registration": _Card(
+        what="Clusters registered over time, verified by free space, tracked; ground by "
+        "Patchwork++.",
+        source="own; Patchwork++ (Lee et al., IROS 2022)",
+        licence="Apache-2.0; BSD-2-Clause (pypatchworkpp)",
+    ),
+    "two-stage": _Card(
+        what=f"The paper's clustering, numbers per second; {_FLOWS['nearest-neighbour']}.",
+        source=_RULE,
+    ),
+}
+
+
+def part_cards() -> list[PartCard]:
+    """Describe every part, the odometry first, the default of each kind before the others."""
+    kinds: Mapping[PartKind, list[str]] = {
+        "odometry": list(ODOMETRIES),
+        "supervised": list(SUPERVISED),
+        "selfsupervised": list(SELFSUPERVISED),
+    }
+    return [
+        card
+        for kind, names in kinds.items()
+        for card in sorted((_card(kind, name) for name in names), key=lambda card: not card.default)
+    ]
+
+
+def _card(kind: PartKind, name: str) -> PartCard:
+    known = {"odometry": _ODOMETRY, "supervised": _SUPERVISED, "selfsupervised": _SELFSUPERVISED}
+    card = known[kind].get(name) or _two_stage(name)
+    chosen = MiningSettings.model_fields[kind].default
+    return PartCard(part=kind, name=name, default=name == chosen, **card.model_dump())
+
+
+def _two_stage(name: str) -> _Card:
+    """Describe `two-stage:FLOW` and `two-stage:FLOW:published`."""
+    _, flow, *rest = name.split(":")
+    numbers = "as published, per frame" if rest else "per second"
+    return _Card(
+        what=f"The paper's clustering, numbers {numbers}; {_FLOWS[flow]}.",
+        source=_RULE,
+        paper=bool(rest),
+    )
