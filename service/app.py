@@ -56,6 +56,9 @@ THREADS: Final = WRITING_THREADS + READING_THREADS + 5
 database; all for as long as we live."""
 
 EXPIRY_INTERVAL_S: Final = 1.0
+EXPIRY_RETRY_S: Final = 5.0
+"""While the database takes no write, this is how a quiet daemon learns that it does again."""
+
 HOLD_INTERVAL_S: Final = 1.0
 OUTBOX_INTERVAL_S: Final = 0.5
 """How often to publish without an alarm, since a router may have come back."""
@@ -235,7 +238,13 @@ class Service:
             for number in range(WRITING_THREADS + READING_THREADS)
         ]
         self._threads += [
-            pool.submit(every, self._expire, what="expiry of leases", interval_s=EXPIRY_INTERVAL_S),
+            pool.submit(
+                every,
+                self._expire,
+                what="expiry of leases",
+                interval_s=EXPIRY_INTERVAL_S,
+                most_retry_s=EXPIRY_RETRY_S,
+            ),
             pool.submit(
                 every,
                 self._outbox.publish,

@@ -57,6 +57,9 @@ __all__ = [
     "SyncResult",
 ]
 
+PROOF_INTERVAL_S: Final = 30.0
+"""A daemon with nothing to write finds out within this whether it could."""
+
 PRUNE_INTERVAL_S: Final = 3600.0
 """Between two looks at all leases for those that may be forgotten."""
 
@@ -96,11 +99,16 @@ class Ledger:
         """Counts the listings taken over, so that claims know whether plans may be wanting."""
         self._seeded: dict[str, int] = {}
         """Pipeline version to the listing for which it is known to have every plan."""
-        self._pruned_s = -math.inf
+        self._pruned_s = self._proved_s = -math.inf
 
     def now_s(self) -> float:
         """Read the clock that everything durable goes by."""
         return self._now_s()
+
+    @property
+    def cannot_write(self) -> str:
+        """Why the last write failed, if none has worked since; empty: writing works."""
+        return self._store.cannot_write
 
     def observe(self, observer: StoreObserver) -> None:
         """Tell one observer, after each transaction, what it did."""
@@ -209,17 +217,22 @@ class Ledger:
     def expire(self) -> int:
         """Take back leases whose time is over, attempt counted; call each second.
 
-        Now and then it also forgets leases that ended days ago.
+        Now and then it also forgets leases that ended days ago, and proves that the database can
+        still be written.
 
         Returns:
             How many there were.
         """
         now_s = self._now_s()
-        with self._store.writing() as connection:
+        proves = abs(now_s - self._proved_s) >= PROOF_INTERVAL_S
+        with self._store.writing(proves=proves) as connection:
             if abs(now_s - self._pruned_s) >= PRUNE_INTERVAL_S:
                 leases.prune(connection, now_s=now_s)
                 self._pruned_s = now_s
-            return leases.expire(connection, now_s=now_s, policy=self._policy)
+            expired = leases.expire(connection, now_s=now_s, policy=self._policy)
+        if proves:
+            self._proved_s = now_s
+        return expired
 
     def free_leases(self, worker_prefix: str) -> int:
         """Take back leases of workers whose ids begin so, attempt not counted."""

@@ -86,7 +86,7 @@ def not_ready(
     """Say what keeps the service from its work.
 
     Args:
-        ledger: Asked for one number.
+        ledger: Asked for one number, and whether its last write worked.
         session: On the bus.
         seen: What the listings of the bucket have shown.
         list_interval_s: Between two listings; None: there is only one, at the start.
@@ -99,6 +99,9 @@ def not_ready(
         ledger.last_seq()
     except CounterpointError as error:  # away, or damaged
         problems["database"] = str(error)
+    else:
+        if ledger.cannot_write:
+            problems["database"] = f"can be read, but not written: {ledger.cannot_write}"
     if not is_connected(session):
         problems["router"] = "no router is connected; scenes and leases wait for one"
     if seen.last_success_s is None:

@@ -22,6 +22,7 @@ def tick(
     interval_s: float,
     stop: Event,
     alarm: Event | None = None,
+    most_retry_s: float | None = None,
     passing: tuple[type[CounterpointError], ...] = (TransientError,),
 ) -> None:
     """Do the work, wait, and do it again, until told to stop.
@@ -35,6 +36,7 @@ def tick(
         interval_s: Wait between two times, seconds.
         stop: Ends the loop.
         alarm: Whoever sets it ends the wait early; set it together with `stop`. None: `stop` alone.
+        most_retry_s: Longest wait after an error, seconds; None: `MOST_RETRY_S`.
         passing: Errors that may pass. Said again only when another kind of them follows.
     """
     alarm = alarm or stop
@@ -46,7 +48,9 @@ def tick(
             if said is not type(error):
                 log.warning("trying again", what=what, problem=str(error))
                 said = type(error)
-            waits = waits or backoff_s(first_s=FIRST_RETRY_S, most_s=MOST_RETRY_S)
+            waits = waits or backoff_s(
+                first_s=FIRST_RETRY_S, most_s=MOST_RETRY_S if most_retry_s is None else most_retry_s
+            )
             stop.wait(next(waits))
             continue
         if waits is not None:

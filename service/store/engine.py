@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
-from sqlalchemy import Connection, Engine, create_engine, event
+from sqlalchemy import Connection, Engine, create_engine, event, update
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.pool import QueuePool
@@ -19,6 +19,7 @@ from service.errors import StateUnusableError
 from service.store.effects import StoreObserver, begin_effects
 from service.store.grouping import GroupedWrites, Result
 from service.store.migrations import migrate, require_current
+from service.store.tables import WRITE_PROOF
 
 DATABASE_NAME: Final = "counterpoint.sqlite"
 BUSY_TIMEOUT_MS: Final = 10_000
@@ -28,6 +29,9 @@ CACHE_KIB: Final = 512
 """Pages that each connection keeps; fifteen may be open, and the kernel keeps the file as well."""
 
 _READS: Final = "counterpoint_reads"
+
+_PROVE: Final = update(WRITE_PROOF).values(writes=WRITE_PROOF.c.writes + 1)
+"""Another value each time: SQLite writes no page that stays the same."""
 
 
 class StoreUnavailableError(TransientError):
@@ -53,21 +57,39 @@ class Store:
         self._writer = threading.Lock()
         self._observer: StoreObserver | None = None
         self._groups = GroupedWrites(self.writing)
+        self._cannot_write = ""
+
+    @property
+    def cannot_write(self) -> str:
+        """Why the last transaction that was to write could not; empty: writing works."""
+        return self._cannot_write
 
     def observe(self, observer: StoreObserver) -> None:
         """Tell one observer what happens from now on."""
         self._observer = observer
 
     @contextmanager
-    def writing(self) -> Iterator[Connection]:
+    def writing(self, *, proves: bool = False) -> Iterator[Connection]:
         """One durable transaction: on disk when the block is left, undone if it raises.
+
+        Args:
+            proves: Write something in any case. A transaction that finds nothing to change needs no
+                disk, and would pass on one that is full; so after a failure each one proves it.
 
         Raises:
             StoreUnavailableError: If the database cannot take it now.
         """
-        with self._writer, self._said(), self._engine.begin() as connection:
-            effects = begin_effects(connection)
-            yield connection
+        with self._writer:
+            try:
+                with self._said(), self._engine.begin() as connection:
+                    effects = begin_effects(connection)
+                    yield connection
+                    if proves or self._cannot_write:
+                        connection.execute(_PROVE)
+            except (StoreUnavailableError, StateUnusableError) as error:
+                self._cannot_write = str(error)
+                raise
+            self._cannot_write = ""
         if self._observer is not None:
             self._observer.on_effects(effects)
 

@@ -27,6 +27,8 @@ SCHEMA_VERSIONS: Final = Table("schema_version", METADATA, _number("version", ke
 
 COUNTERS: Final = Table("counters", METADATA, _text("name", key=True), _number("value"))
 
+WRITE_PROOF: Final = Table("write_proof", METADATA, _number("writes"))
+
 PIPELINES: Final = Table(
     "pipelines", METADATA, _text("pipeline_version", key=True), _number("ordinal")
 )

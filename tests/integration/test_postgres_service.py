@@ -13,6 +13,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from sqlalchemy import create_engine, text
 
 from schemas.bus import free_endpoint, router_session
 from service.cli.main import main
@@ -65,6 +66,21 @@ class Postgres:
         hba = Path(self._data) / "pg_hba.conf"
         hba.write_text("host all all 127.0.0.1/32 scram-sha-256\n")
         self._do("pg_ctl", "-D", self._data, "reload")
+
+    def set(self, name: str, value: str) -> None:
+        """Change a setting for every session, from its next transaction on."""
+        with (Path(self._data) / "postgresql.auto.conf").open("a") as file:
+            file.write(f"{name} = {value}\n")
+        self._do("pg_ctl", "-D", self._data, "reload")
+        engine = create_engine(self.url)
+        shown = text(f"SHOW {name}")
+
+        def is_known() -> bool:
+            with engine.connect() as connection:
+                return bool(connection.execute(shown).scalar_one() == value)
+
+        until(is_known, lambda: f"{name} is not {value}")
+        engine.dispose()
 
     def _do(self, program: str, *arguments: str) -> None:
         subprocess.run(
@@ -202,6 +218,24 @@ def test_a_wrong_password_is_a_mistake_at_the_start_and_waited_out_in_mid_run(
         store._engine.dispose()  # as after an outage: it must log in again, and may not
         with pytest.raises(StoreUnavailableError, match="no password supplied"), store.reading():
             pass
+
+
+def test_a_server_that_may_only_be_read_is_said_until_it_is_written_again(
+    postgres: Postgres, tmp_path: Path
+) -> None:
+    settings = load_settings(database=postgres.url, state=tmp_path)
+    with closing(open_ledger_store(settings)) as store:
+        world = World.on(store)
+        world.listed("a")
+        postgres.set("default_transaction_read_only", "on")
+        with pytest.raises(StoreUnavailableError, match="read-only transaction"):
+            world.listed("a", "b")
+        assert world.ledger.last_seq() == 0
+        assert "read-only transaction" in world.ledger.cannot_write
+        postgres.set("default_transaction_read_only", "off")
+        assert "read-only transaction" in world.ledger.cannot_write
+        world.ledger.expire()
+        assert world.ledger.cannot_write == ""
 
 
 def test_reading_verbs_read_the_database_beside_a_service(

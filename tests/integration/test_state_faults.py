@@ -1,5 +1,6 @@
 """Real faults in mid-run of what the ledger stands on: said, measured, survived, nothing lost."""
 
+import json
 import os
 import re
 import shutil
@@ -8,11 +9,11 @@ import struct
 import subprocess
 import sys
 import time
-import urllib.request
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from http.client import HTTPConnection
 from itertools import repeat
 from pathlib import Path
 from typing import NoReturn
@@ -143,11 +144,30 @@ class Run:
         self.until(lambda: bool(self.lines(pattern)), f"the log says {pattern!r}")
 
     def metric(self, name: str) -> float:
-        with urllib.request.urlopen(f"http://{self.http}/metrics", timeout=60) as reply:
-            text = reply.read().decode()
+        _, text = answer(self.http, "/metrics")
         found = re.search(rf"^{re.escape(name)} (\S+)$", text, re.MULTILINE)
         assert found is not None, f"no metric {name}"
         return float(found.group(1))
+
+    def readiness(self) -> dict[str, str]:
+        """What keeps the service from its work, as `/readyz` has it; empty: it is ready."""
+        status, text = answer(self.http, "/readyz")
+        found = json.loads(text)
+        problems: dict[str, str] = found["problems"]
+        assert (status, found["ready"]) == ((503, False) if problems else (200, True))
+        return problems
+
+    def until_unready(self, because: str) -> None:
+        """Wait until `/readyz` says that the database can be read only, and why."""
+
+        def is_unready() -> bool:
+            problem = self.readiness().get("database", "")
+            return re.search(f"can be read, but not written: .*({because})", problem) is not None
+
+        self.until(is_unready, f"/readyz says {because!r}")
+
+    def until_ready(self) -> None:
+        self.until(lambda: not self.readiness(), "/readyz is well again")
 
     def until_counted(self, name: str) -> None:
         self.until(lambda: self.metric(name) > 0, f"{name} grows")
@@ -169,6 +189,15 @@ class Run:
         assert status.last_seq == len(expected)
         assert self.service.stop() == 0
         assert self.router.is_running()
+
+
+def answer(address: str, path: str) -> tuple[int, str]:
+    """Status and body of a page."""
+    connection = HTTPConnection(address, timeout=60)
+    with closing(connection):
+        connection.request("GET", path)
+        reply = connection.getresponse()
+        return reply.status, reply.read().decode()
 
 
 def need(what: str) -> NoReturn:
@@ -237,10 +266,12 @@ def test_a_full_disk_is_said_and_waited_out(tmp_path: Path) -> None:
         ballast = fill(state)
         run.until_said(FULL + SENTENCE_ENDS)
         run.until_counted(DATABASE_ERRORS)
+        run.until_unready("database or disk is full")
         assert run.metric("counterpoint_state_free_bytes") < 1 << 16
         acknowledged = run.done()
         assert 5 <= acknowledged < SHARDS
         ballast.unlink()
+        run.until_ready()
         run.until_said(AGAIN)
         run.until(lambda: run.done() > acknowledged, "more shards done")
         run.assert_complete()
@@ -253,10 +284,12 @@ def test_a_state_that_cannot_be_written_for_a_while_is_waited_out(tmp_path: Path
         try:
             run.until_said(UNWRITABLE + SENTENCE_ENDS)
             run.until_counted(DATABASE_ERRORS)
+            run.until_unready("attempt to write a readonly database|disk I/O error")
             acknowledged = run.done()
             assert 5 <= acknowledged < SHARDS
         finally:
             subprocess.run(["chattr", "-i", *files], check=True)
+        run.until_ready()
         run.until_said(AGAIN)
         run.until(lambda: run.done() > acknowledged, "more shards done")
         run.assert_complete()
@@ -270,11 +303,28 @@ def test_after_an_error_of_the_disk_made_the_state_read_only_a_restart_goes_on(
         Path(f"/sys/fs/ext4/{device}/trigger_fs_error").write_text("a test")
         run.until_said(UNWRITABLE + SENTENCE_ENDS)
         run.until_counted(DATABASE_ERRORS)
+        run.until_unready("attempt to write a readonly database|disk I/O error")
         run.service.kill()
         subprocess.run(["umount", str(state)], check=True)
         image = str(tmp_path / "disk.img")
         subprocess.run(["mount", "-o", "loop", image, str(state)], check=True)
         run.service.start()
+        run.assert_complete()
+
+
+def test_a_daemon_with_nothing_to_write_finds_out_that_it_could_not(tmp_path: Path) -> None:
+    with disk_image(tmp_path) as state, running(tmp_path, state) as run:
+        run.until(lambda: run.done() == SHARDS, "every shard done")
+        run.until_ready()
+        assert run.metric(DATABASE_ERRORS) == 0
+        files = [str(state / DATABASE_NAME), str(state / f"{DATABASE_NAME}-wal")]
+        subprocess.run(["chattr", "+i", *files], check=True)
+        try:
+            run.until_unready("attempt to write a readonly database|disk I/O error")
+            assert run.done() == SHARDS, "what it knows can be read"
+        finally:
+            subprocess.run(["chattr", "-i", *files], check=True)
+        run.until_ready()
         run.assert_complete()
 
 
@@ -286,6 +336,7 @@ def test_a_database_that_another_process_locks_is_waited_for(tmp_path: Path) -> 
             other.execute("BEGIN EXCLUSIVE")
             run.until_said(LOCKED + SENTENCE_ENDS)
             run.until_counted(DATABASE_ERRORS)
+            run.until_unready("database is locked")
             acknowledged = run.done()
             assert 5 <= acknowledged < SHARDS
             other.execute("ROLLBACK")

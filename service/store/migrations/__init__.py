@@ -12,6 +12,7 @@ STEPS: Final[tuple[str, ...]] = (
     "0002_revisions.sql",
     "0003_ranking.sql",
     "0004_truncated.sql",
+    "0005_write_proof.sql",
 )
 """Step i leads from version i to i + 1. A step that has been released is never edited."""
 

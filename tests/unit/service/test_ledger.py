@@ -1,16 +1,18 @@
 """The ledger on its SQLite file: durability, readers beside a writer, a disk that is full."""
 
 import json
+import resource
 import sqlite3
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 from sqlalchemy import event
 
-from service.errors import StateUnusableError
+from service.errors import NothingFoundError, StateUnusableError
 from service.ledger import Ledger, StoreUnavailableError
 from service.store import engine, migrations
 from service.store.engine import DATABASE_NAME, open_store, open_store_to_read
@@ -158,6 +160,62 @@ def test_a_full_disk_loses_nothing_that_was_acknowledged(tmp_path: Path) -> None
     store.close()
 
 
+def test_a_failed_write_stands_until_a_write_works_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(engine, "BUSY_TIMEOUT_MS", 50)
+    store = open_store(tmp_path)
+    world = World.on(store)
+    assert world.ledger.cannot_write == ""
+    intruder = sqlite3.connect(tmp_path / DATABASE_NAME, isolation_level=None)
+    intruder.execute("BEGIN IMMEDIATE")
+    with pytest.raises(StoreUnavailableError):
+        world.listed("a")
+    assert world.ledger.last_seq() == 0, "it can be read"
+    assert world.ledger.cannot_write.startswith("cannot use the database: database is locked")
+    intruder.execute("ROLLBACK")
+    intruder.close()
+    assert "is locked" in world.ledger.cannot_write, "nothing has been written since"
+    with pytest.raises(NothingFoundError):  # refused before anything is written
+        world.ledger.retry(["stranger"])
+    assert "is locked" in world.ledger.cannot_write
+    world.ledger.expire()
+    assert world.ledger.cannot_write == ""
+    store.close()
+
+
+def test_on_a_full_disk_a_ledger_with_nothing_to_do_finds_out_that_it_cannot_write(
+    tmp_path: Path,
+) -> None:
+    store = open_store(tmp_path)
+    world = World.on(store)
+    world.ledger.expire()
+    with no_file_grows_beyond((tmp_path / f"{DATABASE_NAME}-wal").stat().st_size):
+        world.ledger.expire()
+        assert world.ledger.cannot_write == "", "nothing to expire, nothing written"
+        for _ in range(2):
+            world.clock.now_s += 30
+            with pytest.raises(StoreUnavailableError, match="disk I/O error"):
+                world.ledger.expire()
+            assert "disk I/O error" in world.ledger.cannot_write
+        with pytest.raises(StoreUnavailableError, match="disk I/O error"):
+            world.ledger.expire()  # after a failure each one has to prove it
+    world.ledger.expire()
+    assert world.ledger.cannot_write == ""
+    store.close()
+
+
+@contextmanager
+def no_file_grows_beyond(size: int) -> Iterator[None]:
+    """Let the kernel refuse it to this process, as a disk without room would."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
 def test_claims_and_the_outbox_look_things_up_in_indexes(world: World) -> None:
     """However many shards lie in the ledger, no request reads them all."""
     world.listed(*(f"log-{number}" for number in range(8)))
@@ -175,7 +233,7 @@ def test_claims_and_the_outbox_look_things_up_in_indexes(world: World) -> None:
     world.ledger.scene("log-0/lidar/0")
     world.ledger.scenes_since(1, 10)
     event.remove(world.store._engine, "before_cursor_execute", note)
-    small = {"pipelines", "counters", "schema_version"}
+    small = {"pipelines", "counters", "schema_version", "write_proof"}
     for statement, parameters in asked:
         if not statement.startswith(("SELECT", "UPDATE")):
             continue
