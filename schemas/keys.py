@@ -6,6 +6,7 @@ from urllib.parse import quote, unquote
 DEFAULT_ROOT: Final = "counterpoint"
 
 Verb = Literal[
+    "about",
     "hello",
     "claim",
     "renew",

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping
+from importlib.metadata import version
 from itertools import groupby
 from operator import attrgetter
 from typing import Final, get_args
@@ -22,6 +23,7 @@ from schemas.work import (
 )
 from service.ledger import Ledger, StoredScene
 from service.messages import (
+    AboutReply,
     RatesReply,
     RetryReply,
     RetryRequest,
@@ -62,7 +64,9 @@ class Control:
         self._on_commit_seconds = on_commit_seconds
         self._settings, self._ledger, self._staging = settings, ledger, staging
         self._on_scenes, self._on_selection = on_scenes, on_selection
+        about = AboutReply(package=version("counterpoint"))  # now: an upgrade changes the files
         self._answers: Mapping[Verb, Callable[[bytes], bytes]] = {
+            "about": lambda _: encode(about),
             "hello": lambda _: encode(self._settings),
             "claim": lambda payload: encode(self._ledger.claim(decode(ClaimRequest, payload))),
             "renew": lambda payload: encode(self._ledger.renew(decode(RenewRequest, payload))),

@@ -2,13 +2,18 @@
 
 import socket
 from collections.abc import Iterator
+from importlib.metadata import version
+
+import zenoh
 
 from schemas import keys
 from schemas.ask import UnansweredError, ask
 from schemas.bus import client_session
+from schemas.wire import decode
 from service.config import Settings
 from service.doctor import Finding, ok, problem, warning
 from service.heartbeat import workers_alive
+from service.messages import AboutReply
 from service.state import endpoint_of_running
 
 PATIENCE_S = 3.0
@@ -32,10 +37,27 @@ def router(settings: Settings) -> Iterator[Finding]:
                 "setting root",
             )
             return
-        yield ok("service", f"answers under {settings.root!r}")
+        yield _of_which_version(session, root=settings.root)
         workers = workers_alive(session, root=settings.root)
         say = ok if workers else warning
         yield say("service", f"has {workers} workers" + ("" if workers else ": nothing is mined"))
+
+
+def _of_which_version(session: zenoh.Session, *, root: str) -> Finding:
+    answers, ours = f"answers under {root!r}", version("counterpoint")
+    try:
+        about = ask(session, keys.control(root=root, verb="about"), timeout_s=PATIENCE_S)
+    except UnansweredError:
+        theirs = "an older version, which does not say itself,"
+    else:
+        theirs = f"version {decode(AboutReply, about).package}"
+    if theirs == f"version {ours}":
+        return ok("service", f"{answers}, of {theirs}")
+    return warning(
+        "service",
+        f"{answers}, but is of {theirs} and this command of version {ours}: what they "
+        "say to each other may differ; use the command of its version, or upgrade and restart it",
+    )
 
 
 def http(settings: Settings) -> Iterator[Finding]:

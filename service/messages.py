@@ -9,6 +9,14 @@ from service.status import ParkedWork
 _STRICT = ConfigDict(frozen=True, extra="forbid")
 
 
+class AboutReply(BaseModel):
+    """Which program the service is; later fields are passed over, so that any version can ask."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    package: str = Field(description="Version of the package, as it was started.")
+
+
 class TopRequest(BaseModel):
     """Asks for the ranking."""
 

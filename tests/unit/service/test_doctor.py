@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from schemas import keys
 from schemas.bus import client_session, free_endpoint, router_session
 from service import doctor_machine, doctor_network, doctor_stores
 from service.cli.main import main
@@ -141,6 +142,21 @@ def test_a_router_without_a_service_is_a_warning() -> None:
     assert router == ("ok", f"answers at {endpoint}")
     assert verdict == "warning"
     assert "none answers under 'counterpoint'" in says
+
+
+def test_a_service_that_does_not_know_the_question_is_an_older_one() -> None:
+    endpoint = free_endpoint()
+    hello = keys.control(root=keys.DEFAULT_ROOT, verb="hello")
+    with (
+        router_session([endpoint]),
+        client_session([endpoint]) as old,
+        old.declare_queryable(hello, lambda query: query.reply(hello, b"{}"), complete=True),
+    ):
+        _, (verdict, says), _ = told(doctor_network.router(settings(connect=endpoint)))
+    assert verdict == "warning"
+    assert (
+        "but is of an older version, which does not say itself, and this command of version" in says
+    )
 
 
 def test_a_port_that_is_taken_is_named() -> None:
