@@ -98,6 +98,8 @@ class Instance:
         own_share: Share of the compared points in and close around it that contradict in the same
             way: 1 for a thing on its own, little for the rim of an agreed mover or for specks on a
             wall.
+        confirmed_share: Share of its points of which the self-supervised stream proved more than
+            once that they move; None where that stream says static, or does not tell.
     """
 
     kind: ContradictionKind
@@ -111,6 +113,7 @@ class Instance:
     class_name: str = ""
     velocity_m_per_s: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     own_share: float = 1.0
+    confirmed_share: float | None = None
 
 
 class InstanceRecord(BaseModel):
@@ -142,4 +145,12 @@ class TrackRecord(BaseModel):
     frames: int = Field(ge=1, description="Frames of the scene in which it contradicts.")
     points: int = Field(ge=1, description="Contradicting points over all those frames.")
     speed_m_per_s: float = Field(ge=0, description="Median speed over the ground; 0 unmeasured.")
+    confirmed_share: float | None = Field(
+        default=None,
+        ge=0,
+        le=1,
+        exclude_if=lambda value: value is None,
+        description="Share of its points that the self-supervised stream proved to move more than "
+        "once; absent where that stream says static or does not tell.",
+    )
     strongest: InstanceRecord = Field(description="Its instance with the most evidence.")

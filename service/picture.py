@@ -197,8 +197,9 @@ def _draw_reasons(
 
 
 def _tells_a_track(reason: str, score: SceneScore) -> bool:
-    """Reasons come track by track; only the odometry's has none, and stands last."""
-    return score.state is SceneState.SCORED and not reason.startswith("odometry ")
+    """Reasons come track by track; what gated the scene has none, and stands last."""
+    gates = ("odometry ", "self-supervised stream ")
+    return score.state is SceneState.SCORED and not reason.startswith(gates)
 
 
 def _draw_legend(draw: ImageDraw.ImageDraw, score: SceneScore, *, left: int, width: int) -> None:

@@ -32,6 +32,7 @@ class Thing:
     confidence: float = 0.9
     ground: bool = False
     frames: frozenset[int] | None = None
+    confirmed_share: float | None = None
 
     def placed(self, time_s: float) -> NDArray[np.float32]:
         """Its points at a time; the same ones in every frame."""
@@ -75,6 +76,7 @@ def labelled_frame(
         ground_mask=each([t.ground for t in shown], np.bool_) if ground else None,
         cluster=each(list(range(len(shown))), np.int32),
         cluster_velocity_m_per_s=np.array(speeds, dtype=np.float32).reshape(-1, 3),
+        confirmed=_confirmed(shown),
     )
     lidar = LidarFrame(
         log_id="fleet/car-1/drive",
@@ -90,6 +92,15 @@ def labelled_frame(
         semantic=semantic,
         predictive=predictive,
         agreements=compare(semantic.labels, predictive.labels),
+    )
+
+
+def _confirmed(things: Sequence[Thing]) -> NDArray[np.bool_] | None:
+    """The first so many points of each thing; None where no thing says."""
+    if all(thing.confirmed_share is None for thing in things):
+        return None
+    return np.concatenate(
+        [np.arange(t.points) < (t.confirmed_share or 0.0) * t.points for t in things]
     )
 
 

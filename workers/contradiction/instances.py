@@ -121,6 +121,7 @@ def _instances_of(
             class_name=_class_name(frame, index, class_names),
             velocity_m_per_s=_velocity(frame, index),
             own_share=float(own[member].sum() / around[member].sum()),
+            confirmed_share=_confirmed_share(frame, kind, index),
         )
 
 
@@ -144,6 +145,15 @@ def _class_name(frame: LabelledFrame, index: NDArray[np.int64], class_names: Seq
     classes = frame.semantic.class_id[index]
     classes = classes[(classes >= 0) & (classes < len(class_names))]
     return class_names[int(np.bincount(classes).argmax())] if len(classes) else ""
+
+
+def _confirmed_share(
+    frame: LabelledFrame, kind: ContradictionKind, index: NDArray[np.int64]
+) -> float | None:
+    confirmed = frame.predictive.confirmed
+    if confirmed is None or kind is not ContradictionKind.ONLY_PREDICTIVE_DYNAMIC:
+        return None
+    return float(confirmed[index].mean(dtype=np.float64))
 
 
 def _velocity(frame: LabelledFrame, index: NDArray[np.int64]) -> NDArray[np.float64]:

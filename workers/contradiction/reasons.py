@@ -6,7 +6,7 @@ from typing import Final
 
 from schemas.arrays import NS_PER_S
 from schemas.contradiction import ContradictionKind, Instance, Scene, SceneState
-from schemas.score import OdometryHealth
+from schemas.score import OdometryHealth, StreamHealth
 from workers.contradiction.strength import RankedTrack
 from workers.contradiction.tracks import frame_period_s
 
@@ -39,8 +39,13 @@ def reasons_of(
     state: SceneState,
     gate: float,
     health: OdometryHealth,
+    stream: StreamHealth,
 ) -> tuple[str, ...]:
-    """Say what made the score, strongest first; the state of a scene without one comes first."""
+    """Say what made the score, strongest first; the state of a scene without one comes first.
+
+    What gated it comes last: poses that were not trusted, frames in which the self-supervised
+    stream judged nothing, so that nothing could contradict.
+    """
     span_s = (scene.end_ns - scene.start_ns) / NS_PER_S
     because = f" ({health.reason})" if health.reason else ""
     if state is SceneState.TOO_SHORT:
@@ -54,7 +59,16 @@ def reasons_of(
     )
     if gate < 1.0:
         told += (f"odometry {health.state.value}{because}: strengths count {gate:.0%}",)
+    if stream.blind_share > 0.0:
+        told += (_blind(stream),)
     return told
+
+
+def _blind(stream: StreamHealth) -> str:
+    because = f" ({stream.reason})" if stream.reason else ""
+    if stream.blind_share < 1.0:
+        return f"self-supervised stream blind in {stream.blind_share:.0%} of the frames{because}"
+    return f"self-supervised stream blind throughout{because}: nothing was compared"
 
 
 def describe(scene: Scene, instances: Sequence[Instance], ranked: RankedTrack) -> str:
@@ -63,10 +77,11 @@ def describe(scene: Scene, instances: Sequence[Instance], ranked: RankedTrack) -
     first, last = (scene.frames[instances[m].frame_index] for m in (members[0], members[-1]))
     seen_s = (last.stamp_ns - first.stamp_ns) / NS_PER_S + frame_period_s(scene)
     x_m, y_m = (float(value) for value in instances[ranked.strongest].centre_m[:2])
+    once = ", never confirmed" if ranked.confirmed_share == 0.0 else ""
     moving = f" at {ranked.speed_m_per_s:.1f} m/s" if ranked.speed_m_per_s >= 0.5 else ""
     return (
         f"{class_word(ranked.class_name) or 'object'} seen moving{moving} by the "
-        f"{_STREAM[ranked.track.kind]} stream alone for {seen_s:.1f} s, "
+        f"{_STREAM[ranked.track.kind]} stream alone for {seen_s:.1f} s{once}, "
         f"{math.hypot(x_m, y_m):.0f} m {bearing(x_m, y_m)}"
     )
 

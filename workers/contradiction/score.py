@@ -84,7 +84,7 @@ def score_scene(
     ranked = rank_tracks(scene, instances, settings=settings)
     state, gate = judge_odometry(scene, settings=settings)
     shares = point_shares(scene.frames)
-    health = odometry_health(scene)
+    health, stream = odometry_health(scene), stream_health(scene)
     record = SceneScore(
         scene_id=scene.scene_id,
         log_id=shard.log_id,
@@ -97,7 +97,9 @@ def score_scene(
         frames=len(scene.frames),
         state=state,
         score=combine([gate * each.strength for each in ranked], decay=settings.decay),
-        reasons=reasons_of(scene, instances, ranked, state=state, gate=gate, health=health),
+        reasons=reasons_of(
+            scene, instances, ranked, state=state, gate=gate, health=health, stream=stream
+        ),
         points=shares.points,
         compared_share=shares.compared_share,
         all_points=shares.all_points,
@@ -108,7 +110,7 @@ def score_scene(
             for track_id, each in enumerate(ranked[:MAX_TRACKS])
         ),
         odometry=health,
-        health=stream_health(scene),
+        health=stream,
         producers=Producers(
             supervised=parts.supervised.version,
             selfsupervised=parts.selfsupervised.version,
@@ -180,6 +182,9 @@ def _track_record(
         frames=len(members),
         points=ranked.points,
         speed_m_per_s=ranked.speed_m_per_s,
+        confirmed_share=(
+            None if ranked.confirmed_share is None else _round(ranked.confirmed_share, 3)
+        ),
         strongest=_instance_record(scene, instances[ranked.strongest]),
     )
 

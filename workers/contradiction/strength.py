@@ -1,6 +1,6 @@
 """How strong a track is: the product of what must all hold for a contradiction worth a look.
 
-    strength = persistence x evidence x clash x box x own x motion, each in [0, 1]
+    strength = persistence x evidence x clash x box x own x motion x proof, each in [0, 1]
 
 - persistence  1 - exp(-(seen x steady / 0.5 s)^2): seen counts the frames of the track less a
   half, steady is the share of the frames of its span in which it contradicts. Errors flicker.
@@ -15,6 +15,10 @@
   the path of the box over the ground must bear it out. The other kind has nothing to bear out:
   either the supervised stream sees a phantom or the other one missed a mover, and both deserve a
   look.
+
+- proof        of the same kind again: the share of its points that the self-supervised stream
+  proved to move more than once, in full from one half on. What free space is wrong about, it is
+  wrong about for a single frame.
 
 A product, since each factor vetoes: a large, sure, lasting facade is still a facade. Every factor
 is smooth and rises with its evidence, so a little more of it never lowers a score.
@@ -44,6 +48,8 @@ class RankedTrack:
         speed_m_per_s: Median of the measured speeds over the ground; 0 when none was measured.
         class_name: Commonest class of its points.
         points: Over all its instances.
+        confirmed_share: Of them; None where the self-supervised stream says static or does not
+            tell.
     """
 
     track: Track
@@ -52,6 +58,7 @@ class RankedTrack:
     speed_m_per_s: float
     class_name: str
     points: int
+    confirmed_share: float | None = None
 
 
 def rank_tracks(
@@ -114,6 +121,14 @@ def motion_plausibility(
     return fast_enough * agrees
 
 
+def proof(confirmed_share: float | None, settings: ScoreSettings = DEFAULT_SCORE) -> float:
+    """How well a motion is proved, from the share of points confirmed; in full where not told."""
+    if confirmed_share is None:
+        return 1.0
+    risen = _clip(confirmed_share / settings.confirmed_from)
+    return settings.unconfirmed + (1.0 - settings.unconfirmed) * risen
+
+
 def _rank(
     scene: Scene,
     track: Track,
@@ -143,6 +158,8 @@ def _rank(
     )
     if track.kind is ContradictionKind.ONLY_PREDICTIVE_DYNAMIC:
         strength *= motion_plausibility(track.centres_m, stamps_s, velocities, settings)
+    confirmed_share = _confirmed_share(members, points)
+    strength *= proof(confirmed_share, settings)
     speeds = np.linalg.norm(velocities, axis=1)
     return RankedTrack(
         track=track,
@@ -151,7 +168,18 @@ def _rank(
         speed_m_per_s=round(float(np.median(speeds[speeds > 0])), 2) if speeds.any() else 0.0,
         class_name=_commonest([member.class_name for member in members], points),
         points=int(points.sum()),
+        confirmed_share=confirmed_share,
     )
+
+
+def _confirmed_share(members: Sequence[Instance], points: NDArray[np.int64]) -> float | None:
+    shares = [member.confirmed_share for member in members]
+    told = [
+        (share, count) for share, count in zip(shares, points, strict=True) if share is not None
+    ]
+    if not told:
+        return None
+    return float(np.average([share for share, _ in told], weights=[count for _, count in told]))
 
 
 def _commonest(names: Sequence[str], points: NDArray[np.int64]) -> str:

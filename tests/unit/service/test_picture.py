@@ -14,7 +14,7 @@ from schemas.score import SceneScore
 from service.picture import draw_camera, draw_scene, strongest_frame
 from service.picture_above import draw_above
 from service.picture_camera import ImageUnreadableError
-from service.picture_style import font, shorten, wrap
+from service.picture_style import INK, KIND_AGREEMENT, font, shorten, wrap
 from service.picture_view import View
 from tests.labelled_worlds import CLASS_NAMES, Thing, labelled_scene, shard_of
 from workers.contradiction.instances import find_instances
@@ -159,6 +159,21 @@ def test_names_of_any_length_and_script_are_drawn(mined: tuple[SceneScore, Overl
     name = "東京/" + "a" * 400
     renamed = score.model_copy(update={"scene_id": name, "reasons": ("x" * 500, "word " * 90)})
     assert draw_scene(renamed, replace(overlay, scene_id=name)).size == (1600, 1130)
+
+
+def test_what_gated_a_scene_is_told_without_the_number_and_colour_of_a_track(
+    mined: tuple[SceneScore, Overlay],
+) -> None:
+    score, overlay = mined
+    kind = KIND_AGREEMENT[score.tracks[0].kind]
+
+    def inked(*reasons: str) -> int:
+        picture = draw_scene(score.model_copy(update={"reasons": reasons}), overlay)
+        return int((_pixels(picture) == np.array(INK[kind], np.uint8)).all(axis=2).sum())
+
+    assert inked("object seen moving, 9 m left") > inked()
+    for gate in ("self-supervised stream blind in 25% of the frames", "odometry degraded: 50%"):
+        assert inked(gate) == inked()
 
 
 def test_long_words_are_cut_in_their_middle_and_long_sentences_wrapped() -> None:

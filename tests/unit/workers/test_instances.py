@@ -164,3 +164,14 @@ def test_a_single_point_has_a_box_without_extent() -> None:
     centre_m, size_m, _ = fit_box(np.array([[1, 2, 3]], dtype=np.float32))
     np.testing.assert_allclose(centre_m, (1, 2, 3), atol=1e-6)
     np.testing.assert_allclose(size_m, 0, atol=1e-6)
+
+
+def test_an_instance_knows_which_share_of_it_was_proved_more_than_once() -> None:
+    missed = Thing((10, 3, 0), STATIC, DYNAMIC, points=100, confirmed_share=0.3)
+    phantom = Thing((-10, 3, 0), DYNAMIC, STATIC)
+    of_phantom, of_missed = find_instances(_scene(missed, phantom), class_names=CLASS_NAMES)
+    assert of_missed.confirmed_share == pytest.approx(0.3)
+    assert of_phantom.confirmed_share is None
+    untold = Thing((10, 3, 0), STATIC, DYNAMIC)
+    (instance,) = find_instances(_scene(untold), class_names=CLASS_NAMES)
+    assert instance.confirmed_share is None

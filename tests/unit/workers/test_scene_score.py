@@ -4,12 +4,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from schemas.contradiction import ContradictionKind, Scene, SceneState
+from schemas.contradiction import ContradictionKind, LabelledFrame, Scene, SceneState
 from schemas.frame import OdometryState
-from schemas.labels import MotionLabel
+from schemas.labels import Blindness, FrameHealth, MotionLabel
 from schemas.score import MAX_RECORD_BYTES, MAX_TRACKS, SceneScore
 from schemas.wire import decode, encode_scene_score
 from tests.labelled_worlds import CLASS_NAMES, START_NS, Thing, labelled_scene, shard_of
+from workers.contradiction.compare import compare
 from workers.contradiction.instances import find_instances
 from workers.contradiction.reasons import bearing
 from workers.contradiction.score import combine, score_scene
@@ -246,3 +247,77 @@ def test_factors_of_the_strength_rise_with_their_evidence() -> None:
 )
 def test_directions_are_named_as_the_driver_sees_them(x_m: float, y_m: float, words: str) -> None:
     assert bearing(x_m, y_m) == words
+
+
+def _missed(at_m: tuple[float, float, float], confirmed_share: float | None) -> Thing:
+    return replace(MISSED_CAR, at_m=at_m, confirmed_share=confirmed_share)
+
+
+def test_what_was_never_confirmed_ranks_below_what_was_and_says_so() -> None:
+    unproved, proved = _missed((-20, 3, 0), 0.0), _missed((-20, 12, 0), 1.0)
+    record = _score(labelled_scene([WALL, unproved, proved]))
+    first, second = record.tracks
+    assert (first.confirmed_share, second.confirmed_share) == (1.0, 0.0)
+    assert second.strength == pytest.approx(0.25 * first.strength, abs=1e-3)
+    assert second.strength < first.strength
+    assert ["never confirmed" in reason for reason in record.reasons] == [False, True]
+    assert "for 2.0 s, never confirmed, " in record.reasons[1]
+
+
+@pytest.mark.parametrize(
+    ("confirmed_share", "weight"), [(1.0, 1.0), (0.5, 1.0), (0.25, 0.625), (0.0, 0.25)]
+)
+def test_half_of_a_thing_confirmed_is_all_of_it(confirmed_share: float, weight: float) -> None:
+    untold = _score(labelled_scene([WALL, MISSED_CAR])).tracks[0]
+    told = _score(labelled_scene([WALL, _missed(MISSED_CAR.at_m, confirmed_share)])).tracks[0]
+    assert told.strength == pytest.approx(weight * untold.strength, abs=2e-4)
+
+
+def test_a_stream_that_confirms_nothing_is_scored_as_before_and_its_record_is_silent() -> None:
+    record = _score(labelled_scene([WALL, MISSED_CAR, PHANTOM]))
+    assert [track.confirmed_share for track in record.tracks] == [None, None]
+    assert b"confirmed" not in encode_scene_score(record)
+    told = _score(labelled_scene([WALL, _missed(MISSED_CAR.at_m, 1.0), PHANTOM]))
+    assert told.score == record.score
+    by_kind = {track.kind: track.confirmed_share for track in told.tracks}
+    assert by_kind[ContradictionKind.ONLY_SEMANTIC_DYNAMIC] is None
+    assert encode_scene_score(told).count(b"confirmed_share") == 1
+
+
+def _blind(scene: Scene, *frames: int) -> Scene:
+    """The same scene, the self-supervised stream blind in some of its frames."""
+    health = FrameHealth(Blindness.NO_FIT, "half of the places are seen through")
+
+    def seen(index: int, frame: LabelledFrame) -> LabelledFrame:
+        if index not in frames:
+            return frame
+        labels = np.full(len(frame.agreements), UNKNOWN, np.uint8)
+        predictive = replace(frame.predictive, labels=labels, confirmed=None, health=health)
+        semantic = frame.semantic
+        return replace(
+            frame, predictive=predictive, agreements=compare(semantic.labels, predictive.labels)
+        )
+
+    return replace(scene, frames=tuple(seen(i, frame) for i, frame in enumerate(scene.frames)))
+
+
+def test_a_scene_that_blindness_gated_says_so_last_and_why() -> None:
+    scene = labelled_scene([WALL, MISSED_CAR])
+    seen, partly = _score(scene), _score(_blind(scene, 0, 1, 2, 3, 4))
+    assert not any("blind" in reason for reason in seen.reasons)
+    assert partly.reasons[-1] == (
+        "self-supervised stream blind in 25% of the frames (half of the places are seen through)"
+    )
+    assert "seen moving" in partly.reasons[0]
+    assert partly.score < seen.score
+
+
+def test_a_scene_seen_by_one_stream_only_scores_zero_for_a_reason_that_it_tells() -> None:
+    blind = _score(_blind(labelled_scene([WALL, MISSED_CAR]), *range(20)))
+    assert (blind.state, blind.score, blind.tracks) == (SceneState.SCORED, 0.0, ())
+    assert blind.reasons == (
+        "self-supervised stream blind throughout (half of the places are seen through): nothing "
+        "was compared",
+    )
+    assert blind.health is not None
+    assert blind.health.blind_share == 1.0
