@@ -426,10 +426,11 @@ TROUBLE: Final = Row(
             title="Frames without an answer, by why",
             description="Share of the mined frames in which the self-supervised stream judged "
             "nothing. `no_past`: start of a log, or a gap. `no_fit`: the frame contradicts those "
-            "before it as a whole, so its pose or time is wrong.",
+            "before it as a whole, so its pose or time is wrong. Nothing contradicts in such frames.",
             unit="percentunit",
             most=1,
             stacked=True,
+            thresholds=((0.1, YELLOW),),
             queries=(
                 Query(
                     f"{per_second('counterpoint_worker_blind_frames_total', 'cause')}"
