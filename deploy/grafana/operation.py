@@ -426,7 +426,8 @@ TROUBLE: Final = Row(
             title="Frames without an answer, by why",
             description="Share of the mined frames in which the self-supervised stream judged "
             "nothing. `no_past`: start of a log, or a gap. `no_fit`: the frame contradicts those "
-            "before it as a whole, so its pose or time is wrong. Nothing contradicts in such frames.",
+            "before it as a whole, so its pose or time is wrong. Nothing contradicts in such "
+            "frames.",
             unit="percentunit",
             most=1,
             stacked=True,
