@@ -50,19 +50,30 @@ class MiningSettings(BaseModel):
     supervised: str = Field(
         default="salsanext-lmnet",
         description="Supervised stream, by name: salsanext-lmnet, recorded (what the model on the "
-        "car said), or own (your model).",
+        "car said), own (your model), salsanext-lmnet:published (image and votes bug for bug).",
     )
     model: str = Field(
         default="",
-        description="Your own model: the adapter's TOML file for `own`, or a folder of imported "
-        "weights for salsanext-lmnet. Every worker reads it there; what is in it counts, not where "
-        "it lies.",
+        description="Your own model: the adapter's TOML file. Every worker reads it there; what is "
+        "in it counts, not where it lies.",
+    )
+    weights: str = Field(
+        default="",
+        description="Folder of imported weights, for every network that is chosen; empty: what "
+        "ships. Every worker reads it there.",
     )
     selfsupervised: str = Field(
         default="registration",
-        description="Self-supervised stream, by name: registration or two-stage.",
+        description="Self-supervised stream, by name: registration, two-stage (on any flow), or "
+        "paper (the published chain).",
     )
-    odometry: str = Field(default="kiss-icp", description="Odometry, by name: kiss-icp.")
+    odometry: str = Field(
+        default="kiss-icp", description="Odometry, by name: kiss-icp, or delora (the paper's)."
+    )
+    instances: Literal["default", "paper"] = Field(
+        default="default",
+        description="How contradicting points become instances; paper: the published numbers.",
+    )
     lidar_topic: str = Field(default="", description="Mine this topic only; empty: by evidence.")
     camera: str = Field(
         default="",

@@ -20,12 +20,13 @@ from schemas.keys import DEFAULT_ROOT
 from schemas.work import MiningSettings
 from service.errors import UsageError
 from service.layers import CONFIG_VARIABLE, Written, lay, leaves, nested
+from service.presets import PRESETS, Preset
 from service.settings_text import allowed, impossible
 
 DEFAULT_STATE = Path("counterpoint-state")
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 
-NOT_IN_VERSION: Final = frozenset({"bucket", "artifacts", "model"})
+NOT_IN_VERSION: Final = frozenset({"bucket", "artifacts", "model", "weights"})
 """Of the settings that workers share, those that no pipeline version depends on."""
 
 
@@ -64,6 +65,11 @@ class Settings(MiningSettings):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
+    preset: Preset = Field(
+        default="default",
+        description="Settings that belong together; whatever is written otherwise wins. `paper`: "
+        "the published chain, which needs `weights` and a camera's calibration.",
+    )
     bucket: str = Field(default="", description="URL or path of the log bucket; only read.")
     artifacts: str = Field(
         default="", description="URL for overlays; empty: the folder `artifacts` in the state."
@@ -140,9 +146,11 @@ class Settings(MiningSettings):
         """Return what every worker must do alike."""
         shared = {name: getattr(self, name) for name in MiningSettings.model_fields}
         artifacts = self.artifacts or (self.state.resolve() / "artifacts").as_uri()
-        model = str(Path(self.model).resolve()) if self.model else ""
-        camera = _camera(self.camera)
-        return MiningSettings(**shared | {"artifacts": artifacts, "model": model, "camera": camera})
+        model, weights = (
+            str(Path(path).resolve()) if path else "" for path in (self.model, self.weights)
+        )
+        files = {"artifacts": artifacts, "model": model, "weights": weights}
+        return MiningSettings(**shared | files | {"camera": _camera(self.camera)})
 
 
 def _camera(said: str) -> str:
@@ -196,6 +204,17 @@ class ReadSettings:
     file: Path | None
 
 
+def _preset(laid: Mapping[str, Written]) -> dict[str, Written]:
+    """Lay out what the preset that was written says; an unknown one is refused with the rest."""
+    written = laid.get("preset")
+    said = PRESETS.get(str(written.value), {}) if written is not None else {}
+    return {
+        name: Written("preset", f"preset {written.value}", name, value)
+        for name, value in said.items()
+        if written is not None
+    }
+
+
 def load_settings(*, config: Path | None = None, **flags: Any) -> Settings:
     """Read the settings; `read_settings` says where each comes from, too."""
     return read_settings(config=config, **flags).settings
@@ -216,6 +235,7 @@ def read_settings(*, config: Path | None = None, **flags: Any) -> ReadSettings:
     file = config or (Path(named) if named else None)
     known = leaves(Settings)
     laid, problems = lay(known, file=file, environ=os.environ, flags=flags)
+    laid = _preset(laid) | laid
     try:
         settings = Settings.model_validate(nested(laid))
     except ValidationError as error:

@@ -24,7 +24,7 @@ _OF_KUBERNETES: Final = re.compile(
 _FLAG_NAMES: Final = {"grid.shard_s": "shard_seconds"}
 """Flags that are not named like their setting."""
 
-Kind: TypeAlias = Literal["default", "file", "variable", "flag"]
+Kind: TypeAlias = Literal["default", "preset", "file", "variable", "flag"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,14 +45,25 @@ _ODOMETRY: Final[Mapping[str, _Card]] = {
         source="KISS-ICP (Vizzo et al., RA-L 2023); the paper has DeLORA",
         licence="MIT (kiss-icp)",
     ),
+    "delora": _Card(
+        what="A network says how the sensor moved between two frames; no trust in a pose is known.",
+        source="DeLORA (Nubert et al., ICRA 2021)",
+        paper=True,
+        weights="delora, imported; none ship",
+    ),
 }
 
 _SUPERVISED: Final[Mapping[str, _Card]] = {
     "salsanext-lmnet": _Card(
         what="SalsaNext says what can move, LMNet what moves, both over one range image.",
         source="SalsaNext (Cortinhal et al., 2020), LiDAR-MOS (Chen et al., RA-L 2021)",
+        weights="ships: width 8, PandaSet (CC BY 4.0); or a folder in the setting weights",
+    ),
+    "salsanext-lmnet:published": _Card(
+        what="The same, with image, residuals and votes bug for bug.",
+        source="SalsaNext (Cortinhal et al., 2020), LiDAR-MOS (Chen et al., RA-L 2021)",
         paper=True,
-        weights="ships: width 8, PandaSet (CC BY 4.0); or a folder in the setting model",
+        weights="salsanext and lmnet, imported; those that ship otherwise",
     ),
     "recorded": _Card(
         what="Labels that the model on the car wrote into the log.",
@@ -79,6 +90,12 @@ _SELFSUPERVISED: Final[Mapping[str, _Card]] = {
         "Patchwork++.",
         source="own; Patchwork++ (Lee et al., IROS 2022)",
         licence="Apache-2.0; BSD-2-Clause (pypatchworkpp)",
+    ),
+    "paper": _Card(
+        what="GndNet, the camera's view, FlowStep3D, two-stage clustering as published.",
+        source=f"{_RULE}; GndNet (Paigwar et al., 2020), FlowStep3D (Kittenplon et al., 2021)",
+        paper=True,
+        weights="gndnet and flowstep3d, imported; none ship; a camera's calibration",
     ),
     "two-stage": _Card(
         what=f"The paper's clustering, numbers per second; {_FLOWS['nearest-neighbour']}.",

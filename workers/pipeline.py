@@ -45,6 +45,8 @@ def mine_shard(
         )
     )
     for scene in cut_scenes(shard, labelled):
-        instances = find_instances(scene, class_names=parts.supervised.class_names)
+        instances = find_instances(
+            scene, class_names=parts.supervised.class_names, settings=parts.instances
+        )
         score = score_scene(shard, scene, instances, parts=parts, pipeline_version=pipeline_version)
         yield MinedScene(score, scene, instances)

@@ -13,6 +13,7 @@ from typing import Final, Protocol, TypeVar
 
 from schemas.frame import LidarFrame, PosedFrame
 from schemas.labels import FrameLabels
+from workers.contradiction.settings import DEFAULT_INSTANCES, PAPER_INSTANCES, InstanceSettings
 from workers.errors import UnknownPartError
 from workers.selfsupervised.scene_flow import SCENE_FLOWS
 
@@ -55,76 +56,122 @@ class Parts:
     odometry: Odometry
     supervised: Stream
     selfsupervised: Stream
+    instances: InstanceSettings = DEFAULT_INSTANCES
 
 
-def _kiss_icp() -> Odometry:
+@dataclass(frozen=True, slots=True)
+class PartFiles:
+    """What parts read beside the package.
+
+    Attributes:
+        model: Adapter of the user's own model; empty: none.
+        weights: Folder of imported weights; empty: what ships.
+    """
+
+    model: str = ""
+    weights: str = ""
+
+
+def _kiss_icp(_: PartFiles) -> Odometry:
     from workers.selfsupervised.odometry import KissOdometry
 
     return KissOdometry()
 
 
-def _salsanext_lmnet(model: str) -> Stream:
-    from workers.supervised.stream import RangeImageStream
+def _delora(files: PartFiles) -> Odometry:
+    from workers.selfsupervised.delora_odometry import DeLORAOdometry
 
-    return RangeImageStream.salsanext_lmnet(Path(model)) if model else RangeImageStream.shipped()
+    return DeLORAOdometry.load(_weights(files, "odometry delora"))
 
 
-def _own(model: str) -> Stream:
+def _salsanext_lmnet(files: PartFiles, *, published: bool = False) -> Stream:
+    from workers.geometry.form import Form
+    from workers.supervised.stream import SHIPPED, RangeImageStream
+
+    folder = Path(files.weights) if files.weights else SHIPPED
+    form = Form.PAPER if published else Form.CORRECTED
+    return RangeImageStream.salsanext_lmnet(folder, form=form)
+
+
+def _own(files: PartFiles) -> Stream:
     from workers.supervised.own_model import open_own_model
 
-    if not model:
+    if not files.model:
         raise UnknownPartError("supervised stream 'own' needs the setting model: an adapter.toml")
-    return open_own_model(Path(model))
+    return open_own_model(Path(files.model))
 
 
-def _recorded(model: str) -> Stream:
+def _recorded(_: PartFiles) -> Stream:
     from workers.supervised.recorded import Recorded
 
-    if model:
-        raise UnknownPartError(f"recorded labels come from the log: no model is used ({model})")
     return Recorded()
 
 
-def _registration() -> Stream:
+def _registration(_: PartFiles) -> Stream:
     from workers.selfsupervised.stream import Registration
 
     return Registration()
 
 
-def _two_stage(flow: str, *, published: bool = False) -> Stream:
+def _two_stage(_: PartFiles, *, flow: str, published: bool = False) -> Stream:
     from workers.selfsupervised.two_stage import TwoStage
     from workers.selfsupervised.two_stage_clustering import PAPER, PER_SECOND
 
     return TwoStage(flow, PAPER if published else PER_SECOND)
 
 
-def _two_stage_tracked(*, published: bool = False) -> Stream:
+def _two_stage_tracked(_: PartFiles, *, published: bool = False) -> Stream:
     from workers.selfsupervised.two_stage_clustering import PAPER, PER_SECOND
     from workers.selfsupervised.two_stage_tracked import TrackedTwoStage
 
     return TrackedTwoStage(PAPER if published else PER_SECOND)
 
 
-ODOMETRIES: Final[Mapping[str, Callable[[], Odometry]]] = {"kiss-icp": _kiss_icp}
-SUPERVISED: Final[Mapping[str, Callable[[str], Stream]]] = {
+def _paper(files: PartFiles) -> Stream:
+    from workers.selfsupervised.paper_chain import PaperChain
+
+    return PaperChain.load(_weights(files, "self-supervised stream paper"))
+
+
+def _weights(files: PartFiles, part: str) -> Path:
+    if not files.weights:
+        raise UnknownPartError(
+            f"{part} needs weights that do not ship: import them with `counterpoint weights "
+            "import` and name their folder in the setting weights"
+        )
+    return Path(files.weights)
+
+
+ODOMETRIES: Final[Mapping[str, Callable[[PartFiles], Odometry]]] = {
+    "kiss-icp": _kiss_icp,
+    "delora": _delora,
+}
+SUPERVISED: Final[Mapping[str, Callable[[PartFiles], Stream]]] = {
     "salsanext-lmnet": _salsanext_lmnet,
+    "salsanext-lmnet:published": partial(_salsanext_lmnet, published=True),
     "recorded": _recorded,
     "own": _own,
 }
-SELFSUPERVISED: Final[Mapping[str, Callable[[], Stream]]] = {
+SELFSUPERVISED: Final[Mapping[str, Callable[[PartFiles], Stream]]] = {
     "registration": _registration,
-    "two-stage": partial(_two_stage, "nearest-neighbour"),
+    "paper": _paper,
+    "two-stage": partial(_two_stage, flow="nearest-neighbour"),
     "two-stage:tracked": _two_stage_tracked,
     "two-stage:tracked:published": partial(_two_stage_tracked, published=True),
-    **{f"two-stage:{flow}": partial(_two_stage, flow) for flow in SCENE_FLOWS},
+    **{f"two-stage:{flow}": partial(_two_stage, flow=flow) for flow in SCENE_FLOWS},
     **{
-        f"two-stage:{flow}:published": partial(_two_stage, flow, published=True)
+        f"two-stage:{flow}:published": partial(_two_stage, flow=flow, published=True)
         for flow in SCENE_FLOWS
     },
 }
 """`two-stage:FLOW` is the rule of the paper on a scene flow, `…:published` with its numbers as
 published, per frame; `two-stage` alone takes the nearest neighbour. What enters `SCENE_FLOWS`
 is a stream of that name here."""
+
+INSTANCES: Final[Mapping[str, InstanceSettings]] = {
+    "default": DEFAULT_INSTANCES,
+    "paper": PAPER_INSTANCES,
+}
 
 Maker = TypeVar("Maker")
 
@@ -137,36 +184,46 @@ def _named(what: str, name: str, table: Mapping[str, Maker]) -> Maker:
         raise UnknownPartError(f"no {what} {name!r}; known: {known}") from None
 
 
-def build_parts(*, odometry: str, supervised: str, selfsupervised: str, model: str = "") -> Parts:
+def build_parts(
+    *,
+    odometry: str,
+    supervised: str,
+    selfsupervised: str,
+    instances: str = "default",
+    files: PartFiles | None = None,
+) -> Parts:
     """Build the parts of these names.
 
     Args:
         odometry: One of `ODOMETRIES`.
         supervised: One of `SUPERVISED`.
         selfsupervised: One of `SELFSUPERVISED`.
-        model: Where the supervised stream's model lies; empty: what ships, or none.
+        instances: One of `INSTANCES`.
+        files: What they read beside the package.
 
     Raises:
-        UnknownPartError: If one does not exist; the message lists those that do.
-        PermanentError: If its model cannot be used.
+        UnknownPartError: If one does not exist, the message lists those that do; or if it needs a
+            file that is not named.
+        PermanentError: If its weights or its model cannot be used.
     """
     return Parts(
-        odometry=build_odometry(odometry),
-        supervised=build_supervised(supervised, model=model),
-        selfsupervised=build_selfsupervised(selfsupervised),
+        odometry=build_odometry(odometry, files),
+        supervised=build_supervised(supervised, files),
+        selfsupervised=build_selfsupervised(selfsupervised, files),
+        instances=_named("rule of instances", instances, INSTANCES),
     )
 
 
-def build_odometry(name: str) -> Odometry:
-    """Build the odometry of this name, or raise `UnknownPartError`."""
-    return _named("odometry", name, ODOMETRIES)()
+def build_odometry(name: str, files: PartFiles | None = None) -> Odometry:
+    """Build the odometry of this name, or raise as `build_parts` does."""
+    return _named("odometry", name, ODOMETRIES)(files or PartFiles())
 
 
-def build_supervised(name: str, *, model: str = "") -> Stream:
+def build_supervised(name: str, files: PartFiles | None = None) -> Stream:
     """Build the supervised stream of this name, or raise as `build_parts` does."""
-    return _named("supervised stream", name, SUPERVISED)(model)
+    return _named("supervised stream", name, SUPERVISED)(files or PartFiles())
 
 
-def build_selfsupervised(name: str) -> Stream:
-    """Build the self-supervised stream of this name, or raise `UnknownPartError`."""
-    return _named("self-supervised stream", name, SELFSUPERVISED)()
+def build_selfsupervised(name: str, files: PartFiles | None = None) -> Stream:
+    """Build the self-supervised stream of this name, or raise as `build_parts` does."""
+    return _named("self-supervised stream", name, SELFSUPERVISED)(files or PartFiles())

@@ -105,4 +105,5 @@ def timed(parts: Parts, clock: StageClock) -> Parts:
         odometry=_TimedOdometry(parts.odometry, clock),
         supervised=_TimedStream("supervised", parts.supervised, clock),
         selfsupervised=_TimedStream("selfsupervised", parts.selfsupervised, clock),
+        instances=parts.instances,
     )

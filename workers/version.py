@@ -7,9 +7,9 @@ from typing import Final
 from schemas.wire import canonical_json
 from schemas.work import MiningSettings
 from workers.contradiction.version import contradiction_version
-from workers.registry import Parts, build_parts
+from workers.registry import PartFiles, Parts, build_parts
 
-NOT_IN_VERSION: Final = frozenset({"bucket", "artifacts", "model"})
+NOT_IN_VERSION: Final = frozenset({"bucket", "artifacts", "model", "weights"})
 """Where logs and models lie and overlays go changes no record; every other setting may."""
 
 
@@ -44,8 +44,14 @@ def parts_of(settings: MiningSettings) -> Parts:
         odometry=settings.odometry,
         supervised=settings.supervised,
         selfsupervised=settings.selfsupervised,
-        model=settings.model,
+        instances=settings.instances,
+        files=files_of(settings),
     )
+
+
+def files_of(settings: MiningSettings) -> PartFiles:
+    """Say which files the settings name."""
+    return PartFiles(model=settings.model, weights=settings.weights)
 
 
 def version_of(settings: MiningSettings) -> str:

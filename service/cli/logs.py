@@ -10,12 +10,16 @@ from schemas.bucket import Bucket, open_bucket, open_object
 from schemas.recordings import recording_of
 from schemas.work import Recording
 from service.cli.options import (
+    Camera,
     Config,
     Json,
     Model,
+    Odometry,
+    PresetName,
     SelfSupervised,
     ShardSeconds,
     Supervised,
+    Weights,
     settings_for,
 )
 from service.cli.output import json_line, progress, remark, table
@@ -69,6 +73,10 @@ def score(
     shard_seconds: ShardSeconds = None,
     supervised: Supervised = None,
     model: Model = None,
+    weights: Weights = None,
+    odometry: Odometry = None,
+    camera: Camera = None,
+    preset: PresetName = None,
     selfsupervised: SelfSupervised = None,
     config: Config = None,
 ) -> None:
@@ -81,6 +89,10 @@ def score(
         shard_seconds=shard_seconds,
         supervised=supervised,
         model=model,
+        weights=weights,
+        odometry=odometry,
+        camera=camera,
+        preset=preset,
         selfsupervised=selfsupervised,
     )
     store, recording = locate(url, root_url=settings.bucket)

@@ -36,15 +36,28 @@ Connect = Annotated[
 ]
 Supervised = Annotated[
     str | None,
-    typer.Option("--supervised", help="Supervised stream: salsanext-lmnet, recorded or own."),
+    typer.Option("--supervised", help="Supervised stream: salsanext-lmnet, recorded, own."),
 ]
 Model = Annotated[
     str | None,
-    typer.Option("--model", help="Your own model: its adapter.toml; or a folder of weights."),
+    typer.Option("--model", help="Your own model: its adapter.toml."),
+]
+Weights = Annotated[
+    str | None,
+    typer.Option("--weights", help="Folder of imported weights; those that ship."),
+]
+Odometry = Annotated[str | None, typer.Option("--odometry", help="Odometry: kiss-icp or delora.")]
+Camera = Annotated[
+    str | None,
+    typer.Option("--camera", help="Whose view is compared: recorded, or a JSON calibration."),
+]
+PresetName = Annotated[
+    str | None,
+    typer.Option("--preset", help="Settings that belong together: default, or paper."),
 ]
 SelfSupervised = Annotated[
     str | None,
-    typer.Option("--selfsupervised", help="Self-supervised stream: registration or two-stage."),
+    typer.Option("--selfsupervised", help="Self-supervised: registration, paper or two-stage."),
 ]
 ShardSeconds = Annotated[
     float | None,

@@ -13,6 +13,7 @@ from workers.registry import (
     build_selfsupervised,
     build_supervised,
 )
+from workers.version import files_of
 
 OF_SETTINGS: Final[tuple[StreamName, ...]] = ("selfsupervised", "supervised")
 """Whatever parts the settings name for these two."""
@@ -41,11 +42,11 @@ def build_streams(
 def _build(name: StreamName, settings: MiningSettings) -> Stream:
     if name in OF_SETTINGS:
         if is_supervised(name):
-            return build_supervised(settings.supervised, model=settings.model)
-        return build_selfsupervised(settings.selfsupervised)
+            return build_supervised(settings.supervised, files_of(settings))
+        return build_selfsupervised(settings.selfsupervised, files_of(settings))
     if name in SUPERVISED:
-        return build_supervised(name, model=settings.model if name == "own" else "")
+        return build_supervised(name, files_of(settings))
     if name in SELFSUPERVISED:
-        return build_selfsupervised(name)
+        return build_selfsupervised(name, files_of(settings))
     known = ", ".join([*OF_SETTINGS, *sorted(SELFSUPERVISED), *sorted(SUPERVISED)])
     raise UnknownPartError(f"no stream {name!r}; known: {known}")

@@ -18,7 +18,7 @@ from workers.evaluation.whole_log import shards_of_log
 from workers.ingest.read import read_shard
 from workers.mine import Account, mine_records
 from workers.registry import build_parts
-from workers.version import pipeline_version
+from workers.version import files_of, pipeline_version
 
 WHOLE: Final = "score"
 WARMING_FRAMES: Final = 5
@@ -109,7 +109,8 @@ def _whole_path(
         odometry=settings.odometry,
         supervised=settings.supervised,
         selfsupervised=settings.selfsupervised,
-        model=settings.model,
+        instances=settings.instances,
+        files=files_of(settings),
     )
     account = Account()
     instants: list[float] = []

@@ -1,18 +1,16 @@
 """Residual images as the published loader has them: of the last frames, however old they are."""
 
 from collections import deque
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points, Transform
+from schemas.frame import PosedFrame
 from workers.geometry.form import Form
-from workers.geometry.range_image import SensorProfile, project
+from workers.geometry.range_image import RangeImage, SensorProfile, project
 from workers.geometry.se3 import inverse, transform
 from workers.supervised.residual_image import ResidualSettings, residual_image
-
-PUBLISHED_RESIDUALS: Final = 8
 
 
 class PaperResiduals:
@@ -27,21 +25,33 @@ class PaperResiduals:
 
     Args:
         profile: Layout of the image.
-        count: How many past frames are compared.
-        settings: The range gate; ages do not count.
+        settings: The range gate, and as many ages as frames are compared; how old they are does not
+            count.
     """
 
     def __init__(
         self,
         profile: SensorProfile,
-        *,
-        count: int = PUBLISHED_RESIDUALS,
         settings: ResidualSettings | None = None,
     ) -> None:
         self._profile = profile
         self._settings = settings or ResidualSettings()
-        self._count = count
-        self._past: deque[tuple[Transform, Points]] = deque(maxlen=count)
+        self._count = len(self._settings.ages_s)
+        self._past: deque[tuple[Transform, Points]] = deque(maxlen=self._count)
+
+    def compare(self, posed: PosedFrame, image: RangeImage) -> tuple[NDArray[np.float32], int]:
+        """Compare a frame with those before it, then remember it.
+
+        Args:
+            posed: The frame.
+            image: Not used: the published loader makes its own.
+
+        Returns:
+            As `__call__`, and how many of them there are.
+        """
+        there = len(self._past)
+        frame = posed.frame
+        return self(frame.points_m[frame.valid_mask], posed.odom_from_sensor), there
 
     def __call__(self, points_m: Points, odom_from_sensor: Transform) -> NDArray[np.float32]:
         """Compare a frame with those before it, then remember it.

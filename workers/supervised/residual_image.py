@@ -2,11 +2,13 @@
 
 from collections import deque
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import NS_PER_S, Points, Transform
+from schemas.frame import PosedFrame
 from workers.geometry.range_image import RangeImage, SensorProfile, project
 from workers.geometry.se3 import inverse, transform
 
@@ -70,6 +72,14 @@ def with_residuals(
     return np.concatenate((channels, residuals * image.seen_mask))
 
 
+class Past(Protocol):
+    """Past frames to compare the current one with."""
+
+    def compare(self, posed: PosedFrame, image: RangeImage) -> tuple[NDArray[np.float32], int]:
+        """Give the (K, H, W) residuals of a frame, and how many of them there are so far."""
+        ...
+
+
 class ResidualHistory:
     """The last second of frames, ready to be compared with the next one.
 
@@ -113,6 +123,22 @@ class ResidualHistory:
             channel[:] = residual_image(image, moved, self._profile, settings)
             found += 1
         return stack, found
+
+    def compare(self, posed: PosedFrame, image: RangeImage) -> tuple[NDArray[np.float32], int]:
+        """Compare a frame with the past, then remember it.
+
+        Args:
+            posed: The frame.
+            image: Its projection.
+
+        Returns:
+            As `residuals`.
+        """
+        when = {"stamp_ns": posed.frame.stamp_ns}
+        compared = self.residuals(image, **when, odom_from_sensor=posed.odom_from_sensor)
+        visible = image.index[image.index >= 0]
+        self.push(posed.frame.points_m[visible], **when, odom_from_sensor=posed.odom_from_sensor)
+        return compared
 
     def push(self, points_m: Points, *, stamp_ns: int, odom_from_sensor: Transform) -> None:
         """Remember a frame for later ones.

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from schemas.frame import OdometryState, PosedFrame
 from schemas.labels import FrameLabels
 from workers.checkpoints.errors import WeightsUnusableError
+from workers.geometry.form import Form
 from workers.geometry.range_image import CHANNELS, RangeImage, image_channels, project
 from workers.supervised.classes import ClassSet
 from workers.supervised.fusion import Fusion
 from workers.supervised.networks import RangeImageNetwork
+from workers.supervised.paper_residuals import PaperResiduals
 from workers.supervised.postprocess import KnnSettings, find_voters
-from workers.supervised.residual_image import ResidualHistory, with_residuals
+from workers.supervised.residual_image import Past, ResidualHistory, with_residuals
 from workers.supervised.weights import load_weights
 
 SHIPPED: Final = Path(__file__).parent / "weights"
@@ -39,7 +41,7 @@ class RangeImageStream:
         motion: Says of each point whether it moves, for the same range image; None if the classes
             of the other say so, or nobody.
         name: What versions call the stream.
-        knn: How labels return from pixels to points.
+        form: Of image, residuals and votes; see `project`, `PaperResiduals` and `KnnSettings`.
 
     Raises:
         WeightsUnusableError: If there is no network, or the two do not belong together.
@@ -51,7 +53,7 @@ class RangeImageStream:
         motion: RangeImageNetwork | None,
         *,
         name: str,
-        knn: KnnSettings | None = None,
+        form: Form = Form.CORRECTED,
     ) -> None:
         self._networks = [network for network in (semantic, motion) if network is not None]
         if not self._networks:
@@ -69,7 +71,7 @@ class RangeImageStream:
         )
         if self._fusion.motions is not None and not self._fusion.motions.tells_motion:
             raise WeightsUnusableError("no class of the motion network is one that moves")
-        self._name, self._knn = name, knn or KnnSettings()
+        self._name, self._form, self._knn = name, form, KnnSettings(form=form)
 
     @classmethod
     def shipped(cls) -> Self:
@@ -81,7 +83,7 @@ class RangeImageStream:
         return cls.salsanext_lmnet(SHIPPED)
 
     @classmethod
-    def salsanext_lmnet(cls, folder: Path) -> Self:
+    def salsanext_lmnet(cls, folder: Path, *, form: Form = Form.CORRECTED) -> Self:
         """Build the stream from `salsanext.safetensors` and `lmnet.safetensors` of a folder.
 
         Raises:
@@ -94,7 +96,7 @@ class RangeImageStream:
                 "the supervised stream needs weights of salsanext and of lmnet, "
                 f"got {semantic.card.network} and {motion.card.network} ({folder})"
             )
-        return cls(semantic, motion, name="salsanext-lmnet")
+        return cls(semantic, motion, name="salsanext-lmnet", form=form)
 
     @property
     def version(self) -> str:
@@ -122,15 +124,16 @@ class RangeImageStream:
                 pasts = self._pasts()
             yield self._label(posed, pasts)
 
-    def _pasts(self) -> list[ResidualHistory | None]:
+    def _pasts(self) -> list[Past | None]:
+        history = PaperResiduals if self._form is Form.PAPER else ResidualHistory
         return [
-            ResidualHistory(self._profile, network.residual) if network.residual else None
+            history(self._profile, network.residual) if network.residual else None
             for network in self._networks
         ]
 
-    def _label(self, posed: PosedFrame, pasts: Sequence[ResidualHistory | None]) -> FrameLabels:
+    def _label(self, posed: PosedFrame, pasts: Sequence[Past | None]) -> FrameLabels:
         frame = posed.frame
-        image = project(frame.points_m, self._profile, valid_mask=frame.valid_mask)
+        image = project(frame.points_m, self._profile, valid_mask=frame.valid_mask, form=self._form)
         measured = {
             profile: image_channels(image, frame.points_m, frame.intensity, profile)
             for profile in {network.profile: None for network in self._networks}
@@ -139,16 +142,8 @@ class RangeImageStream:
         for network, past in zip(self._networks, pasts, strict=True):
             channels = _chosen(measured[network.profile], network.channels)
             if past is not None:
-                residuals, ages = past.residuals(
-                    image, stamp_ns=frame.stamp_ns, odom_from_sensor=posed.odom_from_sensor
-                )
+                residuals, ages = past.compare(posed, image)
                 channels = with_residuals(image, channels, residuals)
-                visible = image.index[image.index >= 0]
-                past.push(
-                    frame.points_m[visible],
-                    stamp_ns=frame.stamp_ns,
-                    odom_from_sensor=posed.odom_from_sensor,
-                )
             answers.append(network.probabilities(channels))
         return self._fused(image, answers, has_past=ages > 0)
 

@@ -15,7 +15,7 @@ from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.labels import FrameLabels, MotionLabel
 from workers.checkpoints.errors import WeightsUnusableError
 from workers.geometry.range_image import SensorProfile, project
-from workers.registry import build_parts
+from workers.registry import PartFiles, build_parts
 from workers.supervised.networks import RangeImageNetwork
 from workers.supervised.own_model import open_own_model
 from workers.supervised.residual_image import ResidualSettings
@@ -200,7 +200,10 @@ def test_a_network_over_points_labels_each_valid_point(suffix: str, tmp_path: Pa
         },
     )
     parts = build_parts(
-        odometry="kiss-icp", supervised="own", selfsupervised="two-stage", model=str(adapter)
+        odometry="kiss-icp",
+        supervised="own",
+        selfsupervised="two-stage",
+        files=PartFiles(model=str(adapter)),
     )
     assert parts.supervised.version.startswith("by-height@")
     (posed,) = _frames(1)

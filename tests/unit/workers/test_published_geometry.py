@@ -17,7 +17,7 @@ from workers.geometry.pillars import GNDNET_GRID, pillars
 from workers.geometry.range_image import SensorProfile, image_channels, project
 from workers.geometry.se3 import conjugate, inverse
 from workers.supervised.paper_residuals import PaperResiduals
-from workers.supervised.residual_image import with_residuals
+from workers.supervised.residual_image import ResidualSettings, with_residuals
 
 EVEN = SensorProfile(name="even", rows=4, columns=8, fov_up_deg=10, fov_down_deg=-10)
 AXES = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, -0.3], [0, 0, 0, 1]], np.float64)
@@ -68,7 +68,7 @@ def test_residuals_are_laid_out_behind_the_channels_where_something_is_seen() ->
 
 
 def test_as_published_past_frames_count_by_number_whatever_the_time() -> None:
-    residuals = PaperResiduals(EVEN, count=2)
+    residuals = PaperResiduals(EVEN, ResidualSettings(ages_s=(0.1, 0.2)))
     wall = _points(*((10, y, 0) for y in np.linspace(-3, 3, 200)))
     ahead = np.eye(4)
     ahead[0, 3] = 1.0

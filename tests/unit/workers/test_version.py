@@ -41,6 +41,7 @@ CHANGED = {
     "path_template": "{date}/{name}",
     "stamp_at": "end",
     "camera": "recorded",
+    "instances": "paper",
     "intensity_scale": 255.0,
 }
 

@@ -1,0 +1,233 @@
+"""The paper's self-supervised stream: what the camera sees, learned flow, two-stage clustering."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Self
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from schemas.arrays import NS_PER_S, Mask, Points
+from schemas.camera import CameraCalibration
+from schemas.errors import PermanentError
+from schemas.frame import LidarFrame, OdometryState, PosedFrame
+from schemas.labels import Blindness, FrameHealth, FrameLabels, MotionLabel
+from workers.checkpoints.stored import Stored
+from workers.geometry.camera_filter import camera_filter, is_ahead_within, to_flow_space
+from workers.geometry.form import Form
+from workers.geometry.ground_rule import GROUND, ground_labels
+from workers.geometry.pillars import pillars
+from workers.geometry.se3 import inverse
+from workers.selfsupervised.answer import ALONE
+from workers.selfsupervised.flowstep3d import FlowStep3D
+from workers.selfsupervised.gndnet import GndNet
+from workers.selfsupervised.history import MAX_GAP_NS
+from workers.selfsupervised.object_flow import flow_ends
+from workers.selfsupervised.two_stage_clustering import PAPER, TwoStageResult, two_stage
+from workers.selfsupervised.versions import version_of
+from workers.selfsupervised.weights import (
+    FlowStep3DCard,
+    GndNetCard,
+    load_flowstep3d,
+    load_gndnet,
+)
+
+NEEDED: Final = ("gndnet", "flowstep3d")
+"""Names of the weights in the folder."""
+
+
+class NoCameraError(PermanentError):
+    """The log has no camera whose view could be compared."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Compared:
+    """What of one frame the paper compares.
+
+    Attributes:
+        ground: (N,) int8 of every point: -1 outside of GndNet's map, 0 ground, 1 not ground.
+        kept: (K,) int64 rising indices of the points that are compared.
+        points_m: (K, 3) float32 lidar's sensor space.
+        flow_points_m: (K, 3) float32 the space of the flow: x left, y up, z ahead.
+        calibration: The camera.
+    """
+
+    ground: NDArray[np.int8]
+    kept: NDArray[np.int64]
+    points_m: Points
+    flow_points_m: Points
+    calibration: CameraCalibration
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chain:
+    """How the compared points of one frame went to the next.
+
+    Attributes:
+        flow_m: (K, 3) float32 the flow's space, ego-motion included.
+        near: (K,) compared after the flow: less than 25 m ahead.
+        found: Of the near ones, in order.
+    """
+
+    flow_m: NDArray[np.float32]
+    near: Mask
+    found: TwoStageResult
+
+
+class PaperChain:
+    """GndNet, camera filter, FlowStep3D, odometry and two-stage clustering, bug for bug.
+
+    Source: arXiv 2407.14306, section III-B, and its published code. A frame waits for the next one;
+    the last has none. Everything outside the camera's view, farther than 25 m ahead, or on the
+    ground is UNKNOWN: the paper compares about a fourteenth of a scan.
+
+    Args:
+        gndnet: Weights of GndNet.
+        flowstep3d: Weights of FlowStep3D.
+    """
+
+    def __init__(
+        self, gndnet: Stored[GndNet, GndNetCard], flowstep3d: Stored[FlowStep3D, FlowStep3DCard]
+    ) -> None:
+        self._gndnet, self._flowstep3d = gndnet, flowstep3d
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        """Load both networks from a folder of imported weights.
+
+        Raises:
+            WeightsUnusableError: If one is missing or damaged.
+        """
+        return cls(
+            load_gndnet(folder / "gndnet.safetensors", form="paper"),
+            load_flowstep3d(folder / "flowstep3d.safetensors", form="paper"),
+        )
+
+    @property
+    def version(self) -> str:
+        """`paper@digest` of code, libraries and weights."""
+        torch_version = torch.__version__.partition("+")[0]
+        digests = f"{self._gndnet.digest} {self._flowstep3d.digest}"
+        return version_of("paper", f"{digests} torch=={torch_version}")
+
+    @property
+    def class_names(self) -> tuple[str, ...]:
+        """No classes are known."""
+        return ()
+
+    def __call__(self, frames: Iterable[PosedFrame]) -> Iterator[FrameLabels]:
+        """Yield the labels of each frame, in order, once the next one is there.
+
+        Raises:
+            NoCameraError: If a frame has no camera's calibration.
+        """
+        torch.set_num_threads(1)  # a worker owns one core, and sums keep their order
+        before: tuple[PosedFrame, Compared] | None = None
+        for posed in frames:
+            seen = self.compared(posed.frame)
+            if before is not None:
+                yield self._label(*before, posed, seen)
+            before = posed, seen
+        if before is not None:
+            last = FrameHealth(Blindness.NO_PAST, "no frame after it to compare with")
+            yield _labels(before[0].frame, before[1], None, last)
+
+    def compared(self, frame: LidarFrame) -> Compared:
+        """Find what of a frame is compared.
+
+        Raises:
+            NoCameraError: If the frame has no camera's calibration.
+        """
+        calibration = frame.camera
+        if calibration is None:
+            raise NoCameraError(
+                "the paper's chain compares what a camera sees: set camera to `recorded`, or to a "
+                f"JSON file of the calibration ({frame.log_id})"
+            )
+        valid = np.flatnonzero(frame.valid_mask)
+        points_m = frame.points_m[valid]
+        height_m = self._gndnet.card.sensor_height_m
+        ground = ground_labels(
+            points_m,
+            self.elevation(points_m, frame.intensity[valid]),
+            lidar_height_m=height_m,
+            form=Form.PAPER,
+        )
+        kept = camera_filter(points_m, ground, calibration, form=Form.PAPER).kept
+        of_all = np.full(len(frame), -1, dtype=np.int8)
+        of_all[valid] = ground
+        chosen_m = points_m[kept]
+        return Compared(
+            of_all, valid[kept], chosen_m, to_flow_space(chosen_m, calibration), calibration
+        )
+
+    def elevation(self, points_m: Points, intensity: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Ask GndNet for the ground: (100, 100) metres over the road below the sensor, [y, x]."""
+        cut = pillars(points_m, intensity, lidar_height_m=self._gndnet.card.sensor_height_m)
+        with torch.inference_mode():
+            answer: NDArray[np.float32] = self._gndnet.net(
+                torch.from_numpy(cut.points),
+                torch.from_numpy(cut.counts.astype(np.int64)),
+                torch.from_numpy(cut.coordinates_zyx.astype(np.int64)),
+            ).numpy()
+        return answer
+
+    def chain(self, this: PosedFrame, seen: Compared, other: PosedFrame, after: Compared) -> Chain:
+        """Follow the compared points to the next frame, and cluster what moves.
+
+        Args:
+            this: The frame.
+            seen: What of it is compared.
+            other: The next frame.
+            after: What of that is compared.
+        """
+        card = self._flowstep3d.card
+        with torch.inference_mode():
+            flow_m: NDArray[np.float32] = self._flowstep3d.net(
+                torch.from_numpy(seen.flow_points_m)[None],
+                torch.from_numpy(after.flow_points_m)[None],
+                iterates=card.iterates,
+            )[-1][0].numpy()
+        this_from_other = inverse(this.odom_from_sensor) @ other.odom_from_sensor
+        ends_m = flow_ends(seen.flow_points_m, flow_m, seen.calibration, this_from_other)
+        near = is_ahead_within(seen.points_m)
+        found = two_stage(
+            seen.points_m[near],
+            (ends_m - seen.points_m)[near],
+            dt_s=(other.frame.stamp_ns - this.frame.stamp_ns) / NS_PER_S,
+            rule=PAPER,
+        )
+        return Chain(flow_m, near, found)
+
+    def _label(
+        self, this: PosedFrame, seen: Compared, other: PosedFrame, after: Compared
+    ) -> FrameLabels:
+        lost = OdometryState.LOST in (this.odometry, other.odometry)
+        if lost:
+            health = FrameHealth(Blindness.NO_POSE, "odometry lost")
+        elif not 0 < other.frame.stamp_ns - this.frame.stamp_ns <= MAX_GAP_NS:
+            health = FrameHealth(Blindness.NO_PAST, "the next frame is too far away in time")
+        elif not len(seen.kept) or not len(after.kept):
+            health = FrameHealth(Blindness.NO_POINTS, "the camera sees nothing near off the ground")
+        else:
+            return _labels(this.frame, seen, self.chain(this, seen, other, after), FrameHealth())
+        return _labels(this.frame, seen, None, health)
+
+
+def _labels(
+    frame: LidarFrame, seen: Compared, chain: Chain | None, health: FrameHealth
+) -> FrameLabels:
+    labels = np.full(len(frame), MotionLabel.UNKNOWN, np.uint8)
+    confidence = np.zeros(len(frame), np.float16)
+    if chain is not None:
+        judged = seen.kept[chain.near]
+        labels[judged] = np.where(chain.found.dynamic, MotionLabel.DYNAMIC, MotionLabel.STATIC)
+        confidence[judged] = ALONE
+    return FrameLabels(
+        labels=labels,
+        confidence=confidence,
+        ground_mask=seen.ground == GROUND,
+        health=health,
+    )
