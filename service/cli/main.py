@@ -10,6 +10,7 @@ from typer.exceptions import Abort, Exit, TyperException
 from schemas.errors import PermanentError, TransientError
 from schemas.process import log_to_stderr
 from service.cli import (
+    calibrate,
     daemons,
     evaluate,
     logs,
@@ -38,8 +39,10 @@ app = typer.Typer(
     "each other. No label is needed.",
     epilog="Try it: counterpoint demo --out demo-output",
 )
-for group in (daemons, logs, scenes, rates, retry, evaluate, measure, parts, settings, weights):
-    group.add_to(app)
+for mining in (daemons, logs, scenes, rates, retry):
+    mining.add_to(app)
+for measuring in (evaluate, measure, calibrate, parts, settings, weights):
+    measuring.add_to(app)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -1,0 +1,71 @@
+"""Verb `calibrate sensor`: fits the profile of a range image to the logs of any lidar."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.cli.options import Config, Json, settings_for
+from service.cli.output import json_line, progress, remark
+from service.errors import UsageError
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the verbs of this file to the command."""
+    calibrate = typer.Typer(no_args_is_help=True, help="Measure a sensor from its own logs.")
+    calibrate.command(
+        epilog="counterpoint calibrate sensor logs/car-7/*/*.mcap --out roof-lidar.json"
+    )(sensor)
+    calibrate.callback()(lambda: None)  # one verb now, but it keeps its name
+    app.add_typer(calibrate, name="calibrate")
+
+
+def sensor(
+    logs: Annotated[list[str], typer.Argument(help="URLs or paths of .mcap files of one sensor.")],
+    out: Annotated[Path, typer.Option("--out", help="The profile: a .json or .toml file.")],
+    name: Annotated[
+        str | None, typer.Option("--name", help="What the profile is called; the file's name.")
+    ] = None,
+    frames: Annotated[int, typer.Option("--frames", min=1, help="At most, of each log.")] = 20,
+    every: Annotated[int, typer.Option("--every", min=1, help="One of so many frames.")] = 10,
+    rows: Annotated[
+        int | None, typer.Option("--rows", min=1, help="Evenly spaced, not one for each beam.")
+    ] = None,
+    columns: Annotated[
+        int | None, typer.Option("--columns", min=1, help="Instead of those measured.")
+    ] = None,
+    topic: Annotated[
+        str | None, typer.Option("--topic", help="Lidar topic, where a log has several.")
+    ] = None,
+    json: Json = False,
+    config: Config = None,
+) -> None:
+    """Fit rows, field of view, beams, means and deviations of a range image to a lidar."""
+    from service.cli.logs import locate
+    from workers.calibration.sensor_profile import fit_profile, sample_frames, write_profile
+
+    if out.suffix not in (".json", ".toml"):
+        raise UsageError(f"--out {out}: a profile is a .json or .toml file")
+    settings = settings_for(config)
+    mining = settings.mining()
+    if topic:
+        mining = mining.model_copy(update={"lidar_topic": topic})
+    sampled = []
+    with progress() as bar:
+        for log in bar.track(logs, description="reading"):
+            store, recording = locate(log, root_url=settings.bucket)
+            sampled += sample_frames(store, recording, mining, frames=frames, every=every)
+    fit = fit_profile(sampled, name=name or out.stem, rows=rows, columns=columns)
+    write_profile(out, fit.profile)
+    if json:
+        json_line(fit)
+        return
+    profile = fit.profile
+    for text in fit.remarks:
+        remark(text)
+    remark(
+        f"{out}: {profile.rows} rows from {profile.fov_up_deg} to {profile.fov_down_deg} degrees, "
+        f"{profile.columns} columns ({fit.steps_per_turn} steps a turn); of {fit.frames} frames "
+        f"{fit.projected_share:.1%} of the points lie in the image, {fit.seen_share:.1%} are seen, "
+        f"{fit.filled_share:.1%} of the pixels are filled"
+    )
