@@ -5,19 +5,19 @@ Applications", ICRA 2021, section III-B (network); BSD-3-Clause code, published 
 """
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
+
+from workers.geometry.form import Form
 
 IMAGE_CHANNELS: Final = ("x", "y", "z", "range")
 """Of each of the two images, metres, zero in empty pixels; not normalised."""
 
 _FEATURES: Final = 1000
 _HIDDEN: Final = 100
-
-Form = Literal["corrected", "paper"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,12 +94,12 @@ class DeLORA(nn.Module):
     """Odometry from two range images.
 
     Args:
-        form: `corrected`: each quaternion has length 1. `paper`: the published code divides by the
-            norm over the whole batch, so that quaternions of a batch of two or more are shorter.
+        form: Corrected: each quaternion has length 1. Paper: the published code divides by the norm
+            over the whole batch, so that quaternions of a batch of two or more are shorter.
             The matrix is the same: it is built from each quaternion at length 1.
     """
 
-    def __init__(self, *, form: Form = "corrected") -> None:
+    def __init__(self, *, form: Form = Form.CORRECTED) -> None:
         super().__init__()
         self.form = form
         self.resnet = ResNet()
@@ -122,7 +122,7 @@ class DeLORA(nn.Module):
         unit = raw / raw.norm(dim=1, keepdim=True)
         return Motion(
             translation_m=translation,
-            quaternion_xyzw=unit if self.form == "corrected" else raw / raw.norm(),
+            quaternion_xyzw=unit if self.form is Form.CORRECTED else raw / raw.norm(),
             this_from_next=matrix(translation, unit),
         )
 

@@ -13,11 +13,11 @@ first of its nearest 32. The numbers are the same.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
 
 import torch
 from torch import Tensor, nn
 
+from workers.geometry.form import Form
 from workers.selfsupervised.point_sets import (
     find_nearest,
     gather_features,
@@ -27,8 +27,6 @@ from workers.selfsupervised.point_sets import (
     sample_furthest,
     squared_distances,
 )
-
-Form = Literal["corrected", "paper"]
 
 _LEVELS = 5
 _MAX_SHIFT_M = 10.0  # the first guess looks no farther for a partner, published
@@ -266,9 +264,9 @@ class FlowStep3D(nn.Module):
         neighbours: Points of the second cloud that each moved point is compared with.
         radius_m: How far away they may be.
         decay: Step `i` of the flow is divided by `decay * i + 1`.
-        form: `corrected`: a cloud of fewer than `points` points is sampled as one of its own size,
+        form: Corrected: a cloud of fewer than `points` points is sampled as one of its own size,
             so that each level halves the one before; larger clouds are sampled as published.
-            `paper`: the levels have the sizes of `points` whatever the cloud has; one with fewer
+            Paper: the levels have the sizes of `points` whatever the cloud has; one with fewer
             than half of them has points sampled twice.
     """
 
@@ -279,7 +277,7 @@ class FlowStep3D(nn.Module):
         neighbours: int = 16,
         radius_m: float = 1.5,
         decay: float = 0.5,
-        form: Form = "corrected",
+        form: Form = Form.CORRECTED,
     ) -> None:
         super().__init__()
         self.points, self.decay, self.form = points, decay, form
@@ -296,7 +294,7 @@ class FlowStep3D(nn.Module):
 
     def level_sizes(self, count: int) -> tuple[int, ...]:
         """How many points each of the five levels of a cloud of `count` points keeps."""
-        size = self.points if self.form == "paper" else min(self.points, count)
+        size = self.points if self.form is Form.PAPER else min(self.points, count)
         return tuple(max(1, size >> level) for level in range(1, _LEVELS + 1))
 
     def sample(self, cloud: Tensor) -> list[Tensor]:

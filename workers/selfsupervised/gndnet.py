@@ -5,12 +5,13 @@ Cloud Segmentation for Autonomous Vehicles", IROS 2020, section III; MIT code, p
 names. Pillars as in PointPillars (Lang et al., CVPR 2019), the head as in SegNet.
 """
 
-from typing import Final, Literal
+from typing import Final
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from workers.geometry.form import Form
 from workers.geometry.pillars import GNDNET_GRID
 
 GRID: Final = GNDNET_GRID.shape
@@ -24,8 +25,6 @@ POINT_CHANNELS: Final = 4
 """x, y, z over the ground (metres) and intensity (0 to 1)."""
 
 _ENCODING: Final = 64
-
-Form = Literal["corrected", "paper"]
 
 
 class PfnLayer(nn.Module):
@@ -156,17 +155,21 @@ class GndNet(nn.Module):
     """The whole network: encode pillars, lay them out as a map, regress the height of the ground.
 
     Args:
-        form: `corrected` normalises by the statistics of the training. `paper`: the published
-            pipeline never leaves training mode, so every batch normalisation takes mean and
-            variance of the one cloud at hand; the statistics of the training are not used.
+        form: Corrected: normalises by the statistics of the training. Paper: the published pipeline
+            never leaves training mode, so every batch normalisation takes mean and variance of the
+            one cloud at hand; the statistics of the training are not used.
+
+    Where two of four neighbours are equally high, rounding decides which place the maximum has, and
+    with it where the decoder puts the value: cells without points move by centimetres from one
+    processor to another. In float64 (`net.double()`) the answer is the same on all.
     """
 
-    def __init__(self, *, form: Form = "corrected") -> None:
+    def __init__(self, *, form: Form = Form.CORRECTED) -> None:
         super().__init__()
         self.form = form
         self.voxel_feature_extractor = PillarEncoder()
         self.encoder_decoder = SegNetHead()
-        if form == "paper":
+        if form is Form.PAPER:
             for module in self.modules():
                 if isinstance(module, ConvBnRelu):
                     module.cbr_unit[1] = BatchStatistics(module.outputs)

@@ -7,11 +7,10 @@ from pydantic import Field
 
 from workers.checkpoints import stored
 from workers.checkpoints.stored import Card, Stored
+from workers.geometry.form import Form
 from workers.selfsupervised.delora import DeLORA
 from workers.selfsupervised.flowstep3d import FlowStep3D
 from workers.selfsupervised.gndnet import GndNet
-
-Form = Literal["corrected", "paper"]
 
 
 class GndNetCard(Card):
@@ -22,7 +21,7 @@ class GndNetCard(Card):
         gt=0, description="Of the sensor over the road in training; added to every z."
     )
 
-    def build(self, form: Form = "corrected") -> GndNet:
+    def build(self, form: Form = Form.CORRECTED) -> GndNet:
         """Build the network, with random parameters."""
         return GndNet(form=form)
 
@@ -39,7 +38,7 @@ class FlowStep3DCard(Card):
     decay: float = Field(ge=0, description="Step i of the flow is divided by decay * i + 1.")
     iterates: int = Field(ge=1, description="How often the flow is estimated.")
 
-    def build(self, form: Form = "corrected") -> FlowStep3D:
+    def build(self, form: Form = Form.CORRECTED) -> FlowStep3D:
         """Build the network, with random parameters."""
         return FlowStep3D(
             points=self.points,
@@ -59,12 +58,12 @@ class DeLORACard(Card):
     fov_up_deg: float = Field(description="Upper edge of the vertical field of view.")
     fov_down_deg: float = Field(description="Its lower edge, below the horizon negative.")
 
-    def build(self, form: Form = "corrected") -> DeLORA:
+    def build(self, form: Form = Form.CORRECTED) -> DeLORA:
         """Build the network, with random parameters."""
         return DeLORA(form=form)
 
 
-def load_gndnet(path: Path, *, form: Form = "corrected") -> Stored[GndNet, GndNetCard]:
+def load_gndnet(path: Path, *, form: Form = Form.CORRECTED) -> Stored[GndNet, GndNetCard]:
     """Load GndNet from a `.safetensors` file and the card beside it.
 
     Raises:
@@ -73,7 +72,9 @@ def load_gndnet(path: Path, *, form: Form = "corrected") -> Stored[GndNet, GndNe
     return stored.load(path, GndNetCard, lambda card: card.build(form))
 
 
-def load_flowstep3d(path: Path, *, form: Form = "corrected") -> Stored[FlowStep3D, FlowStep3DCard]:
+def load_flowstep3d(
+    path: Path, *, form: Form = Form.CORRECTED
+) -> Stored[FlowStep3D, FlowStep3DCard]:
     """Load FlowStep3D from a `.safetensors` file and the card beside it.
 
     Raises:
@@ -82,7 +83,7 @@ def load_flowstep3d(path: Path, *, form: Form = "corrected") -> Stored[FlowStep3
     return stored.load(path, FlowStep3DCard, lambda card: card.build(form))
 
 
-def load_delora(path: Path, *, form: Form = "corrected") -> Stored[DeLORA, DeLORACard]:
+def load_delora(path: Path, *, form: Form = Form.CORRECTED) -> Stored[DeLORA, DeLORACard]:
     """Load DeLORA from a `.safetensors` file and the card beside it.
 
     Raises:

@@ -2,6 +2,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from workers.geometry.form import Form
 from workers.selfsupervised.delora import DeLORA, matrix
 
 
@@ -24,7 +25,7 @@ def test_the_published_network_has_its_published_size_and_names() -> None:
 
 def test_each_quaternion_has_length_one_but_in_the_paper_form_the_whole_batch_has() -> None:
     torch.manual_seed(1)
-    corrected, paper = DeLORA().eval(), DeLORA(form="paper").eval()
+    corrected, paper = DeLORA().eval(), DeLORA(form=Form.PAPER).eval()
     paper.load_state_dict(corrected.state_dict())
     with torch.inference_mode():
         one, whole = corrected(*_images()), paper(*_images())

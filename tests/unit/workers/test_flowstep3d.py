@@ -2,7 +2,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from workers.selfsupervised.flowstep3d import FlowStep3D, Form
+from workers.geometry.form import Form
+from workers.selfsupervised.flowstep3d import FlowStep3D
 
 
 def _cloud(*, count: int, seed: int = 1, batch: int = 1) -> Tensor:
@@ -43,14 +44,14 @@ def test_each_pair_of_a_batch_gets_the_flow_it_gets_alone() -> None:
 def test_a_small_cloud_is_sampled_at_its_own_size_and_published_at_that_of_the_training() -> None:
     assert _net().level_sizes(1000) == (500, 250, 125, 62, 31)
     assert _net().level_sizes(100_000) == (4096, 2048, 1024, 512, 256)
-    assert _net(form="paper").level_sizes(1000) == (4096, 2048, 1024, 512, 256)
+    assert _net(form=Form.PAPER).level_sizes(1000) == (4096, 2048, 1024, 512, 256)
 
 
 def test_both_forms_agree_on_clouds_as_large_as_those_of_the_training() -> None:
     cloud, then = _cloud(count=256), _cloud(count=300, seed=2)
     with torch.inference_mode():
         corrected = _net(points=256)(cloud, then, iterates=2)[-1]
-        paper = _net(points=256, form="paper")(cloud, then, iterates=2)[-1]
+        paper = _net(points=256, form=Form.PAPER)(cloud, then, iterates=2)[-1]
     assert (corrected == paper).all()
 
 

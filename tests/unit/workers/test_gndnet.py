@@ -1,6 +1,7 @@
 import torch
 from torch import Tensor
 
+from workers.geometry.form import Form
 from workers.selfsupervised.gndnet import GndNet, decorate
 
 
@@ -17,7 +18,7 @@ def _pillars(*, count: int, shift_m: float = 0.0) -> tuple[Tensor, Tensor, Tenso
 
 
 def test_the_published_network_has_its_published_size_and_names_in_both_forms() -> None:
-    for net in (GndNet(), GndNet(form="paper")):
+    for net in (GndNet(), GndNet(form=Form.PAPER)):
         assert sum(parameter.numel() for parameter in net.parameters()) == 2_217_089
         keys = list(net.state_dict())
         assert len(keys) == 60
@@ -48,7 +49,7 @@ def test_the_map_does_not_depend_on_the_order_of_pillars() -> None:
 
 def test_only_the_paper_form_normalises_by_the_cloud_at_hand_and_learns_nothing_of_it() -> None:
     torch.manual_seed(1)
-    corrected, paper = GndNet().eval(), GndNet(form="paper").eval()
+    corrected, paper = GndNet().eval(), GndNet(form=Form.PAPER).eval()
     paper.load_state_dict(corrected.state_dict())
     pillars = _pillars(count=2000)
     with torch.inference_mode():

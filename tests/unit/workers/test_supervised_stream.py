@@ -188,7 +188,6 @@ def test_each_network_sees_the_frame_as_its_own_training_normalised_it(tmp_path:
     assert one.class_id is not None
     assert two.class_id is not None
     assert np.array_equal(one.class_id, two.class_id)
-    assert np.array_equal(one.class_id, two.class_id)
     assert not np.array_equal(one.confidence, two.confidence)
 
 

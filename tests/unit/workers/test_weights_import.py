@@ -1,5 +1,6 @@
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,12 @@ from torch import Tensor, nn
 from service.cli.main import main
 from workers.checkpoints.errors import UnfitWeightsError, WeightsUnusableError
 from workers.errors import UnknownPartError
+from workers.geometry.published_profiles import KITTI360, SEMANTIC_KITTI
+from workers.geometry.range_image import SensorProfile
 from workers.networks import NETWORKS, import_weights, known_configs, read_config, read_known
 from workers.selfsupervised.weights import load_delora, load_flowstep3d, load_gndnet
 from workers.supervised.stream import RangeImageStream
-from workers.supervised.weights import load_weights
+from workers.supervised.weights import WeightsCard, load_weights
 
 PUBLISHED = {
     "salsanext": ("salsanext-kitti360", "module.", "state_dict"),
@@ -83,6 +86,25 @@ def test_every_configuration_that_comes_along_builds_its_network() -> None:
         card = read_known(config)
         assert read_config(config, card.network) == card
         assert sum(parameter.numel() for parameter in card.build().parameters()) > 600_000
+
+
+@pytest.mark.parametrize(
+    ("config", "profile"),
+    [
+        ("salsanext-kitti360", KITTI360),
+        ("lmnet-kitti360-8", KITTI360),
+        ("salsanext-semantickitti", SEMANTIC_KITTI),
+        ("lmnet-semantickitti-1", SEMANTIC_KITTI),
+        ("lmnet-semantickitti-8", SEMANTIC_KITTI),
+    ],
+)
+def test_range_images_are_those_that_the_published_networks_were_trained_on(
+    config: str, profile: SensorProfile
+) -> None:
+    card = read_known(config)
+    assert isinstance(card, WeightsCard)
+    assert replace(card.profile, name=profile.name, clamp=False) == profile
+    assert card.profile.clamp
 
 
 def test_a_configuration_may_be_a_file_or_json_and_leave_out_the_network(tmp_path: Path) -> None:
