@@ -9,17 +9,20 @@ from typing import Final, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.work import MiningSettings
+from workers.networks import NETWORKS
 from workers.registry import ODOMETRIES, SELFSUPERVISED, SUPERVISED
 
-PartKind = Literal["odometry", "supervised", "selfsupervised"]
+PartKind = Literal["odometry", "supervised", "selfsupervised", "network"]
 
 
 class PartCard(BaseModel):
-    """A part that can be chosen by name."""
+    """A part that can be chosen by name, or a network that parts are made of."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    part: PartKind = Field(description="What it stands for; the setting that names it.")
+    part: PartKind = Field(
+        description="The setting that names it, or: a network, whose weights are imported."
+    )
     name: str = Field(description="As the setting says it.")
     default: bool = Field(description="Whether it is what runs if nothing is said.")
     paper: bool = Field(description="Whether it is a part of the paper's chain.")
@@ -103,18 +106,57 @@ _SELFSUPERVISED: Final[Mapping[str, _Card]] = {
     ),
 }
 
+_NETWORKS: Final[Mapping[str, _Card]] = {
+    "salsanext": _Card(
+        paper=True,
+        what="Semantic classes over a range image.",
+        source="Cortinhal, Tzelepis, Aksoy, 2020",
+        weights="ships for salsanext-lmnet (width 8); published ones by weights import, configs "
+        "salsanext-semantickitti, salsanext-kitti360",
+    ),
+    "lmnet": _Card(
+        paper=True,
+        what="Moving or static over a range image and its residuals.",
+        source="LiDAR-MOS (Chen et al., RA-L 2021)",
+        weights="ships for salsanext-lmnet (width 8); published ones by weights import, configs "
+        "lmnet-semantickitti-1, lmnet-semantickitti-8, lmnet-kitti360-8",
+    ),
+    "gndnet": _Card(
+        paper=True,
+        what="Height of the ground in cells of a metre.",
+        source="Paigwar et al., IROS 2020",
+        weights="none ship; published ones by weights import, config gndnet-semantickitti",
+    ),
+    "flowstep3d": _Card(
+        paper=True,
+        what="Scene flow between two clouds.",
+        source="Kittenplon, Eldar, Raviv, CVPR 2021",
+        weights="none ship; published ones by weights import, config flowstep3d",
+    ),
+    "delora": _Card(
+        paper=True,
+        what="Motion of the sensor between two frames.",
+        source="Nubert, Khattak, Hutter, ICRA 2021",
+        weights="none ship; published ones by weights import, config delora-kitti",
+    ),
+}
+
 
 def part_cards() -> list[PartCard]:
-    """Describe every part, the odometry first, the default of each kind before the others."""
+    """Describe every part, the default of each kind before the others; networks come last."""
     kinds: Mapping[PartKind, list[str]] = {
         "odometry": list(ODOMETRIES),
         "supervised": list(SUPERVISED),
         "selfsupervised": list(SELFSUPERVISED),
     }
-    return [
+    chosen = [
         card
         for kind, names in kinds.items()
         for card in sorted((_card(kind, name) for name in names), key=lambda card: not card.default)
+    ]
+    return chosen + [
+        PartCard(part="network", name=name, default=False, **_NETWORKS[name].model_dump())
+        for name in NETWORKS
     ]
 
 

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,13 +23,14 @@ from workers.geometry.camera_filter import (
 from workers.geometry.form import Form
 from workers.geometry.ground_rule import ground_labels
 from workers.geometry.pillars import Pillars, pillars
-from workers.geometry.published_profiles import KITTI360
-from workers.geometry.range_image import image_channels, project
+from workers.geometry.range_image import SensorProfile, image_channels, project
 from workers.geometry.se3 import conjugate, inverse
+from workers.networks import read_known
 from workers.selfsupervised.gndnet import GndNet, decorate
 from workers.supervised.paper_residuals import PaperResiduals
 from workers.supervised.postprocess import KnnSettings, find_voters
 from workers.supervised.residual_image import with_residuals
+from workers.supervised.weights import WeightsCard
 
 HAS_AVX512 = bool(np._core._multiarray_umath.__cpu_features__.get("AVX512_SKX"))  # type: ignore[attr-defined]
 MOVED_PIXELS = 0 if HAS_AVX512 else 4
@@ -37,12 +39,21 @@ ROUNDED_PIXELS = 20
 """Of a residual image: rounding along the chain of poses."""
 
 
+@cache
+def kitti360() -> SensorProfile:
+    """Read the range image of the paper's networks from the configuration that ships."""
+    card = read_known("salsanext-kitti360")
+    if not isinstance(card, WeightsCard):
+        raise TypeError(f"a card of salsanext is wanted, not {type(card).__name__}")
+    return card.profile
+
+
 def check_range_projection(folder: Path, file: Path) -> list[Difference]:
     """Compare which point each pixel shows, and the normalised input of the network."""
     del folder
     golden = arrays(file)
     points = golden["points"]
-    image = project(points[:, :3], KITTI360, form=Form.PAPER)
+    image = project(points[:, :3], kitti360(), form=Form.PAPER)
     expected = golden["proj_idx"].copy()
     ambiguous = tuple(golden["ambiguous_pixels_row_col"].T.astype(int))
     expected[ambiguous] = image.index[ambiguous]
@@ -67,7 +78,7 @@ def check_range_projection(folder: Path, file: Path) -> list[Difference]:
     if "network_input" in golden:
         shown = alike.copy()
         shown[ambiguous] = False
-        channels = image_channels(image, points[:, :3], points[:, 3], KITTI360)
+        channels = image_channels(image, points[:, :3], points[:, 3], kitti360())
         wanted = golden["network_input"]
         found.append(near("network_input", channels[:, shown], wanted[:, shown], tolerance=1e-5))
     return found
@@ -78,7 +89,7 @@ def check_knn(folder: Path, file: Path) -> list[Difference]:
     golden = arrays(file)
     points = _points(folder, number_of(file))
     classes = golden["argmax_image"]
-    image = project(points, KITTI360, form=Form.PAPER)
+    image = project(points, kitti360(), form=Form.PAPER)
     voters = find_voters(image, [classes], KnnSettings(form=Form.PAPER))
     looked_up, wanted = voters.look_up(classes), golden["lookup_labels"]
     return [
@@ -106,10 +117,10 @@ def check_lmnet_input(folder: Path, file: Path) -> list[Difference]:
     """Compare what LMNet's loader sees: double precision, residuals beside the channels."""
     golden, number = arrays(file), number_of(file)
     points = arrays(folder / "geometry" / f"range_projection_{number:06d}.npz")["points"]
-    image = project(points[:, :3], KITTI360, form=Form.PAPER, precision=np.float64)
+    image = project(points[:, :3], kitti360(), form=Form.PAPER, precision=np.float64)
     frames = document(folder / "geometry" / "calibration.json")["frames"]
     residuals = _residuals(folder)[frames.index(number)]
-    channels = image_channels(image, points[:, :3], points[:, 3], KITTI360)
+    channels = image_channels(image, points[:, :3], points[:, 3], kitti360())
     stacked = with_residuals(image, channels, residuals)
     expected = golden["network_input_first7"]
     apart = ~(np.abs(stacked[5:7] - expected[5:]) <= 1e-5)
@@ -229,7 +240,7 @@ def calibration_of(folder: Path) -> CameraCalibration:
 def _residuals(folder: Path) -> list[NDArray[np.float32]]:
     frames = document(folder / "geometry" / "calibration.json")["frames"]
     poses = arrays(folder / "geometry" / "poses.npz")["lidar_to_world"]
-    stream = PaperResiduals(KITTI360)
+    stream = PaperResiduals(kitti360())
     return [
         stream(_points(folder, number), pose) for number, pose in zip(frames, poses, strict=True)
     ]

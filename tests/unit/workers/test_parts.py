@@ -4,6 +4,7 @@ import pytest
 
 from schemas.work import MiningSettings
 from service.cli.main import main
+from workers.networks import NETWORKS, known_configs, read_known
 from workers.parts import part_cards
 from workers.registry import ODOMETRIES, SELFSUPERVISED, SUPERVISED
 
@@ -12,6 +13,7 @@ def test_every_part_that_can_be_chosen_is_described_once() -> None:
     described = [(card.part, card.name) for card in part_cards()]
     tables = {"odometry": ODOMETRIES, "supervised": SUPERVISED, "selfsupervised": SELFSUPERVISED}
     chosen = [(kind, name) for kind, table in tables.items() for name in table]
+    chosen += [("network", name) for name in NETWORKS]
     assert sorted(described) == sorted(chosen)
 
 
@@ -35,6 +37,12 @@ def test_what_needs_weights_that_do_not_ship_says_so() -> None:
     assert "adapter" in cards["own"].weights
     assert cards["registration"].weights == "none"
     assert all(card.licence and card.source and card.what.endswith(".") for card in cards.values())
+
+
+def test_every_configuration_that_ships_is_named_by_its_network() -> None:
+    networks = {card.name: card.weights for card in part_cards() if card.part == "network"}
+    for config in known_configs():
+        assert config in networks[read_known(config).network]
 
 
 def test_parts_are_listed_as_lines_of_json_and_as_a_table(
