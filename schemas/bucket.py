@@ -169,6 +169,15 @@ class Bucket:
         except (BaseError, OSError, ValueError) as error:
             raise explain(error, url=self.url, key=key, writing=True) from None
 
+    def delete(self, key: str) -> None:
+        """Delete an object, if there is one. For artifacts only, never for logs."""
+        try:
+            obstore.delete(self._store, key)
+        except (BaseError, OSError, ValueError) as error:
+            self._need_folder()
+            if not isinstance(explain(error, url=self.url, key=key), ObjectChangedError):
+                raise explain(error, url=self.url, key=key, writing=True) from None
+
     def _need_folder(self) -> None:
         if self._folder is not None and not self._folder.is_dir():
             raise BucketUnreachableError(f"the folder is gone; is its disk mounted? ({self.url})")
@@ -250,7 +259,7 @@ def _open_folder(path: Path, *, create: bool) -> Bucket:
     try:
         if create:
             folder.mkdir(parents=True, exist_ok=True)
-        store = LocalStore(folder)
+        store = LocalStore(folder, automatic_cleanup=True)  # of folders that deleting has emptied
     except (BaseError, OSError) as error:
         raise explain(error, url=str(folder), writing=create) from None
     return Bucket(store, url=folder.as_uri(), folder=folder)

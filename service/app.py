@@ -22,7 +22,7 @@ import structlog
 import zenoh
 
 from schemas import keys
-from schemas.bucket import Bucket
+from schemas.bucket import Bucket, open_bucket
 from schemas.bus import is_connected, recoverable_subscriber
 from schemas.errors import BucketRefusedError, TransientError
 from schemas.router_watch import RouterWatch
@@ -40,6 +40,7 @@ from service.outbox import Outbox
 from service.questions import Questions
 from service.readiness import not_ready
 from service.staging import Staging
+from service.sweeping import OverlaySweep
 from service.ticking import tick
 
 log = structlog.get_logger(__name__)
@@ -51,9 +52,9 @@ for the disk. Beyond this the processor is what they wait for."""
 READING_THREADS: Final = 4
 """A long answer must not hold up the short ones."""
 
-THREADS: Final = WRITING_THREADS + READING_THREADS + 5
-"""Beside those that answer: bucket watch, expiry of leases, outbox, heartbeat, hold on the
-database; all for as long as we live."""
+THREADS: Final = WRITING_THREADS + READING_THREADS + 6
+"""Beside those that answer: bucket watch, expiry of leases, outbox, heartbeat, deletion of
+overlays, hold on the database; all for as long as we live."""
 
 EXPIRY_INTERVAL_S: Final = 1.0
 EXPIRY_RETRY_S: Final = 5.0
@@ -90,6 +91,7 @@ class Service:
         hold: Callable[[], object] | None = None,
         metrics: ServiceMetrics | None = None,
         state_free_bytes: Callable[[], int | None] = lambda: None,
+        keep_withdrawn_s: float = 0.0,
     ) -> None:
         """Wire the parts; nothing happens before the block is entered.
 
@@ -108,6 +110,10 @@ class Service:
             hold: Makes sure that the ledger is still ours alone to write; None: it cannot be lost.
             metrics: Told of everything that is counted; None: some that nobody reads.
             state_free_bytes: Says how much room the disk of the state has; None: not known.
+            keep_withdrawn_s: Delete overlays of scenes withdrawn so long ago; 0: never.
+
+        Raises:
+            UsageError: If overlays are to be deleted where logs lie.
         """
         self._session, self._ledger, self._root = session, ledger, root
         self._list_interval_s, self._once = list_interval_s, once
@@ -121,6 +127,12 @@ class Service:
         self._outbox = Outbox(session, ledger, root=root)
         self._clock = ClockWatch()
         self._history = History(session, ledger, root=root)
+        self._sweep = None
+        if keep_withdrawn_s:
+            artifacts = open_bucket(settings.artifacts, create=True)
+            self._sweep = OverlaySweep(
+                artifacts, ledger, keep_s=keep_withdrawn_s, log_bucket_url=bucket.url
+            )
         self.metrics = metrics or ServiceMetrics()
         ledger.observe(self.metrics)
         self._questions = Questions(session, on_outcome=self.metrics.asked)
@@ -143,6 +155,7 @@ class Service:
                 state_free_bytes=state_free_bytes,
                 router_connected=lambda: is_connected(session),
                 clock_steps=lambda: self._clock.steps,
+                overlays_deleted=lambda: 0 if self._sweep is None else self._sweep.deleted,
                 now_s=ledger.now_s,
             )
         )
@@ -272,6 +285,16 @@ class Service:
                 interval_s=self._heartbeat.interval_s,
             )
         )
+        if self._sweep is not None:
+            self._threads.append(
+                pool.submit(
+                    every,
+                    partial(self._sweep.sweep, self._stop),
+                    what="deletion of overlays",
+                    interval_s=self._sweep.interval_s,
+                    passing=(TransientError, BucketRefusedError),
+                )
+            )
         if self._hold is not None:
             self._threads.append(
                 pool.submit(

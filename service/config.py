@@ -107,6 +107,12 @@ class Settings(MiningSettings):
         description="An object without a valid footer is planned when it has not changed for so "
         "long.",
     )
+    keep_withdrawn_days: float = Field(
+        default=0.0,
+        ge=0,
+        description="Overlays of scenes withdrawn so many days ago are deleted from the artifacts; "
+        "0: none ever is.",
+    )
     database: PostgresUrl = Field(
         default="",
         repr=False,  # may hold a password

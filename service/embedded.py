@@ -30,6 +30,7 @@ from service.state import StateLock, free_bytes, prepare_state
 from service.status import Status
 from service.store.opening import open_ledger_store, sole_service
 from service.store.sole import SoleService
+from service.sweeping import DAY_S
 
 LOCAL_WORKERS: Final = "local-"
 """Prefix of the ids of workers that live and die with one `run`."""
@@ -241,6 +242,7 @@ def _enter_service(
             hold=None if sole is None else sole.check,
             metrics=metrics,
             state_free_bytes=partial(free_bytes, settings.state),
+            keep_withdrawn_s=settings.keep_withdrawn_days * DAY_S,
         )
     )
 

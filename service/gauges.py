@@ -53,6 +53,7 @@ class Sources:
         state_free_bytes: Free bytes of the disk that holds the state; None: not known.
         router_connected: Whether a router is there.
         clock_steps: How often the clock was set, by direction.
+        overlays_deleted: Overlays deleted since the start.
         now_s: Seconds since the Unix epoch.
     """
 
@@ -65,6 +66,7 @@ class Sources:
     state_free_bytes: Callable[[], int | None] = lambda: None
     router_connected: Callable[[], bool] = lambda: False
     clock_steps: Callable[[], Mapping[str, int]] = lambda: {}
+    overlays_deleted: Callable[[], int] = lambda: 0
     now_s: Callable[[], float] = lambda: 0.0
 
 
@@ -231,6 +233,13 @@ def _of_parts(sources: Sources) -> Iterator[Metric]:
         "suspended. Worry when it grows: leases end early after a step forward.",
         {(way,): steps.get(way, 0) for way in get_args(ClockStep)},
         labels=("direction",),
+    )
+    yield _counter(
+        "overlays_deleted",
+        "Overlays deleted from the artifacts, of scenes withdrawn `keep_withdrawn_days` ago; 0 "
+        "without that setting. Worry when it stays 0 with it, and the artifacts only grow: the log "
+        "says why.",
+        {(): sources.overlays_deleted()},
     )
     free = sources.state_free_bytes()
     yield _gauge(

@@ -23,6 +23,7 @@ from schemas.work import (
 )
 from service.ranking import RankedScene
 from service.rates import RatesRequest, RateSums
+from service.retired_overlays import RetiredOverlays
 from service.selection import Selection, select
 from service.status import ParkedWork, Status
 from service.store import (
@@ -72,6 +73,9 @@ class Ledger:
     May be called from any thread: writers wait for each other on the store's one lock (one writer
     is what SQLite allows anyway), readers wait for nobody and see the last commit.
 
+    Attributes:
+        retired_overlays: Since when which overlays are not needed any more.
+
     Raises (every method):
         StoreUnavailableError: Transient: disk full, database locked for too long.
     """
@@ -95,6 +99,7 @@ class Ledger:
         """
         self._store, self._now_s, self._policy = store, now_s, policy or LeasePolicy()
         self._new_lease_id = new_lease_id
+        self.retired_overlays = RetiredOverlays(store, now_s=now_s)
         self._listing = 0
         """Counts the listings taken over, so that claims know whether plans may be wanting."""
         self._seeded: dict[str, int] = {}

@@ -546,6 +546,15 @@ INSIDE: Final = Row(
             queries=(Query("sum (counterpoint_staging_bytes)", "bytes"),),
         ),
         Panel(
+            title="Overlays deleted, per hour",
+            description="Of scenes withdrawn `keep_withdrawn_days` ago. Without that setting none "
+            "is ever deleted, and the artifacts only grow.",
+            unit="short",
+            queries=(
+                Query(f"{per_second('counterpoint_overlays_deleted_total')} * 3600", "overlays"),
+            ),
+        ),
+        Panel(
             title="Free space for the state",
             description="Of the disk with the state folder.",
             unit="bytes",

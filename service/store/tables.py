@@ -152,6 +152,17 @@ SCENES: Final = Table(
     Column("record", LargeBinary, nullable=False),
 )
 
+RETIRED_OVERLAYS: Final = Table(
+    "retired_overlays",
+    METADATA,
+    _text("log_id", key=True),
+    _text("scene_id", key=True),
+    _text("pipeline_version", key=True),
+    _text("sha256", key=True),
+    _real("since_s"),
+    _flag("is_deleted"),
+)
+
 SELECTIONS: Final = Table(
     "selections",
     METADATA,

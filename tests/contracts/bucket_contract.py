@@ -117,6 +117,20 @@ class BucketContract:
         bucket.put("a", b"new")
         assert bucket.read_all("a") == b"new"
 
+    def test_a_deleted_object_is_gone_and_deleting_it_again_is_no_error(
+        self, bucket: Bucket
+    ) -> None:
+        for key in ("a/b/1.overlay", "a/b/2.overlay", "c/@/ä 1%2E.overlay"):
+            bucket.put(key, b"x")
+        for _ in range(2):
+            bucket.delete("a/b/1.overlay")
+            bucket.delete("c/@/ä 1%2E.overlay")
+        assert [found.key for found in bucket.list()] == ["a/b/2.overlay"]
+        bucket.delete("a/b/2.overlay")
+        assert list(bucket.list()) == []
+        bucket.put("a/b/1.overlay", b"again")
+        assert bucket.read_all("a/b/1.overlay") == b"again"
+
     def test_a_key_that_no_store_can_hold_is_refused(self, bucket: Bucket) -> None:
         with pytest.raises(BucketRefusedError):
             bucket.put("a//../b", b"x")

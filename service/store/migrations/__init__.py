@@ -13,17 +13,23 @@ STEPS: Final[tuple[str, ...]] = (
     "0003_ranking.sql",
     "0004_truncated.sql",
     "0005_write_proof.sql",
+    "0006_retired_overlays.sql",
 )
 """Step i leads from version i to i + 1. A step that has been released is never edited."""
 
 SCHEMA_VERSION: Final = len(STEPS)
 
 _SPELLINGS: Final = {
-    "sqlite": {"{blob}": "BLOB", "{true}": "1", "{bytewise}": ""},
-    "postgresql": {"{blob}": "BYTEA", "{true}": "TRUE", "{bytewise}": 'COLLATE "C"'},
+    "sqlite": {"{blob}": "BLOB", "{true}": "1", "{false}": "0", "{bytewise}": ""},
+    "postgresql": {
+        "{blob}": "BYTEA",
+        "{true}": "TRUE",
+        "{false}": "FALSE",
+        "{bytewise}": 'COLLATE "C"',
+    },
 }
 """What the two servers spell differently; the steps are otherwise plain SQL. SQLite uses a partial
-index only where its condition is spelled as the query spells it, hence `= 1`."""
+index only where its condition is spelled as the query spells it, hence `= 1` and `= 0`."""
 
 
 def schema_version(connection: Connection) -> int:
