@@ -27,9 +27,9 @@ from workers.geometry.range_image import SensorProfile, image_channels, project
 from workers.geometry.se3 import conjugate, inverse
 from workers.networks import read_known
 from workers.selfsupervised.gndnet import GndNet, decorate
-from workers.supervised.paper_residuals import PUBLISHED_RESIDUALS, PaperResiduals
+from workers.supervised.paper_residuals import PaperResiduals
 from workers.supervised.postprocess import KnnSettings, find_voters
-from workers.supervised.residual_image import with_residuals
+from workers.supervised.residual_image import ResidualSettings, with_residuals
 from workers.supervised.weights import WeightsCard
 
 HAS_AVX512 = bool(np._core._multiarray_umath.__cpu_features__.get("AVX512_SKX"))  # type: ignore[attr-defined]
@@ -104,12 +104,13 @@ def check_residuals(folder: Path, file: Path) -> list[Difference]:
     Those of a frame that is absent, or against one, are left out.
     """
     golden = arrays(file)
-    found, not_zero = [], 0
+    found: list[Difference] = []
+    not_zero = 0
     for frame, residuals in _residuals(folder).items():
         for age, residual in residuals.items():
             expected = golden.get(f"k{age}_frame{frame}")
             if expected is None:
-                not_zero += np.count_nonzero(residual)
+                not_zero += int(np.count_nonzero(residual))
                 continue
             apart = ~(np.abs(residual - expected) <= 1e-5)
             name, nowhere = f"k{age}_frame{frame}", np.zeros_like(apart)
@@ -139,7 +140,8 @@ def check_lmnet_input(folder: Path, file: Path) -> list[Difference]:
     frames = document(folder / "geometry" / "calibration.json")["frames"]
     known = _residuals(folder)[frames.index(number)]
     nothing = np.zeros(image.index.shape, np.float32)
-    residuals = np.stack([known.get(age, nothing) for age in range(1, PUBLISHED_RESIDUALS + 1)])
+    count = len(ResidualSettings().ages_s)
+    residuals = np.stack([known.get(age, nothing) for age in range(1, count + 1)])
     stacked = with_residuals(image, channels, residuals)
     for age in known:
         if age <= expected.shape[0] - 5:

@@ -101,8 +101,8 @@ class PaperChain:
             WeightsUnusableError: If one is missing or damaged.
         """
         return cls(
-            load_gndnet(folder / "gndnet.safetensors", form="paper"),
-            load_flowstep3d(folder / "flowstep3d.safetensors", form="paper"),
+            load_gndnet(folder / "gndnet.safetensors", form=Form.PAPER),
+            load_flowstep3d(folder / "flowstep3d.safetensors", form=Form.PAPER),
         )
 
     @property

@@ -11,7 +11,6 @@ from torch import Tensor, nn
 from service.cli.main import main
 from workers.checkpoints.errors import UnfitWeightsError, WeightsUnusableError
 from workers.errors import UnknownPartError
-from workers.geometry.published_profiles import KITTI360, SEMANTIC_KITTI
 from workers.geometry.range_image import SensorProfile
 from workers.networks import NETWORKS, import_weights, known_configs, read_config, read_known
 from workers.selfsupervised.weights import load_delora, load_flowstep3d, load_gndnet
@@ -86,6 +85,20 @@ def test_every_configuration_that_comes_along_builds_its_network() -> None:
         card = read_known(config)
         assert read_config(config, card.network) == card
         assert sum(parameter.numel() for parameter in card.build().parameters()) > 600_000
+
+
+KITTI360 = SensorProfile(
+    name="kitti360",
+    rows=64,
+    columns=2048,
+    fov_up_deg=3,
+    fov_down_deg=-25,
+    means=(11.27, -0.01, 0.27, -1.01, 0.30),
+    stds=(9.70, 12.14, 8.48, 0.84, 0.15),
+)
+SEMANTIC_KITTI = replace(
+    KITTI360, means=(12.12, 10.88, 0.23, -1.04, 0.21), stds=(12.32, 11.47, 6.91, 0.86, 0.16)
+)
 
 
 @pytest.mark.parametrize(
