@@ -33,7 +33,7 @@ def arrays(path: Path) -> Arrays:
     Raises:
         AbsentError: If there is no such file.
     """
-    with np.load(present(path), allow_pickle=False) as stored:
+    with present(path).open("rb") as file, np.load(file, allow_pickle=False) as stored:
         return {name: stored[name] for name in stored.files}
 
 

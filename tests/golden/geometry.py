@@ -104,8 +104,7 @@ def check_residuals(folder: Path, file: Path) -> list[Difference]:
     Those of a frame that is absent, or against one, are left out.
     """
     golden = arrays(file)
-    found: list[Difference] = []
-    not_zero = 0
+    found, not_zero = [], 0
     for frame, residuals in _residuals(folder).items():
         for age, residual in residuals.items():
             expected = golden.get(f"k{age}_frame{frame}")
@@ -139,9 +138,8 @@ def check_lmnet_input(folder: Path, file: Path) -> list[Difference]:
         return found
     frames = document(folder / "geometry" / "calibration.json")["frames"]
     known = _residuals(folder)[frames.index(number)]
-    nothing = np.zeros(image.index.shape, np.float32)
-    count = len(ResidualSettings().ages_s)
-    residuals = np.stack([known.get(age, nothing) for age in range(1, count + 1)])
+    nothing, ages = np.zeros(image.index.shape, np.float32), len(ResidualSettings().ages_s)
+    residuals = np.stack([known.get(age, nothing) for age in range(1, ages + 1)])
     stacked = with_residuals(image, channels, residuals)
     for age in known:
         if age <= expected.shape[0] - 5:

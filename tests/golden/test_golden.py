@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.golden.__main__ import main
 from tests.golden.checks import LATER, check_file, check_of, files_in
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -30,59 +31,60 @@ def test_what_is_not_built_yet_has_no_check(name: str) -> None:
     assert check_of(name.replace("*", "a.npz")) is None
 
 
-def _run(folder: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "tests.golden", str(folder)],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=240,
-    )
-
-
 def _fusion(folder: Path, *, fused: int) -> None:
     (folder / "fusion").mkdir(parents=True)
     np.savez(
-        folder / "fusion" / "made_up.npz",
+        folder / "fusion" / "kitti360_000007.npz",
         semantic=np.array([26, 26, 11], np.int16),
         motion=np.array([2, 1, 2], np.int16),
         fused=np.array([fused, 26, 11], np.int16),
     )
 
 
-def test_a_folder_of_other_frames_is_compared_and_every_file_listed(tmp_path: Path) -> None:
+def test_a_folder_of_other_frames_is_compared_and_every_file_listed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     _fusion(tmp_path, fused=202)
     (tmp_path / "lidarcoda").mkdir()
     np.savez(tmp_path / "lidarcoda" / "frustum.npz", points=np.zeros(3))
     (tmp_path / "geometry").mkdir()
     np.savez(tmp_path / SMALL, k1_frame1=np.zeros((64, 2048), np.float32))
-    ran = _run(tmp_path)
-    assert ran.returncode == 0, ran.stdout + ran.stderr
-    rows = {line.split()[1]: line.rstrip() for line in ran.stdout.splitlines() if ".npz" in line}
-    assert rows["made_up.npz"].endswith("holds")
+    assert main([str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    rows = {line.split()[1]: line.rstrip() for line in said.splitlines() if ".npz" in line}
+    assert rows["kitti360_000007.npz"].endswith("holds")
     assert rows["frustum.npz"].endswith("not checked")
     assert "needs geometry/calibration.json" in rows["residual_images.npz"]
     assert rows["residual_images.npz"].endswith("not checked")
-    assert "3 files: 1 hold, 0 fail, 2 not checked" in ran.stdout
+    assert "3 files: 1 hold, 0 fail, 2 not checked" in said
 
 
-def test_one_wrong_point_fails(tmp_path: Path) -> None:
+def test_one_wrong_point_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     _fusion(tmp_path, fused=26)
-    ran = _run(tmp_path)
-    assert ran.returncode == 1
-    assert "FAILS" in ran.stdout
+    assert main([str(tmp_path)]) == 1
+    assert "FAILS" in capsys.readouterr().out
 
 
-def test_a_damaged_file_fails_and_the_others_are_still_compared(tmp_path: Path) -> None:
+def test_a_damaged_file_fails_and_the_others_are_still_compared(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     _fusion(tmp_path, fused=202)
-    whole = (tmp_path / "fusion" / "made_up.npz").read_bytes()
-    (tmp_path / "fusion" / "cut.npz").write_bytes(whole[: len(whole) // 2])
-    ran = _run(tmp_path)
-    assert ran.returncode == 1
-    assert "2 files: 1 hold, 1 fail, 0 not checked" in ran.stdout
+    whole = (tmp_path / "fusion" / "kitti360_000007.npz").read_bytes()
+    (tmp_path / "fusion" / "kitti360_000008.npz").write_bytes(whole[: len(whole) // 2])
+    assert main([str(tmp_path)]) == 1
+    assert "2 files: 1 hold, 1 fail, 0 not checked" in capsys.readouterr().out
 
 
 def test_a_folder_without_reference_outputs_is_refused(tmp_path: Path) -> None:
-    assert _run(tmp_path).returncode == 2
-    assert _run(tmp_path / "nowhere").returncode == 2
+    """As `make golden` runs it, so that the exit code is the command's."""
+    ran = subprocess.run(
+        [sys.executable, "-m", "tests.golden", str(tmp_path)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=240,
+    )
+    assert ran.returncode == 2
+    assert "usage" in ran.stderr
+    assert main([str(tmp_path / "nowhere")]) == 2
