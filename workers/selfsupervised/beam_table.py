@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
+from workers.selfsupervised.beam_origin import MAX_BEHIND_SHARE, behind_share, find_origin
 
 MIN_RANGE_M = 2.5
 """Nearer returns are the car itself or reflections."""
@@ -46,7 +47,8 @@ def estimate_beam_table(points_m: Points, ring: NDArray[np.int16]) -> BeamTable:
     Where beams were recorded, each must be a cone about the sensor: if they are not about the
     cloud's origin, the point about which they are is looked for (clouds are often delivered in
     the space of the car). Without recorded beams the rows are evenly spaced, as far apart as
-    vertical neighbours are in the cloud, and the origin is taken on trust.
+    vertical neighbours are in the cloud, and the cloud's origin is believed unless points hide each
+    other from there: then the place is looked for from which they do not.
 
     Args:
         points_m: (N, 3) valid points, metres.
@@ -141,6 +143,18 @@ def _meeting_point(
 
 
 def _evenly_spaced(points: NDArray[np.float64]) -> BeamTable:
+    origin, reason = np.zeros(3), ""
+    behind = behind_share(points, origin)
+    if behind > MAX_BEHIND_SHARE:
+        found = find_origin(points)
+        if found is None:
+            reason = (
+                f"{behind:.0%} of the points that look the same way hide each other, and from no "
+                "one place do they not: clouds of several sensors, or moved ones"
+            )
+        else:
+            origin = found
+    points = points - origin
     distance = np.hypot(points[:, 0], points[:, 1])
     elevation = np.arctan2(points[:, 2], distance)
     azimuth = np.arctan2(points[:, 1], points[:, 0])
@@ -156,7 +170,13 @@ def _evenly_spaced(points: NDArray[np.float64]) -> BeamTable:
     spacing = max(float(np.median(gaps)), float(np.radians(0.15)))
     low, high = np.quantile(elevation, [0.001, 0.999])
     tangents = np.tan(np.arange(low, high + spacing, spacing))
-    return BeamTable(tangents.astype(np.float32), np.zeros(3), _max_gap(tangents))
+    return BeamTable(
+        tangents.astype(np.float32),
+        origin,
+        _max_gap(tangents),
+        trusted=not reason,
+        reason=reason,
+    )
 
 
 def _max_gap(tangents: NDArray[np.float64]) -> float:
