@@ -102,13 +102,14 @@ def test_every_scene_flow_is_a_stream_by_name_with_both_sets_of_numbers() -> Non
         assert build_selfsupervised(f"two-stage:{flow}:published") == TwoStage(flow, PAPER)
     assert build_selfsupervised("two-stage") == TwoStage("nearest-neighbour", PER_SECOND)
     assert build_selfsupervised("two-stage:tracked:published") == TrackedTwoStage(PAPER)
-    versions = [build_selfsupervised(name).version for name in SELFSUPERVISED]
-    assert len(set(versions)) == len(versions) - 1  # `two-stage` has two names
+    names = [name for name in SELFSUPERVISED if name.startswith("two-stage")]
+    versions = [build_selfsupervised(name).version for name in names]
+    assert len(set(versions)) == len(versions) - 1  # the nearest neighbour has two names
 
 
 def test_the_rule_on_tracked_velocities_takes_away_and_never_adds(tmp_path: Path) -> None:
     streams = ("registration", "two-stage:tracked")
-    _, seen = evaluate(tmp_path, streams, frames=9, lidar=Lidar(columns=600))
+    _, seen = evaluate(tmp_path, streams, frames=8, lidar=Lidar(columns=400))
     moving = kept = 0
     for before, after in zip(seen[::2], seen[1::2], strict=True):
         assert (before.name, after.confirmed) == (after.name, None)
