@@ -26,7 +26,8 @@ from workers.ingest.read import read_shard
 from workers.networks import read_config
 from workers.registry import PartFiles, build_odometry, build_parts, build_selfsupervised
 from workers.selfsupervised.odometry import KissOdometry
-from workers.selfsupervised.paper_chain import NoCameraError, PaperChain
+from workers.selfsupervised.paper_chain import PaperChain
+from workers.selfsupervised.paper_view import NoCameraError
 from workers.supervised.stream import SHIPPED
 
 CONFIGS = {"gndnet": "gndnet-semantickitti", "flowstep3d": "flowstep3d", "delora": "delora-kitti"}
@@ -64,7 +65,7 @@ def test_every_stage_of_the_chain_has_the_published_shape_and_codes(
     chain = PaperChain.load(weights)
     frames = list(islice(_frames(reference, "kitti360-3000", camera="recorded"), 3))
     posed = list(KissOdometry()(frames))
-    seen = [chain.compared(frame) for frame in frames]
+    seen = [chain.view.compared(frame) for frame in frames]
     for frame, of_it in zip(frames, seen, strict=True):
         assert of_it.ground.shape == (len(frame),)
         assert set(np.unique(of_it.ground)) <= {-1, 0, 1}
@@ -116,7 +117,7 @@ def test_a_log_without_a_camera_is_refused_and_takes_one_from_the_settings(
     chain = PaperChain.load(weights)
     (bare,) = islice(_frames(reference, "av2-7fab2350", camera=""), 1)
     with pytest.raises(NoCameraError, match="set camera to `recorded`"):
-        chain.compared(bare)
+        chain.view.compared(bare)
     stated = CameraCalibration.of(
         np.array([[700, 0, 600, 0], [0, 700, 200, 0], [0, 0, 1, 0]], np.float64),
         np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]], np.float64),
@@ -127,7 +128,7 @@ def test_a_log_without_a_camera_is_refused_and_takes_one_from_the_settings(
         _frames(reference, "av2-7fab2350", camera=stated.model_dump_json(exclude_none=True)), 1
     )
     assert frame.camera == stated
-    assert len(chain.compared(frame).kept) > 100
+    assert len(chain.view.compared(frame).kept) > 100
 
 
 def test_the_preset_names_parts_and_whatever_is_written_wins(tmp_path: Path) -> None:
