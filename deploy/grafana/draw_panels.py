@@ -9,6 +9,7 @@ import argparse
 import json
 import re
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from io import BytesIO
@@ -37,6 +38,10 @@ COLOURS_OF_PICTURE: Final = 96
 DAY_S: Final = 86_400
 LONGEST_GAP_S: Final = 120.0
 """As the panels say to Grafana."""
+
+LETTERS_PER_GRID_COLUMN: Final = 14.0
+LETTERS_OF_A_HANDLE: Final = 5
+"""Measured on the picture, at the size of a legend's letters."""
 
 BACKGROUND, FOREGROUND, FAINT = "#15171c", "#d5d8dd", "#3a3d45"
 COLOURS: Final = {"green": "#3f833b", "yellow": "#b58b00", "red": "#b3261e"}
@@ -126,18 +131,24 @@ def _draw_lines(axes: Axes, panel: ReadPanel, view: View) -> None:
         if step["value"] <= axes.get_ylim()[1] * 1.5:
             axes.axhline(step["value"], color=COLOURS[step["color"]], linewidth=1, linestyle="--")
     axes.set_xlim(view.start_s / DAY_S, view.end_s / DAY_S)
-    axes.set_ylim(bottom=0)
+    axes.set_ylim(0, 1.06 * axes.get_ylim()[1])  # a line that hardly moves must not be the frame
     _write_axes(axes, unit)
     axes.legend(
         loc="upper left",
         bbox_to_anchor=(-0.02, -0.14),
-        ncols=6 if panel.raw["gridPos"]["w"] > 8 else 4,
+        ncols=_legend_columns(names, grid_columns=panel.raw["gridPos"]["w"]),
         fontsize=6.5,
         frameon=False,
         labelcolor=FOREGROUND,
         handlelength=1,
         columnspacing=1,
     )
+
+
+def _legend_columns(names: Sequence[str], *, grid_columns: int) -> int:
+    """Return how many names lie side by side: many short ones would else reach the next row."""
+    letters = LETTERS_PER_GRID_COLUMN * grid_columns
+    return max(1, int(letters / (max(map(len, names)) + LETTERS_OF_A_HANDLE)))
 
 
 def _on_grid(series: Series, at_s: NDArray[np.float64], step_s: float) -> NDArray[np.float64]:
@@ -254,7 +265,6 @@ def _write_axes(axes: Axes, unit: str) -> None:
     )
     axes.xaxis.set_major_formatter(FuncFormatter(_clock))
     axes.grid(color=FAINT, linewidth=0.5)
-    axes.margins(y=0.1)
 
 
 def _say_nothing(axes: Axes) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.grafana.draw_panels import main
+from deploy.grafana.draw_panels import _legend_columns, main
 
 
 @pytest.fixture
@@ -37,6 +37,14 @@ def test_who_does_not_answer_is_named(
     assert said.startswith(f"error: {nobody} does not answer: ")
     assert said.count("\n") == 1
     assert out.is_dir()
+
+
+def test_many_names_lie_in_rows_that_are_as_wide_as_the_panel() -> None:
+    verbs = ["claim", "commit", "history", "overlay", "select", "status"]
+    assert _legend_columns(verbs, grid_columns=8) >= len(verbs)
+    long = "shard tried again, per hour"
+    assert 1 < _legend_columns([*verbs, long], grid_columns=8) < len(verbs)
+    assert _legend_columns([long * 9], grid_columns=8) == 1
 
 
 def test_a_folder_that_cannot_be_made_is_named(
