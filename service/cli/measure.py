@@ -1,4 +1,4 @@
-"""Verbs that measure and show: `bench pipeline`, `bench motion`, `bench ledger`, `demo`."""
+"""Verbs that measure and show: `bench` of pipeline, motion, networks or ledger, and `demo`."""
 
 import time
 from pathlib import Path
@@ -18,6 +18,7 @@ def add_to(app: typer.Typer) -> None:
     bench = typer.Typer(no_args_is_help=True, help="Measure, beside floors of the same run.")
     bench.command(epilog="counterpoint bench pipeline logs/car-7/2026-11-20/drive.mcap")(pipeline)
     bench.command(epilog="counterpoint bench motion logs/car-7/2026-11-20/drive.mcap")(motion)
+    bench.command(epilog="counterpoint bench networks logs/car-7/2026-11-20/drive.mcap")(networks)
     bench.command(epilog="counterpoint bench ledger --folder /var/lib/counterpoint")(ledger)
     app.add_typer(bench, name="bench")
     app.command(epilog="counterpoint demo --out demo-output")(demo)
@@ -105,6 +106,75 @@ def motion(
         f"the stream takes {timed.ratio:.2f} times as long as KISS-ICP and Patchwork++ together, "
         f"{timed.ratio_with_odometry:.2f} with odometry; at most {timed.memory_mib:.0f} MiB "
         "beyond the interpreter"
+    )
+
+
+def networks(
+    url: Annotated[
+        str | None, typer.Argument(help="URL or path of one .mcap file; none: a simulated street.")
+    ] = None,
+    frames: Annotated[
+        int, typer.Option("--frames", min=1, help="How many frames, after ten that warm up.")
+    ] = 5,
+    rounds: Annotated[int, typer.Option("--rounds", min=1, help="How often each is run.")] = 3,
+    only: Annotated[
+        str | None, typer.Option("--only", help="images (SalsaNext, LMNet) or flowstep3d.")
+    ] = None,
+    points: Annotated[
+        list[int] | None,
+        typer.Option("--points", min=64, help="Size of FlowStep3D's clouds. Repeatable."),
+    ] = None,
+    processor: Annotated[
+        bool, typer.Option("--processor", help="Seconds of the processor, not of the wall.")
+    ] = False,
+    json: Json = False,
+    config: Config = None,
+) -> None:
+    """Time the networks beside a plain transcription of their published forward pass."""
+    from service.cli.logs import locate
+    from workers.evaluation.bench_networks import FLOW_POINTS, NetworkTime, bench_flow, bench_images
+
+    if only not in (None, "images", "flowstep3d"):
+        raise typer.BadParameter(f"{only!r} is neither images nor flowstep3d")
+    settings = settings_for(config)
+    clock = time.process_time if processor else time.perf_counter
+    rows: list[NetworkTime] = []
+    with TemporaryDirectory() as folder, progress() as bar:
+        task = bar.add_task("timing", total=None)
+        if only != "flowstep3d":
+            log = url or _simulated(Path(folder), frames=10 + frames)
+            store, recording = locate(log, root_url=settings.bucket)
+            rows += bench_images(
+                store,
+                recording,
+                settings.mining(),
+                frames=frames,
+                rounds=rounds,
+                clock=clock,
+                on_progress=lambda what: bar.update(task, description=f"timing {what}"),
+            )
+        for size in (points or FLOW_POINTS) if only != "images" else ():
+            bar.update(task, description=f"timing flowstep3d, {size} points")
+            rows += bench_flow(size, rounds=rounds, clock=clock)
+    if json:
+        for row in rows:
+            json_line(row)
+        return
+    table(
+        "networks, one thread, in pairs with the published forward pass (plain)",
+        ("network", "way", "size", "median ms", "times as fast", "changed", "memory MiB"),
+        (
+            (
+                row.network,
+                row.way,
+                row.size,
+                f"{row.median_ms:.1f}",
+                f"{row.faster:.2f}",
+                "" if row.changed is None else f"{row.changed:.3g}",
+                "" if row.memory_mib is None else f"{row.memory_mib:.0f}",
+            )
+            for row in rows
+        ),
     )
 
 

@@ -6,15 +6,18 @@ LeakyReLU and then batch normalisation, in that order. The network works at any 
 channels at the first stage (published: 32), two, four and eight times as many further down.
 """
 
+from typing import Final
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-_SLOPE = 0.01  # of LeakyReLU, published
+SLOPE: Final = 0.01
+"""Of LeakyReLU, published."""
 
 
 def _act(x: Tensor) -> Tensor:
-    return functional.leaky_relu(x, _SLOPE, inplace=not torch.is_grad_enabled())
+    return functional.leaky_relu(x, SLOPE, inplace=not torch.is_grad_enabled())
 
 
 class ResContextBlock(nn.Module):
