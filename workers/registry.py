@@ -84,13 +84,13 @@ def _delora(files: PartFiles) -> Odometry:
     return DeLORAOdometry.load(_weights(files, "odometry delora"))
 
 
-def _salsanext_lmnet(files: PartFiles, *, published: bool = False) -> Stream:
+def _salsanext_lmnet(files: PartFiles, *, published: bool = False, folded: bool = False) -> Stream:
     from workers.geometry.form import Form
     from workers.supervised.stream import SHIPPED, RangeImageStream
 
     folder = Path(files.weights) if files.weights else SHIPPED
     form = Form.PAPER if published else Form.CORRECTED
-    return RangeImageStream.salsanext_lmnet(folder, form=form)
+    return RangeImageStream.salsanext_lmnet(folder, form=form, folded=folded)
 
 
 def _own(files: PartFiles) -> Stream:
@@ -148,6 +148,7 @@ ODOMETRIES: Final[Mapping[str, Callable[[PartFiles], Odometry]]] = {
 }
 SUPERVISED: Final[Mapping[str, Callable[[PartFiles], Stream]]] = {
     "salsanext-lmnet": _salsanext_lmnet,
+    "salsanext-lmnet:folded": partial(_salsanext_lmnet, folded=True),
     "salsanext-lmnet:published": partial(_salsanext_lmnet, published=True),
     "recorded": _recorded,
     "own": _own,

@@ -1,5 +1,6 @@
 """What the supervised stream asks of a network, whoever trained it and whatever runs it."""
 
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -52,7 +53,9 @@ class RangeImageNetwork(Protocol):
         ...
 
 
-def run_eagerly(net: torch.nn.Module, image: NDArray[np.float32]) -> NDArray[np.float32]:
+def run_eagerly(
+    net: Callable[[torch.Tensor], torch.Tensor], image: NDArray[np.float32]
+) -> NDArray[np.float32]:
     """Run a torch network over one image: (C, H, W) in, (K, H, W) out."""
     x = torch.from_numpy(image)[None].contiguous(memory_format=torch.channels_last)
     with torch.inference_mode():

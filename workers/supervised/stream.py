@@ -83,14 +83,21 @@ class RangeImageStream:
         return cls.salsanext_lmnet(SHIPPED)
 
     @classmethod
-    def salsanext_lmnet(cls, folder: Path, *, form: Form = Form.CORRECTED) -> Self:
+    def salsanext_lmnet(
+        cls, folder: Path, *, form: Form = Form.CORRECTED, folded: bool = False
+    ) -> Self:
         """Build the stream from `salsanext.safetensors` and `lmnet.safetensors` of a folder.
+
+        Args:
+            folder: Of weights, imported or trained.
+            form: Of image, residuals and votes.
+            folded: Run both folded: faster on a CPU, with other roundings and another version.
 
         Raises:
             WeightsUnusableError: If one is missing, damaged, or belongs to another network.
         """
-        semantic = load_weights(folder / "salsanext.safetensors")
-        motion = load_weights(folder / "lmnet.safetensors")
+        semantic = load_weights(folder / "salsanext.safetensors", folded=folded)
+        motion = load_weights(folder / "lmnet.safetensors", folded=folded)
         if semantic.card.network != "salsanext" or motion.card.network != "lmnet":
             raise WeightsUnusableError(
                 "the supervised stream needs weights of salsanext and of lmnet, "

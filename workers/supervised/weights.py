@@ -12,6 +12,7 @@ from workers.checkpoints.errors import WeightsUnusableError
 from workers.checkpoints.stored import Card
 from workers.geometry.range_image import CHANNELS, SensorProfile
 from workers.supervised.classes import ClassMeaning
+from workers.supervised.folded import FoldedSalsaNext
 from workers.supervised.lmnet import MOVING, LMNet
 from workers.supervised.networks import run_eagerly
 from workers.supervised.residual_image import ResidualSettings
@@ -58,8 +59,12 @@ class LoadedWeights:
 
     channels = CHANNELS
 
-    def __init__(self, net: SalsaNext, card: WeightsCard, digest: str) -> None:
-        self.net, self.card, self.digest = net, card, digest
+    def __init__(
+        self, net: SalsaNext, card: WeightsCard, digest: str, *, folded: bool = False
+    ) -> None:
+        self.net, self.card = net, card
+        self.digest = f"{digest} folded" if folded else digest
+        self._run = FoldedSalsaNext(net) if folded else net
 
     @property
     def profile(self) -> SensorProfile:
@@ -84,7 +89,7 @@ class LoadedWeights:
 
     def probabilities(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
         """Map an image (C, H, W) to the probabilities of its classes (K, H, W)."""
-        return run_eagerly(self.net, image)
+        return run_eagerly(self._run, image)
 
 
 def save_weights(path: Path, net: SalsaNext, card: WeightsCard) -> None:
@@ -104,11 +109,12 @@ def save_weights(path: Path, net: SalsaNext, card: WeightsCard) -> None:
     stored.save(path, tensors, card)
 
 
-def load_weights(path: Path) -> LoadedWeights:
+def load_weights(path: Path, *, folded: bool = False) -> LoadedWeights:
     """Load weights after checking that every parameter is there and fits; nothing is half loaded.
 
     Args:
         path: The `.safetensors` file, its sidecar beside it.
+        folded: Run it folded, faster on a CPU; the answers differ by rounding, the digest too.
 
     Returns:
         The network in evaluation mode.
@@ -118,4 +124,4 @@ def load_weights(path: Path) -> LoadedWeights:
             names the file and what differs.
     """
     read = stored.load(path, WeightsCard, WeightsCard.build)
-    return LoadedWeights(read.net, read.card, read.digest)
+    return LoadedWeights(read.net, read.card, read.digest, folded=folded)

@@ -2,6 +2,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from workers.registry import build_supervised
 from workers.supervised.folded import FoldedSalsaNext
 from workers.supervised.lmnet import LMNet
 from workers.supervised.salsanext import SalsaNext
@@ -61,3 +62,9 @@ def test_the_network_that_was_folded_is_left_alone() -> None:
     FoldedSalsaNext(net)(_image(1, 7, 32, 32))
     assert net.training
     assert all(bool((net.state_dict()[name] == value).all()) for name, value in before.items())
+
+
+def test_the_folded_stream_is_a_part_of_its_own_with_a_version_of_its_own() -> None:
+    eager, folded = (build_supervised(f"salsanext-lmnet{way}") for way in ("", ":folded"))
+    assert eager.version != folded.version
+    assert eager.class_names == folded.class_names
