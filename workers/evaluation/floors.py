@@ -14,8 +14,6 @@ from workers.ingest.chunk import messages_in, open_chunk
 from workers.ingest.part import PartReader
 from workers.ingest.topics import ids_in
 from workers.selfsupervised.ground import estimate_sensor_height, ground_mask
-from workers.supervised.stream import SHIPPED
-from workers.supervised.weights import load_weights
 
 MS_PER_S: Final = 1000.0
 
@@ -72,7 +70,11 @@ def patchwork_ms(
 
 def networks_ms(frames: Sequence[LidarFrame]) -> Iterator[float]:
     """Time the forward passes of the shipped SalsaNext and LMNet over ready images, one thread."""
+    # here, not above: whoever times the other floors need not hold torch
     import torch
+
+    from workers.supervised.stream import SHIPPED
+    from workers.supervised.weights import load_weights
 
     torch.set_num_threads(1)
     semantic = load_weights(SHIPPED / "salsanext.safetensors")

@@ -7,11 +7,17 @@ import numpy as np
 from schemas.arrays import Mask
 from schemas.frame import LidarFrame
 from schemas.labels import FrameHealth, FrameLabels, MotionLabel
-from workers.geometry.se3 import transform
 from workers.selfsupervised.beam_table import MIN_RANGE_M
 from workers.selfsupervised.free_space import Votes
 from workers.selfsupervised.motion import ClusterMotions
 from workers.selfsupervised.neighbours import build_grid, nearest_indices
+from workers.selfsupervised.passes import moved_rows, within
+from workers.selfsupervised.point_answers import (
+    answer_ground,
+    answer_voxels,
+    nothing_said,
+    spread,
+)
 from workers.selfsupervised.prepare import MAX_RANGE_M, Prepared
 from workers.selfsupervised.steps import step
 from workers.selfsupervised.tracker import Tracked
@@ -24,6 +30,9 @@ ALONE: Final = 0.7
 
 GROUND: Final = 0.9
 """Ground does not move; nine in ten points called ground are."""
+
+_CONFIDENCE: Final = np.array([0.0, ALONE, GROUND, AGREED], np.float16)
+"""In the order of `point_answers`: unsure, alone, ground, agreed."""
 
 REATTACH_M: Final = 0.2
 """Ground removal takes the lowest hand's breadth of what stands on it; movers get it back."""
@@ -62,57 +71,36 @@ def to_labels(
     where it was, or frames of the last second saw something there more often than not. UNKNOWN: no
     witness, or a motion that is not proved; whatever is invalid, too near, too far or too high.
     """
-    n = len(frame)
-    labels = np.full(n, MotionLabel.UNKNOWN, np.uint8)
-    confidence = np.zeros(n, np.float16)
-    cluster = np.full(n, -1, np.int32)
-
-    range_m = np.hypot(prepared.points_m[:, 0], prepared.points_m[:, 1])
-    ground = prepared.ground & (range_m > MIN_RANGE_M) & (range_m < MAX_RANGE_M)
-    clusters = found.clusters
-    reattached, to_confirmed = _reattached(
+    clusters, voxels = found.clusters, prepared.voxels
+    of_voxel = clusters.of_point
+    in_range = prepared.ground & within(prepared.points_m, MIN_RANGE_M, MAX_RANGE_M)
+    touching, touching_confirmed = _reattached(
         prepared,
         clusters.member_mask(tracked.dynamic),
         clusters.member_mask(tracked.confirmed),
-        ground,
+        in_range,
     )
-    ground_index = prepared.valid_index[ground & ~reattached]
-    labels[ground_index] = MotionLabel.STATIC
-    confidence[ground_index] = GROUND
-    reattached_index = prepared.valid_index[reattached]
-    labels[reattached_index] = MotionLabel.DYNAMIC
-    confidence[reattached_index] = ALONE
-
-    moves = clusters.member_mask(tracked.dynamic)
-    both = moves & clusters.member_mask(found.registered & found.seen_through)
-    stands = clusters.member_mask(found.still & ~found.proved) & ~moves
-    doubted = clusters.member_mask(found.unconfirmed | found.proved)
-    was_there = ~moves & (votes.occupied > votes.free) & ~doubted
-    voxel_labels = np.full(len(moves), MotionLabel.UNKNOWN, np.uint8)
-    voxel_labels[stands | was_there] = MotionLabel.STATIC
-    voxel_labels[moves] = MotionLabel.DYNAMIC
-    voxel_confidence = np.where(both | (stands & was_there), AGREED, ALONE).astype(np.float16)
-    voxel_confidence[voxel_labels == MotionLabel.UNKNOWN] = 0.0
-
-    point_index = prepared.valid_index[prepared.judged_index]
-    of_point = prepared.voxels.of_point
-    labels[point_index] = voxel_labels[of_point]
-    confidence[point_index] = voxel_confidence[of_point]
-    cluster[point_index] = clusters.of_point[of_point]
-    confirmed = np.zeros(n, np.bool_)
-    confirmed[point_index] = clusters.member_mask(tracked.confirmed)[of_point]
-    confirmed[prepared.valid_index[to_confirmed]] = True
-
-    ground_mask = np.zeros(n, np.bool_)
-    ground_mask[prepared.valid_index[prepared.ground & ~reattached]] = True
+    voxel_labels, voxel_sureness = answer_voxels(
+        of_voxel,
+        moves=tracked.dynamic,
+        both=found.registered & found.seen_through,
+        stands=found.still & ~found.proved,
+        doubted=found.unconfirmed | found.proved,
+        was_there=votes.occupied > votes.free,
+    )
+    said = nothing_said(len(frame))
+    valid = prepared.valid_index
+    answer_ground(said, valid, prepared.ground, in_range, touching, touching_confirmed)
+    judged = valid[prepared.judged_index]
+    spread(said, judged, voxels.of_point, voxel_labels, voxel_sureness, of_voxel, tracked.confirmed)
     velocity = np.where(tracked.dynamic[:, None], tracked.velocity_m_per_s, 0.0)
     return FrameLabels(
-        labels=labels,
-        confidence=confidence,
-        ground_mask=ground_mask,
-        cluster=cluster,
+        labels=said.labels,
+        confidence=_CONFIDENCE[said.sureness],
+        ground_mask=said.ground,
+        cluster=said.cluster,
         cluster_velocity_m_per_s=velocity.astype(np.float32),
-        confirmed=confirmed,
+        confirmed=said.confirmed,
     )
 
 
@@ -127,7 +115,7 @@ def _reattached(
     if len(moving) == 0 or len(asked) == 0:
         return touching, to_confirmed
     grid = build_grid(prepared.voxels.centroids_m[moving], prepared.odom_from_beams[:3, 3])
-    places = transform(prepared.odom_from_beams, prepared.points_m[asked])
+    places = moved_rows(prepared.points_m, asked, prepared.odom_from_beams)
     nearest = nearest_indices(grid, places, REATTACH_M)
     found = nearest >= 0
     touching[asked[found]] = True

@@ -39,10 +39,7 @@ class Clusters:
 
     def member_mask(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """(N,) points that belong to a chosen cluster, of (K,)."""
-        mask = np.zeros(len(self.of_point), np.bool_)
-        inside = self.of_point >= 0
-        mask[inside] = chosen[self.of_point[inside]]
-        return mask
+        return _member_mask(self.of_point, chosen)
 
     def keep(self, chosen: NDArray[np.bool_]) -> "Clusters":
         """Only the chosen clusters, of (K,), numbered anew."""
@@ -50,14 +47,11 @@ class Clusters:
 
     def count(self, mask: NDArray[np.bool_]) -> NDArray[np.int64]:
         """(K,) members of each cluster for which a mask over the points holds."""
-        inside = self.of_point[mask]
-        return np.bincount(inside[inside >= 0], minlength=len(self))
+        return _counted(self.of_point, mask, len(self))
 
     def mean(self, values: NDArray[np.generic]) -> NDArray[np.float64]:
         """(K,) mean of a value over the members of each cluster, of (N,)."""
-        inside = self.of_point >= 0
-        total = np.bincount(self.of_point[inside], values[inside], minlength=len(self))
-        return total / np.maximum(self.sizes, 1)
+        return _summed(self.of_point, values, len(self)) / np.maximum(self.sizes, 1)
 
 
 def connected(
@@ -126,3 +120,35 @@ def _collected(
             members[fill[k]] = i
             fill[k] += 1
     return of_point, members, start
+
+
+@compiled
+def _member_mask(of_point: NDArray[np.int32], chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    mask = np.zeros(len(of_point), np.bool_)
+    for i in range(len(of_point)):
+        k = of_point[i]
+        if k >= 0:
+            mask[i] = chosen[k]
+    return mask
+
+
+@compiled
+def _counted(of_point: NDArray[np.int32], mask: NDArray[np.bool_], count: int) -> NDArray[np.int64]:
+    counts = np.zeros(count, np.int64)
+    for i in range(len(of_point)):
+        k = of_point[i]
+        if k >= 0 and mask[i]:
+            counts[k] += 1
+    return counts
+
+
+@compiled
+def _summed(
+    of_point: NDArray[np.int32], values: NDArray[np.generic], count: int
+) -> NDArray[np.float64]:
+    total = np.zeros(count, np.float64)
+    for i in range(len(of_point)):
+        k = of_point[i]
+        if k >= 0:
+            total[k] += values[i]
+    return total

@@ -21,4 +21,4 @@ def compiled(loop: Loop) -> Loop:
     that it takes from others; a digest of all of them in the name makes stale code impossible.
     """
     loop.__qualname__ += f"_{source_digest(*PACKAGES)[:8]}"
-    return cast(Loop, njit(cache=True, nogil=True)(loop))
+    return cast(Loop, njit(cache=True, nogil=True, error_model="numpy")(loop))

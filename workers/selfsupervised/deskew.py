@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from schemas.arrays import Points, Transform
 from schemas.frame import LidarFrame
 from workers.selfsupervised.compiled import compiled
+from workers.selfsupervised.passes import first_and_last
 from workers.selfsupervised.steps import step
 
 Twist = NDArray[np.float64]
@@ -33,13 +34,12 @@ def time_from_middle_s(frame: LidarFrame) -> NDArray[np.float32] | None:
     Returns:
         (N,) seconds; None where the log has no time per point, or the same for all of them.
     """
-    if not frame.has_point_time or not frame.valid_mask.any():
+    if not frame.has_point_time:
         return None
-    offset = frame.offset_ns[frame.valid_mask]
-    first, last = int(offset.min()), int(offset.max())
-    if first == last:
+    first, last = first_and_last(frame.offset_ns, frame.valid_mask)
+    if first >= last:
         return None
-    return ((frame.offset_ns - (first + last) / 2) * 1e-9).astype(np.float32)
+    return _seconds_since(frame.offset_ns, (first + last) / 2)
 
 
 @step("deskew")
@@ -55,6 +55,14 @@ def deskew(points_m: Points, time_from_middle_s: NDArray[np.float32], velocity: 
         (N, 3) float32, sensor space of the middle of the sweep.
     """
     return _deskew(points_m, time_from_middle_s, velocity.astype(np.float32))
+
+
+@compiled
+def _seconds_since(offset_ns: NDArray[np.int32], middle_ns: float) -> NDArray[np.float32]:
+    time = np.empty(len(offset_ns), np.float32)
+    for i in range(len(offset_ns)):
+        time[i] = (offset_ns[i] - middle_ns) * 1e-9
+    return time
 
 
 @compiled

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
 from workers.selfsupervised.neighbours import nearest_distances
+from workers.selfsupervised.passes import within
 from workers.selfsupervised.registration import Reference
 
 SHARE: Final = 0.75
@@ -63,8 +64,7 @@ class FitMonitor:
             near: The frame about 0.1 s ago, and (V,) which places it has an opinion on.
             far: The same of the frame about 0.5 s ago.
         """
-        across = points_m[:, :2] - centre_m[:2].astype(np.float32)
-        close = np.einsum("ij,ij->i", across, across) < NEAR_M**2
+        close = within(points_m - centre_m.astype(np.float32), 0.0, NEAR_M)
         found_m: dict[str, float] = {}
         for name, (past, known) in (("near", near), ("far", far)):
             asked = points_m[close & known]

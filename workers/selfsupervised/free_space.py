@@ -10,7 +10,15 @@ from numpy.typing import NDArray
 from schemas.arrays import Mask, Points, Transform
 from workers.selfsupervised.beam_table import BeamTable
 from workers.selfsupervised.compiled import compiled
-from workers.selfsupervised.range_image import column_of, guessed_row_above, row_guesses
+from workers.selfsupervised.directions import (
+    BLOCK,
+    column_of,
+    fill,
+    look,
+    new_block,
+    row_above,
+    rows_of_steps,
+)
 from workers.selfsupervised.steps import step
 
 FREE: Final = 1
@@ -32,6 +40,12 @@ FREE_MARGIN_PER_M: Final = 0.010
 At 0 m: range noise (2-3 cm), pose error (3 cm) and the depth of a surface inside a voxel, several
 times over. Per metre: 0.1 degrees of yaw (1.7 mm), and the footprint of beam and cell (0.2 degrees,
 3.5 mm) on a slanted surface."""
+
+_OCCUPIED_MARGIN: Final = np.float32(OCCUPIED_MARGIN_M)
+_OCCUPIED_MARGIN_PER: Final = np.float32(OCCUPIED_MARGIN_PER_M)
+_FREE_MARGIN: Final = np.float32(FREE_MARGIN_M)
+_FREE_MARGIN_PER: Final = np.float32(FREE_MARGIN_PER_M)
+_NOTHING: Final = np.float32(0.0)
 
 MIN_FREE_VOTES: Final = 2
 MIN_FREE_SHARE: Final = 0.5
@@ -107,18 +121,34 @@ class Votes:
         return _mostly(self.free - self.free_if_tall, self.occupied)
 
 
-def _mostly(free: NDArray[np.int16], occupied: NDArray[np.int16]) -> Mask:
-    return (free >= MIN_FREE_VOTES) & (free >= MIN_FREE_SHARE * (free + occupied))
-
-
 def count_votes(answers: Iterable[NDArray[np.int8]], n: int) -> Votes:
     """Sum the answers of several frames about the same n places."""
     free, occupied, free_if_tall = np.zeros((3, n), np.int16)
     for answer in answers:
-        free += answer >= FREE
-        free_if_tall += answer == FREE_IF_TALL
-        occupied += answer == OCCUPIED
+        _add(answer, free, occupied, free_if_tall)
     return Votes(free, occupied, free_if_tall)
+
+
+@compiled
+def _add(
+    answer: NDArray[np.int8],
+    free: NDArray[np.int16],
+    occupied: NDArray[np.int16],
+    free_if_tall: NDArray[np.int16],
+) -> None:
+    for i in range(len(answer)):
+        free[i] += answer[i] >= FREE
+        free_if_tall[i] += answer[i] == FREE_IF_TALL
+        occupied[i] += answer[i] == OCCUPIED
+
+
+@compiled
+def _mostly(free: NDArray[np.int16], occupied: NDArray[np.int16]) -> Mask:
+    mostly = np.zeros(len(free), np.bool_)
+    for i in range(len(free)):
+        opinions = free[i] + occupied[i]
+        mostly[i] = (free[i] >= MIN_FREE_VOTES) & (free[i] >= MIN_FREE_SHARE * opinions)
+    return mostly
 
 
 @compiled
@@ -131,42 +161,51 @@ def _visibility(
 ) -> NDArray[np.int8]:
     rows, columns = image.shape
     answer = np.zeros(len(points), np.int8)
-    guesses = row_guesses(tangents)
-    for i in range(len(points)):
-        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
-        x = pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * pz + pose[0, 3]
-        y = pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * pz + pose[1, 3]
-        z = pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * pz + pose[2, 3]
-        across = np.sqrt(x * x + y * y)
-        distance = np.sqrt(x * x + y * y + z * z)
-        tangent = z / max(across, np.float32(1e-3))
-        above = guessed_row_above(tangents, guesses, tangent)
-        if above == 0 or above == rows:
-            continue
-        gap = tangents[above] - tangents[above - 1]
-        wide = gap > max_gap
-        if wide and gap * across > WIDE_GAP_M:
-            continue
-        column = column_of(x, y, columns)
-        at = OCCUPIED_MARGIN_M + OCCUPIED_MARGIN_PER_M * distance
-        free_from = distance + (FREE_MARGIN_M + FREE_MARGIN_PER_M * distance)
-        left = column - 1 if column > 0 else columns - 1
-        right = column + 1 if column < columns - 1 else 0
-        # sums of comparisons instead of branches, which no processor can foresee here
-        occupied, blocked, below, over = 0, 0, 0, 0
-        for at_column in (left, column, right):
-            lower, upper = image[above - 1, at_column], image[above, at_column]
-            has_lower, has_upper = int(lower != 0.0), int(upper != 0.0)
-            occupied += has_lower & int(abs(lower - distance) < at)
-            occupied += has_upper & int(abs(upper - distance) < at)
-            blocked += has_lower & int(lower <= free_from)
-            blocked += has_upper & int(upper <= free_from)
-            below += has_lower
-            over += has_upper
-        if occupied > 0:
-            answer[i] = OCCUPIED
-        elif blocked == 0 and min(below, over) > 0:
-            answer[i] = FREE_IF_TALL if wide else FREE
-        elif blocked == 0 and not wide and below + over > 2:
-            answer[i] = FREE
+    if rows < 2:
+        return answer
+    block, steps = new_block(), rows_of_steps(tangents)
+    for first in range(0, len(points), BLOCK):
+        n = fill(block, points, first, pose)
+        look(block, n, tangents, steps)
+        for k in range(n):
+            above = row_above(tangents, block.row[k], block.tangent[k])
+            if above == 0 or above == rows:
+                continue
+            gap = tangents[above] - tangents[above - 1]
+            wide = gap > max_gap
+            if wide and gap * block.across[k] > WIDE_GAP_M:
+                continue
+            column = column_of(block.angle[k], block.x[k], block.y[k], columns)
+            answer[first + k] = _seen(image, above, column, block.distance[k], wide)
     return answer
+
+
+@compiled
+def _seen(
+    image: NDArray[np.float32], above: int, column: int, distance: np.float32, wide: bool
+) -> int:
+    """Compare a place with six cells: sums of comparisons, which no processor could foresee."""
+    at = _OCCUPIED_MARGIN + _OCCUPIED_MARGIN_PER * distance
+    lower, upper = image[above - 1, column], image[above, column]
+    # most of the places are where something was, straight ahead
+    ahead = int(lower > _NOTHING) & int(abs(lower - distance) < at)
+    ahead |= int(upper > _NOTHING) & int(abs(upper - distance) < at)
+    if ahead > 0:
+        return OCCUPIED
+    columns = image.shape[1]
+    free_from = distance + (_FREE_MARGIN + _FREE_MARGIN_PER * distance)
+    left = column - 1 if column > 0 else columns - 1
+    right = column + 1 if column < columns - 1 else 0
+    occupied, blocked, below, over = 0, 0, 0, 0
+    for at_column in (left, column, right):
+        lower, upper = image[above - 1, at_column], image[above, at_column]
+        has_lower, has_upper = int(lower > _NOTHING), int(upper > _NOTHING)
+        occupied += has_lower & int(abs(lower - distance) < at)
+        occupied += has_upper & int(abs(upper - distance) < at)
+        blocked += has_lower & int(lower <= free_from)
+        blocked += has_upper & int(upper <= free_from)
+        below += has_lower
+        over += has_upper
+    close = int(not wide)
+    free = int(blocked == 0) & (int(below * over > 0) | (close & int(below + over > 2)))
+    return free * (FREE_IF_TALL - close) if occupied == 0 else OCCUPIED

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
+from workers.selfsupervised.compiled import compiled
 from workers.selfsupervised.steps import step
 
 GUARD_M = 0.5
@@ -79,10 +80,21 @@ def ground_mask(points_m: Points, *, sensor_height_m: float) -> Mask:
         setattr(parameters, name, value)
     with _silent_native_stdout():
         patchwork = pypatchworkpp.patchworkpp(parameters)
-    patchwork.estimateGround(np.column_stack([points_m, np.zeros(len(points_m), np.float32)]))
-    mask[np.asarray(patchwork.getGroundIndices(), dtype=np.int64)] = True
-    across = np.hypot(points_m[:, 0], points_m[:, 1])
-    return mask & (points_m[:, 2] < -sensor_height_m + GUARD_M + GUARD_PER_M * across)
+    # the library takes an intensity as well
+    cloud = np.zeros((len(points_m), 4), np.float32)
+    cloud[:, :3] = points_m
+    patchwork.estimateGround(cloud)
+    _mark_low(points_m, np.asarray(patchwork.getGroundIndices()), sensor_height_m, mask)
+    return mask
+
+
+@compiled
+def _mark_low(points: Points, found: NDArray[np.integer], sensor_height: float, mask: Mask) -> None:
+    """Mark the points that were found to be ground, but for those that the guard forbids."""
+    for i in found:
+        x, y = points[i, 0], points[i, 1]
+        across = np.sqrt(x * x + y * y)
+        mask[i] = points[i, 2] < -sensor_height + GUARD_M + GUARD_PER_M * across
 
 
 def _parameters(sensor_height_m: float) -> dict[str, object]:

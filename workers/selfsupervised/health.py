@@ -33,6 +33,7 @@ MIN_PLACES: Final = 30
 
 _PLACE_M: Final = 1.5
 _PLACE_SAMPLES: Final = 2000
+_PLACE_KEYS: Final = np.array([1, 1 << 20, 1 << 40])
 
 
 def too_little(points_m: NDArray[np.floating], *, places: int = MIN_PLACES) -> str:
@@ -45,7 +46,9 @@ def too_little(points_m: NDArray[np.floating], *, places: int = MIN_PLACES) -> s
     if len(points_m) < MIN_POINTS:
         return f"only {len(points_m)} usable points, {MIN_POINTS} are needed"
     thinned = points_m[:: max(1, len(points_m) // _PLACE_SAMPLES)]
-    found = len(np.unique(np.floor(thinned / _PLACE_M).astype(np.int64), axis=0))
+    cells = np.floor(thinned / _PLACE_M).astype(np.int64)
+    # one number for each: whole rows take numpy twenty times as long
+    found = len(np.unique(cells @ _PLACE_KEYS))
     return "" if found >= places else f"points in {found} places only"
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import Points
+from schemas.arrays import Mask, Points
 from workers.selfsupervised.compiled import compiled
 from workers.selfsupervised.point_grid import (
     CELL_M,
@@ -107,8 +107,32 @@ def nearest_distances(grid: PointGrid, points: Points, reach: float) -> NDArray[
 
 @compiled
 def nearest_indices(grid: PointGrid, points: Points, reach: float) -> NDArray[np.int32]:
-    """Row in `grid.points_m` of each point's nearest neighbour, -1 when none is nearer; (N,)."""
+    """Row in `grid.points_m` of each point's nearest neighbour, -1 when none is nearer; (N,).
+
+    Made for grids of few points: where no column within reach holds one, none is looked at.
+    """
     index = np.empty(len(points), np.int32)
+    around = _around(grid.column, _cells(reach))
+    count_x, count_y = around.shape
     for i in range(len(points)):
-        _, index[i] = nearer(grid, points[i, 0], points[i, 1], points[i, 2], reach * reach, -1)
+        cx = cell_along(points[i, 0], grid.origin_m[0], count_x)
+        cy = cell_along(points[i, 1], grid.origin_m[1], count_y)
+        index[i] = -1
+        if around[cx, cy]:
+            _, index[i] = nearer(grid, points[i, 0], points[i, 1], points[i, 2], reach * reach, -1)
     return index
+
+
+@compiled
+def _around(column: NDArray[np.int32], reach: int) -> Mask:
+    """(X, Y) whether a column of points is that many columns away or nearer."""
+    count_x, count_y = column.shape
+    around = np.zeros(column.shape, np.bool_)
+    for x in range(count_x):
+        for y in range(count_y):
+            if column[x, y] >= 0:
+                around[
+                    max(x - reach, 0) : min(x + reach + 1, count_x),
+                    max(y - reach, 0) : min(y + reach + 1, count_y),
+                ] = True
+    return around

@@ -35,12 +35,14 @@ def build_occupancy(points_m: Points, centre_m: NDArray[np.floating]) -> Occupan
     """
     reach = np.array([REACH_M, REACH_M, REACH_DOWN_M])
     origin = (np.asarray(centre_m) - reach).astype(np.float32)
-    return Occupancy(_mark(points_m, origin), origin)
+    # not in the compiled loop, which would fill it: what stays zero takes no memory
+    bits = np.zeros((_COLUMNS, _COLUMNS, 2), np.uint64)
+    _mark(points_m, origin, bits)
+    return Occupancy(bits, origin)
 
 
 @compiled
-def _mark(points: Points, origin: NDArray[np.float32]) -> NDArray[np.uint64]:
-    bits = np.zeros((_COLUMNS, _COLUMNS, 2), np.uint64)
+def _mark(points: Points, origin: NDArray[np.float32], bits: NDArray[np.uint64]) -> None:
     one = np.uint64(1)
     for i in range(len(points)):
         x = int(np.floor((points[i, 0] - origin[0]) / CELL_M))
@@ -53,7 +55,6 @@ def _mark(points: Points, origin: NDArray[np.float32]) -> NDArray[np.uint64]:
         for dx in range(-1, 2):
             for dy in range(-1, 2):
                 bits[x + dx, y + dy, 1] |= three
-    return bits
 
 
 @compiled

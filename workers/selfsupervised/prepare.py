@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from schemas.arrays import Mask, Points, Transform
 from schemas.frame import LidarFrame
 from schemas.labels import Blindness, FrameHealth
-from workers.geometry.se3 import inverse, transform
+from workers.geometry.se3 import inverse
 from workers.selfsupervised.beam_table import MIN_RANGE_M, BeamTable, estimate_beam_table
-from workers.selfsupervised.compiled import compiled
 from workers.selfsupervised.deskew import Twist, deskew, time_from_middle_s
 from workers.selfsupervised.ground import estimate_sensor_height, ground_mask
 from workers.selfsupervised.health import too_little
+from workers.selfsupervised.passes import judged_rows, moved_rows, returns_within, rows_about
 from workers.selfsupervised.range_image import range_image
 from workers.selfsupervised.voxels import Voxels, voxelize
 
@@ -30,6 +30,7 @@ FARTHEST_M: Final = 1000.0
 MIN_PLACES: Final = 3
 """Cells of 1.5 m that a frame must fill to be compared; whether they fix a pose, odometry says."""
 
+_HERE: Final = np.zeros(3, np.float32)
 _RELEARN_RETURNS: Final = 2
 _MORE_BEAMS: Final = 1.2
 _RELEARN_FRAMES: Final = 10
@@ -91,7 +92,7 @@ class Preparation:
             None when the frame says nothing: next to no point, or no beams that could be measured.
         """
         valid_index = _returns(frame)
-        points_m = frame.points_m[valid_index]
+        points_m = rows_about(frame.points_m, valid_index, _HERE)
         if too_little(points_m, places=MIN_PLACES):
             return None
         self._learn(points_m, frame.ring[valid_index])
@@ -105,13 +106,7 @@ class Preparation:
             self.sensor_height_m = estimate_sensor_height(points_m)
         ground = ground_mask(points_m, sensor_height_m=self.sensor_height_m)
 
-        range_m = np.hypot(points_m[:, 0], points_m[:, 1])
-        judged_index = np.flatnonzero(
-            ~ground
-            & (range_m > MIN_RANGE_M)
-            & (range_m < MAX_RANGE_M)
-            & (points_m[:, 2] < MAX_HEIGHT_M)
-        )
+        judged_index = judged_rows(points_m, ground, MIN_RANGE_M, MAX_RANGE_M, MAX_HEIGHT_M)
         odom_from_beams = odom_from_sensor.copy()
         odom_from_beams[:3, 3] += odom_from_sensor[:3, :3] @ self.table.origin_m
         return Prepared(
@@ -119,7 +114,7 @@ class Preparation:
             valid_index=valid_index,
             ground=ground,
             judged_index=judged_index,
-            voxels=voxelize(transform(odom_from_beams, points_m[judged_index])),
+            voxels=voxelize(moved_rows(points_m, judged_index, odom_from_beams)),
             image=range_image(points_m, self.table),
             odom_from_beams=odom_from_beams,
             beams_from_odom=inverse(odom_from_beams),
@@ -154,20 +149,4 @@ class Preparation:
 
 def _returns(frame: LidarFrame) -> NDArray[np.int64]:
     """Points that say something of the world: none invalid, no number, or beyond all reach."""
-    return _near_enough(frame.points_m, frame.valid_mask, np.float32(FARTHEST_M))
-
-
-@compiled
-def _near_enough(points: Points, valid: Mask, farthest: np.float32) -> NDArray[np.int64]:
-    """Row by row: a maximum along so short an axis takes numpy ten times as long."""
-    index = np.empty(len(points), np.int64)
-    count = 0
-    for i in range(len(points)):
-        if valid[i] and (
-            abs(points[i, 0]) < farthest
-            and abs(points[i, 1]) < farthest
-            and abs(points[i, 2]) < farthest
-        ):
-            index[count] = i
-            count += 1
-    return index[:count].copy()
+    return returns_within(frame.points_m, frame.valid_mask, np.float32(FARTHEST_M))

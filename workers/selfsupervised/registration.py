@@ -127,12 +127,12 @@ def _register_all(
         table[k, 0] = 1.0
         sample = _sample(points, inside)
         nobody = np.full(len(sample), -1, np.int32)
-        still_far = energy_of(far.grid, sample, 0.0, 0.0, 0.0, nobody.copy())
+        still_far = energy_of(far.grid, sample, 0.0, 0.0, 0.0, nobody.copy(), np.inf)
         table[k, 2] = still_far
         table[k, 4] = still_far
         if still_far < STILL_M:
             continue
-        still_near = energy_of(near.grid, sample, 0.0, 0.0, 0.0, nobody.copy())
+        still_near = energy_of(near.grid, sample, 0.0, 0.0, 0.0, nobody.copy(), np.inf)
         table[k, 3] = still_near
         best[:3], best[3] = 0.0, still_near
         search(near, sample, origin, MAX_SPEED_M_PER_S * near.age_s, 3, best)
@@ -150,5 +150,5 @@ def _register_all(
         table[k, 4] = best[3]
         table[k, 6:9] = best[:3]
         part = best[:3] * (near.age_s / far.age_s)
-        table[k, 12] = energy_of(near.grid, sample, part[0], part[1], part[2], nobody)
+        table[k, 12] = energy_of(near.grid, sample, part[0], part[1], part[2], nobody, np.inf)
     return table

@@ -23,6 +23,11 @@ _ICP_REACH_M: Final = 0.6
 _ICP_SCALE_M: Final = 0.15
 _ICP_STEPS: Final = 8
 _ICP_DONE_M: Final = 0.01
+_EARLY_STEPS: Final = 2
+_HOPELESS: Final = 1.2
+"""A shift that fits worse by a fifth than another did after as many steps is not refined further.
+"""
+
 _DISTANCE_PENALTY_PER_M: Final = 0.004
 
 
@@ -41,23 +46,35 @@ class Reference(NamedTuple):
 
 
 @step("references")
-def build_reference(points_m: Points, centre_m: NDArray[np.floating], age_s: float) -> Reference:
-    """Make an earlier frame ready to be registered to.
+def build_reference(
+    points_m: Points, centre_m: NDArray[np.floating], age_s: float = 0.0
+) -> Reference:
+    """Make a frame ready to be registered to.
 
     Args:
         points_m: (N, 3) its voxel centroids off the ground, odom space.
         centre_m: (3,) where its sensor was, odom space.
-        age_s: How much earlier it was than the frame to register.
+        age_s: How much earlier it was than the frame to register, as far as that is known.
     """
     return Reference(build_grid(points_m, centre_m), build_occupancy(points_m, centre_m), age_s)
 
 
 @compiled
 def energy_of(
-    grid: PointGrid, points: Points, sx: float, sy: float, sz: float, rows: NDArray[np.int32]
+    grid: PointGrid,
+    points: Points,
+    sx: float,
+    sy: float,
+    sz: float,
+    rows: NDArray[np.int32],
+    enough: float,
 ) -> float:
-    """Mean nearest distance after a shift; `rows` remembers who was nearest, for the next shift."""
-    total = 0.0
+    """Mean nearest distance after a shift; `rows` remembers who was nearest, for the next shift.
+
+    Once it is certain not to be less than `enough`, a lower bound is answered, and not all of
+    `rows` is up to date.
+    """
+    total, most = 0.0, enough * len(points)
     for i in range(len(points)):
         squared, rows[i] = _near(
             grid,
@@ -68,6 +85,8 @@ def energy_of(
             rows[i],
         )
         total += np.sqrt(squared)
+        if total >= most:
+            break
     return total / len(points)
 
 
@@ -88,15 +107,25 @@ def _near(
 
 @compiled
 def _refine(
-    grid: PointGrid, points: Points, shift: NDArray[np.float64], rows: NDArray[np.int32]
-) -> None:
-    """Translation-only ICP; outliers count less, (d/0.15)^2."""
-    for _ in range(_ICP_STEPS):
-        mx, my, mz, total = 0.0, 0.0, 0.0, 0.0
+    grid: PointGrid,
+    points: Points,
+    shift: NDArray[np.float64],
+    rows: NDArray[np.int32],
+    promising: float,
+) -> float:
+    """Translation-only ICP; outliers count less, (d/0.15)^2. Given up where it does not promise.
+
+    Returns:
+        The energy after two steps; above `promising` the shift is not refined any further.
+    """
+    early = ENERGY_REACH_M
+    for done in range(_ICP_STEPS):
+        mx, my, mz, total, energy = 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(len(points)):
             x, y, z = points[i, 0] + shift[0], points[i, 1] + shift[1], points[i, 2] + shift[2]
             squared, j = _near(grid, x, y, z, _ICP_REACH_M, rows[i])
             rows[i] = j
+            energy += min(np.sqrt(squared), ENERGY_REACH_M)
             if j < 0:
                 continue
             weight = 1.0 / (1.0 + squared / (_ICP_SCALE_M * _ICP_SCALE_M))
@@ -104,14 +133,17 @@ def _refine(
             my += weight * (grid.points_m[j, 1] - y)
             mz += weight * (grid.points_m[j, 2] - z)
             total += weight
-        if total == 0.0:
-            return
+        if done <= _EARLY_STEPS:
+            early = energy / len(points)
+        if total == 0.0 or (done == _EARLY_STEPS and early > promising):
+            break
         mx, my, mz = mx / total, my / total, mz / total
         shift[0] += mx
         shift[1] += my
         shift[2] += mz
         if mx * mx + my * my + mz * mz < _ICP_DONE_M * _ICP_DONE_M:
-            return
+            break
+    return early
 
 
 @compiled
@@ -141,6 +173,7 @@ def search(
             score[i, j] -= _DISTANCE_PENALTY_PER_M * away
     shift = np.empty(3, np.float64)
     rows = np.empty(len(points), np.int32)
+    lowest = ENERGY_REACH_M
     for _ in range(keep):
         flat = int(np.argmax(score))
         top_i, top_j = flat // side, flat % side
@@ -153,8 +186,11 @@ def search(
         shift[1] = (cy + top_j - reach) * CELL_M
         shift[2] = centre[2]
         rows[:] = -1
-        _refine(grid, points, shift, rows)
-        energy = energy_of(grid, points, shift[0], shift[1], shift[2], rows)
+        early = _refine(grid, points, shift, rows, _HOPELESS * lowest)
+        if early > _HOPELESS * lowest:
+            continue
+        lowest = min(lowest, early)
+        energy = energy_of(grid, points, shift[0], shift[1], shift[2], rows, best[3])
         if energy < best[3]:
             best[:3] = shift
             best[3] = energy

@@ -100,7 +100,7 @@ class _Run:
                 prepared.odom_from_beams,
                 prepared.beams_from_odom,
                 prepared.image,
-                prepared.voxels.centroids_m,
+                build_reference(prepared.voxels.centroids_m, prepared.odom_from_beams[:3, 3]),
             )
         )
         return answer
@@ -180,4 +180,4 @@ class _Run:
 
 def _reference(past: PastFrame, now_ns: int) -> Reference:
     age_s = (now_ns - past.stamp_ns) / NS_PER_S
-    return build_reference(past.centroids_m, past.odom_from_beams[:3, 3], age_s)
+    return past.structure._replace(age_s=age_s)

@@ -11,17 +11,22 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from workers.selfsupervised.clusters import connected, from_labels
+from workers.selfsupervised.directions import (
+    BLOCK,
+    column_of,
+    fill,
+    look,
+    new_block,
+    row_above,
+    rows_of_steps,
+)
 from workers.selfsupervised.neighbours import build_grid, nearest_indices
 from workers.selfsupervised.occupancy import CELL_M, build_occupancy, cells_of, scores_around
-from workers.selfsupervised.range_image import (
-    column_of,
-    guessed_row_above,
-    row_above,
-    row_guesses,
-)
 from workers.selfsupervised.steps import step, watched
 from workers.selfsupervised.strips import are_strips
 
+HERE = np.eye(4, dtype=np.float32)[:3]
+TWO_BEAMS = np.array([-0.2, 0.2], np.float32)
 ZEROS_AND_ONES = np.array([[0, 0, -1, 1], [0, 1, 0, 0]], np.float32)
 
 
@@ -82,6 +87,30 @@ def test_the_nearest_of_few_points_far_off_the_centre_is_found() -> None:
     assert np.array_equal(grid.order[found[found >= 0]], nearest[found >= 0])
 
 
+def test_only_points_within_reach_of_few_are_given_one() -> None:
+    few = street(40, seed=9)
+    asked = street(3000, seed=10)
+    grid = build_grid(few, np.zeros(3))
+    for reach_m in (0.2, 0.5, 0.9):
+        found = nearest_indices(grid, asked, reach_m)
+        distance, nearest = cKDTree(few).query(asked)
+        assert np.array_equal(found >= 0, distance < reach_m)
+        assert np.array_equal(grid.order[found[found >= 0]], nearest[found >= 0])
+        assert 0 < (found >= 0).sum() < len(asked)
+
+
+def test_members_are_masked_counted_and_averaged_per_cluster() -> None:
+    some = np.random.default_rng(11)
+    clusters = from_labels(some.integers(-1, 6, 500).astype(np.int32))
+    mask, values = some.random(500) < 0.3, some.integers(0, 9, 500).astype(np.int16)
+    chosen = np.array([True, False, True, False, False, True])
+    of = clusters.of_point
+    assert np.array_equal(clusters.member_mask(chosen), (of >= 0) & chosen[of])
+    for k in range(6):
+        assert clusters.count(mask)[k] == (mask & (of == k)).sum()
+        assert clusters.mean(values)[k] == pytest.approx(values[of == k].mean())
+
+
 def test_coarse_scores_count_cells_on_points_and_beside_them() -> None:
     points = street(500, seed=5)[:, :] * np.float32(0.2)
     occupancy = build_occupancy(points, np.zeros(3))
@@ -107,20 +136,47 @@ def test_columns_are_those_of_the_exact_angle() -> None:
     x, y = np.append(x, ZEROS_AND_ONES[0]), np.append(y, ZEROS_AND_ONES[1])
     scale = columns / (2 * np.pi)
     exact = ((np.arctan2(y, x) + np.float64(np.pi)) * scale).astype(int).clip(0, columns - 1)
-    found = np.array([column_of(*place, columns) for place in zip(x, y, strict=True)])
+    seen = looked_at(np.stack([x, y, np.zeros_like(x)], axis=1), TWO_BEAMS)
+    angles = seen[3].astype(np.float32)
+    found = [column_of(*each, columns) for each in zip(angles, x, y, strict=True)]
     assert np.array_equal(found, exact)
 
 
-@pytest.mark.parametrize("rows", [1, 2, 16, 64])
-def test_guessed_rows_are_those_of_a_search(rows: int) -> None:
+@pytest.mark.parametrize("rows", [1, 2, 16, 64, 3000])
+def test_rows_are_those_of_a_search(rows: int) -> None:
     some = np.random.default_rng(rows)
     tangents = np.sort(some.uniform(-0.4, 0.3, rows)).astype(np.float32)
-    guesses = row_guesses(tangents)
     asked = np.concatenate([tangents, some.uniform(-0.6, 0.5, 500).astype(np.float32)])
-    for tangent in asked:
-        expected = int(np.searchsorted(tangents, tangent))
-        assert guessed_row_above(tangents, guesses, tangent) == expected
-        assert row_above(tangents, tangent) == expected
+    # straight ahead, so that the height is the tangent
+    places = np.stack([np.ones_like(asked), np.zeros_like(asked), asked], axis=1)
+    _, _, tangent, _, row = looked_at(places, tangents)
+    assert np.array_equal(tangent, asked)
+    found = [row_above(tangents, int(k), at) for k, at in zip(row, tangent, strict=True)]
+    assert np.array_equal(found, np.searchsorted(tangents, asked))
+
+
+def test_places_are_looked_at_from_a_pose() -> None:
+    places = street(2 * BLOCK + 7, seed=8)
+    pose = np.array([[0, -1, 0, 3], [1, 0, 0, -2], [0, 0, 1, 0.5]], np.float32)
+    across, distance, tangent, angle, _ = looked_at(places, TWO_BEAMS, pose)
+    moved = places.astype(np.float64) @ pose[:, :3].T + pose[:, 3]
+    assert np.allclose(across, np.hypot(*moved[:, :2].T), rtol=1e-6)
+    assert np.allclose(distance, np.linalg.norm(moved, axis=1), rtol=1e-6)
+    assert np.allclose(tangent, moved[:, 2] / np.hypot(*moved[:, :2].T), rtol=1e-4, atol=1e-6)
+    assert np.allclose(angle, np.arctan2(moved[:, 1], moved[:, 0]), atol=3e-5)
+
+
+def looked_at(
+    places: NDArray[np.float32], tangents: NDArray[np.float32], pose: NDArray[np.float32] = HERE
+) -> NDArray[np.float64]:
+    """Horizontal distance, distance, tangent, azimuth and a row of each place, block by block."""
+    block, steps, seen = new_block(), rows_of_steps(tangents), []
+    for first in range(0, len(places), BLOCK):
+        n = fill(block, places, first, pose)
+        look(block, n, tangents, steps)
+        said = block.across, block.distance, block.tangent, block.angle, block.row
+        seen.append(np.stack([each[:n].astype(np.float64) for each in said]))
+    return np.concatenate(seen, axis=1)
 
 
 def test_only_what_is_flat_and_low_is_a_strip() -> None:

@@ -1,0 +1,146 @@
+"""One label for every voxel and every point, in a single pass over each."""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import Mask
+from schemas.labels import MotionLabel
+from workers.selfsupervised.compiled import compiled
+
+UNSURE, ALONE, GROUND, AGREED = 0, 1, 2, 3
+"""How sure a label is: of nothing, one witness, ground removal, two witnesses."""
+
+_UNKNOWN: Final = int(MotionLabel.UNKNOWN)
+_STATIC: Final = int(MotionLabel.STATIC)
+_DYNAMIC: Final = int(MotionLabel.DYNAMIC)
+
+
+class Answers(NamedTuple):
+    """What is said of N points.
+
+    Attributes:
+        labels: (N,) codes of `MotionLabel`.
+        sureness: (N,) UNSURE, ALONE, GROUND or AGREED.
+        cluster: (N,) int32, -1 for none.
+        confirmed: (N,) moves, and that was proved more than once.
+        ground: (N,) ground that does not belong to a mover.
+    """
+
+    labels: NDArray[np.uint8]
+    sureness: NDArray[np.uint8]
+    cluster: NDArray[np.int32]
+    confirmed: Mask
+    ground: Mask
+
+
+@compiled
+def answer_voxels(
+    of_voxel: NDArray[np.int32],
+    moves: Mask,
+    both: Mask,
+    stands: Mask,
+    doubted: Mask,
+    was_there: Mask,
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Label V voxels by the K clusters they belong to.
+
+    Args:
+        of_voxel: (V,) cluster of each, -1 for none.
+        moves: (K,) clusters that move.
+        both: (K,) those that registration and free space both prove to move.
+        stands: (K,) clusters that fit where they were, and that nothing proves to move.
+        doubted: (K,) clusters of which a motion was found, proved or not.
+        was_there: (V,) more frames saw something there than saw through.
+
+    Returns:
+        (V,) labels and (V,) how sure they are.
+    """
+    labels = np.full(len(of_voxel), _UNKNOWN, np.uint8)
+    sureness = np.zeros(len(of_voxel), np.uint8)
+    for v in range(len(of_voxel)):
+        k = of_voxel[v]
+        if k >= 0 and moves[k]:
+            labels[v] = _DYNAMIC
+            sureness[v] = AGREED if both[k] else ALONE
+            continue
+        still = k >= 0 and stands[k]
+        seen = was_there[v] and not (k >= 0 and doubted[k])
+        if still or seen:
+            labels[v] = _STATIC
+            sureness[v] = AGREED if still and seen else ALONE
+    return labels, sureness
+
+
+@compiled
+def answer_ground(
+    answers: Answers,
+    valid_index: NDArray[np.int64],
+    ground: Mask,
+    in_range: Mask,
+    touching: Mask,
+    touching_confirmed: Mask,
+) -> None:
+    """Label the ground: static, or part of the mover that it touches.
+
+    Args:
+        answers: Of all N points, filled in.
+        valid_index: (M,) which of them are valid.
+        ground: (M,) which of those lie on the ground.
+        in_range: (M,) ground that is near enough to be judged, and far enough.
+        touching: (M,) ground that touches a mover.
+        touching_confirmed: (M,) ground that touches a confirmed one.
+    """
+    for i in range(len(valid_index)):
+        point = valid_index[i]
+        if touching[i]:
+            answers.labels[point] = _DYNAMIC
+            answers.sureness[point] = ALONE
+            answers.confirmed[point] = touching_confirmed[i]
+        elif ground[i]:
+            answers.ground[point] = True
+            if in_range[i]:
+                answers.labels[point] = _STATIC
+                answers.sureness[point] = GROUND
+
+
+@compiled
+def spread(
+    answers: Answers,
+    point_index: NDArray[np.int64],
+    of_point: NDArray[np.int32],
+    labels: NDArray[np.uint8],
+    sureness: NDArray[np.uint8],
+    of_voxel: NDArray[np.int32],
+    confirmed: Mask,
+) -> None:
+    """Copy the answer of each voxel to its points.
+
+    Args:
+        answers: Of all N points, filled in.
+        point_index: (J,) which of them lie in voxels.
+        of_point: (J,) in which voxel.
+        labels: (V,) of the voxels.
+        sureness: (V,) of those labels.
+        of_voxel: (V,) cluster of each voxel.
+        confirmed: (K,) clusters that are confirmed.
+    """
+    for i in range(len(point_index)):
+        point, voxel = point_index[i], of_point[i]
+        k = of_voxel[voxel]
+        answers.labels[point] = labels[voxel]
+        answers.sureness[point] = sureness[voxel]
+        answers.cluster[point] = k
+        answers.confirmed[point] = k >= 0 and confirmed[k]
+
+
+def nothing_said(n: int) -> Answers:
+    """Answers for N points that say nothing yet."""
+    return Answers(
+        labels=np.full(n, _UNKNOWN, np.uint8),
+        sureness=np.zeros(n, np.uint8),
+        cluster=np.full(n, -1, np.int32),
+        confirmed=np.zeros(n, np.bool_),
+        ground=np.zeros(n, np.bool_),
+    )
