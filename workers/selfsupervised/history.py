@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import NS_PER_S, Transform
-from workers.selfsupervised.shift_search import Reference
+from workers.selfsupervised.point_grid import PointGrid
 
 LOOKBACK_S: Final = 1.0
 VOTE_AGES_S: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0)
@@ -30,15 +30,14 @@ class PastFrame:
         odom_from_beams: (4, 4) where the beams met.
         beams_from_odom: (4, 4) the same, turned round.
         image: (R, C) its range image.
-        structure: Its voxel centroids off the ground, odom space, ready to be registered to: as
-            near frame once, as far frame later.
+        grid: Its voxel centroids off the ground, odom space.
     """
 
     stamp_ns: int
     odom_from_beams: Transform
     beams_from_odom: Transform
     image: NDArray[np.float32]
-    structure: Reference
+    grid: PointGrid
 
 
 class History:

@@ -9,10 +9,16 @@ from numpy.typing import NDArray
 from schemas.arrays import Points
 from workers.selfsupervised.clusters import Clusters
 from workers.selfsupervised.compiled import compiled
-from workers.selfsupervised.shift_search import Reference, build_reference, energy_of, search
+from workers.selfsupervised.shift_search import (
+    Reference,
+    build_reference,
+    energy_of,
+    reference_to,
+    search,
+)
 from workers.selfsupervised.steps import step
 
-__all__ = ["Reference", "Registered", "build_reference", "register"]
+__all__ = ["Reference", "Registered", "build_reference", "reference_to", "register"]
 
 MIN_POINTS: Final = 5
 MAX_EXTENT_M: Final = 18.0

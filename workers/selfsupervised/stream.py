@@ -21,8 +21,9 @@ from workers.selfsupervised.history import (
     PastFrame,
 )
 from workers.selfsupervised.motion import find_motions
+from workers.selfsupervised.neighbours import build_grid
 from workers.selfsupervised.prepare import Preparation, Prepared
-from workers.selfsupervised.registration import Reference, build_reference
+from workers.selfsupervised.registration import Reference, reference_to
 from workers.selfsupervised.tracker import Tracker
 from workers.selfsupervised.verification import Evidence
 from workers.selfsupervised.versions import version_of
@@ -100,7 +101,7 @@ class _Run:
                 prepared.odom_from_beams,
                 prepared.beams_from_odom,
                 prepared.image,
-                build_reference(prepared.voxels.centroids_m, prepared.odom_from_beams[:3, 3]),
+                build_grid(prepared.voxels.centroids_m, prepared.odom_from_beams[:3, 3]),
             )
         )
         return answer
@@ -180,4 +181,4 @@ class _Run:
 
 def _reference(past: PastFrame, now_ns: int) -> Reference:
     age_s = (now_ns - past.stamp_ns) / NS_PER_S
-    return past.structure._replace(age_s=age_s)
+    return reference_to(past.grid, past.odom_from_beams[:3, 3], age_s)
