@@ -16,6 +16,7 @@ from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from workers.geometry.form import Form
 from workers.selfsupervised.point_sets import (
@@ -76,7 +77,7 @@ class SetConv(nn.Module):
         for conv, norm in zip(self.mlp_convs, self.mlp_bns, strict=True):
             grouped = conv(grouped)
             if self.act:
-                grouped = torch.relu(norm(grouped))
+                grouped = functional.relu(norm(grouped), inplace=not torch.is_grad_enabled())
         return grouped.amax(dim=3)
 
 

@@ -63,8 +63,11 @@ def squared_distances(queries: Tensor, points: Tensor) -> Tensor:
     return total
 
 
+@torch.no_grad()
 def find_nearest(queries: Tensor, points: Tensor, count: int) -> tuple[Tensor, Tensor]:
     """Find the nearest points of each query, nearest first; of equally near ones the lowest index.
+
+    Nothing is learnt through it: which points are near does not change smoothly.
 
     Args:
         queries: (B, M, 3).
@@ -74,16 +77,25 @@ def find_nearest(queries: Tensor, points: Tensor, count: int) -> tuple[Tensor, T
     Returns:
         (B, M, min(count, N)) squared distances, and int64 indices of the points.
     """
-    count = min(count, points.shape[1])
-    rows = max(1, CHUNK // (points.shape[0] * points.shape[1]))
-    found = [_nearest(part, points, count) for part in torch.split(queries, rows, dim=1)]
-    distances, indices = zip(*found, strict=True)
-    return torch.cat(distances, dim=1), torch.cat(indices, dim=1)
+    batch, wanted, found = *queries.shape[:2], points.shape[1]
+    count, rows = min(count, found), max(1, CHUNK // (batch * found))
+    squared = queries.new_empty(batch, wanted, count)
+    index = torch.empty(batch, wanted, count, dtype=torch.int64, device=queries.device)
+    # the same memory for every part: results between freed parts would keep it from being reused
+    scratch = queries.new_empty(2, batch, min(rows, wanted), found)
+    for start in range(0, wanted, rows):
+        part = slice(start, start + rows)
+        squared[:, part], index[:, part] = _nearest(queries[:, part], points, count, scratch)
+    return squared, index
 
 
-def _nearest(queries: Tensor, points: Tensor, count: int) -> tuple[Tensor, Tensor]:
+def _nearest(queries: Tensor, points: Tensor, count: int, scratch: Tensor) -> tuple[Tensor, Tensor]:
     """Search once, and search queries with ties again, slowly: selection alone breaks no ties."""
-    distances = squared_distances(queries, points)
+    distances, along = scratch[:, :, : queries.shape[1]]
+    torch.sub(queries[:, :, None, 0], points[:, None, :, 0], out=distances).square_()
+    for axis in (1, 2):
+        torch.sub(queries[:, :, None, axis], points[:, None, :, axis], out=along).square_()
+        distances += along
     one_more = min(count + 1, points.shape[1])
     best, index = distances.topk(one_more, dim=2, largest=False)
     tied = (best[:, :, 1:] == best[:, :, :-1]).any(dim=2)
@@ -104,8 +116,10 @@ def gather_points(values: Tensor, index: Tensor) -> Tensor:
     Returns:
         (B, ..., C).
     """
-    flat = index.flatten(start_dim=1)[:, :, None].expand(-1, -1, values.shape[2])
-    return values.gather(1, flat).view(*index.shape, values.shape[2])
+    batch, count, channels = values.shape
+    starts = torch.arange(batch, device=index.device) * count
+    rows = (index.flatten(start_dim=1) + starts[:, None]).flatten()
+    return values.reshape(-1, channels).index_select(0, rows).view(*index.shape, channels)
 
 
 def gather_features(values: Tensor, index: Tensor) -> Tensor:
