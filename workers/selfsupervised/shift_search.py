@@ -73,7 +73,7 @@ def energy_of(
     sy: float,
     sz: float,
     rows: NDArray[np.int32],
-    enough: float,
+    enough: float = np.inf,
 ) -> float:
     """Mean nearest distance after a shift; `rows` remembers who was nearest, for the next shift.
 
