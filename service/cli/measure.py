@@ -132,7 +132,9 @@ def networks(
 ) -> None:
     """Time the networks beside a plain transcription of their published forward pass."""
     from service.cli.logs import locate
-    from workers.evaluation.bench_networks import FLOW_POINTS, NetworkTime, bench_flow, bench_images
+    from workers.evaluation.bench_flow import FLOW_POINTS, bench_flow
+    from workers.evaluation.bench_networks import bench_images
+    from workers.evaluation.network_time import NetworkTime, recommended
 
     if only not in (None, "images", "flowstep3d"):
         raise typer.BadParameter(f"{only!r} is neither images nor flowstep3d")
@@ -176,6 +178,8 @@ def networks(
             for row in rows
         ),
     )
+    if best := recommended(rows):
+        remark(f"fastest on this machine with the same labels: --supervised {best}")
 
 
 def ledger(
