@@ -5,12 +5,16 @@ each way. An answer to `commit` comes after the database transaction, never befo
 """
 
 import hashlib
-from typing import Annotated, Literal
+import re
+from typing import Annotated, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from schemas.camera import CameraCalibration
 from schemas.wire import canonical_json
+
+LOOKAHEAD: Final = ":lookahead-"
+"""In the name of a stream: the seconds that follow are how long it waits for later frames."""
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
 
@@ -66,7 +70,8 @@ class MiningSettings(BaseModel):
     selfsupervised: str = Field(
         default="registration",
         description="Self-supervised stream, by name: registration, two-stage (on any flow), or "
-        "paper (the published chain).",
+        "paper (the published chain); registration:lookahead-0.5 and :lookahead-1.0 wait so many "
+        "seconds for later frames.",
     )
     odometry: str = Field(
         default="kiss-icp", description="Odometry, by name: kiss-icp, or delora (the paper's)."
@@ -92,6 +97,20 @@ class MiningSettings(BaseModel):
     intensity_scale: float = Field(
         default=0.0, ge=0, description="Recorded value that means 1; 0: by evidence."
     )
+
+    @property
+    def ahead_ns(self) -> int:
+        """How much later than a frame those are that its labels may wait for."""
+        _, found, lookahead_s = self.selfsupervised.partition(LOOKAHEAD)
+        return round(float(lookahead_s) * 1e9) if found else 0
+
+    @field_validator("selfsupervised")
+    @classmethod
+    def _lookahead_is_a_time(cls, name: str) -> str:
+        _, found, lookahead_s = name.partition(LOOKAHEAD)
+        if found and not re.fullmatch(r"[0-9](\.[0-9])?", lookahead_s):
+            raise ValueError(f"{name!r} must end in seconds, such as {LOOKAHEAD}0.5")
+        return name
 
 
 class Part(BaseModel):
@@ -162,7 +181,7 @@ class Shard(BaseModel):
 
     Messages are judged by frame stamp: those in [start_ns, end_ns) are scored, those from
     `warmup_start_ns` on are only seen, those until `lookahead_end_ns` only decide whether a short
-    last piece belongs to this shard.
+    last piece belongs to this shard, and what streams that look ahead say of the last frames.
     """
 
     model_config = _STRICT

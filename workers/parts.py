@@ -8,7 +8,7 @@ from typing import Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from schemas.work import MiningSettings
+from schemas.work import LOOKAHEAD, MiningSettings
 from workers.networks import NETWORKS
 from workers.registry import ODOMETRIES, SELFSUPERVISED, SUPERVISED
 
@@ -92,13 +92,23 @@ _FLOWS: Final[Mapping[str, str]] = {
     "tracked": "only what the default stream proved to move has flow",
 }
 
+_REGISTRATION: Final = "own; Patchwork++ (Lee et al., IROS 2022)"
+_REGISTRATION_LICENCE: Final = "Apache-2.0; BSD-2-Clause (pypatchworkpp)"
 _SELFSUPERVISED: Final[Mapping[str, _Card]] = {
     "registration": _Card(
         what="Clusters registered over time, verified by free space, tracked; ground by "
         "Patchwork++.",
-        source="own; Patchwork++ (Lee et al., IROS 2022)",
-        licence="Apache-2.0; BSD-2-Clause (pypatchworkpp)",
+        source=_REGISTRATION,
+        licence=_REGISTRATION_LICENCE,
     ),
+    **{
+        f"registration{LOOKAHEAD}{lookahead_s}": _Card(
+            what=f"The same, its labels {said} later: what is free after counts as well.",
+            source=_REGISTRATION,
+            licence=_REGISTRATION_LICENCE,
+        )
+        for lookahead_s, said in (("0.5", "half a second"), ("1.0", "a second"))
+    },
     "paper": _Card(
         what="GndNet, the camera's view, FlowStep3D, two-stage clustering as published.",
         source=f"{_RULE}; GndNet (Paigwar et al., 2020), FlowStep3D (Kittenplon et al., 2021)",

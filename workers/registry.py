@@ -13,6 +13,7 @@ from typing import Final, Protocol, TypeVar
 
 from schemas.frame import LidarFrame, PosedFrame
 from schemas.labels import FrameLabels
+from schemas.work import LOOKAHEAD
 from workers.contradiction.settings import DEFAULT_INSTANCES, PAPER_INSTANCES, InstanceSettings
 from workers.errors import UnknownPartError
 from workers.selfsupervised.scene_flow import SCENE_FLOWS
@@ -107,10 +108,10 @@ def _recorded(_: PartFiles) -> Stream:
     return Recorded()
 
 
-def _registration(_: PartFiles) -> Stream:
+def _registration(_: PartFiles, *, lookahead_s: float = 0.0) -> Stream:
     from workers.selfsupervised.stream import Registration
 
-    return Registration()
+    return Registration(lookahead_s)
 
 
 def _two_stage(_: PartFiles, *, flow: str, published: bool = False) -> Stream:
@@ -155,6 +156,10 @@ SUPERVISED: Final[Mapping[str, Callable[[PartFiles], Stream]]] = {
 }
 SELFSUPERVISED: Final[Mapping[str, Callable[[PartFiles], Stream]]] = {
     "registration": _registration,
+    **{
+        f"registration{LOOKAHEAD}{lookahead_s:.1f}": partial(_registration, lookahead_s=lookahead_s)
+        for lookahead_s in (0.5, 1.0)
+    },
     "paper": _paper,
     "two-stage": partial(_two_stage, flow="nearest-neighbour"),
     "two-stage:tracked": _two_stage_tracked,

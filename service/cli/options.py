@@ -57,7 +57,11 @@ PresetName = Annotated[
 ]
 SelfSupervised = Annotated[
     str | None,
-    typer.Option("--selfsupervised", help="Self-supervised: registration, paper or two-stage."),
+    typer.Option(
+        "--selfsupervised",
+        help="Self-supervised: registration, registration:lookahead-0.5 (or -1.0), paper or "
+        "two-stage.",
+    ),
 ]
 ShardSeconds = Annotated[
     float | None,

@@ -243,6 +243,7 @@ def _shards(
         grid=settings.grid,
         anchor_ns=lidar.anchor_ns,
         least_step_ns=sample.least_step_ns,
+        ahead_ns=settings.ahead_ns,
     ):
         yield Shard(
             log_id=index.recording.log_id,

@@ -93,7 +93,7 @@ class Spans:
 
 
 def cut_windows(
-    spans: Sequence[Span], *, grid: Grid, anchor_ns: int, least_step_ns: int
+    spans: Sequence[Span], *, grid: Grid, anchor_ns: int, least_step_ns: int, ahead_ns: int = 0
 ) -> list[Window]:
     """Cut a log into the windows of its shards, on the grid that begins at the anchor.
 
@@ -105,6 +105,7 @@ def cut_windows(
         grid: Lengths of scenes, shards and warm-up.
         anchor_ns: First frame of the log.
         least_step_ns: Frames of this lidar never follow each other faster; 0 where unknown.
+        ahead_ns: How much later than a frame those are that its labels may wait for.
     """
     rule = CutRule.of(grid.scene_s)
     # Whole cells, so that every scene's cell lies in one shard, whatever the length's fraction.
@@ -137,7 +138,7 @@ def cut_windows(
                 warmup_start_ns=max(start_ns - warmup_ns, anchor_ns, 0),
                 start_ns=start_ns,
                 end_ns=end_ns,
-                lookahead_end_ns=end_ns + (rule.lookahead_ns if looks_ahead else 0),
+                lookahead_end_ns=end_ns + max(rule.lookahead_ns if looks_ahead else 0, ahead_ns),
                 before_lookahead_end_ns=before.lookahead_end_ns if before else 0,
             )
         )

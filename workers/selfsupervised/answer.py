@@ -68,7 +68,7 @@ def to_labels(
     """Label every point of a frame.
 
     DYNAMIC: its cluster moves, as the frames so far prove. STATIC: ground, or its cluster fits
-    where it was, or frames of the last second saw something there more often than not. UNKNOWN: no
+    where it was, or the frames that vote saw something there more often than not. UNKNOWN: no
     witness, or a motion that is not proved; whatever is invalid, too near, too far or too high.
     """
     clusters, voxels = found.clusters, prepared.voxels

@@ -120,6 +120,14 @@ class Votes:
         """(N,) the same by beams that are close together: even a flat thing was not there."""
         return _mostly(self.free - self.free_if_tall, self.occupied)
 
+    def __add__(self, others: "Votes") -> "Votes":
+        """Votes of two sets of frames about the same places."""
+        return Votes(
+            self.free + others.free,
+            self.occupied + others.occupied,
+            self.free_if_tall + others.free_if_tall,
+        )
+
 
 def count_votes(answers: Iterable[NDArray[np.int8]], n: int) -> Votes:
     """Sum the answers of several frames about the same n places."""

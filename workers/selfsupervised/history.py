@@ -1,6 +1,7 @@
 """The last second of frames, chosen from by time, never by count."""
 
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
@@ -69,21 +70,34 @@ class History:
         self, age_s: float, now_ns: int, *, between: tuple[float, float]
     ) -> PastFrame | None:
         """The frame whose age is closest to the one asked for, if any lies between two ages."""
-        fitting = [
-            (abs(self.age_s(frame, now_ns) - age_s), -frame.stamp_ns, frame)
-            for frame in self._frames
-            if between[0] <= self.age_s(frame, now_ns) <= between[1]
-        ]
-        return min(fitting, key=lambda entry: entry[:2])[2] if fitting else None
+        return closest(self._frames, age_s, now_ns, between=between)
 
     def voters(self, now_ns: int) -> list[PastFrame]:
         """Frames that vote: spread over the last second whatever the rate of the sensor."""
-        chosen = {
-            frame.stamp_ns: frame
-            for age_s in VOTE_AGES_S
-            for frame in [
-                self.closest(age_s, now_ns, between=(age_s - _TOLERANCE_S, age_s + _TOLERANCE_S))
-            ]
-            if frame is not None
-        }
-        return [chosen[stamp_ns] for stamp_ns in sorted(chosen, reverse=True)]
+        return voters(self._frames, now_ns)
+
+
+def closest(
+    frames: Iterable[PastFrame], age_s: float, now_ns: int, *, between: tuple[float, float]
+) -> PastFrame | None:
+    """The frame as far away in time as asked for, if any lies between two distances in time."""
+    fitting = [
+        (abs(apart_s - age_s), -frame.stamp_ns, frame)
+        for frame in frames
+        if between[0] <= (apart_s := abs(now_ns - frame.stamp_ns) / NS_PER_S) <= between[1]
+    ]
+    return min(fitting, key=lambda entry: entry[:2])[2] if fitting else None
+
+
+def voters(frames: Iterable[PastFrame], now_ns: int) -> list[PastFrame]:
+    """Those of some frames that vote, all before or all after an instant; latest first."""
+    known = list(frames)
+    chosen = {
+        frame.stamp_ns: frame
+        for age_s in VOTE_AGES_S
+        for frame in [
+            closest(known, age_s, now_ns, between=(age_s - _TOLERANCE_S, age_s + _TOLERANCE_S))
+        ]
+        if frame is not None
+    }
+    return [chosen[stamp_ns] for stamp_ns in sorted(chosen, reverse=True)]

@@ -7,30 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
-from workers.selfsupervised.clusters import Clusters, connected, from_labels
-from workers.selfsupervised.free_space import Votes
-from workers.selfsupervised.neighbours import nearest_distances
+from workers.selfsupervised.candidates import GOOD_FIT_NEAR_M
+from workers.selfsupervised.clusters import Clusters, from_labels
+from workers.selfsupervised.evidence import Evidence
+from workers.selfsupervised.grouping import find_clusters, find_parts
 from workers.selfsupervised.registration import STILL_M, Reference, Registered, register
 from workers.selfsupervised.steps import step
 from workers.selfsupervised.strips import are_strips
-from workers.selfsupervised.verification import GOOD_FIT_NEAR_M, Evidence, Motions, judge
+from workers.selfsupervised.verification import Motions, judge
 
-REACH_M: Final = 0.5
-"""Between beams of 0.3 degrees up to 80 m away; .4 to .7 give the same answers."""
-
-CLOSE_REACH_M: Final = 0.3
-SPLIT_REACH_M: Final = 0.4
-MIN_VOXELS: Final = 3
-_MIXED_FREE: Final = 8
-_MIXED_SHARE: Final = 0.6
-_SPLIT_VOXELS: Final = 15
-_SPLIT_EXTENT_M: Final = 1.0
-_CHILD_VOXELS: Final = 8
-_CHILD_SHARE: Final = 0.9
 _CHILD_FREE_VOXELS: Final = 12
 _CHILD_FREE_ENERGY_M: Final = 0.3
-_NEW_M: Final = 0.2
-
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -42,7 +29,7 @@ class ClusterMotions:
     Attributes:
         clusters: Sets of voxels.
         registered: (K,) a motion was found and free space confirms it.
-        seen_through: (K,) free space alone says that it was not there before.
+        seen_through: (K,) free space alone says that it was not there before, or not after.
         unconfirmed: (K,) a motion was found that free space does not confirm.
         still: (K,) the cluster fits where it is half a second ago.
         velocity_m_per_s: (K, 3) over the ground, odom space, as registered, confirmed or not.
@@ -74,12 +61,12 @@ def find_motions(
         far: The frame about 0.5 s ago.
         evidence: What free space says about the voxels.
     """
-    clusters = find_clusters(points_m, evidence.votes)
+    clusters = find_clusters(points_m, evidence)
     fit = register(points_m, clusters, near, far)
     ages = {"near_age_s": near.age_s, "far_age_s": far.age_s}
     motions = judge(points_m, clusters, fit, evidence, **ages)
 
-    parts = find_parts(points_m, clusters, fit, motions.dynamic, far, evidence.votes)
+    parts = find_parts(points_m, clusters, fit, motions.dynamic, far, evidence)
     part_fit = register(points_m, parts, near, far)
     part_motions = judge(points_m, parts, part_fit, evidence, **ages)
     certain = (part_motions.registered & (part_fit.energy_far < GOOD_FIT_NEAR_M)) | (
@@ -89,58 +76,6 @@ def find_motions(
     )
     whole = _joined(clusters, fit, motions, parts, part_fit, part_motions, certain)
     return _without_strips(points_m, whole, evidence)
-
-
-@step("clusters")
-def find_clusters(points_m: Points, votes: Votes) -> Clusters:
-    """Cluster the voxels; clusters in which movers and others seem to be mixed, more closely."""
-    clusters = connected(points_m, reach_m=REACH_M, min_points=MIN_VOXELS)
-    free, known = clusters.count(votes.seen_through), clusters.count(votes.known)
-    mixed = (free >= _MIXED_FREE) & (free < _MIXED_SHARE * known)
-    if not mixed.any():
-        return clusters
-    again = clusters.member_mask(mixed)
-    closer = connected(
-        points_m,
-        reach_m=CLOSE_REACH_M,
-        min_points=MIN_VOXELS,
-        among=again,
-        groups=clusters.of_point,
-    )
-    labels = clusters.of_point.copy()
-    labels[again] = np.where(
-        closer.of_point[again] >= 0, closer.of_point[again] + len(clusters), -1
-    )
-    return from_labels(labels)
-
-
-@step("parts")
-def find_parts(
-    points_m: Points,
-    clusters: Clusters,
-    fit: Registered,
-    decided: Mask,
-    far: Reference,
-    votes: Votes,
-) -> Clusters:
-    """Find parts of undecided clusters that were not there half a second ago.
-
-    A cyclist beside a parked car is one cluster with it, which stands still as a whole.
-    """
-    whole = ~decided & (clusters.sizes >= _SPLIT_VOXELS) & (fit.extent_m > _SPLIT_EXTENT_M)
-    asked = np.flatnonzero(clusters.member_mask(whole))
-    is_new = nearest_distances(far.grid, points_m[asked], 1.5 * _NEW_M) > _NEW_M
-    among = np.zeros(len(points_m), np.bool_)
-    among[asked] = is_new | votes.seen_through[asked]
-    parts = connected(
-        points_m,
-        reach_m=SPLIT_REACH_M,
-        min_points=_CHILD_VOXELS,
-        among=among,
-        groups=clusters.of_point,
-    )
-    parent_sizes = clusters.sizes[clusters.of_point[parts.members[parts.start[:-1]]]]
-    return parts.keep(parts.sizes < _CHILD_SHARE * parent_sizes)
 
 
 @step("joining")

@@ -6,34 +6,17 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import Mask, Points, Transform
-from workers.selfsupervised.beam_table import BeamTable
+from schemas.arrays import Mask, Points
+from workers.selfsupervised.candidates import far_candidates, near_candidates
 from workers.selfsupervised.clusters import Clusters
+from workers.selfsupervised.evidence import Evidence
 from workers.selfsupervised.free_space import FREE, Votes, visibility
 from workers.selfsupervised.registration import Registered
 from workers.selfsupervised.steps import step
 
-MIN_SPEED_M_PER_S: Final = 0.7
-"""Half a brisk walk. Over 0.5 s it is 0.35 m, three times what sampling and pose noise fake."""
-
 MIN_FREE_SHARE: Final = 0.25
 """Share of a cluster that free space must confirm; .15 doubles false clusters, .40 loses movers."""
 
-GOOD_FIT_FAR_M: Final = 0.22
-GOOD_FIT_NEAR_M: Final = 0.12
-"""A thing that turns and shows other sides fits worse after 0.5 s than after 0.1 s."""
-
-_MIN_GAIN_M: Final = 0.02
-_MIN_GAIN_SHARE: Final = 0.25
-_WEAK_GAIN_SHARE: Final = 0.10
-_MIN_GAIN_NEAR_M: Final = 0.15
-_MAX_CLIMB_M: Final = 0.6
-_MAX_SPEED_CHANGE: Final = 2.0
-_MAX_SPEED_CHANGE_SHARE: Final = 0.3
-_SAME_FIT_M: Final = 0.02
-"""A side that passes us fits the near frame wherever it is shifted: it cannot object then."""
-
-_MIN_SHORT_SPEED: Final = 3.0
 _MAX_FREE_EXTENT_M: Final = 20.0
 
 FLAT_M: Final = 0.25
@@ -46,7 +29,7 @@ class Motions:
 
     Attributes:
         registered: (K,) registration found a motion and free space confirms it.
-        seen_through: (K,) free space alone says that it was not there before.
+        seen_through: (K,) free space alone says that it was not there before, or not after.
         unconfirmed: (K,) registration found a motion that free space does not confirm.
         velocity_m_per_s: (K, 3) over the ground, odom space; zero where none was found.
     """
@@ -60,29 +43,6 @@ class Motions:
     def dynamic(self) -> Mask:
         """(K,) clusters that at least one witness proves to move."""
         return self.registered | self.seen_through
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Evidence:
-    """What free space says about every voxel of a frame.
-
-    Attributes:
-        votes: Of the frames of the last second.
-        near: (N,) answers of the near reference frame alone.
-        far: (N,) answers of the far reference frame alone.
-        image: Range image of the frame itself.
-        table: Beams of the sensor.
-        sensor_height_m: Of the origin of the beams over the road.
-        beams_from_odom: (4, 4) pose of the frame, turned round.
-    """
-
-    votes: Votes
-    near: NDArray[np.int8]
-    far: NDArray[np.int8]
-    image: NDArray[np.float32]
-    table: BeamTable
-    sensor_height_m: float
-    beams_from_odom: Transform
 
 
 @step("verification")
@@ -107,11 +67,13 @@ def judge(
     """
     velocity_far = -fit.shift_far_m / np.float32(far_age_s)
     velocity_near = -fit.shift_near_m / np.float32(near_age_s)
-    far, clear = _far_candidates(fit, velocity_far, velocity_near)
-    near = _near_candidates(fit, velocity_near) & ~far
+    far, clear = far_candidates(fit, velocity_far, velocity_near)
+    near = near_candidates(fit, velocity_near) & ~far
 
     size = np.maximum(clusters.sizes, 1)
-    seen_through = clusters.count(evidence.votes.seen_through)
+    seen_through = np.maximum(
+        clusters.count(evidence.votes.seen_through), clusters.count(evidence.after.seen_through)
+    )
     was_free = np.where(
         near, clusters.count(evidence.near >= FREE), clusters.count(evidence.far >= FREE)
     )
@@ -126,46 +88,11 @@ def judge(
     velocity = np.where(near[:, None], velocity_near, velocity_far)
     return Motions(
         registered=candidate & confirmed,
-        seen_through=_seen_through(points_m, clusters, fit, evidence.votes),
+        seen_through=_seen_through(points_m, clusters, fit, evidence.votes)
+        | _seen_through(points_m, clusters, fit, evidence.after),
         unconfirmed=candidate & ~confirmed,
         velocity_m_per_s=np.nan_to_num(velocity).astype(np.float32),
     )
-
-
-def _far_candidates(
-    fit: Registered, velocity_far: NDArray[np.float32], velocity_near: NDArray[np.float32]
-) -> tuple[Mask, Mask]:
-    """Clusters that seem to have moved, and those of them that clearly fit better where they were.
-
-    A slow body overlaps itself and gains little; the others need free space on both ends.
-    """
-    speed = np.linalg.norm(velocity_far, axis=1)
-    change = np.linalg.norm(velocity_near - velocity_far, axis=1)
-    steady = change < _MAX_SPEED_CHANGE + _MAX_SPEED_CHANGE_SHARE * speed
-    gain = fit.still_energy_far - fit.energy_far
-    moves: Mask = (
-        fit.tried
-        & (fit.energy_far < GOOD_FIT_FAR_M)
-        & (gain > _MIN_GAIN_M + _WEAK_GAIN_SHARE * fit.still_energy_far)
-        & (speed >= MIN_SPEED_M_PER_S)
-        & (np.abs(fit.shift_far_m[:, 2]) < _MAX_CLIMB_M)
-        & (steady | (fit.energy_between < fit.energy_near + _SAME_FIT_M))
-    )
-    clear: Mask = moves & (gain > _MIN_GAIN_M + _MIN_GAIN_SHARE * fit.still_energy_far)
-    return moves, clear
-
-
-def _near_candidates(fit: Registered, velocity_near: NDArray[np.float32]) -> Mask:
-    """Clusters that were not to be seen half a second ago."""
-    speed = np.linalg.norm(velocity_near, axis=1)
-    moves: Mask = (
-        fit.tried
-        & (fit.energy_near < GOOD_FIT_NEAR_M)
-        & (fit.still_energy_near - fit.energy_near > _MIN_GAIN_NEAR_M)
-        & (speed >= _MIN_SHORT_SPEED)
-        & (fit.energy_far >= GOOD_FIT_FAR_M)
-    )
-    return moves
 
 
 def _left_free(
@@ -189,7 +116,7 @@ def _left_free(
 
 
 def _seen_through(points_m: Points, clusters: Clusters, fit: Registered, votes: Votes) -> Mask:
-    """Clusters that were not there before, by free space alone.
+    """Clusters that were not there before, or not after, by free space alone.
 
     A flat thing may have been there, between two beams that are far apart.
     """

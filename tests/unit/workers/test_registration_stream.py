@@ -143,6 +143,63 @@ def test_nothing_off_the_ground_is_known_in_the_first_frames() -> None:
         assert (answer.confidence == 0).all()
 
 
+@pytest.mark.parametrize("lookahead_s", [0.5, 1.0])
+def test_who_looks_ahead_answers_every_frame_once_in_order(lookahead_s: float) -> None:
+    """Also across a gap, a lost pose, and at the end, which nothing comes after."""
+    frames = list(drive(BOXES, frames=16, speed_m_per_s=6.0, gap_before=7, lost_at=12))
+    pulled = 0
+
+    def given() -> Iterator[PosedFrame]:
+        nonlocal pulled
+        for posed, _ in frames:
+            pulled += 1
+            yield posed
+
+    waited = []
+    for index, labels in enumerate(Registration(lookahead_s)(given())):
+        waited.append(pulled - 1 - index)
+        assert len(labels.labels) == len(frames[index][0].frame)
+    assert index == len(frames) - 1
+    # the frame after a gap is there when those before it wait no longer
+    assert max(waited) == min(7, round(10 * lookahead_s))
+    assert Registration(lookahead_s).version != Registration().version
+
+
+@pytest.mark.parametrize(
+    ("lookahead_s", "wanted"), [(0.0, MotionLabel.STATIC), (0.5, MotionLabel.DYNAMIC)]
+)
+def test_what_is_gone_a_moment_later_moves_for_who_waits(
+    lookahead_s: float, wanted: MotionLabel
+) -> None:
+    here, gone = (list(drive(boxes, frames=18)) for boxes in ((*WALLS, PARKED), WALLS))
+    world = [*here[:12], *gone[12:]]
+    last = list(Registration(lookahead_s)(posed for posed, _ in world))[11]
+    assert share(last, here[11][1], 2, wanted, ground=False) > 0.95
+
+
+def test_a_pose_thrown_for_good_does_not_make_the_frames_before_it_move() -> None:
+    frames = [posed for posed, _ in drive((*WALLS, PARKED, POST), frames=14, speed_m_per_s=6.0)]
+    for index in range(8, 14):
+        pose = frames[index].odom_from_sensor.copy()
+        pose[1, 3] += 1.0
+        frames[index] = replace(frames[index], odom_from_sensor=pose)
+    for labels in list(Registration(1.0)(frames))[:8]:
+        assert (labels.labels == MotionLabel.DYNAMIC).mean() < 0.002
+
+
+def test_beams_that_are_learned_later_change_no_frame_that_waits() -> None:
+    frames = []
+    for number, (posed, _) in enumerate(drive(BOXES, frames=14)):
+        frame = posed.frame
+        seen = frame.valid_mask if number >= 11 else frame.ring % 3 == 0
+        frames.append(replace(posed, frame=replace(frame, valid_mask=seen)))
+    alone = list(Registration(1.0)(frames[:11]))
+    for one, other in zip(alone, Registration(1.0)(frames), strict=False):
+        np.testing.assert_array_equal(one.labels, other.labels)
+        np.testing.assert_array_equal(one.confidence, other.confidence)
+    assert (alone[-1].labels == MotionLabel.DYNAMIC).any()
+
+
 def test_history_begins_anew_after_a_gap() -> None:
     answers = label(drive(BOXES, frames=9, gap_before=7))
     assert (answers[6].labels == MotionLabel.DYNAMIC).any()

@@ -42,11 +42,14 @@ def labelled(frame: LidarFrame) -> LabelledFrame:
     return LabelledFrame(PosedFrame(frame, np.eye(4)), labels, labels, unknown.copy())
 
 
-def scenes_of(data: bytes, *, shard_s: float, scene_s: float) -> Scenes:
+def scenes_of(
+    data: bytes, *, shard_s: float, scene_s: float, selfsupervised: str = "registration"
+) -> Scenes:
     bucket = open_bucket("memory://")
     bucket.put("drive.mcap", data)
     recording = only_recording(bucket)
-    using = settings(shard_s=shard_s, scene_s=scene_s).model_copy(update={"lidar_topic": LIDAR})
+    chosen = {"lidar_topic": LIDAR, "selfsupervised": selfsupervised}
+    using = settings(shard_s=shard_s, scene_s=scene_s).model_copy(update=chosen)
     plan = plan_recording(bucket, recording, using)
     assert plan.refused == ""
     found: Scenes = []
@@ -76,6 +79,20 @@ def test_scenes_are_the_same_for_any_shards_and_hold_every_frame_once(
     assert len({scene_id for scene_id, _, _ in whole}) == len(whole)
     for shard_s in (2, 4, 20):
         assert scenes_of(data, shard_s=shard_s, scene_s=2) == whole
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("lookahead", ["0.5", "1.0"])
+@pytest.mark.parametrize("scene_s", [0.5, 2.0])
+def test_frames_that_are_read_for_labels_only_change_no_scene(
+    seed: int, lookahead: str, scene_s: float
+) -> None:
+    stamps = stretches(np.random.default_rng(seed), 25)
+    data = Recorder(chunk_bytes=400).write([message(at_ns, 0) for at_ns in stamps])
+    whole = scenes_of(data, shard_s=60, scene_s=scene_s)
+    for shard_s in (scene_s, 4.0):
+        ahead = f"registration:lookahead-{lookahead}"
+        assert scenes_of(data, shard_s=shard_s, scene_s=scene_s, selfsupervised=ahead) == whole
 
 
 def test_frames_of_chunks_that_overlap_in_time_reach_their_scenes() -> None:

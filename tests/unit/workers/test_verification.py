@@ -1,12 +1,15 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from workers.selfsupervised.beam_table import BeamTable
 from workers.selfsupervised.clusters import from_labels
+from workers.selfsupervised.evidence import Evidence
 from workers.selfsupervised.free_space import FREE, FREE_IF_TALL, HIDDEN, count_votes
 from workers.selfsupervised.registration import Registered
-from workers.selfsupervised.verification import Evidence, judge
+from workers.selfsupervised.verification import judge
 
 
 def block(x: float, height_m: float) -> NDArray[np.float32]:
@@ -45,6 +48,7 @@ def test_what_one_beam_sees_may_have_been_between_two_that_are_far_apart(
     answers = np.full(len(points_m), answer, np.int8)
     evidence = Evidence(
         votes=count_votes([answers] * 3, len(points_m)),
+        after=count_votes([], len(points_m)),
         near=answers,
         far=answers,
         image=np.zeros((2, 1800), np.float32),
@@ -56,3 +60,24 @@ def test_what_one_beam_sees_may_have_been_between_two_that_are_far_apart(
         points_m, from_labels(labels), unregistered(2), evidence, near_age_s=0.1, far_age_s=0.5
     )
     assert motions.seen_through.tolist() == moves
+
+
+def test_what_leaves_its_place_afterwards_moves_now() -> None:
+    """Hidden before, it would say nothing of itself."""
+    tall = block(10.0, 1.0)
+    free, hidden = (np.full(len(tall), answer, np.int8) for answer in (FREE, HIDDEN))
+    evidence = Evidence(
+        votes=count_votes([hidden] * 3, len(tall)),
+        after=count_votes([free] * 3, len(tall)),
+        near=hidden,
+        far=hidden,
+        image=np.zeros((2, 1800), np.float32),
+        table=BeamTable(np.array([-0.1, 0.1], np.float32), np.zeros(3), 0.03),
+        sensor_height_m=1.8,
+        beams_from_odom=np.eye(4),
+    )
+    clusters, fit = from_labels(np.zeros(len(tall), np.int32)), unregistered(1)
+    ages = {"near_age_s": 0.1, "far_age_s": 0.5}
+    assert judge(tall, clusters, fit, evidence, **ages).seen_through.tolist() == [True]
+    before = replace(evidence, after=count_votes([], len(tall)))
+    assert judge(tall, clusters, fit, before, **ages).seen_through.tolist() == [False]

@@ -166,3 +166,16 @@ def test_chunks_are_given_once_and_by_log_time() -> None:
     twice = Span(later.ref, earliest_ns=0, latest_ns=1, messages=-1)
     found = Spans([later, earlier, twice]).between(None, None)
     assert found == [earlier.ref, later.ref]
+
+
+def test_a_stream_that_looks_ahead_is_given_the_frames_after_every_window_but_the_last() -> None:
+    grid = Grid(scene_s=2.0, shard_s=4.0)
+    windows = cut_windows(
+        chunks(0, 11), grid=grid, anchor_ns=ANCHOR_NS, least_step_ns=90 * MS, ahead_ns=S
+    )
+    assert [w.lookahead_end_ns - w.end_ns for w in windows] == [S, S, 0]
+    assert [w.before_lookahead_end_ns for w in windows] == [
+        0,
+        windows[0].lookahead_end_ns,
+        windows[1].lookahead_end_ns,
+    ]

@@ -1,0 +1,64 @@
+"""Which clusters seem to have moved, by how they fit earlier frames; free space is asked next."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import Mask
+from workers.selfsupervised.registration import Registered
+
+MIN_SPEED_M_PER_S: Final = 0.7
+"""Half a brisk walk. Over 0.5 s it is 0.35 m, three times what sampling and pose noise fake."""
+
+GOOD_FIT_FAR_M: Final = 0.22
+GOOD_FIT_NEAR_M: Final = 0.12
+"""A thing that turns and shows other sides fits worse after 0.5 s than after 0.1 s."""
+
+_MIN_GAIN_M: Final = 0.02
+_MIN_GAIN_SHARE: Final = 0.25
+_WEAK_GAIN_SHARE: Final = 0.10
+_MIN_GAIN_NEAR_M: Final = 0.15
+_MAX_CLIMB_M: Final = 0.6
+_MAX_SPEED_CHANGE: Final = 2.0
+_MAX_SPEED_CHANGE_SHARE: Final = 0.3
+_SAME_FIT_M: Final = 0.02
+"""A side that passes us fits the near frame wherever it is shifted: it cannot object then."""
+
+_MIN_SHORT_SPEED: Final = 3.0
+
+
+def far_candidates(
+    fit: Registered, velocity_far: NDArray[np.float32], velocity_near: NDArray[np.float32]
+) -> tuple[Mask, Mask]:
+    """Clusters that seem to have moved, and those of them that clearly fit better where they were.
+
+    A slow body overlaps itself and gains little; the others need free space on both ends.
+    """
+    speed = np.linalg.norm(velocity_far, axis=1)
+    change = np.linalg.norm(velocity_near - velocity_far, axis=1)
+    steady = change < _MAX_SPEED_CHANGE + _MAX_SPEED_CHANGE_SHARE * speed
+    gain = fit.still_energy_far - fit.energy_far
+    moves: Mask = (
+        fit.tried
+        & (fit.energy_far < GOOD_FIT_FAR_M)
+        & (gain > _MIN_GAIN_M + _WEAK_GAIN_SHARE * fit.still_energy_far)
+        & (speed >= MIN_SPEED_M_PER_S)
+        & (np.abs(fit.shift_far_m[:, 2]) < _MAX_CLIMB_M)
+        & (steady | (fit.energy_between < fit.energy_near + _SAME_FIT_M))
+    )
+    clear: Mask = moves & (gain > _MIN_GAIN_M + _MIN_GAIN_SHARE * fit.still_energy_far)
+    return moves, clear
+
+
+def near_candidates(fit: Registered, velocity_near: NDArray[np.float32]) -> Mask:
+    """Clusters that were not to be seen half a second ago."""
+    speed = np.linalg.norm(velocity_near, axis=1)
+    moves: Mask = (
+        fit.tried
+        & (fit.energy_near < GOOD_FIT_NEAR_M)
+        & (fit.still_energy_near - fit.energy_near > _MIN_GAIN_NEAR_M)
+        & (speed >= _MIN_SHORT_SPEED)
+        & (fit.energy_far >= GOOD_FIT_FAR_M)
+    )
+    return moves
