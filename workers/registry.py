@@ -134,11 +134,37 @@ def _paper(files: PartFiles) -> Stream:
     return PaperChain.load(_weights(files, "self-supervised stream paper"))
 
 
+NETWORKS_OF: Final[Mapping[str, tuple[str, ...]]] = {
+    "salsanext-lmnet": ("salsanext", "lmnet"),
+    "salsanext-lmnet:folded": ("salsanext", "lmnet"),
+    "salsanext-lmnet:published": ("salsanext", "lmnet"),
+    "paper": ("gndnet", "flowstep3d"),
+    "delora": ("delora",),
+}
+"""Whose weights a part loads; SalsaNext and LMNet ship, and are taken if no folder is named."""
+
+
+def _all_there(files: PartFiles, *parts: str) -> None:
+    """Name every network that the folder of weights lacks, not one after the other."""
+    needed = [network for part in parts for network in NETWORKS_OF.get(part, ())]
+    folder = Path(files.weights)
+    if files.weights and not folder.is_dir():
+        raise UnknownPartError(f"weights: there is no such folder ({folder})")
+    missing = [each for each in needed if not (folder / f"{each}.safetensors").is_file()]
+    if files.weights and missing:
+        raise UnknownPartError(
+            f"the folder of weights lacks {', '.join(missing)}, which the chosen parts need: "
+            "`counterpoint weights import CHECKPOINT --network NAME --config CONFIG --out FOLDER` "
+            f"for each; `counterpoint weights configs` lists those of published ones ({folder})"
+        )
+
+
 def _weights(files: PartFiles, part: str) -> Path:
     if not files.weights:
+        networks = ", ".join(NETWORKS_OF[part.rpartition(" ")[2]])
         raise UnknownPartError(
-            f"{part} needs weights that do not ship: import them with `counterpoint weights "
-            "import` and name their folder in the setting weights"
+            f"{part} needs weights that do not ship ({networks}): import them with `counterpoint "
+            "weights import` and name their folder in the setting weights"
         )
     return Path(files.weights)
 
@@ -212,6 +238,13 @@ def build_parts(
             file that is not named.
         PermanentError: If its weights or its model cannot be used.
     """
+    files = files or PartFiles()
+    if files.model and supervised != "own":
+        raise UnknownPartError(
+            f"model names your own model, but the supervised stream is {supervised}: choose it "
+            f"with --supervised own; a folder of imported weights goes to --weights ({files.model})"
+        )
+    _all_there(files, odometry, supervised, selfsupervised)
     return Parts(
         odometry=build_odometry(odometry, files),
         supervised=build_supervised(supervised, files),

@@ -46,6 +46,11 @@ def sensor(
 
     if out.suffix not in (".json", ".toml"):
         raise UsageError(f"--out {out}: a profile is a .json or .toml file")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.touch()
+    except OSError as error:
+        raise UsageError(f"--out {out}: cannot be written: {error.strerror}") from error
     settings = settings_for(config)
     mining = settings.mining()
     if topic:

@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+from schemas.camera import CameraCalibration
 from workers.supervised.adapter import Adapter, NetworkEntry
 
 PAGE = Path(__file__).resolve().parents[2] / "deploy" / "OWN_MODEL.md"
@@ -22,3 +23,10 @@ def test_every_entry_stands_on_the_page() -> None:
     page = PAGE.read_text()
     for name in (*Adapter.model_fields, *NetworkEntry.model_fields):
         assert re.search(rf"\b{name}\b", page), f"{name} is not explained"
+
+
+def test_the_camera_on_the_page_of_checkpoints_is_understood() -> None:
+    page = (PAGE.parents[1] / "workers" / "checkpoints" / "README.md").read_text()
+    (example,) = re.findall(r"```json\n(.*?)```", page, re.DOTALL)
+    camera = CameraCalibration.model_validate_json(example)
+    assert camera.extrinsics[2, 0] == 1.0, "looks ahead"

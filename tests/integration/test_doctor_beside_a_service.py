@@ -34,7 +34,8 @@ def test_a_service_of_another_version_is_a_warning_that_names_both(tmp_path: Pat
     metadata.parent.mkdir(parents=True)
     metadata.write_text("Metadata-Version: 2.1\nName: counterpoint\nVersion: 99.1\n")
     root = Path(__file__).resolve().parents[2]
-    other = {"PYTHONPATH": f"{metadata.parents[1]}:{root}"}
+    # Not the working folder first: an editable installation has its metadata there.
+    other = {"PYTHONPATH": f"{metadata.parents[1]}:{root}", "PYTHONSAFEPATH": "1"}
     system = System(tmp_path, str(tmp_path / "logs"), env=other)
     try:
         system.router.start()

@@ -50,6 +50,8 @@ class NetworkEntry(BaseModel):
     def _is_possible(self) -> Self:
         if all(meaning.ignored for meaning in self.classes):
             raise ValueError("every class is ignored")
+        if not any(meaning.movable or meaning.moving for meaning in self.classes):
+            raise ValueError("no class is movable or moving: nothing could ever contradict")
         if self.residual is not None and self.input == "points":
             raise ValueError("residual images belong to range images, not to points")
         return self
@@ -93,14 +95,23 @@ class Adapter(BaseModel):
                 names file and entry.
         """
         try:
-            return cls.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+            said = tomllib.loads(path.read_text(encoding="utf-8"))
+            if isinstance(said.get("profile"), str):
+                path = path.parent / said["profile"]
+                said |= {"profile": tomllib.loads(path.read_text(encoding="utf-8"))["profile"]}
+            return cls.model_validate(said)
         except OSError as error:
             raise WeightsUnusableError(
                 f"cannot read the adapter of your own model: {error.strerror} ({path})"
             ) from error
+        except KeyError:
+            raise WeightsUnusableError(
+                f"profile: a file that `counterpoint calibrate sensor` wrote is needed ({path})"
+            ) from None
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise WeightsUnusableError(f"the adapter is no TOML: {error} ({path})") from error
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(map(str, first["loc"])) or "the adapter"
-            raise WeightsUnusableError(f"{where}: {first['msg']} ({path})") from error
+            what = first["msg"].removeprefix("Value error, ")
+            raise WeightsUnusableError(f"{where}: {what} ({path})") from error

@@ -13,7 +13,7 @@ from workers.supervised.adapter import Adapter, NetworkEntry
 from workers.supervised.classes import ClassMeaning
 from workers.supervised.point_stream import PointStream
 from workers.supervised.residual_image import ResidualSettings
-from workers.supervised.runtimes import open_network
+from workers.supervised.runtimes import open_network, stored_bytes
 from workers.supervised.stream import RangeImageStream
 
 
@@ -33,7 +33,7 @@ class OwnNetwork:
         self._entry, self._profile = entry, profile
         self._path = folder / entry.file
         self._run = open_network(self._path, output=entry.output)
-        said = self._path.read_bytes() + entry.model_dump_json().encode()
+        said = stored_bytes(self._path) + entry.model_dump_json().encode()
         self.digest = hashlib.sha256(said + repr(profile).encode()).hexdigest()
         count = len(entry.channels) + (len(entry.residual.ages_s) if entry.residual else 0)
         trial = (17, count) if profile is None else (count, profile.rows, profile.columns)
@@ -94,6 +94,12 @@ class OwnNetwork:
         if not np.isfinite(scores).all():
             raise WeightsUnusableError(f"the network gives NaN or infinite scores ({self._path})")
         scores = scores if is_image else np.ascontiguousarray(scores.T)
+        if self._entry.answer == "probabilities" and not _are_shares(scores):
+            raise WeightsUnusableError(
+                "the network gives numbers that are no probabilities: they leave 0 to 1, or do not "
+                'add up to 1; if they are scores, the adapter says answer = "logits" '
+                f"({self._path})"
+            )
         return _softmax(scores) if self._entry.answer == "logits" else scores
 
     def _certain(self, numbers: NDArray[Any]) -> NDArray[np.float32]:
@@ -104,6 +110,12 @@ class OwnNetwork:
                 f"({self._path})"
             )
         return np.stack([(numbers == number).astype(np.float32) for number in range(classes)])
+
+
+def _are_shares(scores: NDArray[np.float32]) -> bool:
+    low, high = (scores.min(), scores.max()) if scores.size else (0.0, 1.0)
+    sums = scores.sum(axis=0)
+    return bool(low > -0.01 and high < 1.01 and (np.abs(sums - 1) < 0.05).all())
 
 
 def _softmax(scores: NDArray[np.float32]) -> NDArray[np.float32]:

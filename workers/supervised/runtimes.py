@@ -1,5 +1,6 @@
 """Networks that their owner exported, ONNX, TorchScript or torch.export, run on one core."""
 
+import re
 import warnings
 import zipfile
 from collections.abc import Callable
@@ -41,7 +42,35 @@ def open_network(path: Path, *, output: str = "") -> Run:
         ) from None
     if not path.is_file():
         raise WeightsUnusableError(f"no such file: the adapter's network must lie there ({path})")
+    stored_bytes(path)
     return opens(path, output)
+
+
+def stored_bytes(path: Path) -> bytes:
+    """Return all bytes of a network, those that an ONNX file keeps in files beside it as well.
+
+    Raises:
+        WeightsUnusableError: If one of those is missing.
+    """
+    stored = path.read_bytes()
+    if path.suffix != ".onnx":
+        return stored
+    names = {
+        stored[found.end() : found.end() + found[1][0]].decode(errors="replace")
+        for found in _EXTERNAL.finditer(stored)
+    }
+    for name in sorted(names):
+        try:
+            stored += (path.parent / name).read_bytes()
+        except OSError as error:
+            raise WeightsUnusableError(
+                f"the network keeps its weights in {name}: that file must lie beside it ({path})"
+            ) from error
+    return stored
+
+
+_EXTERNAL: Final = re.compile(rb"\x0a\x08location\x12([\x01-\x7f])")
+"""Before the name of a file in ONNX's protobuf: the key `location`, then the length of the name."""
 
 
 def _open_onnx(path: Path, output: str) -> Run:

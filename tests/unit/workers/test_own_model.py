@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnx
 import pytest
 import torch
 from torch import nn
@@ -13,7 +14,9 @@ from torch import nn
 from schemas.arrays import NS_PER_S
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.labels import FrameLabels, MotionLabel
+from workers.calibration.sensor_profile import write_profile
 from workers.checkpoints.errors import WeightsUnusableError
+from workers.errors import UnknownPartError
 from workers.geometry.range_image import SensorProfile, project
 from workers.registry import PartFiles, build_parts
 from workers.supervised.networks import RangeImageNetwork
@@ -278,11 +281,50 @@ def test_what_is_in_the_model_makes_the_version_and_not_where_it_lies(tmp_path: 
     assert versions[0] == versions[1] != versions[2]
 
 
+def test_weights_that_onnx_keeps_in_a_file_of_their_own_count(tmp_path: Path) -> None:
+    versions = []
+    for folder, score in (("a", 1.0), ("b", 2.0)):
+        (tmp_path / folder).mkdir()
+        adapter = _small(tmp_path / folder, _Fixed(0.0, score))
+        net = tmp_path / folder / "net.onnx"
+        model = onnx.load(net)
+        onnx.save(model, net, save_as_external_data=True, location="net.data", size_threshold=0)
+        versions.append((open_own_model(adapter).version, net.read_bytes()))
+    assert versions[0][1] == versions[1][1]
+    assert versions[0][0] != versions[1][0]
+    (tmp_path / "b" / "net.data").unlink()
+    with pytest.raises(WeightsUnusableError, match=r"keeps its weights in net\.data"):
+        open_own_model(tmp_path / "b" / "adapter.toml")
+
+
+def test_a_profile_may_be_the_file_that_was_measured(tmp_path: Path) -> None:
+    adapter = _small(tmp_path, _Fixed(0.0, 3.0))
+    write_profile(tmp_path / "lidar.toml", SMALL)
+    before = open_own_model(adapter).version
+    lines = adapter.read_text().splitlines()
+    lines = ['profile = "lidar.toml"' if line.startswith("profile") else line for line in lines]
+    adapter.write_text("\n".join(lines))
+    assert open_own_model(adapter).version == before
+
+
+def test_a_model_that_nobody_would_run_is_refused(tmp_path: Path) -> None:
+    adapter = _small(tmp_path, _Fixed(0.0, 3.0))
+    with pytest.raises(UnknownPartError, match="choose it with --supervised own"):
+        build_parts(
+            odometry="kiss-icp",
+            supervised="salsanext-lmnet",
+            selfsupervised="registration",
+            files=PartFiles(model=str(adapter)),
+        )
+
+
 @pytest.mark.parametrize(
     ("net", "more", "words"),
     [
         (_Fixed(0.0, 1.0, 2.0), {}, r"gives \(1, 3, 16, 64\).*2 classes are \(1, 2, 16, 64\)"),
         (_Fixed(0.0, float("nan")), {}, "NaN or infinite"),
+        (_Fixed(0.0, 3.0), {"answer": "probabilities"}, 'no probabilities.*answer = "logits"'),
+        (_Fixed(0.0, 1.0), {"classes": [{"name": "a"}, {"name": "b"}]}, "nothing could ever"),
         (SalsaNext(in_channels=5, classes=2, width=4), {"channels": ["x"]}, "fails on an input"),
         (_Fixed(0.0, 1.0), {"output": "other"}, "no output 'other': name one of scores"),
         (_Fixed(0.0, 1.0), {"file": "absent.onnx"}, "no such file"),

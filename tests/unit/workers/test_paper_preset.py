@@ -159,6 +159,13 @@ def test_the_parts_of_the_paper_need_weights_that_do_not_ship(weights: Path) -> 
         build_selfsupervised("paper")
     with pytest.raises(UnknownPartError, match="odometry delora needs weights"):
         build_odometry("delora")
+    with pytest.raises(UnknownPartError, match="lacks salsanext, lmnet, gndnet, flowstep3d, which"):
+        build_parts(
+            odometry="kiss-icp",
+            supervised="salsanext-lmnet:published",
+            selfsupervised="paper",
+            files=PartFiles(weights=str(SHIPPED.parent)),
+        )
     parts = build_parts(
         odometry="delora",
         supervised="salsanext-lmnet:published",
