@@ -137,7 +137,8 @@ def test_a_profile_is_read_back_from_json_and_by_an_adapter(tmp_path: Path) -> N
     write_profile(tmp_path / "hall.toml", profile)
     written = (tmp_path / "hall.toml").read_text()
     assert tomllib.loads(written)["profile"]["rows"] == 16
-    entry = 'name = "mine"\n[semantic]\nfile = "net.onnx"\nclasses = [{ name = "car", movable = true }]\n'
+    classes = '[{ name = "car", movable = true }]'
+    entry = f'name = "mine"\n[semantic]\nfile = "net.onnx"\nclasses = {classes}\n'
     (tmp_path / "adapter.toml").write_text(entry + written)
     assert Adapter.read(tmp_path / "adapter.toml").image == profile
 
