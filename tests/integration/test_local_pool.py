@@ -104,6 +104,7 @@ def test_workers_are_replaced_and_counted_although_the_folder_of_metrics_is_take
         until(lambda: counted(pool, "plans_total", outcome="refused") == 1, "a plan that counts")
         shutil.rmtree(folder)
         until(lambda: len(list(folder.glob("*.db"))) > 0, "files made again without a death")
+        until(lambda: sum("were removed" in each["event"] for each in said) > 1, "said again")
     removed = [each for each in said if "were removed" in each["event"]]
     assert [each["folder"] for each in removed] == [str(folder)] * 2
     assert counted(pool, "restarts_total", cause="crashed") == 1
