@@ -12,7 +12,7 @@ from schemas.frame import LidarFrame, PosedFrame
 from workers.checkpoints.stored import Stored
 from workers.geometry.range_image import SensorProfile, project
 from workers.selfsupervised.delora import DeLORA
-from workers.selfsupervised.versions import version_of
+from workers.selfsupervised.versions import release, version_of
 from workers.selfsupervised.weights import DeLORACard, load_delora
 
 
@@ -49,8 +49,7 @@ class DeLORAOdometry:
     @property
     def version(self) -> str:
         """`delora@digest` of code, libraries and weights."""
-        torch_version = torch.__version__.partition("+")[0]
-        return version_of("delora", f"{self._weights.digest} torch=={torch_version}")
+        return version_of("delora", f"{self._weights.digest} torch=={release('torch')}")
 
     def __call__(self, frames: Iterable[LidarFrame]) -> Iterator[PosedFrame]:
         """Yield each frame with its pose, in order; the first is the origin."""

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Self
+from typing import Self
 
 import numpy as np
 import torch
@@ -27,16 +27,13 @@ from workers.selfsupervised.history import MAX_GAP_NS
 from workers.selfsupervised.object_flow import flow_ends
 from workers.selfsupervised.paper_view import Compared, PaperView
 from workers.selfsupervised.two_stage_clustering import PAPER, TwoStageResult, two_stage
-from workers.selfsupervised.versions import version_of
+from workers.selfsupervised.versions import release, version_of
 from workers.selfsupervised.weights import (
     FlowStep3DCard,
     GndNetCard,
     load_flowstep3d,
     load_gndnet,
 )
-
-NEEDED: Final = ("gndnet", "flowstep3d")
-"""Names of the weights in the folder."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +70,8 @@ class PaperChain:
         self, gndnet: Stored[GndNet, GndNetCard], flowstep3d: Stored[FlowStep3D, FlowStep3DCard]
     ) -> None:
         self.view = PaperView(gndnet)
-        self._gndnet, self._flowstep3d = gndnet, flowstep3d
+        self._flowstep3d = flowstep3d
+        self._weights = f"{gndnet.digest} {flowstep3d.digest}"
 
     @classmethod
     def load(cls, folder: Path) -> Self:
@@ -90,9 +88,7 @@ class PaperChain:
     @property
     def version(self) -> str:
         """`paper@digest` of code, libraries and weights."""
-        torch_version = torch.__version__.partition("+")[0]
-        digests = f"{self._gndnet.digest} {self._flowstep3d.digest}"
-        return version_of("paper", f"{digests} torch=={torch_version}")
+        return version_of("paper", f"{self._weights} torch=={release('torch')}")
 
     @property
     def class_names(self) -> tuple[str, ...]:

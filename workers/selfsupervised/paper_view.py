@@ -50,7 +50,8 @@ class PaperView:
     """
 
     def __init__(self, gndnet: Stored[GndNet, GndNetCard]) -> None:
-        self._gndnet = gndnet
+        self._height_m = gndnet.card.sensor_height_m
+        self._net = gndnet.net.double()
 
     def compared(self, frame: LidarFrame) -> Compared:
         """Find what of a frame is compared.
@@ -66,11 +67,10 @@ class PaperView:
             )
         valid = np.flatnonzero(frame.valid_mask)
         points_m = frame.points_m[valid]
-        height_m = self._gndnet.card.sensor_height_m
         ground = ground_labels(
             points_m,
             self.elevation(points_m, frame.intensity[valid]),
-            lidar_height_m=height_m,
+            lidar_height_m=self._height_m,
             form=Form.PAPER,
         )
         kept = camera_filter(points_m, ground, calibration, form=Form.PAPER).kept
@@ -87,10 +87,10 @@ class PaperView:
         In double precision: normalised by the statistics of one cloud, single precision differs by
         7 cm between processors.
         """
-        cut = pillars(points_m, intensity, lidar_height_m=self._gndnet.card.sensor_height_m)
+        cut = pillars(points_m, intensity, lidar_height_m=self._height_m)
         with torch.inference_mode():
             answer: NDArray[np.float32] = (
-                self._gndnet.net.double()(
+                self._net(
                     torch.from_numpy(cut.points).double(),
                     torch.from_numpy(cut.counts.astype(np.int64)),
                     torch.from_numpy(cut.coordinates_zyx.astype(np.int64)),

@@ -11,6 +11,11 @@ LIBRARIES: Final = ("kiss-icp", "numba", "numpy", "pypatchworkpp", "scikit-learn
 PACKAGES: Final = ("workers.geometry", "workers.selfsupervised")
 
 
+def release(library: str) -> str:
+    """Version of an installed library, without the `+cpu` of its build."""
+    return metadata.version(library).partition("+")[0]
+
+
 @cache
 def version_of(name: str, settings: str = "") -> str:
     """Name a part by all that changes its output.

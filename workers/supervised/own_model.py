@@ -13,7 +13,7 @@ from workers.supervised.adapter import Adapter, NetworkEntry
 from workers.supervised.classes import ClassMeaning
 from workers.supervised.point_stream import PointStream
 from workers.supervised.residual_image import ResidualSettings
-from workers.supervised.runtimes import open_network, stored_bytes
+from workers.supervised.runtimes import open_network
 from workers.supervised.stream import RangeImageStream
 
 
@@ -32,8 +32,8 @@ class OwnNetwork:
     def __init__(self, entry: NetworkEntry, folder: Path, profile: SensorProfile | None) -> None:
         self._entry, self._profile = entry, profile
         self._path = folder / entry.file
-        self._run = open_network(self._path, output=entry.output)
-        said = stored_bytes(self._path) + entry.model_dump_json().encode()
+        self._run, stored = open_network(self._path, output=entry.output)
+        said = stored + entry.model_dump_json().encode()
         self.digest = hashlib.sha256(said + repr(profile).encode()).hexdigest()
         count = len(entry.channels) + (len(entry.residual.ages_s) if entry.residual else 0)
         trial = (17, count) if profile is None else (count, profile.rows, profile.columns)

@@ -17,7 +17,7 @@ Run = Callable[[NDArray[np.float32]], NDArray[Any]]
 """A network: one array in, one array out."""
 
 
-def open_network(path: Path, *, output: str = "") -> Run:
+def open_network(path: Path, *, output: str = "") -> tuple[Run, bytes]:
     """Open an exported network.
 
     Args:
@@ -27,7 +27,7 @@ def open_network(path: Path, *, output: str = "") -> Run:
             network returns; empty if there is only one.
 
     Returns:
-        The network.
+        The network, and all bytes that it is stored in.
 
     Raises:
         WeightsUnusableError: If the file cannot be read, is of another kind than its suffix says,
@@ -42,16 +42,12 @@ def open_network(path: Path, *, output: str = "") -> Run:
         ) from None
     if not path.is_file():
         raise WeightsUnusableError(f"no such file: the adapter's network must lie there ({path})")
-    stored_bytes(path)
-    return opens(path, output)
+    stored = _stored_bytes(path)
+    return opens(path, output), stored
 
 
-def stored_bytes(path: Path) -> bytes:
-    """Return all bytes of a network, those that an ONNX file keeps in files beside it as well.
-
-    Raises:
-        WeightsUnusableError: If one of those is missing.
-    """
+def _stored_bytes(path: Path) -> bytes:
+    """Return the file's bytes, and those that an ONNX file keeps in files beside it."""
     stored = path.read_bytes()
     if path.suffix != ".onnx":
         return stored
