@@ -9,7 +9,8 @@ import numpy as np
 from schemas.bucket import Bucket
 from schemas.frame import LidarFrame
 from schemas.work import Recording, Shard
-from workers.geometry.range_image import image_channels, project
+from workers.geometry.range_image import CHANNELS, image_channels, project
+from workers.geometry.sensor_rows import lay_out
 from workers.ingest.chunk import messages_in, open_chunk
 from workers.ingest.part import PartReader
 from workers.ingest.topics import ids_in
@@ -81,9 +82,10 @@ def networks_ms(frames: Sequence[LidarFrame]) -> Iterator[float]:
     motion = load_weights(SHIPPED / "lmnet.safetensors")
     past = len(motion.card.residual.ages_s) if motion.card.residual is not None else 0
     for frame in frames:
-        profile = semantic.card.profile
+        profile = lay_out(semantic.card.profile, frame)
         image = project(frame.points_m, profile, valid_mask=frame.valid_mask)
         channels = image_channels(image, frame.points_m, frame.intensity, profile)
+        channels = channels[[CHANNELS.index(each) for each in semantic.channels]]
         residuals = np.zeros((past, *channels.shape[1:]), dtype=np.float32)
         inputs = [_tensor(channels), _tensor(np.concatenate((channels, residuals)))]
         started = perf_counter()

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from schemas.arrays import Mask, Points
 from workers.geometry.form import Form
 
-CHANNELS: Final = ("range", "x", "y", "z", "intensity")
+Channel = Literal["range", "x", "y", "z", "intensity"]
+
+CHANNELS: Final[tuple[Channel, ...]] = ("range", "x", "y", "z", "intensity")
 """What a network sees in each pixel, in the published order (SalsaNext, LiDAR-MOS)."""
 
 
@@ -30,6 +32,9 @@ class SensorProfile:
             code does; otherwise they stay unprojected.
         means: Mean of range, x, y, z (metres) and intensity (0 to 1) over the training frames.
         stds: Their standard deviations.
+        fitted: Rows, field of view and elevations are those of whatever sensor a log is from, and
+            are measured in its first frame (`sensor_rows.lay_out`); `rows` is the most there may
+            be. The network was taught with several sensors.
 
     Raises:
         ValueError: If the numbers contradict each other.
@@ -44,6 +49,7 @@ class SensorProfile:
     clamp: bool = False
     means: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
     stds: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0, 1.0)
+    fitted: bool = False
 
     def __post_init__(self) -> None:
         """Refuse a profile that no image can have."""
@@ -69,6 +75,7 @@ class SensorProfile:
             self.fov_down_deg,
             self.elevations_deg,
             self.clamp,
+            self.fitted,
         )
 
     @cached_property

@@ -10,13 +10,11 @@ from typing import Final, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from workers.checkpoints.errors import WeightsUnusableError
-from workers.geometry.range_image import CHANNELS, SensorProfile
+from workers.geometry.range_image import CHANNELS, Channel, SensorProfile
 from workers.supervised.classes import ClassMeaning
 from workers.supervised.residual_image import ResidualSettings
 
 _STRICT: Final = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-Channel = Literal["range", "x", "y", "z", "intensity"]
 
 
 class NetworkEntry(BaseModel):

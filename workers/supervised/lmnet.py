@@ -19,14 +19,22 @@ class LMNet(SalsaNext):
     """SalsaNext over a range image and its residuals against past frames.
 
     Args:
+        measured: How many channels of the current frame it sees.
         residuals: How many past frames are compared; 8 in the paper, 1 in its small variant.
         width: Channels of the first stage; 32 as published.
         dropout: Share of channels dropped in training; 0.2 as published.
     """
 
-    def __init__(self, *, residuals: int = 8, width: int = 32, dropout: float = 0.2) -> None:
+    def __init__(
+        self,
+        *,
+        measured: int = len(CHANNELS),
+        residuals: int = 8,
+        width: int = 32,
+        dropout: float = 0.2,
+    ) -> None:
         super().__init__(
-            in_channels=len(CHANNELS) + residuals,
+            in_channels=measured + residuals,
             classes=len(MOTION_CLASSES),
             width=width,
             dropout=dropout,

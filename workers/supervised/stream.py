@@ -14,7 +14,14 @@ from schemas.frame import OdometryState, PosedFrame
 from schemas.labels import FrameLabels
 from workers.checkpoints.errors import WeightsUnusableError
 from workers.geometry.form import Form
-from workers.geometry.range_image import CHANNELS, RangeImage, image_channels, project
+from workers.geometry.range_image import (
+    CHANNELS,
+    RangeImage,
+    SensorProfile,
+    image_channels,
+    project,
+)
+from workers.geometry.sensor_rows import lay_out
 from workers.supervised.classes import ClassSet
 from workers.supervised.fusion import Fusion
 from workers.supervised.networks import RangeImageNetwork
@@ -125,22 +132,28 @@ class RangeImageStream:
         the pose, not motion.
         """
         torch.set_num_threads(1)  # a worker owns one core, and sums keep their order
-        pasts = self._pasts()
+        layout = self._profile
+        pasts = self._pasts(layout)
         for posed in frames:
+            if layout.fitted:
+                layout = lay_out(layout, posed.frame)
+                pasts = self._pasts(layout)
             if posed.odometry is OdometryState.LOST:
-                pasts = self._pasts()
-            yield self._label(posed, pasts)
+                pasts = self._pasts(layout)
+            yield self._label(posed, layout, pasts)
 
-    def _pasts(self) -> list[Past | None]:
+    def _pasts(self, layout: SensorProfile) -> list[Past | None]:
         history = PaperResiduals if self._form is Form.PAPER else ResidualHistory
         return [
-            history(self._profile, network.residual) if network.residual else None
+            history(layout, network.residual) if network.residual else None
             for network in self._networks
         ]
 
-    def _label(self, posed: PosedFrame, pasts: Sequence[Past | None]) -> FrameLabels:
+    def _label(
+        self, posed: PosedFrame, layout: SensorProfile, pasts: Sequence[Past | None]
+    ) -> FrameLabels:
         frame = posed.frame
-        image = project(frame.points_m, self._profile, valid_mask=frame.valid_mask, form=self._form)
+        image = project(frame.points_m, layout, valid_mask=frame.valid_mask, form=self._form)
         measured = {
             profile: image_channels(image, frame.points_m, frame.intensity, profile)
             for profile in {network.profile: None for network in self._networks}

@@ -10,7 +10,7 @@ from pydantic import Field
 from workers.checkpoints import stored
 from workers.checkpoints.errors import WeightsUnusableError
 from workers.checkpoints.stored import Card
-from workers.geometry.range_image import CHANNELS, SensorProfile
+from workers.geometry.range_image import CHANNELS, Channel, SensorProfile
 from workers.supervised.classes import ClassMeaning
 from workers.supervised.folded import FoldedSalsaNext
 from workers.supervised.lmnet import MOVING, LMNet
@@ -26,6 +26,11 @@ class WeightsCard(Card):
     classes: tuple[ClassMeaning, ...] = Field(min_length=2, description="In the order of outputs.")
     width: int = Field(ge=4, multiple_of=4, description="Channels of the first stage.")
     profile: SensorProfile = Field(description="Layout and normalisation of the range image.")
+    channels: tuple[Channel, ...] = Field(
+        default=CHANNELS,
+        min_length=1,
+        description="Which measurements the network sees, in this order.",
+    )
     residual: ResidualSettings | None = Field(default=None, description="LMNet's past frames.")
 
     def build(self) -> SalsaNext:
@@ -39,8 +44,12 @@ class WeightsCard(Card):
                 f"weights of {self.network} must name residuals if and only if it is lmnet"
             )
         if self.residual is None:
-            return SalsaNext(classes=len(self.classes), width=self.width)
-        net = LMNet(residuals=len(self.residual.ages_s), width=self.width)
+            return SalsaNext(
+                in_channels=len(self.channels), classes=len(self.classes), width=self.width
+            )
+        net = LMNet(
+            measured=len(self.channels), residuals=len(self.residual.ages_s), width=self.width
+        )
         if len(self.classes) != net.logits.out_channels:
             raise WeightsUnusableError(
                 f"lmnet has {net.logits.out_channels} classes, its weights name {len(self.classes)}"
@@ -57,8 +66,6 @@ class LoadedWeights:
         digest: Hex sha256 of both files' bytes.
     """
 
-    channels = CHANNELS
-
     def __init__(
         self, net: SalsaNext, card: WeightsCard, digest: str, *, folded: bool = False
     ) -> None:
@@ -70,6 +77,11 @@ class LoadedWeights:
     def profile(self) -> SensorProfile:
         """Layout and normalisation of the image."""
         return self.card.profile
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Which measurements it sees, in this order."""
+        return self.card.channels
 
     @property
     def residual(self) -> ResidualSettings | None:
