@@ -1,11 +1,12 @@
 """Random changes to training images that a network must not mind."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.geometry.range_image import SensorProfile
+from workers.geometry.range_image import CHANNELS, Channel, SensorProfile
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,17 +74,21 @@ def augment(sample: Sample, rng: np.random.Generator, *, columns: int) -> Sample
     return Sample(channels, residuals, seen, labels)
 
 
-def network_input(sample: Sample, profile: SensorProfile) -> NDArray[np.float32]:
+def network_input(
+    sample: Sample, profile: SensorProfile, channels: Sequence[Channel] = CHANNELS
+) -> NDArray[np.float32]:
     """Normalise a sample as the stream does: residuals as they are, empty pixels zero.
 
     Args:
         sample: Raw image.
         profile: Means and standard deviations.
+        channels: Which measurements the network sees.
 
     Returns:
-        (5 + K, H, W) float32.
+        (C + K, H, W) float32.
     """
     means = np.asarray(profile.means, dtype=np.float32)[:, None, None]
     stds = np.asarray(profile.stds, dtype=np.float32)[:, None, None]
-    stacked = np.concatenate([(sample.channels - means) / stds, sample.residuals])
+    seen = [CHANNELS.index(channel) for channel in channels]
+    stacked = np.concatenate([((sample.channels - means) / stds)[seen], sample.residuals])
     return (stacked * sample.seen_mask).astype(np.float32)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from schemas.arrays import NS_PER_S, Points, Transform
+from schemas.frame import LidarFrame
 from workers.geometry.range_image import CHANNELS, RangeImage, SensorProfile, project
 from workers.geometry.se3 import inverse, transform
 from workers.supervised.residual_image import ResidualSettings, residual_image
@@ -18,17 +19,13 @@ class Cloud:
     """One frame with its truth.
 
     Attributes:
-        stamp_ns: Start of the sweep, nanoseconds since the Unix epoch.
-        points_m: (N, 3) sensor space, metres.
-        intensity: (N,) 0 to 1.
+        frame: As a worker decodes it.
         semantic: (N,) class, 0 where unlabelled.
         motion: (N,) 0 unknown, 1 static, 2 moving, as LMNet's classes.
         world_from_sensor: (4, 4) true pose at the middle of the sweep.
     """
 
-    stamp_ns: int
-    points_m: Points
-    intensity: NDArray[np.float32]
+    frame: LidarFrame
     semantic: NDArray[np.uint8]
     motion: NDArray[np.uint8]
     world_from_sensor: Transform
@@ -87,7 +84,10 @@ def build_images(
         Images of all frames.
     """
     wanted = range(len(clouds)) if only is None else only
-    images = [project(cloud.points_m, profile) for cloud in clouds]
+    images = [
+        project(cloud.frame.points_m, profile, valid_mask=cloud.frame.valid_mask)
+        for cloud in clouds
+    ]
     size = (profile.rows, profile.columns)
     channels = np.zeros((len(wanted), len(CHANNELS), *size), dtype=np.float32)
     semantic = np.zeros((len(wanted), *size), dtype=np.uint8)
@@ -100,13 +100,19 @@ def build_images(
         seen = image.index >= 0
         shown = image.index[seen]
         channels[number][:, seen] = np.stack(
-            [image.point_range_m[shown], *cloud.points_m[shown].T, cloud.intensity[shown]]
+            [
+                image.point_range_m[shown],
+                *cloud.frame.points_m[shown].T,
+                cloud.frame.intensity[shown],
+            ]
         )
         semantic[number][seen] = cloud.semantic[shown]
         motion[number][seen] = cloud.motion[shown]
         for variant, speed in enumerate(variants):
             for age, age_s in enumerate(settings.ages_s):
-                other = _at(clouds, cloud.stamp_ns - speed * round(age_s * NS_PER_S), settings)
+                other = _at(
+                    clouds, cloud.frame.stamp_ns - speed * round(age_s * NS_PER_S), settings
+                )
                 if other is None:
                     continue
                 error = _pose_error(rng, noise_m=noise_m, noise_deg=noise_deg)
@@ -124,7 +130,9 @@ def _speeds_m_per_s(clouds: Sequence[Cloud]) -> NDArray[np.float64]:
     """Speed of the car at each frame, by differences of the true positions."""
     if len(clouds) == 1:
         return np.zeros(1)
-    times_s = np.array([cloud.stamp_ns - clouds[0].stamp_ns for cloud in clouds]) / NS_PER_S
+    times_s = (
+        np.array([cloud.frame.stamp_ns - clouds[0].frame.stamp_ns for cloud in clouds]) / NS_PER_S
+    )
     positions_m = np.stack([cloud.world_from_sensor[:3, 3] for cloud in clouds])
     speeds: NDArray[np.float64] = np.linalg.norm(np.gradient(positions_m, times_s, axis=0), axis=1)
     return speeds
@@ -132,12 +140,12 @@ def _speeds_m_per_s(clouds: Sequence[Cloud]) -> NDArray[np.float64]:
 
 def _visible(cloud: Cloud, image: RangeImage) -> Points:
     """Points that the image shows, as the stream remembers them."""
-    return cloud.points_m[image.index[image.index >= 0]]
+    return cloud.frame.points_m[image.index[image.index >= 0]]
 
 
 def _at(clouds: Sequence[Cloud], time_ns: int, settings: ResidualSettings) -> int | None:
     """Index of the frame nearest to a time, if near enough."""
-    distances = [abs(cloud.stamp_ns - time_ns) for cloud in clouds]
+    distances = [abs(cloud.frame.stamp_ns - time_ns) for cloud in clouds]
     nearest = int(np.argmin(distances))
     return nearest if distances[nearest] <= settings.tolerance_s * NS_PER_S else None
 

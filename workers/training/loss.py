@@ -1,6 +1,8 @@
 """The published loss of SalsaNext and LMNet: weighted log loss plus Lovász-softmax."""
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
@@ -8,19 +10,19 @@ IGNORED = 0
 """Class of pixels that nothing is learnt from: unlabelled or empty."""
 
 
-def class_weights(labels: Tensor, *, classes: int, balance: float = 1.0) -> Tensor:
+def class_weights(drawn: NDArray[np.floating], *, balance: float = 1.0) -> Tensor:
     """Weight rare classes up: ``1 / (share + 0.001)``, nothing for the ignored class.
 
     Args:
-        labels: Any shape, int64, classes of all training pixels.
-        classes: How many classes there are.
+        drawn: (classes,) how often each is drawn, or a number in proportion.
         balance: Exponent of the weights: 1 as published, 0 for none. With few frames the published
             ones make a small network see pedestrians everywhere.
 
     Returns:
         (classes,) float32.
     """
-    counts = torch.bincount(labels[labels != IGNORED], minlength=classes).double()
+    counts = torch.tensor(drawn, dtype=torch.float64)
+    counts[IGNORED] = 0
     weights = (1 / (counts / counts.sum() + 0.001)) ** balance
     weights[IGNORED] = 0
     return weights.float()

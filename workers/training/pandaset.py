@@ -16,23 +16,8 @@ from schemas.work import Grid, MiningSettings
 from workers.errors import LogUnusableError
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard
+from workers.training.classes import CLASSES
 from workers.training.images import Cloud
-
-CLASSES: Final[tuple[tuple[str, bool], ...]] = (
-    ("unlabeled", False),
-    ("car", True),
-    ("large_vehicle", True),
-    ("two_wheeler", True),
-    ("pedestrian", True),
-    ("road", False),
-    ("sidewalk", False),
-    ("other_ground", False),
-    ("vegetation", False),
-    ("building", False),
-    ("traffic_facility", False),
-    ("other_static", False),
-)
-"""Name and whether it can move by itself; coarse, so that other data sets map onto it too."""
 
 _PANDASET_IDS: Final[Mapping[str, tuple[int, ...]]] = {
     "car": (13, 14),
@@ -48,30 +33,6 @@ _PANDASET_IDS: Final[Mapping[str, tuple[int, ...]]] = {
     "other_static": (40, 42),
 }
 """PandaSet's ids of each class; noise (1 to 4) and animals (32, 33) stay unlabelled."""
-
-PANDAR64_DEG: Final = (
-    *(14.87, 11.02, 8.05, 5.05, 3.03, 2.02, 1.85, 1.68, 1.51, 1.34, 1.17, 1.0, 0.83, 0.66, 0.5),
-    *(0.33, 0.16, -0.01, -0.18, -0.35, -0.52, -0.69, -0.86, -1.02, -1.2, -1.36, -1.53, -1.7, -1.87),
-    *(-2.04, -2.21, -2.38, -2.55, -2.71, -2.88, -3.05, -3.22, -3.39, -3.56, -3.72, -3.9, -4.06),
-    *(
-        -4.23,
-        -4.4,
-        -4.57,
-        -4.73,
-        -4.9,
-        -5.07,
-        -5.24,
-        -5.4,
-        -5.58,
-        -5.74,
-        -5.91,
-        -6.07,
-        -7.07,
-        -8.07,
-    ),
-    *(-9.07, -9.9, -11.04, -12.02, -12.99, -13.94, -18.91, -24.91),
-)
-"""Elevation of each beam of a Hesai Pandar64: median over the rings of four frames of the log."""
 
 SWEEP_S: Final = 0.1029
 """How long one revolution takes."""
@@ -103,9 +64,7 @@ def read_clouds(log: Path, truth: Path, frames: range) -> Iterator[Cloud]:
         own = labels["ego"] == 1
         middle_ns = frame.stamp_ns + round(SWEEP_S / 2 * NS_PER_S)
         yield Cloud(
-            stamp_ns=frame.stamp_ns,
-            points_m=frame.points_m,
-            intensity=frame.intensity,
+            frame,
             semantic=np.where(own, np.uint8(0), class_of[labels["semantic"]]),
             motion=np.where(own, np.uint8(0), labels["motion"]),
             world_from_sensor=_pose_at(middle_ns, times_ns, at_reference),

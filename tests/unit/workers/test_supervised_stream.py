@@ -1,4 +1,3 @@
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +19,8 @@ from workers.supervised.weights import (
     load_weights,
     save_weights,
 )
-from workers.training.images import Cloud
-from workers.training.pandaset import CLASSES, read_clouds
+from workers.training.classes import CLASSES
+from workers.training.pandaset import read_clouds
 
 PROFILE = SensorProfile(name="test", rows=16, columns=64, fov_up_deg=10, fov_down_deg=-20)
 SEMANTIC = WeightsCard(
@@ -216,7 +215,11 @@ def test_the_shipped_weights_fit_the_scene_they_were_made_from(reference: Path) 
         if movable and stream.class_names[index] == CLASSES[index][0]
     ]
     movable_hits, dynamic_hits = np.zeros(2), np.zeros(2)
-    for cloud, answer in zip(clouds, stream(_posed(clouds)), strict=True):
+    for cloud, answer in zip(
+        clouds,
+        stream([PosedFrame(each.frame, each.world_from_sensor) for each in clouds]),
+        strict=True,
+    ):
         assert answer.class_id is not None
         labelled = cloud.semantic > 0
         found, true = (np.isin(ids, movable_classes) for ids in (answer.class_id, cloud.semantic))
@@ -226,18 +229,3 @@ def test_the_shipped_weights_fit_the_scene_they_were_made_from(reference: Path) 
         dynamic_hits += ((found & true)[known].sum(), (found | true)[known].sum())
     assert movable_hits[0] / movable_hits[1] > 0.80
     assert dynamic_hits[0] / dynamic_hits[1] > 0.50
-
-
-def _posed(clouds: list[Cloud]) -> Iterator[PosedFrame]:
-    for cloud in clouds:
-        n = len(cloud.points_m)
-        frame = LidarFrame(
-            log_id="pandaset",
-            stamp_ns=cloud.stamp_ns,
-            points_m=cloud.points_m,
-            intensity=cloud.intensity,
-            offset_ns=np.zeros(n, dtype=np.int32),
-            ring=np.full(n, -1, dtype=np.int16),
-            valid_mask=np.ones(n, dtype=np.bool_),
-        )
-        yield PosedFrame(frame, cloud.world_from_sensor)

@@ -4,16 +4,21 @@ import numpy as np
 import pytest
 import torch
 
+from tests.factories import frame
 from workers.geometry.range_image import SensorProfile
 from workers.supervised.classes import ClassMeaning
 from workers.supervised.lmnet import MOTION_CLASSES
 from workers.supervised.residual_image import ResidualSettings
 from workers.supervised.weights import WeightsCard, load_weights
 from workers.training.augment import Sample, augment, network_input
-from workers.training.fit import TrainingSettings, train
+from workers.training.classes import CLASSES
+from workers.training.dataset import main as make_images
+from workers.training.fit import Lesson, TrainingSettings, train
 from workers.training.images import Cloud, TrainingImages, build_images
 from workers.training.loss import class_weights, lovasz_softmax
-from workers.training.pandaset import CLASSES, read_clouds
+from workers.training.pandaset import read_clouds
+from workers.training.simulated import street_clouds
+from workers.training.stored_images import join, read_images, write_images
 from workers.training.train import main
 
 PROFILE = SensorProfile(name="test", rows=16, columns=64, fov_up_deg=20, fov_down_deg=-20)
@@ -43,9 +48,7 @@ def _street(frames: int) -> list[Cloud]:
         ]
         clouds.append(
             Cloud(
-                stamp_ns=number * 100_000_000,
-                points_m=np.concatenate(rings).astype(np.float32),
-                intensity=np.full(16 * 400, 0.5, dtype=np.float32),
+                frame(np.concatenate(rings), at_s=number / 10),
                 semantic=np.tile(np.where(thing, 1, 9), 16).astype(np.uint8),
                 motion=np.tile(np.where(thing, 2, 1), 16).astype(np.uint8),
                 world_from_sensor=np.eye(4),
@@ -131,10 +134,11 @@ def test_a_window_is_as_wide_as_asked_and_empty_pixels_are_zero() -> None:
 
 
 def test_rare_classes_weigh_more_and_the_ignored_one_nothing() -> None:
-    labels = torch.tensor([0] * 50 + [1] * 90 + [2] * 10)
-    weights = class_weights(labels, classes=3)
+    drawn = np.array([50.0, 90.0, 10.0])
+    weights = class_weights(drawn)
     torch.testing.assert_close(weights, torch.tensor([0.0, 1 / 0.901, 1 / 0.101]))
-    assert class_weights(labels, classes=3, balance=0.0).tolist() == [0.0, 1.0, 1.0]
+    assert class_weights(drawn, balance=0.0).tolist() == [0.0, 1.0, 1.0]
+    assert drawn.tolist() == [50.0, 90.0, 10.0]
 
 
 def test_nothing_is_lost_where_everything_is_ignored() -> None:
@@ -143,8 +147,9 @@ def test_nothing_is_lost_where_everything_is_ignored() -> None:
 
 
 def _trained(path: Path, seed: int) -> bytes:
-    settings = TrainingSettings(model="lmnet", width=4, steps=3, columns=32, seed=seed)
-    train(_images(), _images(variants=(1,)), CARD, settings, out=path)
+    settings = TrainingSettings(steps=3, columns=32, seed=seed)
+    lessons = [Lesson(_images(), 1.0), Lesson(_images(frames=5), 3.0)]
+    train(lessons, {"held out": _images(variants=(1,))}, CARD, settings, out=path)
     return path.read_bytes()
 
 
@@ -153,7 +158,38 @@ def test_the_same_seed_gives_the_same_weights_and_they_load(tmp_path: Path) -> N
     assert _trained(tmp_path / "two.safetensors", seed=1) == first
     assert _trained(tmp_path / "three.safetensors", seed=2) != first
     card = load_weights(tmp_path / "one.safetensors").card
-    assert set(card.scores) == {"static", "moving"}
+    assert set(card.scores) == {"held out static", "held out moving"}
+
+
+def test_images_of_a_sensor_are_joined_written_and_read_back(tmp_path: Path) -> None:
+    both = join([_images(), _images()])
+    write_images(tmp_path / "wall", both, source={"seeds": "1:3"})
+    images, source = read_images(tmp_path / "wall")
+    assert source == {"seeds": "1:3"}
+    assert len(images.channels) == 8
+    np.testing.assert_allclose(images.channels, both.channels, atol=0.02)
+    np.testing.assert_array_equal(images.residuals, both.residuals)
+
+
+def test_simulated_streets_are_clouds_with_truth_and_every_sensor_has_its_rows() -> None:
+    first, second = street_clouds(3, sensor="even-32", frames=2)
+    assert second.frame.stamp_ns - first.frame.stamp_ns == 100_000_000
+    assert len(first.semantic) == len(first.motion) == len(first.frame)
+    assert set(np.unique(first.frame.ring)) <= set(range(32))
+    assert {"road", "building"} <= {CLASSES[each][0] for each in np.unique(first.semantic)}
+
+
+def test_images_are_made_by_command_and_a_network_learns_from_them(tmp_path: Path) -> None:
+    folder = tmp_path / "even-32"
+    assert make_images(["--out", str(folder), "--sensor", "even-32", "--streets", "1"]) == 0
+    out = tmp_path / "lmnet.safetensors"
+    arguments = ["--model", "lmnet", "--width", "4", "--steps", "2", "--out", str(out)]
+    assert main([*arguments, "--learn", f"{folder}=2", "--judge", str(folder)]) == 0
+    weights = load_weights(out)
+    assert weights.card.profile.fitted
+    assert weights.channels == ("range", "x", "y", "z")
+    assert weights.card.training["learnt"] == "simulated even-32 seeds 1:2 x2"
+    assert weights.card.scores["even-32 static"] >= 0
 
 
 def test_a_log_that_is_not_there_is_one_sentence(
@@ -161,17 +197,20 @@ def test_a_log_that_is_not_there_is_one_sentence(
 ) -> None:
     (tmp_path / "truth").mkdir()
     np.savez(tmp_path / "truth" / "poses.npz", reference_time_ns=0, world_from_lidar_at_reference=0)
-    arguments = ["--model", "lmnet", "--log", str(tmp_path / "no.mcap"), "--out", "x"]
-    assert main([*arguments, "--truth", str(tmp_path / "truth")]) == 1
+    arguments = ["--out", str(tmp_path / "x"), "--log", str(tmp_path / "no.mcap")]
+    assert make_images([*arguments, "--truth", str(tmp_path / "truth")]) == 1
     assert "no.mcap" in caplog.text
-    assert main([*arguments, "--truth", str(tmp_path / "nowhere")]) == 1
+    assert make_images([*arguments, "--truth", str(tmp_path / "nowhere")]) == 1
     assert "nowhere" in caplog.text
 
 
-def test_unusable_arguments_are_refused() -> None:
+def test_unusable_arguments_are_refused(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with pytest.raises(SystemExit) as stopped:
-        main(["--model", "pointnet", "--log", "x", "--truth", "y", "--out", "z"])
+        main(["--model", "pointnet", "--learn", "x", "--out", "z"])
     assert stopped.value.code == 2
+    arguments = ["--model", "lmnet", "--out", str(tmp_path / "z")]
+    assert main([*arguments, "--learn", str(tmp_path / "none")]) == 1
+    assert "no training images" in caplog.text
 
 
 @pytest.mark.reference
@@ -179,9 +218,9 @@ def test_real_frames_come_with_their_truth(reference: Path) -> None:
     name = Path("pandaset", "panda-01", "2019-05-11", "pandaset-002")
     log = reference / "data" / "logs" / name.with_suffix(".mcap")
     (cloud,) = read_clouds(log, reference / "data" / "truth" / name, range(1, 2))
-    assert len(cloud.points_m) == len(cloud.semantic) == len(cloud.motion) == 106_183
-    assert 0 < cloud.intensity.mean() < 0.2
-    assert cloud.intensity.max() <= 1
+    assert len(cloud.frame.points_m) == len(cloud.semantic) == len(cloud.motion) == 106_183
+    assert 0 < cloud.frame.intensity.mean() < 0.2
+    assert cloud.frame.intensity.max() <= 1
     assert cloud.semantic.max() < len(CLASSES)
     assert 4000 < (cloud.motion == 2).sum() < 6000
     np.testing.assert_allclose(np.linalg.det(cloud.world_from_sensor[:3, :3]), 1, atol=1e-9)
