@@ -147,6 +147,7 @@ def test_nothing_is_lost_where_everything_is_ignored() -> None:
 
 
 def _trained(path: Path, seed: int) -> bytes:
+    torch.set_num_threads(1)
     settings = TrainingSettings(steps=3, columns=32, seed=seed)
     lessons = [Lesson(_images(), 1.0), Lesson(_images(frames=5), 3.0)]
     train(lessons, {"held out": _images(variants=(1,))}, CARD, settings, out=path)
