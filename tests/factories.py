@@ -1,6 +1,6 @@
 """Builders of the things that travel, for tests of any part: everything not asked for is plain."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +69,21 @@ def posed(
     """Give a frame its pose; the origin of odom space when none is given."""
     where = pose() if odom_from_sensor is None else odom_from_sensor
     return PosedFrame(lidar_frame, where, odometry, static_residual_m, reason)
+
+
+def scattered(count: int, *, n: int = 800, lost: Collection[int] = ()) -> list[PosedFrame]:
+    """Make frames of random points, a tenth of them invalid, of a sensor that stands."""
+    rng = np.random.default_rng(5)
+    frames = []
+    for number in range(count):
+        points = rng.normal(scale=(15, 15, 1), size=(n, 3)).astype(np.float32)
+        valid = rng.random(n) > 0.1
+        points[~valid] = 0
+        intensity = rng.random(n).astype(np.float32)
+        made = frame(points, at_s=number / 10, intensity=intensity, valid_mask=valid)
+        state = OdometryState.LOST if number in lost else OdometryState.HEALTHY
+        frames.append(posed(made, odometry=state))
+    return frames
 
 
 def said(

@@ -10,7 +10,7 @@ from sqlalchemy import Connection, Row, and_, insert, literal, select
 from schemas.work import Part, Recording
 from service.store.revisions import take_over
 from service.store.tables import DAMAGE, PLANS, RECORDINGS, SHARDS
-from service.store.work import Work, WorkState, change
+from service.store.work import TAKEN_AND_GIVEN, Work, WorkState, change
 
 
 def enter_plan(connection: Connection, work: Work) -> None:
@@ -51,7 +51,7 @@ def _adopt(connection: Connection, work: Work) -> None:
     """Note as done what another revision mined under this pipeline version from the same bytes."""
     for shard, mined in list(_same_shards(connection, work)):
         adopted = Work(work.log_id, work.revision, work.pipeline_version, shard.name)
-        kept = {name: mined._mapping[name] for name in _KEPT}
+        kept = {name: mined._mapping[name] for name in TAKEN_AND_GIVEN}
         change(
             connection,
             adopted,
@@ -62,20 +62,6 @@ def _adopt(connection: Connection, work: Work) -> None:
             **kept,
         )
         _copy_damage(connection, adopted, revision=mined.revision)
-
-
-_KEPT: Final = (
-    "digest",
-    "committed_s",
-    "frames",
-    "points",
-    "bytes_read",
-    "bytes_needed",
-    "range_reads",
-    "peak_memory_bytes",
-    "stage_s",
-)
-"""What mining a shard took and gave is told of whoever adopts it, too."""
 
 
 def _same_shards(connection: Connection, work: Work) -> Iterator[tuple[Row[Any], Row[Any]]]:

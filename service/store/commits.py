@@ -17,7 +17,7 @@ from service.store.manifest import Verified
 from service.store.statements import Statement
 from service.store.succession import give_way
 from service.store.tables import DAMAGE, SCENES, SHARDS
-from service.store.work import Work, WorkState, change, row_of
+from service.store.work import TAKEN_AND_GIVEN, Work, WorkState, change, row_of
 
 _END_OF_TIME_NS: Final = 2**63 - 1
 
@@ -247,20 +247,7 @@ _FINISH_SHARD: Final = Statement(
         state=WorkState.DONE.value,
         error="",
         lease_id="",
-        **{
-            name: bindparam(name)
-            for name in (
-                "digest",
-                "committed_s",
-                "frames",
-                "points",
-                "bytes_read",
-                "bytes_needed",
-                "range_reads",
-                "peak_memory_bytes",
-                "stage_s",
-            )
-        },
+        **{name: bindparam(name) for name in TAKEN_AND_GIVEN},
     )
 )
 

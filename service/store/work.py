@@ -28,6 +28,19 @@ class WorkState(StrEnum):
     CANCELLED = "cancelled"
 
 
+TAKEN_AND_GIVEN: Final = (
+    "digest",
+    "committed_s",
+    "frames",
+    "points",
+    "bytes_read",
+    "bytes_needed",
+    "range_reads",
+    "peak_memory_bytes",
+    "stage_s",
+)
+"""What mining a shard took and gave: set at its commit, told of whoever adopts it, too."""
+
 OPEN: Final = (WorkState.READY, WorkState.LEASED, WorkState.STALE)
 """States from which something is still to come."""
 

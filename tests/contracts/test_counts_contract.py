@@ -1,7 +1,6 @@
 """What is counted over a ledger, on any database: rates, what waits, and what became true."""
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import pytest
@@ -15,7 +14,6 @@ from service.ledger import Ledger
 from service.rates import RateRow, RatesBy, RatesRequest, rates
 from service.store.backlog import LogDamage
 from service.store.effects import Effects
-from service.store.engine import Store
 from tests.contracts.databases import OnPostgres, OnSqlite
 from tests.contracts.ledger_world import (
     START_NS,
@@ -26,6 +24,7 @@ from tests.contracts.ledger_world import (
     score_of,
     shard_commit,
 )
+from tests.contracts.store_contract import StoreContract
 
 HOUR_NS = 3600 * NS_PER_S
 
@@ -99,16 +98,7 @@ def rates_of(ledger: Ledger, by: RatesBy, **asked: int) -> list[RateRow]:
     return rates(ledger.rate_sums(RatesRequest(by=by, **asked)), by)
 
 
-class CountsContract(ABC):
-    @abstractmethod
-    def make_store(self) -> Store: ...
-
-    @pytest.fixture
-    def world(self) -> Iterator[World]:
-        store = self.make_store()
-        yield World.on(store)
-        store.close()
-
+class CountsContract(StoreContract):
     # Rates. Every scene has 1000 points, 800 of them compared, and 20 frames.
 
     def test_rates_are_shares_of_the_compared_points_of_each_vehicle_worst_first(

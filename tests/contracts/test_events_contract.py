@@ -1,15 +1,12 @@
 """What the history promises a subscriber, on any database: who applies it holds what is current."""
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 
 from service.ledger import StoredScene
-from service.store.engine import Store
 from tests.contracts.databases import OnPostgres, OnSqlite
 from tests.contracts.ledger_world import World, recording
+from tests.contracts.store_contract import StoreContract
 
 
 class Follower:
@@ -33,18 +30,8 @@ class Follower:
         return len(events)
 
 
-class EventsContract(ABC):
+class EventsContract(StoreContract):
     """Every promise, tested on what `make_store` opens."""
-
-    @abstractmethod
-    def make_store(self) -> Store:
-        """Open the test's database, empty at first."""
-
-    @pytest.fixture
-    def world(self) -> Iterator[World]:
-        store = self.make_store()
-        yield World.on(store)
-        store.close()
 
     def test_withdrawals_stand_among_the_scenes_in_their_order(self, world: World) -> None:
         world.listed("a", "b")

@@ -3,8 +3,6 @@
 import hashlib
 import random
 import threading
-from abc import ABC, abstractmethod
-from collections.abc import Iterator
 
 import pytest
 from sqlalchemy import inspect, text
@@ -24,7 +22,6 @@ from schemas.work import (
 )
 from service.errors import StateUnusableError
 from service.ledger import LeasePolicy, Ledger, SelectionExistsError
-from service.store.engine import Store
 from service.store.tables import METADATA
 from tests.contracts.databases import OnPostgres, OnSqlite
 from tests.contracts.ledger_world import (
@@ -39,20 +36,11 @@ from tests.contracts.ledger_world import (
     shard_commit,
     shard_of,
 )
+from tests.contracts.store_contract import StoreContract
 
 
-class LedgerContract(ABC):
+class LedgerContract(StoreContract):
     """Every promise, tested on what `make_store` opens; it must open the same database again."""
-
-    @abstractmethod
-    def make_store(self) -> Store:
-        """Open the test's database, empty at first."""
-
-    @pytest.fixture
-    def world(self) -> Iterator[World]:
-        store = self.make_store()
-        yield World.on(store)
-        store.close()
 
     # The schema.
 

@@ -1,8 +1,6 @@
 """The order of scenes, and which are neighbours of a better one, as any database gives it."""
 
 import random
-from abc import ABC, abstractmethod
-from collections.abc import Iterator
 
 import pytest
 
@@ -11,7 +9,6 @@ from schemas.contradiction import SceneState
 from schemas.score import SceneScore
 from schemas.wire import encode_scene_score, sha256
 from service.ranking import RankedScene
-from service.store.engine import Store
 from tests.contracts.databases import OnPostgres, OnSqlite
 from tests.contracts.ledger_world import (
     START_NS,
@@ -21,6 +18,7 @@ from tests.contracts.ledger_world import (
     shard_commit,
     shard_of,
 )
+from tests.contracts.store_contract import StoreContract
 
 
 def scene(
@@ -74,16 +72,7 @@ def twins(ranking: list[RankedScene]) -> dict[int, int | None]:
     return {seconds(row): None if row.twin_of is None else by_id[row.twin_of] for row in ranking}
 
 
-class RankingContract(ABC):
-    @abstractmethod
-    def make_store(self) -> Store: ...
-
-    @pytest.fixture
-    def world(self) -> Iterator[World]:
-        store = self.make_store()
-        yield World.on(store)
-        store.close()
-
+class RankingContract(StoreContract):
     def test_the_best_scene_is_first_and_ranks_count_from_one(self, world: World) -> None:
         ranking = rank(world, scene(0, 0.1), scene(5, 0.9), scene(9, 0.5))
         assert [(row.rank, row.score) for row in ranking] == [(1, 0.9), (2, 0.5), (3, 0.1)]

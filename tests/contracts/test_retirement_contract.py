@@ -1,17 +1,14 @@
 """Overlays of withdrawn scenes: since when they count, and which may go, on any database."""
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterator
-
 import pytest
 from sqlalchemy import select
 
 from schemas.work import MineLease
-from service.store.engine import Store
 from service.store.retirement import SceneOverlay
 from service.store.tables import SCENES
 from tests.contracts.databases import OnPostgres, OnSqlite
 from tests.contracts.ledger_world import World, plan_of_parts, recording, split
+from tests.contracts.store_contract import StoreContract
 
 DAY_S = 86_400.0
 KEEP_S = 7 * DAY_S
@@ -30,16 +27,7 @@ def of_scenes(world: World, *, current: bool) -> list[SceneOverlay]:
         return sorted({SceneOverlay(*row) for row in rows})
 
 
-class RetirementContract(ABC):
-    @abstractmethod
-    def make_store(self) -> Store: ...
-
-    @pytest.fixture
-    def world(self) -> Iterator[World]:
-        store = self.make_store()
-        yield World.on(store)
-        store.close()
-
+class RetirementContract(StoreContract):
     def test_what_is_current_is_never_named(self, world: World) -> None:
         world.listed("a", "b")
         world.mine_all()

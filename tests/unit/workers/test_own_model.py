@@ -11,9 +11,9 @@ import pytest
 import torch
 from torch import nn
 
-from schemas.arrays import NS_PER_S
-from schemas.frame import LidarFrame, OdometryState, PosedFrame
+from schemas.frame import PosedFrame
 from schemas.labels import FrameLabels, MotionLabel
+from tests.factories import scattered
 from workers.calibration.sensor_profile import write_profile
 from workers.checkpoints.errors import WeightsUnusableError
 from workers.errors import UnknownPartError
@@ -91,47 +91,12 @@ def _entry(network: RangeImageNetwork, file: str, **more: Any) -> dict[str, Any]
     return told | more
 
 
-def _frames(count: int, *, n: int = 900) -> list[PosedFrame]:
-    rng = np.random.default_rng(8)
-    frames = []
-    for number in range(count):
-        points = rng.normal(scale=(15, 15, 1), size=(n, 3)).astype(np.float32)
-        valid = rng.random(n) > 0.1
-        points[~valid] = 0
-        frame = LidarFrame(
-            log_id="log",
-            stamp_ns=number * NS_PER_S // 10,
-            points_m=points,
-            intensity=rng.random(n).astype(np.float32),
-            offset_ns=np.zeros(n, dtype=np.int32),
-            ring=np.full(n, -1, dtype=np.int16),
-            valid_mask=valid,
-        )
-        frames.append(PosedFrame(frame, np.eye(4), OdometryState.HEALTHY))
-    return frames
-
-
 def _real_frames(reference: Path) -> list[PosedFrame]:
     """Two frames of a street, with their true poses."""
     name = Path("pandaset", "panda-01", "2019-05-11", "pandaset-002")
     log = reference / "data" / "logs" / name.with_suffix(".mcap")
     clouds = read_clouds(log, reference / "data" / "truth" / name, range(40, 42))
-    return [
-        PosedFrame(
-            LidarFrame(
-                log_id="log",
-                stamp_ns=cloud.stamp_ns,
-                points_m=cloud.points_m,
-                intensity=cloud.intensity,
-                offset_ns=np.zeros(len(cloud.points_m), dtype=np.int32),
-                ring=np.full(len(cloud.points_m), -1, dtype=np.int16),
-                valid_mask=np.ones(len(cloud.points_m), dtype=np.bool_),
-            ),
-            cloud.world_from_sensor,
-            OdometryState.HEALTHY,
-        )
-        for cloud in clouds
-    ]
+    return [PosedFrame(cloud.frame, cloud.world_from_sensor) for cloud in clouds]
 
 
 def _share_equal(one: list[FrameLabels], other: list[FrameLabels]) -> float:
@@ -209,7 +174,7 @@ def test_a_network_over_points_labels_each_valid_point(suffix: str, tmp_path: Pa
         files=PartFiles(model=str(adapter)),
     )
     assert parts.supervised.version.startswith("by-height@")
-    (posed,) = _frames(1)
+    (posed,) = scattered(1)
     (answer,) = parts.supervised([posed])
     z = posed.frame.points_m[:, 2]
     expected = np.where(z > 0, MotionLabel.DYNAMIC, MotionLabel.STATIC)
@@ -245,7 +210,7 @@ def _small(tmp_path: Path, net: nn.Module, **more: Any) -> Path:
 def test_without_a_motion_network_what_can_move_is_unknown_and_all_else_static(
     tmp_path: Path,
 ) -> None:
-    (posed,) = _frames(1)
+    (posed,) = scattered(1)
     (cars,) = open_own_model(_small(tmp_path, _Fixed(0.0, 3.0)))([posed])
     assert set(cars.labels.tolist()) == {MotionLabel.UNKNOWN}
     (roads,) = open_own_model(_small(tmp_path, _Fixed(3.0, 0.0)))([posed])
@@ -262,7 +227,7 @@ def test_chosen_channels_and_class_numbers_are_understood(tmp_path: Path) -> Non
             return (image[:, 1] * 10 + 10 > 20).to(torch.int64)
 
     adapter = _small(tmp_path, Far(), channels=["intensity", "range"], answer="labels")
-    (posed,) = _frames(1)
+    (posed,) = scattered(1)
     (answer,) = open_own_model(adapter)([posed])
     assert answer.class_id is not None
     seen = project(posed.frame.points_m, SMALL, valid_mask=posed.frame.valid_mask).index

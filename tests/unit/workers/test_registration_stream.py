@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.labels import FrameLabels, MotionLabel
+from tests import factories
 from workers.selfsupervised.stream import Registration
 
 HEIGHT_M = 1.8
@@ -230,20 +231,6 @@ def test_the_same_frames_give_the_same_labels() -> None:
         np.testing.assert_array_equal(one.confidence, other.confidence)
 
 
-def empty_frame(stamp_ns: int, points: NDArray[np.float32]) -> PosedFrame:
-    n = len(points)
-    frame = LidarFrame(
-        log_id="street",
-        stamp_ns=stamp_ns,
-        points_m=points,
-        intensity=np.zeros(n, np.float32),
-        offset_ns=np.zeros(n, np.int32),
-        ring=np.full(n, -1, np.int16),
-        valid_mask=np.ones(n, np.bool_),
-    )
-    return PosedFrame(frame, np.eye(4))
-
-
 @pytest.mark.parametrize(
     "points",
     [
@@ -255,10 +242,13 @@ def empty_frame(stamp_ns: int, points: NDArray[np.float32]) -> PosedFrame:
 def test_a_frame_that_says_nothing_is_answered_and_does_not_end_the_stream(
     points: NDArray[np.float32],
 ) -> None:
-    world = [posed for posed, _ in drive(BOXES, frames=9)]
+    world = [each for each, _ in drive(BOXES, frames=9)]
     stamp_ns = world[6].frame.stamp_ns
-    frames = [empty_frame(world[0].frame.stamp_ns - PERIOD_NS, points), *world[:6]]
-    frames += [empty_frame(stamp_ns, points), *world[7:]]
+    frames = [
+        factories.posed(factories.frame(points, stamp_ns=world[0].frame.stamp_ns - PERIOD_NS)),
+        *world[:6],
+    ]
+    frames += [factories.posed(factories.frame(points, stamp_ns=stamp_ns)), *world[7:]]
     answers = list(Registration()(frames))
-    assert [len(answer.labels) for answer in answers] == [len(posed.frame) for posed in frames]
+    assert [len(answer.labels) for answer in answers] == [len(each.frame) for each in frames]
     assert (answers[-1].labels == MotionLabel.DYNAMIC).any()

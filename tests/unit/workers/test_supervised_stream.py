@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from schemas.arrays import NS_PER_S
-from schemas.frame import LidarFrame, OdometryState, PosedFrame
+from schemas.frame import PosedFrame
 from schemas.labels import FrameLabels, MotionLabel
+from tests.factories import scattered
 from workers.checkpoints.errors import WeightsUnusableError
 from workers.geometry.range_image import SensorProfile
 from workers.supervised.classes import ClassMeaning
@@ -63,27 +63,6 @@ def _stream(semantic: LoadedWeights, motion: LoadedWeights) -> RangeImageStream:
     return RangeImageStream(semantic, motion, name="salsanext-lmnet")
 
 
-def _frames(count: int, *, n: int = 800, lost: tuple[int, ...] = ()) -> list[PosedFrame]:
-    rng = np.random.default_rng(5)
-    frames = []
-    for number in range(count):
-        points = rng.normal(scale=(15, 15, 1), size=(n, 3)).astype(np.float32)
-        valid = rng.random(n) > 0.1
-        points[~valid] = 0
-        frame = LidarFrame(
-            log_id="log",
-            stamp_ns=number * NS_PER_S // 10,
-            points_m=points,
-            intensity=rng.random(n).astype(np.float32),
-            offset_ns=np.zeros(n, dtype=np.int32),
-            ring=np.full(n, -1, dtype=np.int16),
-            valid_mask=valid,
-        )
-        state = OdometryState.LOST if number in lost else OdometryState.HEALTHY
-        frames.append(PosedFrame(frame, np.eye(4), state))
-    return frames
-
-
 def _same(one: FrameLabels, other: FrameLabels) -> bool:
     return all(
         np.array_equal(getattr(one, name), getattr(other, name))
@@ -93,7 +72,7 @@ def _same(one: FrameLabels, other: FrameLabels) -> bool:
 
 def test_every_point_of_every_frame_gets_one_answer(tmp_path: Path) -> None:
     stream = _stream(_loaded(tmp_path, SEMANTIC), _loaded(tmp_path, MOTION))
-    frames = _frames(3)
+    frames = scattered(3)
     answers = list(stream(frames))
     assert len(answers) == 3
     for posed, answer in zip(frames, answers, strict=True):
@@ -110,14 +89,14 @@ def test_every_point_of_every_frame_gets_one_answer(tmp_path: Path) -> None:
 
 def test_the_same_frames_give_the_same_bytes_again(tmp_path: Path) -> None:
     stream = _stream(_loaded(tmp_path, SEMANTIC), _loaded(tmp_path, MOTION))
-    frames = _frames(3)
+    frames = scattered(3)
     for one, other in zip(stream(frames), list(stream(frames)), strict=True):
         assert _same(one, other)
 
 
 def test_a_frame_is_answered_before_the_next_one_is_read(tmp_path: Path) -> None:
     stream = _stream(_loaded(tmp_path, SEMANTIC), _loaded(tmp_path, MOTION))
-    source = iter(_frames(2))
+    source = iter(scattered(2))
     answers = stream(source)
     next(answers)
     assert len(list(source)) == 1
@@ -127,7 +106,7 @@ def test_cars_are_unknown_until_there_is_a_past_and_again_after_the_pose_was_los
     tmp_path: Path,
 ) -> None:
     stream = _stream(_loaded(tmp_path, SEMANTIC, always=1), _loaded(tmp_path, MOTION, always=2))
-    frames = _frames(4, lost=(2,))
+    frames = scattered(4, lost=(2,))
     first, second, lost, after = (
         set(answer.labels[posed.frame.valid_mask & (answer.confidence > 0)].tolist())
         for posed, answer in zip(frames, stream(frames), strict=True)
@@ -140,7 +119,7 @@ def test_cars_are_unknown_until_there_is_a_past_and_again_after_the_pose_was_los
 
 def test_houses_are_static_from_the_first_frame_on(tmp_path: Path) -> None:
     stream = _stream(_loaded(tmp_path, SEMANTIC, always=2), _loaded(tmp_path, MOTION, always=2))
-    frames = _frames(2)
+    frames = scattered(2)
     for posed, answer in zip(frames, stream(frames), strict=True):
         judged = posed.frame.valid_mask & (answer.labels != MotionLabel.UNKNOWN)
         assert judged.sum() > 500
@@ -182,7 +161,7 @@ def test_each_network_sees_the_frame_as_its_own_training_normalised_it(tmp_path:
     elsewhere = PROFILE.__class__(**{**vars(PROFILE), "name": "other", "means": (9.0,) * 5})
     other = _loaded(tmp_path, MOTION.model_copy(update={"profile": elsewhere}))
     same = _loaded(tmp_path, MOTION)
-    frames = _frames(2)
+    frames = scattered(2)
     one, two = (list(_stream(semantic, motion)(frames))[-1] for motion in (same, other))
     assert one.class_id is not None
     assert two.class_id is not None

@@ -3,8 +3,9 @@ import pytest
 from numpy.typing import NDArray
 
 from schemas.camera import CameraCalibration
-from schemas.frame import LidarFrame, OdometryState, PosedFrame
+from schemas.frame import OdometryState, PosedFrame
 from schemas.labels import MotionLabel
+from tests.factories import frame, posed
 from workers.geometry.camera_filter import to_flow_space
 from workers.selfsupervised.object_flow import flow_ends
 from workers.selfsupervised.two_stage import TwoStage
@@ -101,20 +102,10 @@ def test_no_points_are_no_motion() -> None:
     assert two_stage(nothing, nothing, dt_s=DT_S).dynamic.shape == (0,)
 
 
-def posed(
+def at_rest(
     points: NDArray[np.float32], stamp_ns: int, state: OdometryState = OdometryState.HEALTHY
 ) -> PosedFrame:
-    n = len(points)
-    frame = LidarFrame(
-        log_id="street",
-        stamp_ns=stamp_ns,
-        points_m=points,
-        intensity=np.zeros(n, np.float32),
-        offset_ns=np.zeros(n, np.int32),
-        ring=np.full(n, -1, np.int16),
-        valid_mask=np.ones(n, np.bool_),
-    )
-    return PosedFrame(frame, np.eye(4), state)
+    return posed(frame(points, stamp_ns=stamp_ns), odometry=state)
 
 
 def thin_line(x: float) -> NDArray[np.float32]:
@@ -126,7 +117,7 @@ def thin_line(x: float) -> NDArray[np.float32]:
 
 
 def test_the_stream_sees_a_post_that_moves_and_a_wall_that_stands() -> None:
-    frames = [posed(thin_line(10.0 + 0.4 * i), 10**18 + i * 100_000_000) for i in range(3)]
+    frames = [at_rest(thin_line(10.0 + 0.4 * i), 10**18 + i * 100_000_000) for i in range(3)]
     answers = list(TwoStage()(frames))
     assert (answers[0].labels == MotionLabel.UNKNOWN).all()
     for answer in answers[1:]:
@@ -136,10 +127,10 @@ def test_the_stream_sees_a_post_that_moves_and_a_wall_that_stands() -> None:
 
 def test_nothing_is_known_after_a_gap_or_without_a_pose() -> None:
     frames = [
-        posed(thin_line(10.0), 10**18),
-        posed(thin_line(10.4), 10**18 + 10**9),
-        posed(thin_line(10.8), 10**18 + 11 * 10**8, OdometryState.LOST),
-        posed(np.zeros((0, 3), np.float32), 10**18 + 12 * 10**8),
+        at_rest(thin_line(10.0), 10**18),
+        at_rest(thin_line(10.4), 10**18 + 10**9),
+        at_rest(thin_line(10.8), 10**18 + 11 * 10**8, OdometryState.LOST),
+        at_rest(np.zeros((0, 3), np.float32), 10**18 + 12 * 10**8),
     ]
     for answer in TwoStage()(frames):
         assert (answer.labels == MotionLabel.UNKNOWN).all()
