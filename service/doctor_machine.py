@@ -84,7 +84,7 @@ def compiled_code(_settings: Settings) -> Iterator[Finding]:
         return
     from numba.core.caching import FunctionCache
 
-    from workers.selfsupervised.compiled import compiled
+    from workers.visibility.compiled import compiled
 
     try:
         place = FunctionCache(compiled).cache_path  # type: ignore[no-untyped-call]

@@ -19,7 +19,7 @@ from workers.geometry.sensor_rows import (
     one_row_each,
     seen_share,
 )
-from workers.selfsupervised.beam_table import MIN_RANGE_M, estimate_beam_table
+from workers.visibility.beam_table import MIN_RANGE_M, estimate_beam_table
 
 _WIDTHS: Final = (512, 1024, 2048, 4096)
 _JUDGED_FRAMES: Final = 3

@@ -22,8 +22,8 @@ from workers.evaluation.whole_log import shards_of_log
 from workers.ingest.read import read_shard
 from workers.memory import peak_memory_bytes
 from workers.registry import build_parts
-from workers.selfsupervised.steps import watched
 from workers.stages import StageClock, timed
+from workers.visibility.steps import watched
 
 STREAM: Final = "selfsupervised"
 KISS: Final = "kiss-icp alone"

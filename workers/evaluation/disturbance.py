@@ -9,7 +9,7 @@ import numpy as np
 from schemas.arrays import Mask
 from schemas.frame import LidarFrame, PosedFrame
 from workers.evaluation.beam_rows import BeamRows
-from workers.selfsupervised.deskew import motion
+from workers.visibility.deskew import motion
 
 YAW_NOISE_SEED: Final = 0
 """With the number of the frame, so that noise is the same whichever frames are judged."""

@@ -14,7 +14,8 @@ from workers.geometry.sensor_rows import lay_out
 from workers.ingest.chunk import messages_in, open_chunk
 from workers.ingest.part import PartReader
 from workers.ingest.topics import ids_in
-from workers.selfsupervised.ground import estimate_sensor_height, ground_mask
+from workers.selfsupervised.ground import ground_mask
+from workers.visibility.sensor_height import estimate_sensor_height
 
 MS_PER_S: Final = 1000.0
 

@@ -7,11 +7,8 @@ import numpy as np
 from schemas.arrays import Mask
 from schemas.frame import LidarFrame
 from schemas.labels import FrameHealth, FrameLabels, MotionLabel
-from workers.selfsupervised.beam_table import MIN_RANGE_M
-from workers.selfsupervised.free_space import Votes
 from workers.selfsupervised.motion import ClusterMotions
 from workers.selfsupervised.neighbours import build_grid, nearest_indices
-from workers.selfsupervised.passes import moved_rows, within
 from workers.selfsupervised.point_answers import (
     answer_ground,
     answer_voxels,
@@ -19,8 +16,11 @@ from workers.selfsupervised.point_answers import (
     spread,
 )
 from workers.selfsupervised.prepare import MAX_RANGE_M, Prepared
-from workers.selfsupervised.steps import step
 from workers.selfsupervised.tracker import Tracked
+from workers.visibility.beam_table import MIN_RANGE_M
+from workers.visibility.free_space import Votes
+from workers.visibility.passes import moved_rows, within
+from workers.visibility.steps import step
 
 AGREED: Final = 0.95
 """Registration and free space say the same: measured point precision .999 and .965 to .99."""

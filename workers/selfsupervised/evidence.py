@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Transform
-from workers.selfsupervised.beam_table import BeamTable
-from workers.selfsupervised.free_space import Votes
+from workers.visibility.beam_table import BeamTable
+from workers.visibility.free_space import Votes
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
 from workers.selfsupervised.neighbours import nearest_distances
-from workers.selfsupervised.passes import within
 from workers.selfsupervised.registration import Reference
+from workers.visibility.passes import within
 
 SHARE: Final = 0.75
 """Of what is near, how much must fit. A side that slides along itself fits whatever the error, so

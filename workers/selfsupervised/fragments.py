@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
-from workers.selfsupervised.free_space import Votes
 from workers.selfsupervised.motion import ClusterMotions
 from workers.selfsupervised.neighbours import build_grid, nearest_indices
-from workers.selfsupervised.steps import step
 from workers.selfsupervised.tracker import Tracked
+from workers.visibility.free_space import Votes
+from workers.visibility.steps import step
 
 MAX_VOXELS: Final = 60
 MAX_EXTENT_M: Final = 3.0

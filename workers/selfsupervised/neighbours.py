@@ -4,7 +4,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
-from workers.selfsupervised.compiled import compiled
 from workers.selfsupervised.point_grid import (
     CELL_M,
     LAYERS,
@@ -12,6 +11,7 @@ from workers.selfsupervised.point_grid import (
     build_grid,
     cell_along,
 )
+from workers.visibility.compiled import compiled
 
 __all__ = ["PointGrid", "build_grid", "nearer", "nearest_distances", "nearest_indices"]
 

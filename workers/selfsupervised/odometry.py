@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S, Transform
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from workers.geometry.se3 import inverse, transform
-from workers.selfsupervised.deskew import motion, twist
-from workers.selfsupervised.ground import estimate_sensor_height
 from workers.selfsupervised.health import HealthMonitor, Judgement, too_little
 from workers.selfsupervised.neighbours import PointGrid, build_grid, nearest_distances
 from workers.selfsupervised.versions import version_of
+from workers.visibility.deskew import motion, twist
+from workers.visibility.sensor_height import estimate_sensor_height
 
 MAX_GAP_S: Final = 0.5
 """After a longer silence the constant velocity that ICP starts from means nothing."""

@@ -10,13 +10,14 @@ from schemas.arrays import Mask, Points, Transform
 from schemas.frame import LidarFrame
 from schemas.labels import Blindness, FrameHealth
 from workers.geometry.se3 import inverse
-from workers.selfsupervised.beam_table import MIN_RANGE_M, BeamTable, estimate_beam_table
-from workers.selfsupervised.deskew import Twist, deskew, time_from_middle_s
-from workers.selfsupervised.ground import estimate_sensor_height, ground_mask
+from workers.selfsupervised.ground import ground_mask
 from workers.selfsupervised.health import too_little
-from workers.selfsupervised.passes import judged_rows, moved_rows, returns_within, rows_about
-from workers.selfsupervised.range_image import range_image
-from workers.selfsupervised.voxels import Voxels, voxelize
+from workers.visibility.beam_table import MIN_RANGE_M, BeamTable, estimate_beam_table
+from workers.visibility.deskew import Twist, deskew, time_from_middle_s
+from workers.visibility.passes import judged_rows, moved_rows, returns_within, rows_about
+from workers.visibility.range_image import range_image
+from workers.visibility.sensor_height import estimate_sensor_height
+from workers.visibility.voxels import Voxels, voxelize
 
 MAX_RANGE_M: Final = 80.0
 """Beyond it neighbouring beams are 0.6 m apart or more, and a car is a handful of points."""

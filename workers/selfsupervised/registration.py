@@ -7,8 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
-from workers.selfsupervised.clusters import Clusters
-from workers.selfsupervised.compiled import compiled
 from workers.selfsupervised.shift_search import (
     Reference,
     build_reference,
@@ -16,7 +14,9 @@ from workers.selfsupervised.shift_search import (
     reference_to,
     search,
 )
-from workers.selfsupervised.steps import step
+from workers.visibility.clusters import Clusters
+from workers.visibility.compiled import compiled
+from workers.visibility.steps import step
 
 __all__ = ["Reference", "Registered", "build_reference", "reference_to", "register"]
 

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Flow, Points, Transform
 from workers.geometry.se3 import transform
-from workers.selfsupervised.clusters import connected
-from workers.selfsupervised.compiled import compiled
 from workers.selfsupervised.registration import MAX_EXTENT_M, MIN_POINTS
 from workers.selfsupervised.shift_search import Reference, build_reference, energy_of, search
+from workers.visibility.clusters import connected
+from workers.visibility.compiled import compiled
 
 REACH_M: Final = 0.5
 """Between points of one body: that of the default stream."""

@@ -13,12 +13,10 @@ from schemas.labels import Blindness, FrameHealth, FrameLabels
 from workers.geometry.se3 import inverse
 from workers.selfsupervised.ahead import Ready, Waiting
 from workers.selfsupervised.answer import nothing_known, to_labels
-from workers.selfsupervised.deskew import Twist, twist
 from workers.selfsupervised.evidence import Evidence
 from workers.selfsupervised.fit import FitMonitor
 from workers.selfsupervised.following import Following
 from workers.selfsupervised.fragments import fragments_of_movers
-from workers.selfsupervised.free_space import HIDDEN, count_votes, visibility
 from workers.selfsupervised.history import (
     FAR_AGE_S,
     MAX_GAP_NS,
@@ -32,6 +30,8 @@ from workers.selfsupervised.neighbours import build_grid
 from workers.selfsupervised.prepare import Preparation
 from workers.selfsupervised.registration import Reference, reference_to
 from workers.selfsupervised.tracker import Tracker
+from workers.visibility.deskew import Twist, twist
+from workers.visibility.free_space import HIDDEN, count_votes, visibility
 
 _NEAR_AGES_S: Final = (0.04, 0.45)
 _FAR_AGES_S: Final = (0.38, 0.75)

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
-from workers.selfsupervised.compiled import compiled
 from workers.selfsupervised.neighbours import PointGrid, build_grid, nearer
 from workers.selfsupervised.occupancy import (
     CELL_M,
@@ -15,7 +14,8 @@ from workers.selfsupervised.occupancy import (
     cells_of,
     scores_around,
 )
-from workers.selfsupervised.steps import step
+from workers.visibility.compiled import compiled
+from workers.visibility.steps import step
 
 ENERGY_REACH_M: Final = 0.5
 _COARSE_SAMPLES: Final = 50

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import NS_PER_S, Mask, Points
-from workers.selfsupervised.free_space import Votes
 from workers.selfsupervised.motion import ClusterMotions
 from workers.selfsupervised.neighbours import build_grid, nearest_indices
-from workers.selfsupervised.steps import step
+from workers.visibility.free_space import Votes
+from workers.visibility.steps import step
 
 DYNAMIC_SCORE: Final = 0.6
 """The proof of one frame is worth 1, and still counts two tenths of a second later."""

@@ -14,7 +14,7 @@ from workers.selfsupervised.answer import ALONE
 from workers.selfsupervised.stream import Registration
 from workers.selfsupervised.two_stage_clustering import PER_SECOND, TwoStageRule, two_stage
 from workers.selfsupervised.versions import version_of
-from workers.selfsupervised.voxels import voxelize
+from workers.visibility.voxels import voxelize
 
 
 @dataclass(frozen=True, slots=True)

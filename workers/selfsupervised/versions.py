@@ -8,7 +8,7 @@ from typing import Final
 from workers.sources import source_digest
 
 LIBRARIES: Final = ("kiss-icp", "numba", "numpy", "pypatchworkpp", "scikit-learn", "scipy")
-PACKAGES: Final = ("workers.geometry", "workers.selfsupervised")
+PACKAGES: Final = ("workers.geometry", "workers.visibility", "workers.selfsupervised")
 
 
 def release(library: str) -> str:

@@ -15,12 +15,12 @@ from schemas.work import MiningSettings
 from tests.factories import frame
 from workers.evaluation.whole_log import shards_of_log
 from workers.ingest.read import read_shard
-from workers.selfsupervised.beam_origin import MAX_BEHIND_SHARE, behind_share
-from workers.selfsupervised.beam_table import estimate_beam_table
 from workers.selfsupervised.odometry import KissOdometry
 from workers.selfsupervised.stream import Registration
 from workers.simulation.lidar import UNEVEN_64, UNIFORM_64, Lidar, SimulatedFrame, sweep
 from workers.simulation.worlds import build_street
+from workers.visibility.beam_origin import MAX_BEHIND_SHARE, behind_share
+from workers.visibility.beam_table import estimate_beam_table
 
 EVEN_16 = tuple(np.linspace(15.0, -15.0, 16).tolist())
 EVEN_32 = tuple(np.linspace(10.67, -30.67, 32).tolist())

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from workers.selfsupervised.beam_table import BeamTable, estimate_beam_table
-from workers.selfsupervised.free_space import (
+from workers.visibility.beam_table import BeamTable, estimate_beam_table
+from workers.visibility.free_space import (
     FREE,
     FREE_IF_TALL,
     HIDDEN,
@@ -12,7 +12,7 @@ from workers.selfsupervised.free_space import (
     count_votes,
     visibility,
 )
-from workers.selfsupervised.range_image import COLUMNS, range_image
+from workers.visibility.range_image import COLUMNS, range_image
 
 ELEVATIONS_DEG = np.arange(-10.0, 5.0, 0.5)
 TABLE = BeamTable(

@@ -5,14 +5,6 @@ from numpy.typing import NDArray
 
 from schemas.labels import MotionLabel
 from workers.geometry.se3 import transform
-from workers.selfsupervised.passes import (
-    first_and_last,
-    judged_rows,
-    moved_rows,
-    returns_within,
-    rows_about,
-    within,
-)
 from workers.selfsupervised.point_answers import (
     AGREED,
     ALONE,
@@ -22,6 +14,14 @@ from workers.selfsupervised.point_answers import (
     answer_voxels,
     nothing_said,
     spread,
+)
+from workers.visibility.passes import (
+    first_and_last,
+    judged_rows,
+    moved_rows,
+    returns_within,
+    rows_about,
+    within,
 )
 
 S, D, U = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN

@@ -3,10 +3,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from workers.selfsupervised.clusters import connected
 from workers.selfsupervised.neighbours import build_grid, nearest_distances
 from workers.selfsupervised.registration import STILL_M, Registered, build_reference, register
-from workers.selfsupervised.voxels import voxelize
+from workers.visibility.clusters import connected
+from workers.visibility.voxels import voxelize
 
 
 def car(x: float, y: float, *, seed: int) -> NDArray[np.float32]:

@@ -10,8 +10,11 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from workers.selfsupervised.clusters import connected, from_labels
-from workers.selfsupervised.directions import (
+from workers.selfsupervised.neighbours import build_grid, nearest_indices
+from workers.selfsupervised.occupancy import CELL_M, build_occupancy, cells_of, scores_around
+from workers.selfsupervised.strips import are_strips
+from workers.visibility.clusters import connected, from_labels
+from workers.visibility.directions import (
     BLOCK,
     column_of,
     fill,
@@ -20,10 +23,7 @@ from workers.selfsupervised.directions import (
     row_above,
     rows_of_steps,
 )
-from workers.selfsupervised.neighbours import build_grid, nearest_indices
-from workers.selfsupervised.occupancy import CELL_M, build_occupancy, cells_of, scores_around
-from workers.selfsupervised.steps import step, watched
-from workers.selfsupervised.strips import are_strips
+from workers.visibility.steps import step, watched
 
 HERE = np.eye(4, dtype=np.float32)[:3]
 TWO_BEAMS = np.array([-0.2, 0.2], np.float32)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from workers.selfsupervised.clusters import from_labels
 from workers.selfsupervised.fragments import fragments_of_movers
-from workers.selfsupervised.free_space import Votes
 from workers.selfsupervised.motion import ClusterMotions
 from workers.selfsupervised.tracker import Tracked, Tracker
+from workers.visibility.clusters import from_labels
+from workers.visibility.free_space import Votes
 
 PERIOD_NS = 100_000_000
 CENTRE_M = np.zeros(3, np.float32)

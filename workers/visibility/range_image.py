@@ -4,9 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
-from workers.selfsupervised.beam_table import BeamTable
-from workers.selfsupervised.compiled import compiled
-from workers.selfsupervised.directions import (
+from workers.visibility.beam_table import BeamTable
+from workers.visibility.compiled import compiled
+from workers.visibility.directions import (
     BLOCK,
     column_of,
     look,
@@ -14,7 +14,7 @@ from workers.selfsupervised.directions import (
     row_above,
     rows_of_steps,
 )
-from workers.selfsupervised.steps import step
+from workers.visibility.steps import step
 
 COLUMNS = 1800
 """0.2 degrees: the azimuth step of spinning sensors at 10 Hz; finer steps would leave gaps."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
-from workers.selfsupervised.compiled import compiled
+from workers.visibility.compiled import compiled
 
 BLOCK = 512
 """Places at a time: all of a block stays in the nearest cache."""

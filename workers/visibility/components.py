@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
-from workers.selfsupervised.cells import Cells, column_at, sorted_cells
-from workers.selfsupervised.compiled import compiled
+from workers.visibility.cells import Cells, column_at, sorted_cells
+from workers.visibility.compiled import compiled
 
 _EDGE_SHARE = 0.577
 """Edge of a cell over the reach: its diagonal, sqrt(3) edges, is shorter than the reach."""

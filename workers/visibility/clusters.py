@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
-from workers.selfsupervised.compiled import compiled
-from workers.selfsupervised.components import components
+from workers.visibility.compiled import compiled
+from workers.visibility.components import components
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,8 +5,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.selfsupervised.compiled import compiled
-from workers.selfsupervised.ground import estimate_sensor_height
+from workers.visibility.compiled import compiled
+from workers.visibility.sensor_height import estimate_sensor_height
 
 MAX_BEHIND_SHARE: Final = 0.2
 """From where the beams meet .01 to .07 (edges, and beams that start a hand's breadth beside it);

@@ -6,9 +6,9 @@ from scipy.spatial.transform import Rotation
 
 from schemas.arrays import Points, Transform
 from schemas.frame import LidarFrame
-from workers.selfsupervised.compiled import compiled
-from workers.selfsupervised.passes import first_and_last
-from workers.selfsupervised.steps import step
+from workers.visibility.compiled import compiled
+from workers.visibility.passes import first_and_last
+from workers.visibility.steps import step
 
 Twist = NDArray[np.float64]
 """(6,) rotation vector in radians, then translation in metres; per second when divided by time."""

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points, Transform
-from workers.selfsupervised.compiled import compiled
+from workers.visibility.compiled import compiled
 
 
 @compiled

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
-from workers.selfsupervised.compiled import compiled
-from workers.selfsupervised.steps import step
+from workers.visibility.compiled import compiled
+from workers.visibility.steps import step
 
 VOXEL_M = 0.15
 """A hand's breadth: under the spacing of beams beyond 20 m, over the noise of any range sensor."""

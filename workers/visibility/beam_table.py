@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
-from workers.selfsupervised.beam_origin import MAX_BEHIND_SHARE, behind_share, find_origin
+from workers.visibility.beam_origin import MAX_BEHIND_SHARE, behind_share, find_origin
 
 MIN_RANGE_M = 2.5
 """Nearer returns are the car itself or reflections."""

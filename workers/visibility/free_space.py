@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points, Transform
-from workers.selfsupervised.beam_table import BeamTable
-from workers.selfsupervised.compiled import compiled
-from workers.selfsupervised.directions import (
+from workers.visibility.beam_table import BeamTable
+from workers.visibility.compiled import compiled
+from workers.visibility.directions import (
     BLOCK,
     column_of,
     fill,
@@ -19,7 +19,7 @@ from workers.selfsupervised.directions import (
     row_above,
     rows_of_steps,
 )
-from workers.selfsupervised.steps import step
+from workers.visibility.steps import step
 
 FREE: Final = 1
 OCCUPIED: Final = -1

@@ -1,0 +1,1 @@
+"""What beams saw: beams, range images, and which places were seen through; no stage of its own."""
