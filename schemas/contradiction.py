@@ -13,10 +13,14 @@ from schemas.labels import FrameLabels
 
 
 class ContradictionKind(StrEnum):
-    """Which stream alone says that something moves. It does not say who errs."""
+    """Who alone says that something moves: one stream, or the witness against both.
+
+    It does not say who errs.
+    """
 
     ONLY_SEMANTIC_DYNAMIC = "only_semantic_dynamic"
     ONLY_PREDICTIVE_DYNAMIC = "only_predictive_dynamic"
+    ONLY_WITNESS_DYNAMIC = "only_witness_dynamic"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,12 +32,14 @@ class LabelledFrame:
         semantic: Labels of the supervised stream.
         predictive: Labels of the self-supervised stream.
         agreements: (N,) `Agreement` of the two.
+        witness: What the third witness says; None where none was asked.
     """
 
     posed: PosedFrame
     semantic: FrameLabels
     predictive: FrameLabels
     agreements: Agreements
+    witness: FrameLabels | None = None
 
     def __post_init__(self) -> None:
         """Check that every point has one agreement."""

@@ -76,6 +76,11 @@ class MiningSettings(BaseModel):
     odometry: str = Field(
         default="kiss-icp", description="Odometry, by name: kiss-icp, or delora (the paper's)."
     )
+    witness: str = Field(
+        default="free-space",
+        description="Third witness, by name: free-space (what was seen through a second before or "
+        "after is not static), or none.",
+    )
     instances: Literal["default", "paper"] = Field(
         default="default",
         description="How contradicting points become instances; paper: the published numbers.",

@@ -22,6 +22,7 @@ SOFT_TEXT: Final[Colour] = (160, 166, 178)
 KIND_AGREEMENT: Final = {
     ContradictionKind.ONLY_SEMANTIC_DYNAMIC: Agreement.ONLY_SEMANTIC_DYNAMIC,
     ContradictionKind.ONLY_PREDICTIVE_DYNAMIC: Agreement.ONLY_PREDICTIVE_DYNAMIC,
+    ContradictionKind.ONLY_WITNESS_DYNAMIC: Agreement.BOTH_STATIC,
 }
 
 INK: Final[dict[Agreement, Colour]] = {

@@ -11,6 +11,7 @@ PRESETS: Final[Mapping[str, Mapping[str, str]]] = {
         "supervised": "salsanext-lmnet:published",
         "selfsupervised": "paper",
         "odometry": "kiss-icp",
+        "witness": "none",
         "instances": "paper",
         "camera": "recorded",
     },

@@ -10,9 +10,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.work import LOOKAHEAD, MiningSettings
 from workers.networks import NETWORKS
-from workers.registry import ODOMETRIES, SELFSUPERVISED, SUPERVISED
+from workers.registry import ODOMETRIES, SELFSUPERVISED, SUPERVISED, WITNESSES
 
-PartKind = Literal["odometry", "supervised", "selfsupervised", "network"]
+PartKind = Literal["odometry", "supervised", "selfsupervised", "witness", "network"]
 
 
 class PartCard(BaseModel):
@@ -121,6 +121,15 @@ _SELFSUPERVISED: Final[Mapping[str, _Card]] = {
     ),
 }
 
+_WITNESS: Final[Mapping[str, _Card]] = {
+    "free-space": _Card(
+        what="Free space a second before and after: where something else was seen through, "
+        "nothing stands.",
+        source="own",
+    ),
+    "none": _Card(what="Nobody is asked beside the two streams.", source="none", paper=True),
+}
+
 _NETWORKS: Final[Mapping[str, _Card]] = {
     "salsanext": _Card(
         paper=True,
@@ -163,6 +172,7 @@ def part_cards() -> list[PartCard]:
         "odometry": list(ODOMETRIES),
         "supervised": list(SUPERVISED),
         "selfsupervised": list(SELFSUPERVISED),
+        "witness": list(WITNESSES),
     }
     chosen = [
         card
@@ -176,7 +186,12 @@ def part_cards() -> list[PartCard]:
 
 
 def _card(kind: PartKind, name: str) -> PartCard:
-    known = {"odometry": _ODOMETRY, "supervised": _SUPERVISED, "selfsupervised": _SELFSUPERVISED}
+    known = {
+        "odometry": _ODOMETRY,
+        "supervised": _SUPERVISED,
+        "selfsupervised": _SELFSUPERVISED,
+        "witness": _WITNESS,
+    }
     card = known[kind].get(name) or _two_stage(name)
     chosen = MiningSettings.model_fields[kind].default
     return PartCard(part=kind, name=name, default=name == chosen, **card.model_dump())

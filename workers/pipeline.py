@@ -30,9 +30,10 @@ def mine_shard(
     """Score every scene of one shard by how much the two streams contradict each other.
 
     Both streams see the shard's frames once, warm-up included, because odometry, residual images
-    and free space remember; only scenes inside the window are scored. Frames flow through one by
-    one, so memory holds a scene, not a shard. Pure but for the parts: no file, no socket, no clock,
-    so a test mines a synthetic street and the pool retries safely.
+    and free space remember; the witness sees what both said, and a second more. Only scenes inside
+    the window are scored. Frames flow through one by one, so memory holds a scene, not a shard.
+    Pure but for the parts: no file, no socket, no clock, so a test mines a synthetic street and the
+    pool retries safely.
     """
     posed, for_supervised, for_selfsupervised = tee(parts.odometry(frames), 3)
     labelled = (
@@ -44,7 +45,7 @@ def mine_shard(
             strict=True,
         )
     )
-    for scene in cut_scenes(shard, labelled):
+    for scene in cut_scenes(shard, parts.witness(labelled)):
         instances = find_instances(
             scene, class_names=parts.supervised.class_names, settings=parts.instances
         )

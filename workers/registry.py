@@ -6,11 +6,12 @@ answer per frame, in order.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Final, Protocol, TypeVar
 
+from schemas.contradiction import LabelledFrame
 from schemas.frame import LidarFrame, PosedFrame
 from schemas.labels import FrameLabels
 from schemas.work import LOOKAHEAD
@@ -50,6 +51,29 @@ class Stream(Protocol):
         ...
 
 
+class Witness(Protocol):
+    """A third opinion on motion, which sees what both streams said, and what came after."""
+
+    @property
+    def version(self) -> str:
+        """`name@digest` of everything that changes its output."""
+        ...
+
+    def __call__(self, frames: Iterable[LabelledFrame]) -> Iterator[LabelledFrame]:
+        """Yield each frame with what it says of it, in order; state begins anew every time."""
+        ...
+
+
+class NoWitness:
+    """Nobody is asked."""
+
+    version = "none"
+
+    def __call__(self, frames: Iterable[LabelledFrame]) -> Iterator[LabelledFrame]:
+        """Yield the frames as they come."""
+        yield from frames
+
+
 @dataclass(frozen=True, slots=True)
 class Parts:
     """The replaceable parts of the pipeline, as chosen by name."""
@@ -57,6 +81,7 @@ class Parts:
     odometry: Odometry
     supervised: Stream
     selfsupervised: Stream
+    witness: Witness = field(default_factory=NoWitness)
     instances: InstanceSettings = DEFAULT_INSTANCES
 
 
@@ -200,6 +225,18 @@ SELFSUPERVISED: Final[Mapping[str, Callable[[PartFiles], Stream]]] = {
 published, per frame; `two-stage` alone takes the nearest neighbour. What enters `SCENE_FLOWS`
 is a stream of that name here."""
 
+
+def _free_space() -> Witness:
+    from workers.witness.free_space import TwoSidedFreeSpace
+
+    return TwoSidedFreeSpace()
+
+
+WITNESSES: Final[Mapping[str, Callable[[], Witness]]] = {
+    "free-space": _free_space,
+    "none": NoWitness,
+}
+
 INSTANCES: Final[Mapping[str, InstanceSettings]] = {
     "default": DEFAULT_INSTANCES,
     "paper": PAPER_INSTANCES,
@@ -221,6 +258,7 @@ def build_parts(
     odometry: str,
     supervised: str,
     selfsupervised: str,
+    witness: str = "free-space",
     instances: str = "default",
     files: PartFiles | None = None,
 ) -> Parts:
@@ -230,6 +268,7 @@ def build_parts(
         odometry: One of `ODOMETRIES`.
         supervised: One of `SUPERVISED`.
         selfsupervised: One of `SELFSUPERVISED`.
+        witness: One of `WITNESSES`.
         instances: One of `INSTANCES`.
         files: What they read beside the package.
 
@@ -249,6 +288,7 @@ def build_parts(
         odometry=build_odometry(odometry, files),
         supervised=build_supervised(supervised, files),
         selfsupervised=build_selfsupervised(selfsupervised, files),
+        witness=_named("witness", witness, WITNESSES)(),
         instances=_named("rule of instances", instances, INSTANCES),
     )
 

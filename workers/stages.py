@@ -7,15 +7,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal, TypeVar
 
+from schemas.contradiction import LabelledFrame
 from schemas.frame import LidarFrame, PosedFrame
 from schemas.labels import FrameLabels
-from workers.registry import Odometry, Parts, Stream
+from workers.registry import Odometry, Parts, Stream, Witness
 
 Stage = Literal[
     "ingest",
     "odometry",
     "supervised",
     "selfsupervised",
+    "witness",
     "contradiction",
     "encoding",
     "publishing",
@@ -99,11 +101,25 @@ class _TimedStream:
         return self.clock.drawn(self.name, self.inner(frames))
 
 
+@dataclass(frozen=True, slots=True)
+class _TimedWitness:
+    inner: Witness
+    clock: StageClock
+
+    @property
+    def version(self) -> str:
+        return self.inner.version
+
+    def __call__(self, frames: Iterable[LabelledFrame]) -> Iterator[LabelledFrame]:
+        return self.clock.drawn("witness", self.inner(frames))
+
+
 def timed(parts: Parts, clock: StageClock) -> Parts:
     """Return the same parts, with the clock watching them."""
     return Parts(
         odometry=_TimedOdometry(parts.odometry, clock),
         supervised=_TimedStream("supervised", parts.supervised, clock),
         selfsupervised=_TimedStream("selfsupervised", parts.selfsupervised, clock),
+        witness=_TimedWitness(parts.witness, clock),
         instances=parts.instances,
     )

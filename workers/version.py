@@ -28,6 +28,7 @@ def pipeline_version(settings: MiningSettings, parts: Parts) -> str:
         "odometry": parts.odometry.version,
         "supervised": parts.supervised.version,
         "selfsupervised": parts.selfsupervised.version,
+        "witness": parts.witness.version,
         "contradiction": contradiction_version(),
         "package": version("counterpoint"),
     }
@@ -44,6 +45,7 @@ def parts_of(settings: MiningSettings) -> Parts:
         odometry=settings.odometry,
         supervised=settings.supervised,
         selfsupervised=settings.selfsupervised,
+        witness=settings.witness,
         instances=settings.instances,
         files=files_of(settings),
     )

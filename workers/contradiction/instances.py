@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.cluster import DBSCAN
 
+from schemas.arrays import Mask
 from schemas.contradiction import ContradictionKind, Instance, LabelledFrame, Scene
-from schemas.labels import Agreement
+from schemas.labels import Agreement, MotionLabel
 from workers.contradiction.boxes import fit_box
 from workers.contradiction.settings import DEFAULT_INSTANCES, InstanceSettings
 from workers.contradiction.surroundings import neighbours
@@ -16,8 +17,10 @@ from workers.contradiction.surroundings import neighbours
 AGREEMENT_OF: Final = {
     ContradictionKind.ONLY_SEMANTIC_DYNAMIC: Agreement.ONLY_SEMANTIC_DYNAMIC,
     ContradictionKind.ONLY_PREDICTIVE_DYNAMIC: Agreement.ONLY_PREDICTIVE_DYNAMIC,
+    ContradictionKind.ONLY_WITNESS_DYNAMIC: Agreement.BOTH_STATIC,
 }
-"""Which agreement the points of each kind of contradiction have."""
+"""Which agreement the points of each kind of contradiction have; where the witness alone sees
+motion, the self-supervised stream may also be silent."""
 
 
 def find_instances(
@@ -88,18 +91,18 @@ def _instances_of(
     settings: InstanceSettings,
 ) -> Iterator[Instance]:
     points_m = frame.posed.frame.points_m
-    compared = frame.agreements != Agreement.NOT_COMPARED
+    asked, contradicting = _candidates(frame, kind)
     for axis in range(3):  # column by column: numpy is slow along an axis of three
-        compared &= np.abs(points_m[:, axis]) <= settings.max_coordinate_m
+        asked &= np.abs(points_m[:, axis]) <= settings.max_coordinate_m
     if frame.predictive.ground_mask is not None:
-        compared &= ~frame.predictive.ground_mask
-    candidates = np.flatnonzero(compared & (frame.agreements == AGREEMENT_OF[kind]))
+        asked &= ~frame.predictive.ground_mask
+    candidates = np.flatnonzero(asked & contradicting)
     clusters = cluster_places(points_m[candidates], settings=settings)
     found = int(clusters.max(initial=-1)) + 1
     if not found:
         return
     own, around = neighbours(
-        points_m[candidates], (points_m[candidates], points_m[compared]), cell_m=settings.around_m
+        points_m[candidates], (points_m[candidates], points_m[asked]), cell_m=settings.around_m
     )
     order = np.argsort(clusters, kind="stable")
     first = np.searchsorted(clusters[order], np.arange(found + 1))
@@ -123,6 +126,21 @@ def _instances_of(
             own_share=float(own[member].sum() / around[member].sum()),
             confirmed_share=_confirmed_share(frame, kind, index),
         )
+
+
+def _candidates(frame: LabelledFrame, kind: ContradictionKind) -> tuple[Mask, Mask]:
+    """(N,) points that can contradict in this way, and those that do."""
+    if kind is not ContradictionKind.ONLY_WITNESS_DYNAMIC:
+        return frame.agreements != Agreement.NOT_COMPARED, frame.agreements == AGREEMENT_OF[kind]
+    if frame.witness is None:
+        nowhere = np.zeros(len(frame.agreements), np.bool_)
+        return nowhere, nowhere
+    witness = frame.witness.labels
+    told = (frame.semantic.labels != MotionLabel.UNKNOWN) & (witness != MotionLabel.UNKNOWN)
+    static = (frame.semantic.labels == MotionLabel.STATIC) & (
+        frame.predictive.labels != MotionLabel.DYNAMIC
+    )
+    return told, static & (witness == MotionLabel.DYNAMIC)
 
 
 def _places(

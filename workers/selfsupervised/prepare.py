@@ -12,8 +12,9 @@ from schemas.labels import Blindness, FrameHealth
 from workers.geometry.se3 import inverse
 from workers.selfsupervised.ground import ground_mask
 from workers.selfsupervised.health import too_little
-from workers.visibility.beam_table import MIN_RANGE_M, BeamTable, estimate_beam_table
+from workers.visibility.beam_table import MIN_RANGE_M, BeamTable
 from workers.visibility.deskew import Twist, deskew, time_from_middle_s
+from workers.visibility.learning import BeamLearner
 from workers.visibility.passes import judged_rows, moved_rows, returns_within, rows_about
 from workers.visibility.range_image import range_image
 from workers.visibility.sensor_height import estimate_sensor_height
@@ -32,10 +33,6 @@ MIN_PLACES: Final = 3
 """Cells of 1.5 m that a frame must fill to be compared; whether they fix a pose, odometry says."""
 
 _HERE: Final = np.zeros(3, np.float32)
-_RELEARN_RETURNS: Final = 2
-_MORE_BEAMS: Final = 1.2
-_RELEARN_FRAMES: Final = 10
-"""A sensor whose beams could not be trusted in the first second will not be trusted later."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,18 +62,16 @@ class Prepared:
 
 
 class Preparation:
-    """Prepares the frames of one sensor; learns its beams and its height from the first.
-
-    They are learned anew where a frame with more than twice the returns shows more beams, and,
-    while they cannot be trusted, from each frame of the first second: a log may begin with next to
-    nothing, or behind a lorry.
-    """
+    """Prepares the frames of one sensor; learns its beams and its height as they come."""
 
     def __init__(self) -> None:
-        self.table: BeamTable | None = None
+        self._beams = BeamLearner()
         self.sensor_height_m: float = 0.0
-        self._learned_returns = 0
-        self._tried = 0
+
+    @property
+    def table(self) -> BeamTable | None:
+        """Beams of the sensor, as far as they are known."""
+        return self._beams.table
 
     def __call__(
         self, frame: LidarFrame, odom_from_sensor: Transform, velocity: Twist | None
@@ -96,7 +91,8 @@ class Preparation:
         points_m = rows_about(frame.points_m, valid_index, _HERE)
         if too_little(points_m, places=MIN_PLACES):
             return None
-        self._learn(points_m, frame.ring[valid_index])
+        if self._beams.learn(points_m, frame.ring[valid_index]):
+            self.sensor_height_m = 0.0
         if self.table is None or len(self.table.tangents) == 0:
             return None
         time_s = time_from_middle_s(frame)
@@ -132,20 +128,6 @@ class Preparation:
             return FrameHealth(Blindness.NO_POINTS, little)
         reason = self.table.reason if self.table is not None else ""
         return FrameHealth(Blindness.NO_BEAMS, f"beams cannot be trusted: {reason}")
-
-    def _learn(self, points_m: Points, ring: NDArray[np.int16]) -> None:
-        """Measure the beams where they are not known, or a frame shows much more of them."""
-        richer = len(points_m) > _RELEARN_RETURNS * self._learned_returns
-        doubted = self.table is None or not self.table.trusted
-        if not richer and not (doubted and self._tried < _RELEARN_FRAMES):
-            return
-        self._tried += 1
-        self._learned_returns = len(points_m)
-        table = estimate_beam_table(points_m, ring)
-        known = 0 if self.table is None or doubted else len(self.table.tangents)
-        if known and not (table.trusted and len(table.tangents) > _MORE_BEAMS * known):
-            return
-        self.table, self.sensor_height_m = table, 0.0
 
 
 def _returns(frame: LidarFrame) -> NDArray[np.int64]:

@@ -1,0 +1,151 @@
+"""The third witness: what was seen through a second before, or is a second after, is not static."""
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import NS_PER_S, Mask, Points
+from schemas.contradiction import LabelledFrame
+from schemas.labels import FrameHealth, FrameLabels, MotionLabel
+from workers.sources import source_digest
+from workers.visibility.clusters import connected
+from workers.visibility.free_space import visibility
+from workers.witness.doubt import Doubt
+from workers.witness.opinions import Opinions, opinions_of
+from workers.witness.sight import Sight, Sights
+
+REACH_S: Final = 1.0
+AGES_S: Final = (1.0, 0.8, 0.6, 0.4, 0.2)
+"""Farthest first. A frame in between says what its neighbours say."""
+
+_TOLERANCE_NS: Final = NS_PER_S // 16
+"""Half a revolution at 10 Hz and its jitter."""
+
+MAX_FRAMES: Final = 64
+"""Kept at most, however fast the sensor: two seconds at 30 Hz."""
+
+_SOURCES: Final = ("workers.geometry", "workers.visibility", "workers.witness")
+
+
+class TwoSidedFreeSpace:
+    """Free space a second before and after: the future included, which no live stream has seen.
+
+    Frames are held back until those a second later were seen, or until the shard ends: what lies
+    beyond it is not seen. Nothing is known across a gap, a lost pose or a jump of it.
+    """
+
+    @property
+    def version(self) -> str:
+        """`free-space@digest` of code."""
+        return f"free-space@{source_digest(*_SOURCES)[:12]}"
+
+    def __call__(self, frames: Iterable[LabelledFrame]) -> Iterator[LabelledFrame]:
+        """Yield each frame with what the witness says of it, in order, a second later."""
+        look, doubt = Sights(), Doubt()
+        past: deque[Sight] = deque(maxlen=MAX_FRAMES)
+        waiting: deque[tuple[LabelledFrame, Sight]] = deque()
+        for labelled in frames:
+            newest = look(labelled)
+            waiting.append((doubt.of(labelled, newest), newest))
+            while _waited(waiting[0][1], newest) or len(waiting) > MAX_FRAMES:
+                yield _next(past, waiting)
+        while waiting:
+            yield _next(past, waiting)
+
+
+def _waited(first: Sight, newest: Sight) -> bool:
+    long = newest.stamp_ns - first.stamp_ns >= round(REACH_S * NS_PER_S) - _TOLERANCE_NS // 4
+    return long or first.stretch != newest.stretch
+
+
+def _next(past: deque[Sight], waiting: deque[tuple[LabelledFrame, Sight]]) -> LabelledFrame:
+    labelled, sight = waiting.popleft()
+    said = testify(labelled, sight, before=past, after=[later for _, later in waiting])
+    past.append(sight)
+    horizon_ns = sight.stamp_ns - round(REACH_S * NS_PER_S) - _TOLERANCE_NS
+    while past[0].stamp_ns < horizon_ns or past[0].stretch != sight.stretch:
+        past.popleft()
+    return replace(labelled, witness=said)
+
+
+def testify(
+    labelled: LabelledFrame, sight: Sight, *, before: Iterable[Sight], after: Iterable[Sight]
+) -> FrameLabels:
+    """Label the points of a frame by what other frames saw at their places.
+
+    Args:
+        labelled: The frame.
+        sight: What it saw.
+        before: Earlier ones.
+        after: Later ones.
+
+    Returns:
+        DYNAMIC, STATIC or UNKNOWN for every point, and how sure: the share of the frames asked
+        that have an opinion.
+    """
+    n = len(labelled.posed.frame)
+    labels = np.full(n, MotionLabel.UNKNOWN, np.uint8)
+    confidence = np.zeros(n, np.float16)
+    view = sight.view
+    if view is None:
+        return FrameLabels(labels, confidence)
+    centroids = view.places.centroids_m
+    sides = [_ask(sight, centroids, others) for others in (before, after)]
+    opinions = [opinions_of(answers, len(centroids)) for answers in sides]
+    asked = sum(len(answers) for answers in sides)
+    seen_through = opinions[0].seen_through | opinions[1].seen_through
+    free, occupied = _sums(opinions)
+    moves = _moving(centroids, seen_through, free + occupied > 0)
+    said = np.full(len(centroids), MotionLabel.UNKNOWN, np.uint8)
+    said[(occupied > free) & ~seen_through] = MotionLabel.STATIC
+    said[moves] = MotionLabel.DYNAMIC
+    known = (free + occupied) / max(1, asked)
+    sure = np.where(said == MotionLabel.UNKNOWN, 0.0, known)
+    of_point = view.places.of_point
+    labels[view.judged_index] = said[of_point]
+    confidence[view.judged_index] = sure.astype(np.float16)[of_point]
+    seen_share = float(np.mean(known > 0)) if len(known) else float("nan")
+    return FrameLabels(labels, confidence, health=FrameHealth(seen_share=seen_share))
+
+
+def _sums(opinions: Sequence[Opinions]) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
+    return opinions[0].free + opinions[1].free, opinions[0].occupied + opinions[1].occupied
+
+
+def _ask(sight: Sight, places_m: Points, others: Iterable[Sight]) -> list[NDArray[np.int8]]:
+    """Answers of the frames of one side about the places of a frame, farthest first."""
+    able = {
+        abs(other.stamp_ns - sight.stamp_ns): other.view
+        for other in others
+        if other.stretch == sight.stretch and other.view is not None
+    }
+    answers = []
+    for age_s in AGES_S:
+        age_ns = round(age_s * NS_PER_S)
+        away_ns = min(able, key=lambda each: (abs(each - age_ns), each), default=None)
+        if away_ns is None or abs(away_ns - age_ns) > _TOLERANCE_NS:
+            continue
+        view = able.pop(away_ns)
+        answers.append(visibility(places_m, view.beams_from_odom, view.image, view.table))
+    return answers
+
+
+THING_REACH_M: Final = 0.5
+FINDING_REACH_M: Final = 0.6
+MIN_FINDING: Final = 5
+MIN_THING_SHARE: Final = 0.3
+MAX_THING_M: Final = 18.0
+
+
+def _moving(places_m: NDArray[np.float32], seen_through: Mask, known: Mask) -> Mask:
+    """Places of things that move: enough of them seen through, together, and most of the thing."""
+    found = connected(places_m, reach_m=FINDING_REACH_M, min_points=MIN_FINDING, among=seen_through)
+    moves = found.of_point >= 0
+    things = connected(places_m, reach_m=THING_REACH_M, min_points=MIN_FINDING)
+    share = things.count(moves) / np.maximum(things.count(known), 1)
+    whole = (things.count(moves) >= MIN_FINDING) & (share >= MIN_THING_SHARE)
+    return moves | things.member_mask(whole)

@@ -1,0 +1,164 @@
+"""A second registration: whether what stands fits where the odometry puts it, and how far off.
+
+It knows neither the odometry's map nor its motion model: two frames, their static structure, point
+to plane. Along what the structure does not hold (a tunnel, an empty motorway) it says nothing.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import Points, Transform
+
+NEAR_M: Final = 40.0
+"""Beyond it beams lie too far apart for planes."""
+
+FEWEST: Final = 150
+_SAMPLES: Final = 800
+_AROUND: Final = 8
+_FLAT: Final = 0.05
+"""Least over middle spread of the points around one: a leaf or a corner is no plane."""
+
+_STEPS: Final = 8
+_REACH_M: Final = 1.2
+_CLOSEST_REACH_M: Final = 0.35
+_WIDEST_M: Final = 0.4
+"""Gaps that count in the first step; half in each further one: ends of cars are few."""
+
+_CONVERGED: Final = 2e-3
+_HELD: Final = 0.02
+"""Information along a direction over that of the best one, under which it is not held."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Structure:
+    """What stands around the sensor in one frame.
+
+    Attributes:
+        centre_m: (3,) where the sensor was, odom space.
+        tree: Of all of it.
+        sample_m: (S, 3) some of it, on planes.
+        normals: (S, 3) of those planes.
+    """
+
+    centre_m: NDArray[np.float64]
+    tree: Any
+    sample_m: NDArray[np.float64]
+    normals: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Misfit:
+    """How a frame must be moved to fit another.
+
+    Attributes:
+        shift_m: At the sensor.
+        turn_rad: About it.
+        before_m: Median distance to planes as the odometry has it.
+        after_m: The same once moved.
+        share: Of the sample that has a counterpart.
+        correction: (4, 4) that moves it there, odom space.
+    """
+
+    shift_m: float
+    turn_rad: float
+    before_m: float
+    after_m: float
+    share: float
+    correction: Transform
+
+
+def structure_of(static_m: Points, centre_m: NDArray[np.floating]) -> Structure | None:
+    """Prepare the static places of a frame; None where there are too few.
+
+    Args:
+        static_m: (N, 3) places off the ground that no stream calls dynamic, odom space.
+        centre_m: (3,) where the sensor was.
+    """
+    from scipy.spatial import cKDTree
+
+    centre = np.asarray(centre_m, np.float64)
+    away = static_m.astype(np.float64) - centre
+    near = static_m[(away[:, 0] ** 2 + away[:, 1] ** 2) < NEAR_M**2].astype(np.float64)
+    if len(near) < FEWEST:
+        return None
+    tree = cKDTree(near, compact_nodes=False, balanced_tree=False)
+    sample = near[:: max(1, len(near) // _SAMPLES)]
+    _, around = tree.query(sample, k=_AROUND)
+    spread = near[around] - near[around].mean(axis=1, keepdims=True)
+    values, vectors = np.linalg.eigh(np.einsum("ski,skj->sij", spread, spread))
+    flat = values[:, 0] < _FLAT * np.maximum(values[:, 1], 1e-9)
+    if int(flat.sum()) < FEWEST // 2:
+        return None
+    return Structure(centre, tree, sample[flat], vectors[flat, :, 0])
+
+
+def misfit_between(reference: Structure, moved: Structure) -> Misfit | None:
+    """Register one frame to another, beginning where the odometry put both; None if it cannot.
+
+    Args:
+        reference: The earlier frame.
+        moved: The later one; its planes are matched.
+    """
+    rotation, shift = np.eye(3), np.zeros(3)
+    arms, normals = moved.sample_m - moved.centre_m, moved.normals
+    reach_m, before_m, after_m, share = _REACH_M, np.nan, np.nan, 0.0
+    for count in range(_STEPS):
+        turned = arms @ rotation.T
+        placed = turned + moved.centre_m + shift
+        distance_m, at = reference.tree.query(placed, distance_upper_bound=reach_m)
+        met = np.isfinite(distance_m)
+        share = float(met.mean())
+        if int(met.sum()) < FEWEST // 2:
+            return None
+        planes = normals[met] @ rotation.T
+        gap_m = ((reference.tree.data[at[met]] - placed[met]) * planes).sum(axis=1)
+        after_m = float(np.median(np.abs(gap_m)))
+        before_m = after_m if np.isnan(before_m) else before_m
+        step = _step(turned[met], planes, gap_m, max(_WIDEST_M * 0.5**count, 2.0 * after_m, 0.03))
+        rotation = _rotation(step[:3]) @ rotation
+        shift = shift + step[3:]
+        reach_m = max(_CLOSEST_REACH_M, 0.7 * reach_m)
+        if float(np.linalg.norm(step[3:])) + 10 * float(np.linalg.norm(step[:3])) < _CONVERGED:
+            break
+    turn_rad = float(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1.0, 1.0)))
+    correction: Transform = np.eye(4)
+    correction[:3, :3] = rotation
+    correction[:3, 3] = moved.centre_m + shift - rotation @ moved.centre_m
+    return Misfit(
+        float(np.linalg.norm(shift)), turn_rad, before_m, after_m, share, correction=correction
+    )
+
+
+def _step(
+    arms: NDArray[np.float64],
+    planes: NDArray[np.float64],
+    gap_m: NDArray[np.float64],
+    tolerated_m: float,
+) -> NDArray[np.float64]:
+    """One robust Gauss-Newton step, (6,) rotation then shift, only along what is held."""
+    weight = 1.0 / (1.0 + (gap_m / tolerated_m) ** 2)
+    lever_m = 10.0
+    jacobian = np.hstack([np.cross(arms, planes) / lever_m, planes])
+    information = jacobian.T @ (weight[:, None] * jacobian)
+    values, vectors = np.linalg.eigh(information)
+    held = values > _HELD * values[-1]
+    right = vectors.T @ (jacobian.T @ (weight * gap_m))
+    step: NDArray[np.float64] = vectors[:, held] @ (right[held] / values[held])
+    step[:3] /= lever_m
+    return step
+
+
+def _rotation(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rodrigues: of a rotation vector."""
+    angle = float(np.linalg.norm(vector))
+    if angle < 1e-12:
+        return np.eye(3)
+    x, y, z = vector / angle
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    turned: NDArray[np.float64] = (
+        np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)
+    )
+    return turned
