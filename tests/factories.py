@@ -21,7 +21,10 @@ from schemas.labels import FrameLabels
 from schemas.score import AgreementShares, KindTotal, OdometryHealth, Producers, SceneScore
 from workers.contradiction.compare import compare
 from workers.simulation.lidar import UNIFORM_64, Lidar
-from workers.simulation.recorded import Mistake
+from workers.simulation.plan import FailureKind
+from workers.simulation.planted import PlantedFailure
+from workers.simulation.planted_truth import Planted
+from workers.simulation.street import Street
 from workers.simulation.worlds import EgoStyle, build_street
 from workers.simulation.write import Identity, RecordedAs, write_log
 
@@ -207,7 +210,7 @@ def street_log(
     style: EgoStyle = "drives",
     lidar: Lidar = SMALL_LIDAR,
     recorded_as: RecordedAs = "fields",
-    mistakes: Sequence[Mistake] = (),
+    failures: Sequence[PlantedFailure] = (),
     truth: Path | None = None,
     chunk_bytes: int = 200_000,
     **identity: Any,
@@ -220,9 +223,24 @@ def street_log(
         lidar=lidar,
         identity=Identity(**identity),
         recorded=recorded_as,
-        mistakes=mistakes,
+        planted=Planted(failures=tuple(failures)),
         truth=truth,
         chunk_bytes=chunk_bytes,
         frames=frames,
     )
     return path
+
+
+def missed_and_phantom(street: Street) -> Planted:
+    """Let the model on the car miss every second mover, and call every fourth parked car moving."""
+    failures = [
+        PlantedFailure(
+            FailureKind.PARKED_CALLED_MOVING if actor.parked else FailureKind.MISSED_MOVER,
+            track,
+            0.0,
+            street.seconds + 1.0,
+        )
+        for track, actor in enumerate(street.actors)
+        if track % (4 if actor.parked else 2) == 0
+    ]
+    return Planted(failures=tuple(failures))

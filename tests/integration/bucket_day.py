@@ -14,8 +14,7 @@ from typing import Any, Final, Literal
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from tests.factories import SMALL_LIDAR
-from workers.simulation.recorded import plan_mistakes
+from tests.factories import SMALL_LIDAR, missed_and_phantom
 from workers.simulation.worlds import build_street
 from workers.simulation.write import Identity, write_log
 
@@ -145,7 +144,7 @@ def street(seed: int, *, vehicle: str) -> bytes:
         world,
         lidar=SMALL_LIDAR,
         identity=Identity(vehicle=vehicle),
-        mistakes=plan_mistakes(world, lidar=SMALL_LIDAR),
+        planted=missed_and_phantom(world),
         chunk_bytes=CHUNK_BYTES,
     )
     return out.getvalue()

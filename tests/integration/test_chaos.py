@@ -11,10 +11,10 @@ from schemas.recordings import group_recordings
 from schemas.wire import encode_scene_score, sha256
 from service.client import watch_scenes
 from service.config import load_settings
+from tests.factories import missed_and_phantom
 from tests.integration.daemons import System
 from workers.score import score_recording
 from workers.simulation.lidar import UNEVEN_64, Lidar
-from workers.simulation.recorded import plan_mistakes
 from workers.simulation.worlds import build_street
 from workers.simulation.write import Identity, write_log
 
@@ -36,7 +36,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
             street,
             lidar=lidar,
             identity=Identity(vehicle=f"car-{seed}"),
-            mistakes=plan_mistakes(street, lidar=lidar),
+            planted=missed_and_phantom(street),
             chunk_bytes=1 << 18,
         )
     return folder

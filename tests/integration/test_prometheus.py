@@ -26,7 +26,8 @@ from tests.integration.prometheus_server import (
     rules_at_once,
     until,
 )
-from workers.simulation.recorded import Mistake, MistakeKind
+from workers.simulation.plan import FailureKind
+from workers.simulation.planted import PlantedFailure
 
 pytestmark = [pytest.mark.integration, pytest.mark.timeout(900)]
 
@@ -37,10 +38,10 @@ PANELS: Final = [
     (path, panel) for path in sorted(FOLDER.glob("*.json")) for panel in read_dashboard(path)
 ]
 
-MISTAKES: Final = tuple(
-    Mistake(kind, track, 0.0, 9.0)
+FAILURES: Final = tuple(
+    PlantedFailure(kind, track, 0.0, 9.0)
     for kind, track in product(
-        (MistakeKind.MISSED_MOVER, MistakeKind.PARKED_CALLED_MOVING), range(12)
+        (FailureKind.MISSED_MOVER, FailureKind.PARKED_CALLED_MOVING), range(12)
     )
 )
 
@@ -94,7 +95,7 @@ def fill(bucket: Path) -> Path:
     for vehicle, seed in (("car-1", 1), ("car-1", 2), ("car-2", 3)):
         path = bucket / vehicle / "2026-03-02" / f"drive-{seed}.mcap"
         path.parent.mkdir(parents=True, exist_ok=True)
-        street_log(path, frames=40, seed=seed, vehicle=vehicle, mistakes=MISTAKES)
+        street_log(path, frames=40, seed=seed, vehicle=vehicle, failures=FAILURES)
     whole = (bucket / "car-1" / "2026-03-02" / "drive-1.mcap").read_bytes()
     other = bucket / "car-9" / "2026-03-02"
     other.mkdir(parents=True)

@@ -6,10 +6,10 @@ from typing import Final
 
 from workers.simulation.fleet import SimulatedLog, simulate_fleet
 
-DEMO_LOGS: Final = 5
-DEMO_SECONDS: Final = 12.0
+DEMO_SCENES: Final = 30
+DEMO_FAILURES: Final = 0.2
 DEMO_SEED: Final = 7
-DEMO_FRAMES: Final = DEMO_LOGS * int(DEMO_SECONDS * 10)
+DEMO_FRAMES: Final = DEMO_SCENES * 20
 """How often `progress` is called."""
 
 
@@ -19,11 +19,10 @@ def make_demo_fleet(
     """Write the demo's bucket to `folder/logs` and its truth to `folder/truth`.
 
     The supervised voice of these logs is `recorded`: the labels of the model that ran on the car,
-    which are the truth but for a missed car, a parked car called moving and an unseen pedestrian.
-    One log is without mistakes.
+    which are the truth but for what was planted.
     """
     return tuple(
         simulate_fleet(
-            folder, logs=DEMO_LOGS, seconds=DEMO_SECONDS, seed=DEMO_SEED, progress=progress
+            folder, scenes=DEMO_SCENES, seed=DEMO_SEED, share=DEMO_FAILURES, progress=progress
         )
     )

@@ -7,22 +7,17 @@ from pathlib import Path
 from typing import Final
 
 from schemas.arrays import NS_PER_S
-from workers.simulation.lidar import Lidar
-from workers.simulation.recorded import Mistake, MistakeKind, plan_mistakes
+from workers.simulation.disturbances import disturb, draw_disturbance
+from workers.simulation.lidar import Lidar, sweep
+from workers.simulation.plan import LogPlan, plan_fleet
+from workers.simulation.planted_truth import Planted
+from workers.simulation.planting import plant
+from workers.simulation.street import Street
 from workers.simulation.worlds import EGO_STYLES, build_street
 from workers.simulation.write import Identity, RecordedAs, write_log
 
-MISTAKES_IN_TURN: Final[tuple[tuple[MistakeKind, ...], ...]] = (
-    (MistakeKind.MISSED_MOVER,),
-    (MistakeKind.PARKED_CALLED_MOVING,),
-    (),
-    (MistakeKind.MISSED_PEDESTRIAN, MistakeKind.MISSED_MOVER),
-)
-"""What the model on the car gets wrong in the first log, the second, and so on, in turn."""
-
 _FIRST_DAY: Final = date(2026, 3, 2)
 _VEHICLES: Final = 3
-_SEED_STEP: Final = 1_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,14 +27,14 @@ class SimulatedLog:
     Attributes:
         log_id: Key of the log in its bucket, without extension.
         frames: Lidar frames in it.
-        mistakes: What the model on the car gets wrong in it.
+        planted: What was put into it on purpose.
         log: The file.
         truth: The folder of its truth.
     """
 
     log_id: str
     frames: int
-    mistakes: tuple[Mistake, ...]
+    planted: Planted
     log: Path
     truth: Path
 
@@ -47,10 +42,9 @@ class SimulatedLog:
 def simulate_fleet(
     out_folder: Path,
     *,
-    logs: int,
-    seconds: float,
+    scenes: int,
     seed: int,
-    mistakes: bool = True,
+    share: float,
     lidar: Lidar | None = None,
     recorded: RecordedAs = "fields",
     chunk_bytes: int = 4 << 20,
@@ -58,51 +52,77 @@ def simulate_fleet(
 ) -> list[SimulatedLog]:
     """Write `out_folder/logs/<vehicle>/<date>/<name>.mcap` and the same under `truth`.
 
-    The ego's style goes round, so that a fleet holds standing, driving and stopping cars, and so
-    do the mistakes; every fourth log is free of them: a ranking that cannot put those last has
-    proved nothing.
+    The ego's style goes round, so that a fleet holds standing, driving and stopping cars.
 
     Args:
         out_folder: Folder to write to; its `logs` is the bucket.
-        logs: How many.
-        seconds: How long each lasts.
+        scenes: How many, ten to a log of 20 s.
         seed: Seed of the whole fleet.
-        mistakes: Whether the model on the cars errs in the other logs.
+        share: Of the scenes in which the model on the car errs.
         lidar: The lidar of every car; fewer columns make logs cheap.
         recorded: Where the labels of the model on the car go.
         chunk_bytes: Uncompressed size at which a chunk is closed.
         progress: Called after each frame.
     """
     lidar = lidar or Lidar()
-    written = []
-    for number in range(logs):
-        street = build_street(
-            seed * _SEED_STEP + number, seconds=seconds, style=EGO_STYLES[number % len(EGO_STYLES)]
-        )
-        kinds = MISTAKES_IN_TURN[number % len(MISTAKES_IN_TURN)]
-        errs = mistakes and recorded != "nothing" and kinds
-        planted = plan_mistakes(street, lidar=lidar, kinds=kinds) if errs else ()
-        day = _FIRST_DAY + timedelta(days=number // _VEHICLES)
-        vehicle = f"sim-{number % _VEHICLES + 1:02d}"
-        key = f"{vehicle}/{day.isoformat()}/street-{number:03d}"
-        start = datetime(day.year, day.month, day.day, 9, number % 60, tzinfo=UTC)
-        log, truth = out_folder / "logs" / f"{key}.mcap", out_folder / "truth" / key
-        frames = write_log(
-            log,
-            street,
+    return [
+        write_planned(
+            out_folder,
+            plan,
             lidar=lidar,
-            identity=Identity(
-                vehicle=vehicle,
-                date=day.isoformat(),
-                software_version="2026.2" if number % 2 else "2026.1",
-                start_ns=int(start.timestamp()) * NS_PER_S,
-            ),
             recorded=recorded,
-            mistakes=planted,
-            truth=truth,
-            log_key=f"logs/{key}.mcap",
             chunk_bytes=chunk_bytes,
             progress=progress,
         )
-        written.append(SimulatedLog(key, frames, planted, log, truth))
-    return written
+        for plan in plan_fleet(scenes=scenes, seed=seed, share=share)
+    ]
+
+
+def write_planned(
+    out_folder: Path,
+    plan: LogPlan,
+    *,
+    lidar: Lidar,
+    recorded: RecordedAs = "fields",
+    chunk_bytes: int = 4 << 20,
+    progress: Callable[[], None] | None = None,
+) -> SimulatedLog:
+    """Write one log of a fleet with its truth, as it was planned."""
+    style = EGO_STYLES[plan.number % len(EGO_STYLES)]
+    street = build_street(plan.seed, seconds=plan.seconds, style=style)
+    planted = put_into(street, plan, lidar=lidar)
+    day = _FIRST_DAY + timedelta(days=plan.number // _VEHICLES)
+    vehicle = f"sim-{plan.number % _VEHICLES + 1:02d}"
+    key = f"{vehicle}/{day.isoformat()}/street-{plan.number:03d}"
+    start = datetime(day.year, day.month, day.day, 9, plan.number % 60, tzinfo=UTC)
+    log, truth = out_folder / "logs" / f"{key}.mcap", out_folder / "truth" / key
+    frames = write_log(
+        log,
+        street,
+        lidar=lidar,
+        identity=Identity(
+            vehicle=vehicle,
+            date=day.isoformat(),
+            software_version=plan.software_version,
+            start_ns=int(start.timestamp()) * NS_PER_S,
+        ),
+        recorded=recorded,
+        planted=planted,
+        truth=truth,
+        log_key=f"logs/{key}.mcap",
+        chunk_bytes=chunk_bytes,
+        progress=progress,
+    )
+    return SimulatedLog(key, frames, planted, log, truth)
+
+
+def put_into(street: Street, plan: LogPlan, *, lidar: Lidar) -> Planted:
+    """Choose what is put into a log on purpose, now that its street is known."""
+    disturbances = tuple(draw_disturbance(each) for each in plan.disturbances)
+    failures, redraws = plant(
+        street,
+        plan,
+        look=lambda index: disturb(sweep(street, lidar, index), disturbances),
+        period_s=lidar.period_s,
+    )
+    return Planted(failures, disturbances, redraws, plan.hard)

@@ -2,8 +2,7 @@
 
 import csv
 import json
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,7 +10,8 @@ import numpy as np
 
 from workers.simulation.kinds import GROUND, MOVABLE, SEMANTIC_KITTI, StreetClass
 from workers.simulation.lidar import SimulatedFrame
-from workers.simulation.recorded import DYNAMIC, Mistake
+from workers.simulation.planted import DYNAMIC
+from workers.simulation.planted_truth import FILE, PlantedTruth
 from workers.simulation.street import Street
 
 _TRACK_COLUMNS: Final = (
@@ -26,7 +26,7 @@ class TruthWriter:
 
     Layout: `NNNNNN.npz` per cloud with semantic, motion, track and ground in the order of its
     points; `frames.json`, `poses.npz`, `tracks.csv` (boxes in the world), `classes.json`, and
-    `mistakes.json` with what was planted in the recorded labels.
+    `planted.json` with what was put into the log on purpose.
     """
 
     folder: Path
@@ -62,7 +62,7 @@ class TruthWriter:
         )
         self._tracks += self._boxes(frame)
 
-    def finish(self, mistakes: Sequence[Mistake]) -> None:
+    def finish(self, planted: PlantedTruth) -> None:
         """Write the tables of the whole log."""
         self.folder.mkdir(parents=True, exist_ok=True)
         counts = {
@@ -73,7 +73,7 @@ class TruthWriter:
         self._write_json(
             "frames.json", {"log": self.log_key, "frames": self._frames, "counts": counts}
         )
-        self._write_json("mistakes.json", {"mistakes": [asdict(m) for m in mistakes]})
+        self._write_json(FILE, planted.model_dump(mode="json"))
         self._write_json("classes.json", {"classes": [_describe(c) for c in StreetClass]})
         np.savez_compressed(
             self.folder / "poses.npz",

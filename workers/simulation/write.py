@@ -1,7 +1,7 @@
 """Writes a simulated street as an MCAP log, as a recorder on a car would, with truth beside."""
 
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,8 +16,10 @@ from workers.simulation.cloud import (
     labels_of,
     message_of,
 )
+from workers.simulation.disturbances import delay_ns, disturb
 from workers.simulation.lidar import Lidar, sweep
-from workers.simulation.recorded import Mistake, record, recorded_classes
+from workers.simulation.planted_truth import NOTHING_PLANTED, Planted
+from workers.simulation.recorded import record, recorded_classes
 from workers.simulation.street import Street
 from workers.simulation.truth import TruthWriter
 
@@ -47,7 +49,7 @@ def write_log(
     lidar: Lidar | None = None,
     identity: Identity | None = None,
     recorded: RecordedAs = "fields",
-    mistakes: Sequence[Mistake] = (),
+    planted: Planted = NOTHING_PLANTED,
     truth: Path | None = None,
     log_key: str = "",
     chunk_bytes: int = 4 << 20,
@@ -62,7 +64,7 @@ def write_log(
         lidar: The lidar on the car; 64 beams and 1024 columns at 10 Hz when None.
         identity: Vehicle, date, software version and time of the first frame.
         recorded: Where the labels of the model on the car go.
-        mistakes: What that model gets wrong.
+        planted: What that model gets wrong, and what disturbs the sensor.
         truth: Folder for the truth of this log; None writes none.
         log_key: What the truth calls the log.
         chunk_bytes: Uncompressed size at which a chunk is closed; zstd, with CRC and summary.
@@ -89,9 +91,10 @@ def write_log(
         if recorded != "nothing":
             writer.add_metadata("counterpoint.classes", recorded_classes())
         for index in range(count):
-            frame = sweep(street, lidar, index)
-            said = None if recorded == "nothing" else record(street, frame, mistakes)
-            stamp_ns = identity.start_ns + index * lidar.period_ns
+            frame = disturb(sweep(street, lidar, index), planted.disturbances)
+            said = None if recorded == "nothing" else record(street, frame, planted.failures)
+            late_ns = delay_ns(index, frame.time_s, planted.disturbances)
+            stamp_ns = identity.start_ns + index * lidar.period_ns + late_ns
             rows = cloud_of(frame, said if recorded == "fields" else None)
             message = message_of(rows, stamp_ns=stamp_ns, space=LIDAR_SPACE)
             writer.write_message(LIDAR_TOPIC, schema, message, stamp_ns, stamp_ns, index)
@@ -104,7 +107,7 @@ def write_log(
                 progress()
         writer.finish()  # type: ignore[no-untyped-call]  # upstream lacks the return type
     if truth_writer is not None:
-        truth_writer.finish(mistakes)
+        truth_writer.finish(planted.truth(identity.start_ns))
     return count
 
 

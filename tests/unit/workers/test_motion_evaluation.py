@@ -18,7 +18,9 @@ from workers.evaluation.motion import evaluate_motion
 from workers.evaluation.table import LogEvaluation, evaluation_of
 from workers.evaluation.truth import FrameTruth, LogTruth, TruthUnusableError
 from workers.simulation.lidar import sweep
-from workers.simulation.recorded import Mistake, MistakeKind, record
+from workers.simulation.plan import FailureKind
+from workers.simulation.planted import PlantedFailure
+from workers.simulation.recorded import record
 from workers.simulation.worlds import build_street
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
@@ -120,12 +122,12 @@ def test_ratios_come_of_summed_counts_and_a_ratio_of_nothing_is_null() -> None:
     assert table(LogCounts()).iou["50"] is None
 
 
-def simulated(folder: Path, *, mistakes: Sequence[Mistake] = ()) -> tuple[str, Path]:
+def simulated(folder: Path, *, failures: Sequence[PlantedFailure] = ()) -> tuple[str, Path]:
     street_log(
         folder / "logs" / f"{KEY}.mcap",
         frames=FRAMES,
         seed=4,
-        mistakes=mistakes,
+        failures=failures,
         truth=folder / "truth" / KEY,
     )
     return str(folder / "logs"), folder / "truth"
@@ -155,12 +157,13 @@ def test_a_missed_mover_costs_exactly_its_points_in_the_frames_judged(tmp_path: 
     street = build_street(4, seconds=FRAMES * SMALL_LIDAR.period_s, style="drives")
     frames = [sweep(street, SMALL_LIDAR, index) for index in range(FRAMES)]
     moving = np.concatenate([seen.track[seen.motion == 2] for seen in frames])
-    mistake = Mistake(MistakeKind.MISSED_MOVER, int(np.bincount(moving).argmax()), 0.35, 0.65)
-    row, _ = evaluate(*simulated(tmp_path, mistakes=[mistake]), 3, 7)
+    most = int(np.bincount(moving).argmax())
+    failure = PlantedFailure(FailureKind.MISSED_MOVER, most, 0.35, 0.65)
+    row, _ = evaluate(*simulated(tmp_path, failures=[failure]), 3, 7)
 
     hits = misses = 0
     for seen in frames[3:7]:
-        said = record(street, seen, [mistake])
+        said = record(street, seen, [failure])
         near = np.hypot(*seen.points_m[:, :2].T) < 80
         hits += int(((seen.motion == 2) & (said.motion == 2) & near).sum())
         misses += int(((seen.motion == 2) & (said.motion != 2) & near).sum())

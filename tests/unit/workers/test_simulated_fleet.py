@@ -1,4 +1,3 @@
-import json
 from pathlib import Path
 
 import pytest
@@ -8,9 +7,10 @@ from schemas.recordings import group_recordings
 from schemas.work import MiningSettings
 from tests.factories import SMALL_LIDAR
 from workers.ingest.plan import plan_recording
-from workers.simulation.fleet import MISTAKES_IN_TURN, SimulatedLog, simulate_fleet
+from workers.simulation.fleet import SimulatedLog, simulate_fleet
+from workers.simulation.planted_truth import PlantedTruth
 
-LOGS, SECONDS = 4, 4.0
+SCENES = 12
 
 
 @pytest.fixture(scope="module")
@@ -19,9 +19,9 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Simulate
     calls: list[None] = []
     logs = simulate_fleet(
         folder,
-        logs=LOGS,
-        seconds=SECONDS,
+        scenes=SCENES,
         seed=3,
+        share=0.25,
         lidar=SMALL_LIDAR,
         progress=lambda: calls.append(None),
     )
@@ -34,8 +34,8 @@ def test_a_fleet_is_a_bucket_of_logs_with_truth_beside_it(
     folder, logs, calls = fleet
     recordings = group_recordings(open_bucket(str(folder / "logs")).list())
     assert {each.log_id for each in recordings} == {each.log_id for each in logs}
-    assert len(recordings) == LOGS
-    assert calls == sum(each.frames for each in logs) == LOGS * round(SECONDS * 10)
+    assert [each.frames for each in logs] == [200, 40]
+    assert calls == SCENES * 20
     for each in logs:
         assert each.truth == folder / "truth" / each.log_id
         assert len(list(each.truth.glob("[0-9]*.npz"))) == each.frames
@@ -56,20 +56,18 @@ def test_logs_say_whose_they_are_as_their_paths_do(
     assert len(software) == 2
 
 
-def test_mistakes_go_round_and_some_logs_have_none(
+def test_what_was_planted_lies_beside_the_truth(
     fleet: tuple[Path, list[SimulatedLog], int],
 ) -> None:
     _, logs, _ = fleet
-    assert any(each.mistakes for each in logs)
-    for number, each in enumerate(logs):
-        assert {mistake.kind for mistake in each.mistakes} <= set(MISTAKES_IN_TURN[number % 4])
-        listed = json.loads((each.truth / "mistakes.json").read_text())["mistakes"]
-        assert [row["track"] for row in listed] == [mistake.track for mistake in each.mistakes]
-    assert not MISTAKES_IN_TURN[2]
-
-
-def test_a_fleet_whose_model_is_right_has_no_mistakes(tmp_path: Path) -> None:
-    (log,) = simulate_fleet(
-        tmp_path, logs=1, seconds=1.0, seed=3, mistakes=False, lidar=SMALL_LIDAR
-    )
-    assert log.mistakes == ()
+    planted = 0
+    for each in logs:
+        listed = PlantedTruth.beside(each.truth)
+        assert listed is not None
+        assert [row.track for row in listed.failures] == [f.track for f in each.planted.failures]
+        assert len(listed.disturbances) == len(each.planted.disturbances)
+        for row in listed.failures:
+            assert row.end_ns - row.start_ns == pytest.approx((row.end_s - row.start_s) * 1e9)
+            assert row.scene * 2.0 <= row.start_s < row.end_s <= row.scene * 2.0 + 2.0
+        planted += len(listed.failures)
+    assert planted == 3

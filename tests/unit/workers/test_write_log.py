@@ -20,7 +20,10 @@ from workers.ingest.read import read_shard
 from workers.simulation.cloud import cloud_of
 from workers.simulation.kinds import StreetClass
 from workers.simulation.lidar import sweep
-from workers.simulation.recorded import Mistake, MistakeKind, plan_mistakes, record
+from workers.simulation.plan import FailureKind
+from workers.simulation.planted import PlantedFailure
+from workers.simulation.planted_truth import Planted
+from workers.simulation.recorded import record
 from workers.simulation.worlds import build_street
 from workers.simulation.write import LABEL_TOPIC, LIDAR_TOPIC, RecordedAs, write_log
 
@@ -96,15 +99,15 @@ def test_a_log_has_a_summary_and_chunks_that_its_index_finds(tmp_path: Path) -> 
 @pytest.mark.parametrize("recorded_as", ["fields", "topic"])
 def test_labels_read_equal_labels_written(tmp_path: Path, recorded_as: RecordedAs) -> None:
     street = build_street(4, seconds=2.0, style="drives")
-    mistakes = (Mistake(MistakeKind.MISSED_MOVER, 0, 0.3, 0.9),)
+    planted = Planted((PlantedFailure(FailureKind.MISSED_MOVER, 0, 0.3, 0.9),))
     write_log(
-        tmp_path / f"{KEY}.mcap", street, lidar=SMALL_LIDAR, recorded=recorded_as, mistakes=mistakes
+        tmp_path / f"{KEY}.mcap", street, lidar=SMALL_LIDAR, recorded=recorded_as, planted=planted
     )
     frames = read_by_ingest(tmp_path)
     assert len(frames) == 20
     for index, frame in enumerate(frames):
         seen = sweep(street, SMALL_LIDAR, index)
-        said = record(street, seen, mistakes)
+        said = record(street, seen, planted.failures)
         assert frame.recorded is not None
         assert frame.recorded.motion is not None
         assert frame.recorded.confidence is not None
@@ -161,26 +164,6 @@ def test_the_same_seed_writes_the_same_bytes(tmp_path: Path) -> None:
     assert [each.name for each in truths[0]] == [each.name for each in truths[1]]
     for mine, theirs in zip(*truths, strict=True):
         assert mine.read_bytes() == theirs.read_bytes(), mine.name
-
-
-def test_a_mistake_changes_its_track_in_its_window_and_nothing_else() -> None:
-    street = build_street(4, seconds=6.0, style="stands")
-    planned = plan_mistakes(street, lidar=SMALL_LIDAR, kinds=list(MistakeKind))
-    assert {mistake.kind for mistake in planned} >= {
-        MistakeKind.MISSED_MOVER,
-        MistakeKind.PARKED_CALLED_MOVING,
-    }
-    for mistake in planned:
-        wrong_points = 0
-        for index in range(0, 60, 5):
-            frame = sweep(street, SMALL_LIDAR, index)
-            said = record(street, frame, [mistake])
-            wrong = said.motion != frame.motion
-            assert (frame.track[wrong] == mistake.track).all()
-            inside = mistake.start_s <= frame.time_s < mistake.end_s
-            assert inside or not wrong.any()
-            wrong_points += int(wrong.sum())
-        assert wrong_points > 0, mistake
 
 
 def test_a_log_may_be_written_to_memory() -> None:

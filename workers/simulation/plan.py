@@ -1,0 +1,215 @@
+"""Which scenes of a fleet carry a failure or a disturbance, and which logs are hard: drawn first.
+
+Nothing here knows a street. The draw says what is wanted where; `planting.py` finds the tracks that
+can carry it, once the street of the log is known.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from math import ceil
+from typing import Final, TypeVar
+
+import numpy as np
+
+Kind = TypeVar("Kind")
+
+SCENE_S: Final = 2.0
+LOG_S: Final = 20.0
+
+COMMON_MODE_SHARE: Final = 0.2
+DISTURBED_SHARE: Final = 0.2
+HARD_SHARE: Final = 0.4
+
+VERSIONS: Final = ("2026.1", "2026.2")
+REGRESSED_VERSION: Final = VERSIONS[1]
+"""The software that got worse at one class; every other log runs it."""
+
+
+class FailureKind(StrEnum):
+    """What the model on the car gets wrong about one thing.
+
+    MISSED_MOVER is not drawn with the others: it is what a common-mode failure is, a mover that
+    the self-supervised stream tends to miss as well.
+    """
+
+    UNSEEN_CLASS = "unseen_class"
+    MISSED_PEDESTRIAN = "missed_pedestrian"
+    GHOST_MOVER = "ghost_mover"
+    PARKED_CALLED_MOVING = "parked_called_moving"
+    FLICKER = "flicker"
+    LATE_DETECTION = "late_detection"
+    LABEL_SWAP = "label_swap"
+    RANGE_LIMIT = "range_limit"
+    VERSION_REGRESSION = "version_regression"
+    MISSED_MOVER = "missed_mover"
+
+
+DRAWN_KINDS: Final = tuple(kind for kind in FailureKind if kind is not FailureKind.MISSED_MOVER)
+"""What is equally likely, common-mode failures aside."""
+
+
+class DisturbanceKind(StrEnum):
+    """What disturbs a scene without being a failure of the model."""
+
+    ODOMETRY_SLIP = "odometry_slip"
+    GROUND_LEAK = "ground_leak"
+    SENSOR_SWAP = "sensor_swap"
+    INTENSITY_SCALE = "intensity_scale"
+    DROPPED_SECTOR = "dropped_sector"
+    TIME_JITTER = "time_jitter"
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedFailure:
+    """A failure that is wanted in a scene.
+
+    Attributes:
+        cell: Which scene of its log, from 0.
+        kind: What shall go wrong.
+        common_mode: Whether the self-supervised stream shall tend to err on it too.
+    """
+
+    cell: int
+    kind: FailureKind
+    common_mode: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedDisturbance:
+    """A disturbance of a scene.
+
+    Attributes:
+        cell: Which scene of its log, from 0.
+        kind: What disturbs it.
+        seed: Of its strength and place.
+    """
+
+    cell: int
+    kind: DisturbanceKind
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class LogPlan:
+    """What one log of a fleet shall hold.
+
+    Attributes:
+        number: Of the log in its fleet, from 0.
+        seed: Of its street and of everything in it.
+        scenes: How many scenes it has.
+        hard: Dense traffic, vegetation, turns, bumps.
+        software_version: What the car ran.
+        failures: Wanted ones, by scene; at most one a scene.
+        disturbances: By scene; at most one a scene.
+    """
+
+    number: int
+    seed: int
+    scenes: int
+    hard: bool
+    software_version: str
+    failures: tuple[PlannedFailure, ...] = ()
+    disturbances: tuple[PlannedDisturbance, ...] = ()
+
+    @property
+    def seconds(self) -> float:
+        """How long the log lasts."""
+        return self.scenes * SCENE_S
+
+    @property
+    def wants_common_mode(self) -> bool:
+        """Whether the street should hold what both streams tend to miss.
+
+        A pedestrian under 1 m/s, a vehicle over 18 m, a mover along a wall (`candidates.py`).
+        """
+        return any(each.common_mode for each in self.failures)
+
+
+def plan_fleet(
+    *,
+    scenes: int,
+    seed: int,
+    share: float,
+    disturbed_share: float = DISTURBED_SHARE,
+    hard_share: float = HARD_SHARE,
+    common_mode_share: float = COMMON_MODE_SHARE,
+) -> tuple[LogPlan, ...]:
+    """Draw what a fleet shall hold; numbers are exact, places are drawn.
+
+    Failures, disturbances and hard logs are drawn independently of one another. Kinds are equally
+    likely: as many of each as the number allows. Versions take turns, and what regresses with a
+    version is wanted only in logs that run it.
+
+    Args:
+        scenes: Scenes of the fleet, ten to a log of 20 s; the last log may be shorter.
+        seed: Of everything.
+        share: Of the scenes that carry a failure, 0 to 1.
+        disturbed_share: Of the scenes that carry a disturbance.
+        hard_share: Of the logs that are hard.
+        common_mode_share: Of the failures.
+
+    Raises:
+        ValueError: If a share is none, or there is no scene.
+    """
+    shares = (share, disturbed_share, hard_share, common_mode_share)
+    if scenes < 1 or not all(0.0 <= each <= 1.0 for each in shares):
+        raise ValueError(f"a fleet needs scenes and shares of 0 to 1, got {scenes} and {shares}")
+    per_log = round(LOG_S / SCENE_S)
+    logs = ceil(scenes / per_log)
+    draw = [np.random.default_rng([seed, 0xF1EE7, purpose]) for purpose in range(4)]
+    failing = sorted(draw[0].choice(scenes, round(share * scenes), replace=False).tolist())
+    failures = _failures(failing, per_log, common_mode_share, draw[1])
+    disturbed = sorted(draw[2].choice(scenes, round(disturbed_share * scenes), replace=False))
+    what = _balanced(tuple(DisturbanceKind), len(disturbed), draw[2])
+    hard = set(draw[3].choice(logs, round(hard_share * logs), replace=False).tolist())
+    seeds = np.random.SeedSequence([seed, 0x106]).generate_state(logs)
+    return tuple(
+        LogPlan(
+            number=number,
+            seed=int(seeds[number]),
+            scenes=min(per_log, scenes - number * per_log),
+            hard=number in hard,
+            software_version=VERSIONS[number % len(VERSIONS)],
+            failures=tuple(
+                PlannedFailure(cell % per_log, *each)
+                for cell, each in failures.items()
+                if cell // per_log == number
+            ),
+            disturbances=tuple(
+                PlannedDisturbance(int(cell % per_log), kind, int(seeds[number]) + int(cell))
+                for cell, kind in zip(disturbed, what, strict=True)
+                if cell // per_log == number
+            ),
+        )
+        for number in range(logs)
+    )
+
+
+def _failures(
+    cells: list[int], per_log: int, common_mode_share: float, rng: np.random.Generator
+) -> dict[int, tuple[FailureKind, bool]]:
+    """Give each failing scene its kind; the regression goes to logs of its version."""
+    order = [int(cell) for cell in rng.permutation(cells)]
+    common = order[: round(common_mode_share * len(order))]
+    rest = order[len(common) :]
+    kinds = _balanced(DRAWN_KINDS, len(rest), rng)
+    wanted = kinds.count(FailureKind.VERSION_REGRESSION)
+    fits = [c for c in rest if VERSIONS[c // per_log % len(VERSIONS)] == REGRESSED_VERSION]
+    regressed = fits[:wanted]
+    others = [cell for cell in rest if cell not in regressed]
+    plain = [kind for kind in kinds if kind is not FailureKind.VERSION_REGRESSION]
+    plain += _balanced(
+        tuple(kind for kind in DRAWN_KINDS if kind is not FailureKind.VERSION_REGRESSION),
+        len(others) - len(plain),
+        rng,
+    )
+    chosen = dict.fromkeys(common, (FailureKind.MISSED_MOVER, True))
+    chosen |= dict.fromkeys(regressed, (FailureKind.VERSION_REGRESSION, False))
+    chosen |= {cell: (kind, False) for cell, kind in zip(others, plain, strict=True)}
+    return {cell: chosen[cell] for cell in cells}
+
+
+def _balanced(kinds: tuple[Kind, ...], count: int, rng: np.random.Generator) -> list[Kind]:
+    """As many of each kind as `count` allows, in random order."""
+    turns = [kinds[i] for _ in range(ceil(count / len(kinds))) for i in rng.permutation(len(kinds))]
+    return [turns[i] for i in rng.permutation(count)]
