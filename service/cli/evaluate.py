@@ -1,5 +1,6 @@
-"""The verb `eval motion`: labels of streams against truth, in tables, files and pictures."""
+"""The verbs `eval motion` and `eval semantics`: labels of streams against truth."""
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,6 +21,9 @@ def add_to(app: typer.Typer) -> None:
     evaluation = typer.Typer(no_args_is_help=True, help="Judge against truth.")
     evaluation.command(epilog="counterpoint eval motion logs --truth truth --frames 10:56 --json")(
         motion
+    )
+    evaluation.command(epilog="counterpoint eval semantics logs --truth truth --frames 40:56")(
+        semantics
     )
     app.add_typer(evaluation, name="eval")
 
@@ -108,6 +112,51 @@ def motion(
         for name, frames_of_stream in worst.items():
             for path in draw_worst(of_stream(pictures, name), frames_of_stream.frames):
                 remark(f"picture: {path}")
+
+
+def semantics(
+    bucket: Annotated[str, typer.Argument(help="URL or path of a bucket of logs.")],
+    truth: Annotated[Path, typer.Option("--truth", help="Truth of BUCKET/x/y.mcap in DIR/x/y.")],
+    frames: Annotated[
+        str, typer.Option("--frames", help="A:B, half open, per log; earlier ones warm up.")
+    ] = "0:",
+    stream: Annotated[
+        str, typer.Option("--stream", help="Whose classes: supervised, or a part by its name.")
+    ] = "supervised",
+    json: Json = False,
+    config: Config = None,
+) -> None:
+    """Judge the supervised stream's classes point by point, in a dozen coarse ones."""
+    first, last = parse_frames(frames)
+    settings = settings_for(config, bucket=bucket)
+    from workers.evaluation.semantics import evaluate_semantics
+
+    with progress() as bar:
+        task = bar.add_task("evaluating", total=None)
+        evaluated = evaluate_semantics(
+            bucket,
+            truth,
+            frames=range(first, sys.maxsize if last is None else last),
+            settings=settings.mining(),
+            stream=stream,
+            on_progress=lambda done: bar.update(task, completed=done),
+        )
+    if json:
+        for row in evaluated:
+            json_line(row)
+        return
+    classes = list(dict.fromkeys(name for row in evaluated for name in row.iou))
+    table(
+        "intersection over union of the classes",
+        ("class", *(row.log for row in evaluated)),
+        (
+            ("mean of the classes", *(row.miou for row in evaluated)),
+            ("all that can move", *(row.movable_iou for row in evaluated)),
+            *((name, *(row.iou.get(name) for row in evaluated)) for name in classes),
+            ("share without an answer", *(row.unanswered_share for row in evaluated)),
+            ("frames", *(row.frames for row in evaluated)),
+        ),
+    )
 
 
 def _say(evaluated: "list[LogEvaluation]", streams: tuple[str, ...]) -> None:

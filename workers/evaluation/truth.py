@@ -14,6 +14,7 @@ from schemas.errors import PermanentError
 from schemas.frame import LidarFrame
 from schemas.recordings import EXTENSION
 from schemas.work import Recording
+from workers.evaluation.class_table import SEMANTIC_KITTI, coarse_of_ids, coarse_of_names
 from workers.evaluation.objects import Objects, TrueObject, objects_in, rotations_in
 
 TRUTH_UNKNOWN: Final = 0
@@ -159,6 +160,33 @@ class LogTruth:
             self._objects[path.parent].get(int(path.stem), {}),
             self._rotations.get(frame.stamp_ns),
         )
+
+    def classes_of(self, frame: LidarFrame, *, number: int) -> NDArray[np.uint8] | None:
+        """Read the coarse class of each point (`class_table`), 0 where truth tells none.
+
+        Returns:
+            (N,) classes; None where the truth of this frame has none, or no table of their ids.
+
+        Raises:
+            TruthUnusableError: If it labels a different number of points.
+        """
+        path = self._entries[number].path if number < len(self._entries) else None
+        if path is None or not path.is_file():
+            return None
+        with np.load(path) as arrays:
+            if "semantic19" in arrays:
+                table = coarse_of_names(SEMANTIC_KITTI)
+                classes: NDArray[np.uint8] = table[arrays["semantic19"]]
+            elif "semantic" in arrays and (ids := coarse_of_ids(path.parent)) is not None:
+                classes = ids[arrays["semantic"]]
+            else:
+                return None
+        if len(classes) != len(frame):
+            raise TruthUnusableError(
+                f"truth labels {len(classes)} points, frame {number} has {len(frame)} "
+                f"({frame.log_id}, {path})"
+            )
+        return classes
 
 
 def _entries_of(folder: Path) -> Iterator[tuple[_Entry, str]]:

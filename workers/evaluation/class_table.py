@@ -1,0 +1,77 @@
+"""The classes that semantics are judged in: few, coarse, known to every data set and network."""
+
+import json
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+COARSE: Final = (
+    *("none", "car", "large_vehicle", "two_wheeler", "pedestrian", "road", "sidewalk"),
+    *("other_ground", "vegetation", "building", "traffic_facility", "other_static"),
+)
+"""0 is what truth does not tell, or a network does not answer."""
+
+MOVABLE: Final = ("car", "large_vehicle", "two_wheeler", "pedestrian")
+
+_OF_NAME: Final[Mapping[str, str]] = {
+    **{name: name for name in COARSE[1:]},
+    "bicycle": "two_wheeler",
+    "motorcycle": "two_wheeler",
+    "bicyclist": "two_wheeler",
+    "motorcyclist": "two_wheeler",
+    "cyclist": "two_wheeler",
+    "van": "car",
+    "truck": "large_vehicle",
+    "bus": "large_vehicle",
+    "other-vehicle": "large_vehicle",
+    "person": "pedestrian",
+    "parking": "road",
+    "other-ground": "other_ground",
+    "terrain": "other_ground",
+    "fence": "other_static",
+    "trunk": "vegetation",
+    "pole": "traffic_facility",
+    "traffic-sign": "traffic_facility",
+    "sign": "traffic_facility",
+}
+
+SEMANTIC_KITTI: Final = (
+    *("unlabeled", "car", "bicycle", "motorcycle", "truck", "other-vehicle", "person"),
+    *("bicyclist", "motorcyclist", "road", "parking", "sidewalk", "other-ground", "building"),
+    *("fence", "vegetation", "trunk", "terrain", "pole", "traffic-sign"),
+)
+"""The 19 classes of SemanticKITTI (Behley et al., ICCV 2019), by their number."""
+
+
+def coarse_of_names(names: tuple[str, ...]) -> NDArray[np.uint8]:
+    """Coarse class of each name; 0 where there is none."""
+    return np.array([COARSE.index(_OF_NAME.get(name, "none")) for name in names], dtype=np.uint8)
+
+
+@cache
+def coarse_of_ids(folder: Path) -> NDArray[np.uint8] | None:
+    """Coarse class of each id of a data set, as the nearest `classes.json` above its truth says.
+
+    Args:
+        folder: Of the truth of one log.
+
+    Returns:
+        (256,) coarse classes; None where no table says what ids mean.
+    """
+    of_kitti = coarse_of_names(SEMANTIC_KITTI)
+    for above in (folder, *folder.parents):
+        path = above / "classes.json"
+        if not path.is_file():
+            continue
+        listed = json.loads(path.read_text())
+        if isinstance(listed, dict) and "classes" in listed:
+            table = np.zeros(256, dtype=np.uint8)
+            for entry in listed["classes"]:
+                table[entry["id"]] = of_kitti[entry["semantickitti19"]]
+            return table
+        return None
+    return None
