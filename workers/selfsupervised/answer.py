@@ -4,11 +4,9 @@ from typing import Final
 
 import numpy as np
 
-from schemas.arrays import Mask
 from schemas.frame import LidarFrame
 from schemas.labels import FrameHealth, FrameLabels, MotionLabel
 from workers.selfsupervised.motion import ClusterMotions
-from workers.selfsupervised.neighbours import build_grid, nearest_indices
 from workers.selfsupervised.point_answers import (
     answer_ground,
     answer_voxels,
@@ -16,10 +14,11 @@ from workers.selfsupervised.point_answers import (
     spread,
 )
 from workers.selfsupervised.prepare import MAX_RANGE_M, Prepared
+from workers.selfsupervised.reattach import SeenThrough, ground_of_movers
 from workers.selfsupervised.tracker import Tracked
 from workers.visibility.beam_table import MIN_RANGE_M
 from workers.visibility.free_space import Votes
-from workers.visibility.passes import moved_rows, within
+from workers.visibility.passes import within
 from workers.visibility.steps import step
 
 AGREED: Final = 0.95
@@ -33,9 +32,6 @@ GROUND: Final = 0.9
 
 _CONFIDENCE: Final = np.array([0.0, ALONE, GROUND, AGREED], np.float16)
 """In the order of `point_answers`: unsure, alone, ground, agreed."""
-
-REATTACH_M: Final = 0.2
-"""Ground removal takes the lowest hand's breadth of what stands on it; movers get it back."""
 
 
 def nothing_known(
@@ -64,6 +60,8 @@ def to_labels(
     found: ClusterMotions,
     tracked: Tracked,
     votes: Votes,
+    *,
+    seen_through: SeenThrough,
 ) -> FrameLabels:
     """Label every point of a frame.
 
@@ -74,11 +72,12 @@ def to_labels(
     clusters, voxels = found.clusters, prepared.voxels
     of_voxel = clusters.of_point
     in_range = prepared.ground & within(prepared.points_m, MIN_RANGE_M, MAX_RANGE_M)
-    touching, touching_confirmed = _reattached(
+    touching, touching_confirmed = ground_of_movers(
         prepared,
         clusters.member_mask(tracked.dynamic),
         clusters.member_mask(tracked.confirmed),
         in_range,
+        seen_through,
     )
     voxel_labels, voxel_sureness = answer_voxels(
         of_voxel,
@@ -102,22 +101,3 @@ def to_labels(
         cluster_velocity_m_per_s=velocity.astype(np.float32),
         confirmed=said.confirmed,
     )
-
-
-def _reattached(
-    prepared: Prepared, moves: Mask, confirmed: Mask, ground: Mask
-) -> tuple[Mask, Mask]:
-    """Ground points that touch something dynamic, and those that touch confirmed; (M,) each."""
-    touching = np.zeros(len(ground), np.bool_)
-    to_confirmed = np.zeros(len(ground), np.bool_)
-    moving = np.flatnonzero(moves)
-    asked = np.flatnonzero(ground)
-    if len(moving) == 0 or len(asked) == 0:
-        return touching, to_confirmed
-    grid = build_grid(prepared.voxels.centroids_m[moving], prepared.odom_from_beams[:3, 3])
-    places = moved_rows(prepared.points_m, asked, prepared.odom_from_beams)
-    nearest = nearest_indices(grid, places, REATTACH_M)
-    found = nearest >= 0
-    touching[asked[found]] = True
-    to_confirmed[asked[found]] = confirmed[moving[grid.order[nearest[found]]]]
-    return touching, to_confirmed

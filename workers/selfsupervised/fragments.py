@@ -7,10 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
+from workers.selfsupervised.evidence import Evidence
 from workers.selfsupervised.motion import ClusterMotions
 from workers.selfsupervised.neighbours import build_grid, nearest_indices
+from workers.selfsupervised.strips import are_strips
 from workers.selfsupervised.tracker import Tracked
-from workers.visibility.free_space import Votes
 from workers.visibility.steps import step
 
 MAX_VOXELS: Final = 60
@@ -21,11 +22,8 @@ REACH_M: Final = 0.9
 """Half the width of a car: what separates its visible sides when the middle is hidden."""
 
 MIN_NEAR_SHARE: Final = 0.5
-MIN_HEIGHT_M: Final = 0.15
-"""Flatter pieces beside a mover are the road it drives on."""
-
 _STANDS_VOTES: Final = 2.0
-_WAS_THERE_VOTES: Final = 4.0
+WAS_THERE_VOTES: Final = 4.0
 _WAS_THERE_FREE_SHARE: Final = 0.1
 
 
@@ -34,7 +32,7 @@ def fragments_of_movers(
     points_m: Points,
     found: ClusterMotions,
     tracked: Tracked,
-    votes: Votes,
+    evidence: Evidence,
     *,
     centre_m: NDArray[np.floating],
 ) -> Tracked:
@@ -44,19 +42,19 @@ def fragments_of_movers(
         points_m: (V, 3) voxel centroids off the ground, odom space.
         found: Their clusters and motions.
         tracked: Which of them move, and which are confirmed.
-        votes: What free space says about the voxels.
+        evidence: What free space says about the voxels.
         centre_m: (3,) the sensor, odom space.
 
     Returns:
         The same with those clusters: dynamic, and confirmed where most of what is close beside
         belongs to something confirmed. A piece says nothing that its mover did not.
     """
-    clusters = found.clusters
+    clusters, votes = found.clusters, evidence.votes
     size = np.maximum(clusters.sizes, 1)
     seen = clusters.mean(votes.occupied)
     free_share = clusters.count(votes.seen_through) / size
     stands = found.still & (seen > _STANDS_VOTES)
-    was_there = (free_share < _WAS_THERE_FREE_SHARE) & (seen > _WAS_THERE_VOTES)
+    was_there = (free_share < _WAS_THERE_FREE_SHARE) & (seen > WAS_THERE_VOTES)
     asked = ~tracked.dynamic & (size <= MAX_VOXELS) & (found.extent_m <= MAX_EXTENT_M)
     asked &= ~stands & ~was_there
     moving = np.flatnonzero(clusters.member_mask(tracked.dynamic))
@@ -70,9 +68,13 @@ def fragments_of_movers(
     near[members[nearest >= 0]] = True
     near_confirmed[members[nearest >= 0]] = clusters.member_mask(tracked.confirmed)[beside]
     merged = asked & (clusters.count(near) > MIN_NEAR_SHARE * size)
-    for k in np.flatnonzero(merged):
-        low, high = np.quantile(points_m[clusters.of(int(k)), 2], [0.03, 0.97])
-        merged[k] = high - low >= MIN_HEIGHT_M
+    merged &= ~are_strips(
+        points_m,
+        clusters,
+        merged,
+        beams_from_odom=evidence.beams_from_odom,
+        sensor_height_m=evidence.sensor_height_m,
+    )
     of_confirmed = merged & (clusters.count(near_confirmed) > MIN_NEAR_SHARE * size)
     return replace(
         tracked,

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import NS_PER_S
+from schemas.arrays import NS_PER_S, Mask, Points
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.labels import Blindness, FrameHealth, FrameLabels
 from workers.geometry.se3 import inverse
@@ -29,6 +29,7 @@ from workers.selfsupervised.motion import find_motions
 from workers.selfsupervised.neighbours import build_grid
 from workers.selfsupervised.prepare import Preparation
 from workers.selfsupervised.registration import Reference, reference_to
+from workers.selfsupervised.specks import specks_of_movers
 from workers.selfsupervised.tracker import Tracker
 from workers.visibility.deskew import Twist, twist
 from workers.visibility.free_space import HIDDEN, count_votes, visibility
@@ -113,11 +114,18 @@ class Run:
 
         places, centre_m = prepared.voxels.centroids_m, prepared.odom_from_beams[:3, 3]
 
-        def ask(other: PastFrame) -> NDArray[np.int8]:
-            return visibility(places, other.beams_from_odom, other.image, ready.table)
+        def ask(points_m: Points, other: PastFrame) -> NDArray[np.int8]:
+            return visibility(points_m, other.beams_from_odom, other.image, ready.table)
+
+        def seen_through(points_m: Points) -> Mask:
+            before, later = (
+                count_votes([ask(points_m, each) for each in frames], len(points_m))
+                for frames in (asked.values(), afterwards)
+            )
+            return before.seen_through | later.seen_through
 
         asked = {past.stamp_ns: past for past in (*self._history.voters(now_ns), near, far)}
-        answers = {stamp_ns: ask(past) for stamp_ns, past in asked.items()}
+        answers = {stamp_ns: ask(places, past) for stamp_ns, past in asked.items()}
         references = _reference(near, now_ns), _reference(far, now_ns)
         misfit = self._fit.problem(
             places,
@@ -129,7 +137,8 @@ class Run:
             health = FrameHealth(Blindness.NO_FIT, misfit)
             return nothing_known(frame, prepared, health=health)
         votes = count_votes(answers.values(), len(places))
-        after = count_votes(map(ask, voters(later, now_ns)), len(places))
+        afterwards = voters(later, now_ns)
+        after = count_votes([ask(places, each) for each in afterwards], len(places))
         evidence = Evidence(
             votes=votes,
             after=after,
@@ -142,11 +151,12 @@ class Run:
         )
         found = find_motions(places, *references, evidence)
         tracked = self._tracker.update(places, found, votes, centre_m=centre_m, now_ns=now_ns)
-        tracked = fragments_of_movers(places, found, tracked, votes, centre_m=centre_m)
+        tracked = fragments_of_movers(places, found, tracked, evidence, centre_m=centre_m)
+        found = specks_of_movers(places, found, tracked.dynamic, votes, centre_m=centre_m)
         opinions = votes + after
         known = opinions.known
         seen_share = float(known.mean()) if len(known) else float("nan")
-        labels = to_labels(frame, prepared, found, tracked, opinions)
+        labels = to_labels(frame, prepared, found, tracked, opinions, seen_through=seen_through)
         return replace(labels, health=FrameHealth(seen_share=seen_share))
 
     def _velocity(self, posed: PosedFrame) -> Twist | None:

@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from workers.selfsupervised.evidence import Evidence
 from workers.selfsupervised.fragments import fragments_of_movers
 from workers.selfsupervised.motion import ClusterMotions
+from workers.selfsupervised.specks import specks_of_movers
 from workers.selfsupervised.tracker import Tracked, Tracker
+from workers.visibility.beam_table import BeamTable
 from workers.visibility.clusters import from_labels
 from workers.visibility.free_space import Votes
 
@@ -25,12 +28,13 @@ class Thing:
     unconfirmed: bool = False
     still: bool = False
     occupied: int = 0
+    up_m: float = 0.0
 
 
 def voxels_of(thing: Thing) -> NDArray[np.float32]:
     axes = [np.arange(0.0, side, 0.3) for side in thing.size_m]
     block = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    placed: NDArray[np.float32] = (block + np.array([*thing.at, 0.0])).astype(np.float32)
+    placed: NDArray[np.float32] = (block + np.array([*thing.at, thing.up_m])).astype(np.float32)
     return placed
 
 
@@ -52,6 +56,22 @@ def world(*things: Thing) -> tuple[NDArray[np.float32], ClusterMotions, Votes]:
         np.concatenate(voxels),
         found,
         Votes(np.zeros_like(occupied), occupied, np.zeros_like(occupied)),
+    )
+
+
+def evidence_of(votes: Votes) -> Evidence:
+    """Votes of a sensor that lies on the road."""
+    nothing = Votes(*np.zeros((3, len(votes.free)), np.int16))
+    table = BeamTable(np.zeros(0, np.float32), np.zeros(3), max_gap=0.0)
+    return Evidence(
+        votes=votes,
+        after=nothing,
+        near=np.zeros(len(votes.free), np.int8),
+        far=np.zeros(len(votes.free), np.int8),
+        image=np.zeros((0, 0), np.float32),
+        table=table,
+        sensor_height_m=0.0,
+        beams_from_odom=np.eye(4),
     )
 
 
@@ -177,6 +197,9 @@ def test_what_is_too_large_to_be_an_error_of_free_space_is_confirmed_at_once() -
         pytest.param(Thing(at=(8.1, 0.0), size_m=(0.6, 0.6, 0.6)), True, id="behind its bumper"),
         pytest.param(Thing(at=(10.0, 0.0), size_m=(0.6, 0.6, 0.6)), False, id="farther away"),
         pytest.param(Thing(at=(8.1, 0.0), size_m=(0.6, 0.6, 0.1)), False, id="flat as the road"),
+        pytest.param(
+            Thing(at=(8.1, 0.0), size_m=(0.6, 0.6, 0.1), up_m=0.9), True, id="flat as a bonnet"
+        ),
         pytest.param(Thing(at=(8.1, 0.0), size_m=(3.6, 0.6, 0.6)), False, id="longer than a piece"),
         pytest.param(
             Thing(at=(8.1, 0.0), size_m=(0.6, 0.6, 0.6), occupied=6), False, id="was there before"
@@ -194,7 +217,8 @@ def test_a_small_piece_beside_a_mover_belongs_to_it_unless_something_speaks_agai
     points_m, found, votes = world(MOVER, piece)
     for confirmed in (True, False):
         tracked = tracked_as([True, False], confirmed=[confirmed, False])
-        whole = fragments_of_movers(points_m, found, tracked, votes, centre_m=CENTRE_M)
+        evidence = evidence_of(votes)
+        whole = fragments_of_movers(points_m, found, tracked, evidence, centre_m=CENTRE_M)
         assert whole.dynamic.tolist() == [True, belongs]
         assert whole.confirmed.tolist() == [confirmed, belongs and confirmed]
 
@@ -202,6 +226,37 @@ def test_a_small_piece_beside_a_mover_belongs_to_it_unless_something_speaks_agai
 def test_without_a_mover_no_piece_belongs_to_one() -> None:
     points_m, found, votes = world(Thing(at=(5.0, 0.0)), Thing(at=(8.1, 0.0)))
     tracked = tracked_as([False, False], confirmed=[False, False])
-    none = fragments_of_movers(points_m, found, tracked, votes, centre_m=CENTRE_M)
+    none = fragments_of_movers(points_m, found, tracked, evidence_of(votes), centre_m=CENTRE_M)
     assert not none.dynamic.any()
     assert not none.confirmed.any()
+
+
+@pytest.mark.parametrize(
+    ("at", "free", "occupied", "belongs"),
+    [
+        pytest.param((8.0, 0.0), 0, 0, True, id="as near as the points of one body"),
+        pytest.param((8.0, 0.0), 0, 5, False, id="and was there before"),
+        pytest.param((8.4, 0.0), 0, 0, False, id="farther away"),
+        pytest.param((8.4, 0.0), 3, 0, True, id="but its place was seen through"),
+        pytest.param((9.0, 0.0), 3, 0, False, id="farther than the width of a gap in a car"),
+    ],
+)
+def test_a_speck_that_no_cluster_took_belongs_to_the_mover_beside_it(
+    at: tuple[float, float], free: int, occupied: int, belongs: bool
+) -> None:
+    points_m, found, votes = world(MOVER)
+    points_m = np.concatenate([points_m, np.array([[*at, 0.6]], np.float32)])
+    found = replace(found, clusters=from_labels(np.append(found.clusters.of_point, -1)))
+    votes = Votes(
+        np.append(votes.free, free),
+        np.append(votes.occupied, occupied),
+        np.append(votes.free_if_tall, 0),
+    )
+
+    def owner(*, moves: bool) -> int:
+        given = specks_of_movers(points_m, found, np.array([moves]), votes, centre_m=CENTRE_M)
+        assert given.clusters.of_point[:-1].tolist() == found.clusters.of_point[:-1].tolist()
+        return int(given.clusters.of_point[-1])
+
+    assert owner(moves=True) == (0 if belongs else -1)
+    assert owner(moves=False) == -1
