@@ -24,6 +24,9 @@ _ORDERED_SHARE: Final = 0.95
 _MIN_BEAM_POINTS: Final = 20
 _FEWEST_BEAMS: Final = 4
 _FEWEST_POINTS: Final = 1000
+_AS_MANY: Final = 0.01
+"""A row for each beam is taken unless even rows show a hundredth of the points more."""
+
 _FROM_M: Final = 3.0
 """Nearer points lie off their beam's elevation, by the beams' origin and the own roof."""
 
@@ -31,9 +34,9 @@ _FROM_M: Final = 3.0
 def lay_out(profile: SensorProfile, frame: LidarFrame) -> SensorProfile:
     """Give a profile the rows of the sensor that a frame is from.
 
-    A row for each beam where beams can be told apart, there are no more than rows, and more points
-    are seen then than in evenly spaced rows; else as many even rows as the profile has, over the
-    elevations that nearly all points have.
+    A row for each beam where beams can be told apart, there are no more than rows, and as many
+    points are seen then as in evenly spaced rows; else as many even rows as the profile has, over
+    the elevations that nearly all points have.
 
     Args:
         profile: If it is `fitted`, its rows are the most there may be.
@@ -50,15 +53,14 @@ def lay_out(profile: SensorProfile, frame: LidarFrame) -> SensorProfile:
     if far.sum() < _FEWEST_POINTS:
         return profile
     elevation_deg = elevations_deg(points_m[far])
-    even = evenly_spaced(elevation_deg, profile.rows, profile.columns)
-    candidates = [even]
+    rows = evenly_spaced(elevation_deg, profile.rows, profile.columns)
     beam = beam_of_points(frame)
     if beam is not None:
         listed = elevation_of_beams(elevation_deg, beam[far])
         if _FEWEST_BEAMS <= len(listed) <= profile.rows:
-            candidates = [one_row_each(listed, profile.columns), even]
-    seen = [seen_share([points_m], candidate) for candidate in candidates]
-    rows = candidates[int(np.argmax(seen))]
+            each = one_row_each(listed, profile.columns)
+            if seen_share([points_m], each) > seen_share([points_m], rows) - _AS_MANY:
+                rows = each
     return replace(
         profile,
         rows=rows.rows,
