@@ -18,6 +18,7 @@ from workers.calibration.sensor_profile import write_profile
 from workers.checkpoints.errors import WeightsUnusableError
 from workers.errors import UnknownPartError
 from workers.geometry.range_image import SensorProfile, project
+from workers.geometry.sensor_rows import lay_out
 from workers.registry import PartFiles, build_parts
 from workers.supervised.networks import RangeImageNetwork
 from workers.supervised.own_model import open_own_model
@@ -85,7 +86,12 @@ def _entry(network: RangeImageNetwork, file: str, **more: Any) -> dict[str, Any]
         {"name": one.name, "movable": one.movable, "moving": one.moving, "ignored": one.ignored}
         for one in network.classes
     ]
-    told: dict[str, Any] = {"file": file, "answer": "probabilities", "classes": classes}
+    told: dict[str, Any] = {
+        "file": file,
+        "answer": "probabilities",
+        "classes": classes,
+        "channels": list(network.channels),
+    }
     if isinstance(network.residual, ResidualSettings):
         told["residual"] = asdict(network.residual)
     return told | more
@@ -119,20 +125,20 @@ def test_our_own_networks_fed_back_as_exports_give_our_labels(
     reference: Path,
     tmp_path: Path,
 ) -> None:
+    frames = _real_frames(reference)
+    profile = lay_out(shipped[0].profile, frames[0].frame)
     entries = {}
     for role, network in zip(("semantic", "motion"), shipped, strict=True):
         channels = len(network.channels) + len(network.residual.ages_s if network.residual else ())
-        profile = network.profile
         _export(network.net, tmp_path / f"{role}{suffix}", channels, profile.rows, profile.columns)
         entries[role] = _entry(network, f"{role}{suffix}")
     adapter = _adapter(
         tmp_path / "adapter.toml",
         name="fed-back",
-        profile=_profile(shipped[0].profile),
+        profile=_profile(profile),
         **entries,
     )
     stream = open_own_model(adapter)
-    frames = _real_frames(reference)
     ours, theirs = list(RangeImageStream.shipped()(frames)), list(stream(frames))
     assert stream.class_names == RangeImageStream.shipped().class_names
     assert _share_equal(ours, theirs) > 0.9999
