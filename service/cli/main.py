@@ -20,6 +20,7 @@ from service.cli import (
     retry,
     scenes,
     settings,
+    simulate,
     weights,
 )
 from service.cli.output import remark, remark_as_events
@@ -41,7 +42,7 @@ app = typer.Typer(
 )
 for mining in (daemons, logs, scenes, rates, retry):
     mining.add_to(app)
-for measuring in (evaluate, measure, calibrate, parts, settings, weights):
+for measuring in (simulate, evaluate, measure, calibrate, parts, settings, weights):
     measuring.add_to(app)
 
 

@@ -6,7 +6,7 @@ from schemas.bucket import open_bucket
 from schemas.recordings import group_recordings
 from schemas.work import MiningSettings
 from workers.score import score_recording
-from workers.simulation.fleet import write_planned
+from workers.simulation.fleet import FleetOptions, write_planned
 from workers.simulation.lidar import Lidar
 from workers.simulation.plan import FailureKind, LogPlan, PlannedFailure
 
@@ -15,7 +15,7 @@ from workers.simulation.plan import FailureKind, LogPlan, PlannedFailure
 def test_the_best_scene_of_a_log_is_one_in_which_the_model_on_the_car_errs(tmp_path: Path) -> None:
     wanted = PlannedFailure(2, FailureKind.MISSED_MOVER)
     plan = LogPlan(0, 7, 4, hard=False, software_version="2026.1", failures=(wanted,))
-    log = write_planned(tmp_path, plan, lidar=Lidar())
+    log = write_planned(tmp_path, plan, options=FleetOptions(lidar=Lidar()))
     (failure,) = log.planted.failures
     assert failure.kind is FailureKind.MISSED_MOVER
     bucket = open_bucket(str(tmp_path / "logs"))

@@ -1,23 +1,40 @@
 """A simulated fleet: a bucket of logs of several vehicles and days, with truth beside it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
+from multiprocessing import get_context
 from pathlib import Path
+from shutil import rmtree
+from tempfile import TemporaryDirectory
 from typing import Final
+from urllib.parse import unquote, urlsplit
+
+import numpy as np
 
 from schemas.arrays import NS_PER_S
+from schemas.bucket import Bucket, open_bucket
 from workers.simulation.disturbances import disturb, draw_disturbance
 from workers.simulation.lidar import Lidar, sweep
 from workers.simulation.plan import LogPlan, plan_fleet
 from workers.simulation.planted_truth import Planted
 from workers.simulation.planting import plant
+from workers.simulation.sensors import MountingName, SensorName, mounted
 from workers.simulation.street import Street
-from workers.simulation.worlds import EGO_STYLES, build_street
+from workers.simulation.worlds import build_street, draw_plan
 from workers.simulation.write import Identity, RecordedAs, write_log
 
+VEHICLES: Final[tuple[tuple[SensorName, MountingName], ...]] = (
+    ("pandar64", "roof"),
+    ("hdl64", "mast"),
+    ("os1-128", "roof"),
+    ("hdl32", "mast"),
+    ("vlp32c", "roof"),
+)
+"""What the cars of a fleet carry."""
+
 _FIRST_DAY: Final = date(2026, 3, 2)
-_VEHICLES: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,8 +45,8 @@ class SimulatedLog:
         log_id: Key of the log in its bucket, without extension.
         frames: Lidar frames in it.
         planted: What was put into it on purpose.
-        log: The file.
-        truth: The folder of its truth.
+        log: The file, in the folder it was written to first.
+        truth: The folder of its truth, likewise.
     """
 
     log_id: str
@@ -37,6 +54,23 @@ class SimulatedLog:
     planted: Planted
     log: Path
     truth: Path
+
+
+@dataclass(frozen=True, slots=True)
+class FleetOptions:
+    """How the logs of a fleet are written.
+
+    Attributes:
+        lidar: Of every car; each its own (`VEHICLES`) when None.
+        columns: Of every car's own lidar; fewer make logs cheap; as many as it has when None.
+        recorded: Where the labels of the model on the car go.
+        chunk_bytes: Uncompressed size at which a chunk is closed.
+    """
+
+    lidar: Lidar | None = None
+    columns: int | None = None
+    recorded: RecordedAs = "fields"
+    chunk_bytes: int = 4 << 20
 
 
 def simulate_fleet(
@@ -52,50 +86,99 @@ def simulate_fleet(
 ) -> list[SimulatedLog]:
     """Write `out_folder/logs/<vehicle>/<date>/<name>.mcap` and the same under `truth`.
 
-    The ego's style goes round, so that a fleet holds standing, driving and stopping cars.
-
     Args:
         out_folder: Folder to write to; its `logs` is the bucket.
         scenes: How many, ten to a log of 20 s.
         seed: Seed of the whole fleet.
         share: Of the scenes in which the model on the car errs.
-        lidar: The lidar of every car; fewer columns make logs cheap.
+        lidar: The lidar of every car; each its own when None.
         recorded: Where the labels of the model on the car go.
         chunk_bytes: Uncompressed size at which a chunk is closed.
         progress: Called after each frame.
     """
-    lidar = lidar or Lidar()
-    return [
-        write_planned(
-            out_folder,
-            plan,
-            lidar=lidar,
-            recorded=recorded,
-            chunk_bytes=chunk_bytes,
-            progress=progress,
-        )
-        for plan in plan_fleet(scenes=scenes, seed=seed, share=share)
-    ]
+    options = FleetOptions(lidar=lidar, recorded=recorded, chunk_bytes=chunk_bytes)
+    plans = plan_fleet(scenes=scenes, seed=seed, share=share)
+    return [write_planned(out_folder, plan, options=options, progress=progress) for plan in plans]
+
+
+def simulate_to(
+    url: str,
+    plans: Sequence[LogPlan],
+    *,
+    options: FleetOptions,
+    processes: int = 1,
+    progress: Callable[[], None] | None = None,
+) -> Iterator[SimulatedLog]:
+    """Write planned logs under `URL/logs` and their truth under `URL/truth`.
+
+    The bytes are the same for any number of processes; only the order of yielding is not.
+
+    Args:
+        url: A folder, or any bucket that can be written to.
+        plans: Of the logs.
+        options: How they are written.
+        processes: How many write at once.
+        progress: Called after each frame; with several processes, as each log is done.
+
+    Raises:
+        BucketRefusedError: If nothing can be written there.
+        BucketUnreachableError: If the store does not answer.
+    """
+    open_bucket(url, create=True)
+    if processes == 1:
+        for plan in plans:
+            yield _write_to(url, plan, options, progress)
+        return
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+        jobs = [pool.submit(_write_to, url, plan, options) for plan in plans]
+        for job in as_completed(jobs):
+            log = job.result()
+            for _ in range(log.frames if progress else 0):
+                progress and progress()
+            yield log
+
+
+def _write_to(
+    url: str,
+    plan: LogPlan,
+    options: FleetOptions,
+    progress: Callable[[], None] | None = None,
+) -> SimulatedLog:
+    parts = urlsplit(url)
+    if parts.scheme in ("", "file"):
+        folder = Path(unquote(parts.path) if parts.scheme else url)
+        return write_planned(folder, plan, options=options, progress=progress)
+    with TemporaryDirectory(prefix="counterpoint-fleet-") as made:
+        log = write_planned(Path(made), plan, options=options, progress=progress)
+        _put_all(open_bucket(url), Path(made), log)
+        return log
+
+
+def _put_all(bucket: Bucket, folder: Path, log: SimulatedLog) -> None:
+    """Copy the truth, then the log: whoever watches the bucket finds the truth with the log."""
+    for path in (*sorted(log.truth.iterdir()), log.log):
+        bucket.put(path.relative_to(folder).as_posix(), path.read_bytes())
 
 
 def write_planned(
     out_folder: Path,
     plan: LogPlan,
     *,
-    lidar: Lidar,
-    recorded: RecordedAs = "fields",
-    chunk_bytes: int = 4 << 20,
+    options: FleetOptions | None = None,
     progress: Callable[[], None] | None = None,
 ) -> SimulatedLog:
     """Write one log of a fleet with its truth, as it was planned."""
-    style = EGO_STYLES[plan.number % len(EGO_STYLES)]
-    street = build_street(plan.seed, seconds=plan.seconds, style=style)
+    options = options or FleetOptions()
+    car = plan.number % len(VEHICLES)
+    lidar = options.lidar or mounted(*VEHICLES[car], columns=options.columns)
+    street = planned_street(plan)
     planted = put_into(street, plan, lidar=lidar)
-    day = _FIRST_DAY + timedelta(days=plan.number // _VEHICLES)
-    vehicle = f"sim-{plan.number % _VEHICLES + 1:02d}"
+    day = _FIRST_DAY + timedelta(days=plan.number // len(VEHICLES))
+    vehicle = f"sim-{car + 1:02d}"
     key = f"{vehicle}/{day.isoformat()}/street-{plan.number:03d}"
     start = datetime(day.year, day.month, day.day, 9, plan.number % 60, tzinfo=UTC)
     log, truth = out_folder / "logs" / f"{key}.mcap", out_folder / "truth" / key
+    rmtree(truth, ignore_errors=True)
     frames = write_log(
         log,
         street,
@@ -106,14 +189,20 @@ def write_planned(
             software_version=plan.software_version,
             start_ns=int(start.timestamp()) * NS_PER_S,
         ),
-        recorded=recorded,
+        recorded=options.recorded,
         planted=planted,
         truth=truth,
         log_key=f"logs/{key}.mcap",
-        chunk_bytes=chunk_bytes,
+        chunk_bytes=options.chunk_bytes,
         progress=progress,
     )
     return SimulatedLog(key, frames, planted, log, truth)
+
+
+def planned_street(plan: LogPlan) -> Street:
+    """Build the street of a planned log; it depends on the plan alone."""
+    rng = np.random.default_rng([plan.seed, 0x91A4])
+    return build_street(plan.seed, seconds=plan.seconds, plan=draw_plan(rng, hard=plan.hard))
 
 
 def put_into(street: Street, plan: LogPlan, *, lidar: Lidar) -> Planted:

@@ -1,8 +1,10 @@
-"""What stands and moves in a street: classes, sizes and the upright shapes they are made of."""
+"""What stands and moves in a street: classes, and of what material their surfaces are."""
 
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 
 class StreetClass(IntEnum):
@@ -19,14 +21,30 @@ class StreetClass(IntEnum):
     TRUCK = 9
     PEDESTRIAN = 10
     CYCLIST = 11
+    VAN = 12
+    BUS = 13
+    MOTORCYCLE = 14
+    ANIMAL = 15
+    FENCE = 16
+    SIGN = 17
+    TERRAIN = 18
+    NOISE = 19
+    EGO = 20
 
 
-GROUND: Final = (StreetClass.ROAD, StreetClass.SIDEWALK)
-MOVABLE: Final = (
+GROUND: Final = (StreetClass.ROAD, StreetClass.SIDEWALK, StreetClass.TERRAIN)
+VEHICLES: Final = (
     StreetClass.CAR,
+    StreetClass.VAN,
     StreetClass.TRUCK,
+    StreetClass.BUS,
+    StreetClass.MOTORCYCLE,
+)
+MOVABLE: Final = (
+    *VEHICLES,
     StreetClass.PEDESTRIAN,
     StreetClass.CYCLIST,
+    StreetClass.ANIMAL,
 )
 
 SEMANTIC_KITTI: Final[dict[StreetClass, int]] = {
@@ -41,104 +59,47 @@ SEMANTIC_KITTI: Final[dict[StreetClass, int]] = {
     StreetClass.TRUCK: 4,
     StreetClass.PEDESTRIAN: 6,
     StreetClass.CYCLIST: 7,
+    StreetClass.VAN: 1,
+    StreetClass.BUS: 5,
+    StreetClass.MOTORCYCLE: 8,
+    StreetClass.ANIMAL: 0,
+    StreetClass.FENCE: 14,
+    StreetClass.SIGN: 19,
+    StreetClass.TERRAIN: 17,
+    StreetClass.NOISE: 0,
+    StreetClass.EGO: 0,
 }
-"""Each class among the 19 of SemanticKITTI (Behley et al., ICCV 2019), 0 none of them."""
+"""Each class among the 19 of SemanticKITTI (Behley et al., ICCV 2019), 0 none of them.
 
-REFLECTIVITY: Final[dict[StreetClass, float]] = {
-    StreetClass.ROAD: 0.12,
-    StreetClass.SIDEWALK: 0.25,
-    StreetClass.BUILDING: 0.35,
-    StreetClass.VEGETATION: 0.30,
-    StreetClass.TRUNK: 0.20,
-    StreetClass.POLE: 0.45,
-    StreetClass.OBJECT: 0.30,
-    StreetClass.CAR: 0.40,
-    StreetClass.TRUCK: 0.50,
-    StreetClass.PEDESTRIAN: 0.30,
-    StreetClass.CYCLIST: 0.30,
-}
-"""Share of the light that comes back, about what near-infrared lidars see of these materials."""
+A van is a car there, a bus an other-vehicle, a motorcycle a motorcyclist: all are ridden here.
+"""
 
 
-@dataclass(frozen=True, slots=True)
-class Shape:
-    """An upright prism: a box turned about z, or a round column.
+class Material(IntEnum):
+    """What a surface is made of; `COLOURED` has the reflectivity of the actor that wears it."""
 
-    Attributes:
-        x_m: Centre along the length axis of what it belongs to (world x for the street itself).
-        y_m: Centre across, metres, positive to the left.
-        yaw_rad: Heading of its own length axis in that space.
-        length_m: Along its own axis; the diameter of a round one.
-        width_m: Across; equal to the length of a round one.
-        low_m: Underside above the road.
-        high_m: Top above the road.
-        street_class: What a return from it is.
-        is_round: Whether its footprint is a circle.
-    """
-
-    x_m: float
-    y_m: float
-    yaw_rad: float
-    length_m: float
-    width_m: float
-    low_m: float
-    high_m: float
-    street_class: StreetClass
-    is_round: bool = False
+    COLOURED = 0
+    ASPHALT = 1
+    STONE = 2
+    GRASS = 3
+    WALL = 4
+    LEAF = 5
+    BARK = 6
+    METAL = 7
+    WOOD = 8
+    GLASS = 9
+    RUBBER = 10
+    MIRROR = 11
+    SKIN = 12
+    MARKING = 13
 
 
-def column(
-    x_m: float, y_m: float, *, diameter_m: float, low_m: float, high_m: float, what: StreetClass
-) -> Shape:
-    """Make a round shape: a pole, a trunk, a crown, a person."""
-    return Shape(x_m, y_m, 0.0, diameter_m, diameter_m, low_m, high_m, what, is_round=True)
+REFLECTIVITY: Final[NDArray[np.float64]] = np.array(
+    [0.4, 0.13, 0.25, 0.35, 0.35, 0.40, 0.20, 0.45, 0.30, 0.15, 0.05, 2.0, 0.4, 0.45]
+)
+"""Share of near-infrared light that comes back, by `Material`; `MIRROR` is retroreflecting foil."""
 
-
-def _car() -> tuple[Shape, ...]:
-    car = StreetClass.CAR
-    return (
-        Shape(0.0, 0.0, 0.0, 4.4, 1.80, 0.22, 0.90, car),
-        Shape(-0.25, 0.0, 0.0, 2.5, 1.56, 0.90, 1.46, car),
-    )
-
-
-def _truck() -> tuple[Shape, ...]:
-    truck = StreetClass.TRUCK
-    return (
-        Shape(3.0, 0.0, 0.0, 2.0, 2.40, 0.40, 2.60, truck),
-        Shape(-0.9, 0.0, 0.0, 5.6, 2.50, 0.90, 3.40, truck),
-    )
-
-
-def _pedestrian() -> tuple[Shape, ...]:
-    person = StreetClass.PEDESTRIAN
-    return (
-        column(0.0, 0.0, diameter_m=0.40, low_m=0.02, high_m=0.85, what=person),
-        column(0.0, 0.0, diameter_m=0.52, low_m=0.85, high_m=1.50, what=person),
-        column(0.0, 0.0, diameter_m=0.24, low_m=1.50, high_m=1.75, what=person),
-    )
-
-
-def _cyclist() -> tuple[Shape, ...]:
-    rider = StreetClass.CYCLIST
-    return (
-        Shape(0.0, 0.0, 0.0, 1.70, 0.12, 0.02, 0.95, rider),
-        column(-0.1, 0.0, diameter_m=0.50, low_m=0.80, high_m=1.75, what=rider),
-    )
-
-
-SHAPES: Final[dict[StreetClass, tuple[Shape, ...]]] = {
-    StreetClass.CAR: _car(),
-    StreetClass.TRUCK: _truck(),
-    StreetClass.PEDESTRIAN: _pedestrian(),
-    StreetClass.CYCLIST: _cyclist(),
-}
-"""What each kind of actor is made of, in its own space: x ahead, origin at its middle."""
-
-SIZE_M: Final[dict[StreetClass, tuple[float, float, float]]] = {
-    StreetClass.CAR: (4.4, 1.8, 1.46),
-    StreetClass.TRUCK: (7.7, 2.5, 3.4),
-    StreetClass.PEDESTRIAN: (0.52, 0.52, 1.75),
-    StreetClass.CYCLIST: (1.7, 0.5, 1.75),
-}
-"""Length, width and height of the box around each kind of actor."""
+PASSES: Final[NDArray[np.float64]] = np.array(
+    [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.75, 0.0, 0.0, 0.0, 0.0]
+)
+"""Share of pulses that go through and are lost, by `Material`: window panes."""

@@ -1,19 +1,36 @@
 """A spinning lidar in a simulated street: one revolution, point by point, with its truth."""
 
-from dataclasses import dataclass, field
-from typing import Final
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import NS_PER_S, Points, Transform
-from workers.simulation.cast import GROUND_HIT, NOTHING_HIT, cast
-from workers.simulation.kinds import GROUND, REFLECTIVITY, StreetClass
+from schemas.arrays import NS_PER_S, Mask, Points, Transform
+from workers.simulation.attitude import rotations
+from workers.simulation.cast import GROUND_OWNER, Hits, MeshScene, cast
+from workers.simulation.kinds import GROUND, PASSES, REFLECTIVITY, Material, StreetClass
+from workers.simulation.meshes import Mesh, box
 from workers.simulation.street import Street
+
+Floats = NDArray[np.float64]
+
+_REFLECTIVITY: Final = REFLECTIVITY.astype(np.float32)
+_PASSES: Final = PASSES.astype(np.float32)
+_IS_GROUND: Final = np.array(
+    [255 if c == StreetClass.NOISE else int(c in GROUND) for c in range(max(StreetClass) + 1)],
+    dtype=np.uint8,
+)
+_DROP: Final = 0.05
+"""Reflectivity of drops and dust."""
+
+_LEAST_FACING: Final = 0.02
+_ROOF_ANSWERS: Final = 0.12
+"""Share of the beams onto the own car that come back; the rest is too near or masked."""
 
 _CREEPING_M_PER_S: Final = 0.2
 _MOVING_M_PER_S: Final = 0.5
-_REFLECTIVITY: Final = np.array([0.0, *(REFLECTIVITY[c] for c in StreetClass)])
 _GRID_PER_M: Final = 512
 """Positions are rounded to 1/512 m, far below the noise: it is what makes logs small."""
 
@@ -28,7 +45,7 @@ UNEVEN_64: Final = (
 """Dense around the horizon, coarse above and below: the layout of a Pandar64 (its manual)."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Lidar:
     """A spinning lidar: beams fire together, column by column, clockwise from behind.
 
@@ -40,6 +57,13 @@ class Lidar:
         max_range_m: Returns beyond are lost.
         noise_m: Standard deviation of the range.
         dropout_share: Returns lost for no reason.
+        azimuth_deg: Turn of each beam against its column, to the left; empty where all are in line.
+        forward_m: Ahead of the middle of the car.
+        pitch_deg: How far the sensor is tilted nose down.
+        reach_m: From here six pulses in ten come back from reflectivity 0.1, seen squarely.
+        least_range_m: Nothing nearer is measured.
+        roof: Whether the car below it hides the ground, and answers a little.
+        name: Of the sensor and its mounting.
     """
 
     elevation_deg: tuple[float, ...] = UNEVEN_64
@@ -49,11 +73,42 @@ class Lidar:
     max_range_m: float = 100.0
     noise_m: float = 0.02
     dropout_share: float = 0.01
+    azimuth_deg: tuple[float, ...] = ()
+    forward_m: float = 0.0
+    pitch_deg: float = 0.0
+    reach_m: float = 130.0
+    least_range_m: float = 0.5
+    roof: bool = False
+    name: str = "spinning lidar"
 
     @property
     def period_ns(self) -> int:
         """Nanoseconds between two frames."""
         return round(self.period_s * NS_PER_S)
+
+    @cached_property
+    def beams(self) -> Floats:
+        """(C, R, 3) unit directions in sensor space, as they fire."""
+        turn = np.pi - 2 * np.pi * np.arange(self.columns) / self.columns
+        elevation = np.deg2rad(np.array(self.elevation_deg))
+        aside = np.deg2rad(np.array(self.azimuth_deg or [0.0] * len(elevation)))
+        azimuth = turn[:, None] + aside[None]
+        flat = np.cos(elevation)
+        return np.stack(
+            [
+                flat * np.cos(azimuth),
+                flat * np.sin(azimuth),
+                np.broadcast_to(np.sin(elevation), azimuth.shape),
+            ],
+            axis=-1,
+        )
+
+    @cached_property
+    def roof_range_m(self) -> NDArray[np.float32]:
+        """(C * R,) way of each beam to the own car; infinite where it passes."""
+        if not self.roof:
+            return np.full(self.columns * len(self.elevation_deg), np.inf, dtype=np.float32)
+        return _own_roof(self).ravel()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,8 +124,8 @@ class SimulatedFrame:
         ring: (N,) beam, 0 is the top one.
         class_id: (N,) `StreetClass`.
         track: (N,) index into the street's actors, -1 none.
-        motion: (N,) 0 unknown (creeping), 1 static, 2 dynamic.
-        ground: (N,) 1 ground, 0 not.
+        motion: (N,) 0 unknown (creeping, in the air, the own car), 1 static, 2 dynamic.
+        ground: (N,) 1 ground, 0 not, 255 to be ignored.
         world_from_sensor: (4, 4) pose at the first firing.
     """
 
@@ -90,6 +145,27 @@ class SimulatedFrame:
         """Count the returns."""
         return len(self.points_m)
 
+    def of_points(self, kept: Mask) -> Self:
+        """Keep some of the points: where `kept`, (N,), is true."""
+        names = (
+            *("points_m", "intensity", "offset_ns", "ring"),
+            *("class_id", "track", "motion", "ground"),
+        )
+        return replace(self, **{name: getattr(self, name)[kept] for name in names})
+
+
+def sensor_poses(street: Street, lidar: Lidar, time_s: Floats) -> Floats:
+    """Give (T, 4, 4) world from sensor at these times."""
+    bodies = street.ego_bodies(time_s)
+    turn = rotations(bodies[:, 3], bodies[:, 4], bodies[:, 5])
+    tilt = np.deg2rad(lidar.pitch_deg)
+    mounted = rotations(np.zeros(()), np.asarray(tilt), np.zeros(()))
+    poses = np.zeros((len(time_s), 4, 4))
+    poses[:, :3, :3] = turn @ mounted
+    poses[:, :3, 3] = bodies[:, :3] + turn @ np.array([lidar.forward_m, 0.0, lidar.height_m])
+    poses[:, 3, 3] = 1.0
+    return poses
+
 
 def sweep(street: Street, lidar: Lidar, index: int) -> SimulatedFrame:
     """Turn the lidar once in the street.
@@ -99,74 +175,107 @@ def sweep(street: Street, lidar: Lidar, index: int) -> SimulatedFrame:
     """
     time_s = index * lidar.period_s
     fraction = np.arange(lidar.columns) / lidar.columns
-    azimuth = np.pi - 2 * np.pi * fraction
-    elevation = np.deg2rad(np.array(lidar.elevation_deg))
-    ego = street.ego.pose(time_s + fraction * lidar.period_s)
-    start, end, shapes = street.shapes_during(
-        time_s, time_s + lidar.period_s, within_m=lidar.max_range_m
-    )
-    range_m, hit = cast(
-        ego,
-        azimuth,
+    poses = sensor_poses(street, lidar, time_s + fraction * lidar.period_s)
+    origins = poses[:, :3, 3]
+    directions = lidar.beams @ poses[:, :3, :3].transpose(0, 2, 1)
+    movers = street.movers_during(time_s, time_s + lidar.period_s, within_m=lidar.max_range_m)
+    hits = cast(
+        street.standing_scene,
+        movers,
+        origins,
+        directions,
         fraction,
-        np.tan(elevation),
-        lidar.height_m,
-        start,
-        end,
-        shapes.form,
-        street.road_waves,
+        max_range_m=lidar.max_range_m,
     )
-    range_m = range_m / np.cos(elevation)[None, :]
-    shape_class = np.append(shapes.class_id, [StreetClass.ROAD, 0])  # -2 ground, -1 nothing
-    shape_owner = np.append(shapes.owner, [-1, -1])
-    class_id, owner = shape_class[hit], shape_owner[hit]
+    _settle_on_ground(street, hits, origins, directions)
+    return _measured(street, lidar, index, hits, poses, directions)
 
+
+def _settle_on_ground(street: Street, hits: Hits, origins: Floats, directions: Floats) -> None:
+    """Move hits of the bare ground to its unevenness, and say what ground it is."""
+    index = np.flatnonzero(hits.owner == GROUND_OWNER)
+    hits.owner[index] = -1
+    if not len(index) or (street.road_map is None and not len(street.terrain.waves)):
+        return
+    column = index // directions.shape[1]
+    beams, range_m = directions.reshape(-1, 3)[index], hits.range_m[index].astype(np.float64)
+    x = origins[column, 0] + range_m * beams[:, 0]
+    y = origins[column, 1] + range_m * beams[:, 1]
+    if street.road_map is not None:
+        hits.class_id[index], hits.material[index] = street.road_map.ground_at(x, y)
+    hits.range_m[index] += street.terrain.shift_m(x, y, beams[:, 2], range_m).astype(np.float32)
+
+
+def _measured(
+    street: Street, lidar: Lidar, index: int, hits: Hits, poses: Floats, directions: Floats
+) -> SimulatedFrame:
     rng = np.random.default_rng([street.seed, index])
-    measured, keep = _measure(range_m, hit, class_id, elevation, lidar, rng)
-    column, ring = np.nonzero(keep)
-    r, a, e = measured[keep], azimuth[column], elevation[ring]
-    points = np.stack([r * np.cos(e) * np.cos(a), r * np.cos(e) * np.sin(a), r * np.sin(e)], axis=1)
-    kept_class, kept_owner = class_id[keep], owner[keep]
-    motion = np.append(_motion_of_actors(street, time_s + lidar.period_s / 2), np.uint8(1))
+    time_s, rows = index * lidar.period_s, directions.shape[1]
+    ends, range_m = street.weather.answer(
+        hits.range_m,
+        poses[:, :3, 3],
+        directions,
+        time_s=time_s,
+        max_range_m=lidar.max_range_m,
+        rng=rng,
+    )
+    hits.class_id[ends], hits.owner[ends] = StreetClass.NOISE, -1
+    worn = np.array([actor.reflectivity for actor in street.actors] + [0.4], dtype=np.float32)
+    shine = _REFLECTIVITY[hits.material]
+    coloured = hits.material == Material.COLOURED
+    shine[coloured] = worn[hits.owner[coloured]]
+    shine[ends] = _DROP
+    if lidar.roof:
+        on_roof = lidar.roof_range_m < range_m
+        hits.class_id[on_roof], hits.owner[on_roof] = StreetClass.EGO, -1
+        range_m = np.where(on_roof, lidar.roof_range_m, range_m)
+    beam = np.flatnonzero(_answered(lidar, hits, range_m, shine, rng))
+
+    column = beam // rows
+    noise = rng.standard_normal(len(beam), dtype=np.float32) * np.float32(lidar.noise_m)
+    measured = range_m[beam] + noise
+    points = lidar.beams.reshape(-1, 3)[beam] * measured[:, None]
+    class_id, owner = hits.class_id[beam], hits.owner[beam]
+    motion = np.append(_motion_of_actors(street, time_s + lidar.period_s / 2), np.uint8(1))[owner]
+    motion[(class_id == StreetClass.NOISE) | (class_id == StreetClass.EGO)] = 0
+    ground = _IS_GROUND[class_id]
+    speckle = 1.0 + 0.1 * rng.standard_normal(len(beam), dtype=np.float32)
+    value = 255 * shine[beam] * speckle * (0.35 + 0.65 * hits.facing[beam])
     return SimulatedFrame(
         index=index,
         time_s=time_s,
         points_m=(np.round(points * _GRID_PER_M) / _GRID_PER_M).astype(np.float32),
-        intensity=_intensity(kept_class, r, rng),
+        intensity=np.clip(np.round(value), 0, 255).astype(np.float32),
         offset_ns=(column * (lidar.period_ns // lidar.columns)).astype(np.uint32),
-        ring=ring.astype(np.uint16),
-        class_id=kept_class.astype(np.uint8),
-        track=kept_owner.astype(np.int16),
-        motion=motion[kept_owner],
-        ground=np.isin(kept_class, GROUND).astype(np.uint8),
-        world_from_sensor=_transform(ego[0], lidar.height_m),
+        ring=(beam % rows).astype(np.uint16),
+        class_id=class_id,
+        track=owner.astype(np.int16),
+        motion=motion,
+        ground=ground,
+        world_from_sensor=poses[0],
     )
 
 
-def _measure(
-    range_m: NDArray[np.float64],
-    hit: NDArray[np.int32],
-    class_id: NDArray[np.int64],
-    elevation: NDArray[np.float64],
+def _answered(
     lidar: Lidar,
+    hits: Hits,
+    range_m: NDArray[np.float32],
+    shine: NDArray[np.float32],
     rng: np.random.Generator,
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Blur ranges and lose returns as a lidar does: far, dark, at a grazing angle, in leaves."""
-    lift = np.where(hit == GROUND_HIT, np.abs(np.sin(elevation))[None, :], 1.0)
-    signal = _REFLECTIVITY[class_id] * lift * (120.0 / np.maximum(range_m, 1.0)) ** 2
-    lost = rng.random(range_m.shape) < np.maximum(lidar.dropout_share, np.exp(-2.0 * signal))
-    leaves = class_id == StreetClass.VEGETATION
-    noise = rng.normal(0.0, lidar.noise_m, range_m.shape)
-    noise[leaves] += rng.random(int(leaves.sum())) * 0.5
-    keep = (hit != NOTHING_HIT) & ~lost & (range_m < lidar.max_range_m)
-    return range_m + noise, keep
-
-
-def _intensity(
-    class_id: NDArray[np.int64], range_m: NDArray[np.float64], rng: np.random.Generator
-) -> NDArray[np.float32]:
-    value = 255 * _REFLECTIVITY[class_id] * rng.normal(1.0, 0.1, len(class_id))
-    return np.clip(np.round(value), 0, 255).astype(np.float32)
+) -> Mask:
+    """Lose returns as a lidar does: far, dark, at a grazing angle, through panes, for no reason."""
+    facing = np.sqrt(np.maximum(hits.facing, np.float32(_LEAST_FACING)))
+    signal = 10.0 * shine * facing * np.sqrt(facing)
+    signal *= (np.float32(lidar.reach_m) / np.maximum(range_m, np.float32(1.0))) ** 2
+    share = np.exp(-signal)
+    np.maximum(share, np.float32(lidar.dropout_share), out=share)
+    share = 1.0 - (1.0 - share) * (1.0 - _PASSES[hits.material])
+    share[hits.class_id == StreetClass.NOISE] = 0.0
+    if lidar.roof:
+        share[hits.class_id == StreetClass.EGO] = 1.0 - _ROOF_ANSWERS
+    share[(range_m >= lidar.max_range_m) | (range_m <= lidar.least_range_m)] = 1.0
+    answered: Mask = rng.random(len(range_m), dtype=np.float32) >= share
+    return answered
 
 
 def _motion_of_actors(street: Street, time_s: float) -> NDArray[np.uint8]:
@@ -175,9 +284,16 @@ def _motion_of_actors(street: Street, time_s: float) -> NDArray[np.uint8]:
     return motion.astype(np.uint8)
 
 
-def _transform(pose: NDArray[np.float64], height_m: float) -> Transform:
-    x, y, yaw = pose
-    transform = np.eye(4)
-    transform[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
-    transform[:3, 3] = [x, y, height_m]
-    return transform
+def _own_roof(lidar: Lidar) -> NDArray[np.float32]:
+    """Cast every beam once at the own car, which never moves against the sensor."""
+    roof_m = lidar.height_m - 0.42
+    parts = [
+        box(2.6, 1.5, roof_m - 0.5, roof_m, what=StreetClass.EGO, material=Material.METAL, x_m=0.3),
+        box(4.7, 1.85, 0.4, 1.0, what=StreetClass.EGO, material=Material.METAL),
+    ]
+    mesh = Mesh.merged(parts).placed(-lidar.forward_m, 0.0, -lidar.height_m)
+    beams = lidar.beams.reshape(-1, 3).astype(np.float32)
+    range_m, _, _ = MeshScene(mesh).cast(
+        np.zeros_like(beams), beams, np.full(len(beams), 20.0, np.float32)
+    )
+    return range_m

@@ -143,5 +143,5 @@ def _window(
     lasts_s = float(rng.uniform(least_s, chosen.lasts_s))
     if kind is FailureKind.LATE_DETECTION:
         return chosen.start_s, chosen.start_s + lasts_s
-    start_s = float(rng.uniform(chosen.start_s, chosen.start_s + chosen.lasts_s - lasts_s))
+    start_s = chosen.start_s + float(rng.uniform(0.0, max(chosen.lasts_s - lasts_s, 0.0)))
     return start_s, start_s + lasts_s

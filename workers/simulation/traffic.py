@@ -1,223 +1,380 @@
-"""Who moves in a street: parked and driving cars, crossing ones, pedestrians, a cyclist."""
+"""Who is in a street: lanes with queues and turns, people, pets, parked cars."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
-from workers.simulation.drive import Drive, Knots, Road, drive_across, drive_along, stand
-from workers.simulation.kinds import SIZE_M, StreetClass
-from workers.simulation.scenery import FACADE_M, JUNCTION_HALF_M, KERB_M
+from workers.simulation.drive import (
+    Drive,
+    Floats,
+    Road,
+    drive_across,
+    drive_along,
+    drive_with_care,
+    stand,
+    turning_route,
+)
+from workers.simulation.kinds import StreetClass
+from workers.simulation.models import models_of
+from workers.simulation.occupancy import Occupancy
+from workers.simulation.places import Place
 from workers.simulation.street import Actor
 
-EGO_LANE_M: Final = -1.8
-"""Traffic keeps right: the ego's lane lies right of the centre line."""
+_SEEN_M: Final = 115.0
+"""Who never comes so near to the ego is left out."""
 
-_SECOND_LANE_M: Final = 5.3
-_PARKING_M: Final = 8.5
-_CYCLE_LANE_M: Final = 7.0
-_KEEP_APART_M: Final = 1.0
+_LANE_MIX: Final = (
+    (StreetClass.CAR, 0.68),
+    (StreetClass.VAN, 0.11),
+    (StreetClass.TRUCK, 0.08),
+    (StreetClass.BUS, 0.05),
+    (StreetClass.MOTORCYCLE, 0.08),
+)
+_PARKED_MIX: Final = (
+    (StreetClass.CAR, 0.84),
+    (StreetClass.VAN, 0.12),
+    (StreetClass.TRUCK, 0.04),
+)
 
 
-def parked_cars(
-    road: Road, *, from_m: float, to_m: float, junctions_m: list[float], rng: np.random.Generator
-) -> list[Actor]:
-    """Fill about half the places along both kerbs."""
-    cars = []
-    for side in (1, -1):
-        for at in np.arange(from_m + 4.0, to_m - 4.0, 6.4):
-            taken = rng.random() < 0.55
-            wiggle_m, turn = rng.uniform(-0.4, 0.4), rng.normal(0.0, 0.02)
-            if not taken or any(abs(at - j) < JUNCTION_HALF_M + 5.0 for j in junctions_m):
+@dataclass(slots=True, eq=False)
+class Traffic:
+    """Fills a street; each newcomer finds its room or is left out.
+
+    Attributes:
+        main: The road the ego begins on.
+        place: Its kind.
+        crossings: Roads over it, with the path length of the main road where each crosses.
+        ego: Drive of the ego.
+        seconds: How long.
+        dense: How much more than usual moves; 1 is usual.
+        rng: Of the street.
+    """
+
+    main: Road
+    place: Place
+    crossings: Sequence[tuple[float, Road, Place]]
+    ego: Drive
+    seconds: float
+    dense: float
+    rng: np.random.Generator
+    actors: list[Actor] = field(default_factory=list)
+    _taken: Occupancy = field(init=False)
+    _ego_way: Floats = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Let the ego be there first."""
+        self._taken = Occupancy(self.seconds)
+        self._taken.add(self.ego, (4.6, 1.9, 1.5))
+        self._ego_way = self.ego.pose(np.arange(0.0, self.seconds, 0.5))
+
+    def park(self, from_m: float, to_m: float) -> None:
+        """Fill about half the places along the kerbs of the main road and the streets over it."""
+        roads = [(self.main, self.place, from_m, to_m)]
+        roads += [(road, place, -110.0, 110.0) for _, road, place in self.crossings]
+        for number, (road, place, low, high) in enumerate(roads):
+            if place.parking_m == 0.0:
                 continue
-            turned = turn + (np.pi if side > 0 else 0.0)
-            across = side * _PARKING_M + 0.2 * wiggle_m
-            drive = stand(road, at_m=at + wiggle_m, across_m=across, turned_rad=turned)
-            cars.append(Actor(StreetClass.CAR, drive, parked=True))
-    return cars
+            for side in (1, -1):
+                for at in np.arange(low + 4.0, high - 4.0, 6.6):
+                    taken = self.rng.random() < 0.55
+                    wiggle, turn = self.rng.uniform(-0.4, 0.4), self.rng.normal(0.0, 0.02)
+                    what = self._drawn(_PARKED_MIX)
+                    if not taken or self._at_junction(number, float(at), place):
+                        continue
+                    model = self._model(what, small=True)
+                    facing = np.pi if (side > 0) != (self.rng.random() < 0.1) else 0.0
+                    drive = stand(
+                        road,
+                        at_m=float(at + wiggle),
+                        across_m=side * (place.parking_m + 0.04 * wiggle),
+                        turned_rad=float(turn + facing),
+                    )
+                    self._offer(what, drive, model=model, parked=True)
 
+    def move(self) -> None:
+        """Let all kinds of movers in, the rarer ones first."""
+        if self.place.parking_m > 0.0:
+            self._reversing()
+        for junction, road, place in self.crossings:
+            self._turning(junction, road, place)
+            self._walk_over(junction)
+        self._lanes(self.main, self.place, main=True)
+        for _, road, place in self.crossings:
+            self._lanes(road, place, main=False)
+        self._cyclists()
+        self._people()
+        self._animals()
 
-def moving_traffic(
-    road: Road,
-    *,
-    ego: Drive,
-    ego_speed: Knots,
-    seconds: float,
-    junctions_m: list[float],
-    rng: np.random.Generator,
-) -> list[Actor]:
-    """Let cars, people and a cyclist move along and across the road, none through another."""
-    travelled = float(np.hypot(np.diff(ego.x_m), np.diff(ego.y_m)).sum())
-    kept: list[Actor] = []
-    for actor in [
-        *_companions(road, ego_speed, seconds, rng),
-        *_crossing(road, travelled, seconds, junctions_m, rng),
-        *_oncoming(road, travelled, seconds, rng),
-        *_overtaking(road, seconds, rng),
-        *_on_pavements(road, travelled, seconds, rng),
-    ]:
-        if _clear_of(actor.drive, actor.street_class, [(ego, StreetClass.CAR)], seconds) and (
-            _clear_of(
-                actor.drive, actor.street_class, [(k.drive, k.street_class) for k in kept], seconds
-            )
-        ):
-            kept.append(actor)
-    return kept
+    def follow(self, route: Road, from_m: float, cruise_m_per_s: float, **care: object) -> None:
+        """Let somebody drive ahead of the ego, and somebody behind."""
+        for gap in (float(self.rng.uniform(12.0, 22.0)), -float(self.rng.uniform(10.0, 16.0))):
+            if self.rng.random() < 0.75 and from_m + gap > 0.0:
+                drive = drive_with_care(
+                    route,
+                    from_m=from_m + gap,
+                    across_m=0.0,
+                    cruise_m_per_s=cruise_m_per_s,
+                    seconds=self.seconds,
+                    **care,  # type: ignore[arg-type]
+                )
+                self._offer(self._drawn(_LANE_MIX), drive)
 
+    def offer_companion(self, drive: Drive) -> None:
+        """Let somebody drive as given, if there is room."""
+        self._offer(self._drawn(_LANE_MIX[:2]), drive)
 
-def _companions(
-    road: Road, ego_speed: Knots, seconds: float, rng: np.random.Generator
-) -> list[Actor]:
-    """A leader that does a little earlier what the ego does, and perhaps one behind."""
-    actors = []
-    for gap_m, ahead_s in (
-        (float(rng.uniform(11.0, 18.0)), 1.2),
-        (-float(rng.uniform(9, 14)), -1.2),
-    ):
-        if rng.random() < 0.7:
-            speed = [(t - ahead_s, v) for t, v in ego_speed]
-            drive = drive_along(
-                road,
-                from_m=gap_m,
-                across_m=EGO_LANE_M,
-                speed=speed,
-                seconds=seconds,
-                backwards=False,
-            )
-            actors.append(Actor(StreetClass.CAR, drive))
-    return actors
+    def _drawn(self, mix: Sequence[tuple[StreetClass, float]]) -> StreetClass:
+        shares = np.array([share for _, share in mix])
+        return mix[int(self.rng.choice(len(mix), p=shares / shares.sum()))][0]
 
+    def _model(self, what: StreetClass, *, small: bool = False) -> int:
+        models = len(models_of(what))
+        return 0 if small and what is StreetClass.TRUCK else int(self.rng.integers(models))
 
-def _crossing(
-    road: Road,
-    travelled_m: float,
-    seconds: float,
-    junctions_m: list[float],
-    rng: np.random.Generator,
-) -> list[Actor]:
-    actors = []
-    for junction in junctions_m:
-        for _ in range(3):
-            leftwards = bool(rng.random() < 0.5)
-            speed = float(rng.uniform(5.0, 9.0))
-            meets_s = float(rng.uniform(1.0, max(seconds - 1.0, 2.0)))
-            lane = junction + (2.5 if leftwards else -2.5)
-            drive = drive_across(
-                road,
-                at_m=lane,
-                from_across_m=(-1 if leftwards else 1) * speed * meets_s,
-                speed=[(0.0, speed), (seconds, speed)],
-                seconds=seconds,
-                leftwards=leftwards,
-            )
-            actors.append(Actor(StreetClass.CAR, drive))
-        if -10.0 < junction < travelled_m + 40.0:
-            leftwards = bool(rng.random() < 0.5)
-            walk = float(rng.uniform(1.1, 1.7))
-            drive = drive_across(
-                road,
-                at_m=junction - JUNCTION_HALF_M - 2.0,
-                from_across_m=(-1 if leftwards else 1) * float(rng.uniform(6.0, FACADE_M - 1.0)),
-                speed=[(0.0, walk), (seconds, walk)],
-                seconds=min(seconds, 2 * FACADE_M / walk),
-                leftwards=leftwards,
-            )
-            actors.append(Actor(StreetClass.PEDESTRIAN, drive))
-    return actors
-
-
-def _oncoming(
-    road: Road, travelled_m: float, seconds: float, rng: np.random.Generator
-) -> list[Actor]:
-    actors = []
-    for lane in (-EGO_LANE_M, _SECOND_LANE_M):
-        speed = float(rng.uniform(6.0, 12.0))
-        at = float(rng.uniform(15.0, 45.0))
-        while at < travelled_m + speed * seconds + 80.0:
-            what = StreetClass.TRUCK if rng.random() < 0.15 else StreetClass.CAR
-            drive = drive_along(
-                road,
-                from_m=at,
-                across_m=lane,
-                speed=[(0.0, speed), (seconds, speed)],
-                seconds=seconds,
-                backwards=True,
-            )
-            actors.append(Actor(what, drive))
-            at += float(rng.uniform(18.0, 55.0))
-    return actors
-
-
-def _overtaking(road: Road, seconds: float, rng: np.random.Generator) -> list[Actor]:
-    """Cars in the lane to our right: faster, slower, or stopping for a while."""
-    actors = []
-    cruise = float(rng.uniform(4.0, 11.0))
-    stops_s = float(rng.uniform(0.2, 0.8)) * seconds
-    for at in (-float(rng.uniform(12.0, 40.0)), float(rng.uniform(8.0, 30.0))):
-        halt: Knots = [
-            (0.0, cruise),
-            (stops_s, cruise),
-            (stops_s + cruise / 3.0, 0.0),
-            (stops_s + cruise / 3.0 + 2.5, 0.0),
-            (stops_s + cruise / 3.0 + 5.0, cruise),
-        ]
-        drive = drive_along(
-            road,
-            from_m=at,
-            across_m=-_SECOND_LANE_M,
-            speed=halt if at > 0 else [(0.0, cruise), (seconds, cruise)],
-            seconds=seconds,
-            backwards=False,
-        )
-        actors.append(Actor(StreetClass.CAR, drive))
-    ride = float(rng.uniform(3.5, 6.0))
-    drive = drive_along(
-        road,
-        from_m=float(rng.uniform(-15.0, 25.0)),
-        across_m=-_CYCLE_LANE_M,
-        speed=[(0.0, ride), (seconds, ride)],
-        seconds=seconds,
-        backwards=False,
-    )
-    return [*actors, Actor(StreetClass.CYCLIST, drive)]
-
-
-def _on_pavements(
-    road: Road, travelled_m: float, seconds: float, rng: np.random.Generator
-) -> list[Actor]:
-    actors = []
-    for _ in range(4 + int(travelled_m / 60.0)):
-        side = 1 if rng.random() < 0.5 else -1
-        walk = float(rng.uniform(0.9, 1.7))
-        drive = drive_along(
-            road,
-            from_m=float(rng.uniform(-15.0, travelled_m + 40.0)),
-            across_m=side * float(rng.uniform(KERB_M + 1.3, FACADE_M - 1.8)),
-            speed=[(0.0, walk), (seconds, walk)],
-            seconds=seconds,
-            backwards=bool(rng.random() < 0.5),
-        )
-        actors.append(Actor(StreetClass.PEDESTRIAN, drive))
-    return actors
-
-
-def _clear_of(
-    drive: Drive, what: StreetClass, others: Sequence[tuple[Drive, StreetClass]], seconds: float
-) -> bool:
-    """Whether boxes never come within a metre of each other; each is tried in the other's axes."""
-    time = np.arange(0.0, seconds, 0.1)
-    mine = drive.pose(time)
-    length, width, _ = SIZE_M[what]
-    for other, other_what in others:
-        theirs = other.pose(time)
-        other_length, other_width, _ = SIZE_M[other_what]
-        turn = mine[:, 2] - theirs[:, 2]
-        cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
-        dx, dy = (mine - theirs)[:, :2].T
-        c, s = np.cos(theirs[:, 2]), np.sin(theirs[:, 2])
-        along, aside = np.abs(c * dx + s * dy), np.abs(-s * dx + c * dy)
-        near_along = along < (other_length + length * cos + width * sin) / 2 + _KEEP_APART_M
-        near_aside = aside < (other_width + length * sin + width * cos) / 2 + 0.3 * _KEEP_APART_M
-        if bool(np.any(near_along & near_aside)):
+    def _offer(
+        self, what: StreetClass, drive: Drive, *, model: int | None = None, parked: bool = False
+    ) -> bool:
+        chosen = self._model(what) if model is None else model
+        shine = float(np.clip(self.rng.lognormal(-1.0, 0.6), 0.06, 0.9))
+        actor = Actor(what, drive, parked=parked, model=chosen, reflectivity=shine)
+        way = drive.pose(np.arange(0.0, self.seconds, 0.5))
+        if np.hypot(*(way - self._ego_way)[:, :2].T).min() > _SEEN_M:
             return False
-    return True
+        if not self._taken.take(drive, actor.size_m):
+            return False
+        self.actors.append(actor)
+        return True
+
+    def _at_junction(self, number: int, at_m: float, place: Place) -> bool:
+        if number > 0:
+            return abs(at_m) < self.place.kerb_m + 5.0
+        return any(abs(at_m - j) < p.kerb_m + 5.0 for j, _, p in self.crossings)
+
+    def _lanes(self, road: Road, place: Place, *, main: bool) -> None:
+        for backwards in (False, True):
+            for lane_m in place.lanes_m if main else place.lanes_m[:1]:
+                across = lane_m if backwards else -lane_m
+                self._lane(road.lane(across, backwards=backwards), place, main=main)
+
+    def _lane(self, lane: Road, place: Place, *, main: bool) -> None:
+        """Fill one lane; a red light holds its traffic up for a while."""
+        rng = self.rng
+        cruise = float(rng.uniform(*place.cruise_m_per_s))
+        stop_m, green_s = np.inf, 0.0
+        if self.crossings and rng.random() < (0.4 if main else 0.7):
+            stop_m = self._stop_line(lane, main=main)
+            green_s = float(rng.uniform(0.2, 1.1)) * self.seconds
+        slot_m = self._window(lane, cruise)
+        at, waiting = slot_m[1], 0
+        while at > slot_m[0]:
+            what = self._drawn(_LANE_MIX)
+            drive = drive_with_care(
+                lane, from_m=at, across_m=0.0, cruise_m_per_s=cruise, seconds=self.seconds
+            )
+            halt = stop_m - 10.0 * waiting
+            if at < halt < np.inf:
+                arrives_s = (halt - at) / cruise + 1.0
+                if arrives_s < green_s + 1.5 * waiting:
+                    rest_s = green_s + 1.5 * waiting - arrives_s
+                    drive = drive_with_care(
+                        lane,
+                        from_m=at,
+                        across_m=0.0,
+                        cruise_m_per_s=cruise,
+                        seconds=self.seconds,
+                        halts=[(halt, rest_s)],
+                    )
+                    waiting += 1
+            self._offer(what, drive)
+            gap = float(rng.uniform(*place.gap_m)) / self.dense
+            at -= max(gap * (1.0 if main else 1.6), 14.0)
+
+    def _stop_line(self, lane: Road, *, main: bool) -> float:
+        """Path length before the junction nearest to the ego's way."""
+        ahead = self._ego_way[len(self._ego_way) // 2, :2]
+        middles = [road.place(0.0, 0.0)[:2] for _, road, _ in self.crossings]
+        x, y = min(middles, key=lambda m: float(np.hypot(m[0] - ahead[0], m[1] - ahead[1])))
+        width = max(place.kerb_m for _, _, place in self.crossings) if main else self.place.kerb_m
+        return lane.nearest_m(float(x), float(y)) - width - 4.0
+
+    def _window(self, lane: Road, cruise_m_per_s: float) -> tuple[float, float]:
+        """Path lengths between which whoever starts may come near the ego."""
+        near = [
+            lane.nearest_m(x, y) for x, y, _ in self._ego_way[:: max(len(self._ego_way) // 4, 1)]
+        ]
+        low = max(min(near) - 100.0 - cruise_m_per_s * self.seconds, 0.0)
+        return low, min(max(near) + 100.0, float(lane.along_m[-1]))
+
+    def _turning(self, junction_m: float, road: Road, place: Place) -> None:
+        """Send vehicles from the main road into the crossing one and out of it."""
+        rng = self.rng
+        for _ in range(round(2 * self.dense)):
+            leftwards, out = bool(rng.random() < 0.5), bool(rng.random() < 0.5)
+            backwards = bool(rng.random() < 0.5)
+            main_lane = self.main.lane(
+                (self.place.lanes_m[0]) * (1 if backwards else -1), backwards=backwards
+            )
+            side_backwards = leftwards == backwards
+            side_lane = road.lane(
+                place.lanes_m[0] * (1 if side_backwards else -1), backwards=side_backwards
+            )
+            x, y, _ = (float(v) for v in road.place(0.0, 0.0))
+            here, there = main_lane.nearest_m(x, y), side_lane.nearest_m(x, y)
+            if out:
+                route = turning_route(
+                    main_lane, here - place.kerb_m, side_lane, there + self.place.kerb_m
+                )
+            else:
+                route = turning_route(
+                    side_lane, there - self.place.kerb_m, main_lane, here + place.kerb_m
+                )
+            bend = route.nearest_m(x, y)
+            cruise = float(rng.uniform(6.0, 10.0))
+            starts = bend - cruise * float(rng.uniform(0.0, 0.7)) * self.seconds
+            drive = drive_with_care(
+                route,
+                from_m=max(starts, 0.0),
+                across_m=0.0,
+                cruise_m_per_s=cruise,
+                seconds=self.seconds,
+            )
+            self._offer(self._drawn(_LANE_MIX), drive)
+
+    def _walk_over(self, junction_m: float) -> None:
+        rng, place = self.rng, self.place
+        reach = place.kerb_m + 3.0
+        for _ in range(round(2 * self.dense)):
+            walk = float(rng.uniform(0.7, 1.8))
+            leftwards = bool(rng.random() < 0.5)
+            side = -1 if rng.random() < 0.6 else 1
+            drive = drive_across(
+                self.main,
+                at_m=junction_m + side * (place.kerb_m + float(rng.uniform(0.5, 3.0))),
+                from_across_m=(-1 if leftwards else 1) * float(rng.uniform(0.3, 1.0)) * reach,
+                speed=[(0.0, walk), (self.seconds, walk)],
+                seconds=min(self.seconds, 2 * reach / walk),
+                leftwards=leftwards,
+            )
+            self._offer(StreetClass.PEDESTRIAN, drive)
+
+    def _reversing(self) -> None:
+        """Back out of a parking place, or out of a drive across the pavement."""
+        rng, place = self.rng, self.place
+        for along in self._stretches(140.0 / self.dense):
+            late = float(rng.uniform(0.0, 0.5)) * self.seconds
+            speed = [
+                (0.0, 0.0),
+                (late, 0.0),
+                (late + 1.5, 1.6),
+                (late + 4.5, 1.4),
+                (late + 6.0, 0.0),
+            ]
+            side = 1 if rng.random() < 0.5 else -1
+            if rng.random() < 0.5 or not place.gardens:
+                drive = drive_along(
+                    self.main,
+                    from_m=along,
+                    across_m=side * place.parking_m,
+                    speed=speed,
+                    seconds=self.seconds,
+                    backwards=side < 0,
+                    reversing=True,
+                )
+            else:
+                drive = drive_across(
+                    self.main,
+                    at_m=along,
+                    from_across_m=side * (place.kerb_m + place.pavement_m + 3.0),
+                    speed=speed,
+                    seconds=self.seconds,
+                    leftwards=side < 0,
+                )
+                drive = Drive(drive.time_s, drive.x_m, drive.y_m, drive.yaw_rad + np.pi)
+            self._offer(StreetClass.CAR, drive)
+
+    def _cyclists(self) -> None:
+        rng, place = self.rng, self.place
+        if place.cycle_m == 0.0:
+            return
+        for along in self._stretches(45.0 / self.dense):
+            ride = float(rng.uniform(3.0, 7.0))
+            backwards = bool(rng.random() < 0.5)
+            drive = drive_along(
+                self.main,
+                from_m=along,
+                across_m=place.cycle_m * (1 if backwards else -1) + float(rng.normal(0.0, 0.15)),
+                speed=[(0.0, ride), (self.seconds, ride)],
+                seconds=self.seconds,
+                backwards=backwards,
+            )
+            self._offer(StreetClass.CYCLIST, drive)
+
+    def _people(self) -> None:
+        """Let people walk, stand, run and push prams on pavements, and step between parked cars."""
+        rng, place = self.rng, self.place
+        if place.people_per_100_m == 0.0:
+            return
+        reach = max(place.pavement_m, 1.6)
+        for along in self._stretches(50.0 / (place.people_per_100_m * self.dense)):
+            side = 1 if rng.random() < 0.5 else -1
+            across = side * (place.kerb_m + float(rng.uniform(0.9, min(reach, 3.4) + 0.1)))
+            draw = rng.random()
+            walk = float(rng.uniform(0.5, 1.9)) if draw < 0.8 else float(rng.uniform(2.4, 3.6))
+            if draw < 0.12:
+                walk = 0.0
+            if rng.random() < 0.12:
+                drive = drive_across(
+                    self.main,
+                    at_m=along,
+                    from_across_m=across,
+                    speed=[(0.0, walk), (self.seconds, walk)],
+                    seconds=min(self.seconds, 2 * abs(across) / max(walk, 0.5)),
+                    leftwards=side < 0,
+                )
+            else:
+                drive = drive_along(
+                    self.main,
+                    from_m=along,
+                    across_m=across,
+                    speed=[(0.0, walk), (self.seconds, walk)],
+                    seconds=self.seconds,
+                    backwards=bool(rng.random() < 0.5),
+                )
+            kept = self._offer(StreetClass.PEDESTRIAN, drive)
+            if kept and walk > 0 and rng.random() < 0.12:
+                aside = drive.pose(drive.time_s)
+                x = drive.x_m - np.sin(aside[:, 2]) * 1.5
+                y = drive.y_m + np.cos(aside[:, 2]) * 1.5
+                pet = Drive(drive.time_s, x, y, drive.yaw_rad)
+                self._offer(StreetClass.ANIMAL, pet, model=int(rng.choice([0, 2])))
+
+    def _animals(self) -> None:
+        """Let a deer, or a dog off its lead, run over the road where it is quiet."""
+        rng = self.rng
+        if self.place.barriers or rng.random() > 0.6:
+            return
+        for along in self._stretches(150.0):
+            run = float(rng.uniform(1.0, 6.0))
+            reach = self.place.kerb_m + 6.0
+            leftwards = bool(rng.random() < 0.5)
+            drive = drive_across(
+                self.main,
+                at_m=along,
+                from_across_m=(-1 if leftwards else 1) * float(rng.uniform(0.4, 1.0)) * reach,
+                speed=[(0.0, run), (self.seconds, run)],
+                seconds=min(self.seconds, 2 * reach / run),
+                leftwards=leftwards,
+            )
+            deer = self.place.gardens and self.place.name == "country"
+            self._offer(StreetClass.ANIMAL, drive, model=1 if deer else 0)
+
+    def _stretches(self, every_m: float) -> Iterator[float]:
+        """Give path lengths along the way of the ego, about so far apart."""
+        at = [self.main.nearest_m(x, y) for x, y, _ in self._ego_way[[0, -1]]]
+        where, end = min(at) - 30.0, max(at) + 60.0
+        while where < end:
+            where += float(self.rng.uniform(0.3, 1.7)) * every_m
+            yield where

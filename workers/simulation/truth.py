@@ -2,14 +2,18 @@
 
 import csv
 import json
+import zipfile
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from workers.simulation.flow import flow_of
 from workers.simulation.kinds import GROUND, MOVABLE, SEMANTIC_KITTI, StreetClass
-from workers.simulation.lidar import SimulatedFrame
+from workers.simulation.lidar import Lidar, SimulatedFrame
 from workers.simulation.planted import DYNAMIC
 from workers.simulation.planted_truth import FILE, PlantedTruth
 from workers.simulation.street import Street
@@ -24,13 +28,14 @@ _TRACK_COLUMNS: Final = (
 class TruthWriter:
     """Writes the truth of one log as its frames go by.
 
-    Layout: `NNNNNN.npz` per cloud with semantic, motion, track and ground in the order of its
-    points; `frames.json`, `poses.npz`, `tracks.csv` (boxes in the world), `classes.json`, and
-    `planted.json` with what was put into the log on purpose.
+    Layout: `NNNNNN.npz` per cloud with semantic, motion, track, ground, ego (the own car) and flow
+    (`flow.py`) in the order of its points; `frames.json`, `poses.npz`, `tracks.csv` (boxes in the
+    world), `classes.json`, and `planted.json` with what was put into the log on purpose.
     """
 
     folder: Path
     street: Street
+    lidar: Lidar
     log_key: str
     topic: str
     _frames: list[dict[str, Any]] = field(default_factory=list)
@@ -41,12 +46,14 @@ class TruthWriter:
     def add(self, frame: SimulatedFrame, *, stamp_ns: int, data_crc32: int) -> None:
         """Write the arrays of one frame and keep its row for the tables."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        np.savez_compressed(
+        _write_arrays(
             self.folder / f"{frame.index:06d}.npz",
             semantic=frame.class_id,
             motion=frame.motion,
             track=frame.track,
             ground=frame.ground,
+            ego=(frame.class_id == StreetClass.EGO).astype(np.uint8),
+            flow=flow_of(self.street, self.lidar, frame),
         )
         self._dynamic_points += int((frame.motion == DYNAMIC).sum())
         self._poses.append((stamp_ns, frame.world_from_sensor))
@@ -89,19 +96,31 @@ class TruthWriter:
         inside = np.bincount(
             frame.track[frame.track >= 0], minlength=len(self.street.actors)
         ).tolist()
-        poses = self.street.actor_poses(frame.time_s).round(4).tolist()
+        poses = self.street.actor_bodies(frame.time_s).round(4).tolist()
         velocities = self.street.actor_velocities(frame.time_s).round(4).tolist()
         rows = []
         for track, actor in enumerate(self.street.actors):
             if not inside[track]:
                 continue
-            (x, y, yaw), (vx, vy) = poses[track], velocities[track]
+            (x, y, z, yaw, _, _), (vx, vy) = poses[track], velocities[track]
             speed = round(float(np.hypot(vx, vy)), 4)
             length, width, height = actor.size_m
             rows.append(
                 [
                     *(frame.index, track, actor.street_class.name.lower(), 1),
-                    *(x, y, height / 2, length, width, height, yaw, vx, vy, 0.0, speed),
+                    *(
+                        x,
+                        y,
+                        round(z + height / 2, 4),
+                        length,
+                        width,
+                        height,
+                        yaw,
+                        vx,
+                        vy,
+                        0.0,
+                        speed,
+                    ),
                     *(int(speed > 0.5), int(0.2 < speed <= 0.5), inside[track]),
                 ]
             )
@@ -109,6 +128,17 @@ class TruthWriter:
 
     def _write_json(self, name: str, content: dict[str, Any]) -> None:
         (self.folder / name).write_text(json.dumps(content, indent=1) + "\n")
+
+
+def _write_arrays(path: Path, **arrays: NDArray[Any]) -> None:
+    """Write as `numpy.savez_compressed` does, with little effort: a third of the time."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, array in arrays.items():
+            content = BytesIO()
+            np.lib.format.write_array(content, array, allow_pickle=False)
+            entry = zipfile.ZipInfo(f"{name}.npy")
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            archive.writestr(entry, content.getvalue(), compresslevel=1)
 
 
 def _describe(street_class: StreetClass) -> dict[str, Any]:

@@ -76,7 +76,7 @@ def write_log(
     """
     lidar, identity = lidar or Lidar(), identity or Identity()
     count = int(street.seconds / lidar.period_s + 1e-9) if frames is None else frames
-    truth_writer = TruthWriter(truth, street, log_key, LIDAR_TOPIC) if truth else None
+    truth_writer = TruthWriter(truth, street, lidar, log_key, LIDAR_TOPIC) if truth else None
     with _growing(output) as stream:
         writer = Writer(stream, chunk_size=chunk_bytes)
         schema = writer.register_msgdef(POINT_CLOUD2, POINT_CLOUD2_DEFINITION)

@@ -2,21 +2,29 @@ import numpy as np
 import pytest
 
 from tests.factories import SMALL_LIDAR
-from workers.simulation.cast import ROAD_WAVES
 from workers.simulation.drive import Floats, Road, drive_along, stand
-from workers.simulation.kinds import Shape, StreetClass, column
+from workers.simulation.kinds import Material, StreetClass
 from workers.simulation.lidar import Lidar, SimulatedFrame, sweep
+from workers.simulation.meshes import Mesh, box, limb
 from workers.simulation.street import Actor, Street
+from workers.simulation.terrain import ROAD_WAVES
 from workers.simulation.worlds import EGO_STYLES, EgoStyle, build_street
 
 SECONDS = 4.0
 STRAIGHT = Road.bending(from_m=-300.0, to_m=300.0, swing_rad=0.0, wave_m=100.0)
 EXACT_LIDAR = Lidar(columns=256, noise_m=0.0, dropout_share=0.0)
-WALL = Shape(20.0, 0.0, 0.0, 1.0, 30.0, 0.0, 8.0, StreetClass.BUILDING)
+WALL = box(*(1.0, 30.0, 0.0, 8.0), what=StreetClass.BUILDING, material=Material.WALL, x_m=20.0)
+
+
+def pole_at(x_m: float, y_m: float, *, radius_m: float) -> Mesh:
+    """A round one, to a millimetre."""
+    foot, head = (x_m, y_m, 0.0), (x_m, y_m, 5.0)
+    what, metal = StreetClass.POLE, Material.METAL
+    return limb(foot, head, radius_m, radius_m, what=what, material=metal, sides=60)
 
 
 def street(
-    *actors: Actor, fixed: tuple[Shape, ...] = (), ego_m_per_s: float = 0.0, even: bool = True
+    *actors: Actor, fixed: tuple[Mesh, ...] = (), ego_m_per_s: float = 0.0, even: bool = True
 ) -> Street:
     ego = drive_along(
         STRAIGHT,
@@ -66,16 +74,17 @@ def test_points_on_the_road_lie_on_the_road() -> None:
 def test_the_road_rises_and_falls_by_centimetres() -> None:
     frame = sweep(street(even=False), EXACT_LIDAR, 0)
     near = np.hypot(*frame.points_m[:, :2].T) < 15.0
-    height_m = frame.points_m[near, 2].astype(np.float64) + EXACT_LIDAR.height_m
-    assert np.abs(height_m).max() < ROAD_WAVES[:, 0].sum() + 5e-3
-    assert height_m.std() > 0.01
-    x, y = frame.points_m[near, :2].T.astype(np.float64)
+    points = frame.points_m[near].astype(np.float64)
+    world = points @ frame.world_from_sensor[:3, :3].T + frame.world_from_sensor[:3, 3]
+    assert np.abs(world[:, 2]).max() < ROAD_WAVES[:, 0].sum() + 5e-3
+    assert world[:, 2].std() > 0.01
+    x, y = world[:, :2].T
     expected_m = np.sum([a * np.sin(kx * x + ky * y + at) for a, kx, ky, at in ROAD_WAVES], axis=0)
-    np.testing.assert_allclose(height_m, expected_m, atol=0.01)
+    np.testing.assert_allclose(world[:, 2], expected_m, atol=0.01)
 
 
 def test_points_on_a_pole_lie_on_its_skin() -> None:
-    pole = column(8.0, 3.0, diameter_m=0.5, low_m=0.0, high_m=5.0, what=StreetClass.POLE)
+    pole = pole_at(8.0, 3.0, radius_m=0.25)
     on_pole = points_of(sweep(street(fixed=(pole,)), EXACT_LIDAR, 0), StreetClass.POLE)
     assert len(on_pole) > 20
     np.testing.assert_allclose(np.hypot(on_pole[:, 0] - 8.0, on_pole[:, 1] - 3.0), 0.25, atol=3e-3)
@@ -121,17 +130,15 @@ def test_a_moving_sensor_sees_each_point_from_where_it_was_at_that_instant() -> 
 
 
 def test_the_true_pose_says_where_the_sensor_was_at_the_first_firing() -> None:
-    behind = [
-        column(-9.0, y, diameter_m=0.3, low_m=0.0, high_m=4.0, what=StreetClass.POLE)
-        for y in (-1.0, 0.0, 1.0)
-    ]
-    frame = sweep(street(fixed=tuple(behind), ego_m_per_s=10.0), EXACT_LIDAR, 8)
+    poles = [(-9.0, y) for y in (-1.0, 0.0, 1.0)]
+    behind = tuple(pole_at(x, y, radius_m=0.15) for x, y in poles)
+    frame = sweep(street(fixed=behind, ego_m_per_s=10.0), EXACT_LIDAR, 8)
     early = (frame.class_id == StreetClass.POLE) & (frame.offset_ns < 5_000_000)
     rotation, origin = frame.world_from_sensor[:3, :3], frame.world_from_sensor[:3, 3]
     world = frame.points_m[early] @ rotation.T + origin
     np.testing.assert_allclose(origin, [8.0, 0.0, EXACT_LIDAR.height_m], atol=1e-6)
     assert len(world) > 10
-    nearest_m = np.min([np.hypot(world[:, 0] - p.x_m, world[:, 1] - p.y_m) for p in behind], axis=0)
+    nearest_m = np.min([np.hypot(world[:, 0] - x, world[:, 1] - y) for x, y in poles], axis=0)
     np.testing.assert_allclose(nearest_m, 0.15, atol=0.06)
 
 

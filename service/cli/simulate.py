@@ -1,0 +1,71 @@
+"""The verb `simulate`: a fleet of simulated logs with truth beside them, failures planted."""
+
+import time
+from typing import Annotated, Any
+
+import typer
+
+from service.cli.options import Json
+from service.cli.output import json_line, progress, remark
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the verb of this file to the command."""
+    app.command(epilog="counterpoint simulate --scenes 100 --seed 1 --failures 0.05 --out fleet")(
+        simulate
+    )
+
+
+def simulate(
+    out: Annotated[
+        str, typer.Option("--out", help="Folder or bucket URL; gets logs/ and truth/ within.")
+    ],
+    scenes: Annotated[
+        int, typer.Option("--scenes", min=1, help="Scenes of 2 s; ten make a log of 20 s.")
+    ] = 100,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Same seed, same bytes.")] = 1,
+    failures: Annotated[
+        float,
+        typer.Option("--failures", min=0.0, max=1.0, help="Share of scenes with a failure."),
+    ] = 0.05,
+    columns: Annotated[
+        int | None,
+        typer.Option("--columns", min=64, help="Firings per turn of every lidar; its own if none."),
+    ] = None,
+    workers: Annotated[int, typer.Option("--workers", min=1, help="Processes at once.")] = 1,
+    json: Json = False,
+) -> None:
+    """Simulate a fleet's logs with truth beside them, failures planted in the labels."""
+    from workers.simulation.fleet import FleetOptions, simulate_to
+    from workers.simulation.plan import plan_fleet
+
+    plans = plan_fleet(scenes=scenes, seed=seed, share=failures)
+    began_s, frames, planted, disturbed = time.monotonic(), 0, 0, 0
+    with progress() as bar:
+        task = bar.add_task("simulating", total=scenes * 20)
+        logs = simulate_to(
+            out,
+            plans,
+            options=FleetOptions(columns=columns),
+            processes=workers,
+            progress=lambda: bar.advance(task),
+        )
+        for log in logs:
+            frames += log.frames
+            planted += len(log.planted.failures)
+            disturbed += len(log.planted.disturbances)
+            if json:
+                row: dict[str, Any] = {
+                    "log": log.log_id,
+                    "frames": log.frames,
+                    "failures": len(log.planted.failures),
+                    "disturbances": len(log.planted.disturbances),
+                    "hard": log.planted.hard,
+                }
+                json_line(row)
+    took_s = time.monotonic() - began_s
+    remark(
+        f"{len(plans)} logs, {scenes} scenes, {frames} frames, {planted} planted failures, "
+        f"{disturbed} disturbances in {out}: {frames / took_s / workers:.1f} frames a second and "
+        f"process"
+    )
