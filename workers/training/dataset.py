@@ -2,6 +2,7 @@
 
 import argparse
 import logging
+from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -13,10 +14,11 @@ from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainin
 from schemas.errors import CounterpointError, TransientError
 from workers.geometry.range_image import SensorProfile
 from workers.geometry.sensor_rows import lay_out
+from workers.simulation.samples import DEFAULT_SENSORS, street_samples
 from workers.supervised.residual_image import ResidualSettings
 from workers.training.images import TrainingImages, build_images
 from workers.training.pandaset import read_clouds
-from workers.training.simulated import SENSORS, street_clouds
+from workers.training.simulated import clouds_of
 from workers.training.stored_images import join, write_images
 
 log = logging.getLogger(__name__)
@@ -39,8 +41,9 @@ RESIDUAL: Final = ResidualSettings(
 EXIT_TRANSIENT: Final = 75
 """EX_TEMPFAIL of sysexits.h."""
 
+_WINDOWS: Final = 2
 _FRAMES: Final = 10
-"""Of each street: the first two look ahead, the last two look back."""
+"""Of each window of a street: the first two look ahead, the last two look back."""
 
 _PAST_AND_FUTURE: Final = ((1, range(8, 10)), (-1, range(2)))
 
@@ -64,28 +67,39 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _simulated(args: argparse.Namespace) -> None:
-    made: list[TrainingImages] = []
-    profile = PROFILE
+    made: defaultdict[str, list[TrainingImages]] = defaultdict(list)
+    profiles: dict[str, SensorProfile] = {}
     columns = (TextColumn("{task.description}"), MofNCompleteColumn(), TimeRemainingColumn())
-    seeds = range(args.seed, args.seed + args.streets)
     with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(args.sensor, total=args.streets)
-        for seed in seeds:
-            clouds = street_clouds(seed, sensor=args.sensor, frames=_FRAMES)
-            profile = lay_out(profile, clouds[0].frame)  # rows as in the first street
-            rng = np.random.default_rng(seed)
+        task = bar.add_task("streets", total=args.streets * _WINDOWS)
+        samples = street_samples(
+            args.seed,
+            streets=args.streets,
+            windows=_WINDOWS,
+            frames=_FRAMES + 1,
+            sensors=args.sensors,
+            columns=args.columns,
+        )
+        for number, sample in enumerate(samples):
+            clouds = clouds_of(sample)
+            sensor, _, _ = sample.lidar.name.partition(" ")
+            # rows as in the first street of the sensor
+            profile = profiles.setdefault(sensor, lay_out(PROFILE, clouds[0].frame))
+            rng = np.random.default_rng([args.seed, number])
             for direction, only in _PAST_AND_FUTURE:
-                made.append(
+                made[sensor].append(
                     build_images(
                         clouds, profile, RESIDUAL, variants=(direction,), rng=rng, only=only
                     )
                 )
             bar.update(task, advance=1)
-    source: dict[str, str | int] = {
-        "simulated": args.sensor,
-        "seeds": f"{seeds.start}:{seeds.stop}",
-    }
-    write_images(args.out, join(made), source=source)
+    for sensor, parts in sorted(made.items()):
+        source: dict[str, str | int] = {
+            "simulated": sensor,
+            "seed": args.seed,
+            "streets": args.streets,
+        }
+        write_images(args.out / sensor, join(parts), source=source)
 
 
 def _real(args: argparse.Namespace) -> None:
@@ -108,9 +122,14 @@ def _parser() -> argparse.ArgumentParser:
         description="Make training images of simulated streets, or of a PandaSet log with truth.",
     )
     parser.add_argument("--out", type=Path, required=True, help="folder to write")
-    parser.add_argument("--seed", type=int, default=1, help="first seed")
-    parser.add_argument("--sensor", choices=sorted(SENSORS), default="even-64")
-    parser.add_argument("--streets", type=int, default=100, help="four images of each")
+    parser.add_argument("--seed", type=int, default=1, help="of everything random")
+    parser.add_argument(
+        "--streets", type=int, default=100, help="eight images of each; a folder for each sensor"
+    )
+    parser.add_argument(
+        "--sensors", nargs="+", choices=DEFAULT_SENSORS, default=DEFAULT_SENSORS, help="drawn from"
+    )
+    parser.add_argument("--columns", type=int, help="of every lidar, instead of each its own")
     parser.add_argument("--log", type=Path, help="the MCAP file, instead of simulated streets")
     parser.add_argument("--truth", type=Path, help="folder of its truth")
     parser.add_argument("--frames", default="0:40", help="frames of the log, half open")

@@ -1,4 +1,4 @@
-"""Frames of short simulated streets with their truth, of sensors of several kinds."""
+"""Frames of short simulated streets with their truth, as clouds to make training images of."""
 
 from collections.abc import Mapping
 from itertools import pairwise
@@ -11,51 +11,38 @@ from schemas.arrays import NS_PER_S, Transform
 from schemas.frame import LidarFrame
 from workers.geometry.se3 import inverse
 from workers.simulation.kinds import StreetClass
-from workers.simulation.lidar import UNEVEN_64, UNIFORM_64, Lidar, SimulatedFrame, sweep
-from workers.simulation.worlds import build_street
+from workers.simulation.lidar import Lidar, SimulatedFrame
+from workers.simulation.samples import StreetSample
 from workers.training.classes import CLASS_NAMES
 from workers.training.images import Cloud
 
 _CLASS_OF: Final[Mapping[StreetClass, str]] = {
     StreetClass.ROAD: "road",
     StreetClass.SIDEWALK: "sidewalk",
+    StreetClass.TERRAIN: "other_ground",
     StreetClass.BUILDING: "building",
     StreetClass.VEGETATION: "vegetation",
     StreetClass.TRUNK: "vegetation",
     StreetClass.POLE: "traffic_facility",
+    StreetClass.SIGN: "traffic_facility",
+    StreetClass.FENCE: "other_static",
     StreetClass.OBJECT: "other_static",
     StreetClass.CAR: "car",
+    StreetClass.VAN: "car",
     StreetClass.TRUCK: "large_vehicle",
-    StreetClass.PEDESTRIAN: "pedestrian",
+    StreetClass.BUS: "large_vehicle",
+    StreetClass.MOTORCYCLE: "two_wheeler",
     StreetClass.CYCLIST: "two_wheeler",
+    StreetClass.PEDESTRIAN: "pedestrian",
 }
-"""What is taught of each simulated class; what is missing is not taught."""
-
-SENSORS: Final[Mapping[str, Lidar]] = {
-    "even-64": Lidar(elevation_deg=UNIFORM_64, columns=1800, height_m=1.75),
-    "uneven-64": Lidar(elevation_deg=UNEVEN_64, columns=1800),
-    "even-32": Lidar(elevation_deg=tuple(np.linspace(10.67, -30.67, 32)), columns=1800),
-}
-"""Lidars to learn from, by name."""
+"""What is taught of each simulated class; what is missing, as animals and dust, is not taught."""
 
 _START_NS: Final = 1_772_445_600 * NS_PER_S
 
 
-def street_clouds(seed: int, *, sensor: str, frames: int) -> list[Cloud]:
-    """Drive through a street of its own for about a second.
-
-    Args:
-        seed: Of the street and of all noise.
-        sensor: One of `SENSORS`.
-        frames: How many, a tenth of a second apart.
-
-    Returns:
-        One cloud per frame.
-    """
-    lidar = SENSORS[sensor]
-    street = build_street(seed, seconds=(frames + 2) * lidar.period_s)
-    swept = [sweep(street, lidar, number) for number in range(frames + 1)]
-    return [_cloud(this, following, lidar) for this, following in pairwise(swept)]
+def clouds_of(sample: StreetSample) -> list[Cloud]:
+    """Turn a sample's frames into clouds; its last frame only says where the one before went."""
+    return [_cloud(this, following, sample.lidar) for this, following in pairwise(sample.frames)]
 
 
 def _cloud(this: SimulatedFrame, following: SimulatedFrame, lidar: Lidar) -> Cloud:
