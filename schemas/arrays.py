@@ -17,11 +17,14 @@ Mask = NDArray[np.bool_]
 Transform = NDArray[np.float64]
 """(4, 4) rigid transform, named `to_from_from`: it maps points of the second space to the first."""
 
-MotionLabels = NDArray[np.uint8]
-"""(N,) values of `schemas.labels.MotionLabel`."""
+Labels = NDArray[np.uint8]
+"""(N,) indices into the classes of a `schemas.task.Task`, or its `unknown`."""
+
+MotionLabels = Labels
+"""(N,) values of `schemas.labels.MotionLabel`: labels of the task `MOTION`."""
 
 Agreements = NDArray[np.uint8]
-"""(N,) values of `schemas.labels.Agreement`."""
+"""(N,) codes of the outcomes of a `schemas.task.Task`."""
 
 Confidences = NDArray[np.float16]
 """(N,) how sure a stream is of its label, 0 to 1; half precision, since every point has one."""

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +11,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from schemas.arrays import Agreements, check_array, freeze
 from schemas.frame import PosedFrame
 from schemas.labels import FrameLabels
+from schemas.task import MOTION, Outcome, Task
 
 
 class ContradictionKind(StrEnum):
-    """Who alone says that something moves: one stream, or the witness against both.
+    """The kinds of the task `MOTION`, as records name them: who alone says that something moves.
 
     It does not say who errs.
     """
@@ -31,7 +33,8 @@ class LabelledFrame:
         posed: The frame and its pose.
         semantic: Labels of the supervised stream.
         predictive: Labels of the self-supervised stream.
-        agreements: (N,) `Agreement` of the two.
+        agreements: (N,) codes of the task's outcomes.
+        task: What both were asked.
         witness: What the third witness says; None where none was asked.
     """
 
@@ -39,6 +42,7 @@ class LabelledFrame:
     semantic: FrameLabels
     predictive: FrameLabels
     agreements: Agreements
+    task: Task = MOTION
     witness: FrameLabels | None = None
 
     def __post_init__(self) -> None:
@@ -76,6 +80,11 @@ class Scene:
     too_short: bool = False
 
     @property
+    def task(self) -> Task:
+        """What both streams were asked about its points."""
+        return self.frames[0].task
+
+    @property
     def start_ns(self) -> int:
         """First frame, nanoseconds since the Unix epoch."""
         return self.frames[0].stamp_ns
@@ -91,7 +100,7 @@ class Instance:
     """A cluster of contradicting points of one kind in one frame, large enough to keep.
 
     Attributes:
-        kind: Which stream alone calls it dynamic.
+        kind: How the two streams contradict each other about its points.
         frame_index: Which frame of the scene it was found in.
         point_index: (M,) the points that make it up.
         centre_m: (3,) centre of its box, sensor space, metres.
@@ -108,7 +117,7 @@ class Instance:
             once that they move; None where that stream says static, or does not tell.
     """
 
-    kind: ContradictionKind
+    kind: Outcome
     frame_index: int
     point_index: NDArray[np.int64]
     centre_m: NDArray[np.float64]
@@ -120,6 +129,16 @@ class Instance:
     velocity_m_per_s: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     own_share: float = 1.0
     confirmed_share: float | None = None
+
+
+KindName = Annotated[
+    str,
+    Field(
+        pattern=r"^[a-z0-9_]+$",
+        description="How the streams contradict each other: for motion, which alone says that it "
+        "moves, `only_semantic_dynamic` or `only_predictive_dynamic`.",
+    ),
+]
 
 
 class InstanceRecord(BaseModel):
@@ -143,7 +162,7 @@ class TrackRecord(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     track_id: int = Field(ge=0, description="Counts within the scene, strongest first.")
-    kind: ContradictionKind = Field(description="Which stream alone calls it dynamic.")
+    kind: KindName
     class_name: str = Field(default="", description="Commonest semantic class; may be empty.")
     strength: float = Field(ge=0, le=1, description="What this track adds to the scene score.")
     first_ns: int = Field(ge=0, description="First frame it was seen in.")

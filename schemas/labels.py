@@ -6,11 +6,11 @@ from enum import IntEnum, StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import Confidences, Mask, MotionLabels, check_array, freeze
+from schemas.arrays import Confidences, Labels, Mask, check_array, freeze
 
 
 class MotionLabel(IntEnum):
-    """The motion of one point. UNKNOWN is an answer: points are never dropped."""
+    """The labels of the task `MOTION`. UNKNOWN is an answer: points are never dropped."""
 
     STATIC = 0
     DYNAMIC = 1
@@ -18,28 +18,13 @@ class MotionLabel(IntEnum):
 
 
 class Agreement(IntEnum):
-    """The two answers for one point. It does not say which stream is right."""
+    """The agreements of the task `MOTION`. They do not say which stream is right."""
 
     BOTH_STATIC = 0b00
     ONLY_SEMANTIC_DYNAMIC = 0b01
     ONLY_PREDICTIVE_DYNAMIC = 0b10
     BOTH_DYNAMIC = 0b11
     NOT_COMPARED = 0b100
-
-    @property
-    def contradicts(self) -> bool:
-        """Whether exactly one stream called the point dynamic."""
-        return self in (Agreement.ONLY_SEMANTIC_DYNAMIC, Agreement.ONLY_PREDICTIVE_DYNAMIC)
-
-
-AGREEMENT_COLOURS: dict[Agreement, tuple[int, int, int]] = {
-    Agreement.BOTH_STATIC: (34, 139, 34),
-    Agreement.BOTH_DYNAMIC: (65, 105, 225),
-    Agreement.ONLY_PREDICTIVE_DYNAMIC: (178, 34, 34),
-    Agreement.ONLY_SEMANTIC_DYNAMIC: (225, 225, 0),
-    Agreement.NOT_COMPARED: (110, 110, 110),
-}
-"""The paper's four colours (section III-C, figures), red, green, blue; grey is ours."""
 
 
 class Blindness(StrEnum):
@@ -79,7 +64,7 @@ class FrameLabels:
     """What one stream says about every point of one frame.
 
     Attributes:
-        labels: (N,) motion labels.
+        labels: (N,) labels of the stream's task.
         confidence: (N,) 0 to 1, how sure the stream is of that label; 0 where UNKNOWN.
         class_id: (N,) semantic class as an index into the stream's `class_names`, -1 none; None
             from a stream that knows no classes.
@@ -94,7 +79,7 @@ class FrameLabels:
         ValueError: If lengths differ or an array has the wrong type.
     """
 
-    labels: MotionLabels
+    labels: Labels
     confidence: Confidences
     class_id: NDArray[np.int16] | None = None
     ground_mask: Mask | None = None

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from schemas.array_pack import PackUnreadableError, pack, unpack
 from schemas.arrays import Agreements, Mask, Points, check_array, freeze
-from schemas.labels import Agreement
+from schemas.task import MOTION, Task, UnknownTaskError, task_named
 
 OVERLAY_MAGIC: Final = b"CPOVL1\n\0"
 """First bytes; the digit is the version."""
@@ -42,7 +42,7 @@ class Overlay:
         stamps_ns: (F,) nanoseconds since the Unix epoch.
         offsets: (F + 1,) frame f has points offsets[f] to offsets[f + 1].
         points_cm: (P, 3) sensor space of each frame, centimetres; `NO_POSITION_CM` where none.
-        agreements: (P,) `Agreement` of the two streams.
+        agreements: (P,) codes of the task's outcomes.
         ground_mask: (P,) what the self-supervised stream calls ground.
         class_id: (P,) semantic class as an index into `class_names`, -1 none.
         class_names: Classes of the supervised stream; may be empty.
@@ -52,10 +52,11 @@ class Overlay:
         instance_index: (P,) instance that a contradicting point belongs to, -1 none.
         odom_from_sensor: (F, 4, 4) poses.
         instance_frame: (I,) the frame of each instance.
-        instance_kind: (I,) `Agreement` of its points.
+        instance_kind: (I,) code of the outcome of its points.
         instance_track: (I,) track it belongs to, numbered as in the scene's record and beyond.
         instance_boxes: (I, 7) centre x, y, z, length, width, height in metres, yaw in radians, in
             the sensor space of its frame.
+        task: What both streams were asked.
 
     Raises:
         ValueError: If an array has the wrong shape or type, or does not fit the others.
@@ -77,6 +78,7 @@ class Overlay:
     instance_kind: NDArray[np.uint8]
     instance_track: NDArray[np.int32]
     instance_boxes: NDArray[np.float32]
+    task: Task = MOTION
 
     def __post_init__(self) -> None:
         """Check that the arrays fit each other, and make them read-only."""
@@ -94,7 +96,7 @@ class Overlay:
         _check_range("offsets", np.diff(self.offsets), 0, points)
         if not frames or self.offsets[0] != 0 or self.offsets[-1] != points:
             raise ValueError(f"offsets must run from 0 to {points} over at least one frame")
-        _check_range("agreements", self.agreements, 0, max(Agreement))
+        _check_range("agreements", self.agreements, 0, self.task.not_compared)
         _check_range("class_id", self.class_id, -1, len(self.class_names) - 1)
         _check_range("instance_index", self.instance_index, -1, found - 1)
         _check_range("instance_frame", self.instance_frame, 0, frames - 1)
@@ -148,7 +150,12 @@ def encode_overlay(overlay: Overlay) -> bytes:
     at = np.flatnonzero(overlay.instance_index >= 0)
     arrays["instance_index"] = overlay.instance_index[at]
     arrays["instance_points"] = at
-    meta = {"scene_id": overlay.scene_id, "class_names": list(overlay.class_names)}
+    meta: dict[str, Any] = {
+        "scene_id": overlay.scene_id,
+        "class_names": list(overlay.class_names),
+    }
+    if overlay.task is not MOTION:  # which older overlays never name
+        meta["task"] = overlay.task.name
     return pack(OVERLAY_MAGIC, meta, arrays)
 
 
@@ -170,9 +177,10 @@ def decode_overlay(payload: bytes) -> Overlay:
         return Overlay(
             scene_id=str(meta["scene_id"]),
             class_names=tuple(str(name) for name in meta["class_names"]),
+            task=task_named(str(meta.get("task", MOTION.name))),
             **arrays,
         )
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, UnknownTaskError) as error:
         raise PackUnreadableError(f"not a well-formed overlay: {error}") from error
 
 

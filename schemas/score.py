@@ -2,10 +2,11 @@
 
 from typing import Annotated, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from schemas.contradiction import ContradictionKind, SceneState, TrackRecord
+from schemas.contradiction import KindName, SceneState, TrackRecord
 from schemas.frame import OdometryState
+from schemas.task import MOTION, UnknownTaskError, task_named
 
 Share = Annotated[float, Field(ge=0, le=1)]
 """A fraction, 0 to 1."""
@@ -17,14 +18,23 @@ MAX_RECORD_BYTES: Final = 16_384
 
 
 class AgreementShares(BaseModel):
-    """Shares of the four outcomes among compared points; they add up to 1, or all are 0."""
+    """Share of each outcome of the task among compared points; they add up to 1, or all are 0.
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    For motion: `both_static`, `both_dynamic`, `only_semantic_dynamic`, `only_predictive_dynamic`.
+    """
 
-    both_static: Share
-    both_dynamic: Share
-    only_semantic_dynamic: Share
-    only_predictive_dynamic: Share
+    model_config = ConfigDict(frozen=True, extra="allow")
+
+    __pydantic_extra__: dict[str, Share]
+
+    def __getitem__(self, outcome: str) -> float:
+        """Share of the outcome of this name."""
+        return self.__pydantic_extra__[outcome]
+
+    @property
+    def outcomes(self) -> frozenset[str]:
+        """Names of all that have a share."""
+        return frozenset(self.__pydantic_extra__)
 
 
 class KindTotal(BaseModel):
@@ -32,7 +42,7 @@ class KindTotal(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    kind: ContradictionKind
+    kind: KindName
     instances: int = Field(ge=0, description="Instances over all frames.")
     tracks: int = Field(ge=0, description="Tracks over the scene.")
     points: int = Field(ge=0, description="Points over all instances.")
@@ -85,6 +95,11 @@ class SceneScore(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     schema_version: Literal[1] = 1
+    task: str = Field(
+        default=MOTION.name,
+        exclude_if=lambda value: value == MOTION.name,
+        description="What both streams were asked about each point; absent: motion.",
+    )
     scene_id: str = Field(min_length=1, description="`<log_id>/<lidar>/<start_ns>`, unique.")
     log_id: str = Field(min_length=1, description="Bucket-relative key of the recording.")
     lidar_topic: str = Field(min_length=1, description="MCAP topic of the lidar.")
@@ -112,3 +127,19 @@ class SceneScore(BaseModel):
         description="Of the self-supervised stream; absent from records of earlier services.",
     )
     producers: Producers
+
+    @model_validator(mode="after")
+    def _names_are_those_of_the_task(self) -> "SceneScore":
+        try:
+            task = task_named(self.task)
+        except UnknownTaskError as error:
+            raise ValueError(str(error)) from None
+        outcomes = {outcome.name for outcome in task.compared()}
+        kinds = {kind.name for kind in task.kinds}
+        for shares in (self.all_points, self.nonground_points):
+            if shares.outcomes != outcomes:
+                raise ValueError(f"shares of task {task.name} must be of {sorted(outcomes)}")
+        said = {total.kind for total in self.totals} | {track.kind for track in self.tracks}
+        if unknown := said - kinds:
+            raise ValueError(f"task {task.name} has no kind {sorted(unknown)}")
+        return self

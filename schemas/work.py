@@ -55,7 +55,8 @@ class MiningSettings(BaseModel):
         default="salsanext-lmnet",
         description="Supervised stream, by name: salsanext-lmnet, recorded (what the model on the "
         "car said), own (your model), salsanext-lmnet:folded (faster on a CPU), "
-        "salsanext-lmnet:published (image and votes bug for bug).",
+        "salsanext-lmnet:published (image and votes bug for bug); for `score` of the task ground "
+        "salsanext:ground, recorded:ground.",
     )
     model: str = Field(
         default="",
@@ -71,7 +72,7 @@ class MiningSettings(BaseModel):
         default="registration",
         description="Self-supervised stream, by name: registration, two-stage (on any flow), or "
         "paper (the published chain); registration:lookahead-0.5 and :lookahead-1.0 wait so many "
-        "seconds for later frames.",
+        "seconds for later frames; ground is of another task.",
     )
     odometry: str = Field(
         default="kiss-icp", description="Odometry, by name: kiss-icp, or delora (the paper's)."
@@ -102,6 +103,11 @@ class MiningSettings(BaseModel):
     intensity_scale: float = Field(
         default=0.0, ge=0, description="Recorded value that means 1; 0: by evidence."
     )
+
+    @property
+    def takes_recorded(self) -> bool:
+        """Whether the supervised stream, for whatever task, is what the log itself says."""
+        return self.supervised.partition(":")[0] == "recorded"
 
     @property
     def ahead_ns(self) -> int:

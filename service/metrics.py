@@ -204,8 +204,8 @@ class ServiceMetrics:
             for agreement, count in point_counts(score).items():
                 points[vehicle, agreement] += count
             for total in score.totals:
-                tracks[total.kind.value] += total.tracks
-                instances[total.kind.value] += total.instances
+                tracks[total.kind] += total.tracks
+                instances[total.kind] += total.instances
             self._score.observe(score.score)
         self._frames.inc(sum(score.frames for score in scores))
         for (vehicle, state), count in scenes.items():

@@ -1,4 +1,4 @@
-"""Pictures of a scored scene: from above in the paper's four colours, and on the camera image."""
+"""Pictures of a scored scene: from above in the colours of the method, and on the camera image."""
 
 from datetime import UTC, datetime
 from typing import Final
@@ -9,21 +9,21 @@ from PIL import Image, ImageDraw
 
 from schemas.arrays import NS_PER_S
 from schemas.contradiction import SceneState, TrackRecord
-from schemas.labels import AGREEMENT_COLOURS, Agreement
 from schemas.overlay import Overlay
-from schemas.score import AgreementShares, SceneScore
+from schemas.score import SceneScore
+from schemas.task import Outcome, task_named
 from service.picture_above import draw_above
 from service.picture_camera import draw_camera
 from service.picture_style import (
     BACKGROUND,
     GRID,
-    INK,
-    KIND_AGREEMENT,
-    MEANING,
     PANEL,
     SOFT_TEXT,
     TEXT,
+    colours_of,
     font,
+    inks_of,
+    meaning,
     shorten,
     wrap,
 )
@@ -39,6 +39,7 @@ _TOP_PX: Final = 92
 _TILE_PX: Final = 168
 _LABELS: Final = 10
 _ROWS: Final = 3
+_LEGEND_ROWS: Final = 10
 
 
 def draw_scene(score: SceneScore, overlay: Overlay, *, frame: int | None = None) -> Image.Image:
@@ -131,7 +132,7 @@ def _draw_track(
 ) -> int:
     """One track three times: when it began, when it was strongest, when it ended."""
     draw = ImageDraw.Draw(image)
-    ink = INK[KIND_AGREEMENT[track.kind]]
+    ink = inks_of(overlay.task)[overlay.task.kind(track.kind).code]
     best = track.strongest
     what = f"{track.track_id + 1} {track.class_name or 'object'}, strength {track.strength:.2f}"
     sure = (
@@ -179,12 +180,13 @@ def _draw_reasons(
     draw: ImageDraw.ImageDraw, score: SceneScore, *, left: int, top: int, width: int
 ) -> None:
     """List the reasons; one that tells a track has its number, colour and strongest moment."""
-    bottom = HEIGHT_PX - _MARGIN_PX - 6 * 24
+    task = task_named(score.task)
+    bottom = HEIGHT_PX - _MARGIN_PX - (len(_named(score)) + 1) * 24
     for index, reason in enumerate(score.reasons):
         mark, ink = "-", SOFT_TEXT
         if index < len(score.tracks) and _tells_a_track(reason, score):
             track = score.tracks[index]
-            mark, ink = str(track.track_id + 1), INK[KIND_AGREEMENT[track.kind]]
+            mark, ink = str(track.track_id + 1), inks_of(task)[task.kind(track.kind).code]
             at_s = (track.strongest.stamp_ns - score.start_ns) / NS_PER_S
             reason = f"{reason}, at {at_s:.1f} s"
         lines = wrap(reason, width - 20, 16, max_lines=2)
@@ -204,25 +206,27 @@ def _tells_a_track(reason: str, score: SceneScore) -> bool:
 
 def _draw_legend(draw: ImageDraw.ImageDraw, score: SceneScore, *, left: int, width: int) -> None:
     """Name the colours, each with its share of the compared points off the ground."""
-    top = HEIGHT_PX - _MARGIN_PX - 5 * 24 - 14
+    task = task_named(score.task)
+    colours = colours_of(task)
+    named = _named(score)
+    top = HEIGHT_PX - _MARGIN_PX - len(named) * 24 - 14
     draw.rectangle((left, top, left + width, HEIGHT_PX - _MARGIN_PX), fill=PANEL)
-    shares = _shares(score.nonground_points)
-    for row, agreement in enumerate(Agreement):
+    of_which = "off ground" if task.of_things else "of compared"
+    for row, outcome in enumerate(named):
         y = top + 8 + 24 * row
-        draw.rectangle((left + 10, y + 3, left + 26, y + 17), fill=AGREEMENT_COLOURS[agreement])
+        draw.rectangle((left + 10, y + 3, left + 26, y + 17), fill=colours[outcome.code])
         share = (
-            f"{shares[agreement]:.2%} off ground"
-            if agreement in shares
-            else f"{1 - score.compared_share:.1%} of all"
+            f"{1 - score.compared_share:.1%} of all"
+            if outcome.code == task.not_compared
+            else f"{score.nonground_points[outcome.name]:.2%} {of_which}"
         )
-        draw.text((left + 36, y), MEANING[agreement], fill=TEXT, font=font(15))
+        draw.text((left + 36, y), meaning(outcome, task), fill=TEXT, font=font(15))
         draw.text((left + width - 10, y), share, fill=SOFT_TEXT, font=font(15), anchor="ra")
 
 
-def _shares(shares: AgreementShares) -> dict[Agreement, float]:
-    return {
-        Agreement.BOTH_STATIC: shares.both_static,
-        Agreement.BOTH_DYNAMIC: shares.both_dynamic,
-        Agreement.ONLY_SEMANTIC_DYNAMIC: shares.only_semantic_dynamic,
-        Agreement.ONLY_PREDICTIVE_DYNAMIC: shares.only_predictive_dynamic,
-    }
+def _named(score: SceneScore) -> list[Outcome]:
+    """Outcomes that the legend has room for, by code: of many classes the commonest."""
+    task, shares = task_named(score.task), score.nonground_points
+    common = sorted(task.compared(), key=lambda outcome: (-shares[outcome.name], outcome.code))
+    shown = sorted(common[: _LEGEND_ROWS - 1], key=lambda outcome: outcome.code)
+    return [*shown, task.outcomes[task.not_compared]]

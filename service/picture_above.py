@@ -7,17 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from schemas.labels import AGREEMENT_COLOURS, Agreement
 from schemas.overlay import Overlay
 from service.picture_style import (
     BACKGROUND,
-    DRAW_ORDER,
     GRID,
-    INK,
     SOFT_TEXT,
     TEXT,
     Colour,
+    colours_of,
+    draw_order,
     font,
+    inks_of,
     stamp_dots,
 )
 from service.picture_view import View, to_frame
@@ -25,10 +25,12 @@ from service.picture_view import View, to_frame
 _FINE: Final = 2
 """Drawn at twice the size and shrunk, so that lines at any angle are smooth."""
 
-_STATIC_OFF_GROUND: Final = AGREEMENT_COLOURS[Agreement.BOTH_STATIC]
-_STATIC_GROUND: Final[Colour] = (20, 62, 28)
+_AGREED_GROUND: Final[Colour] = (20, 62, 28)
 _NOT_COMPARED: Final[Colour] = (62, 64, 70)
 _PAST_AND_FUTURE: Final[Colour] = (30, 42, 34)
+_BACKGROUND_CODE: Final = 0
+"""Both streams say a task's first class: what most of the world is."""
+
 _EGO: Final[Colour] = (245, 245, 245)
 
 
@@ -86,7 +88,7 @@ def _draw_other_frames(pixels: NDArray[np.uint8], overlay: Overlay, view: View) 
             continue
         part = overlay.points_of(frame)
         keep = overlay.has_position(frame) & ~overlay.ground_mask[part]
-        keep &= overlay.agreements[part] == Agreement.BOTH_STATIC
+        keep &= overlay.agreements[part] == _BACKGROUND_CODE
         points_m = to_frame(overlay, overlay.points_m(frame)[keep], of=frame, to=view.frame)
         at_px = view.to_px(points_m)
         stamp_dots(pixels, _whole(at_px[_inside(view, at_px)]), _PAST_AND_FUTURE, radius_px=0)
@@ -101,13 +103,14 @@ def _draw_points(pixels: NDArray[np.uint8], overlay: Overlay, view: View, *, dot
     def stamp(chosen: NDArray[np.bool_], colour: Colour, radius_px: int) -> None:
         stamp_dots(pixels, _whole(at_px[shown & chosen]), colour, radius_px=radius_px)
 
-    static = agreements == Agreement.BOTH_STATIC
-    stamp(agreements == Agreement.NOT_COMPARED, _NOT_COMPARED, 0)
-    stamp(static & ground, _STATIC_GROUND, 0)
-    stamp(static & ~ground, _STATIC_OFF_GROUND, dot_px)
-    for agreement in DRAW_ORDER[2:]:
-        radius_px = dot_px + int(agreement.contradicts)
-        stamp(agreements == agreement, AGREEMENT_COLOURS[agreement], radius_px)
+    colours = colours_of(overlay.task)
+    usual = agreements == _BACKGROUND_CODE
+    stamp(agreements == overlay.task.not_compared, _NOT_COMPARED, 0)
+    stamp(usual & ground, _AGREED_GROUND, 0)
+    stamp(usual & ~ground, colours[_BACKGROUND_CODE], dot_px)
+    for outcome in draw_order(overlay.task)[2:]:
+        radius_px = dot_px + int(outcome.contradicts)
+        stamp(agreements == outcome.code, colours[outcome.code], radius_px)
 
 
 def draw_rings(draw: ImageDraw.ImageDraw, view: View) -> None:
@@ -163,7 +166,7 @@ def _box_px(overlay: Overlay, instance: int, view: View) -> list[tuple[float, fl
 
 
 def _ink(overlay: Overlay, instance: int) -> Colour:
-    return INK[Agreement(int(overlay.instance_kind[instance]))]
+    return inks_of(overlay.task)[int(overlay.instance_kind[instance])]
 
 
 def draw_ego(draw: ImageDraw.ImageDraw, view: View) -> None:

@@ -9,9 +9,17 @@ from PIL import Image, ImageDraw, UnidentifiedImageError
 
 from schemas.arrays import Mask
 from schemas.errors import PermanentError
-from schemas.labels import AGREEMENT_COLOURS
 from schemas.overlay import Overlay
-from service.picture_style import BACKGROUND, DRAW_ORDER, MEANING, TEXT, font, stamp_dots
+from schemas.task import Task
+from service.picture_style import (
+    BACKGROUND,
+    TEXT,
+    colours_of,
+    draw_order,
+    font,
+    meaning,
+    stamp_dots,
+)
 
 DOT_PX: Final = 2
 """Filled circles of this radius: the paper's overlays."""
@@ -68,24 +76,27 @@ def draw_camera(
         image = image.resize(size, Image.Resampling.BICUBIC)
     pixels = np.array(image)
     seen = inside_mask & overlay.has_position(frame)
-    for agreement in DRAW_ORDER[1:]:
-        chosen = at_px[seen & (agreements == agreement)]
+    colours = colours_of(overlay.task)
+    for outcome in draw_order(overlay.task)[1:]:
+        chosen = at_px[seen & (agreements == outcome.code)]
         stamp_dots(
             pixels,
             np.floor(chosen * scale).astype(np.int64),
-            AGREEMENT_COLOURS[agreement],
+            colours[outcome.code],
             radius_px=DOT_PX,
         )
-    return _with_legend(Image.fromarray(pixels))
+    return _with_legend(Image.fromarray(pixels), overlay.task)
 
 
-def _with_legend(image: Image.Image) -> Image.Image:
+def _with_legend(image: Image.Image, task: Task) -> Image.Image:
     canvas = Image.new("RGB", (image.width, image.height + _STRIP_PX), BACKGROUND)
     canvas.paste(image)
     draw = ImageDraw.Draw(canvas)
     left, top = 8.0, image.height + 7
-    for agreement in DRAW_ORDER[1:]:
-        draw.ellipse((left, top + 3, left + 11, top + 14), fill=AGREEMENT_COLOURS[agreement])
-        draw.text((left + 16, top), MEANING[agreement], fill=TEXT, font=font(15))
-        left += 16 + draw.textlength(MEANING[agreement], font(15)) + 18
+    colours = colours_of(task)
+    for outcome in draw_order(task)[1:]:
+        words = meaning(outcome, task)
+        draw.ellipse((left, top + 3, left + 11, top + 14), fill=colours[outcome.code])
+        draw.text((left + 16, top), words, fill=TEXT, font=font(15))
+        left += 16 + draw.textlength(words, font(15)) + 18
     return canvas

@@ -1,5 +1,6 @@
 """Colours, fonts and marks that every picture of a scene shares."""
 
+from colorsys import hsv_to_rgb
 from functools import lru_cache
 from typing import Final
 
@@ -7,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import ImageFont
 
-from schemas.contradiction import ContradictionKind
-from schemas.labels import AGREEMENT_COLOURS, Agreement
+from schemas.task import Outcome, Task
 
 Colour = tuple[int, int, int]
 Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
@@ -19,35 +19,55 @@ GRID: Final[Colour] = (52, 57, 66)
 TEXT: Final[Colour] = (236, 238, 242)
 SOFT_TEXT: Final[Colour] = (160, 166, 178)
 
-KIND_AGREEMENT: Final = {
-    ContradictionKind.ONLY_SEMANTIC_DYNAMIC: Agreement.ONLY_SEMANTIC_DYNAMIC,
-    ContradictionKind.ONLY_PREDICTIVE_DYNAMIC: Agreement.ONLY_PREDICTIVE_DYNAMIC,
-    ContradictionKind.ONLY_WITNESS_DYNAMIC: Agreement.BOTH_STATIC,
-}
+_NOT_COMPARED: Final[Colour] = (110, 110, 110)
+_TWO_CLASSES: Final = ((34, 139, 34), (225, 225, 0), (178, 34, 34), (65, 105, 225))
+"""The paper's four colours (section III-C, figures): what most of the world is in green, what both
+call the second class in blue, yellow where the supervised stream alone does, red where the other.
+"""
 
-INK: Final[dict[Agreement, Colour]] = {
-    **AGREEMENT_COLOURS,
-    Agreement.BOTH_DYNAMIC: (105, 145, 255),
-    Agreement.ONLY_PREDICTIVE_DYNAMIC: (255, 84, 84),
-}
-"""Lines and words in the paper's colours, its blue and red lightened to be read on dark."""
+_LIGHTER: Final = {(65, 105, 225): (105, 145, 255), (178, 34, 34): (255, 84, 84)}
 
-DRAW_ORDER: Final = (
-    Agreement.NOT_COMPARED,
-    Agreement.BOTH_STATIC,
-    Agreement.BOTH_DYNAMIC,
-    Agreement.ONLY_SEMANTIC_DYNAMIC,
-    Agreement.ONLY_PREDICTIVE_DYNAMIC,
-)
-"""Later ones cover earlier ones: contradictions lie on top, on the camera image too."""
 
-MEANING: Final[dict[Agreement, str]] = {
-    Agreement.BOTH_STATIC: "both static",
-    Agreement.BOTH_DYNAMIC: "both dynamic",
-    Agreement.ONLY_SEMANTIC_DYNAMIC: "supervised stream alone says dynamic",
-    Agreement.ONLY_PREDICTIVE_DYNAMIC: "self-supervised stream alone says dynamic",
-    Agreement.NOT_COMPARED: "not compared",
-}
+def colours_of(task: Task) -> dict[int, Colour]:
+    """Colour of each outcome of a task, by code.
+
+    Of two classes the paper's. Of more, agreements have cold colours, contradictions warm ones.
+    """
+    if len(task.classes) == 2:
+        return dict(enumerate((*_TWO_CLASSES, _NOT_COMPARED)))
+    agreed = [outcome for outcome in task.compared() if not outcome.contradicts]
+    told = [outcome for outcome in task.compared() if outcome.contradicts]
+    colours = {task.not_compared: _NOT_COMPARED}
+    for outcomes, (first, last), value in ((agreed, (130, 270), 0.7), (told, (60, -40), 0.9)):
+        for hue_deg, outcome in zip(np.linspace(first, last, len(outcomes)), outcomes, strict=True):
+            red, green, blue = hsv_to_rgb(hue_deg % 360 / 360, 0.8, value)
+            colours[outcome.code] = (round(255 * red), round(255 * green), round(255 * blue))
+    return colours
+
+
+def inks_of(task: Task) -> dict[int, Colour]:
+    """The same for lines and words: blue and red of the paper lightened to be read on dark."""
+    return {code: _LIGHTER.get(colour, colour) for code, colour in colours_of(task).items()}
+
+
+def draw_order(task: Task) -> tuple[Outcome, ...]:
+    """Later ones cover earlier ones: contradictions lie on top, on the camera image too."""
+    agreed = (outcome for outcome in task.compared() if not outcome.contradicts)
+    told = (outcome for outcome in task.compared() if outcome.contradicts)
+    return (task.outcomes[task.not_compared], *agreed, *told)
+
+
+def meaning(outcome: Outcome, task: Task) -> str:
+    """Say an outcome in words."""
+    if outcome.code == task.not_compared:
+        return "not compared"
+    if not outcome.contradicts:
+        return f"both {outcome.semantic}"
+    if len(task.classes) > 2:
+        return f"supervised {outcome.semantic}, self-supervised {outcome.predictive}"
+    second = task.classes[1]
+    stream = "supervised" if outcome.semantic == second else "self-supervised"
+    return f"{stream} stream alone says {second}"
 
 
 @lru_cache(maxsize=16)

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from schemas.contradiction import LabelledFrame, Scene
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
-from schemas.labels import FrameLabels, MotionLabel
+from schemas.labels import FrameLabels
+from schemas.task import MOTION, Task
 from schemas.work import Channel, Shard
 from workers.contradiction.compare import compare
 
@@ -22,8 +23,8 @@ class Thing:
     """A box of points in odom space that moves steadily, and both streams' opinion of it."""
 
     at_m: tuple[float, float, float]
-    semantic: MotionLabel
-    predictive: MotionLabel
+    semantic: int
+    predictive: int
     size_m: tuple[float, float, float] = (4.0, 1.8, 1.5)
     points: int = 120
     velocity_m_per_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -51,6 +52,7 @@ def labelled_frame(
     odometry: OdometryState = OdometryState.HEALTHY,
     ground: bool = True,
     classes: bool = True,
+    task: Task = MOTION,
 ) -> LabelledFrame:
     """Put things into one frame, in the order given."""
     pose = np.eye(4) if odom_from_sensor is None else odom_from_sensor
@@ -91,7 +93,8 @@ def labelled_frame(
         posed=PosedFrame(lidar, pose, odometry, 0.03, "" if odometry == "healthy" else "a bump"),
         semantic=semantic,
         predictive=predictive,
-        agreements=compare(semantic.labels, predictive.labels),
+        agreements=compare(semantic.labels, predictive.labels, task),
+        task=task,
     )
 
 
@@ -112,6 +115,7 @@ def labelled_scene(
     ego_m_per_s: float = 0.0,
     odometry: Sequence[OdometryState] = (),
     too_short: bool = False,
+    task: Task = MOTION,
 ) -> Scene:
     """Put things into the frames of a scene, the sensor driving straight ahead."""
     made = []
@@ -125,6 +129,7 @@ def labelled_scene(
                 time_s=frame * period_s,
                 odom_from_sensor=pose,
                 odometry=odometry[frame] if odometry else OdometryState.HEALTHY,
+                task=task,
             )
         )
     return Scene(f"fleet/car-1/drive/lidar/{START_NS}", tuple(made), too_short=too_short)

@@ -122,7 +122,7 @@ class Attempts:
             damaged=len(account.damage),
             odometry_frames=account.odometry,
             blind_frames=account.blindness,
-            motion_points=account.motion,
+            motion_points=account.labels,
         )
 
     def _commit(

@@ -3,7 +3,9 @@
 from dataclasses import dataclass
 
 from schemas.bucket import Bucket, open_bucket
+from schemas.task import MOTION
 from schemas.work import MiningSettings
+from workers.errors import UnknownPartError
 from workers.registry import Parts
 from workers.version import parts_of, pipeline_version
 
@@ -31,10 +33,16 @@ def equip(settings: MiningSettings) -> Equipment:
     """Build the parts and open the buckets that the service names.
 
     Raises:
-        PermanentError: If a part does not exist here, or a bucket's URL means nothing.
+        PermanentError: If a part does not exist here, or answers another task than motion, or a
+            bucket's URL means nothing.
         TransientError: If a store does not answer.
     """
     parts = parts_of(settings)
+    if parts.task != MOTION:
+        raise UnknownPartError(
+            f"the chosen streams answer the task {parts.task.name}, but a service ranks and counts "
+            "motion alone: mine such logs with `counterpoint score`"
+        )
     return Equipment(
         settings=settings,
         parts=parts,

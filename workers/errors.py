@@ -26,3 +26,7 @@ class NotMcapError(PermanentError):
 
 class UnknownPartError(PermanentError):
     """A replaceable part is asked for by a name that no implementation has."""
+
+
+class TasksDifferError(PermanentError):
+    """Two streams were chosen that answer different questions."""

@@ -13,8 +13,9 @@ from prometheus_client import (
 )
 
 from schemas.frame import OdometryState
-from schemas.labels import Blindness, MotionLabel
+from schemas.labels import Blindness
 from schemas.score import SceneScore
+from schemas.task import MOTION
 from schemas.work import LogPlan, MiningStats
 from workers.stages import Stage
 
@@ -103,7 +104,7 @@ class WorkerMetrics:
             "motion_points",
             "Returns of the mined frames by what the self-supervised stream says of them. Worry "
             "when the share of `unknown` rises: it lost its footing, and finds nothing.",
-            label=tuple(label.name.lower() for label in MotionLabel),
+            label=MOTION.labels,
         )
         self._static_residual = self._histogram(
             "static_residual_m",
@@ -224,7 +225,7 @@ class WorkerMetrics:
         damaged: int,
         odometry_frames: Mapping[OdometryState, int],
         blind_frames: Mapping[Blindness, int],
-        motion_points: Mapping[MotionLabel, int],
+        motion_points: Mapping[str, int],
     ) -> None:
         """Count what one attempt at a shard took and found, whether it will be committed or not.
 
@@ -234,7 +235,7 @@ class WorkerMetrics:
             damaged: Stretches that could not be read.
             odometry_frames: Frames by the health of their pose.
             blind_frames: Frames without an answer of the self-supervised stream, by why.
-            motion_points: Returns by that stream's answer.
+            motion_points: Returns by that stream's answer, by name.
         """
         self._frames.inc(stats.frames)
         self._scenes.inc(scenes)
@@ -248,7 +249,7 @@ class WorkerMetrics:
         for cause, frames in blind_frames.items():
             self._blind_frames.labels(cause.value).inc(frames)
         for label, points in motion_points.items():
-            self._motion_points.labels(label.name.lower()).inc(points)
+            self._motion_points.labels(label).inc(points)
 
     def scene_mined(self, score: SceneScore) -> None:
         """Note what the streams of one scene had to go by."""

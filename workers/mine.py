@@ -9,7 +9,7 @@ import numpy as np
 from schemas.bucket import Bucket
 from schemas.contradiction import LabelledFrame
 from schemas.frame import LidarFrame, OdometryState
-from schemas.labels import Blindness, MotionLabel
+from schemas.labels import Blindness
 from schemas.overlay import encode_overlay, overlay_key
 from schemas.score import SceneScore
 from schemas.wire import encode_scene_score, sha256
@@ -50,7 +50,7 @@ class Account:
         damage: What could not be read.
         odometry: Scored frames by the health of their pose.
         blindness: Scored frames without an answer of the self-supervised stream, by why.
-        motion: Returns of the scored frames by that stream's answer.
+        labels: Returns of the scored frames by that stream's answer, by name.
         odometry_problem: The first reason given for a pose that is not healthy.
         scenes: Scenes mined.
         frames: Frames scored, warm-up excluded.
@@ -64,7 +64,7 @@ class Account:
     damage: list[Damage] = field(default_factory=list)
     odometry: Counter[OdometryState] = field(default_factory=Counter)
     blindness: Counter[Blindness] = field(default_factory=Counter)
-    motion: Counter[MotionLabel] = field(default_factory=Counter)
+    labels: Counter[str] = field(default_factory=Counter)
     odometry_problem: str = ""
     scenes: int = 0
     frames: int = 0
@@ -81,8 +81,10 @@ class Account:
             if said.health.blindness is not None:
                 self.blindness[said.health.blindness] += 1
             labels = said.labels[frame.posed.frame.valid_mask]
-            for label, points in enumerate(np.bincount(labels, minlength=len(MotionLabel))):
-                self.motion[MotionLabel(label)] += int(points)
+            names = frame.task.labels
+            counts = np.bincount(labels, minlength=len(names))
+            for name, points in zip(names, counts.tolist(), strict=True):
+                self.labels[name] += points
 
     def stats(self) -> MiningStats:
         """Sum up."""

@@ -83,6 +83,15 @@ _SUPERVISED: Final[Mapping[str, _Card]] = {
         licence="yours (run by Apache-2.0 code, ONNX by onnxruntime, MIT)",
         weights="ONNX, TorchScript or torch.export, named by the adapter in the setting model",
     ),
+    "salsanext:ground": _Card(
+        what="Task ground: SalsaNext says which points lie on road, sidewalk, terrain.",
+        source="SalsaNext (Cortinhal et al., 2020)",
+        weights="salsanext alone, as salsanext-lmnet",
+    ),
+    "recorded:ground": _Card(
+        what="Task ground: classes that the model on the car wrote into the log, by their names.",
+        source="the log",
+    ),
 }
 
 _RULE: Final = "arXiv 2407.14306, section III-B"
@@ -118,6 +127,11 @@ _SELFSUPERVISED: Final[Mapping[str, _Card]] = {
     "two-stage": _Card(
         what=f"The paper's clustering, numbers per second; {_FLOWS['nearest-neighbour']}.",
         source=_RULE,
+    ),
+    "ground": _Card(
+        what="Task ground: what Patchwork++ finds in each frame.",
+        source="Patchwork++ (Lee et al., IROS 2022)",
+        licence=_REGISTRATION_LICENCE,
     ),
 }
 

@@ -36,8 +36,15 @@ def mine_shard(
     pool retries safely.
     """
     posed, for_supervised, for_selfsupervised = tee(parts.odometry(frames), 3)
+    task = parts.task
     labelled = (
-        LabelledFrame(frame, semantic, predictive, compare(semantic.labels, predictive.labels))
+        LabelledFrame(
+            frame,
+            semantic,
+            predictive,
+            compare(semantic.labels, predictive.labels, task),
+            task,
+        )
         for frame, semantic, predictive in zip(
             posed,
             parts.supervised(for_supervised),

@@ -14,9 +14,10 @@ from typing import Final, Protocol, TypeVar
 from schemas.contradiction import LabelledFrame
 from schemas.frame import LidarFrame, PosedFrame
 from schemas.labels import FrameLabels
+from schemas.task import GROUND, MOTION, Task
 from schemas.work import LOOKAHEAD
 from workers.contradiction.settings import DEFAULT_INSTANCES, PAPER_INSTANCES, InstanceSettings
-from workers.errors import UnknownPartError
+from workers.errors import TasksDifferError, UnknownPartError
 from workers.selfsupervised.scene_flow import SCENE_FLOWS
 
 
@@ -34,7 +35,12 @@ class Odometry(Protocol):
 
 
 class Stream(Protocol):
-    """One way to label motion."""
+    """One way to label points with the classes of a task; motion is the first one."""
+
+    @property
+    def task(self) -> Task:
+        """What it answers about every point: `FrameLabels.labels` index its classes."""
+        ...
 
     @property
     def version(self) -> str:
@@ -84,6 +90,21 @@ class Parts:
     witness: Witness = field(default_factory=NoWitness)
     instances: InstanceSettings = DEFAULT_INSTANCES
 
+    def __post_init__(self) -> None:
+        """Refuse two streams that answer different questions."""
+        said, other = self.supervised.task, self.selfsupervised.task
+        if said != other:
+            raise TasksDifferError(
+                f"the supervised stream answers the task {said.name}, the self-supervised one "
+                f"{other.name}: they have nothing to contradict each other about; choose two of "
+                "one task, which `counterpoint parts` lists"
+            )
+
+    @property
+    def task(self) -> Task:
+        """What both streams answer."""
+        return self.supervised.task
+
 
 @dataclass(frozen=True, slots=True)
 class PartFiles:
@@ -119,6 +140,13 @@ def _salsanext_lmnet(files: PartFiles, *, published: bool = False, folded: bool 
     return RangeImageStream.salsanext_lmnet(folder, form=form, folded=folded)
 
 
+def _salsanext_ground(files: PartFiles) -> Stream:
+    from workers.supervised.stream import SHIPPED, RangeImageStream
+
+    folder = Path(files.weights) if files.weights else SHIPPED
+    return RangeImageStream.salsanext_ground(folder)
+
+
 def _own(files: PartFiles) -> Stream:
     from workers.supervised.own_model import open_own_model
 
@@ -127,10 +155,10 @@ def _own(files: PartFiles) -> Stream:
     return open_own_model(Path(files.model))
 
 
-def _recorded(_: PartFiles) -> Stream:
+def _recorded(_: PartFiles, *, task: Task = MOTION) -> Stream:
     from workers.supervised.recorded import Recorded
 
-    return Recorded()
+    return Recorded(task)
 
 
 def _registration(_: PartFiles, *, lookahead_s: float = 0.0) -> Stream:
@@ -153,6 +181,12 @@ def _two_stage_tracked(_: PartFiles, *, published: bool = False) -> Stream:
     return TrackedTwoStage(PAPER if published else PER_SECOND)
 
 
+def _ground(_: PartFiles) -> Stream:
+    from workers.selfsupervised.ground_stream import GroundStream
+
+    return GroundStream()
+
+
 def _paper(files: PartFiles) -> Stream:
     from workers.selfsupervised.paper_chain import PaperChain
 
@@ -163,6 +197,7 @@ NETWORKS_OF: Final[Mapping[str, tuple[str, ...]]] = {
     "salsanext-lmnet": ("salsanext", "lmnet"),
     "salsanext-lmnet:folded": ("salsanext", "lmnet"),
     "salsanext-lmnet:published": ("salsanext", "lmnet"),
+    "salsanext:ground": ("salsanext",),
     "paper": ("gndnet", "flowstep3d"),
     "delora": ("delora",),
 }
@@ -204,6 +239,8 @@ SUPERVISED: Final[Mapping[str, Callable[[PartFiles], Stream]]] = {
     "salsanext-lmnet:published": partial(_salsanext_lmnet, published=True),
     "recorded": _recorded,
     "own": _own,
+    "salsanext:ground": _salsanext_ground,
+    "recorded:ground": partial(_recorded, task=GROUND),
 }
 SELFSUPERVISED: Final[Mapping[str, Callable[[PartFiles], Stream]]] = {
     "registration": _registration,
@@ -220,6 +257,7 @@ SELFSUPERVISED: Final[Mapping[str, Callable[[PartFiles], Stream]]] = {
         f"two-stage:{flow}:published": partial(_two_stage, flow=flow, published=True)
         for flow in SCENE_FLOWS
     },
+    "ground": _ground,
 }
 """`two-stage:FLOW` is the rule of the paper on a scene flow, `…:published` with its numbers as
 published, per frame; `two-stage` alone takes the nearest neighbour. What enters `SCENE_FLOWS`
@@ -268,7 +306,7 @@ def build_parts(
         odometry: One of `ODOMETRIES`.
         supervised: One of `SUPERVISED`.
         selfsupervised: One of `SELFSUPERVISED`.
-        witness: One of `WITNESSES`.
+        witness: One of `WITNESSES`; nobody is asked where the task is not about motion.
         instances: One of `INSTANCES`.
         files: What they read beside the package.
 
@@ -284,11 +322,13 @@ def build_parts(
             f"with --supervised own; a folder of imported weights goes to --weights ({files.model})"
         )
     _all_there(files, odometry, supervised, selfsupervised)
+    asked = _named("witness", witness, WITNESSES)
+    semantic = build_supervised(supervised, files)
     return Parts(
         odometry=build_odometry(odometry, files),
-        supervised=build_supervised(supervised, files),
+        supervised=semantic,
         selfsupervised=build_selfsupervised(selfsupervised, files),
-        witness=_named("witness", witness, WITNESSES)(),
+        witness=asked() if semantic.task.moving else NoWitness(),
         instances=_named("rule of instances", instances, INSTANCES),
     )
 

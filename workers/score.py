@@ -7,7 +7,7 @@ from schemas.score import SceneScore
 from schemas.work import Damage, MiningSettings, Recording
 from workers.errors import LogUnusableError
 from workers.ingest.plan import plan_recording
-from workers.mine import Account, mine_records
+from workers.mine import Account, MinedRecord, mine_records
 from workers.version import parts_of, pipeline_version
 
 
@@ -18,6 +18,7 @@ def score_recording(
     *,
     on_shard: Callable[[int, int], None] = lambda done, total: None,
     on_damage: Callable[[Damage], None] = lambda damage: None,
+    on_scene: Callable[[MinedRecord], None] = lambda mined: None,
 ) -> Iterator[SceneScore]:
     """Mine a recording shard by shard, exactly as a worker would.
 
@@ -27,6 +28,7 @@ def score_recording(
         settings: Grid and parts, as a service would give them.
         on_shard: Told how many shards are done, and of how many.
         on_damage: Told every stretch that cannot be read.
+        on_scene: Told each scene with its overlay, before its score is yielded.
 
     Yields:
         The score of each scene, in the order of their starts within each lidar.
@@ -53,6 +55,7 @@ def score_recording(
             pipeline_version=version,
             account=account,
         ):
+            on_scene(mined)
             yield mined.score
         for damage in account.damage:
             on_damage(damage)

@@ -10,6 +10,7 @@ from typing import Literal, TypeVar
 from schemas.contradiction import LabelledFrame
 from schemas.frame import LidarFrame, PosedFrame
 from schemas.labels import FrameLabels
+from schemas.task import Task
 from workers.registry import Odometry, Parts, Stream, Witness
 
 Stage = Literal[
@@ -88,6 +89,10 @@ class _TimedStream:
     name: Stage
     inner: Stream
     clock: StageClock
+
+    @property
+    def task(self) -> Task:
+        return self.inner.task
 
     @property
     def version(self) -> str:

@@ -1,7 +1,8 @@
 """Verbs on one log: `inspect` says what is in it, `score` mines it without a bus."""
 
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 from urllib.parse import unquote
 
 import typer
@@ -25,6 +26,9 @@ from service.cli.options import (
 from service.cli.output import json_line, progress, remark, table
 from service.cli.report import say_inspected
 from service.errors import NothingFoundError
+
+if TYPE_CHECKING:
+    from workers.mine import MinedRecord
 
 LogUrl = Annotated[str, typer.Argument(help="URL or path of one .mcap file; any part of a split.")]
 BucketRoot = Annotated[
@@ -78,6 +82,9 @@ def score(
     camera: Camera = None,
     preset: PresetName = None,
     selfsupervised: SelfSupervised = None,
+    pictures: Annotated[
+        Path | None, typer.Option("--pictures", help="Folder for a picture of each scene.")
+    ] = None,
     config: Config = None,
 ) -> None:
     """Mine one log on this machine, without a bus: one scene after the other."""
@@ -107,6 +114,7 @@ def score(
             on_damage=lambda damage: remark(
                 f"damaged: {damage.what} ({damage.key} at byte {damage.offset})"
             ),
+            on_scene=partial(_draw, folder=pictures) if pictures else lambda mined: None,
         ):
             if json:
                 json_line(row)
@@ -120,6 +128,18 @@ def score(
                 for s in scored
             ),
         )
+
+
+def _draw(mined: "MinedRecord", *, folder: Path) -> None:
+    from schemas.overlay import decode_overlay
+    from service.picture import draw_scene
+
+    score = mined.score
+    folder.mkdir(parents=True, exist_ok=True)
+    name = score.scene_id.removeprefix(f"{score.log_id}/").replace("/", "-")
+    path = folder / f"{name}.png"
+    draw_scene(score, decode_overlay(mined.overlay)).save(path)
+    remark(f"picture: {path}")
 
 
 def locate(url: str, *, root_url: str) -> tuple[Bucket, Recording]:

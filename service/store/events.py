@@ -6,6 +6,7 @@ from typing import Any, Final
 from sqlalchemy import ColumnElement, Connection, Row, and_, bindparam, insert, select, update
 
 from schemas.score import SceneScore
+from schemas.task import MOTION
 from schemas.wire import canonical_json
 from service.store.statements import Statement
 from service.store.tables import COUNTERS, SCENES
@@ -150,12 +151,7 @@ def point_counts(score: SceneScore) -> dict[str, int]:
     """Points by agreement, from the shares of the record: exact to its rounding."""
     compared = score.points * score.compared_share
     shares = score.all_points
-    counts = {
-        "both_static": round(compared * shares.both_static),
-        "both_dynamic": round(compared * shares.both_dynamic),
-        "only_semantic_dynamic": round(compared * shares.only_semantic_dynamic),
-        "only_predictive_dynamic": round(compared * shares.only_predictive_dynamic),
-    }
+    counts = {outcome.name: round(compared * shares[outcome.name]) for outcome in MOTION.compared()}
     return {**counts, "not_compared": max(0, score.points - sum(counts.values()))}
 
 

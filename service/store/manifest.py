@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pydantic import ValidationError
 
 from schemas.score import SceneScore
+from schemas.task import MOTION
 from schemas.wire import decode, sha256
 from schemas.work import CommitRequest
 
@@ -46,6 +47,8 @@ def verify(request: CommitRequest, staged: Mapping[str, bytes]) -> Verified:
             cause = error.errors()[0]
             where = ".".join(map(str, cause["loc"])) or "the record"
             return Verified({}, f"not a scene score: {where}: {cause['msg']} ({entry.scene_id})")
+        if score.task != MOTION.name:
+            return Verified({}, f"a scene of the task {score.task}: motion alone is ranked here")
         if score.scene_id != entry.scene_id:
             return Verified({}, f"record is of another scene: {score.scene_id} ({entry.scene_id})")
         scenes[entry.scene_id] = (score, record, entry.sha256)

@@ -4,22 +4,23 @@ from typing import cast
 
 import numpy as np
 
-from schemas.arrays import Agreements, MotionLabels
-from schemas.labels import Agreement, MotionLabel
+from schemas.arrays import Agreements, Labels
+from schemas.task import MOTION, Task
 
 
-def compare(semantic: MotionLabels, predictive: MotionLabels) -> Agreements:
+def compare(semantic: Labels, predictive: Labels, task: Task = MOTION) -> Agreements:
     """Say, for every point, whether the two streams agree.
 
-    The outcomes are the four of the paper (arXiv 2407.14306, section III-C); ours adds
-    `NOT_COMPARED`, since a stream that does not know must not be counted as saying static.
+    For motion the outcomes are the four of the paper (arXiv 2407.14306, section III-C). Ours adds
+    `not_compared`, since a stream that does not know must not be counted as saying static.
 
     Args:
-        semantic: (N,) uint8 `MotionLabel` of the supervised stream.
-        predictive: (N,) uint8 `MotionLabel` of the self-supervised stream.
+        semantic: (N,) uint8 labels of the supervised stream.
+        predictive: (N,) uint8 labels of the self-supervised stream.
+        task: What both were asked.
 
     Returns:
-        (N,) uint8 `Agreement`; `NOT_COMPARED` wherever either stream said `UNKNOWN`.
+        (N,) uint8 codes of the task's outcomes; `not_compared` wherever either said `unknown`.
 
     Raises:
         ValueError: If the two streams labelled a different number of points.
@@ -29,6 +30,6 @@ def compare(semantic: MotionLabels, predictive: MotionLabels) -> Agreements:
             f"streams labelled different points: {len(semantic)} semantic, "
             f"{len(predictive)} predictive; a stage must never drop or reorder points"
         )
-    unknown = (semantic == MotionLabel.UNKNOWN) | (predictive == MotionLabel.UNKNOWN)
-    bits = semantic | (predictive << np.uint8(1))
-    return cast("Agreements", np.where(unknown, np.uint8(Agreement.NOT_COMPARED), bits))
+    unknown = (semantic >= task.unknown) | (predictive >= task.unknown)
+    codes = predictive * np.uint8(len(task.classes)) + semantic
+    return cast("Agreements", np.where(unknown, np.uint8(task.not_compared), codes))

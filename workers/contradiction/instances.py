@@ -1,26 +1,18 @@
 """Contradicting points become instances: clusters of one kind in one frame, with their boxes."""
 
 from collections.abc import Iterator, Sequence
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.cluster import DBSCAN
 
 from schemas.arrays import Mask
-from schemas.contradiction import ContradictionKind, Instance, LabelledFrame, Scene
-from schemas.labels import Agreement, MotionLabel
+from schemas.contradiction import Instance, LabelledFrame, Scene
+from schemas.labels import MotionLabel
+from schemas.task import Outcome
 from workers.contradiction.boxes import fit_box
 from workers.contradiction.settings import DEFAULT_INSTANCES, InstanceSettings
 from workers.contradiction.surroundings import neighbours
-
-AGREEMENT_OF: Final = {
-    ContradictionKind.ONLY_SEMANTIC_DYNAMIC: Agreement.ONLY_SEMANTIC_DYNAMIC,
-    ContradictionKind.ONLY_PREDICTIVE_DYNAMIC: Agreement.ONLY_PREDICTIVE_DYNAMIC,
-    ContradictionKind.ONLY_WITNESS_DYNAMIC: Agreement.BOTH_STATIC,
-}
-"""Which agreement the points of each kind of contradiction have; where the witness alone sees
-motion, the self-supervised stream may also be silent."""
 
 
 def find_instances(
@@ -41,12 +33,12 @@ def find_instances(
         settings: Constants of the clustering.
 
     Returns:
-        Instances by frame, kind (semantic first) and lowest point index.
+        Instances by frame, kind (in the order of the task) and lowest point index.
     """
     return tuple(
         instance
         for frame_index, frame in enumerate(scene.frames)
-        for kind in ContradictionKind
+        for kind in scene.task.kinds
         for instance in _instances_of(
             frame, kind, frame_index=frame_index, class_names=class_names, settings=settings
         )
@@ -84,7 +76,7 @@ def cluster_places(
 
 def _instances_of(
     frame: LabelledFrame,
-    kind: ContradictionKind,
+    kind: Outcome,
     *,
     frame_index: int,
     class_names: Sequence[str],
@@ -128,19 +120,18 @@ def _instances_of(
         )
 
 
-def _candidates(frame: LabelledFrame, kind: ContradictionKind) -> tuple[Mask, Mask]:
+def _candidates(frame: LabelledFrame, kind: Outcome) -> tuple[Mask, Mask]:
     """(N,) points that can contradict in this way, and those that do."""
-    if kind is not ContradictionKind.ONLY_WITNESS_DYNAMIC:
-        return frame.agreements != Agreement.NOT_COMPARED, frame.agreements == AGREEMENT_OF[kind]
+    if not kind.of_witness:
+        return frame.agreements != frame.task.not_compared, frame.agreements == kind.code
     if frame.witness is None:
         nowhere = np.zeros(len(frame.agreements), np.bool_)
         return nowhere, nowhere
-    witness = frame.witness.labels
-    told = (frame.semantic.labels != MotionLabel.UNKNOWN) & (witness != MotionLabel.UNKNOWN)
-    static = (frame.semantic.labels == MotionLabel.STATIC) & (
-        frame.predictive.labels != MotionLabel.DYNAMIC
-    )
-    return told, static & (witness == MotionLabel.DYNAMIC)
+    witness, moving = frame.witness.labels, frame.task.classes.index(frame.task.moving)
+    told = (frame.semantic.labels < frame.task.unknown) & (witness != MotionLabel.UNKNOWN)
+    # the self-supervised stream may also be silent
+    static = (frame.semantic.labels != moving) & (frame.predictive.labels != moving)
+    return told, told & static & (witness == MotionLabel.DYNAMIC)
 
 
 def _places(
@@ -165,11 +156,9 @@ def _class_name(frame: LabelledFrame, index: NDArray[np.int64], class_names: Seq
     return class_names[int(np.bincount(classes).argmax())] if len(classes) else ""
 
 
-def _confirmed_share(
-    frame: LabelledFrame, kind: ContradictionKind, index: NDArray[np.int64]
-) -> float | None:
+def _confirmed_share(frame: LabelledFrame, kind: Outcome, index: NDArray[np.int64]) -> float | None:
     confirmed = frame.predictive.confirmed
-    if confirmed is None or kind is not ContradictionKind.ONLY_PREDICTIVE_DYNAMIC:
+    if confirmed is None or not kind.measured:
         return None
     return float(confirmed[index].mean(dtype=np.float64))
 

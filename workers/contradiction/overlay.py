@@ -10,7 +10,6 @@ from schemas.arrays import Points
 from schemas.contradiction import Instance, LabelledFrame, Scene
 from schemas.labels import FrameLabels
 from schemas.overlay import NO_POSITION_CM, Overlay
-from workers.contradiction.instances import AGREEMENT_OF
 from workers.contradiction.strength import rank_tracks
 
 _REACH_M = 327.0
@@ -53,9 +52,10 @@ def overlay_of(
         instance_index=index,
         odom_from_sensor=np.stack([frame.posed.odom_from_sensor for frame in frames]),
         instance_frame=np.array([i.frame_index for i in instances], dtype=np.int32),
-        instance_kind=np.array([AGREEMENT_OF[i.kind] for i in instances], dtype=np.uint8),
+        instance_kind=np.array([i.kind.code for i in instances], dtype=np.uint8),
         instance_track=track,
         instance_boxes=np.array(boxes, dtype=np.float32).reshape(-1, 7),
+        task=scene.task,
     )
 
 

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from typing import Final
 
 from schemas.arrays import NS_PER_S
-from schemas.contradiction import ContradictionKind, Instance, Scene, SceneState
+from schemas.contradiction import Instance, Scene, SceneState
 from schemas.score import OdometryHealth, StreamHealth
+from schemas.task import Outcome, Task
 from workers.contradiction.strength import RankedTrack
 from workers.contradiction.tracks import frame_period_s
 
@@ -25,10 +26,6 @@ _SECTORS: Final = (
     "right",
     "ahead right",
 )
-_STREAM: Final = {
-    ContradictionKind.ONLY_SEMANTIC_DYNAMIC: "supervised",
-    ContradictionKind.ONLY_PREDICTIVE_DYNAMIC: "self-supervised",
-}
 
 
 def reasons_of(
@@ -72,7 +69,7 @@ def _blind(stream: StreamHealth) -> str:
 
 
 def describe(scene: Scene, instances: Sequence[Instance], ranked: RankedTrack) -> str:
-    """Tell one track: what, by which stream alone, how long, how fast, where."""
+    """Tell one track: what, who says what of it, how long, how fast, where."""
     members = ranked.track.members
     first, last = (scene.frames[instances[m].frame_index] for m in (members[0], members[-1]))
     seen_s = (last.stamp_ns - first.stamp_ns) / NS_PER_S + frame_period_s(scene)
@@ -80,9 +77,21 @@ def describe(scene: Scene, instances: Sequence[Instance], ranked: RankedTrack) -
     once = ", never confirmed" if ranked.confirmed_share == 0.0 else ""
     moving = f" at {ranked.speed_m_per_s:.1f} m/s" if ranked.speed_m_per_s >= 0.5 else ""
     return (
-        f"{class_word(ranked.class_name) or 'object'} seen moving{moving} by the "
-        f"{_STREAM[ranked.track.kind]} stream alone for {seen_s:.1f} s{once}, "
+        f"{class_word(ranked.class_name) or 'object'} "
+        f"{_claim(ranked.track.kind, scene.task, moving)} for {seen_s:.1f} s{once}, "
         f"{math.hypot(x_m, y_m):.0f} m {bearing(x_m, y_m)}"
+    )
+
+
+def _claim(kind: Outcome, task: Task, moving: str) -> str:
+    if kind.of_witness:
+        return f"seen moving{moving} by the witness alone"
+    if task.moving and (kind.semantic == task.moving or kind.measured):
+        stream = "self-supervised" if kind.measured else "supervised"
+        return f"seen moving{moving} by the {stream} stream alone"
+    return (
+        f"called {kind.semantic} by the supervised and {kind.predictive} by the self-supervised "
+        "stream"
     )
 
 

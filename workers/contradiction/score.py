@@ -19,7 +19,6 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from schemas.contradiction import (
-    ContradictionKind,
     Instance,
     InstanceRecord,
     Scene,
@@ -28,6 +27,7 @@ from schemas.contradiction import (
 )
 from schemas.frame import OdometryState
 from schemas.score import MAX_RECORD_BYTES, MAX_TRACKS, KindTotal, Producers, SceneScore
+from schemas.task import Outcome
 from schemas.wire import encode
 from schemas.work import Shard
 from workers.contradiction.reasons import class_word, reasons_of
@@ -86,6 +86,7 @@ def score_scene(
     shares = point_shares(scene.frames)
     health, stream = odometry_health(scene), stream_health(scene)
     record = SceneScore(
+        task=scene.task.name,
         scene_id=scene.scene_id,
         log_id=shard.log_id,
         lidar_topic=shard.lidar.topic,
@@ -104,7 +105,7 @@ def score_scene(
         compared_share=shares.compared_share,
         all_points=shares.all_points,
         nonground_points=shares.nonground_points,
-        totals=tuple(_total(kind, instances, ranked) for kind in ContradictionKind),
+        totals=tuple(_total(kind, instances, ranked) for kind in scene.task.kinds),
         tracks=tuple(
             _track_record(scene, instances, each, track_id=track_id, gate=gate)
             for track_id, each in enumerate(ranked[:MAX_TRACKS])
@@ -152,13 +153,13 @@ def judge_odometry(
 
 
 def _total(
-    kind: ContradictionKind, instances: Sequence[Instance], ranked: Sequence[RankedTrack]
+    kind: Outcome, instances: Sequence[Instance], ranked: Sequence[RankedTrack]
 ) -> KindTotal:
-    mine = [instance for instance in instances if instance.kind is kind]
+    mine = [instance for instance in instances if instance.kind == kind]
     return KindTotal(
-        kind=kind,
+        kind=kind.name,
         instances=len(mine),
-        tracks=sum(each.track.kind is kind for each in ranked),
+        tracks=sum(each.track.kind == kind for each in ranked),
         points=sum(len(instance.point_index) for instance in mine),
     )
 
@@ -174,7 +175,7 @@ def _track_record(
     members = ranked.track.members
     return TrackRecord(
         track_id=track_id,
-        kind=ranked.track.kind,
+        kind=ranked.track.kind.name,
         class_name=class_word(ranked.class_name),
         strength=round(gate * ranked.strength, 4),
         first_ns=scene.frames[instances[members[0]].frame_index].stamp_ns,

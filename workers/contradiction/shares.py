@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from schemas.contradiction import LabelledFrame, Scene
 from schemas.frame import OdometryState
-from schemas.labels import Agreement, MotionLabel
 from schemas.score import AgreementShares, OdometryHealth, StreamHealth
+from schemas.task import Task
 
 SHARE_DIGITS: Final = 4
 MAX_REASON_LENGTH: Final = 200
-_OUTCOMES: Final = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,20 +38,22 @@ class PointShares:
 
 def point_shares(frames: Sequence[LabelledFrame]) -> PointShares:
     """Count the outcomes over all points of the frames; ground may hide a small contradiction."""
-    every = np.zeros(_OUTCOMES, dtype=np.int64)
-    off_ground = np.zeros(_OUTCOMES, dtype=np.int64)
+    task = frames[0].task
+    outcomes = len(task.outcomes)
+    every = np.zeros(outcomes, dtype=np.int64)
+    off_ground = np.zeros(outcomes, dtype=np.int64)
     for frame in frames:
-        every += np.bincount(frame.agreements, minlength=_OUTCOMES)
+        every += np.bincount(frame.agreements, minlength=outcomes)
         ground_mask = frame.predictive.ground_mask
         kept = frame.agreements if ground_mask is None else frame.agreements[~ground_mask]
-        off_ground += np.bincount(kept, minlength=_OUTCOMES)
+        off_ground += np.bincount(kept, minlength=outcomes)
     points = int(every.sum())
-    compared = points - int(every[Agreement.NOT_COMPARED])
+    compared = points - int(every[task.not_compared])
     return PointShares(
         points=points,
         compared_share=round(compared / points, SHARE_DIGITS) if points else 0.0,
-        all_points=_shares(every),
-        nonground_points=_shares(off_ground),
+        all_points=_shares(every, task),
+        nonground_points=_shares(off_ground, task),
     )
 
 
@@ -81,7 +82,7 @@ def stream_health(scene: Scene) -> StreamHealth:
     for frame in scene.frames:
         valid = frame.posed.frame.valid_mask
         returns += int(valid.sum())
-        unknown += int((frame.predictive.labels[valid] == MotionLabel.UNKNOWN).sum())
+        unknown += int((frame.predictive.labels[valid] == scene.task.unknown).sum())
     health = [frame.predictive.health for frame in scene.frames]
     blind = [each for each in health if each.blindness is not None]
     causes = Counter(each.blindness for each in blind)
@@ -97,13 +98,10 @@ def stream_health(scene: Scene) -> StreamHealth:
     )
 
 
-def _shares(counts: NDArray[np.int64]) -> AgreementShares:
-    compared = int(counts[: Agreement.NOT_COMPARED].sum())
+def _shares(counts: NDArray[np.int64], task: Task) -> AgreementShares:
+    compared = int(counts[: task.not_compared].sum())
     share = {
-        outcome.name.lower(): round(int(counts[outcome]) / compared, SHARE_DIGITS)
-        if compared
-        else 0.0
-        for outcome in Agreement
-        if outcome is not Agreement.NOT_COMPARED
+        outcome.name: round(int(counts[outcome.code]) / compared, SHARE_DIGITS) if compared else 0.0
+        for outcome in task.compared()
     }
     return AgreementShares(**share)

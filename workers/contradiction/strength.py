@@ -8,7 +8,7 @@
 - clash        product of both streams' mean confidence: a sure yes against a sure no is worth a
   look, a shrug is not.
 - box          0 below 0.2 m and above 20 m of length: half a wheel, and a facade, are no road
-  users.
+  users. Not where the task is about surfaces.
 - own          share of the surroundings that contradict alike: the rim of a mover on which both
   streams agree, and specks on a wall, score little.
 - motion       only where the self-supervised stream alone sees motion: it measured a speed, and
@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import NS_PER_S
-from schemas.contradiction import ContradictionKind, Instance, Scene
+from schemas.contradiction import Instance, Scene
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
 from workers.contradiction.tracks import Track, frame_period_s, tie_tracks
 
@@ -144,6 +144,8 @@ def _rank(
     stamps_s = np.array(
         [(scene.frames[m.frame_index].stamp_ns - scene.start_ns) / NS_PER_S for m in members]
     )
+    size_m = np.median([member.size_m for member in members], axis=0)
+    box = box_plausibility(size_m, settings) if scene.task.of_things else 1.0
     strength = (
         persistence(
             frames=len(members),
@@ -153,10 +155,10 @@ def _rank(
         )
         * (1.0 - math.exp(-float(np.median(points)) / settings.evidence_points))
         * float(np.average(sure, weights=points))
-        * box_plausibility(np.median([m.size_m for m in members], axis=0), settings)
+        * box
         * own
     )
-    if track.kind is ContradictionKind.ONLY_PREDICTIVE_DYNAMIC:
+    if track.kind.measured:
         strength *= motion_plausibility(track.centres_m, stamps_s, velocities, settings)
     confirmed_share = _confirmed_share(members, points)
     strength *= proof(confirmed_share, settings)

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from schemas.arrays import NS_PER_S
-from schemas.contradiction import ContradictionKind, Instance, Scene
+from schemas.contradiction import Instance, Scene
+from schemas.task import Outcome
 from workers.contradiction.settings import DEFAULT_TRACKS, TrackSettings
 
 _TOO_FAR: Final = 1_000.0
@@ -21,12 +22,12 @@ class Track:
     """One contradicting thing over the frames of a scene.
 
     Attributes:
-        kind: Which stream alone calls it dynamic.
+        kind: How the two streams contradict each other about it.
         members: Indices into the scene's instances, in the order of their frames.
         centres_m: (len(members), 3) box centres, odom space, metres.
     """
 
-    kind: ContradictionKind
+    kind: Outcome
     members: tuple[int, ...]
     centres_m: NDArray[np.float64]
 
@@ -35,7 +36,7 @@ class Track:
 class _Open:
     """A track that may still go on."""
 
-    kind: ContradictionKind
+    kind: Outcome
     members: list[int]
     centres_m: list[NDArray[np.float64]]
     stamps_s: list[float]
@@ -84,7 +85,7 @@ def tie_tracks(
     max_gap_s = max(settings.max_miss_s, period_s) + 0.5 * period_s
     centres_m = centres_in_odom(scene, instances)
     done: list[_Open] = []
-    for kind in ContradictionKind:
+    for kind in scene.task.kinds:
         going: list[_Open] = []
         for frame_index, stamp_s in enumerate(stamps_s):
             still = [t for t in going if stamp_s - t.stamps_s[-1] <= max_gap_s]
@@ -93,7 +94,7 @@ def tie_tracks(
             new = [
                 i
                 for i, instance in enumerate(instances)
-                if instance.kind is kind and instance.frame_index == frame_index
+                if instance.kind == kind and instance.frame_index == frame_index
             ]
             matched = _match(going, new, instances, centres_m, stamp_s, settings)
             for track, i in matched:
@@ -191,9 +192,7 @@ def _extend(
 
 def _measure(track: _Open, instance: Instance) -> bool:
     """Take over the velocity a stream measured; a stream that says static measured none."""
-    measured = instance.kind is ContradictionKind.ONLY_PREDICTIVE_DYNAMIC and bool(
-        np.any(instance.velocity_m_per_s)
-    )
+    measured = instance.kind.measured and bool(np.any(instance.velocity_m_per_s))
     if measured:
         track.velocity_m_per_s = instance.velocity_m_per_s
         track.speed_known = True

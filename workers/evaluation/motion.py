@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Mask, MotionLabels, Points
 from schemas.bucket import open_bucket
-from schemas.labels import Agreement
 from schemas.recordings import group_recordings
+from schemas.task import MOTION
 from schemas.work import MiningSettings
 from workers.contradiction.compare import compare
 from workers.evaluation.alternatives import OF_SETTINGS, build_streams, is_supervised
@@ -179,7 +179,7 @@ def _count(counts: LogCounts, answered: Answered, true: FrameTruth, log_id: str)
     others = [name for name in answered.labels if not is_supervised(name)]
     for semantic, predictive in product(supervised, others):
         agreements = compare(answered.labels[semantic].labels, answered.labels[predictive].labels)
-        compared = agreements != Agreement.NOT_COMPARED
-        differs = (agreements != Agreement.BOTH_STATIC) & (agreements != Agreement.BOTH_DYNAMIC)
-        counts.compared[semantic, predictive] += int(compared.sum())
-        counts.contradicted[semantic, predictive] += int(np.count_nonzero(compared & differs))
+        differs = np.isin(agreements, [kind.code for kind in MOTION.kinds])
+        compared = np.count_nonzero(agreements != MOTION.not_compared)
+        counts.compared[semantic, predictive] += int(compared)
+        counts.contradicted[semantic, predictive] += int(np.count_nonzero(differs))

@@ -133,7 +133,7 @@ def _candidates(topics: Sequence[Topic], settings: MiningSettings) -> list[Topic
     wanted = settings.lidar_topic
     if not any(wanted in ("", topic.channel.topic) for topic in clouds):
         raise LogUnusableError(_no_lidar(topics, wanted))
-    if wanted and settings.supervised != "recorded":
+    if wanted and not settings.takes_recorded:
         clouds = [topic for topic in clouds if topic.channel.topic == wanted]
     # Of a topic recorded in two ways, the one with more messages is meant.
     by_name = {
@@ -194,7 +194,7 @@ def _recorded(
     samples: Mapping[str, Sample],
     settings: MiningSettings,
 ) -> RecordedSource | None:
-    if settings.supervised != "recorded":
+    if not settings.takes_recorded:
         return None
     classes: dict[str, str] = {}
     records = index.metadata(CLASSES_RECORD)

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 import torch
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S, Mask
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.labels import Blindness, FrameHealth, FrameLabels, MotionLabel
+from schemas.task import MOTION, Task
 from workers.checkpoints.stored import Stored
 from workers.geometry.camera_filter import (
     from_flow_space,
@@ -65,6 +66,8 @@ class PaperChain:
     Attributes:
         view: Finds what of a frame is compared.
     """
+
+    task: ClassVar[Task] = MOTION
 
     def __init__(
         self, gndnet: Stored[GndNet, GndNetCard], flowstep3d: Stored[FlowStep3D, FlowStep3DCard]

@@ -1,9 +1,11 @@
 """The default self-supervised stream: clusters registered over time, verified by free space."""
 
 from collections.abc import Iterable, Iterator
+from typing import ClassVar
 
 from schemas.frame import PosedFrame
 from schemas.labels import FrameLabels
+from schemas.task import MOTION, Task
 from workers.selfsupervised.ahead import LOOKAHEADS_S, Ahead
 from workers.selfsupervised.run import Run
 from workers.selfsupervised.versions import version_of
@@ -19,6 +21,7 @@ class Registration:
     Nothing is known, and said, in the first half second, after a gap, and where the pose is lost.
     """
 
+    task: ClassVar[Task] = MOTION
     class_names: tuple[str, ...] = ()
 
     def __init__(self, lookahead_s: float = 0.0) -> None:

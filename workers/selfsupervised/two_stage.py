@@ -2,12 +2,14 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from schemas.arrays import NS_PER_S
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.labels import Blindness, FrameHealth, FrameLabels, MotionLabel
+from schemas.task import MOTION, Task
 from workers.geometry.se3 import transform
 from workers.selfsupervised.answer import ALONE, GROUND, nothing_known
 from workers.selfsupervised.history import MAX_GAP_NS
@@ -32,6 +34,7 @@ class TwoStage:
 
     flow: str = "nearest-neighbour"
     rule: TwoStageRule = PER_SECOND
+    task: ClassVar[Task] = MOTION
 
     @property
     def version(self) -> str:

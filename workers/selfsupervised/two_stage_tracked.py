@@ -3,12 +3,14 @@
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import tee
+from typing import ClassVar
 
 import numpy as np
 
 from schemas.arrays import NS_PER_S
 from schemas.frame import PosedFrame
 from schemas.labels import FrameLabels, MotionLabel
+from schemas.task import MOTION, Task
 from workers.geometry.se3 import transform
 from workers.selfsupervised.answer import ALONE
 from workers.selfsupervised.stream import Registration
@@ -29,6 +31,7 @@ class TrackedTwoStage:
     """
 
     rule: TwoStageRule = PER_SECOND
+    task: ClassVar[Task] = MOTION
 
     @property
     def version(self) -> str:

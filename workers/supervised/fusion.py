@@ -1,13 +1,14 @@
 """Fusion of both networks to semantic motion labels: what can move, and does, is dynamic."""
 
 from dataclasses import dataclass
-from typing import Final
+from typing import ClassVar, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import Confidences, Mask, MotionLabels
+from schemas.arrays import Confidences, Labels, Mask, MotionLabels
 from schemas.labels import FrameLabels, MotionLabel
+from schemas.task import MOTION, Task
 from workers.supervised.classes import ClassSet
 
 KITTI360_MOVABLE: Final = (24, 25, 26, 27, 28, 29, 30, 31, 32, 33, 43)
@@ -93,23 +94,60 @@ def semantic_kitti_motion(
     )
 
 
-def confidence_of(labels: MotionLabels, dynamic_share: NDArray[np.float32]) -> Confidences:
-    """Say how sure the fused stream is of each label.
+def confidence_of(labels: Labels, second_share: NDArray[np.float32]) -> Confidences:
+    """Say how sure the stream is of each label of a task of two classes.
 
     Args:
-        labels: (N,) fused labels.
-        dynamic_share: (N,) how likely each point is dynamic: the probability of a movable class
-            times the probability of moving, 0 to 1.
+        labels: (N,) labels.
+        second_share: (N,) how likely each point is of the second class, 0 to 1; for motion the
+            probability of a movable class times the probability of moving.
 
     Returns:
-        (N,) float16: that probability for DYNAMIC, its complement for STATIC, 0 for UNKNOWN.
+        (N,) float16: that probability for the second class, its complement for the first, 0 for
+        what is unknown.
     """
-    sure = np.where(labels == MotionLabel.DYNAMIC, dynamic_share, 1 - dynamic_share)
-    return np.where(labels == MotionLabel.UNKNOWN, 0, np.clip(sure, 0, 1)).astype(np.float16)
+    sure = np.where(labels == 1, second_share, 1 - second_share)
+    return np.where(labels > 1, 0, np.clip(sure, 0, 1)).astype(np.float16)
+
+
+class Fusion(Protocol):
+    """What becomes of the answers of the networks: labels of a task."""
+
+    @property
+    def task(self) -> Task:
+        """What is answered."""
+        ...
+
+    @property
+    def kinds(self) -> ClassSet | None:
+        """Classes of the semantic network; None without one."""
+        ...
+
+    @property
+    def motions(self) -> ClassSet | None:
+        """Classes of the motion network; None without one."""
+        ...
+
+    def labels(
+        self,
+        *,
+        judged_mask: Mask,
+        kind: NDArray[np.int16] | None,
+        motion: NDArray[np.int16] | None,
+        second_share: NDArray[np.float32],
+    ) -> FrameLabels:
+        """Combine what was said of each point; see `MotionFusion.labels`."""
+        ...
+
+    def second_share(
+        self, semantic: NDArray[np.float32] | None, motion: NDArray[np.float32] | None
+    ) -> NDArray[np.float32]:
+        """Say how likely each pixel or point is of the task's second class."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
-class Fusion:
+class MotionFusion:
     """What two networks, or one, make of each point.
 
     What moves is said by the motion network, or by the semantic one where its classes tell it;
@@ -122,6 +160,7 @@ class Fusion:
 
     kinds: ClassSet | None
     motions: ClassSet | None
+    task: ClassVar[Task] = MOTION
 
     def labels(
         self,
@@ -129,7 +168,7 @@ class Fusion:
         judged_mask: Mask,
         kind: NDArray[np.int16] | None,
         motion: NDArray[np.int16] | None,
-        dynamic_share: NDArray[np.float32],
+        second_share: NDArray[np.float32],
     ) -> FrameLabels:
         """Combine what was said of each point.
 
@@ -137,7 +176,7 @@ class Fusion:
             judged_mask: (N,) points the networks saw.
             kind: (N,) class index of the semantic network; None without one.
             motion: (N,) class index of the motion network; None without one, or without a past.
-            dynamic_share: (N,) how likely each point is dynamic, 0 to 1.
+            second_share: (N,) how likely each point is dynamic, 0 to 1.
 
         Returns:
             Labels, confidences and classes of the frame.
@@ -152,11 +191,11 @@ class Fusion:
         labels = fuse(judged_mask=judged_mask, movable_mask=movable, moving_mask=moving)
         return FrameLabels(
             labels=labels,
-            confidence=confidence_of(labels, dynamic_share),
+            confidence=confidence_of(labels, second_share),
             class_id=None if kind is None else np.where(judged_mask, kind, np.int16(-1)),
         )
 
-    def dynamic_share(
+    def second_share(
         self, semantic: NDArray[np.float32] | None, motion: NDArray[np.float32] | None
     ) -> NDArray[np.float32]:
         """Say how likely each pixel or point is dynamic.

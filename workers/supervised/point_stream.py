@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from schemas.frame import LidarFrame, PosedFrame
 from schemas.labels import FrameLabels
+from schemas.task import Task
 from workers.supervised.classes import ClassMeaning, ClassSet
-from workers.supervised.fusion import Fusion
+from workers.supervised.fusion import MotionFusion
 
 _REVISION: Final = "1"
 """Rises when the same networks give other answers."""
@@ -55,10 +56,15 @@ class PointStream:
         self._networks = [network for network in (semantic, motion) if network is not None]
         self._classes = [ClassSet(network.classes) for network in self._networks]
         self._name = name
-        self._fusion = Fusion(
+        self._fusion = MotionFusion(
             kinds=None if semantic is None else self._classes[0],
             motions=None if motion is None else self._classes[-1],
         )
+
+    @property
+    def task(self) -> Task:
+        """What it answers about every point."""
+        return self._fusion.task
 
     @property
     def version(self) -> str:
@@ -98,7 +104,7 @@ class PointStream:
             judged_mask=frame.valid_mask,
             kind=points[0] if semantic is not None else None,
             motion=points[-1] if motion is not None else None,
-            dynamic_share=fusion.dynamic_share(semantic, motion),
+            second_share=fusion.second_share(semantic, motion),
         )
 
 

@@ -1,15 +1,17 @@
 """The supervised stream that ran on the car: labels recorded in the log instead of networks."""
 
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import Confidences, Mask, MotionLabels
+from schemas.arrays import Confidences, Labels, Mask, MotionLabels
 from schemas.frame import LidarFrame, PosedFrame, RecordedClass, RecordedLabels
 from schemas.labels import FrameLabels, MotionLabel
+from schemas.task import GROUND, MOTION, Task
+from workers.supervised.ground_classes import ground_labels_of
 
 _REVISION: Final = b"recorded 1"
 """Rises when the same recorded labels give other answers."""
@@ -22,16 +24,26 @@ class Recorded:
     """What the log says that the car's own model said.
 
     Recorded motion is taken as it is. Where only classes are recorded, a class that means moving
-    is dynamic, any other known class static. Frames without recorded labels are UNKNOWN throughout.
+    is dynamic, any other known class static. Ground is told by the names of the classes. Frames
+    without recorded labels are unknown throughout.
+
+    Args:
+        task: What the recorded labels are asked: motion, or ground.
+
+    Attributes:
+        task: What it answers about every point.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, task: Task = MOTION) -> None:
+        self.task = task
+        self._answers = _ANSWERS[task.name]
         self._classes: dict[int, tuple[int, str]] = {}
 
     @property
     def version(self) -> str:
         """`name@digest`; the labels themselves belong to the log."""
-        return f"recorded@{hashlib.sha256(_REVISION).hexdigest()[:12]}"
+        said = _REVISION if self.task == MOTION else _REVISION + self.task.name.encode()
+        return f"recorded@{hashlib.sha256(said).hexdigest()[:12]}"
 
     @property
     def class_names(self) -> tuple[str, ...]:
@@ -53,17 +65,17 @@ class Recorded:
         if recorded is None:
             n = len(frame)
             return FrameLabels(
-                labels=np.full(n, MotionLabel.UNKNOWN, dtype=np.uint8),
+                labels=np.full(n, self.task.unknown, dtype=np.uint8),
                 confidence=np.zeros(n, dtype=np.float16),
                 class_id=np.full(n, -1, dtype=np.int16),
             )
         for class_id in sorted(recorded.classes):
             name = recorded.classes[class_id].name
             self._classes.setdefault(class_id, (len(self._classes), name))
-        labels = _motion(recorded)
+        labels = self._answers(recorded)
         return FrameLabels(
             labels=labels,
-            confidence=_confidence(recorded, labels),
+            confidence=_confidence(recorded, labels, self.task),
             class_id=_per_id(
                 recorded.class_id, {key: index for key, (index, _) in self._classes.items()}, -1
             ).astype(np.int16),
@@ -82,12 +94,24 @@ def _motion(recorded: RecordedLabels) -> MotionLabels:
     ).astype(np.uint8)
 
 
+def _ground(recorded: RecordedLabels) -> Labels:
+    names = [meaning.name for meaning in recorded.classes.values()]
+    told = zip(recorded.classes, ground_labels_of(names).tolist(), strict=True)
+    return _per_id(recorded.class_id, dict(told), GROUND.unknown).astype(np.uint8)
+
+
+_ANSWERS: Final[Mapping[str, Callable[[RecordedLabels], Labels]]] = {
+    MOTION.name: _motion,
+    GROUND.name: _ground,
+}
+
+
 def _label_of(meaning: RecordedClass) -> MotionLabel:
     return MotionLabel.DYNAMIC if meaning.moving else MotionLabel.STATIC
 
 
-def _confidence(recorded: RecordedLabels, labels: MotionLabels) -> Confidences:
-    known: Mask = np.not_equal(labels, MotionLabel.UNKNOWN)
+def _confidence(recorded: RecordedLabels, labels: Labels, task: Task) -> Confidences:
+    known: Mask = np.not_equal(labels, task.unknown)
     if recorded.confidence is None:
         return known.astype(np.float16)
     sure: Confidences = np.zeros(len(labels), dtype=np.float16)

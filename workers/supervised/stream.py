@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from schemas.frame import OdometryState, PosedFrame
 from schemas.labels import FrameLabels
+from schemas.task import GROUND, MOTION, Task
 from workers.checkpoints.errors import WeightsUnusableError
 from workers.geometry.form import Form
 from workers.geometry.range_image import (
@@ -23,7 +24,8 @@ from workers.geometry.range_image import (
 )
 from workers.geometry.sensor_rows import lay_out
 from workers.supervised.classes import ClassSet
-from workers.supervised.fusion import Fusion
+from workers.supervised.fusion import Fusion, MotionFusion
+from workers.supervised.ground_classes import GroundFusion
 from workers.supervised.networks import RangeImageNetwork
 from workers.supervised.paper_residuals import PaperResiduals
 from workers.supervised.postprocess import KnnSettings, find_voters
@@ -49,6 +51,7 @@ class RangeImageStream:
             of the other say so, or nobody.
         name: What versions call the stream.
         form: Of image, residuals and votes; see `project`, `PaperResiduals` and `KnnSettings`.
+        task: Motion, or ground, which the semantic network tells alone.
 
     Raises:
         WeightsUnusableError: If there is no network, or the two do not belong together.
@@ -61,6 +64,7 @@ class RangeImageStream:
         *,
         name: str,
         form: Form = Form.CORRECTED,
+        task: Task = MOTION,
     ) -> None:
         self._networks = [network for network in (semantic, motion) if network is not None]
         if not self._networks:
@@ -72,7 +76,8 @@ class RangeImageStream:
                 "train both with one layout of rows, columns and field of view"
             )
         self._classes = [ClassSet(network.classes) for network in self._networks]
-        self._fusion = Fusion(
+        self._fusion = _fusion_of(
+            task,
             kinds=None if semantic is None else self._classes[0],
             motions=None if motion is None else self._classes[-1],
         )
@@ -111,6 +116,21 @@ class RangeImageStream:
                 f"got {semantic.card.network} and {motion.card.network} ({folder})"
             )
         return cls(semantic, motion, name="salsanext-lmnet", form=form)
+
+    @classmethod
+    def salsanext_ground(cls, folder: Path) -> Self:
+        """Build the stream that tells ground, from `salsanext.safetensors` of a folder.
+
+        Raises:
+            WeightsUnusableError: If it is missing, damaged, or no class of it is ground.
+        """
+        semantic = load_weights(folder / "salsanext.safetensors")
+        return cls(semantic, None, name="salsanext:ground", task=GROUND)
+
+    @property
+    def task(self) -> Task:
+        """What it answers about every point."""
+        return self._fusion.task
 
     @property
     def version(self) -> str:
@@ -184,8 +204,16 @@ class RangeImageStream:
             judged_mask=image.projected_mask,
             kind=points[0] if fusion.kinds is not None else None,
             motion=points[-1] if fusion.motions is not None and has_past else None,
-            dynamic_share=voters.average(fusion.dynamic_share(semantic, motion)),
+            second_share=voters.average(fusion.second_share(semantic, motion)),
         )
+
+
+def _fusion_of(task: Task, *, kinds: ClassSet | None, motions: ClassSet | None) -> Fusion:
+    if task == MOTION:
+        return MotionFusion(kinds, motions)
+    if task == GROUND and kinds is not None and motions is None:
+        return GroundFusion(kinds)
+    raise WeightsUnusableError(f"these networks do not answer the task {task.name}")
 
 
 def _chosen(measured: NDArray[np.float32], channels: tuple[str, ...]) -> NDArray[np.float32]:

@@ -8,13 +8,14 @@ from PIL import Image
 
 from schemas.contradiction import Scene
 from schemas.frame import OdometryState
-from schemas.labels import AGREEMENT_COLOURS, Agreement, MotionLabel
+from schemas.labels import Agreement, MotionLabel
 from schemas.overlay import NO_POSITION_CM, Overlay
 from schemas.score import SceneScore
+from schemas.task import MOTION
 from service.picture import draw_camera, draw_scene, strongest_frame
 from service.picture_above import draw_above
 from service.picture_camera import ImageUnreadableError
-from service.picture_style import INK, KIND_AGREEMENT, font, shorten, wrap
+from service.picture_style import colours_of, font, inks_of, shorten, wrap
 from service.picture_view import View
 from tests.labelled_worlds import CLASS_NAMES, Thing, labelled_scene, shard_of
 from workers.contradiction.instances import find_instances
@@ -57,7 +58,7 @@ def _pixels(image: Image.Image) -> NDArray[np.uint8]:
 
 
 def _where(pixels: NDArray[np.uint8], agreement: Agreement) -> NDArray[np.int64]:
-    same = (pixels == np.array(AGREEMENT_COLOURS[agreement], dtype=np.uint8)).all(axis=2)
+    same = (pixels == np.array(colours_of(MOTION)[agreement], dtype=np.uint8)).all(axis=2)
     return np.argwhere(same)
 
 
@@ -165,11 +166,11 @@ def test_what_gated_a_scene_is_told_without_the_number_and_colour_of_a_track(
     mined: tuple[SceneScore, Overlay],
 ) -> None:
     score, overlay = mined
-    kind = KIND_AGREEMENT[score.tracks[0].kind]
+    ink = inks_of(MOTION)[MOTION.kind(score.tracks[0].kind).code]
 
     def inked(*reasons: str) -> int:
         picture = draw_scene(score.model_copy(update={"reasons": reasons}), overlay)
-        return int((_pixels(picture) == np.array(INK[kind], np.uint8)).all(axis=2).sum())
+        return int((_pixels(picture) == np.array(ink, np.uint8)).all(axis=2).sum())
 
     assert inked("object seen moving, 9 m left") > inked()
     for gate in ("self-supervised stream blind in 25% of the frames", "odometry degraded: 50%"):

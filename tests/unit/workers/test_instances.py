@@ -28,8 +28,8 @@ def test_a_missed_car_and_a_phantom_beside_it_are_two_instances_of_two_kinds() -
         Thing((10, 3, 0), STATIC, DYNAMIC), Thing((10, 0.5, 0), DYNAMIC, STATIC, class_id=2)
     )
     phantom, missed = find_instances(scene, class_names=CLASS_NAMES)
-    assert (phantom.kind, phantom.class_name) == (PHANTOM, "pedestrian")
-    assert (missed.kind, missed.class_name) == (MISSED, "car")
+    assert (phantom.kind.name, phantom.class_name) == (PHANTOM, "pedestrian")
+    assert (missed.kind.name, missed.class_name) == (MISSED, "car")
 
 
 def test_what_both_streams_call_the_same_makes_no_instance() -> None:

@@ -50,13 +50,13 @@ def test_a_scene_without_contradictions_scores_zero_and_has_nothing_to_say() -> 
     record = _score(labelled_scene([WALL, moving]))
     assert (record.score, record.reasons, record.tracks) == (0.0, (), ())
     assert record.state is SceneState.SCORED
-    assert record.all_points.both_dynamic == pytest.approx(120 / 1620, abs=1e-4)
+    assert record.all_points["both_dynamic"] == pytest.approx(120 / 1620, abs=1e-4)
 
 
 def test_a_car_that_only_the_self_supervised_stream_sees_is_told_with_its_speed() -> None:
     record = _score(labelled_scene([WALL, MISSED_CAR]))
     (track,) = record.tracks
-    assert track.kind is ContradictionKind.ONLY_PREDICTIVE_DYNAMIC
+    assert track.kind == ContradictionKind.ONLY_PREDICTIVE_DYNAMIC
     assert (track.frames, track.points, track.speed_m_per_s) == (20, 2400, 10.0)
     assert (track.first_ns, track.last_ns) == (START_NS, START_NS + 1_900_000_000)
     assert record.score == track.strength > 0.7
@@ -177,8 +177,8 @@ def test_shares_are_those_of_compared_points_with_and_without_the_ground() -> No
     record = _score(labelled_scene([ground, unseen, phantom], frames=2))
     assert record.points == 2000
     assert record.compared_share == 0.7
-    assert record.all_points.only_semantic_dynamic == pytest.approx(100 / 700, abs=1e-4)
-    assert record.nonground_points.only_semantic_dynamic == 1.0
+    assert record.all_points["only_semantic_dynamic"] == pytest.approx(100 / 700, abs=1e-4)
+    assert record.nonground_points["only_semantic_dynamic"] == 1.0
 
 
 def test_where_nothing_was_compared_all_shares_are_zero() -> None:

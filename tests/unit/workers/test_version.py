@@ -8,6 +8,7 @@ import pytest
 from schemas.errors import PermanentError
 from schemas.frame import LidarFrame, PosedFrame
 from schemas.labels import FrameLabels
+from schemas.task import MOTION, Task
 from schemas.work import Grid, MiningSettings
 from workers.registry import Parts
 from workers.version import NOT_IN_VERSION, parts_of, pipeline_version
@@ -25,6 +26,7 @@ class NamedOdometry:
 class NamedStream:
     version: str
     class_names: tuple[str, ...] = ()
+    task: Task = MOTION
 
     def __call__(self, frames: Iterable[PosedFrame]) -> Iterator[FrameLabels]:
         raise AssertionError("a version is known without running anything")

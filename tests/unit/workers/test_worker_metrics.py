@@ -10,7 +10,7 @@ from structlog.testing import capture_logs
 
 from schemas.errors import TransientError
 from schemas.frame import OdometryState
-from schemas.labels import Blindness, MotionLabel
+from schemas.labels import Blindness
 from schemas.score import StreamHealth
 from schemas.work import LogPlan, MiningStats
 from tests.factories import scene_score
@@ -61,7 +61,7 @@ def test_a_shard_is_counted_by_what_it_took_and_found() -> None:
         damaged=4,
         odometry_frames=health,
         blind_frames={Blindness.NO_FIT: 3},
-        motion_points={MotionLabel.STATIC: 70, MotionLabel.UNKNOWN: 30},
+        motion_points={"static": 70, "unknown": 30},
     )
     metrics.scene_mined(scene_score(health=stream_health(seen_share=0.97, pose_jumps=1)))
     metrics.shard_committed({"supervised": 3.0, "committing": 0.01}, seconds=9.0)
