@@ -44,6 +44,7 @@ CHANGED = {
     "stamp_at": "end",
     "camera": "recorded",
     "instances": "paper",
+    "witness": "none",
     "intensity_scale": 255.0,
 }
 
