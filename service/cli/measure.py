@@ -1,4 +1,4 @@
-"""Verbs that measure and show: `bench` of pipeline, motion, networks or ledger, and `demo`."""
+"""Verbs that measure: `bench` of pipeline, motion, networks, ledger or failures, and `demo`."""
 
 import time
 from pathlib import Path
@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from service.cli.failures import failures
 from service.cli.options import Config, Json, LogFormat, LogLevel, log_as, settings_for
 from service.cli.output import json_line, progress, remark, table
 
@@ -20,6 +21,7 @@ def add_to(app: typer.Typer) -> None:
     bench.command(epilog="counterpoint bench motion logs/car-7/2026-11-20/drive.mcap")(motion)
     bench.command(epilog="counterpoint bench networks logs/car-7/2026-11-20/drive.mcap")(networks)
     bench.command(epilog="counterpoint bench ledger --folder /var/lib/counterpoint")(ledger)
+    bench.command(epilog="counterpoint bench failures fleet --report failures.html")(failures)
     app.add_typer(bench, name="bench")
     app.command(epilog="counterpoint demo --out demo-output")(demo)
 

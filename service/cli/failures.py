@@ -1,0 +1,186 @@
+"""The verb `bench failures`: whether what contradicts is what fails, beside other rankings."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from service.cli.options import (
+    Config,
+    Json,
+    Model,
+    SelfSupervised,
+    Supervised,
+    Weights,
+    settings_for,
+)
+from service.cli.output import json_line, progress, remark, table
+from service.errors import UsageError
+
+if TYPE_CHECKING:
+    from workers.evaluation.failures.natural import NaturalTable
+    from workers.evaluation.failures.planted import PlantedTable
+    from workers.evaluation.failures.ranking import RankingRow
+
+TABLES = ("planted", "natural")
+
+
+def failures(
+    url: Annotated[
+        str, typer.Argument(help="A fleet of `simulate`, or with --truth any bucket of logs.")
+    ],
+    truth: Annotated[
+        Path | None, typer.Option("--truth", help="Truth of URL/x/y.mcap in DIR/x/y.")
+    ] = None,
+    only: Annotated[
+        str | None,
+        typer.Option("--table", help="planted or natural; both where the logs allow it."),
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option("--report", help="Write a page with plots to this file.")
+    ] = None,
+    workers: Annotated[int, typer.Option("--workers", min=1, help="Worker processes.")] = 2,
+    kept: Annotated[
+        Path | None,
+        typer.Option("--kept", help="Folder of what was mined before; bench in the state folder."),
+    ] = None,
+    slip_logs: Annotated[
+        int,
+        typer.Option(
+            "--slip-logs", min=0, help="Logs that are mined again, a slip in every scene (planted)."
+        ),
+    ] = 0,
+    second: Annotated[
+        Path | None,
+        typer.Option("--second", help="Folder of other weights: how much two networks differ."),
+    ] = None,
+    probe_every: Annotated[
+        int,
+        typer.Option("--dropout-every", min=0, help="MC-dropout on one frame in so many; 0: none."),
+    ] = 10,
+    draws: Annotated[
+        int, typer.Option("--draws", min=0, help="Of the bootstrap; 0: no intervals.")
+    ] = 1000,
+    supervised: Supervised = None,
+    model: Model = None,
+    weights: Weights = None,
+    selfsupervised: SelfSupervised = None,
+    json: Json = False,
+    config: Config = None,
+) -> None:
+    """Measure how well contradictions find failures, beside other ways to look for them."""
+    if only not in (None, *TABLES):
+        raise UsageError(f"--table must be planted or natural, got {only!r}")
+    logs_url = url if truth is not None else f"{url.rstrip('/')}/logs"
+    where = truth if truth is not None else Path(url) / "truth"
+    settings = settings_for(
+        config,
+        bucket=logs_url,
+        supervised=supervised,
+        model=model,
+        weights=weights,
+        selfsupervised=selfsupervised,
+    )
+    from workers.evaluation.failures.bench import bench_failures
+    from workers.evaluation.failures.probes import Probing
+
+    with progress() as bar:
+        task = bar.add_task("mining", total=None)
+        bench = bench_failures(
+            logs_url,
+            where,
+            settings.mining(),
+            tables=TABLES if only is None else (only,),
+            processes=workers,
+            kept=settings.state / "bench" if kept is None else kept,
+            slip_logs=slip_logs,
+            probing=Probing(dropout_every=probe_every, second=str(second or "")),
+            draws=draws,
+            on_progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    if json:
+        json_line(bench.as_json())
+    else:
+        if bench.planted is not None:
+            _say_planted(bench.planted)
+        if bench.natural is not None:
+            _say_natural(bench.natural)
+    if report is not None:
+        from service.failure_report import write_report
+
+        write_report(report, bench)
+        remark(f"report: {report}")
+
+
+COLUMNS = ("ranked by", "AP", "95 %", "precision 5 %", "recall 1 %", "5 %", "10 %", "lift 5 %")
+
+
+def _say_planted(found: "PlantedTable") -> None:
+    table(
+        f"planted: {found.failures} failures in {found.failing_scenes} of {found.scenes} scenes",
+        (*COLUMNS, "found a minute", "found area"),
+        [_row("score", found)] + [_row(name, row) for name, row in _best_first(found.baselines)],
+    )
+    table(
+        "by kind of failure, against scenes without",
+        ("kind", "scenes", "AP", "recall 5 %", "10 %", "median rank"),
+        (
+            (
+                *(kind, row.scenes, row.ap, row.recall_at["5"], row.recall_at["10"]),
+                row.median_rank_share,
+            )
+            for kind, row in found.kinds.items()
+        ),
+    )
+    shares = dict(found.disturbances) | ({"slips": found.slips} if found.slips else {})
+    table(
+        "scenes without failure above the score of the undisturbed 5 % budget",
+        ("disturbed by", "scenes", "above", "share"),
+        ((name, row.scenes, row.above, row.share) for name, row in shares.items()),
+    )
+    _say_who(found)
+    shared = found.common_mode
+    remark(
+        f"gain over {found.best_baseline}: {found.gain} {found.gain_interval or ''}; both streams "
+        f"wrong on {shared.both_wrong} of {shared.planted} common-mode failures, {shared.surfaced} "
+        f"surfaced, {shared.in_budget} in the best 10 %; {found.unseen} of {found.planted} planted "
+        "failures are not in the labels"
+    )
+
+
+def _say_natural(found: "NaturalTable") -> None:
+    table(
+        f"natural: the stream fails on {found.failures} of {found.things} things, in "
+        f"{found.failing_scenes} of {found.scenes} scenes",
+        (*COLUMNS, "found a minute", "found area"),
+        [_row("strength", found)] + [_row(name, row) for name, row in _best_first(found.baselines)],
+    )
+    table(
+        "by class",
+        ("things", "count", "failing", "of them contradicting"),
+        ((name, row.things, row.failing, row.found) for name, row in found.classes.items()),
+    )
+    _say_who(found)
+
+
+def _say_who(found: "PlantedTable | NaturalTable") -> None:
+    said = found.attribution
+    table(
+        f"who is wrong: balanced accuracy {said.accuracy}, always the commonest {said.commonest}",
+        ("true", "tracks", "recall", *(f"said {name}" for name in said.cases)),
+        (
+            (name, count, said.recall[name], *said.confusion[name].values())
+            for name, count in said.cases.items()
+        ),
+    )
+
+
+def _row(name: str, row: "RankingRow") -> tuple[Any, ...]:
+    interval = "" if row.ap_interval is None else f"{row.ap_interval[0]} to {row.ap_interval[1]}"
+    recall = [row.recall_at[budget] for budget in ("1", "5", "10")]
+    rest = (row.lift_at["5"], row.found_per_minute_at["5"], row.found_area)
+    return (name, row.ap, interval, row.precision_at["5"], *recall, *rest)
+
+
+def _best_first(rows: "dict[str, RankingRow]") -> "list[tuple[str, RankingRow]]":
+    return sorted(rows.items(), key=lambda each: -(each[1].ap or 0.0))

@@ -1,0 +1,138 @@
+"""The page of the benchmark of failures: tables and plots in one file that needs nothing else."""
+
+from collections.abc import Mapping
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from service.failure_plots import html_table, plot
+
+if TYPE_CHECKING:
+    from workers.evaluation.failures.attribution import Attribution
+    from workers.evaluation.failures.bench import FailureBench
+    from workers.evaluation.failures.calibration import Calibration
+    from workers.evaluation.failures.natural import NaturalTable
+    from workers.evaluation.failures.planted import PlantedTable
+    from workers.evaluation.failures.ranking import RankingRow
+
+_STYLE: Final = """
+body { font: 15px/1.45 system-ui, sans-serif; margin: 2em auto; max-width: 1080px; color: #212529 }
+table { border-collapse: collapse; margin: 1em 0 } th { text-align: left; border-bottom: 2px solid }
+td, th { padding: .2em .8em .2em 0 } td { border-bottom: 1px solid #dee2e6 }
+svg { margin: .5em 1em .5em 0 } .title { font-weight: 600; font-size: 14px }
+.tick { font-size: 11px; fill: #495057 } .end { text-anchor: end } .mid { text-anchor: middle }
+.grid { stroke: #e9ecef } .diagonal { stroke: #868e96; stroke-dasharray: 4 4 }
+"""
+
+_BUDGETS: Final = ("0.5", "1", "2", "5", "10")
+
+
+def write_report(file: Path, bench: "FailureBench") -> None:
+    """Write the page of a benchmark; it appears whole or not at all."""
+    parts = [
+        f"<h1>Failures found by contradiction</h1><p>{escape(bench.bucket)}, {bench.logs} logs"
+    ]
+    if bench.planted is not None:
+        parts += _planted(bench.planted)
+    if bench.natural is not None:
+        parts += _natural(bench.natural)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    growing = file.with_name(file.name + ".part")
+    growing.write_text(
+        '<!doctype html><html lang="en"><meta charset="utf-8"><title>Failures</title>'
+        f"<style>{_STYLE}</style>{''.join(parts)}</html>\n"
+    )
+    growing.replace(file)
+
+
+def _planted(found: "PlantedTable") -> list[str]:
+    shares = dict(found.disturbances) | ({"slips": found.slips} if found.slips else {})
+    shared = found.common_mode
+    return [
+        f"<h2>Planted</h2><p>{found.failures} failures in {found.failing_scenes} of {found.scenes} "
+        f"scenes. {found.unseen} of {found.planted} planted ones are not in the labels.</p>",
+        _ranking({"score": found, **found.baselines}),
+        f"<p>Gain over the best baseline, {escape(found.best_baseline)}: {found.gain} "
+        f"{found.gain_interval or ''}.</p>",
+        _curves({"score": found, **found.baselines}, "scenes"),
+        _reliability("score: share of scenes with a failure", found.calibration),
+        "<h3>By kind, against scenes without failure</h3>",
+        html_table(
+            ("kind", "scenes", "AP", *(f"recall {b} %" for b in _BUDGETS), "median rank"),
+            [
+                (kind, row.scenes, row.ap, *row.recall_at.values(), row.median_rank_share)
+                for kind, row in found.kinds.items()
+            ],
+        ),
+        "<h3>Scenes without failure above the score of the undisturbed 5 % budget</h3>",
+        html_table(
+            ("disturbed by", "scenes", "above", "share"),
+            [(name, row.scenes, row.above, row.share) for name, row in shares.items()],
+        ),
+        f"<p>Common mode: both streams wrong on {shared.both_wrong} of {shared.planted}; "
+        f"{shared.surfaced} surfaced, {shared.witnessed} witnessed, {shared.in_budget} in the best "
+        "10 %.</p>",
+        *_who(found.attribution),
+    ]
+
+
+def _natural(found: "NaturalTable") -> list[str]:
+    return [
+        f"<h2>Natural</h2><p>The stream fails on {found.failures} of {found.things} things, in "
+        f"{found.failing_scenes} of {found.scenes} scenes.</p>",
+        _ranking({"strength": found, **found.baselines}),
+        _curves({"strength": found, **found.baselines}, "things"),
+        _reliability("strength: share of things that fail", found.calibration),
+        html_table(
+            ("things", "count", "failing", "of them contradicting"),
+            [(name, r.things, r.failing, r.found) for name, r in found.classes.items()],
+        ),
+        *_who(found.attribution),
+    ]
+
+
+def _ranking(rows: "Mapping[str, RankingRow]") -> str:
+    columns = ("ranked by", "of", "AP", "95 %", *(f"precision {b} %" for b in _BUDGETS))
+    columns += (*(f"recall {b} %" for b in _BUDGETS), "lift 5 %", "found a minute", "found area")
+    return html_table(
+        columns,
+        [
+            (
+                *(name, row.ranked, row.ap),
+                "" if row.ap_interval is None else "{:.2f} to {:.2f}".format(*row.ap_interval),
+                *(row.precision_at[budget] for budget in _BUDGETS),
+                *(row.recall_at[budget] for budget in _BUDGETS),
+                *(row.lift_at["5"], row.found_per_minute_at["5"], row.found_area),
+            )
+            for name, row in rows.items()
+        ],
+    )
+
+
+def _curves(rows: "Mapping[str, RankingRow]", what: str) -> str:
+    lines = {
+        name: [(place / (len(row.curve) - 1), y) for place, y in enumerate(row.curve)]
+        for name, row in rows.items()
+    }
+    return plot("failures found", lines, x=f"share of {what} looked at", y="share of failures")
+
+
+def _reliability(title: str, found: "Calibration") -> str:
+    error = "" if found.ece is None else f", expected error {found.ece:.3f}"
+    line = {title: [(each.said, each.was) for each in found.bins]}
+    return plot(f"{title}{error}", line, x="said", y="was", dots=True, diagonal=True)
+
+
+def _who(found: "Attribution") -> list[str]:
+    return [
+        f"<h3>Who is wrong</h3><p>Balanced accuracy {found.accuracy}, always the commonest "
+        f"{found.commonest}.</p>",
+        html_table(
+            ("true", "tracks", "recall", *(f"said {name}" for name in found.cases)),
+            [
+                (name, count, found.recall[name], *found.confusion[name].values())
+                for name, count in found.cases.items()
+            ],
+        ),
+        _reliability("who is wrong: share that is right", found.calibration),
+    ]

@@ -1,0 +1,50 @@
+"""Whether a score says how often it is right: reliability in bins, and the expected error."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from schemas.arrays import Mask
+
+BINS: Final = 10
+
+
+class Bin(BaseModel):
+    """What was said and what was so, for items of about the same score."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    count: int
+    said: float = Field(description="Mean score.")
+    was: float = Field(description="Share that was so.")
+
+
+class Calibration(BaseModel):
+    """How well a score serves as a probability."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    ece: float | None = Field(description="Expected calibration error, 0 is best; null: no items.")
+    bins: tuple[Bin, ...] = Field(description="Ten of equal width from 0 to 1, empty ones left out")
+
+
+def calibrate(said: NDArray[np.float64] | Sequence[float], was: Mask) -> Calibration:
+    """Compare scores with what was so, in ten bins of equal width (Guo et al., ICML 2017).
+
+    Args:
+        said: (N,) 0 to 1.
+        was: (N,) whether it was so.
+    """
+    scores = np.asarray(said, dtype=np.float64)
+    place = np.clip((scores * BINS).astype(np.int64), 0, BINS - 1)
+    bins, error = [], 0.0
+    for each in range(BINS):
+        mine = place == each
+        if mine.any():
+            mean, share = float(scores[mine].mean()), float(was[mine].mean())
+            bins.append(Bin(count=int(mine.sum()), said=round(mean, 4), was=round(share, 4)))
+            error += float(mine.mean()) * abs(mean - share)
+    return Calibration(ece=round(error, 4) if len(scores) else None, bins=tuple(bins))

@@ -1,0 +1,91 @@
+"""Who is wrong about a contradicting track, by truth: one stream, the other, both or neither."""
+
+from collections.abc import Mapping, Sequence
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.contradiction import Instance
+from workers.evaluation.failures.seen import SeenFrame
+from workers.evaluation.failures.things import Thing
+
+Points = NDArray[np.int64]
+
+
+class Verdict(StrEnum):
+    """Who errs on most of a thing."""
+
+    SUPERVISED = "supervised"
+    SELFSUPERVISED = "selfsupervised"
+    BOTH = "both"
+    NEITHER = "neither"
+
+
+def thing_under(
+    members: Sequence[Instance], seen: Sequence[SeenFrame], things: Sequence[Thing]
+) -> tuple[str, int]:
+    """Say which thing a contradicting track lies on.
+
+    Returns:
+        Its key, empty for none, and the true object that half of the points belong to, -1 none.
+    """
+    on_track: dict[int, int] = {}
+    on_thing: dict[str, int] = {}
+    total = 0
+    unowned = [thing for thing in things if thing.track < 0]
+    for member in members:
+        total += len(member.point_index)
+        ids, counts = np.unique(
+            seen[member.frame_index].track[member.point_index], return_counts=True
+        )
+        for track, count in zip(ids.tolist(), counts.tolist(), strict=True):
+            on_track[track] = on_track.get(track, 0) + count
+        for thing in unowned:
+            theirs = thing.points.get(member.frame_index)
+            if theirs is not None:
+                both = len(np.intersect1d(theirs, member.point_index))
+                on_thing[thing.key] = on_thing.get(thing.key, 0) + both
+    track = max(on_track, key=lambda each: (on_track[each], -each), default=-1)
+    if track >= 0 and 2 * on_track[track] >= total:
+        key = f"track {track}"
+        return (key if any(thing.key == key for thing in things) else ""), track
+    key = max(on_thing, key=lambda each: (on_thing[each], each), default="")
+    return (key if key and 2 * on_thing[key] >= total else ""), -1
+
+
+def verdict_of(
+    members: Sequence[Instance], seen: Sequence[SeenFrame], *, track: int
+) -> Verdict | None:
+    """Judge a contradicting track by the thing it lies on, in the frames in which it contradicts.
+
+    A stream is wrong if it says the opposite of the truth about most of the thing. Where the points
+    belong to no object, the thing is the contradicting points themselves.
+
+    Args:
+        members: Its instances.
+        seen: The frames of the scene.
+        track: True object it lies on, -1 none.
+
+    Returns:
+        None where truth knows less than half of the points.
+    """
+    known = points = semantic = predictive = 0
+    for member in members:
+        frame = seen[member.frame_index]
+        mine: Points = np.flatnonzero(frame.track == track) if track >= 0 else member.point_index
+        points += len(mine)
+        known += int(frame.known[mine].sum())
+        semantic += int(frame.wrong(frame.labelled.semantic)[mine].sum())
+        predictive += int(frame.wrong(frame.labelled.predictive)[mine].sum())
+    if not known or 2 * known < points:
+        return None
+    return _VERDICTS[2 * semantic > known, 2 * predictive > known]
+
+
+_VERDICTS: Mapping[tuple[bool, bool], Verdict] = {
+    (True, False): Verdict.SUPERVISED,
+    (False, True): Verdict.SELFSUPERVISED,
+    (True, True): Verdict.BOTH,
+    (False, False): Verdict.NEITHER,
+}
