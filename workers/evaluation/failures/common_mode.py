@@ -6,11 +6,12 @@ from typing import Final
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from schemas.contradiction import ContradictionKind
 from workers.evaluation.failures.retrieval import looked_at, order_of
 from workers.evaluation.failures.rows import SceneRow
 
 BUDGET: Final = 0.10
-WITNESS_ALONE: Final = "only_witness_dynamic"
+WITNESS_ALONE: Final = ContradictionKind.ONLY_WITNESS_DYNAMIC.value
 """Kind of a contradicting track on which the third witness speaks against both streams."""
 
 

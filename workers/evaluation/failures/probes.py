@@ -7,7 +7,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import tee
 from pathlib import Path
-from typing import Any, Final, Self
+from types import MappingProxyType
+from typing import Final, Self
 
 import numpy as np
 import torch
@@ -16,10 +17,8 @@ from numpy.typing import NDArray
 from schemas.frame import PosedFrame
 from schemas.labels import FrameLabels, MotionLabel
 from schemas.work import MiningSettings
-from workers.geometry.form import Form
 from workers.geometry.range_image import RangeImage
 from workers.supervised.networks import RangeImageNetwork
-from workers.supervised.residual_image import Past
 from workers.supervised.stream import SHIPPED, RangeImageStream
 from workers.supervised.uncertainty import mc_dropout
 from workers.supervised.weights import LoadedWeights
@@ -53,9 +52,9 @@ class ProbedStream:
     Labels, and the version, are those of the stream itself.
     """
 
-    def __init__(self, inner: "_Probed", second: RangeImageStream | None) -> None:
+    def __init__(self, inner: "_Noting", second: RangeImageStream | None) -> None:
         self._inner, self._second = inner, second
-        self._differs: dict[int, NDArray[np.float32]] = {}
+        self._kept: dict[int, Views] = {}
 
     @classmethod
     def of(cls, settings: MiningSettings, probing: Probing) -> Self | None:
@@ -63,8 +62,8 @@ class ProbedStream:
         if settings.supervised not in NETWORKS:
             return None
         folder = Path(settings.weights) if settings.weights else SHIPPED
-        inner = _Probed.salsanext_lmnet(folder)
-        inner.dropout_every = probing.dropout_every
+        inner = _Noting.salsanext_lmnet(folder, folded=settings.supervised.endswith(":folded"))
+        inner.ask_again(every=probing.dropout_every)
         other = RangeImageStream.salsanext_lmnet(Path(probing.second)) if probing.second else None
         return cls(inner, other)
 
@@ -80,94 +79,80 @@ class ProbedStream:
 
     def __call__(self, frames: Iterable[PosedFrame]) -> Iterator[FrameLabels]:
         """Yield the labels of each frame, in order."""
-        self._inner.views.clear()
-        self._differs.clear()
+        self._kept.clear()
+        self._inner.begin()
         stamped, mine, others = tee(frames, 3)
         second = self._second(others) if self._second is not None else None
         for posed, said in zip(stamped, self._inner(mine), strict=True):
+            unsure = dict(self._inner.noted)
             if second is not None:
-                apart = np.abs(_dynamic(said) - _dynamic(next(second)))
-                self._differs[posed.frame.stamp_ns] = apart
+                unsure["ensemble"] = np.abs(_dynamic(said) - _dynamic(next(second)))
+            self._kept[posed.frame.stamp_ns] = unsure
             yield said
 
     def take(self, stamp_ns: int) -> Views:
         """Hand over what was kept of a frame, and forget it and all earlier ones."""
-        views = dict(self._inner.views.get(stamp_ns, {}))
-        if stamp_ns in self._differs:
-            views["ensemble"] = self._differs[stamp_ns]
-        _forget(self._inner.views, stamp_ns)
-        _forget(self._differs, stamp_ns)
+        views = self._kept.get(stamp_ns, {})
+        for stamp in [each for each in self._kept if each <= stamp_ns]:
+            del self._kept[stamp]
         return views
 
 
-class _Probed(RangeImageStream):
-    """The stream itself, which notes what its networks say pixel by pixel."""
+class _Noting(RangeImageStream):
+    """The stream itself, which notes of each frame what its networks say pixel by pixel."""
 
-    dropout_every = 0
+    noted: Views = MappingProxyType({})
+    _asked_again: Sequence["_AskedAgain"] = ()
 
-    def __init__(self, *networks: RangeImageNetwork | None, name: str, form: Form) -> None:
-        super().__init__(*networks, name=name, form=form)
-        self.views: dict[int, Views] = {}
-        self._frame = 0
-        self._dropout: list[NDArray[np.float32]] = []
-        self._unsure: Views = {}
+    def ask_again(self, *, every: int) -> None:
+        """Let the networks drop channels at random on one frame in so many; 0: never."""
+        if every:
+            self._asked_again = [_AskedAgain(each, every) for each in self._networks]
+            self._networks = list(self._asked_again)
 
-    def __call__(self, frames: Iterable[PosedFrame]) -> Iterator[FrameLabels]:
-        self.views.clear()
-        self._frame = 0
-        yield from super().__call__(frames)
-
-    def _label(self, posed: PosedFrame, pasts: Sequence[Past | None]) -> FrameLabels:
-        self._dropout = []
-        asked = self.dropout_every > 0 and self._frame % self.dropout_every == 0
-        networks = self._networks
-        self._unsure = {}
-        if asked:
-            self._networks = [_Dropped(each, self._dropout, self._frame) for each in networks]
-        try:
-            said = super()._label(posed, pasts)
-        finally:
-            self._networks = networks
-        self._frame += 1
-        self.views[posed.frame.stamp_ns] = self._unsure
-        return said
+    def begin(self) -> None:
+        """Begin a log anew."""
+        for network in self._asked_again:
+            network.frame = 0
 
     def _fused(
         self, image: RangeImage, answers: Sequence[NDArray[np.float32]], *, has_past: bool
     ) -> FrameLabels:
         entropy = np.mean([_entropy(each) for each in answers], axis=0)
         margin = np.max([_narrowness(each) for each in answers], axis=0)
-        unsure = {"entropy": _at(image, entropy), "margin": _at(image, margin)}
-        if self._dropout:
-            unsure["mc_dropout"] = _at(image, np.max(self._dropout, axis=0))
-        self._unsure = unsure
+        noted = {"entropy": _at(image, entropy), "margin": _at(image, margin)}
+        spreads = [each.spread for each in self._asked_again if each.spread is not None]
+        if spreads:
+            noted["mc_dropout"] = _at(image, np.max(spreads, axis=0))
+        self.noted = noted
         return super()._fused(image, answers, has_past=has_past)
 
 
-class _Dropped:
-    """A network that is asked eight times more, without a random share of its channels."""
+class _AskedAgain:
+    """A network that is asked eight times more now and then, without some of its channels.
 
-    def __init__(
-        self, inner: RangeImageNetwork, kept: list[NDArray[np.float32]], seed: int
-    ) -> None:
-        self._inner, self._kept, self._seed = inner, kept, seed
+    Attributes:
+        frame: How many frames it has seen.
+        spread: (H, W) how much these answers to the last frame differ; None if it was not asked.
+    """
+
+    def __init__(self, inner: RangeImageNetwork, every: int) -> None:
+        self._inner, self._every = inner, every
         self.profile, self.channels = inner.profile, inner.channels
         self.residual, self.classes = inner.residual, inner.classes
         self.digest = inner.digest
+        self.frame = 0
+        self.spread: NDArray[np.float32] | None = None
 
     def probabilities(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
         """Answer as the network does, and note how much the other answers spread."""
-        if isinstance(self._inner, LoadedWeights):
-            spread = mc_dropout(
-                self._inner.net, torch.from_numpy(image)[None], passes=PASSES, seed=self._seed
-            )
-            self._kept.append(spread.uncertainty[0].numpy())
+        self.spread = None
+        if isinstance(self._inner, LoadedWeights) and self.frame % self._every == 0:
+            asked = torch.from_numpy(image)[None]
+            said = mc_dropout(self._inner.net, asked, passes=PASSES, seed=self.frame)
+            self.spread = said.uncertainty[0].numpy()
+        self.frame += 1
         return self._inner.probabilities(image)
-
-
-def _forget(kept: dict[int, Any], until_ns: int) -> None:
-    for stamp in [each for each in kept if each <= until_ns]:
-        del kept[stamp]
 
 
 def _dynamic(said: FrameLabels) -> NDArray[np.float32]:

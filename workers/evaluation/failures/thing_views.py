@@ -38,7 +38,7 @@ def thing_views(
             labels.append(bool((semantic.labels[mine][told] == MotionLabel.DYNAMIC).mean() > 0.5))
         both = told & (predictive.labels[mine] != MotionLabel.UNKNOWN)
         differing += int((semantic.labels[mine] != predictive.labels[mine])[both].sum())
-        witness = getattr(labelled, "witness", None)
+        witness = labelled.witness
         proved = predictive.confirmed if witness is None else witness.labels == MotionLabel.DYNAMIC
         if proved is not None:
             against += int((proved[mine] & (semantic.labels[mine] == MotionLabel.STATIC)).sum())

@@ -96,9 +96,8 @@ def unsureness(frames: Sequence[LabelledFrame], *, share: float) -> float:
 
 
 def _proved(frame: LabelledFrame) -> Mask | None:
-    witness = getattr(frame, "witness", None)
-    if witness is not None:
-        proved: Mask = witness.labels == MotionLabel.DYNAMIC
+    if frame.witness is not None:
+        proved: Mask = frame.witness.labels == MotionLabel.DYNAMIC
         return proved
     return frame.predictive.confirmed
 
