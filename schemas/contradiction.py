@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.arrays import Agreements, check_array, freeze
+from schemas.attribution import Attribution
 from schemas.frame import PosedFrame
 from schemas.labels import FrameLabels
 from schemas.task import MOTION, Outcome, Task
@@ -177,5 +178,10 @@ class TrackRecord(BaseModel):
         exclude_if=lambda value: value is None,
         description="Share of its points that the self-supervised stream proved to move more than "
         "once; absent where that stream says static or does not tell.",
+    )
+    attribution: Attribution | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="Who is probably wrong about it; absent from records of earlier services.",
     )
     strongest: InstanceRecord = Field(description="Its instance with the most evidence.")

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from schemas.arrays import NS_PER_S
+from schemas.attribution import Attribution, Wrong
 from schemas.contradiction import Instance, Scene, SceneState
 from schemas.score import OdometryHealth, StreamHealth
 from schemas.task import Outcome, Task
@@ -26,6 +27,12 @@ _SECTORS: Final = (
     "right",
     "ahead right",
 )
+_PROBABLY: Final = {
+    Wrong.SUPERVISED: "the supervised stream errs",
+    Wrong.SELFSUPERVISED: "the self-supervised stream errs",
+    Wrong.BOTH: "both streams err",
+    Wrong.NEITHER: "neither stream errs",
+}
 
 
 def reasons_of(
@@ -79,7 +86,7 @@ def describe(scene: Scene, instances: Sequence[Instance], ranked: RankedTrack) -
     return (
         f"{class_word(ranked.class_name) or 'object'} "
         f"{_claim(ranked.track.kind, scene.task, moving)} for {seen_s:.1f} s{once}, "
-        f"{math.hypot(x_m, y_m):.0f} m {bearing(x_m, y_m)}"
+        f"{math.hypot(x_m, y_m):.0f} m {bearing(x_m, y_m)}{_blame(ranked.attribution)}"
     )
 
 
@@ -93,6 +100,15 @@ def _claim(kind: Outcome, task: Task, moving: str) -> str:
         f"called {kind.semantic} by the supervised and {kind.predictive} by the self-supervised "
         "stream"
     )
+
+
+def _blame(attribution: Attribution | None) -> str:
+    """Who probably errs, how sure that is, and what speaks for it."""
+    if attribution is None:
+        return ""
+    chance = getattr(attribution, attribution.wrong.value)
+    why = f" ({', '.join(attribution.because)})" if attribution.because else ""
+    return f"; {_PROBABLY[attribution.wrong]} ({chance:.0%}){why}"
 
 
 def bearing(x_m: float, y_m: float) -> str:

@@ -186,6 +186,7 @@ def _track_record(
         confirmed_share=(
             None if ranked.confirmed_share is None else _round(ranked.confirmed_share, 3)
         ),
+        attribution=ranked.attribution,
         strongest=_instance_record(scene, instances[ranked.strongest]),
     )
 

@@ -1,27 +1,18 @@
 """How strong a track is: the product of what must all hold for a contradiction worth a look.
 
-    strength = persistence x evidence x clash x box x own x motion x proof, each in [0, 1]
+    strength = persistence x evidence x worth, each in [0, 1]
 
 - persistence  1 - exp(-(seen x steady / 0.5 s)^2): seen counts the frames of the track less a
   half, steady is the share of the frames of its span in which it contradicts. Errors flicker.
 - evidence     1 - exp(-points / 25): median points per frame.
-- clash        product of both streams' mean confidence: a sure yes against a sure no is worth a
-  look, a shrug is not.
-- box          0 below 0.2 m and above 20 m of length: half a wheel, and a facade, are no road
-  users. Not where the task is about surfaces.
-- own          share of the surroundings that contradict alike: the rim of a mover on which both
-  streams agree, and specks on a wall, score little.
-- motion       only where the self-supervised stream alone sees motion: it measured a speed, and
-  the path of the box over the ground must bear it out. The other kind has nothing to bear out:
-  either the supervised stream sees a phantom or the other one missed a mover, and both deserve a
-  look.
+- worth        the chance that the supervised stream is wrong about it (`attribution.py`). Of a task
+  for which no chances were fitted, the product of
+  - clash      both streams' mean confidence: a sure yes against a sure no is worth a look,
+  - box        0 below 0.2 m and above 20 m of length, where the task is about things,
+  - own        share of the surroundings that contradict alike: rims and specks score little.
 
-- proof        of the same kind again: the share of its points that the self-supervised stream
-  proved to move more than once, in full from one half on. What free space is wrong about, it is
-  wrong about for a single frame.
-
-A product, since each factor vetoes: a large, sure, lasting facade is still a facade. Every factor
-is smooth and rises with its evidence, so a little more of it never lowers a score.
+A product, since each factor vetoes. Every factor is smooth and rises with its evidence, so a little
+more of it never lowers a score.
 """
 
 import math
@@ -32,7 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import NS_PER_S
+from schemas.attribution import Attribution
 from schemas.contradiction import Instance, Scene
+from workers.contradiction.attribution import attribute, tables
+from workers.contradiction.because import because_of
+from workers.contradiction.evidence import Evidence, Surroundings, evidence_of, surroundings_of
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
 from workers.contradiction.tracks import Track, frame_period_s, tie_tracks
 
@@ -50,6 +45,8 @@ class RankedTrack:
         points: Over all its instances.
         confirmed_share: Of them; None where the self-supervised stream says static or does not
             tell.
+        evidence: What is known about it, as named numbers; None where nothing was fitted to it.
+        attribution: Who is probably wrong about it; None likewise.
     """
 
     track: Track
@@ -58,6 +55,8 @@ class RankedTrack:
     speed_m_per_s: float
     class_name: str
     points: int
+    evidence: Evidence | None = None
+    attribution: Attribution | None = None
     confirmed_share: float | None = None
 
 
@@ -66,8 +65,9 @@ def rank_tracks(
 ) -> tuple[RankedTrack, ...]:
     """Tie the instances of a scene to tracks, strongest first; equal ones by first instance."""
     period_s = frame_period_s(scene)
+    around = surroundings_of(scene, instances)
     ranked = [
-        _rank(scene, track, [instances[i] for i in track.members], period_s, settings)
+        _rank(scene, track, [instances[i] for i in track.members], around, period_s, settings)
         for track in tie_tracks(scene, instances)
     ]
     ranked.sort(key=lambda each: (-each.strength, each.track.members[0]))
@@ -133,12 +133,12 @@ def _rank(
     scene: Scene,
     track: Track,
     members: Sequence[Instance],
+    around: Surroundings,
     period_s: float,
     settings: ScoreSettings,
 ) -> RankedTrack:
     points = np.array([len(member.point_index) for member in members])
     sure = np.array([m.semantic_confidence * m.predictive_confidence for m in members])
-    own = float(np.average([member.own_share for member in members], weights=points))
     velocities = np.stack([member.velocity_m_per_s for member in members])
     first, last = members[0].frame_index, members[-1].frame_index
     stamps_s = np.array(
@@ -146,6 +146,20 @@ def _rank(
     )
     size_m = np.median([member.size_m for member in members], axis=0)
     box = box_plausibility(size_m, settings) if scene.task.of_things else 1.0
+    evidence = attribution = None
+    if track.kind.name in tables():
+        fits = 0.0
+        if track.kind.measured or track.kind.of_witness:
+            fits = motion_plausibility(track.centres_m, stamps_s, velocities, settings)
+        evidence = evidence_of(
+            scene, track, members, around, road_user=box, speed_fits=fits, settings=settings
+        )
+        because = because_of(track.kind.name, evidence)
+        attribution = attribute(track.kind.name, evidence, because=because)
+        worth = attribution.supervised_wrong
+    else:  # a task for which nothing was fitted: a sure clash about a thing on its own
+        own = float(np.average([member.own_share for member in members], weights=points))
+        worth = float(np.average(sure, weights=points)) * box * own
     strength = (
         persistence(
             frames=len(members),
@@ -154,14 +168,9 @@ def _rank(
             scale_s=settings.persistence_s,
         )
         * (1.0 - math.exp(-float(np.median(points)) / settings.evidence_points))
-        * float(np.average(sure, weights=points))
-        * box
-        * own
+        * worth
     )
-    if track.kind.measured:
-        strength *= motion_plausibility(track.centres_m, stamps_s, velocities, settings)
     confirmed_share = _confirmed_share(members, points)
-    strength *= proof(confirmed_share, settings)
     speeds = np.linalg.norm(velocities, axis=1)
     return RankedTrack(
         track=track,
@@ -171,6 +180,8 @@ def _rank(
         class_name=_commonest([member.class_name for member in members], points),
         points=int(points.sum()),
         confirmed_share=confirmed_share,
+        evidence=evidence,
+        attribution=attribution,
     )
 
 

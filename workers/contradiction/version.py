@@ -2,9 +2,10 @@
 
 import hashlib
 from functools import cache
-from importlib import metadata
+from importlib import metadata, resources
 from typing import Final
 
+from workers.contradiction.attribution import FILE
 from workers.sources import source_digest
 
 LIBRARIES: Final = ("numpy", "scikit-learn", "scipy")
@@ -18,6 +19,7 @@ def contradiction_version() -> str:
         `contradiction@` and twelve hexadecimal digits.
     """
     digest = hashlib.sha256(source_digest("workers.contradiction").encode())
+    digest.update(resources.files("workers.contradiction").joinpath(FILE).read_bytes())
     for library in LIBRARIES:
         digest.update(f"{library}=={metadata.version(library)}\n".encode())
     return f"contradiction@{digest.hexdigest()[:12]}"

@@ -1,8 +1,8 @@
 """Whether poses hang together, by a second registration; what slipped is put back for the witness.
 
 A slip is a step between two frames that static structure contradicts: at once, or little by little
-over half a second. What is put back lets the witness go on seeing past it, while the streams, which
-believed the pose, are doubted for as long as they remember.
+over half a second. A step is put back, which lets the witness go on seeing past it, while the
+streams, which believed the pose, are doubted for as long as they remember.
 """
 
 from collections import deque
@@ -21,9 +21,14 @@ STEP_RAD: Final = float(np.radians(0.25))
 a healthy odometry by 0.04 m and 0.17 degrees at most; less than this moves no static thing out of
 the margins of free space."""
 
-SLOW_M: Final = 0.15
-SLOW_RAD: Final = float(np.radians(0.45))
-"""Over half a second; at most 0.07 m and 0.25 degrees where nothing slips."""
+SLOW_M: Final = 0.20
+SLOW_RAD: Final = float(np.radians(0.8))
+"""Over half a second; healthy odometry is off by up to 0.1 m and 0.5 degrees."""
+
+BETTER: Final = 0.7
+"""What must be left of the distance to planes, at most, once the frame is moved."""
+
+SLOW_EVERY: Final = 3
 
 SLOW_NS: Final = NS_PER_S // 2
 _LEAST_SHARE: Final = 0.6
@@ -44,10 +49,11 @@ class Fit:
 
 
 class PoseCheck:
-    """Registers every frame to the one before it, and to the one half a second before."""
+    """Registers every frame to the one before it, and some to the one half a second before."""
 
     def __init__(self) -> None:
         self._known: deque[tuple[int, Structure]] = deque()
+        self._count = 0
 
     def clear(self) -> None:
         """Forget the frames so far: what comes hangs together with none of them."""
@@ -82,18 +88,19 @@ class PoseCheck:
         step = misfit_between(before, structure)
         if step is not None and _off(step, STEP_M, STEP_RAD):
             return Fit(_said(step, stamp_ns - before_ns), step.correction)
+        self._count += 1
         first_ns, first = self._known[0]
-        if len(self._known) < 2 or stamp_ns - first_ns < SLOW_NS // 2:
+        if self._count % SLOW_EVERY or stamp_ns - first_ns < SLOW_NS // 2:
             return Fit()
         slow = misfit_between(first, structure)
         if slow is not None and _off(slow, SLOW_M, SLOW_RAD):
-            return Fit(_said(slow, stamp_ns - first_ns), slow.correction)
+            return Fit(_said(slow, stamp_ns - first_ns))
         return Fit()
 
 
 def _off(misfit: Misfit, most_m: float, most_rad: float) -> bool:
     moved = misfit.shift_m > most_m or misfit.turn_rad > most_rad
-    return moved and misfit.share >= _LEAST_SHARE and misfit.after_m < misfit.before_m
+    return moved and misfit.share >= _LEAST_SHARE and misfit.after_m < BETTER * misfit.before_m
 
 
 def _said(misfit: Misfit, age_ns: int) -> str:

@@ -27,6 +27,10 @@ _CLOSEST_REACH_M: Final = 0.35
 _WIDEST_M: Final = 0.4
 """Gaps that count in the first step; half in each further one: ends of cars are few."""
 
+_LEAST_M: Final = 0.03
+"""Noise of the sensor: nothing less is worth telling apart."""
+
+_MOST: Final = 0.9
 _CONVERGED: Final = 2e-3
 _HELD: Final = 0.02
 """Information along a direction over that of the best one, under which it is not held."""
@@ -56,7 +60,7 @@ class Misfit:
     Attributes:
         shift_m: At the sensor.
         turn_rad: About it.
-        before_m: Median distance to planes as the odometry has it.
+        before_m: Distance to planes that nine in ten keep, as the odometry has it.
         after_m: The same once moved.
         share: Of the sample that has a counterpart.
         correction: (4, 4) that moves it there, odom space.
@@ -115,9 +119,12 @@ def misfit_between(reference: Structure, moved: Structure) -> Misfit | None:
             return None
         planes = normals[met] @ rotation.T
         gap_m = ((reference.tree.data[at[met]] - placed[met]) * planes).sum(axis=1)
-        after_m = float(np.median(np.abs(gap_m)))
+        size_m = np.abs(gap_m)
+        after_m = float(np.quantile(size_m, _MOST))
         before_m = after_m if np.isnan(before_m) else before_m
-        step = _step(turned[met], planes, gap_m, max(_WIDEST_M * 0.5**count, 2.0 * after_m, 0.03))
+        usual_m = 2.0 * float(np.median(size_m))
+        tolerated_m = max(_WIDEST_M * 0.5**count, usual_m, _LEAST_M)
+        step = _step(turned[met], planes, gap_m, tolerated_m)
         rotation = _rotation(step[:3]) @ rotation
         shift = shift + step[3:]
         reach_m = max(_CLOSEST_REACH_M, 0.7 * reach_m)

@@ -214,7 +214,7 @@ def _track_rows(
             key = stray.key
         rows.append(
             TrackRow(
-                kind=each.track.kind.value,
+                kind=each.track.kind.name,
                 strength=record.strength,
                 frames=len(members),
                 points=each.points,

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from schemas.frame import PosedFrame
 from schemas.labels import FrameLabels, MotionLabel
+from schemas.task import Task
 from schemas.work import MiningSettings
 from workers.geometry.range_image import RangeImage
 from workers.supervised.networks import RangeImageNetwork
@@ -71,6 +72,11 @@ class ProbedStream:
     def version(self) -> str:
         """That of the stream that is probed."""
         return self._inner.version
+
+    @property
+    def task(self) -> Task:
+        """That of the stream that is probed."""
+        return self._inner.task
 
     @property
     def class_names(self) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from schemas.arrays import Mask
 from schemas.contradiction import ContradictionKind, Instance, Scene
+from schemas.task import MOTION
 from workers.contradiction.boxes import fit_box
 from workers.contradiction.instances import cluster_places
 from workers.contradiction.settings import DEFAULT_INSTANCES
@@ -134,7 +135,7 @@ def _instances(frame: SeenFrame, number: int, candidates: Points) -> Iterator[In
             continue
         centre_m, size_m, yaw_rad = fit_box(cloud[mine])
         yield Instance(
-            kind=ContradictionKind.ONLY_SEMANTIC_DYNAMIC,
+            kind=MOTION.kind(ContradictionKind.ONLY_SEMANTIC_DYNAMIC),
             frame_index=number,
             point_index=mine,
             centre_m=centre_m,

@@ -1,0 +1,38 @@
+"""Which stream is probably wrong about a contradicting thing, how sure that is, and why."""
+
+from enum import StrEnum
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Chance = Annotated[float, Field(ge=0, le=1)]
+"""A probability."""
+
+
+class Wrong(StrEnum):
+    """Who is wrong about a thing."""
+
+    SUPERVISED = "supervised"
+    SELFSUPERVISED = "selfsupervised"
+    BOTH = "both"
+    NEITHER = "neither"
+
+
+class Attribution(BaseModel):
+    """Who is probably wrong about a track; the four chances add up to 1, but for rounding."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    wrong: Wrong = Field(description="The likeliest of the four.")
+    supervised: Chance = Field(description="That the supervised stream alone is wrong.")
+    selfsupervised: Chance = Field(description="That the self-supervised stream alone is wrong.")
+    both: Chance = Field(description="That both are wrong, and the witness right.")
+    neither: Chance = Field(description="That both are right, and the witness wrong.")
+    because: tuple[str, ...] = Field(
+        default=(), max_length=6, description="What speaks for it, in words."
+    )
+
+    @property
+    def supervised_wrong(self) -> float:
+        """Chance that the supervised stream is wrong, alone or not."""
+        return min(1.0, self.supervised + self.both)

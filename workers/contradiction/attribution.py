@@ -1,0 +1,98 @@
+"""Who is wrong about a track: chances that follow from named evidence by one published table.
+
+    odds of each answer = intercept + sum of weight x evidence;   chance = exp(odds) / sum of exp
+
+One multinomial logistic regression for each kind of contradiction, over the numbers of
+`evidence.py`, all of them between 0 and 1, so that a weight says what its evidence is worth. Fitted
+by `python -m workers.training.attribution` on logs with truth and written to `attribution.json`,
+with a card that says on what, and how well. An answer without a row has no chance.
+"""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Any, Final
+
+from schemas.attribution import Attribution, Wrong
+from workers.contradiction.evidence import NAMES, Evidence
+
+FILE: Final = "attribution.json"
+_DIGITS: Final = 3
+_MOST_ODDS: Final = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class Odds:
+    """Log-odds of one answer.
+
+    Attributes:
+        intercept: Where all evidence is 0.
+        weights: What each named number adds at 1; those left out add nothing.
+    """
+
+    intercept: float
+    weights: Mapping[str, float]
+
+    def of(self, evidence: Mapping[str, float]) -> float:
+        """Log-odds that follow from evidence, against those of the other answers."""
+        odds = self.intercept + sum(
+            weight * evidence[name] for name, weight in self.weights.items()
+        )
+        return max(-_MOST_ODDS, min(_MOST_ODDS, odds))
+
+
+Table = Mapping[Wrong, Odds]
+"""The odds of each answer that a kind of contradiction allows."""
+
+
+def table_of(rows: Mapping[str, Any]) -> Table:
+    """Read the rows of one kind.
+
+    Raises:
+        ValueError: If they rest on evidence that does not exist.
+    """
+    table = {}
+    for wrong, row in rows.items():
+        if unknown := sorted(set(row["weights"]) - set(NAMES)):
+            raise ValueError(f"{FILE} rests on evidence that there is not: {', '.join(unknown)}")
+        table[Wrong(wrong)] = Odds(float(row["intercept"]), dict(row["weights"]))
+    return table
+
+
+@cache
+def tables() -> Mapping[str, Table]:
+    """Read the tables that ship, by the name of the kind of contradiction."""
+    text = resources.files("workers.contradiction").joinpath(FILE).read_text(encoding="utf-8")
+    return {kind: table_of(rows) for kind, rows in json.loads(text)["kinds"].items()}
+
+
+def chances(table: Table, evidence: Mapping[str, float]) -> dict[Wrong, float]:
+    """Chance of each answer; they add up to 1."""
+    odds = {wrong: row.of(evidence) for wrong, row in table.items()}
+    highest = max(odds.values())
+    shares = {wrong: math.exp(value - highest) for wrong, value in odds.items()}
+    total = sum(shares.values())
+    return {wrong: shares.get(wrong, 0.0) / total for wrong in Wrong}
+
+
+def attribute(kind: str, evidence: Evidence, *, because: tuple[str, ...] = ()) -> Attribution:
+    """Say who is wrong about a track.
+
+    Args:
+        kind: Name of the kind of contradiction.
+        evidence: What is known about the track.
+        because: What speaks for it, in words.
+    """
+    known = chances(tables()[kind], evidence.named())
+    rounded = {wrong: round(chance, _DIGITS) for wrong, chance in known.items()}
+    return Attribution(
+        wrong=max(Wrong, key=lambda wrong: rounded[wrong]),
+        supervised=rounded[Wrong.SUPERVISED],
+        selfsupervised=rounded[Wrong.SELFSUPERVISED],
+        both=rounded[Wrong.BOTH],
+        neither=rounded[Wrong.NEITHER],
+        because=because,
+    )

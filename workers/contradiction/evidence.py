@@ -1,0 +1,231 @@
+"""What is known about one track, as named numbers between 0 and 1: what attribution rests on."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import NS_PER_S
+from schemas.contradiction import Instance, Scene
+from schemas.frame import OdometryState
+from schemas.labels import MotionLabel
+from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
+from workers.contradiction.tracks import Track
+
+_FAR_M: Final = 80.0
+_PATH_M: Final = 1.0
+_STEADY_M: Final = 0.2
+_TURN_RAD_PER_S: Final = 0.3
+_FAST_M_PER_S: Final = 10.0
+_CROWD: Final = 8.0
+_LONG_M: Final = 12.0
+_TALL_M: Final = 3.0
+_THIN_M: Final = 0.4
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """Named, bounded numbers; every one is 0 to 1.
+
+    Attributes:
+        witness_moving: Share of its points that the witness calls dynamic.
+        witness_still: Share of its points that the witness calls static.
+        went: How far the box went over the ground along a straight line: half at a metre.
+        straight: How much of that is a path, and how much the box jumps about.
+        lasting: Seconds seen: 0.63 at half a second.
+        steady: Share of the frames of its span in which it contradicts.
+        many_points: Median points a frame: 0.63 at 25.
+        far: Range over 80 m.
+        road_user: Whether its box has the size of one.
+        long: Length over 12 m.
+        tall: Height over 3 m.
+        thin: Whether its box is thinner than 0.4 m.
+        own: Share of its surroundings that contradict alike.
+        supervised_sure: Mean confidence of the supervised stream.
+        selfsupervised_sure: Mean confidence of the self-supervised stream.
+        confirmed: Share of its points proved to move more than once; 0 where that is not told.
+        speed_fits: How well its path bears out the measured speed; 0 where none was measured.
+        fast: Measured speed over 10 m/s.
+        doubted: Share of its frames whose pose is not healthy.
+        turning: How fast the sensor turned: 1 at 0.3 rad/s.
+        unseen: Share of the places asked about in its frames that no other frame saw.
+        silent: Share of its points that the self-supervised stream says nothing about.
+        crowded: Whether much else contradicts in the same way in its frames: 0.63 at eight.
+    """
+
+    witness_moving: float
+    witness_still: float
+    went: float
+    straight: float
+    lasting: float
+    steady: float
+    many_points: float
+    far: float
+    road_user: float
+    long: float
+    tall: float
+    thin: float
+    own: float
+    supervised_sure: float
+    selfsupervised_sure: float
+    confirmed: float
+    speed_fits: float
+    fast: float
+    doubted: float
+    turning: float
+    unseen: float
+    silent: float
+    crowded: float
+
+    def named(self) -> dict[str, float]:
+        """All of them by name, rounded."""
+        return {name: round(float(getattr(self, name)), 4) for name in NAMES}
+
+
+NAMES: Final = tuple(field.name for field in fields(Evidence))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surroundings:
+    """What the tracks of a scene share: worked out once.
+
+    Attributes:
+        turn_rad_per_s: (F,) how fast the sensor turned in each frame.
+        unseen: (F,) share of what was asked about that no other frame saw.
+        doubted: (F,) 1 where the pose is not healthy.
+        crowd: Instances of each kind in each frame.
+    """
+
+    turn_rad_per_s: NDArray[np.float64]
+    unseen: NDArray[np.float64]
+    doubted: NDArray[np.float64]
+    crowd: dict[tuple[str, int], int]
+
+
+def surroundings_of(scene: Scene, instances: Sequence[Instance]) -> Surroundings:
+    """Work out what all tracks of a scene share."""
+    frames = scene.frames
+    poses = np.stack([frame.posed.odom_from_sensor for frame in frames])
+    heading = np.unwrap(np.arctan2(poses[:, 1, 0], poses[:, 0, 0]))
+    stamps_s = np.array([(frame.stamp_ns - scene.start_ns) / NS_PER_S for frame in frames])
+    turn = np.gradient(heading, stamps_s) if len(frames) > 1 else np.zeros(1)
+    seen = [
+        frame.witness.health.seen_share if frame.witness is not None else math.nan
+        for frame in frames
+    ]
+    crowd: dict[tuple[str, int], int] = {}
+    for instance in instances:
+        key = (instance.kind.name, instance.frame_index)
+        crowd[key] = crowd.get(key, 0) + 1
+    return Surroundings(
+        turn_rad_per_s=np.abs(turn),
+        unseen=1.0 - np.nan_to_num(np.array(seen), nan=0.0),
+        doubted=np.array([float(f.posed.odometry is not OdometryState.HEALTHY) for f in frames]),
+        crowd=crowd,
+    )
+
+
+def evidence_of(
+    scene: Scene,
+    track: Track,
+    members: Sequence[Instance],
+    around: Surroundings,
+    *,
+    road_user: float,
+    speed_fits: float,
+    settings: ScoreSettings = DEFAULT_SCORE,
+) -> Evidence:
+    """Gather what is known about a track.
+
+    Args:
+        scene: Where it was found.
+        track: The track.
+        members: Its instances.
+        around: What all tracks of the scene share.
+        road_user: How much its box looks like one.
+        speed_fits: How well its path bears out a measured speed; 0 where none is.
+        settings: Scales of time and points.
+    """
+    points = np.array([len(member.point_index) for member in members], dtype=np.float64)
+    at = np.array([member.frame_index for member in members])
+    stamps_s = np.array([(scene.frames[i].stamp_ns - scene.start_ns) / NS_PER_S for i in at])
+    size_m = np.median([member.size_m for member in members], axis=0)
+    went, straight = _path(track.centres_m, stamps_s)
+    moving, still = _testimony(scene, members)
+    speeds = np.linalg.norm([member.velocity_m_per_s for member in members], axis=1)
+    lasts_s = float(stamps_s[-1] - stamps_s[0])
+    kind = track.kind.name
+
+    def mean(values: Sequence[float]) -> float:
+        return float(np.average(values, weights=points))
+
+    return Evidence(
+        witness_moving=moving,
+        witness_still=still,
+        went=went,
+        straight=straight,
+        lasting=1.0 - math.exp(-lasts_s / settings.persistence_s),
+        steady=len(members) / float(at[-1] - at[0] + 1),
+        many_points=1.0 - math.exp(-float(np.median(points)) / settings.evidence_points),
+        far=_clip(mean([float(np.hypot(*m.centre_m[:2])) for m in members]) / _FAR_M),
+        road_user=_clip(road_user),
+        long=_clip(float(size_m[0]) / _LONG_M),
+        tall=_clip(float(size_m[2]) / _TALL_M),
+        thin=_clip(1.0 - float(size_m[1]) / _THIN_M),
+        own=_clip(mean([member.own_share for member in members])),
+        supervised_sure=_clip(mean([member.semantic_confidence for member in members])),
+        selfsupervised_sure=_clip(mean([member.predictive_confidence for member in members])),
+        confirmed=_clip(mean([member.confirmed_share or 0.0 for member in members])),
+        speed_fits=_clip(speed_fits),
+        fast=_clip(float(np.median(speeds)) / _FAST_M_PER_S),
+        doubted=mean(around.doubted[at].tolist()),
+        turning=_clip(float(around.turn_rad_per_s[at].max()) / _TURN_RAD_PER_S),
+        unseen=_clip(float(around.unseen[at].mean())),
+        silent=_silence(scene, members),
+        crowded=1.0
+        - math.exp(-(float(np.median([around.crowd[kind, i] for i in at.tolist()])) - 1) / _CROWD),
+    )
+
+
+def _path(centres_m: NDArray[np.float64], stamps_s: NDArray[np.float64]) -> tuple[float, float]:
+    """How far a straight line goes through the box centres, and how well it fits them."""
+    if len(stamps_s) < 3:
+        return 0.0, 0.0
+    time_s = stamps_s - stamps_s.mean()
+    spread = float((time_s**2).sum())
+    velocity = (time_s[:, None] * (centres_m[:, :2] - centres_m[:, :2].mean(axis=0))).sum(axis=0)
+    velocity = velocity / max(spread, 1e-9)
+    rest_m = centres_m[:, :2] - centres_m[:, :2].mean(axis=0) - time_s[:, None] * velocity
+    jumps_m = float(np.sqrt((rest_m**2).sum(axis=1).mean()))
+    went_m = float(np.linalg.norm(velocity)) * float(stamps_s[-1] - stamps_s[0])
+    return went_m / (went_m + _PATH_M), went_m / (went_m + 2.0 * jumps_m + _STEADY_M)
+
+
+def _testimony(scene: Scene, members: Sequence[Instance]) -> tuple[float, float]:
+    """Shares of the points of a track that the witness calls dynamic and static."""
+    counts = np.zeros(3)
+    for member in members:
+        witness = scene.frames[member.frame_index].witness
+        if witness is None:
+            counts[MotionLabel.UNKNOWN] += len(member.point_index)
+            continue
+        counts += np.bincount(witness.labels[member.point_index], minlength=3)
+    shares = counts / max(1.0, float(counts.sum()))
+    return float(shares[MotionLabel.DYNAMIC]), float(shares[MotionLabel.STATIC])
+
+
+def _silence(scene: Scene, members: Sequence[Instance]) -> float:
+    """Share of the points of a track that the self-supervised stream does not judge."""
+    silent = total = 0
+    for member in members:
+        said = scene.frames[member.frame_index].predictive.labels[member.point_index]
+        silent += int((said == MotionLabel.UNKNOWN).sum())
+        total += len(said)
+    return silent / max(1, total)
+
+
+def _clip(value: float) -> float:
+    return min(1.0, max(0.0, value))
