@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, timedelta
 from multiprocessing import get_context
 from pathlib import Path
@@ -202,7 +202,10 @@ def write_planned(
 def planned_street(plan: LogPlan) -> Street:
     """Build the street of a planned log; it depends on the plan alone."""
     rng = np.random.default_rng([plan.seed, 0x91A4])
-    return build_street(plan.seed, seconds=plan.seconds, plan=draw_plan(rng, hard=plan.hard))
+    drawn = draw_plan(rng, hard=plan.hard)
+    return build_street(
+        plan.seed, seconds=plan.seconds, plan=replace(drawn, unsettling=plan.wants_common_mode)
+    )
 
 
 def put_into(street: Street, plan: LogPlan, *, lidar: Lidar) -> Planted:

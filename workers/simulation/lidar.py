@@ -26,9 +26,6 @@ _DROP: Final = 0.05
 """Reflectivity of drops and dust."""
 
 _LEAST_FACING: Final = 0.02
-_ROOF_ANSWERS: Final = 0.12
-"""Share of the beams onto the own car that come back; the rest is too near or masked."""
-
 _CREEPING_M_PER_S: Final = 0.2
 _MOVING_M_PER_S: Final = 0.5
 _GRID_PER_M: Final = 512
@@ -62,7 +59,10 @@ class Lidar:
         pitch_deg: How far the sensor is tilted nose down.
         reach_m: From here six pulses in ten come back from reflectivity 0.1, seen squarely.
         least_range_m: Nothing nearer is measured.
-        roof: Whether the car below it hides the ground, and answers a little.
+        roof: Whether the car below it hides the ground.
+        roof_answers: Share of the beams onto the own car that come back.
+        gain: Intensity of a surface of reflectivity 1, seen squarely.
+        gamma: Exponent of reflectivity in the intensity: makers compress it differently.
         name: Of the sensor and its mounting.
     """
 
@@ -79,6 +79,9 @@ class Lidar:
     reach_m: float = 130.0
     least_range_m: float = 0.5
     roof: bool = False
+    roof_answers: float = 0.12
+    gain: float = 255.0
+    gamma: float = 1.0
     name: str = "spinning lidar"
 
     @property
@@ -240,7 +243,8 @@ def _measured(
     motion[(class_id == StreetClass.NOISE) | (class_id == StreetClass.EGO)] = 0
     ground = _IS_GROUND[class_id]
     speckle = 1.0 + 0.1 * rng.standard_normal(len(beam), dtype=np.float32)
-    value = 255 * shine[beam] * speckle * (0.35 + 0.65 * hits.facing[beam])
+    value = lidar.gain * shine[beam] ** np.float32(lidar.gamma)
+    value *= speckle * (0.35 + 0.65 * hits.facing[beam])
     return SimulatedFrame(
         index=index,
         time_s=time_s,
@@ -272,7 +276,7 @@ def _answered(
     share = 1.0 - (1.0 - share) * (1.0 - _PASSES[hits.material])
     share[hits.class_id == StreetClass.NOISE] = 0.0
     if lidar.roof:
-        share[hits.class_id == StreetClass.EGO] = 1.0 - _ROOF_ANSWERS
+        share[hits.class_id == StreetClass.EGO] = 1.0 - lidar.roof_answers
     share[(range_m >= lidar.max_range_m) | (range_m <= lidar.least_range_m)] = 1.0
     answered: Mask = rng.random(len(range_m), dtype=np.float32) >= share
     return answered
@@ -288,7 +292,9 @@ def _own_roof(lidar: Lidar) -> NDArray[np.float32]:
     """Cast every beam once at the own car, which never moves against the sensor."""
     roof_m = lidar.height_m - 0.42
     parts = [
-        box(2.6, 1.5, roof_m - 0.5, roof_m, what=StreetClass.EGO, material=Material.METAL, x_m=0.3),
+        box(
+            2.3, 1.45, roof_m - 0.5, roof_m, what=StreetClass.EGO, material=Material.METAL, x_m=0.3
+        ),
         box(4.7, 1.85, 0.4, 1.0, what=StreetClass.EGO, material=Material.METAL),
     ]
     mesh = Mesh.merged(parts).placed(-lidar.forward_m, 0.0, -lidar.height_m)

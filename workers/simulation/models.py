@@ -1,5 +1,6 @@
 """What each kind of actor is made of: bodies with windows and wheels, people whose legs swing."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
@@ -45,12 +46,21 @@ def models_of(street_class: StreetClass) -> tuple[Model, ...]:
     return _MAKERS[street_class]()
 
 
-def _model(name: str, what: StreetClass, phases: list[list[Mesh]], stride_m: float = 1.0) -> Model:
+def _model(
+    name: str,
+    what: StreetClass,
+    phases: list[list[Mesh]],
+    stride_m: float = 1.0,
+    *,
+    beyond_size: Sequence[Mesh] = (),
+) -> Model:
+    """Put a model together; what is `beyond_size` sticks out of its box."""
     meshes = tuple(Mesh.merged(parts) for parts in phases)
     corners = np.concatenate([mesh.corners_m for mesh in meshes])
     half = np.abs(corners[:, :2]).max(axis=0)
     size = (2 * float(half[0]), 2 * float(half[1]), float(corners[:, 2].max()))
-    return Model(name, what, size, meshes, stride_m)
+    whole = tuple(Mesh.merged([mesh, *beyond_size]) for mesh in meshes)
+    return Model(name, what, size, whole, stride_m)
 
 
 def _wheels(
@@ -98,7 +108,7 @@ def _vehicle(
         ]
         parts.append(loft(roof, what=what, sides=Material.COLOURED, top=Material.COLOURED))
     mirror_x = cabin[-1][0] - 0.25
-    parts += [
+    mirrors = [
         box(
             *(0.12, 0.2, cabin[-1][3], cabin[-1][3] + 0.15),
             what=what,
@@ -108,7 +118,7 @@ def _vehicle(
         )
         for side in (1, -1)
     ]
-    return _model(name, what, [parts])
+    return _model(name, what, [parts], beyond_size=mirrors)
 
 
 def _plates(what: StreetClass, nose: Section, tail: Section) -> list[Mesh]:
@@ -289,6 +299,13 @@ def _trucks() -> tuple[Model, ...]:
         chassis(-7.8, 7.8),
         *_wheels(truck, [(6.7, 1.05), (6.7, -1.05), *axles], 0.5, 0.35),
     ]
+    road_train = [
+        *cab(9.4),
+        hold(-0.9, 7.2, 1.1, 3.9),
+        hold(-9.4, -2.2, 1.1, 3.9),
+        chassis(-9.2, 9.2),
+        *_wheels(truck, [*_four(8.1, 8.3, 1.05), *_four(1.0, 3.6, 1.05)], 0.5, 0.35),
+    ]
     tipper = [
         *cab(3.6),
         loft(
@@ -303,6 +320,7 @@ def _trucks() -> tuple[Model, ...]:
     return (
         _model("lorry", truck, [lorry]),
         _model("long lorry", truck, [long]),
+        _model("road train", truck, [road_train]),
         _model("tipper", truck, [tipper]),
     )
 
@@ -342,7 +360,7 @@ def _buses() -> tuple[Model, ...]:
         ]
         return _model(name, bus, [parts])
 
-    return (made("bus", 6.0), made("short bus", 4.2))
+    return (made("bus", 6.0), made("short bus", 4.2), made("articulated bus", 9.3))
 
 
 def _person(

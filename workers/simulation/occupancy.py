@@ -9,6 +9,7 @@ from workers.simulation.drive import Drive, Floats
 
 _STEP_S: Final = 0.1
 _KEEP_APART_M: Final = 1.0
+_ASIDE_M: Final = 0.15
 
 
 class Occupancy:
@@ -25,7 +26,7 @@ class Occupancy:
         self._sizes.append(size_m[:2])
 
     def is_free(self, drive: Drive, size_m: tuple[float, float, float]) -> bool:
-        """Whether boxes never come within a metre of each other; each in the other's axes."""
+        """Whether boxes never come within a metre lengthwise, or a hand's breadth sideways."""
         if not self._poses:
             return True
         mine = drive.pose(self._time)
@@ -60,6 +61,6 @@ def _meet(
     c, s = np.cos(theirs[:, 2]), np.sin(theirs[:, 2])
     along, aside = np.abs(c * dx + s * dy), np.abs(-s * dx + c * dy)
     near_along = along < (other_length + length * cos + width * sin) / 2 + _KEEP_APART_M
-    near_aside = aside < (other_width + length * sin + width * cos) / 2 + 0.3 * _KEEP_APART_M
+    near_aside = aside < (other_width + length * sin + width * cos) / 2 + _ASIDE_M
     met: NDArray[np.bool_] = near_along & near_aside
     return bool(np.any(met))

@@ -16,7 +16,7 @@ from workers.simulation.drive import (
     stand,
     turning_route,
 )
-from workers.simulation.kinds import StreetClass
+from workers.simulation.kinds import VEHICLES, StreetClass
 from workers.simulation.models import models_of
 from workers.simulation.occupancy import Occupancy
 from workers.simulation.places import Place
@@ -108,19 +108,41 @@ class Traffic:
         self._people()
         self._animals()
 
-    def follow(self, route: Road, from_m: float, cruise_m_per_s: float, **care: object) -> None:
-        """Let somebody drive ahead of the ego, and somebody behind."""
-        for gap in (float(self.rng.uniform(12.0, 22.0)), -float(self.rng.uniform(10.0, 16.0))):
-            if self.rng.random() < 0.75 and from_m + gap > 0.0:
-                drive = drive_with_care(
-                    route,
-                    from_m=from_m + gap,
-                    across_m=0.0,
-                    cruise_m_per_s=cruise_m_per_s,
-                    seconds=self.seconds,
-                    **care,  # type: ignore[arg-type]
-                )
-                self._offer(self._drawn(_LANE_MIX), drive)
+    def unsettle(self) -> None:
+        """Let in what is easily taken for standing: very long, very slow, or close to a wall."""
+        rng, place = self.rng, self.place
+        long_ones = ((StreetClass.BUS, "articulated bus"), (StreetClass.TRUCK, "road train"))
+        for backwards in (True, False, True):
+            what, name = long_ones[int(rng.integers(len(long_ones)))]
+            model = [each.name for each in models_of(what)].index(name)
+            lane_m = place.lanes_m[-1] if not backwards else place.lanes_m[0]
+            lane = self.main.lane(lane_m * (1 if backwards else -1), backwards=backwards)
+            cruise = float(rng.uniform(*place.cruise_m_per_s))
+            low, high = self._window(lane, cruise)
+            drive = drive_with_care(
+                lane,
+                from_m=float(rng.uniform(low + 60.0, max(high - 60.0, low + 61.0))),
+                across_m=0.0,
+                cruise_m_per_s=cruise,
+                seconds=self.seconds,
+            )
+            self._offer(what, drive, model=model)
+        if place.people_per_100_m == 0.0:
+            return
+        for along in self._stretches(14.0):
+            side = 1 if rng.random() < 0.5 else -1
+            along_wall = rng.random() < 0.5 and place.pavement_m > 3.0
+            walk = float(rng.uniform(1.0, 1.8) if along_wall else rng.uniform(0.55, 0.9))
+            across = place.facade_m - 0.8 if along_wall else place.kerb_m + rng.uniform(0.6, 1.8)
+            drive = drive_along(
+                self.main,
+                from_m=along,
+                across_m=side * float(across),
+                speed=[(0.0, walk), (self.seconds, walk)],
+                seconds=self.seconds,
+                backwards=bool(rng.random() < 0.5),
+            )
+            self._offer(StreetClass.PEDESTRIAN, drive)
 
     def offer_companion(self, drive: Drive) -> None:
         """Let somebody drive as given, if there is room."""
@@ -138,7 +160,8 @@ class Traffic:
         self, what: StreetClass, drive: Drive, *, model: int | None = None, parked: bool = False
     ) -> bool:
         chosen = self._model(what) if model is None else model
-        shine = float(np.clip(self.rng.lognormal(-1.0, 0.6), 0.06, 0.9))
+        middle, spread = (-2.4, 0.9) if what in VEHICLES else (-1.1, 0.5)
+        shine = float(np.clip(self.rng.lognormal(middle, spread), 0.02, 0.9))
         actor = Actor(what, drive, parked=parked, model=chosen, reflectivity=shine)
         way = drive.pose(np.arange(0.0, self.seconds, 0.5))
         if np.hypot(*(way - self._ego_way)[:, :2].T).min() > _SEEN_M:

@@ -50,6 +50,7 @@ class StreetPlan:
         steep: Steepest grade.
         rain_share: Beams answered by drops.
         dust: Whether vehicles and wind raise dust.
+        unsettling: Whether much moves that is easily taken for standing.
     """
 
     place: PlaceName = "town"
@@ -58,6 +59,7 @@ class StreetPlan:
     steep: float = 0.01
     rain_share: float = 0.0
     dust: bool = False
+    unsettling: bool = False
 
 
 def draw_plan(rng: np.random.Generator, *, hard: bool) -> StreetPlan:
@@ -142,6 +144,8 @@ def build_street(
     for leader in leaders:
         traffic.offer_companion(leader)
     traffic.park(low, high)
+    if plan.unsettling:
+        traffic.unsettle()
     traffic.move()
     bounds = (
         float(ego.x_m.min()) - 130.0,
