@@ -5,6 +5,7 @@ then a commit names them all; the service answers it once everything is on disk.
 without that answer will be done again, byte for byte the same.
 """
 
+import sys
 import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -94,7 +95,6 @@ def run_worker(
         TransientError: If bucket or artifacts cannot be opened now.
         PermanentError: If what the service asks for cannot be done here at all.
     """
-    _one_thread_only()
     observer, metrics = observer or WorkerObserver(), metrics or WorkerMetrics()
     with (
         structlog.contextvars.bound_contextvars(worker_id=config.worker_id),
@@ -164,6 +164,7 @@ class Worker:
         settings = self._leases.hello(stop=self._stop)
         if self._equipped is None or self._equipped.settings != settings:
             self._equipped = equip(settings)
+            one_thread_only()
             self._observer.equipped()
             log.info("worker ready", pipeline_version=self._equipped.version)
         return self._equipped
@@ -287,8 +288,12 @@ def _summary(error: Exception) -> str:
     return f"{type(error).__name__}: {error} ({where})"
 
 
-def _one_thread_only() -> None:
-    """More cores are more workers, and results must not hang on how many there are."""
-    import torch
+def one_thread_only() -> None:
+    """More cores are more workers, and results must not hang on how many there are.
 
-    torch.set_num_threads(1)
+    Parts that need torch load it when they are built; without them it would only take 150 MiB.
+    """
+    if "torch" in sys.modules:
+        import torch
+
+        torch.set_num_threads(1)

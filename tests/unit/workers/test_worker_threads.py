@@ -1,0 +1,28 @@
+import subprocess
+import sys
+
+import pytest
+
+EQUIPPED = """
+import sys
+import workers.worker
+from schemas.work import MiningSettings
+from workers.equipment import equip
+
+settings = MiningSettings(bucket="memory://", artifacts="memory://", supervised=sys.argv[1])
+equip(settings)
+workers.worker.one_thread_only()
+if "torch" in sys.modules:
+    import torch
+
+    print(torch.get_num_threads())
+"""
+
+
+@pytest.mark.parametrize(("supervised", "said"), [("recorded", ""), ("salsanext-lmnet", "1")])
+def test_a_worker_loads_torch_only_for_parts_that_need_it_and_then_uses_one_thread(
+    supervised: str, said: str
+) -> None:
+    command = [sys.executable, "-c", EQUIPPED, supervised]
+    asked = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert asked.stdout.strip() == said
