@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from service.failure_plots import html_table, plot
 
 if TYPE_CHECKING:
-    from workers.evaluation.failures.attribution import Attribution
+    from workers.evaluation.failures.attribution import WhoIsWrong
     from workers.evaluation.failures.bench import FailureBench
     from workers.evaluation.failures.calibration import Calibration
     from workers.evaluation.failures.natural import NaturalTable
@@ -123,7 +123,7 @@ def _reliability(title: str, found: "Calibration") -> str:
     return plot(f"{title}{error}", line, x="said", y="was", dots=True, diagonal=True)
 
 
-def _who(found: "Attribution") -> list[str]:
+def _who(found: "WhoIsWrong") -> list[str]:
     return [
         f"<h3>Who is wrong</h3><p>Balanced accuracy {found.accuracy}, always the commonest "
         f"{found.commonest}.</p>",

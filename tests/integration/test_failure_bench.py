@@ -5,7 +5,6 @@ import pytest
 
 from service.cli.main import main
 from workers.simulation.fleet import FleetOptions, write_planned
-from workers.simulation.lidar import Lidar
 from workers.simulation.plan import FailureKind, LogPlan, PlannedFailure
 
 pytestmark = [pytest.mark.integration, pytest.mark.timeout(900)]
@@ -18,7 +17,7 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for number, kind in enumerate((FailureKind.MISSED_MOVER, FailureKind.PARKED_CALLED_MOVING)):
         wanted = PlannedFailure(2, kind)
         plan = LogPlan(number, 7 + number, 4, False, "2026.1", failures=(wanted,))
-        write_planned(folder, plan, options=FleetOptions(lidar=Lidar(columns=512)))
+        write_planned(folder, plan, options=FleetOptions(columns=512))
     return folder
 
 

@@ -3,6 +3,7 @@ from typing import Any
 
 import pytest
 
+from schemas.attribution import Attribution, Wrong
 from schemas.work import MiningSettings, Part, Recording
 from service.failure_report import write_report
 from workers.evaluation.failures.attribution import attribute
@@ -15,7 +16,6 @@ from workers.evaluation.failures.planted import planted_table
 from workers.evaluation.failures.probes import Probing
 from workers.evaluation.failures.rows import MinedLog, SceneRow, ThingRow, TrackRow
 from workers.evaluation.failures.undisturbed import by_disturbance, slipped, threshold_of
-from workers.evaluation.failures.verdicts import Verdict
 
 SCENES = 10
 
@@ -36,10 +36,11 @@ def thing(key: str = "track 1", **changes: Any) -> ThingRow:
     return ThingRow(**(fields | changes))
 
 
-def track(verdict: Verdict | None, said: Verdict | None = None, **changes: Any) -> TrackRow:
-    posterior = None
+def track(verdict: Wrong | None, said: Wrong | None = None, **changes: Any) -> TrackRow:
+    told = None
     if said is not None:
-        posterior = {each.value: 0.7 if each is said else 0.1 for each in Verdict}
+        chances = {each.value: 0.7 if each is said else 0.1 for each in Wrong}
+        told = Attribution.model_validate({"wrong": said, **chances})
     fields: dict[str, Any] = {
         "kind": "only_predictive_dynamic",
         "strength": 0.5,
@@ -48,7 +49,7 @@ def track(verdict: Verdict | None, said: Verdict | None = None, **changes: Any) 
         "thing": "track 1",
         "true_track": 1,
         "verdict": verdict,
-        "posterior": posterior,
+        "said": told,
     }
     return TrackRow(**(fields | changes))
 
@@ -128,7 +129,7 @@ def test_a_thing_that_fails_in_two_scenes_is_one_failure_and_a_swap_is_one() -> 
 
 def test_a_common_mode_failure_surfaces_by_the_witness_and_a_high_rank() -> None:
     shared = thing(common_mode=True, kind="missed_mover", other_wrong_share=0.9)
-    witness = track(Verdict.BOTH, kind=WITNESS_ALONE)
+    witness = track(Wrong.BOTH, kind=WITNESS_ALONE)
     scenes = [
         row(0, 0.9, shared, tracks=(witness,)),
         row(1, 0.01, shared, tracks=(witness,)),
@@ -143,12 +144,12 @@ def test_a_common_mode_failure_surfaces_by_the_witness_and_a_high_rank() -> None
 
 
 def test_balanced_accuracy_is_the_mean_recall_of_what_occurs_ten_times() -> None:
-    tracks = [track(Verdict.SUPERVISED, Verdict.SUPERVISED)] * 30
-    tracks += [track(Verdict.SELFSUPERVISED, Verdict.SELFSUPERVISED)] * 5
-    tracks += [track(Verdict.SELFSUPERVISED, Verdict.SUPERVISED)] * 5
-    tracks += [track(Verdict.BOTH, Verdict.SUPERVISED)] * 9  # too few to count
-    tracks += [track(None, Verdict.BOTH)] * 20  # truth does not say
-    tracks += [track(Verdict.NEITHER, Verdict.BOTH, frames=2)] * 20  # too short
+    tracks = [track(Wrong.SUPERVISED, Wrong.SUPERVISED)] * 30
+    tracks += [track(Wrong.SELFSUPERVISED, Wrong.SELFSUPERVISED)] * 5
+    tracks += [track(Wrong.SELFSUPERVISED, Wrong.SUPERVISED)] * 5
+    tracks += [track(Wrong.BOTH, Wrong.SUPERVISED)] * 9  # too few to count
+    tracks += [track(None, Wrong.BOTH)] * 20  # truth does not say
+    tracks += [track(Wrong.NEITHER, Wrong.BOTH, frames=2)] * 20  # too short
     found = attribute(tracks)
     assert found.accuracy == pytest.approx(0.75)
     assert found.commonest == 0.5
@@ -159,7 +160,7 @@ def test_balanced_accuracy_is_the_mean_recall_of_what_occurs_ten_times() -> None
 
 
 def test_what_no_record_says_has_no_accuracy() -> None:
-    found = attribute([track(Verdict.SUPERVISED)] * 20)
+    found = attribute([track(Wrong.SUPERVISED)] * 20)
     assert found.accuracy is None
     assert found.cases["supervised"] == 20
 
@@ -177,9 +178,9 @@ def test_disturbed_scenes_are_held_against_the_undisturbed_budget() -> None:
     assert (again.scenes, again.above) == (2, 1)
 
 
-def test_things_are_as_suspicious_as_the_track_on_them_and_its_blame() -> None:
-    blamed = track(Verdict.SUPERVISED, Verdict.SUPERVISED, thing="track 1")
-    excused = track(Verdict.SELFSUPERVISED, Verdict.SELFSUPERVISED, thing="track 2")
+def test_things_are_as_suspicious_as_the_strongest_track_on_them() -> None:
+    blamed = track(Wrong.SUPERVISED, strength=0.6, thing="track 1")
+    excused = track(Wrong.SELFSUPERVISED, strength=0.1, thing="track 2")
     right = thing("track 2", fails=False, kind="")
     table = natural_table(
         [log(0, row(0, 0.5, thing(), right, tracks=(blamed, excused)), row(1, 0.1))], draws=0

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
+from schemas.attribution import Wrong
 from schemas.contradiction import Scene
 from schemas.labels import MotionLabel
 from tests.factories import labelled, scene
@@ -13,7 +14,7 @@ from workers.contradiction.strength import rank_tracks
 from workers.evaluation.failures.seen import SeenFrame
 from workers.evaluation.failures.thing_views import thing_views
 from workers.evaluation.failures.things import find_things
-from workers.evaluation.failures.verdicts import Verdict, thing_under, verdict_of
+from workers.evaluation.failures.verdicts import thing_under, verdict_of
 from workers.evaluation.failures.views import flicker_share, views_of
 from workers.evaluation.objects import TrueObject
 from workers.evaluation.truth import FrameTruth
@@ -129,14 +130,14 @@ def test_labels_that_bleed_onto_what_touches_a_mover_are_no_phantom() -> None:
 @pytest.mark.parametrize(
     ("truth", "semantic", "predictive", "verdict"),
     [
-        (2, STATIC, DYNAMIC, Verdict.SUPERVISED),
-        (1, DYNAMIC, STATIC, Verdict.SUPERVISED),
-        (2, DYNAMIC, STATIC, Verdict.SELFSUPERVISED),
-        (1, STATIC, DYNAMIC, Verdict.SELFSUPERVISED),
+        (2, STATIC, DYNAMIC, Wrong.SUPERVISED),
+        (1, DYNAMIC, STATIC, Wrong.SUPERVISED),
+        (2, DYNAMIC, STATIC, Wrong.SELFSUPERVISED),
+        (1, STATIC, DYNAMIC, Wrong.SELFSUPERVISED),
     ],
 )
 def test_truth_says_who_is_wrong_about_a_contradicting_track(
-    truth: int, semantic: MotionLabel, predictive: MotionLabel, verdict: Verdict
+    truth: int, semantic: MotionLabel, predictive: MotionLabel, verdict: Wrong
 ) -> None:
     scene_, seen = world(
         truth={1: truth},
@@ -162,7 +163,7 @@ def test_a_contradiction_at_the_rim_of_what_both_know_blames_neither() -> None:
     instances = find_instances(scene_, class_names=())
     assert instances
     _, track = thing_under(instances, seen, find_things(scene_, seen))
-    assert verdict_of(instances, seen, track=track) is Verdict.NEITHER
+    assert verdict_of(instances, seen, track=track) is Wrong.NEITHER
 
 
 def test_where_truth_is_silent_nobody_is_blamed() -> None:

@@ -7,16 +7,16 @@ from typing import Final
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from schemas.attribution import Wrong
 from workers.evaluation.failures.calibration import Calibration, calibrate
 from workers.evaluation.failures.rows import TrackRow
-from workers.evaluation.failures.verdicts import Verdict
 
 MIN_CASES: Final = 10
 MIN_FRAMES: Final = 5
 MIN_POINTS: Final = 25
 
 
-class Attribution(BaseModel):
+class WhoIsWrong(BaseModel):
     """Who is wrong: said against true, over contradicting tracks of some length and size."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -38,42 +38,37 @@ def is_judged(track: TrackRow) -> bool:
     return enough and track.verdict is not None
 
 
-def attribute(tracks: Iterable[TrackRow]) -> Attribution:
+def attribute(tracks: Iterable[TrackRow]) -> WhoIsWrong:
     """Compare what records say with the truth."""
     judged = [track for track in tracks if is_judged(track)]
     cases = Counter(track.verdict for track in judged)
-    confusion: dict[Verdict, Counter[Verdict]] = {verdict: Counter() for verdict in Verdict}
+    confusion: dict[Wrong, Counter[Wrong]] = {verdict: Counter() for verdict in Wrong}
     sure: list[float] = []
     right: list[bool] = []
     for track in judged:
-        if track.posterior is None or track.verdict is None:
+        if track.said is None or track.verdict is None:
             continue
-        said = max(Verdict, key=lambda verdict: _share(track, verdict))
+        said = track.said.wrong
         confusion[track.verdict][said] += 1
-        sure.append(_share(track, said))
+        sure.append(getattr(track.said, said.value))
         right.append(said is track.verdict)
     told = sum(sum(row.values()) for row in confusion.values())
     recall = {
         verdict: confusion[verdict][verdict] / sum(confusion[verdict].values())
         if sum(confusion[verdict].values())
         else None
-        for verdict in Verdict
+        for verdict in Wrong
     }
-    common = [verdict for verdict in Verdict if cases[verdict] >= MIN_CASES]
+    common = [verdict for verdict in Wrong if cases[verdict] >= MIN_CASES]
     recalls = [value for verdict in common if (value := recall[verdict]) is not None]
-    return Attribution(
+    return WhoIsWrong(
         accuracy=round(float(np.mean(recalls)), 4) if recalls else None,
         commonest=round(1.0 / len(common), 4) if common else None,
         plain_accuracy=round(sum(right) / told, 4) if told else None,
-        cases={verdict.value: cases[verdict] for verdict in Verdict},
+        cases={verdict.value: cases[verdict] for verdict in Wrong},
         recall={v.value: None if r is None else round(r, 4) for v, r in recall.items()},
         confusion={
-            true.value: {said.value: row[said] for said in Verdict}
-            for true, row in confusion.items()
+            true.value: {said.value: row[said] for said in Wrong} for true, row in confusion.items()
         },
         calibration=calibrate(sure, np.array(right, dtype=np.bool_)),
     )
-
-
-def _share(track: TrackRow, verdict: Verdict) -> float:
-    return (track.posterior or {}).get(verdict.value, 0.0)

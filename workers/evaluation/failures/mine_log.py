@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from schemas.arrays import NS_PER_S
+from schemas.attribution import Wrong
 from schemas.bucket import Bucket
-from schemas.contradiction import Instance, Scene, TrackRecord
+from schemas.contradiction import Instance, Scene
 from schemas.work import MiningSettings, Recording
 from workers.contradiction.strength import rank_tracks
 from workers.evaluation.failures.rows import OTHER_KIND, MinedLog, SceneRow, ThingRow, TrackRow
@@ -16,7 +17,7 @@ from workers.evaluation.failures.seen import SeenFrame, TellsUnsureness
 from workers.evaluation.failures.slips import Slip, SlippingOdometry
 from workers.evaluation.failures.thing_views import thing_views
 from workers.evaluation.failures.things import MIN_POINTS, Thing, find_things
-from workers.evaluation.failures.verdicts import Verdict, thing_under, verdict_of
+from workers.evaluation.failures.verdicts import thing_under, verdict_of
 from workers.evaluation.failures.views import views_of
 from workers.evaluation.truth import LogTruth, TruthUnusableError
 from workers.evaluation.whole_log import shards_of_log
@@ -208,7 +209,7 @@ def _track_rows(
         members = [mined.instances[member] for member in each.track.members]
         key, track = thing_under(members, seen, things)
         verdict = verdict_of(members, seen, track=track)
-        if not key and verdict in (Verdict.SELFSUPERVISED, Verdict.NEITHER):
+        if not key and verdict in (Wrong.SELFSUPERVISED, Wrong.NEITHER):
             stray = _stray(f"stray {len(strays)}", members, seen, track)
             strays.append(stray)
             key = stray.key
@@ -221,18 +222,10 @@ def _track_rows(
                 thing=key,
                 true_track=track,
                 verdict=verdict,
-                posterior=posterior_of(record),
+                said=record.attribution,
             )
         )
     return rows, strays
-
-
-def posterior_of(record: TrackRecord) -> dict[str, float] | None:
-    """Who a record says is wrong about its track, as shares of 1; None where it does not say."""
-    said = getattr(record, "attribution", None)
-    if said is None:
-        return None
-    return {verdict.value: float(getattr(said, verdict.value)) for verdict in Verdict}
 
 
 def _stray(

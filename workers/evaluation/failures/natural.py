@@ -6,11 +6,10 @@ from typing import Final
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from workers.evaluation.failures.attribution import Attribution, attribute
+from workers.evaluation.failures.attribution import WhoIsWrong, attribute
 from workers.evaluation.failures.calibration import Calibration, calibrate
 from workers.evaluation.failures.ranking import Items, RankingRow, random_row, row_of
 from workers.evaluation.failures.rows import MinedLog, SceneRow, ThingRow
-from workers.evaluation.failures.verdicts import Verdict
 
 RANDOM: Final = "random"
 _MINUTE_S: Final = 60.0
@@ -40,7 +39,7 @@ class NaturalTable(RankingRow):
     )
     best_baseline: str
     attribution_accuracy: float | None
-    attribution: Attribution
+    attribution: WhoIsWrong
     calibration: Calibration = Field(description="Of a thing's strength against its failing.")
     classes: dict[str, ClassRow] = Field(description="By class of the truth and what goes wrong.")
 
@@ -89,20 +88,8 @@ def natural_table(logs: Sequence[MinedLog], *, draws: int) -> NaturalTable:
 
 
 def strength_of(scene: SceneRow, thing: ThingRow) -> float:
-    """How suspicious a thing is: the expected failure where the record says who is wrong."""
-    worth = [
-        track.strength * _blamed(track.posterior)
-        for track in scene.tracks
-        if track.thing == thing.key
-    ]
-    return max(worth, default=0.0)
-
-
-def _blamed(posterior: dict[str, float] | None) -> float:
-    """How likely the supervised stream is wrong; the streams are not told apart without."""
-    if posterior is None:
-        return 1.0
-    return posterior[Verdict.SUPERVISED.value] + posterior[Verdict.BOTH.value]
+    """How suspicious a thing is: as the strongest track on it, strength already weighs blame."""
+    return max((each.strength for each in scene.tracks if each.thing == thing.key), default=0.0)
 
 
 def _name(scene: SceneRow, thing: ThingRow) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
-from workers.evaluation.failures.attribution import Attribution, attribute
+from workers.evaluation.failures.attribution import WhoIsWrong, attribute
 from workers.evaluation.failures.calibration import Calibration, calibrate
 from workers.evaluation.failures.common_mode import CommonMode, common_mode
 from workers.evaluation.failures.intervals import Interval, bootstrap
@@ -45,7 +45,7 @@ class PlantedTable(RankingRow):
         description="Mean recall over {supervised, selfsupervised, both, neither} as far as they "
         "occur ten times; null: records do not say who is wrong."
     )
-    attribution: Attribution
+    attribution: WhoIsWrong
     common_mode_recall: float | None = Field(
         description="Share of planted failures on which both streams are wrong that surface."
     )

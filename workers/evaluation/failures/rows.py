@@ -4,7 +4,7 @@ from typing import Final
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from workers.evaluation.failures.verdicts import Verdict
+from schemas.attribution import Attribution, Wrong
 
 REVISION: Final = "1"
 """Rises when the same log gives other rows."""
@@ -49,8 +49,8 @@ class TrackRow(BaseModel):
     points: int = Field(description="Over all frames.")
     thing: str = Field(description="Key of the thing that it lies on; empty: none.")
     true_track: int = Field(description="True object that it lies on; -1 none.")
-    verdict: Verdict | None = Field(description="Who is wrong, by truth; null: truth is silent.")
-    posterior: dict[str, float] | None = Field(
+    verdict: Wrong | None = Field(description="Who is wrong, by truth; null: truth is silent.")
+    said: Attribution | None = Field(
         default=None, description="Who the record says is wrong; null: it does not say."
     )
     views: dict[str, float] = Field(default_factory=dict)

@@ -37,19 +37,22 @@ class SeenFrame:
     unsure: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
 
     @property
+    def motion(self) -> NDArray[np.uint8]:
+        """(N,) true motion, in codes of the truth."""
+        if self.truth is None:
+            return np.full(len(self.labelled.agreements), TRUTH_UNKNOWN, np.uint8)
+        return self.truth.motion
+
+    @property
     def known(self) -> Mask:
         """(N,) points whose true motion is known."""
-        if self.truth is None:
-            return np.zeros(len(self.labelled.agreements), np.bool_)
-        known: Mask = self.truth.motion != TRUTH_UNKNOWN
+        known: Mask = self.motion != TRUTH_UNKNOWN
         return known
 
     @property
     def moving(self) -> Mask:
         """(N,) points that truly move."""
-        if self.truth is None:
-            return np.zeros(len(self.labelled.agreements), np.bool_)
-        moving: Mask = self.truth.motion == TRUTH_DYNAMIC
+        moving: Mask = self.motion == TRUTH_DYNAMIC
         return moving
 
     @property

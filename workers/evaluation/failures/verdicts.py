@@ -1,25 +1,18 @@
 """Who is wrong about a contradicting track, by truth: one stream, the other, both or neither."""
 
-from collections.abc import Mapping, Sequence
-from enum import StrEnum
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.attribution import Wrong
 from schemas.contradiction import Instance
+from workers.evaluation.attributed import wrong_about
 from workers.evaluation.failures.seen import SeenFrame
 from workers.evaluation.failures.things import Thing
+from workers.evaluation.truth import TRUTH_UNKNOWN
 
 Points = NDArray[np.int64]
-
-
-class Verdict(StrEnum):
-    """Who errs on most of a thing."""
-
-    SUPERVISED = "supervised"
-    SELFSUPERVISED = "selfsupervised"
-    BOTH = "both"
-    NEITHER = "neither"
 
 
 def thing_under(
@@ -56,7 +49,7 @@ def thing_under(
 
 def verdict_of(
     members: Sequence[Instance], seen: Sequence[SeenFrame], *, track: int
-) -> Verdict | None:
+) -> Wrong | None:
     """Judge a contradicting track by the thing it lies on, in the frames in which it contradicts.
 
     A stream is wrong if it says the opposite of the truth about most of the thing. Where the points
@@ -70,22 +63,14 @@ def verdict_of(
     Returns:
         None where truth knows less than half of the points.
     """
-    known = points = semantic = predictive = 0
+    said: list[NDArray[np.uint8]] = [np.zeros((3, 0), np.uint8)]
     for member in members:
         frame = seen[member.frame_index]
         mine: Points = np.flatnonzero(frame.track == track) if track >= 0 else member.point_index
-        points += len(mine)
-        known += int(frame.known[mine].sum())
-        semantic += int(frame.wrong(frame.labelled.semantic)[mine].sum())
-        predictive += int(frame.wrong(frame.labelled.predictive)[mine].sum())
-    if not known or 2 * known < points:
+        streams = frame.labelled.semantic.labels[mine], frame.labelled.predictive.labels[mine]
+        said.append(np.stack([*streams, frame.motion[mine]]))
+    semantic, predictive, true = np.concatenate(said, axis=1)
+    known = true != TRUTH_UNKNOWN
+    if not known.any() or 2 * known.sum() < len(known):
         return None
-    return _VERDICTS[2 * semantic > known, 2 * predictive > known]
-
-
-_VERDICTS: Mapping[tuple[bool, bool], Verdict] = {
-    (True, False): Verdict.SUPERVISED,
-    (False, True): Verdict.SELFSUPERVISED,
-    (True, True): Verdict.BOTH,
-    (False, False): Verdict.NEITHER,
-}
+    return wrong_about(semantic[known], predictive[known], true[known])
