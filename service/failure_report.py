@@ -78,8 +78,8 @@ def _planted(found: "PlantedTable") -> list[str]:
 
 def _natural(found: "NaturalTable") -> list[str]:
     return [
-        f"<h2>Natural</h2><p>The stream fails on {found.failures} of {found.things} things, in "
-        f"{found.failing_scenes} of {found.scenes} scenes.</p>",
+        f"<h2>Natural</h2><p>The stream fails on {found.failing_things} of {found.things} things, "
+        f"in {found.failing_scenes} of {found.scenes} scenes.</p>",
         _ranking({"strength": found, **found.baselines}),
         _curves({"strength": found, **found.baselines}, "things"),
         _reliability("strength: share of things that fail", found.calibration),

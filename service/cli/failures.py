@@ -150,7 +150,7 @@ def _say_planted(found: "PlantedTable") -> None:
 
 def _say_natural(found: "NaturalTable") -> None:
     table(
-        f"natural: the stream fails on {found.failures} of {found.things} things, in "
+        f"natural: the stream fails on {found.failing_things} of {found.things} things, in "
         f"{found.failing_scenes} of {found.scenes} scenes",
         (*COLUMNS, "found a minute", "found area"),
         [_row("strength", found)] + [_row(name, row) for name, row in _best_first(found.baselines)],

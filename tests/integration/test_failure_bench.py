@@ -51,6 +51,6 @@ def test_a_network_is_judged_on_any_truth_beside_its_own_doubts(
     assert main([*arguments, "--kept", str(tmp_path / "kept")]) == 0
     found = json.loads(capsys.readouterr().out)
     natural = found["natural"]
-    assert natural["things"] > natural["failures"]
+    assert natural["things"] > natural["failing_things"]
     assert {"entropy", "margin", "mc_dropout", "confidence"} <= set(natural["baselines"])
     assert "ap" not in found

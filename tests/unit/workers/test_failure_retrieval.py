@@ -75,6 +75,7 @@ def test_failures_found_are_told_for_each_minute_looked_at() -> None:
         wanted=wanted(0, 1, of=20),
         failures=[["a"], ["b"], *([[]] * 18)],
         minutes=np.full(20, 0.5),
+        scenes=20,
     )
     row = row_of(np.arange(20.0)[::-1], items, draws=0)
     assert row.found_per_minute_at["10"] == pytest.approx(2.0)  # both in two scenes, one minute
@@ -87,17 +88,17 @@ def test_intervals_draw_whole_logs() -> None:
     values = np.array([0.0] * 5 + [1.0] * 5 + [2.0] * 5)
     drawn: list[int] = []
 
-    def mean(items: np.ndarray[tuple[int], np.dtype[np.int64]]) -> float:
+    def mean(items: np.ndarray[tuple[int], np.dtype[np.int64]]) -> tuple[float | None, ...]:
         drawn.append(len(items))
         assert set(np.bincount(values[items].astype(int), minlength=3) % 5) == {0}
-        return float(values[items].mean())
+        return float(values[items].mean()), None
 
-    interval = bootstrap(groups, mean, draws=300)
+    interval, nothing = bootstrap(groups, mean, draws=300)
+    assert nothing is None
     assert interval is not None
     assert interval[0] == 0.0
     assert interval[1] == 2.0
     assert set(drawn) == {15}
-    assert bootstrap(groups, lambda items: None, draws=10) is None
 
 
 def test_a_score_that_says_how_often_it_is_right_has_no_error() -> None:

@@ -116,7 +116,9 @@ def test_the_keys_that_others_read_are_at_the_top() -> None:
     out = bench.as_json()
     keys = {"scenes", "failures", "ap", "precision_at", "lift_at", "baselines"}
     assert keys | {"attribution_accuracy", "common_mode_recall", "natural"} <= set(out)
-    assert {"ap", "precision_at", "lift_at"} <= set(out["baselines"]["random"])
+    assert {"scenes", "failures", "ap", "precision_at", "lift_at"} <= set(
+        out["baselines"]["random"]
+    )
     assert out["natural"] is None
 
 
@@ -185,7 +187,7 @@ def test_things_are_as_suspicious_as_the_strongest_track_on_them() -> None:
     table = natural_table(
         [log(0, row(0, 0.5, thing(), right, tracks=(blamed, excused)), row(1, 0.1))], draws=0
     )
-    assert (table.things, table.failures) == (2, 1)
+    assert (table.things, table.failing_things, table.failures) == (2, 1, 1)
     assert table.ap == 1.0
     assert table.recall_at["10"] == 1.0
     assert table.classes["car, moving"].failing == 1

@@ -14,35 +14,38 @@ Interval = tuple[float, float]
 
 def bootstrap(
     groups: Sequence[int],
-    figure: Callable[[NDArray[np.int64]], float | None],
+    figures: Callable[[NDArray[np.int64]], Sequence[float | None]],
     *,
     draws: int = DRAWS,
     seed: int = 0,
-) -> Interval | None:
-    """Draw logs with replacement and take the middle 95 % of the figure.
+) -> list[Interval | None]:
+    """Draw logs with replacement and take the middle 95 % of each figure.
 
     Scenes of one log share street, weather and traffic, so logs are drawn, not scenes.
 
     Args:
         groups: Log of each item.
-        figure: Given the items of a draw, repeated as they were drawn; None where it has none.
-        draws: How often.
+        figures: Of the items of a draw, repeated as they were drawn; None for one that has none.
+        draws: How often, once at least.
         seed: Of the draws.
 
     Returns:
-        None where less than half of the draws have a figure.
+        For each figure; None where less than half of the draws have it.
     """
     of = np.asarray(groups)
     names = np.unique(of)
     members = [np.flatnonzero(of == name) for name in names]
     rng = np.random.default_rng(seed)
-    values = []
+    drawn = []
     for _ in range(draws):
         chosen = rng.integers(0, len(members), len(members))
-        value = figure(np.concatenate([members[each] for each in chosen]))
-        if value is not None:
-            values.append(value)
-    if 2 * len(values) < draws:
+        drawn.append(figures(np.concatenate([members[each] for each in chosen])))
+    return [_middle(values) for values in zip(*drawn, strict=True)]
+
+
+def _middle(figures: Sequence[float | None]) -> Interval | None:
+    values = [value for value in figures if value is not None]
+    if 2 * len(values) < len(figures):
         return None
     low, high = np.quantile(values, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
     return round(float(low), 4), round(float(high), 4)

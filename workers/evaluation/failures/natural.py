@@ -31,8 +31,7 @@ class NaturalTable(RankingRow):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     things: int = Field(description="Objects of the truth, phantoms, and what else contradicts.")
-    failures: int = Field(description="Things, scene by scene, on which the stream fails.")
-    scenes: int
+    failing_things: int = Field(description="Things, scene by scene, on which the stream fails.")
     failing_scenes: int
     baselines: dict[str, RankingRow] = Field(
         description="Other ways to rank, by name, each on the things that it says something of."
@@ -64,6 +63,7 @@ def natural_table(logs: Sequence[MinedLog], *, draws: int) -> NaturalTable:
             for n, scene, thing in listed
         ],
         minutes=np.array([scene.seconds / _MINUTE_S for _, scene, _ in listed]),
+        scenes=sum(len(log.scenes) for log in logs),
     )
     baselines = {RANDOM: random_row(items)}
     for name in sorted({name for _, _, thing in listed for name in thing.views}):
@@ -75,8 +75,7 @@ def natural_table(logs: Sequence[MinedLog], *, draws: int) -> NaturalTable:
     return NaturalTable(
         **row_of(strengths, items, draws=draws).model_dump(),
         things=len(listed),
-        failures=int(items.wanted.sum()),
-        scenes=len(scenes),
+        failing_things=int(items.wanted.sum()),
         failing_scenes=sum(scene.fails for scene in scenes),
         baselines=baselines,
         best_baseline=max(baselines, key=lambda name: (baselines[name].ap or 0.0, name)),
@@ -102,6 +101,7 @@ def _only(items: Items, told: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Ite
         items.wanted[told],
         [names for names, kept in zip(items.failures, told.tolist(), strict=True) if kept],
         items.minutes[told],
+        items.scenes,
     )
 
 

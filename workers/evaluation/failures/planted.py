@@ -30,8 +30,6 @@ class PlantedTable(RankingRow):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    scenes: int
-    failures: int = Field(description="Distinct ones that the labels show.")
     failing_scenes: int
     planted: int = Field(description="Failures that were planted.")
     unseen: int = Field(description="Of them, those that the labels do not show.")
@@ -84,8 +82,6 @@ def planted_table(
     shared = common_mode(scenes)
     return PlantedTable(
         **mine.model_dump(),
-        scenes=len(scenes),
-        failures=len({name for names in items.failures for name in names}),
         failing_scenes=int(items.wanted.sum()),
         planted=sum(log.planted for log in logs),
         unseen=sum(log.unseen for log in logs),
@@ -112,6 +108,7 @@ def items_of(logs: Sequence[MinedLog]) -> Items:
         wanted=np.array([scene.fails for scene in scenes], dtype=np.bool_),
         failures=[names_of(scene, log.log_id) for log in logs for scene in log.scenes],
         minutes=np.array([scene.seconds / _MINUTE_S for scene in scenes]),
+        scenes=len(scenes),
     )
 
 
@@ -143,8 +140,9 @@ def _gain_interval(
     if other is None or not draws:
         return None
 
-    def gain(drawn: NDArray[np.int64]) -> float | None:
+    def gain(drawn: NDArray[np.int64]) -> tuple[float | None]:
         wanted = items.wanted[drawn]
-        return _gain(retrieve(scores[drawn], wanted, ()).ap, retrieve(other[drawn], wanted, ()).ap)
+        mine, theirs = (retrieve(each[drawn], wanted, ()).ap for each in (scores, other))
+        return (_gain(mine, theirs),)
 
-    return bootstrap(items.logs.tolist(), gain, draws=draws)
+    return bootstrap(items.logs.tolist(), gain, draws=draws)[0]

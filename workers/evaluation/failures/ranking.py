@@ -1,6 +1,6 @@
 """The figures of one way to rank, for the tables and the report."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -36,12 +36,14 @@ class Items:
         wanted: (N,) which show a failure.
         failures: Names of the distinct failures that each shows.
         minutes: (N,) of recording that a look at each takes.
+        scenes: How many scenes they are from.
     """
 
     logs: NDArray[np.int64]
     wanted: Mask
     failures: Sequence[Sequence[str]]
     minutes: Values
+    scenes: int
 
 
 class RankingRow(BaseModel):
@@ -49,6 +51,8 @@ class RankingRow(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    scenes: int = Field(description="Scenes of the fleet.")
+    failures: int = Field(description="Distinct failures that the labels show.")
     ranked: int = Field(description="Scenes, or things, that it says something of.")
     ap: float | None = Field(description="Average precision; null: nothing to be found.")
     ap_interval: Interval | None = Field(default=None, description="95 %, logs drawn anew.")
@@ -76,23 +80,17 @@ def row_of(scores: Values, items: Items, *, draws: int) -> RankingRow:
     """
     main = name_of(MAIN_BUDGET)
 
-    def interval(figure: Callable[[Retrieval], float | None]) -> Interval | None:
-        if not draws:
-            return None
-        return bootstrap(
-            items.logs.tolist(),
-            lambda drawn: figure(retrieve(scores[drawn], items.wanted[drawn], (MAIN_BUDGET,))),
-            draws=draws,
-        )
+    def figures(drawn: NDArray[np.int64]) -> tuple[float | None, ...]:
+        found = retrieve(scores[drawn], items.wanted[drawn], (MAIN_BUDGET,))
+        return found.ap, found.precision_at[main], found.lift_at[main]
 
-    curve = found_curve(scores, items.failures)
+    names = ("ap_interval", "precision_interval", "lift_interval")
+    intervals = bootstrap(items.logs.tolist(), figures, draws=draws) if draws else [None] * 3
     return _row(
         retrieve(scores, items.wanted, BUDGETS),
-        curve,
+        found_curve(scores, items.failures),
         items,
-        ap_interval=interval(lambda each: each.ap),
-        precision_interval=interval(lambda each: each.precision_at[main]),
-        lift_interval=interval(lambda each: each.lift_at[main]),
+        **dict(zip(names, intervals, strict=True)),
     )
 
 
@@ -113,6 +111,8 @@ def _row(found: Retrieval, curve: Values, items: Items, **intervals: Interval | 
         rates[name_of(budget)] = round(float(curve[looks]) * total / spent, 4) if spent else 0.0
     places = np.linspace(0, len(curve) - 1, _CURVE_POINTS).round().astype(np.int64)
     return RankingRow(
+        scenes=items.scenes,
+        failures=total,
         ranked=len(items.wanted),
         ap=_rounded(found.ap),
         precision_at={name: round(each, 4) for name, each in found.precision_at.items()},
