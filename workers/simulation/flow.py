@@ -1,5 +1,6 @@
 """Where each point of a frame will be one frame later, as the sensor will see it then."""
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,14 +21,14 @@ def flow_of(street: Street, lidar: Lidar, frame: SimulatedFrame) -> NDArray[np.f
         was; the motion of the ego is in it. The matter of an actor moves rigidly with its body.
     """
     column_ns = lidar.period_ns // lidar.columns
-    column = frame.offset_ns // column_ns
+    column = (frame.offset_ns // column_ns).astype(np.int64)
     time_s = frame.time_s + np.arange(lidar.columns) * column_ns / NS_PER_S
     now = sensor_poses(street, lidar, time_s)
     then = sensor_poses(street, lidar, time_s + lidar.period_s)
     then_from_world = np.linalg.inv(then).astype(np.float64, copy=False)
     relative = then_from_world @ now
     points = frame.points_m.astype(np.float64)
-    moved = _carried(relative[column], points)
+    moved = _carried_by_column(relative, column, points)
     mine = np.flatnonzero(np.isin(frame.track, street.moving_index))
     if len(mine):
         tracks, which = np.unique(frame.track[mine], return_inverse=True)
@@ -43,6 +44,23 @@ def flow_of(street: Street, lidar: Lidar, frame: SimulatedFrame) -> NDArray[np.f
         body = np.einsum("nji,nj->ni", first[:, :3, :3], world - first[:, :3, 3])
         moved[mine] = _carried(then_from_world[column[mine]], _carried(second, body))
     return (np.round((moved - points) * _PER_M) / _PER_M).astype(np.float16)
+
+
+@numba.njit(cache=True)
+def _carried_by_column(
+    transforms: NDArray[np.float64], column: NDArray[np.int64], points: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    moved = np.empty_like(points)
+    for n in range(len(points)):
+        by = transforms[column[n]]
+        for k in range(3):
+            moved[n, k] = (
+                by[k, 0] * points[n, 0]
+                + by[k, 1] * points[n, 1]
+                + by[k, 2] * points[n, 2]
+                + by[k, 3]
+            )
+    return moved
 
 
 def _carried(transforms: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:

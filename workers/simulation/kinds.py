@@ -100,7 +100,7 @@ REFLECTIVITY: Final[NDArray[np.float64]] = np.array(
 """Share of near-infrared light that comes back, by `Material`; `MIRROR` is retroreflecting foil."""
 
 PASSES: Final[NDArray[np.float64]] = np.array(
-    [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.35, 0.0, 0.0, 0.0, 0.0]
+    [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 0.0]
 )
 """Share of pulses that go through and are lost, by `Material`.
 

@@ -72,7 +72,7 @@ class Lidar:
     height_m: float = 2.0
     max_range_m: float = 100.0
     noise_m: float = 0.02
-    dropout_share: float = 0.01
+    dropout_share: float = 0.005
     azimuth_deg: tuple[float, ...] = ()
     forward_m: float = 0.0
     pitch_deg: float = 0.0

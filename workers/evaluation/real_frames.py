@@ -1,0 +1,31 @@
+"""Some frames of a real log, to hold simulated ones against."""
+
+from schemas.bucket import Bucket
+from schemas.work import MiningSettings, Recording
+from workers.evaluation.bench_simulation import Look, Seen, look_at
+from workers.evaluation.whole_log import shards_of_log
+from workers.ingest.read import read_shard
+
+_FRAMES = 4
+_STEP = 5
+
+
+def real_look(bucket: Bucket, recording: Recording, settings: MiningSettings) -> tuple[Seen, Look]:
+    """Read every fifth frame of the beginning of a log.
+
+    Returns:
+        The first, and what they look like.
+
+    Raises:
+        CounterpointError: If the log cannot be read.
+    """
+    seen: list[Seen] = []
+    for shard in shards_of_log(bucket, recording, settings):
+        for number, frame in enumerate(read_shard(bucket, recording, shard, settings).frames()):
+            if number % _STEP == 0:
+                kept = frame.valid_mask
+                seen.append(Seen(frame.points_m[kept], frame.intensity[kept], frame.ring[kept]))
+            if len(seen) == _FRAMES:
+                break
+        break
+    return seen[0], look_at(recording.log_id.split("/")[-1], seen)
