@@ -41,6 +41,9 @@ class TrainingSettings:
         peak_rate: Highest learning rate of the one-cycle schedule.
         weight_decay: Of AdamW.
         dropout: Share of channels dropped.
+        fixed_norms: Normalise by the running means and deviations, as in use. Sensors differ so
+            much that those of one batch flatter: a network learns by them first, and is then taught
+            to live with those of all sensors.
         seed: Of everything random.
     """
 
@@ -52,6 +55,7 @@ class TrainingSettings:
     peak_rate: float = 4e-3
     weight_decay: float = 1e-3
     dropout: float = 0.02
+    fixed_norms: bool = False
     seed: int = 1
 
 
@@ -80,7 +84,7 @@ def train(
     """Run the schedule, writing weights now and then and at the end.
 
     Args:
-        lessons: What to learn from; a batch is of one sensor.
+        lessons: What to learn from; a batch is of sensors with as many rows.
         judged: Images to score by name, never learnt from.
         card: Sidecar of the weights; the scores are added.
         settings: The schedule.
@@ -108,6 +112,8 @@ def train(
         task = bar.add_task(card.network, total=settings.steps)
         for step in range(1, settings.steps + 1):
             net.train()
+            if settings.fixed_norms:
+                _fix_norms(net)
             x, y = _batch(lessons, card, settings, rng)
             loss = segmentation_loss(net.forward_logits(x), y, weights)
             optimiser.zero_grad()
@@ -121,6 +127,12 @@ def train(
                 scores = _scores(net, judged, card)
                 log.info("%s step %d %s", card.network, step, scores)
                 save_weights(out, net, card.model_copy(update={"scores": scores}))
+
+
+def _fix_norms(net: SalsaNext) -> None:
+    for module in net.modules():
+        if isinstance(module, torch.nn.BatchNorm2d):
+            module.eval()
 
 
 def _scores(
@@ -153,15 +165,18 @@ def _batch(
     settings: TrainingSettings,
     rng: np.random.Generator,
 ) -> tuple[Tensor, Tensor]:
-    weights = np.array([lesson.weight for lesson in lessons])
-    images = lessons[int(rng.choice(len(lessons), p=weights / weights.sum()))].images
-    drives = images.ego_speed_m_per_s > DRIVING_M_PER_S
-    share = np.where(drives, settings.driving_weight, 1.0)
-    labels = _labels(images, card)
+    """Draw windows of several sensors with as many rows."""
     inputs, targets = [], []
-    for number in rng.choice(
-        len(labels), size=settings.batch, replace=False, p=share / share.sum()
-    ):
+    drawable = list(lessons)
+    for _ in range(settings.batch):
+        weights = np.array([lesson.weight for lesson in drawable])
+        images = drawable[int(rng.choice(len(drawable), p=weights / weights.sum()))].images
+        rows = images.channels.shape[2]
+        drawable = [each for each in lessons if each.images.channels.shape[2] == rows]
+        drives = images.ego_speed_m_per_s > DRIVING_M_PER_S
+        share = np.where(drives, settings.driving_weight, 1.0)
+        labels = _labels(images, card)
+        number = int(rng.choice(len(labels), p=share / share.sum()))
         sample = Sample(
             images.channels[number].astype(np.float32),
             images.residuals[number, int(rng.integers(images.residuals.shape[1]))].astype(

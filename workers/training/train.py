@@ -48,6 +48,7 @@ def _run(args: argparse.Namespace) -> None:
         driving_weight=args.driving_weight,
         balance=args.balance,
         peak_rate=args.peak_rate,
+        fixed_norms=args.fixed_norms,
         seed=args.seed,
     )
     lessons, sources = [], []
@@ -122,6 +123,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--balance", type=float, default=0.5, help="exponent of class weights")
     parser.add_argument("--peak-rate", type=float, default=4e-3)
+    parser.add_argument(
+        "--fixed-norms", action="store_true", help="normalise by running means, as in use"
+    )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--threads", type=int, default=1)
     return parser

@@ -163,6 +163,20 @@ def test_the_same_seed_gives_the_same_weights_and_they_load(tmp_path: Path) -> N
     assert set(card.scores) == {"held out static", "held out moving"}
 
 
+def test_fixed_norms_stay_what_they_were_while_everything_else_learns(tmp_path: Path) -> None:
+    torch.set_num_threads(1)
+    _trained(tmp_path / "first.safetensors", seed=1)
+    initial = load_weights(tmp_path / "first.safetensors")
+    settings = TrainingSettings(steps=2, columns=32, fixed_norms=True)
+    out = tmp_path / "second.safetensors"
+    train([Lesson(_images(), 1.0)], {}, CARD, settings, initial=initial, out=out)
+    before, after = initial.net.state_dict(), load_weights(out).net.state_dict()
+    running = [name for name in before if "running" in name]
+    assert running
+    assert all(torch.equal(before[name], after[name]) for name in running)
+    assert not torch.equal(before["logits.weight"], after["logits.weight"])
+
+
 def test_images_of_a_sensor_are_joined_written_and_read_back(tmp_path: Path) -> None:
     both = join([_images(), _images()])
     write_images(tmp_path / "wall", both, source={"seeds": "1:3"})
