@@ -10,9 +10,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.work import LOOKAHEAD, MiningSettings
 from workers.networks import NETWORKS
-from workers.registry import ODOMETRIES, SELFSUPERVISED, SUPERVISED, WITNESSES
+from workers.registry import INSTANCES, ODOMETRIES, SELFSUPERVISED, SUPERVISED, WITNESSES
+from workers.selfsupervised.scene_flow import LEARNED_FLOWS
 
-PartKind = Literal["odometry", "supervised", "selfsupervised", "witness", "network"]
+PartKind = Literal["odometry", "supervised", "selfsupervised", "witness", "instances", "network"]
 
 
 class PartCard(BaseModel):
@@ -94,11 +95,13 @@ _SUPERVISED: Final[Mapping[str, _Card]] = {
     ),
 }
 
+_RULE_OF_INSTANCES: Final = "arXiv 2407.14306, section III-C"
 _RULE: Final = "arXiv 2407.14306, section III-B"
 _FLOWS: Final[Mapping[str, str]] = {
     "nearest-neighbour": "each point goes to the nearest one",
     "registered-clusters": "each cluster goes where it fits best",
     "tracked": "only what the default stream proved to move has flow",
+    "flowstep3d": "FlowStep3D says where each point within 35 m goes beyond ego-motion",
 }
 
 _REGISTRATION: Final = "own; Patchwork++ (Lee et al., IROS 2022)"
@@ -144,6 +147,20 @@ _WITNESS: Final[Mapping[str, _Card]] = {
     "none": _Card(what="Nobody is asked beside the two streams.", source="none", paper=True),
 }
 
+_INSTANCES: Final[Mapping[str, _Card]] = {
+    "default": _Card(
+        what="DBSCAN over places of 0.1 m, instances of 10 points and more.",
+        source=f"{_RULE_OF_INSTANCES}; DBSCAN (Ester et al., 1996)",
+        licence="Apache-2.0; BSD-3-Clause (scikit-learn)",
+    ),
+    "paper": _Card(
+        what="DBSCAN over points, instances of 25 points and more, as published.",
+        source=f"{_RULE_OF_INSTANCES}; DBSCAN (Ester et al., 1996)",
+        licence="Apache-2.0; BSD-3-Clause (scikit-learn)",
+        paper=True,
+    ),
+}
+
 _NETWORKS: Final[Mapping[str, _Card]] = {
     "salsanext": _Card(
         paper=True,
@@ -187,6 +204,7 @@ def part_cards() -> list[PartCard]:
         "supervised": list(SUPERVISED),
         "selfsupervised": list(SELFSUPERVISED),
         "witness": list(WITNESSES),
+        "instances": list(INSTANCES),
     }
     chosen = [
         card
@@ -205,6 +223,7 @@ def _card(kind: PartKind, name: str) -> PartCard:
         "supervised": _SUPERVISED,
         "selfsupervised": _SELFSUPERVISED,
         "witness": _WITNESS,
+        "instances": _INSTANCES,
     }
     card = known[kind].get(name) or _two_stage(name)
     chosen = MiningSettings.model_fields[kind].default
@@ -217,6 +236,7 @@ def _two_stage(name: str) -> _Card:
     numbers = "as published, per frame" if rest else "per second"
     return _Card(
         what=f"The paper's clustering, numbers {numbers}; {_FLOWS[flow]}.",
-        source=_RULE,
+        source=f"{_RULE}; FlowStep3D (Kittenplon et al., 2021)" if flow in LEARNED_FLOWS else _RULE,
         paper=bool(rest),
+        weights=f"{flow}, imported; none ship" if flow in LEARNED_FLOWS else "none",
     )

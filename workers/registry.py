@@ -18,7 +18,7 @@ from schemas.task import GROUND, MOTION, Task
 from schemas.work import LOOKAHEAD
 from workers.contradiction.settings import DEFAULT_INSTANCES, PAPER_INSTANCES, InstanceSettings
 from workers.errors import TasksDifferError, UnknownPartError
-from workers.selfsupervised.scene_flow import SCENE_FLOWS
+from workers.selfsupervised.scene_flow import LEARNED_FLOWS, SCENE_FLOWS
 
 
 class Odometry(Protocol):
@@ -167,11 +167,15 @@ def _registration(_: PartFiles, *, lookahead_s: float = 0.0) -> Stream:
     return Registration(lookahead_s)
 
 
-def _two_stage(_: PartFiles, *, flow: str, published: bool = False) -> Stream:
+def _two_stage(files: PartFiles, *, flow: str, published: bool = False) -> Stream:
     from workers.selfsupervised.two_stage import TwoStage
     from workers.selfsupervised.two_stage_clustering import PAPER, PER_SECOND
 
-    return TwoStage(flow, PAPER if published else PER_SECOND)
+    rule = PAPER if published else PER_SECOND
+    if flow not in LEARNED_FLOWS:
+        return TwoStage(flow, rule)
+    weights = _weights(files, f"self-supervised stream two-stage:{flow}")
+    return TwoStage(flow, rule, LEARNED_FLOWS[flow](weights))
 
 
 def _two_stage_tracked(_: PartFiles, *, published: bool = False) -> Stream:
@@ -200,6 +204,8 @@ NETWORKS_OF: Final[Mapping[str, tuple[str, ...]]] = {
     "salsanext:ground": ("salsanext",),
     "paper": ("gndnet", "flowstep3d"),
     "delora": ("delora",),
+    **{f"two-stage:{flow}": (flow,) for flow in LEARNED_FLOWS},
+    **{f"two-stage:{flow}:published": (flow,) for flow in LEARNED_FLOWS},
 }
 """Whose weights a part loads; SalsaNext and LMNet ship, and are taken if no folder is named."""
 
@@ -229,6 +235,8 @@ def _weights(files: PartFiles, part: str) -> Path:
     return Path(files.weights)
 
 
+_FLOWS: Final = (*SCENE_FLOWS, *LEARNED_FLOWS)
+
 ODOMETRIES: Final[Mapping[str, Callable[[PartFiles], Odometry]]] = {
     "kiss-icp": _kiss_icp,
     "delora": _delora,
@@ -252,16 +260,16 @@ SELFSUPERVISED: Final[Mapping[str, Callable[[PartFiles], Stream]]] = {
     "two-stage": partial(_two_stage, flow="nearest-neighbour"),
     "two-stage:tracked": _two_stage_tracked,
     "two-stage:tracked:published": partial(_two_stage_tracked, published=True),
-    **{f"two-stage:{flow}": partial(_two_stage, flow=flow) for flow in SCENE_FLOWS},
+    **{f"two-stage:{flow}": partial(_two_stage, flow=flow) for flow in _FLOWS},
     **{
         f"two-stage:{flow}:published": partial(_two_stage, flow=flow, published=True)
-        for flow in SCENE_FLOWS
+        for flow in _FLOWS
     },
     "ground": _ground,
 }
 """`two-stage:FLOW` is the rule of the paper on a scene flow, `…:published` with its numbers as
 published, per frame; `two-stage` alone takes the nearest neighbour. What enters `SCENE_FLOWS`
-is a stream of that name here."""
+or `LEARNED_FLOWS` is a stream of that name here."""
 
 
 def _free_space() -> Witness:

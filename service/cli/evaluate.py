@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.options import Config, Json, settings_for
+from service.cli.options import Config, Json, Weights, settings_for
 from service.cli.output import json_line, progress, remark, table
 from service.errors import UsageError
 
@@ -62,12 +62,13 @@ def motion(
         Path | None, typer.Option("--pictures", help="Draw the ten worst frames into this folder.")
     ] = None,
     json: Json = False,
+    weights: Weights = None,
     config: Config = None,
 ) -> None:
     """Judge motion labels point by point, of one stream or of several side by side."""
     streams = tuple(dict.fromkeys(stream or ["selfsupervised"]))
     bounds, beams = parse_frames(frames), parse_rows(rows)
-    settings = settings_for(config, bucket=bucket)
+    settings = settings_for(config, bucket=bucket, weights=weights)
     from service.picture_judged import draw_worst
     from service.picture_table import draw_table
     from workers.evaluation.disturbance import Disturbance

@@ -1,7 +1,8 @@
 """Where scene flow comes from: sources by name, each a function of two clouds."""
 
 from collections.abc import Callable, Mapping
-from typing import Final
+from pathlib import Path
+from typing import Final, Protocol
 
 import numpy as np
 
@@ -45,8 +46,32 @@ SCENE_FLOWS: Final[Mapping[str, SceneFlowSource]] = {
     "nearest-neighbour": nearest_neighbour_flow,
     "registered-clusters": registered_clusters_flow,
 }
-"""All there are: each is a stream `two-stage:NAME` too, and so would a learned one be, which loads
-its network when it is first called."""
+"""Those that need nothing: each is a stream `two-stage:NAME` too."""
+
+
+class LearnedFlow(Protocol):
+    """A source that is a network with its weights."""
+
+    @property
+    def version(self) -> str:
+        """Everything that changes its output besides code."""
+        ...
+
+    def __call__(
+        self, points_m: Points, other_points_m: Points, other_from_this: Transform
+    ) -> Flow:
+        """Answer as a `SceneFlowSource`."""
+        ...
+
+
+def _flowstep3d(folder: Path) -> LearnedFlow:
+    from workers.selfsupervised.learned_flow import FlowStep3DFlow
+
+    return FlowStep3DFlow.load(folder)
+
+
+LEARNED_FLOWS: Final[Mapping[str, Callable[[Path], LearnedFlow]]] = {"flowstep3d": _flowstep3d}
+"""Those that need weights, of the network of the same name: each is a stream `two-stage:NAME`."""
 
 
 def scene_flow_source(name: str) -> SceneFlowSource:

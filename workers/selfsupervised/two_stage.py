@@ -15,7 +15,7 @@ from workers.selfsupervised.answer import ALONE, GROUND, nothing_known
 from workers.selfsupervised.history import MAX_GAP_NS
 from workers.selfsupervised.object_flow import object_flow
 from workers.selfsupervised.prepare import Preparation, Prepared
-from workers.selfsupervised.scene_flow import scene_flow_source
+from workers.selfsupervised.scene_flow import LearnedFlow, scene_flow_source
 from workers.selfsupervised.two_stage_clustering import PER_SECOND, TwoStageRule, two_stage
 from workers.selfsupervised.versions import version_of
 
@@ -30,16 +30,19 @@ class TwoStage:
     Attributes:
         flow: Name of the scene flow.
         rule: Numbers of the clustering.
+        learned: The network of that name; None for a flow that needs none.
     """
 
     flow: str = "nearest-neighbour"
     rule: TwoStageRule = PER_SECOND
+    learned: LearnedFlow | None = None
     task: ClassVar[Task] = MOTION
 
     @property
     def version(self) -> str:
-        """`two-stage@digest` of code, libraries, flow and rule."""
-        return version_of("two-stage", f"{self.flow} {self.rule}")
+        """`two-stage@digest` of code, libraries, flow with its weights, and rule."""
+        weights = "" if self.learned is None else f" {self.learned.version}"
+        return version_of("two-stage", f"{self.flow} {self.rule}{weights}")
 
     @property
     def class_names(self) -> tuple[str, ...]:
@@ -52,7 +55,7 @@ class TwoStage:
         Raises:
             LookupError: If there is no scene flow of that name.
         """
-        source = scene_flow_source(self.flow)
+        source = self.learned or scene_flow_source(self.flow)
         prepare = Preparation()
         before: tuple[int, Prepared] | None = None
         for posed in frames:

@@ -103,7 +103,7 @@ def test_every_stream_answers_a_task_and_those_of_one_task_can_be_chosen_togethe
     named = {"salsanext:ground", "recorded:ground", "ground"}
     files = PartFiles()
     for name in (*SUPERVISED, *SELFSUPERVISED):
-        if name in ("own", "paper"):  # which need files
+        if name in ("own", "paper") or "flowstep3d" in name:  # which need files
             continue
         build = SUPERVISED.get(name) or SELFSUPERVISED[name]
         assert build(files).task == (GROUND if name in named else MOTION), name
