@@ -148,14 +148,18 @@ class Settings(MiningSettings):
         default=1800.0, gt=0, description="A worker longer than this on one lease is killed."
     )
 
+    @property
+    def artifacts_url(self) -> str:
+        """Where overlays go."""
+        return self.artifacts or (self.state.resolve() / "artifacts").as_uri()
+
     def mining(self) -> MiningSettings:
         """Return what every worker must do alike."""
         shared = {name: getattr(self, name) for name in MiningSettings.model_fields}
-        artifacts = self.artifacts or (self.state.resolve() / "artifacts").as_uri()
         model, weights = (
             str(Path(path).resolve()) if path else "" for path in (self.model, self.weights)
         )
-        files = {"artifacts": artifacts, "model": model, "weights": weights}
+        files = {"artifacts": self.artifacts_url, "model": model, "weights": weights}
         return MiningSettings(**shared | files | {"camera": _camera(self.camera)})
 
 

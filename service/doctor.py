@@ -41,6 +41,7 @@ def examine(read: ReadSettings) -> Iterator[Finding]:
         ("database", doctor_stores.database),
         ("router", doctor_network.router),
         ("http", doctor_network.http),
+        ("camera", doctor_machine.camera),
         ("workers", doctor_machine.parts),
         ("devices", doctor_machine.devices),
         ("compiled code", doctor_machine.compiled_code),

@@ -3,7 +3,7 @@
 import os
 import time
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from datetime import UTC, datetime
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,7 +13,7 @@ from sqlalchemy import func, select
 
 from service.config import Settings
 from service.doctor import Finding, ok, problem, warning
-from service.errors import StateUnusableError
+from service.errors import StateUnusableError, UsageError
 from service.store.engine import StoreUnavailableError
 from service.store.opening import open_ledger_store_to_read
 from service.store.tables import SHARDS
@@ -25,6 +25,13 @@ WORKER_BYTES: Final = 1_000_000_000
 """What one worker holds at most, on frames of 100,000 points."""
 
 STEPPED_BACK_S: Final = 60.0
+
+
+def camera(settings: Settings) -> Iterator[Finding]:
+    """Read the calibration of the camera whose view is compared, where a file states it."""
+    if settings.camera:
+        settings.mining()  # what it raises names the file
+        yield ok("camera", f"its view is compared: {settings.camera}")
 
 
 def parts(settings: Settings) -> Iterator[Finding]:
@@ -39,11 +46,13 @@ def parts(settings: Settings) -> Iterator[Finding]:
         return
     from workers.version import parts_of, pipeline_version
 
-    mining = settings.mining()
+    # its camera has a check of its own, and no part reads it
+    mining = settings.model_copy(update={"camera": ""}).mining()
     built = parts_of(mining)  # what it raises names the part or the file of weights
     yield ok("weights", f"loaded: {built.supervised.version}")
     yield ok("streams", f"{built.selfsupervised.version}, {built.odometry.version}")
-    yield ok("pipeline version", pipeline_version(mining, built))
+    with suppress(UsageError):  # said under `camera`
+        yield ok("pipeline version", pipeline_version(settings.mining(), built))
 
 
 def devices(settings: Settings) -> Iterator[Finding]:

@@ -63,7 +63,7 @@ def bucket(settings: Settings) -> Iterator[Finding]:
 
 def artifacts(settings: Settings) -> Iterator[Finding]:
     """Write a small object where overlays go, and read it back."""
-    url = settings.mining().artifacts
+    url = settings.artifacts_url
     if settings.bucket and _canonical(url) == _canonical(settings.bucket):
         yield problem("artifacts", "are the log bucket itself: name another place with --artifacts")
         return

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from schemas.bucket import Bucket, open_bucket
 from schemas.errors import PermanentError
 from schemas.recordings import group_recordings
-from schemas.work import Recording
+from schemas.work import LOOKAHEAD, Recording
 from service.bucket_watch import is_wanted
 from service.config import Settings
 from service.doctor_machine import NEEDED
@@ -78,7 +78,7 @@ class DryRun(BaseModel):
     frames: int | None = Field(description="To be mined, estimated by bytes; None: of no log.")
     duration_s: float | None = Field(description="Of recording to be mined, estimated likewise.")
     workers: int
-    seconds_per_frame: float
+    seconds_per_frame: float | None = Field(description="None: nothing tells it.")
     pace_from: str = Field(description="What the seconds per frame stand on.")
     hours: float | None = Field(description="For what is left, on so many workers, a core each.")
 
@@ -121,7 +121,7 @@ def plan_dry_run(
     guessed = [log for i, log in enumerate(logs) if i not in looked or log.frames is None]
     frames = _left_of([log.frames or 0 for log in told], told, guessed)
     seconds = _left_of([log.duration_s or 0.0 for log in told], told, guessed)
-    seconds_per_frame, pace_from = _pace(known.pace)
+    seconds_per_frame, pace_from = _pace(known, settings)
     return DryRun(
         bucket=bucket.url,
         logs=logs,
@@ -136,7 +136,11 @@ def plan_dry_run(
         workers=settings.workers,
         seconds_per_frame=seconds_per_frame,
         pace_from=pace_from,
-        hours=None if frames is None else frames * seconds_per_frame / settings.workers / 3600,
+        hours=(
+            None
+            if frames is None or seconds_per_frame is None
+            else frames * seconds_per_frame / settings.workers / 3600
+        ),
     )
 
 
@@ -192,15 +196,33 @@ def _left_of(
     return known + (left_bytes * sum(amounts) / told_bytes if left_bytes else 0.0)
 
 
-def _pace(found: Pace | None) -> tuple[float, str]:
+def _pace(known: "_Known", settings: Settings) -> tuple[float | None, str]:
+    found = known.pace
     frames = 0 if found is None else found.frames
-    if found is not None and frames >= ENOUGH_FRAMES:
+    others = _other_parts(settings)
+    same = known.pipeline_version == known.state_version
+    if found is not None and frames >= ENOUGH_FRAMES and (same or not others):
         return found.seconds_per_frame, f"measured on {frames} frames mined in this state"
+    if others:
+        return None, (
+            f"no {ENOUGH_FRAMES} frames are mined in this state with {', '.join(others)}, and what "
+            "the default takes says nothing of it"
+        )
     return (
         DEFAULT_SECONDS_PER_FRAME,
         f"{frames} frames are mined in this state, too few to go by: "
         f"{DEFAULT_SECONDS_PER_FRAME:g} s per frame of 100,000 points, as measured elsewhere",
     )
+
+
+def _other_parts(settings: Settings) -> list[str]:
+    """Parts that are chosen and take another time than the default's."""
+    return [
+        chosen
+        for part in ("supervised", "selfsupervised", "odometry")
+        if (chosen := getattr(settings, part)) != Settings.model_fields[part].default
+        and chosen.partition(LOOKAHEAD)[0] != Settings.model_fields[part].default
+    ]
 
 
 @dataclass(frozen=True, slots=True)

@@ -200,7 +200,7 @@ def _draw_reasons(
 
 def _tells_a_track(reason: str, score: SceneScore) -> bool:
     """Reasons come track by track; what gated the scene has none, and stands last."""
-    gates = ("odometry ", "self-supervised stream ")
+    gates = ("odometry ", "self-supervised stream ", "nothing was compared")
     return score.state is SceneState.SCORED and not reason.startswith(gates)
 
 

@@ -1,13 +1,16 @@
 """Verb `calibrate sensor`: fits the profile of a range image to the logs of any lidar."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 
 from service.cli.options import Config, Json, settings_for
 from service.cli.output import json_line, progress, remark
 from service.errors import UsageError
+
+_FEW_FRAMES: Final = 5
+"""Of fewer frames, means and deviations are those of one place."""
 
 
 def add_to(app: typer.Typer) -> None:
@@ -42,7 +45,12 @@ def sensor(
 ) -> None:
     """Fit rows, field of view, beams, means and deviations of a range image to a lidar."""
     from service.cli.logs import locate
-    from workers.calibration.sensor_profile import fit_profile, sample_frames, write_profile
+    from workers.calibration.sensor_profile import (
+        different_lidars,
+        fit_profile,
+        sample_frames,
+        write_profile,
+    )
 
     if out.suffix not in (".json", ".toml"):
         raise UsageError(f"--out {out}: a profile is a .json or .toml file")
@@ -55,12 +63,18 @@ def sensor(
     mining = settings.mining()
     if topic:
         mining = mining.model_copy(update={"lidar_topic": topic})
-    sampled = []
+    sampled = {}
     with progress() as bar:
         for log in bar.track(logs, description="reading"):
             store, recording = locate(log, root_url=settings.bucket)
-            sampled += sample_frames(store, recording, mining, frames=frames, every=every)
-    fit = fit_profile(sampled, name=name or out.stem, rows=rows, columns=columns)
+            found = sample_frames(store, recording, mining, frames=frames, every=every)
+            sampled[log] = found
+            if every > 1 and len(found) < min(frames, _FEW_FRAMES):
+                remark(f"{log}: frames taken: {len(found)}, one of {every}; --every 1 takes more")
+    if mixed := different_lidars(sampled):
+        remark(mixed)
+    taken = [frame for found in sampled.values() for frame in found]
+    fit = fit_profile(taken, name=name or out.stem, rows=rows, columns=columns)
     write_profile(out, fit.profile)
     if json:
         json_line(fit)

@@ -1,9 +1,15 @@
 """Verb `parts`: which parts can be chosen, where they come from, and what weights they need."""
 
+from typing import TYPE_CHECKING
+
 import typer
 
 from service.cli.options import Json
 from service.cli.output import json_line, remark, table
+from service.presets import PRESETS
+
+if TYPE_CHECKING:
+    from workers.parts import PartCard
 
 
 def add_to(app: typer.Typer) -> None:
@@ -18,22 +24,36 @@ def parts(json: Json = False) -> None:
     cards = part_cards()
     if json:
         for card in cards:
-            json_line(card)
+            json_line({**card.model_dump(mode="json"), "presets": presets_with(card)})
         return
+    about = ("what it does", "source", "licence", "weights")
     table(
         "replaceable parts",
-        ("setting", "name", "", "what it does", "source", "licence", "weights"),
+        ("setting", "name", "", *about),
         (
-            (
-                card.part,
-                card.name,
-                "default" if card.default else "paper" if card.paper else "",
-                card.what,
-                card.source,
-                card.licence,
-                card.weights,
-            )
+            (card.part, card.name, _marks(card), card.what, card.source, card.licence, card.weights)
             for card in cards
+            if card.part != "network"
+        ),
+    )
+    table(
+        "networks that they are made of, and whose weights are imported",
+        ("network", *about),
+        (
+            (card.name, card.what, card.source, card.licence, card.weights)
+            for card in cards
+            if card.part == "network"
         ),
     )
     remark("choose one by its setting: --supervised NAME, COUNTERPOINT_SUPERVISED, or in the TOML")
+    remark("paper: what the paper has; preset paper: what --preset paper takes")
+
+
+def presets_with(card: "PartCard") -> list[str]:
+    """Name the presets that take a part; `default` is marked by itself."""
+    return [name for name, settings in PRESETS.items() if settings.get(card.part) == card.name]
+
+
+def _marks(card: "PartCard") -> str:
+    marks = ["default"] * card.default + ["paper"] * card.paper
+    return ", ".join(marks + [f"preset {name}" for name in presets_with(card)])

@@ -153,14 +153,17 @@ def say_dry_run(found: DryRun) -> None:
     if not left:
         remark("nothing is left to mine; nothing was mined or written")
         return
-    if found.frames is None or found.hours is None or found.duration_s is None:
+    if found.frames is None or found.duration_s is None:
         remark("no estimate: no log could be looked into; that takes the extra `workers`")
         return
-    remark(
-        f"left: about {found.frames} frames in {_duration(found.duration_s)} of recording; about "
-        f"{_hours(found.hours)} on {found.workers} workers with a core each, at "
-        f"{found.seconds_per_frame:.2f} s per frame ({found.pace_from})"
-    )
+    what = f"left: about {found.frames} frames in {_duration(found.duration_s)} of recording"
+    if found.hours is None or found.seconds_per_frame is None:
+        remark(f"{what}; no estimate of the time: {found.pace_from}; mine one log first")
+    else:
+        remark(
+            f"{what}; about {_hours(found.hours)} on {found.workers} workers with a core each, at "
+            f"{found.seconds_per_frame:.2f} s per frame ({found.pace_from})"
+        )
     remark("nothing was mined or written")
 
 

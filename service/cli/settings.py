@@ -8,11 +8,18 @@ import typer
 from service.cli.options import (
     Artifacts,
     BucketUrl,
+    Camera,
     Config,
     Connect,
     Database,
     Json,
+    Model,
+    Odometry,
+    PresetName,
+    SelfSupervised,
     StateDir,
+    Supervised,
+    Weights,
     log_as,
 )
 from service.cli.output import json_line, progress, remark, table
@@ -29,6 +36,13 @@ def add_to(app: typer.Typer) -> None:
 
 def print_settings(
     context: typer.Context,
+    preset: PresetName = None,
+    supervised: Supervised = None,
+    model: Model = None,
+    weights: Weights = None,
+    selfsupervised: SelfSupervised = None,
+    odometry: Odometry = None,
+    camera: Camera = None,
     config: Config = None,
     json: Json = False,
     markdown: Annotated[
@@ -39,7 +53,16 @@ def print_settings(
     if markdown:
         sys.stdout.write(settings_page(flags_of(context.find_root().command)))
         return
-    read = read_settings(config=config)
+    read = read_settings(
+        config=config,
+        preset=preset,
+        supervised=supervised,
+        model=model,
+        weights=weights,
+        selfsupervised=selfsupervised,
+        odometry=odometry,
+        camera=camera,
+    )
     log_as(read.settings, is_daemon=False)
     rows = list(setting_rows(read))
     if json:
@@ -73,6 +96,13 @@ def doctor(
     connect: Connect = None,
     artifacts: Artifacts = None,
     database: Database = None,
+    preset: PresetName = None,
+    supervised: Supervised = None,
+    model: Model = None,
+    weights: Weights = None,
+    selfsupervised: SelfSupervised = None,
+    odometry: Odometry = None,
+    camera: Camera = None,
     config: Config = None,
     json: Json = False,
 ) -> None:
@@ -86,6 +116,13 @@ def doctor(
         connect=connect,
         artifacts=artifacts,
         database=database,
+        preset=preset,
+        supervised=supervised,
+        model=model,
+        weights=weights,
+        selfsupervised=selfsupervised,
+        odometry=odometry,
+        camera=camera,
     )
     log_as(read.settings, is_daemon=False)
     findings = []

@@ -7,6 +7,7 @@ import typer
 
 from service.cli.options import Json
 from service.cli.output import json_line, remark
+from service.errors import UsageError
 
 
 def add_to(app: typer.Typer) -> None:
@@ -26,20 +27,26 @@ def import_(
     network: Annotated[
         str, typer.Option("--network", help="salsanext, lmnet, gndnet, flowstep3d or delora.")
     ],
+    out: Annotated[Path, typer.Option("--out", help="Folder for the weights.")],
     config: Annotated[
-        str,
+        str | None,
         typer.Option(
             "--config",
-            help="What the network needs beside its parameters: a JSON file, JSON, or a name that "
-            "weights configs lists.",
+            help="Needed: what the network needs beside its parameters, a JSON file, JSON, or a "
+            "name that weights configs lists.",
         ),
-    ],
-    out: Annotated[Path, typer.Option("--out", help="Folder for the weights.")],
+    ] = None,
     json: Json = False,
 ) -> None:
     """Turn a checkpoint into weights that parts load; code in it is refused and never run."""
-    from workers.networks import import_weights
+    from workers.networks import import_weights, known_configs, read_known
 
+    if config is None:
+        fitting = [name for name in known_configs() if read_known(name).network == network]
+        raise UsageError(
+            f"--config is missing: what {network} needs beside its parameters, as a JSON file or a "
+            f"name that `counterpoint weights configs` lists ({', '.join(fitting) or 'none fits'})"
+        )
     imported = import_weights(checkpoint, network=network, config=config, out=out)
     if json:
         json_line(

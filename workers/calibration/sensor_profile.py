@@ -1,7 +1,8 @@
 """A range image's profile fitted to any lidar: layout, means and deviations of what it measures."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, replace
 from itertools import islice
 from pathlib import Path
@@ -13,13 +14,16 @@ from pydantic import BaseModel, ConfigDict, Field
 from schemas.bucket import Bucket
 from schemas.frame import LidarFrame
 from schemas.work import MiningSettings, Recording
-from workers.calibration.sensor_layout import measure_layout
+from workers.calibration.sensor_layout import SensorLayout, measure_layout
 from workers.errors import LogUnusableError
-from workers.evaluation.whole_log import shards_of_log
+from workers.evaluation.whole_log import plan_of_log
 from workers.geometry.range_image import CHANNELS, SensorProfile, image_channels, project
 from workers.ingest.read import read_shard
 
 _DIGITS: Final = 4
+_ALIKE: Final = 1.25
+_ALIKE_DEG: Final = 6.0
+"""One sensor's logs differ by less in beams and in either edge of what came back."""
 
 
 class SensorFit(BaseModel):
@@ -52,12 +56,48 @@ def sample_frames(
     Raises:
         LogUnusableError: If none can be read.
     """
-    shard, *_ = shards_of_log(bucket, recording, settings)
-    reader = read_shard(bucket, recording, shard, settings)
+    plan = plan_of_log(bucket, recording, settings)
+    if len(plan.lidar_topics) > 1:
+        raise LogUnusableError(
+            f"cannot calibrate with {recording.log_id}: it has several lidars, "
+            f"{', '.join(plan.lidar_topics)}; name one with --topic"
+        )
+    reader = read_shard(bucket, recording, plan.shards[0], settings)
     sampled = list(islice(reader.frames(), 0, frames * every, every))
     if not any(frame.valid_mask.any() for frame in sampled):
-        raise LogUnusableError(f"cannot calibrate with {recording.log_id}: no point of it is valid")
+        more = f"; --every 1 takes more than {len(sampled)} of its frames" if every > 1 else ""
+        raise LogUnusableError(
+            f"cannot calibrate with {recording.log_id}: no point of it is valid{more}"
+        )
     return sampled
+
+
+def different_lidars(logs: Mapping[str, Sequence[LidarFrame]]) -> str:
+    """Say which logs look as if they were of two sensors; empty where none do.
+
+    Args:
+        logs: Frames of each log, by its name.
+    """
+    layouts = {}
+    for name, frames in logs.items():
+        with suppress(ValueError):  # too few points to tell
+            layouts[name] = measure_layout([each for each in frames if each.valid_mask.any()])
+    names = list(layouts)
+    for name in names[1:]:
+        first, other = layouts[names[0]], layouts[name]
+        beams = sorted((first.beams, other.beams))
+        lower_deg = abs(first.fov_down_deg - other.fov_down_deg)
+        upper_deg = abs(first.fov_up_deg - other.fov_up_deg)
+        if beams[1] > _ALIKE * beams[0] or max(lower_deg, upper_deg) > _ALIKE_DEG:
+            return (
+                f"these look like different lidars, and a profile is of one: {names[0]} has "
+                f"{_told(first)}, {name} has {_told(other)}"
+            )
+    return ""
+
+
+def _told(layout: SensorLayout) -> str:
+    return f"{layout.beams} beams from {layout.fov_up_deg} to {layout.fov_down_deg} degrees"
 
 
 def fit_profile(

@@ -65,7 +65,27 @@ def reasons_of(
         told += (f"odometry {health.state.value}{because}: strengths count {gate:.0%}",)
     if stream.blind_share > 0.0:
         told += (_blind(stream),)
+    if stream.blind_share < 1.0 and (silent := _nothing_compared(scene)):
+        told += (silent,)
     return told
+
+
+def _nothing_compared(scene: Scene) -> str:
+    """Say who was silent where no point was compared; empty where one was."""
+    unknown = scene.task.unknown
+    if any((frame.agreements != scene.task.not_compared).any() for frame in scene.frames):
+        return ""
+    silent = [
+        name
+        for name, said in (
+            ("supervised", [frame.semantic for frame in scene.frames]),
+            ("self-supervised", [frame.predictive for frame in scene.frames]),
+        )
+        if all((labels.labels == unknown).all() for labels in said)
+    ]
+    if not silent:
+        return "nothing was compared: no point was judged by both streams"
+    return f"nothing was compared: the {' and the '.join(silent)} stream judged no point"
 
 
 def _blind(stream: StreamHealth) -> str:

@@ -3,7 +3,7 @@
 from typing import Final
 
 from schemas.bucket import Bucket
-from schemas.work import Grid, MiningSettings, Recording, Shard
+from schemas.work import Grid, LogPlan, MiningSettings, Recording, Shard
 from workers.errors import LogUnusableError
 from workers.ingest.plan import plan_recording
 
@@ -14,7 +14,15 @@ LONGEST_SHARD_S: Final = 3600.0
 def shards_of_log(
     bucket: Bucket, recording: Recording, settings: MiningSettings, *, topic: str = ""
 ) -> list[Shard]:
-    """Plan a log as mining does, but in one shard, of one lidar.
+    """Plan a log as mining does, but in one shard, of one lidar; else as `plan_of_log`."""
+    plan = plan_of_log(bucket, recording, settings, topic=topic)
+    return [shard for shard in plan.shards if shard.lidar.topic == plan.lidar_topics[0]]
+
+
+def plan_of_log(
+    bucket: Bucket, recording: Recording, settings: MiningSettings, *, topic: str = ""
+) -> LogPlan:
+    """Plan a log as mining does, but in one shard for each lidar.
 
     Args:
         bucket: Where the recording lies.
@@ -35,4 +43,4 @@ def shards_of_log(
     )
     if plan.refused:
         raise LogUnusableError(f"cannot read {recording.log_id}: {plan.refused}")
-    return [shard for shard in plan.shards if shard.lidar.topic == plan.lidar_topics[0]]
+    return plan

@@ -249,7 +249,7 @@ def _refuse_other_formats(reader: PartReader) -> None:
     head = bytes(reader.read(0, len(MAGIC)))
     if head == MAGIC:
         return
-    where = f"({reader.key})"
+    where = f"({reader.bucket.url.rstrip('/')}/{reader.key})"
     if not reader.size:
         raise NotMcapError(f"the file is empty {where}")
     if head[:4] in (b"\x28\xb5\x2f\xfd", b"\x04\x22\x4d\x18") or head[:2] == b"\x1f\x8b":

@@ -99,6 +99,12 @@ def _open_onnx(path: Path, output: str) -> Run:
 
 
 def _open_torchscript(path: Path, output: str) -> Run:
+    if _is_state_dict(path):
+        raise WeightsUnusableError(
+            "the file holds parameters alone (a state dict, as torch.save writes it) and not the "
+            "network: save torch.jit.trace(network, example) or torch.onnx.export it; a published "
+            f"checkpoint is taken by `counterpoint weights import` ({path})"
+        )
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # users still have such files
@@ -109,6 +115,15 @@ def _open_torchscript(path: Path, output: str) -> Run:
             f"them with torch.jit.save ({path})"
         ) from error
     return _explained(_run_torch(module, output, path), path)
+
+
+def _is_state_dict(path: Path) -> bool:
+    """Whether torch saved an object there, but no program that runs it; nothing is unpickled."""
+    if not zipfile.is_zipfile(path):
+        return False
+    with zipfile.ZipFile(path) as archive:
+        names = {name.rpartition("/")[2] for name in archive.namelist()}
+    return "data.pkl" in names and "constants.pkl" not in names
 
 
 def _open_exported(path: Path, output: str) -> Run:

@@ -209,3 +209,19 @@ def test_the_verb_ends_with_one_when_there_is_a_problem(
     a_log()
     assert main(["doctor", "--bucket", "logs"]) == 0
     assert "problems: 0" in capsys.readouterr().err
+
+
+def test_a_camera_that_cannot_be_read_is_said_under_camera_and_nowhere_else() -> None:
+    read = read_settings(bucket="", camera="nowhere.json", http_listen="", worker_http_listen="")
+    found = [(each.what, each.says) for each in examine(read) if "nowhere.json" in each.says]
+    assert [what for what, _ in found] == ["camera"]
+
+
+def test_config_and_doctor_take_the_flags_of_parts(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["config", "--preset", "paper", "--weights", "w", "--model", "m", "--json"]) == 0
+    rows = {row["setting"]: row for row in map(json.loads, capsys.readouterr().out.splitlines())}
+    assert (rows["weights"]["value"], rows["weights"]["origin"]) == ("w", "--weights")
+    assert rows["selfsupervised"]["value"] == "paper"
+    assert main(["doctor", "--preset", "paper", "--weights", "nowhere", "--json"]) == 1
+    found = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert any("no such folder" in each["says"] for each in found if each["what"] == "workers")

@@ -111,6 +111,20 @@ def test_a_state_that_has_mined_tells_the_pace(tmp_path: Path) -> None:
     assert found.pace_from == "measured on 400 frames mined in this state"
 
 
+def test_other_parts_are_not_estimated_by_the_time_of_the_default(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bucket_of(tmp_path, (1,))
+    found = dry_run(tmp_path, preset="paper", weights=str(tmp_path))
+    assert (found.frames, found.seconds_per_frame, found.hours) == (10, None, None)
+    assert "salsanext-lmnet:published, paper" in found.pace_from
+    bucket = str(tmp_path / "logs")
+    assert main(["run", "--dry-run", "--bucket", bucket, "--supervised", "recorded"]) == 0
+    assert "no estimate of the time" in capsys.readouterr().err
+    ahead = dry_run(tmp_path, selfsupervised="registration:lookahead-0.5")
+    assert ahead.seconds_per_frame == DEFAULT_SECONDS_PER_FRAME
+
+
 def recordings_in(folder: Path) -> list[Recording]:
     return group_recordings(open_bucket(str(folder / "logs")).list())
 

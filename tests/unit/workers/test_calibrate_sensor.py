@@ -10,8 +10,9 @@ from pydantic import TypeAdapter
 
 from schemas.frame import LidarFrame
 from service.cli.main import main
+from tests import factories
 from workers.calibration.sensor_layout import measure_layout
-from workers.calibration.sensor_profile import fit_profile, write_profile
+from workers.calibration.sensor_profile import different_lidars, fit_profile, write_profile
 from workers.errors import LogUnusableError
 from workers.geometry.range_image import SensorProfile
 from workers.supervised.adapter import Adapter
@@ -148,6 +149,29 @@ def test_another_kind_of_file_is_refused_before_anything_is_read(
 ) -> None:
     assert main(["calibrate", "sensor", "nowhere.mcap", "--out", "profile.yaml"]) == 1
     assert ".json or .toml" in capsys.readouterr().err
+
+
+def test_logs_of_two_lidars_are_told_apart_and_two_of_one_are_not() -> None:
+    sparse = BEAMS_DEG[::2]
+    mixed = different_lidars({"a": [_frame()], "b": [_frame(beams_deg=sparse)]})
+    assert mixed == (
+        "these look like different lidars, and a profile is of one: a has 12 beams from 8.0 to "
+        "-25.0 degrees, b has 6 beams from 8.0 to -22.0 degrees"
+    )
+    assert not different_lidars({"a": [_frame()], "b": [_frame(seed=3)]})
+    higher = different_lidars({"a": [_frame()], "b": [_frame(beams_deg=BEAMS_DEG + 7.0)]})
+    assert "different lidars" in higher
+
+
+def test_a_log_of_two_lidars_needs_a_topic_and_a_short_one_says_how_to_take_more(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = factories.street_log(tmp_path / "short.mcap", frames=5)
+    out = ["--out", str(tmp_path / "p.toml")]
+    assert main(["calibrate", "sensor", str(log), *out]) == 0
+    assert "frames taken: 1, one of 10; --every 1 takes more" in capsys.readouterr().err
+    assert main(["calibrate", "sensor", str(log), *out, "--every", "1"]) == 0
+    assert "--every" not in capsys.readouterr().err
 
 
 @pytest.mark.reference

@@ -23,6 +23,7 @@ from workers.registry import PartFiles, build_parts
 from workers.supervised.networks import RangeImageNetwork
 from workers.supervised.own_model import open_own_model
 from workers.supervised.residual_image import ResidualSettings
+from workers.supervised.runtimes import open_network
 from workers.supervised.salsanext import SalsaNext
 from workers.supervised.stream import SHIPPED, RangeImageStream
 from workers.supervised.weights import LoadedWeights, load_weights
@@ -118,6 +119,13 @@ def shipped() -> tuple[LoadedWeights, LoadedWeights]:
 
 
 @pytest.mark.reference
+def test_parameters_alone_are_no_network_and_the_message_says_what_is(tmp_path: Path) -> None:
+    path = tmp_path / "net.pt"
+    torch.save(torch.nn.Linear(2, 2).state_dict(), path)
+    with pytest.raises(WeightsUnusableError, match=r"parameters alone.*weights import"):
+        open_network(path)
+
+
 @pytest.mark.parametrize("suffix", [".onnx", ".pt", ".pt2"])
 def test_our_own_networks_fed_back_as_exports_give_our_labels(
     suffix: str,

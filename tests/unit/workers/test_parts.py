@@ -6,12 +6,18 @@ from schemas.work import MiningSettings
 from service.cli.main import main
 from workers.networks import NETWORKS, known_configs, read_known
 from workers.parts import part_cards
-from workers.registry import ODOMETRIES, SELFSUPERVISED, SUPERVISED
+from workers.registry import INSTANCES, ODOMETRIES, SELFSUPERVISED, SUPERVISED, WITNESSES
 
 
 def test_every_part_that_can_be_chosen_is_described_once() -> None:
     described = [(card.part, card.name) for card in part_cards()]
-    tables = {"odometry": ODOMETRIES, "supervised": SUPERVISED, "selfsupervised": SELFSUPERVISED}
+    tables = {
+        "odometry": ODOMETRIES,
+        "supervised": SUPERVISED,
+        "selfsupervised": SELFSUPERVISED,
+        "witness": WITNESSES,
+        "instances": INSTANCES,
+    }
     chosen = [(kind, name) for kind, table in tables.items() for name in table]
     chosen += [("network", name) for name in NETWORKS]
     assert sorted(described) == sorted(chosen)
@@ -24,6 +30,8 @@ def test_the_default_of_each_kind_stands_first_and_is_what_runs() -> None:
         settings.odometry,
         settings.supervised,
         settings.selfsupervised,
+        settings.witness,
+        settings.instances,
     ]
     kinds = [card.part for card in part_cards()]
     assert [kinds.index(card.part) for card in defaults] == [
@@ -50,7 +58,10 @@ def test_parts_are_listed_as_lines_of_json_and_as_a_table(
 ) -> None:
     assert main(["parts", "--json"]) == 0
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert {"part", "name", "default", "paper", "licence", "weights"} < set(rows[0])
+    assert {"part", "name", "default", "paper", "licence", "weights", "presets"} <= set(rows[0])
+    taken = {row["part"]: row["name"] for row in rows if "paper" in row["presets"]}
+    assert (taken["odometry"], taken["selfsupervised"]) == ("kiss-icp", "paper")
+    assert taken["instances"] == "paper"
     assert main(["parts"]) == 0
     shown = capsys.readouterr().out
     assert all(row["name"] in shown for row in rows)

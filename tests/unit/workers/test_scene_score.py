@@ -284,6 +284,28 @@ def test_a_stream_that_confirms_nothing_is_scored_as_before_and_its_record_is_si
     assert encode_scene_score(told).count(b"confirmed_share") == 1
 
 
+@pytest.mark.parametrize(
+    ("semantic", "predictive", "says"),
+    [
+        (UNKNOWN, STATIC, "the supervised stream judged no point"),
+        (STATIC, UNKNOWN, "the self-supervised stream judged no point"),
+        (UNKNOWN, UNKNOWN, "the supervised and the self-supervised stream judged no point"),
+    ],
+)
+def test_a_scene_in_which_nothing_was_compared_says_who_was_silent(
+    semantic: MotionLabel, predictive: MotionLabel, says: str
+) -> None:
+    record = _score(labelled_scene([Thing((9, 0, 0), semantic, predictive)]))
+    assert (record.score, record.compared_share) == (0.0, 0.0)
+    assert record.reasons == (f"nothing was compared: {says}",)
+
+
+def test_streams_that_never_judged_the_same_point_say_so() -> None:
+    things = [Thing((9, 0, 0), UNKNOWN, STATIC), Thing((-9, 0, 0), STATIC, UNKNOWN)]
+    record = _score(labelled_scene(things))
+    assert record.reasons == ("nothing was compared: no point was judged by both streams",)
+
+
 def _blind(scene: Scene, *frames: int) -> Scene:
     """The same scene, the self-supervised stream blind in some of its frames."""
     health = FrameHealth(Blindness.NO_FIT, "half of the places are seen through")

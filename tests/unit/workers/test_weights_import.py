@@ -216,3 +216,14 @@ def test_a_real_published_checkpoint_is_imported(reference: Path, tmp_path: Path
     for name, value in found.items():
         assert list(value.shape) == means[name]["shape"]
         assert float(value.double().mean()) == pytest.approx(means[name]["mean"], abs=1e-6)
+
+
+def test_an_import_without_config_names_those_that_fit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = [str(tmp_path / "x"), "--network", "lmnet", "--out", str(tmp_path / "w")]
+    assert main(["weights", "import", *arguments]) == 1
+    said = capsys.readouterr().err
+    assert "weights configs" in said
+    assert "lmnet-semantickitti-1, lmnet-semantickitti-8" in said
+    assert "salsanext" not in said
