@@ -150,7 +150,9 @@ class Run:
             beams_from_odom=prepared.beams_from_odom,
         )
         found = find_motions(places, *references, evidence)
-        tracked = self._tracker.update(places, found, votes, centre_m=centre_m, now_ns=now_ns)
+        tracked = self._tracker.update(
+            places, found, votes, centre_m=centre_m, now_ns=now_ns, table=ready.table
+        )
         tracked = fragments_of_movers(places, found, tracked, evidence, centre_m=centre_m)
         found = specks_of_movers(places, found, tracked.dynamic, votes, centre_m=centre_m)
         opinions = votes + after

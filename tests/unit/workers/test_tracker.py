@@ -15,6 +15,8 @@ from workers.visibility.free_space import Votes
 
 PERIOD_NS = 100_000_000
 CENTRE_M = np.zeros(3, np.float32)
+TABLE = BeamTable(np.arange(-0.3, 0.1, 0.004, dtype=np.float32), np.zeros(3), max_gap=0.03)
+"""Beams a voxel apart at 37 m, and 0.3 m at 75 m."""
 
 
 @dataclass(frozen=True)
@@ -62,14 +64,13 @@ def world(*things: Thing) -> tuple[NDArray[np.float32], ClusterMotions, Votes]:
 def evidence_of(votes: Votes) -> Evidence:
     """Votes of a sensor that lies on the road."""
     nothing = Votes(*np.zeros((3, len(votes.free)), np.int16))
-    table = BeamTable(np.zeros(0, np.float32), np.zeros(3), max_gap=0.0)
     return Evidence(
         votes=votes,
         after=nothing,
         near=np.zeros(len(votes.free), np.int8),
         far=np.zeros(len(votes.free), np.int8),
         image=np.zeros((0, 0), np.float32),
-        table=table,
+        table=TABLE,
         sensor_height_m=0.0,
         beams_from_odom=np.eye(4),
     )
@@ -84,7 +85,9 @@ class Frames:
     def see(self, *things: Thing, after_ns: int = PERIOD_NS) -> Tracked:
         self.now_ns += after_ns
         points_m, found, votes = world(*things)
-        return self.tracker.update(points_m, found, votes, centre_m=CENTRE_M, now_ns=self.now_ns)
+        return self.tracker.update(
+            points_m, found, votes, centre_m=CENTRE_M, now_ns=self.now_ns, table=TABLE
+        )
 
 
 def test_what_was_proved_to_move_still_moves_in_a_frame_that_proves_nothing() -> None:
@@ -127,6 +130,17 @@ def test_a_handful_of_voxels_must_be_proved_twice() -> None:
     first = frames.see(Thing(at=(5.0, 0.0), size_m=tiny, velocity=(2.0, 0.0), proved=True))
     second = frames.see(Thing(at=(5.2, 0.0), size_m=tiny, velocity=(2.0, 0.0), proved=True))
     assert (first.dynamic[0], second.dynamic[0]) == (False, True)
+
+
+@pytest.mark.parametrize(("away_m", "at_once"), [(5.0, False), (60.0, True)])
+def test_as_many_voxels_are_a_piece_of_something_near_and_the_whole_of_something_far(
+    away_m: float, *, at_once: bool
+) -> None:
+    frames, piece = Frames(), (0.6, 0.6, 0.8)
+    first = frames.see(Thing(at=(away_m, 0.0), size_m=piece, velocity=(2.0, 0.0), proved=True))
+    again = (away_m + 0.2, 0.0)
+    second = frames.see(Thing(at=again, size_m=piece, velocity=(2.0, 0.0), proved=True))
+    assert (first.dynamic[0], second.dynamic[0]) == (at_once, True)
 
 
 def test_what_stands_where_a_mover_came_from_inherits_nothing() -> None:
