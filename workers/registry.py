@@ -162,8 +162,10 @@ def _recorded(_: PartFiles, *, task: Task = MOTION) -> Stream:
 
 
 def _registration(_: PartFiles, *, lookahead_s: float = 0.0) -> Stream:
+    from workers.selfsupervised.compiling import compile_apart
     from workers.selfsupervised.stream import Registration
 
+    compile_apart()
     return Registration(lookahead_s)
 
 

@@ -1,8 +1,10 @@
 """How inner loops are compiled: the one place that touches numba's options."""
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any, Final, TypeVar, cast
 
+import structlog
 from numba import njit
 
 from workers.sources import source_digest
@@ -15,6 +17,8 @@ COMPILED: Final = (
 )
 """Packages with such loops."""
 
+log = structlog.get_logger(__name__)
+
 Loop = TypeVar("Loop", bound=Callable[..., Any])
 
 
@@ -26,6 +30,26 @@ def compiled(loop: Loop) -> Loop:
 
     The cache of numba notices changes of a function's own file only, not of the loops and numbers
     that it takes from others; a digest of all of them in the name makes stale code impossible.
+    Where no cache can be written, that is said once, and every process compiles for itself.
     """
     loop.__qualname__ += f"_{source_digest(*COMPILED)[:8]}"
-    return cast(Loop, njit(cache=True, nogil=True, error_model="numpy")(loop))
+    compiler = njit(nogil=True, error_model="numpy")
+    dispatcher = compiler(loop)
+    try:
+        dispatcher.enable_caching()
+    except RuntimeError:  # numba's word for a cache that cannot be written anywhere
+        _say_uncached()
+    return cast(Loop, dispatcher)
+
+
+def cache_folder(loop: Callable[..., Any]) -> str | None:
+    """Where a loop is kept on disk once it is compiled; None where it cannot be."""
+    return cast(str | None, cast(Any, loop).stats.cache_path)
+
+
+@cache
+def _say_uncached() -> None:
+    log.warning(
+        "no cache for compiled loops: every process compiles them anew, with time and memory",
+        remedy="name a folder that can be written in NUMBA_CACHE_DIR",
+    )
