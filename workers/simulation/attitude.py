@@ -15,6 +15,10 @@ _HALF_TRACK_M: Final = 0.8
 _SPRING_S: Final = 0.12
 """Springs and tyres smooth the ground over about this time."""
 
+_FELT: Final = 0.2
+"""Share of small unevenness that reaches a sprung body: a smooth road moves it by a tenth of a
+degree within a turn of the lidar at most."""
+
 _DIVE_RAD_PER_M_PER_S2: Final = 0.0035
 _LEAN_RAD_PER_M_PER_S2: Final = 0.0045
 """A body pitches by about a degree when it brakes hard, and leans out of bends a little more."""
@@ -32,9 +36,8 @@ def ride(drive: Drive, terrain: Terrain, *, seconds: float) -> Floats:
     cos, sin = np.cos(yaw), np.sin(yaw)
 
     def ground(ahead_m: float, aside_m: float) -> Floats:
-        return terrain.height_m(
-            x + cos * ahead_m - sin * aside_m, y + sin * ahead_m + cos * aside_m
-        )
+        east, north = x + cos * ahead_m - sin * aside_m, y + sin * ahead_m + cos * aside_m
+        return terrain.height_m(east, north, felt=_FELT)
 
     front, rear = ground(_HALF_WHEELBASE_M, 0.0), ground(-_HALF_WHEELBASE_M, 0.0)
     left, right = ground(0.0, _HALF_TRACK_M), ground(0.0, -_HALF_TRACK_M)

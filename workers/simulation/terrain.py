@@ -51,9 +51,9 @@ class Terrain:
         """Give the height of the net of triangles: no unevenness, no bumps."""
         return _waves(self.slopes, x_m, y_m)
 
-    def height_m(self, x_m: Places, y_m: Places) -> Floats:
-        """Give the height that wheels feel."""
-        height = self.slope_m(x_m, y_m) + _waves(self.waves, x_m, y_m)
+    def height_m(self, x_m: Places, y_m: Places, *, felt: float = 1.0) -> Floats:
+        """Give the height of the ground, of its unevenness so much as is `felt`."""
+        height = self.slope_m(x_m, y_m) + felt * _waves(self.waves, x_m, y_m)
         for x, y, heading, half_width, high in self.bumps:
             dx, dy = np.asarray(x_m) - x, np.asarray(y_m) - y
             along = dx * np.cos(heading) + dy * np.sin(heading)
