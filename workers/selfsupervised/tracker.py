@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import NS_PER_S, Mask, Points
-from workers.selfsupervised.clusters import Clusters
 from workers.selfsupervised.motion import ClusterMotions
 from workers.selfsupervised.neighbours import build_grid, nearest_indices
 from workers.visibility.beam_table import BeamTable
+from workers.visibility.clusters import Clusters
 from workers.visibility.free_space import Votes
 from workers.visibility.range_image import COLUMNS
 from workers.visibility.steps import step
