@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -10,6 +11,7 @@ from rich.progress import Progress
 
 from schemas.overlay import decode_overlay
 from service.config import Settings, load_settings
+from service.demo_retrieval import RankingFound, found_in
 from service.embedded import run_embedded
 from service.picture import draw_scene
 from service.ranking import RankedScene
@@ -17,6 +19,25 @@ from service.reading import StateReader
 from service.status import Status
 
 PICTURES: Final = 3
+
+
+@dataclass(frozen=True, slots=True)
+class DemoResult:
+    """What came of a demo.
+
+    Attributes:
+        status: How mining went.
+        ranking: All scenes, best first.
+        pictures: Of its best scenes.
+        failing: Scenes in which a failure was planted.
+        found: How well rankings find those.
+    """
+
+    status: Status
+    ranking: list[RankedScene]
+    pictures: list[Path]
+    failing: int
+    found: list[RankingFound]
 
 
 def demo_settings(
@@ -49,7 +70,7 @@ def run_demo(
     remark: Callable[[str], None],
     progress: Callable[[], AbstractContextManager[Progress]],
     now_s: float,
-) -> tuple[Status, list[RankedScene], list[Path]]:
+) -> DemoResult:
     """Simulate street logs, mine them with `run --once`, rank the scenes, draw the best.
 
     The model that ran on the simulated cars is right but for a few mistakes that were put in; the
@@ -63,7 +84,7 @@ def run_demo(
         now_s: Time, for rates in the status.
 
     Returns:
-        How mining went, the ranking, and the pictures of its best scenes.
+        What came of it.
     """
     from workers.simulation.demo import DEMO_FRAMES, make_demo_fleet
 
@@ -99,4 +120,6 @@ def run_demo(
             path
         )
         drawn.append(path)
-    return status, ranking, drawn
+    scenes = [reader.scene(row.scene_id) for row in ranking]
+    failing, found = found_in(scenes, bucket / "truth")
+    return DemoResult(status, ranking, drawn, failing, found)

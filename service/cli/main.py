@@ -12,6 +12,7 @@ from schemas.process import log_to_stderr
 from service.cli import (
     calibrate,
     daemons,
+    demo,
     evaluate,
     logs,
     measure,
@@ -42,7 +43,7 @@ app = typer.Typer(
 )
 for mining in (daemons, logs, scenes, rates, retry):
     mining.add_to(app)
-for measuring in (simulate, evaluate, measure, calibrate, parts, settings, weights):
+for measuring in (demo, simulate, evaluate, measure, calibrate, parts, settings, weights):
     measuring.add_to(app)
 
 

@@ -1,4 +1,4 @@
-"""Verbs that measure and show: `bench` of a part or of the whole, and `demo`."""
+"""The verb `bench`: how long a part or the whole takes, beside floors of the same run."""
 
 import time
 from collections.abc import Sequence
@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.cli.failures import failures
-from service.cli.options import Config, Json, LogFormat, LogLevel, log_as, settings_for
+from service.cli.options import Config, Json, settings_for
 from service.cli.output import json_line, progress, remark, table
 
 if TYPE_CHECKING:
     from workers.evaluation.bench_simulation import Look
-
-DEMO_ROWS = 12
 
 
 def add_to(app: typer.Typer) -> None:
@@ -28,7 +26,6 @@ def add_to(app: typer.Typer) -> None:
     bench.command(epilog="counterpoint bench failures fleet --report failures.html")(failures)
     bench.command(epilog="counterpoint bench simulation drive.mcap --sensor pandar64")(simulation)
     app.add_typer(bench, name="bench")
-    app.command(epilog="counterpoint demo --out demo-output")(demo)
 
 
 def pipeline(
@@ -320,31 +317,3 @@ def _simulated(folder: Path, *, frames: int) -> str:
     seconds = (frames + WARMING_FRAMES) / 10 + 4.0
     write_log(log, build_street(1, seconds=seconds), recorded="nothing")
     return str(log)
-
-
-def demo(
-    out: Annotated[Path, typer.Option("--out", help="Folder for logs, state and pictures.")] = Path(
-        "demo-output"
-    ),
-    workers: Annotated[int, typer.Option("--workers", help="Worker processes.")] = 2,
-    log_format: LogFormat = None,
-    log_level: LogLevel = None,
-) -> None:
-    """Simulate street logs, mine them, rank the scenes, draw the best ones."""
-    from service.cli.report import say_ranking, say_what_was_found
-    from service.demo import demo_settings, run_demo
-
-    settings = demo_settings(out, workers=workers, log_format=log_format, log_level=log_level)
-    log_as(settings, is_daemon=True)
-    status, ranking, pictures = run_demo(
-        out,
-        settings=settings,
-        remark=remark,
-        progress=progress,
-        now_s=time.clock_gettime(time.CLOCK_REALTIME),
-    )
-    say_what_was_found(status)
-    say_ranking(ranking, most=DEMO_ROWS)
-    for path in pictures:
-        remark(f"picture: {path}")
-    remark(f"more: counterpoint top --state {out / 'state'}")
