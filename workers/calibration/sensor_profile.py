@@ -14,16 +14,17 @@ from pydantic import BaseModel, ConfigDict, Field
 from schemas.bucket import Bucket
 from schemas.frame import LidarFrame
 from schemas.work import MiningSettings, Recording
-from workers.calibration.sensor_layout import SensorLayout, measure_layout
+from workers.calibration.sensor_layout import measure_layout
 from workers.errors import LogUnusableError
 from workers.evaluation.whole_log import plan_of_log
 from workers.geometry.range_image import CHANNELS, SensorProfile, image_channels, project
 from workers.ingest.read import read_shard
+from workers.visibility.beam_table import MIN_RANGE_M
 
 _DIGITS: Final = 4
 _ALIKE: Final = 1.25
-_ALIKE_DEG: Final = 6.0
-"""One sensor's logs differ by less in beams and in either edge of what came back."""
+_ALIKE_DEG: Final = 4.0
+"""One sensor's logs differ by less in their beams, and in the elevation of the lowest."""
 
 
 class SensorFit(BaseModel):
@@ -78,26 +79,30 @@ def different_lidars(logs: Mapping[str, Sequence[LidarFrame]]) -> str:
     Args:
         logs: Frames of each log, by its name.
     """
-    layouts = {}
+    found = {}
     for name, frames in logs.items():
+        seen = [frame for frame in frames if frame.valid_mask.any()]
         with suppress(ValueError):  # too few points to tell
-            layouts[name] = measure_layout([each for each in frames if each.valid_mask.any()])
-    names = list(layouts)
+            found[name] = measure_layout(seen).beams, _lowest_deg(seen)
+    names = list(found)
     for name in names[1:]:
-        first, other = layouts[names[0]], layouts[name]
-        beams = sorted((first.beams, other.beams))
-        lower_deg = abs(first.fov_down_deg - other.fov_down_deg)
-        upper_deg = abs(first.fov_up_deg - other.fov_up_deg)
-        if beams[1] > _ALIKE * beams[0] or max(lower_deg, upper_deg) > _ALIKE_DEG:
+        (beams, lowest_deg), (others, other_deg) = found[names[0]], found[name]
+        alike = max(beams, others) <= _ALIKE * min(beams, others)
+        if not alike or abs(lowest_deg - other_deg) > _ALIKE_DEG:
             return (
-                f"these look like different lidars, and a profile is of one: {names[0]} has "
-                f"{_told(first)}, {name} has {_told(other)}"
+                "these look like different lidars, and a profile is of one: "
+                f"{names[0]} has {beams} beams down to {lowest_deg:.0f} degrees, "
+                f"{name} has {others} down to {other_deg:.0f}"
             )
     return ""
 
 
-def _told(layout: SensorLayout) -> str:
-    return f"{layout.beams} beams from {layout.fov_up_deg} to {layout.fov_down_deg} degrees"
+def _lowest_deg(frames: Sequence[LidarFrame]) -> float:
+    """Elevation of the lowest beam: the road always returns it, as the sky never does the upper."""
+    points_m = np.concatenate([frame.points_m[frame.valid_mask] for frame in frames])
+    across_m = np.hypot(points_m[:, 0], points_m[:, 1])
+    elevation_deg = np.degrees(np.arctan2(points_m[:, 2], across_m))[across_m > MIN_RANGE_M]
+    return float(np.quantile(elevation_deg, 0.005)) if len(elevation_deg) else 0.0
 
 
 def fit_profile(

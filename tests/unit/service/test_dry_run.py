@@ -115,7 +115,7 @@ def test_other_parts_are_not_estimated_by_the_time_of_the_default(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bucket_of(tmp_path, (1,))
-    found = dry_run(tmp_path, preset="paper", weights=str(tmp_path))
+    found = dry_run(tmp_path, supervised="salsanext-lmnet:published", selfsupervised="paper")
     assert (found.frames, found.seconds_per_frame, found.hours) == (10, None, None)
     assert "salsanext-lmnet:published, paper" in found.pace_from
     bucket = str(tmp_path / "logs")

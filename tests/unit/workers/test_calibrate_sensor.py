@@ -15,6 +15,7 @@ from workers.calibration.sensor_layout import measure_layout
 from workers.calibration.sensor_profile import different_lidars, fit_profile, write_profile
 from workers.errors import LogUnusableError
 from workers.geometry.range_image import SensorProfile
+from workers.simulation.lidar import Lidar
 from workers.supervised.adapter import Adapter
 
 BEAMS_DEG = np.array([8.0, 3.0, 1.0, 0.0, -1.0, -2.5, -4.0, -7.0, -11.0, -16.0, -22.0, -25.0])
@@ -155,8 +156,8 @@ def test_logs_of_two_lidars_are_told_apart_and_two_of_one_are_not() -> None:
     sparse = BEAMS_DEG[::2]
     mixed = different_lidars({"a": [_frame()], "b": [_frame(beams_deg=sparse)]})
     assert mixed == (
-        "these look like different lidars, and a profile is of one: a has 12 beams from 8.0 to "
-        "-25.0 degrees, b has 6 beams from 8.0 to -22.0 degrees"
+        "these look like different lidars, and a profile is of one: a has 12 beams down to -25 "
+        "degrees, b has 6 down to -22"
     )
     assert not different_lidars({"a": [_frame()], "b": [_frame(seed=3)]})
     higher = different_lidars({"a": [_frame()], "b": [_frame(beams_deg=BEAMS_DEG + 7.0)]})
@@ -166,7 +167,7 @@ def test_logs_of_two_lidars_are_told_apart_and_two_of_one_are_not() -> None:
 def test_a_log_of_two_lidars_needs_a_topic_and_a_short_one_says_how_to_take_more(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    log = factories.street_log(tmp_path / "short.mcap", frames=5)
+    log = factories.street_log(tmp_path / "short.mcap", frames=5, lidar=Lidar(columns=720))
     out = ["--out", str(tmp_path / "p.toml")]
     assert main(["calibrate", "sensor", str(log), *out]) == 0
     assert "frames taken: 1, one of 10; --every 1 takes more" in capsys.readouterr().err
