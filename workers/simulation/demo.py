@@ -9,6 +9,9 @@ from workers.simulation.fleet import SimulatedLog, simulate_fleet
 DEMO_SCENES: Final = 30
 DEMO_FAILURES: Final = 0.2
 DEMO_SEED: Final = 7
+DEMO_COLUMNS: Final = 900
+"""Half of what the sensors fire: the demo has to be over in minutes."""
+
 DEMO_FRAMES: Final = DEMO_SCENES * 20
 """How often `progress` is called."""
 
@@ -23,6 +26,11 @@ def make_demo_fleet(
     """
     return tuple(
         simulate_fleet(
-            folder, scenes=DEMO_SCENES, seed=DEMO_SEED, share=DEMO_FAILURES, progress=progress
+            folder,
+            scenes=DEMO_SCENES,
+            seed=DEMO_SEED,
+            share=DEMO_FAILURES,
+            columns=DEMO_COLUMNS,
+            progress=progress,
         )
     )

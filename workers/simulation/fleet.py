@@ -80,6 +80,7 @@ def simulate_fleet(
     seed: int,
     share: float,
     lidar: Lidar | None = None,
+    columns: int | None = None,
     recorded: RecordedAs = "fields",
     chunk_bytes: int = 4 << 20,
     progress: Callable[[], None] | None = None,
@@ -92,11 +93,12 @@ def simulate_fleet(
         seed: Seed of the whole fleet.
         share: Of the scenes in which the model on the car errs.
         lidar: The lidar of every car; each its own when None.
+        columns: Firings in a turn of every car's own lidar; fewer make logs cheap.
         recorded: Where the labels of the model on the car go.
         chunk_bytes: Uncompressed size at which a chunk is closed.
         progress: Called after each frame.
     """
-    options = FleetOptions(lidar=lidar, recorded=recorded, chunk_bytes=chunk_bytes)
+    options = FleetOptions(lidar=lidar, columns=columns, recorded=recorded, chunk_bytes=chunk_bytes)
     plans = plan_fleet(scenes=scenes, seed=seed, share=share)
     return [write_planned(out_folder, plan, options=options, progress=progress) for plan in plans]
 

@@ -366,8 +366,9 @@ def _furniture(build: _Builder, from_m: float, to_m: float, side: int) -> None:
             deep = side * (place.kerb_m + min(place.pavement_m, 3.6) - 0.7)
             build.block((long, 0.7, 0.0, high), thing, Material.METAL, at, deep)
         elif draw < 0.9:
-            build.put(_unit_rod(), at, kerb, scale=(0.58, 0.58, 1.0))
-        at += float(rng.uniform(4.0, 12.0)) * (3.0 if place.barriers else 1.0)
+            wide = 0.58 if place.pavement_m else 0.12  # a bin, or a post that marks the edge
+            build.put(_unit_rod(), at, kerb, scale=(wide, wide, 1.0))
+        at += float(rng.uniform(4.0, 12.0)) * (1.0 if place.pavement_m else 4.0)
 
 
 @cache
