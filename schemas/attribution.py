@@ -29,7 +29,10 @@ class Attribution(BaseModel):
     both: Chance = Field(description="That both are wrong, and the witness right.")
     neither: Chance = Field(description="That both are right, and the witness wrong.")
     because: tuple[str, ...] = Field(
-        default=(), max_length=6, description="What speaks for it, in words."
+        default=(),
+        max_length=6,
+        exclude_if=lambda value: not value,
+        description="What speaks for it, in words; absent where a track is hardly worth a look.",
     )
 
     @property

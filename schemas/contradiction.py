@@ -116,6 +116,9 @@ class Instance:
             wall.
         confirmed_share: Share of its points of which the self-supervised stream proved more than
             once that they move; None where that stream says static, or does not tell.
+        denied_share: Of all that the one who says dynamic calls so in and around its box, a metre
+            each way: share that the other stream calls static.
+        agreed_share: And dynamic; about the rest it is silent.
     """
 
     kind: Outcome
@@ -130,6 +133,8 @@ class Instance:
     velocity_m_per_s: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     own_share: float = 1.0
     confirmed_share: float | None = None
+    denied_share: float = 1.0
+    agreed_share: float = 0.0
 
 
 KindName = Annotated[

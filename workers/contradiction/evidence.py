@@ -46,12 +46,14 @@ class Evidence:
         own: Share of its surroundings that contradict alike.
         supervised_sure: Mean confidence of the supervised stream.
         selfsupervised_sure: Mean confidence of the self-supervised stream.
-        confirmed: Share of its points proved to move more than once; 0 where that is not told.
+        confirmed: Share of its points proved to move more than once; 1 where that is not told.
         speed_fits: How well its path bears out the measured speed; 0 where none was measured.
         fast: Measured speed over 10 m/s.
         doubted: Share of its frames whose pose is not healthy.
         turning: How fast the sensor turned: 1 at 0.3 rad/s.
         unseen: Share of the places asked about in its frames that no other frame saw.
+        denied: Of all that is called dynamic around it, share that the other stream calls static.
+        agreed: And dynamic: the rim of a thing that both see move.
         silent: Share of its points that the self-supervised stream says nothing about.
         crowded: Whether much else contradicts in the same way in its frames: 0.63 at eight.
     """
@@ -77,6 +79,8 @@ class Evidence:
     doubted: float
     turning: float
     unseen: float
+    denied: float
+    agreed: float
     silent: float
     crowded: float
 
@@ -178,12 +182,14 @@ def evidence_of(
         own=_clip(mean([member.own_share for member in members])),
         supervised_sure=_clip(mean([member.semantic_confidence for member in members])),
         selfsupervised_sure=_clip(mean([member.predictive_confidence for member in members])),
-        confirmed=_clip(mean([member.confirmed_share or 0.0 for member in members])),
+        confirmed=_clip(mean([_told(member.confirmed_share) for member in members])),
         speed_fits=_clip(speed_fits),
         fast=_clip(float(np.median(speeds)) / _FAST_M_PER_S),
         doubted=mean(around.doubted[at].tolist()),
         turning=_clip(float(around.turn_rad_per_s[at].max()) / _TURN_RAD_PER_S),
         unseen=_clip(float(around.unseen[at].mean())),
+        denied=_clip(mean([member.denied_share for member in members])),
+        agreed=_clip(mean([member.agreed_share for member in members])),
         silent=_silence(scene, members),
         crowded=1.0
         - math.exp(-(float(np.median([around.crowd[kind, i] for i in at.tolist()])) - 1) / _CROWD),
@@ -225,6 +231,10 @@ def _silence(scene: Scene, members: Sequence[Instance]) -> float:
         silent += int((said == MotionLabel.UNKNOWN).sum())
         total += len(said)
     return silent / max(1, total)
+
+
+def _told(share: float | None) -> float:
+    return 1.0 if share is None else share
 
 
 def _clip(value: float) -> float:

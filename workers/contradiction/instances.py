@@ -11,6 +11,7 @@ from schemas.contradiction import Instance, LabelledFrame, Scene
 from schemas.labels import MotionLabel
 from schemas.task import Outcome
 from workers.contradiction.boxes import fit_box
+from workers.contradiction.claims import Claims
 from workers.contradiction.settings import DEFAULT_INSTANCES, InstanceSettings
 from workers.contradiction.surroundings import neighbours
 
@@ -96,6 +97,7 @@ def _instances_of(
     own, around = neighbours(
         points_m[candidates], (points_m[candidates], points_m[asked]), cell_m=settings.around_m
     )
+    claims = _claims(frame, kind)
     order = np.argsort(clusters, kind="stable")
     first = np.searchsorted(clusters[order], np.arange(found + 1))
     members = [order[first[c] : first[c + 1]] for c in range(found)]
@@ -104,6 +106,7 @@ def _instances_of(
         if len(index) < settings.min_points and settings.voxel_m > 0:
             continue  # a border place may have gone to a neighbour: what is left is too small
         centre_m, size_m, yaw_rad = fit_box(points_m[index])
+        denied_share, agreed_share = claims.answered(points_m[index])
         yield Instance(
             kind=kind,
             frame_index=frame_index,
@@ -117,6 +120,8 @@ def _instances_of(
             velocity_m_per_s=_velocity(frame, index),
             own_share=float(own[member].sum() / around[member].sum()),
             confirmed_share=_confirmed_share(frame, kind, index),
+            denied_share=denied_share,
+            agreed_share=agreed_share,
         )
 
 
@@ -132,6 +137,22 @@ def _candidates(frame: LabelledFrame, kind: Outcome) -> tuple[Mask, Mask]:
     # the self-supervised stream may also be silent
     static = (frame.semantic.labels != moving) & (frame.predictive.labels != moving)
     return told, told & static & (witness == MotionLabel.DYNAMIC)
+
+
+def _claims(frame: LabelledFrame, kind: Outcome) -> Claims:
+    """What the one who alone says it says so about, and what the other stream answers."""
+    if kind.of_witness and frame.witness is not None:
+        said, other = frame.witness.labels == MotionLabel.DYNAMIC, frame.predictive.labels
+    elif kind.measured:
+        said = frame.predictive.labels == frame.task.classes.index(kind.predictive)
+        other = frame.semantic.labels
+    else:
+        said = frame.semantic.labels == frame.task.classes.index(kind.semantic)
+        other = frame.predictive.labels
+    if frame.predictive.ground_mask is not None:
+        said = said & ~frame.predictive.ground_mask
+    claimed = np.flatnonzero(said)
+    return Claims(frame.posed.frame.points_m[claimed], other[claimed])
 
 
 def _places(

@@ -18,6 +18,7 @@ import math
 from collections.abc import Sequence
 from typing import Protocol
 
+from schemas.attribution import Attribution
 from schemas.contradiction import (
     Instance,
     InstanceRecord,
@@ -30,7 +31,7 @@ from schemas.score import MAX_RECORD_BYTES, MAX_TRACKS, KindTotal, Producers, Sc
 from schemas.task import Outcome
 from schemas.wire import encode
 from schemas.work import Shard
-from workers.contradiction.reasons import class_word, reasons_of
+from workers.contradiction.reasons import WORTH_SAYING, class_word, reasons_of
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
 from workers.contradiction.shares import odometry_health, point_shares, stream_health
 from workers.contradiction.strength import RankedTrack, rank_tracks
@@ -186,9 +187,16 @@ def _track_record(
         confirmed_share=(
             None if ranked.confirmed_share is None else _round(ranked.confirmed_share, 3)
         ),
-        attribution=ranked.attribution,
+        attribution=_told(ranked.attribution, round(gate * ranked.strength, 4)),
         strongest=_instance_record(scene, instances[ranked.strongest]),
     )
+
+
+def _told(attribution: Attribution | None, strength: float) -> Attribution | None:
+    """Words are kept for tracks that are worth saying: a record has to fit the bus."""
+    if attribution is None or strength >= WORTH_SAYING:
+        return attribution
+    return attribution.model_copy(update={"because": ()})
 
 
 def _instance_record(scene: Scene, instance: Instance) -> InstanceRecord:

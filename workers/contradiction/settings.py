@@ -79,9 +79,6 @@ class ScoreSettings:
         path_error_m_per_s: How far the path of the box may be from the measured velocity.
         path_error_share: And this much more per m/s.
         implausible: What remains of a track whose path says otherwise.
-        confirmed_from: A track of which this share of the points was proved to move more than once
-            counts in full: what appears is confirmed a frame or two after it is first seen.
-        unconfirmed: What remains of a track of which no point was.
         decay: Each further track counts this much less than the one before.
         degraded_weight: What a frame with a degraded pose counts; a lost one counts nothing.
         lost_below: Below this mean weight of its frames a scene is `odometry_lost`.
@@ -98,8 +95,6 @@ class ScoreSettings:
     path_error_m_per_s: float = 1.0
     path_error_share: float = 0.3
     implausible: float = 0.1
-    confirmed_from: float = 0.5
-    unconfirmed: float = 0.25
     decay: float = 0.5
     degraded_weight: float = 0.5
     lost_below: float = 0.5

@@ -1,18 +1,22 @@
-"""How strong a track is: the product of what must all hold for a contradiction worth a look.
+"""How strong a track is: what a look at it is worth, as a product of what must all hold.
 
-    strength = persistence x evidence x worth, each in [0, 1]
+    strength = persistence x points x size x chance, each in [0, 1]
 
 - persistence  1 - exp(-(seen x steady / 0.5 s)^2): seen counts the frames of the track less a
   half, steady is the share of the frames of its span in which it contradicts. Errors flicker.
-- evidence     1 - exp(-points / 25): median points per frame.
-- worth        the chance that the supervised stream is wrong about it (`attribution.py`). Of a task
-  for which no chances were fitted, the product of
-  - clash      both streams' mean confidence: a sure yes against a sure no is worth a look,
-  - box        0 below 0.2 m and above 20 m of length, where the task is about things,
-  - own        share of the surroundings that contradict alike: rims and specks score little.
+- points       1 - exp(-points / 25): median points per frame.
+- size         0 above 20 m of length: a facade is no road user.
+- chance       that the supervised stream is wrong about it, alone or with the other
+  (`attribution.py`): the witness's opinion, how far and how straight it went, whether the path
+  bears out the measured speed, what was proved twice, whether it stands on its own, how sure both
+  streams are, whether poses are doubted and much else contradicts alike.
 
-A product, since each factor vetoes. Every factor is smooth and rises with its evidence, so a little
-more of it never lowers a score.
+About anything but motion it was never measured who errs: there the last two are the product of both
+streams' confidence, of the share of the surroundings that contradict alike and, where things are
+asked about, of a box like a road user's.
+
+A look is for the failures of the supervised stream: a track on which the other one errs is worth
+next to nothing, however large. Every term is in the record, or follows from what is in it.
 """
 
 import math
@@ -45,8 +49,8 @@ class RankedTrack:
         points: Over all its instances.
         confirmed_share: Of them; None where the self-supervised stream says static or does not
             tell.
-        evidence: What is known about it, as named numbers; None where nothing was fitted to it.
-        attribution: Who is probably wrong about it; None likewise.
+        evidence: What is known about it, as named numbers.
+        attribution: Who is probably wrong about it; None where that was never measured.
     """
 
     track: Track
@@ -55,8 +59,8 @@ class RankedTrack:
     speed_m_per_s: float
     class_name: str
     points: int
-    evidence: Evidence | None = None
-    attribution: Attribution | None = None
+    evidence: Evidence
+    attribution: Attribution | None
     confirmed_share: float | None = None
 
 
@@ -87,8 +91,13 @@ def box_plausibility(size_m: NDArray[np.float64], settings: ScoreSettings = DEFA
     def rise(value: float) -> float:
         return _clip((value - settings.low_m) / (settings.high_m - settings.low_m))
 
-    fall = (settings.longest_m - length_m) / (settings.longest_m - settings.long_m)
-    return rise(length_m) * rise(height_m) * _clip(fall)
+    return rise(length_m) * rise(height_m) * not_too_long(size_m, settings)
+
+
+def not_too_long(size_m: NDArray[np.float64], settings: ScoreSettings = DEFAULT_SCORE) -> float:
+    """1 up to the length of a truck, 0 from that of a facade on."""
+    span_m = settings.longest_m - settings.long_m
+    return _clip((settings.longest_m - float(size_m[0])) / span_m)
 
 
 def motion_plausibility(
@@ -121,14 +130,6 @@ def motion_plausibility(
     return fast_enough * agrees
 
 
-def proof(confirmed_share: float | None, settings: ScoreSettings = DEFAULT_SCORE) -> float:
-    """How well a motion is proved, from the share of points confirmed; in full where not told."""
-    if confirmed_share is None:
-        return 1.0
-    risen = _clip(confirmed_share / settings.confirmed_from)
-    return settings.unconfirmed + (1.0 - settings.unconfirmed) * risen
-
-
 def _rank(
     scene: Scene,
     track: Track,
@@ -145,21 +146,20 @@ def _rank(
         [(scene.frames[m.frame_index].stamp_ns - scene.start_ns) / NS_PER_S for m in members]
     )
     size_m = np.median([member.size_m for member in members], axis=0)
-    box = box_plausibility(size_m, settings) if scene.task.of_things else 1.0
-    evidence = attribution = None
-    if track.kind.name in tables():
-        fits = 0.0
-        if track.kind.measured or track.kind.of_witness:
-            fits = motion_plausibility(track.centres_m, stamps_s, velocities, settings)
-        evidence = evidence_of(
-            scene, track, members, around, road_user=box, speed_fits=fits, settings=settings
-        )
-        because = because_of(track.kind.name, evidence)
-        attribution = attribute(track.kind.name, evidence, because=because)
-        worth = attribution.supervised_wrong
-    else:  # a task for which nothing was fitted: a sure clash about a thing on its own
-        own = float(np.average([member.own_share for member in members], weights=points))
-        worth = float(np.average(sure, weights=points)) * box * own
+    fits = 0.0
+    if track.kind.measured or track.kind.of_witness:
+        fits = motion_plausibility(track.centres_m, stamps_s, velocities, settings)
+    box = box_plausibility(size_m, settings)
+    evidence = evidence_of(
+        scene, track, members, around, road_user=box, speed_fits=fits, settings=settings
+    )
+    kind, attribution = track.kind.name, None
+    if kind in tables():
+        attribution = attribute(kind, evidence, because=because_of(kind, evidence))
+        worth = not_too_long(size_m, settings) * attribution.supervised_wrong
+    else:
+        clash = float(np.average(sure, weights=points))
+        worth = clash * evidence.own * (box if scene.task.of_things else 1.0)
     strength = (
         persistence(
             frames=len(members),

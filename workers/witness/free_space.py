@@ -12,7 +12,7 @@ from schemas.arrays import NS_PER_S, Mask, Points
 from schemas.contradiction import LabelledFrame
 from schemas.labels import FrameHealth, FrameLabels, MotionLabel
 from workers.sources import source_digest
-from workers.visibility.clusters import connected
+from workers.visibility.clusters import Clusters, connected
 from workers.visibility.free_space import visibility
 from workers.witness.doubt import Doubt
 from workers.witness.opinions import Opinions, opinions_of
@@ -138,13 +138,22 @@ THING_REACH_M: Final = 0.5
 FINDING_REACH_M: Final = 0.6
 MIN_FINDING: Final = 5
 MIN_THING_SHARE: Final = 0.3
-MAX_THING_M: Final = 18.0
+FLAT_M: Final = 0.3
+"""What is flatter is a strip of road, which goes with the car, or a kerb."""
+
+
+def _heights_m(places_m: Points, clusters: Clusters) -> NDArray[np.float32]:
+    height = places_m[clusters.members, 2]
+    begin = clusters.start[:-1]
+    if len(begin) == 0:
+        return np.zeros(0, np.float32)
+    return np.maximum.reduceat(height, begin) - np.minimum.reduceat(height, begin)
 
 
 def _moving(places_m: NDArray[np.float32], seen_through: Mask, known: Mask) -> Mask:
     """Places of things that move: enough of them seen through, together, and most of the thing."""
     found = connected(places_m, reach_m=FINDING_REACH_M, min_points=MIN_FINDING, among=seen_through)
-    moves = found.of_point >= 0
+    moves = found.member_mask(_heights_m(places_m, found) >= FLAT_M)
     things = connected(places_m, reach_m=THING_REACH_M, min_points=MIN_FINDING)
     share = things.count(moves) / np.maximum(things.count(known), 1)
     whole = (things.count(moves) >= MIN_FINDING) & (share >= MIN_THING_SHARE)

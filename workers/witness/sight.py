@@ -152,5 +152,6 @@ def _moving(labelled: LabelledFrame, index: NDArray[np.int64], places: Voxels) -
     dynamic = labelled.semantic.labels[index] == MotionLabel.DYNAMIC
     dynamic |= labelled.predictive.labels[index] == MotionLabel.DYNAMIC
     moving = np.zeros(len(places.centroids_m), np.bool_)
-    moving[places.of_point[dynamic]] = True
+    if labelled.task.moving:
+        moving[places.of_point[dynamic]] = True
     return moving

@@ -1,18 +1,22 @@
 """Who is wrong about a contradicting track, by truth: one stream, the other, both or neither."""
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.attribution import Wrong
 from schemas.contradiction import Instance
-from workers.evaluation.attributed import wrong_about
+from schemas.labels import MotionLabel
 from workers.evaluation.failures.seen import SeenFrame
 from workers.evaluation.failures.things import Thing
-from workers.evaluation.truth import TRUTH_UNKNOWN
+from workers.evaluation.truth import TRUTH_DYNAMIC, TRUTH_STATIC, TRUTH_UNKNOWN
 
 Points = NDArray[np.int64]
+
+MOST: Final = 0.5
+"""Share of a thing about which a stream must be wrong."""
 
 
 def thing_under(
@@ -74,3 +78,28 @@ def verdict_of(
     if not known.any() or 2 * known.sum() < len(known):
         return None
     return wrong_about(semantic[known], predictive[known], true[known])
+
+
+def wrong_about(
+    semantic: NDArray[np.uint8], predictive: NDArray[np.uint8], true: NDArray[np.uint8]
+) -> Wrong:
+    """Say who is wrong about most of some points; a stream that says nothing is not wrong.
+
+    Args:
+        semantic: (N,) labels of the supervised stream, N >= 1.
+        predictive: (N,) labels of the self-supervised stream.
+        true: (N,) true motion, in codes of the truth, all known.
+    """
+    supervised = _wrong_share(semantic, true) > MOST
+    selfsupervised = _wrong_share(predictive, true) > MOST
+    if supervised and selfsupervised:
+        return Wrong.BOTH
+    if supervised:
+        return Wrong.SUPERVISED
+    return Wrong.SELFSUPERVISED if selfsupervised else Wrong.NEITHER
+
+
+def _wrong_share(said: NDArray[np.uint8], true: NDArray[np.uint8]) -> float:
+    missed = (said == MotionLabel.STATIC) & (true == TRUTH_DYNAMIC)
+    phantom = (said == MotionLabel.DYNAMIC) & (true == TRUTH_STATIC)
+    return float((missed | phantom).mean())

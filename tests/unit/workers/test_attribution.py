@@ -1,0 +1,167 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from schemas.attribution import Attribution, Wrong
+from schemas.contradiction import ContradictionKind, Scene, TrackRecord
+from schemas.labels import FrameLabels, MotionLabel
+from tests.labelled_worlds import CLASS_NAMES, Thing, labelled_scene, shard_of
+from workers.contradiction.attribution import chances, table_of, tables
+from workers.contradiction.evidence import NAMES
+from workers.contradiction.instances import find_instances
+from workers.contradiction.score import score_scene
+from workers.contradiction.strength import rank_tracks
+from workers.contradiction.version import contradiction_version
+from workers.evaluation.attributed import TrackRow
+from workers.training.attribution import fit, judge
+from workers.training.attribution_prior import PRIOR
+
+STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
+PARKED = Thing((12, -4, 0), DYNAMIC, STATIC)
+MISSED_BY_SELF = Thing((-10, 4, 0), DYNAMIC, STATIC, velocity_m_per_s=(5, 0, 0), measured=False)
+MISSED_BY_BOTH = Thing((-10, 4, 0), STATIC, STATIC, velocity_m_per_s=(3, 0, 0), measured=False)
+KIND = ContradictionKind.ONLY_SEMANTIC_DYNAMIC.value
+
+
+class _Version:
+    version = "x@000000000000"
+
+
+class _Streams:
+    supervised = selfsupervised = _Version()
+
+
+def _witnessed(scene: Scene, label: MotionLabel) -> Scene:
+    """The same scene, the witness calling every point so."""
+    frames = []
+    for frame in scene.frames:
+        n = len(frame.agreements)
+        said = FrameLabels(np.full(n, label, np.uint8), np.full(n, 0.9, np.float16))
+        frames.append(replace(frame, witness=said))
+    return replace(scene, frames=tuple(frames))
+
+
+def _tracks(scene: Scene) -> tuple[TrackRecord, ...]:
+    instances = find_instances(scene, class_names=CLASS_NAMES)
+    return score_scene(
+        shard_of("fleet/car-1/drive"), scene, instances, parts=_Streams(), pipeline_version="x"
+    ).tracks
+
+
+def _attribution(scene: Scene) -> Attribution:
+    (track,) = _tracks(scene)
+    assert track.attribution is not None
+    return track.attribution
+
+
+def test_a_parked_car_called_moving_is_the_supervised_streams_error() -> None:
+    said = _attribution(_witnessed(labelled_scene([PARKED]), STATIC))
+    assert said.wrong is Wrong.SUPERVISED
+    assert said.supervised > 0.8
+    assert "the witness sees it stand" in said.because
+
+
+def test_a_mover_called_static_by_the_self_supervised_stream_alone_is_its_error() -> None:
+    scene = _witnessed(labelled_scene([MISSED_BY_SELF]), DYNAMIC)
+    tracks = [t for t in _tracks(scene) if t.kind == ContradictionKind.ONLY_SEMANTIC_DYNAMIC]
+    said = tracks[0].attribution
+    assert said is not None
+    assert said.wrong is Wrong.SELFSUPERVISED
+    assert tracks[0].strength < 0.2, "a look is for the failures of the supervised stream"
+
+
+def test_a_mover_that_only_the_witness_sees_is_worth_a_look() -> None:
+    (track,) = _tracks(_witnessed(labelled_scene([MISSED_BY_BOTH]), DYNAMIC))
+    assert track.kind == ContradictionKind.ONLY_WITNESS_DYNAMIC
+    assert track.attribution is not None
+    assert track.attribution.both > max(0.3, track.attribution.supervised)
+    assert track.strength > 0.3
+
+
+def test_what_jumps_about_while_only_the_witness_sees_it_move_is_nobodys_error() -> None:
+    stands = replace(MISSED_BY_BOTH, velocity_m_per_s=(0, 0, 0))
+    (track,) = _tracks(_witnessed(labelled_scene([stands]), DYNAMIC))
+    assert track.attribution is not None
+    assert track.attribution.wrong is Wrong.NEITHER
+    assert track.strength < 0.1
+
+
+def test_without_a_witness_the_rest_still_decides() -> None:
+    assert _attribution(labelled_scene([PARKED])).wrong is Wrong.SUPERVISED
+
+
+def test_the_four_chances_add_up_to_one() -> None:
+    said = _attribution(_witnessed(labelled_scene([PARKED]), STATIC))
+    assert said.supervised + said.selfsupervised + said.both + said.neither == pytest.approx(
+        1.0, abs=2e-3
+    )
+
+
+def test_every_number_of_evidence_is_named_and_between_0_and_1() -> None:
+    scene = _witnessed(labelled_scene([PARKED, MISSED_BY_SELF]), DYNAMIC)
+    for ranked in rank_tracks(scene, find_instances(scene, class_names=CLASS_NAMES)):
+        named = ranked.evidence.named()
+        assert tuple(named) == NAMES
+        assert all(0.0 <= value <= 1.0 for value in named.values())
+
+
+def test_the_rim_of_what_both_see_move_is_told_from_a_thing_of_its_own() -> None:
+    body = Thing((12, -4, 0), DYNAMIC, DYNAMIC, points=400)
+    rim = Thing((12, -2.9, 0), DYNAMIC, STATIC, size_m=(4.0, 0.3, 1.5), points=60)
+    (track,) = rank_tracks(
+        scene := labelled_scene([body, rim]), find_instances(scene, class_names=CLASS_NAMES)
+    )
+    assert track.evidence.agreed > 0.5
+    assert track.evidence.denied < 0.3
+    assert track.attribution is not None
+    assert track.attribution.wrong is Wrong.NEITHER
+
+
+def test_a_table_may_rest_on_known_evidence_only() -> None:
+    with pytest.raises(ValueError, match="rests on evidence that there is not: colour"):
+        table_of({"supervised": {"intercept": 0.0, "weights": {"colour": 1.0}}})
+
+
+def test_every_kind_of_motion_has_a_table_that_ships_and_counts_in_the_version() -> None:
+    assert set(tables()) == {kind.value for kind in ContradictionKind}
+    assert contradiction_version().startswith("contradiction@")
+
+
+def _row(log: str, wrong: Wrong, **evidence: float) -> TrackRow:
+    known = {**dict.fromkeys(NAMES, 0.0), "lasting": 1.0, "many_points": 1.0, **evidence}
+    return TrackRow(
+        log_id=log,
+        scene_id=f"{log}/0",
+        kind=KIND,
+        evidence=known,
+        frames=10,
+        points=500,
+        strength=0.5,
+        said=None,
+        wrong=wrong,
+    )
+
+
+def test_without_rows_the_table_is_the_prior() -> None:
+    fitted = fit(KIND, [])
+    intercept, weights = PRIOR[KIND][Wrong.SUPERVISED]
+    assert fitted["supervised"]["intercept"] == intercept
+    assert fitted["supervised"]["weights"] == weights
+
+
+def test_rows_draw_weights_to_what_they_show_and_the_order_of_rows_does_not_matter() -> None:
+    rows = [
+        row
+        for log in ("a", "b", "c")
+        for turning in (0.0, 1.0)
+        for row in [
+            _row(log, Wrong.SELFSUPERVISED if turning else Wrong.SUPERVISED, turning=turning)
+        ]
+        * 20
+    ]
+    fitted = fit(KIND, rows)
+    assert fitted["selfsupervised"]["weights"]["turning"] > 0.5
+    known = chances(table_of(fitted), rows[-1].evidence)
+    assert known[Wrong.SELFSUPERVISED] > 0.7
+    assert judge(KIND, rows)["recall"] == {"selfsupervised": 1.0, "supervised": 1.0}

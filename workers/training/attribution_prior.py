@@ -1,0 +1,58 @@
+"""What is believed of who is wrong before any truth was seen: what fitting is drawn to.
+
+Rows with truth are few and come from a few streets, while physics is known: what the witness sees
+stand does not move, what went a metre in a straight line does. Log-odds at full evidence.
+"""
+
+from collections.abc import Mapping
+from typing import Final
+
+from schemas.attribution import Wrong
+from schemas.contradiction import ContradictionKind
+
+Row = tuple[float, Mapping[str, float]]
+"""Intercept and weights."""
+
+PRIOR: Final[Mapping[str, Mapping[Wrong, Row]]] = {
+    ContradictionKind.ONLY_SEMANTIC_DYNAMIC.value: {
+        Wrong.SUPERVISED: (0.0, {"witness_still": 2.5, "denied": 1.0, "steady": 1.0}),
+        Wrong.SELFSUPERVISED: (
+            0.0,
+            {"witness_moving": 2.0, "went": 2.5, "straight": 1.0, "denied": 1.0},
+        ),
+        Wrong.BOTH: (-4.0, {}),
+        Wrong.NEITHER: (0.0, {"agreed": 2.0, "denied": -1.5}),
+    },
+    ContradictionKind.ONLY_PREDICTIVE_DYNAMIC.value: {
+        Wrong.SUPERVISED: (
+            -2.5,
+            {
+                "witness_moving": 1.5,
+                "confirmed": 2.5,
+                "speed_fits": 1.0,
+                "straight": 1.0,
+                "own": 0.5,
+                "road_user": 1.0,
+                "denied": 1.0,
+            },
+        ),
+        Wrong.SELFSUPERVISED: (
+            0.5,
+            {"witness_still": 2.0, "doubted": 1.5, "crowded": 1.5, "thin": 1.0, "denied": 0.5},
+        ),
+        Wrong.BOTH: (-4.0, {}),
+        Wrong.NEITHER: (0.0, {"agreed": 2.0, "denied": -1.5}),
+    },
+    ContradictionKind.ONLY_WITNESS_DYNAMIC.value: {
+        Wrong.SUPERVISED: (
+            -4.5,
+            {"went": 4.0, "straight": 1.5, "own": 1.0, "road_user": 1.0, "silent": 1.0},
+        ),
+        Wrong.SELFSUPERVISED: (-5.0, {}),
+        Wrong.BOTH: (
+            -4.5,
+            {"went": 4.0, "straight": 1.5, "own": 1.0, "road_user": 1.0, "denied": 1.0},
+        ),
+        Wrong.NEITHER: (0.0, {"crowded": 2.0, "doubted": 1.5}),
+    },
+}
