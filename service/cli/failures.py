@@ -2,6 +2,7 @@
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
+from urllib.parse import unquote, urlsplit
 
 import typer
 
@@ -72,7 +73,7 @@ def failures(
     if only not in (None, *TABLES):
         raise UsageError(f"--table must be planted or natural, got {only!r}")
     logs_url = url if truth is not None else f"{url.rstrip('/')}/logs"
-    where = truth if truth is not None else Path(url) / "truth"
+    where = _beside(url) if truth is None else truth
     settings = settings_for(
         config,
         bucket=logs_url,
@@ -110,6 +111,20 @@ def failures(
 
         write_report(report, bench)
         remark(f"report: {report}")
+
+
+def _beside(url: str) -> Path:
+    """Folder of the truth of a fleet, which must lie on this machine.
+
+    Raises:
+        UsageError: If the fleet lies elsewhere.
+    """
+    parts = urlsplit(url)
+    if parts.scheme not in ("", "file"):
+        raise UsageError(
+            f"truth is read from a folder: copy {url}/truth here, and name it, --truth"
+        )
+    return Path(unquote(parts.path) if parts.scheme else url) / "truth"
 
 
 COLUMNS = ("ranked by", "AP", "95 %", "precision 5 %", "recall 1 %", "5 %", "10 %", "lift 5 %")
