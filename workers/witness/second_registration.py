@@ -149,10 +149,11 @@ def _step(
     weight = 1.0 / (1.0 + (gap_m / tolerated_m) ** 2)
     lever_m = 10.0
     jacobian = np.hstack([np.cross(arms, planes) / lever_m, planes])
-    information = jacobian.T @ (weight[:, None] * jacobian)
+    # sums in one order, whatever the threads of a BLAS
+    information = np.einsum("ni,nj->ij", weight[:, None] * jacobian, jacobian)
     values, vectors = np.linalg.eigh(information)
     held = values > _HELD * values[-1]
-    right = vectors.T @ (jacobian.T @ (weight * gap_m))
+    right = vectors.T @ np.einsum("ni,n->i", jacobian, weight * gap_m)
     step: NDArray[np.float64] = vectors[:, held] @ (right[held] / values[held])
     step[:3] /= lever_m
     return step
