@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from typing import Final
 
+from schemas.task import MOTION
 from schemas.work import MiningSettings
 from workers.errors import UnknownPartError
 from workers.evaluation.counts import StreamName
@@ -34,9 +35,16 @@ def build_streams(
         settings: What the first two stand for.
 
     Raises:
-        UnknownPartError: If one does not exist; the message lists those that do.
+        UnknownPartError: If one does not exist, the message lists those that do; or if it answers
+            another task than motion.
     """
-    return {name: _build(name, settings) for name in dict.fromkeys(names)}
+    streams = {name: _build(name, settings) for name in dict.fromkeys(names)}
+    for name, stream in streams.items():
+        if stream.task != MOTION:
+            raise UnknownPartError(
+                f"stream {name!r} answers the task {stream.task.name}; motion is judged here"
+            )
+    return streams
 
 
 def _build(name: StreamName, settings: MiningSettings) -> Stream:

@@ -8,15 +8,17 @@ import pytest
 from numpy.typing import NDArray
 
 from schemas.frame import RecordedClass
-from schemas.score import SceneScore
+from schemas.score import AgreementShares, SceneScore
 from schemas.task import GROUND, MOTION
 from schemas.wire import encode_scene_score, sha256
-from schemas.work import MiningSettings
+from schemas.work import CommitRequest, ManifestEntry, MiningSettings
 from service.cli.main import main
+from service.store.manifest import verify
 from tests import factories
 from workers.checkpoints.errors import WeightsUnusableError
 from workers.equipment import equip
 from workers.errors import TasksDifferError, UnknownPartError
+from workers.evaluation.alternatives import build_streams
 from workers.registry import SELFSUPERVISED, SUPERVISED, PartFiles, build_parts
 from workers.selfsupervised.ground_stream import GroundStream
 from workers.supervised.classes import ClassMeaning, ClassSet
@@ -132,6 +134,27 @@ def test_a_worker_of_a_service_refuses_any_task_but_motion(tmp_path: Path) -> No
     )
     with pytest.raises(UnknownPartError, match="counterpoint score"):
         equip(settings)
+
+
+def test_what_judges_motion_refuses_streams_of_another_task() -> None:
+    settings = MiningSettings(bucket=".", artifacts=".")
+    with pytest.raises(UnknownPartError, match="'ground' answers the task ground"):
+        build_streams(("registration", "ground"), settings)
+
+
+def test_a_service_refuses_to_commit_a_scene_of_another_task() -> None:
+    shares = AgreementShares(
+        both_other=0.9, only_semantic_ground=0.0, only_predictive_ground=0.0, both_ground=0.1
+    )
+    score = factories.scene_score(
+        task="ground", all_points=shares, nonground_points=shares, totals=(), tracks=()
+    )
+    record = encode_scene_score(score)
+    entry = ManifestEntry(scene_id=score.scene_id, sha256=sha256(record))
+    request = CommitRequest(
+        worker_id="w", lease_id="l", manifest=(entry,), records=(record.decode(),)
+    )
+    assert "of the task ground" in verify(request, {}).problem
 
 
 def test_score_mines_ground_on_a_log_and_draws_its_scenes(
