@@ -1,6 +1,6 @@
 """`counterpoint simulate`: the same bytes for any number of processes, into folders and buckets."""
 
-import hashlib
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
@@ -8,7 +8,7 @@ import pytest
 from schemas.bucket import open_bucket
 from schemas.recordings import group_recordings
 from service.cli.main import main
-from tests.integration.small_s3 import SmallS3
+from tests.integration.object_store import Ceph
 from workers.evaluation.truth import LogTruth
 
 pytestmark = pytest.mark.integration
@@ -17,25 +17,24 @@ FEW = ["--scenes", "11", "--seed", "5", "--failures", "0.2", "--columns", "64"]
 
 def digests(folder: Path) -> dict[str, str]:
     return {
-        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        path.relative_to(folder).as_posix(): sha256(path.read_bytes()).hexdigest()
         for path in sorted(folder.rglob("*"))
         if path.is_file()
     }
 
 
 def test_one_process_and_two_write_the_same_bytes_to_a_folder_and_to_a_bucket(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ceph: Ceph
 ) -> None:
-    one, two = tmp_path / "one", tmp_path / "two"
+    one = tmp_path / "one"
     assert main(["simulate", *FEW, "--out", str(one)]) == 0
-    with SmallS3(tmp_path / "s3") as store:
-        (tmp_path / "s3" / "fleet").mkdir(parents=True)
-        for name, value in store.environment.items():
-            monkeypatch.setenv(name, value)
-        assert main(["simulate", *FEW, "--workers", "2", "--out", "s3://fleet/week"]) == 0
-    assert main(["simulate", *FEW, "--workers", "2", "--out", str(two)]) == 0
-    written = digests(one)
-    assert written == digests(two) == digests(tmp_path / "s3" / "fleet" / "week")
+    name = ceph.make_bucket()
+    for variable, value in ceph.environment().items():
+        monkeypatch.setenv(variable, value)
+    assert main(["simulate", *FEW, "--workers", "2", "--out", f"s3://{name}/week 1"]) == 0
+    stored = open_bucket(f"s3://{name}/week 1")
+    there = {each.key: sha256(stored.read_all(each.key)).hexdigest() for each in stored.list()}
+    assert there == digests(one)
 
     recordings = group_recordings(open_bucket(str(one / "logs")).list())
     assert len(recordings) == 2

@@ -161,7 +161,7 @@ def range_image(seen: Seen, *, rows: int = 64) -> NDArray[np.float32]:
     """Give (rows, 1800) ranges, 0 where there is none: by beam, or by elevation without beams."""
     range_m = np.linalg.norm(seen.points_m, axis=1)
     azimuth = np.arctan2(seen.points_m[:, 1], seen.points_m[:, 0])
-    column = ((np.pi - azimuth) / (2 * np.pi) * _COLUMNS).astype(np.int64) % _COLUMNS
+    column = np.round((np.pi - azimuth) / (2 * np.pi) * _COLUMNS).astype(np.int64) % _COLUMNS
     if (seen.ring >= 0).all():
         row = np.minimum(seen.ring.astype(np.int64), rows - 1)
     else:
