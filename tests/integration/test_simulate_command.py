@@ -10,9 +10,11 @@ from schemas.recordings import group_recordings
 from service.cli.main import main
 from tests.integration.object_store import Ceph
 from workers.evaluation.truth import LogTruth
+from workers.simulation.fleet import FleetOptions, simulate_to
+from workers.simulation.plan import FailureKind, LogPlan, PlannedFailure
 
 pytestmark = pytest.mark.integration
-FEW = ["--scenes", "11", "--seed", "5", "--failures", "0.2", "--columns", "64"]
+FEW = ["--scenes", "2", "--seed", "5", "--failures", "0.5", "--columns", "64"]
 
 
 def digests(folder: Path) -> dict[str, str]:
@@ -23,22 +25,37 @@ def digests(folder: Path) -> dict[str, str]:
     }
 
 
-def test_one_process_and_two_write_the_same_bytes_to_a_folder_and_to_a_bucket(
+def test_one_process_and_two_write_the_same_bytes(tmp_path: Path) -> None:
+    ghost = (PlannedFailure(1, FailureKind.GHOST_MOVER),)
+    plans = [
+        LogPlan(n, 50 + n, 2, hard=bool(n), software_version="2026.2", failures=ghost)
+        for n in (0, 3)
+    ]
+    written = []
+    for processes in (1, 2):
+        out = tmp_path / str(processes)
+        options = FleetOptions(columns=64)
+        logs = list(simulate_to(str(out), plans, options=options, processes=processes))
+        assert [log.frames for log in logs] == [40, 40]
+        written.append(digests(out))
+    assert written[0] == written[1]
+    assert len(written[0]) > 80
+
+
+def test_a_bucket_gets_what_a_folder_gets_and_the_truth_is_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ceph: Ceph
 ) -> None:
-    one = tmp_path / "one"
-    assert main(["simulate", *FEW, "--out", str(one)]) == 0
+    folder = tmp_path / "fleet"
+    assert main(["simulate", *FEW, "--out", str(folder)]) == 0
     name = ceph.make_bucket()
     for variable, value in ceph.environment().items():
         monkeypatch.setenv(variable, value)
-    assert main(["simulate", *FEW, "--workers", "2", "--out", f"s3://{name}/week 1"]) == 0
+    assert main(["simulate", *FEW, "--out", f"s3://{name}/week 1"]) == 0
     stored = open_bucket(f"s3://{name}/week 1")
     there = {each.key: sha256(stored.read_all(each.key)).hexdigest() for each in stored.list()}
-    assert there == digests(one)
+    assert there == digests(folder)
 
-    recordings = group_recordings(open_bucket(str(one / "logs")).list())
-    assert len(recordings) == 2
-    for recording in recordings:
-        truth = LogTruth.beside(recording, one / "truth")
-        assert truth is not None
-        assert len(truth) in (20, 200)
+    (recording,) = group_recordings(open_bucket(str(folder / "logs")).list())
+    truth = LogTruth.beside(recording, folder / "truth")
+    assert truth is not None
+    assert len(truth) == 40
