@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from workers.simulation.kinds import StreetClass
 from workers.simulation.meshes import Mesh
-from workers.simulation.models import Model, models_of
+from workers.simulation.model import Model
+from workers.simulation.models import models_of
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]

@@ -19,7 +19,8 @@ from workers.simulation.cast import (
 from workers.simulation.drive import TIME_STEP_S, Drive, Floats
 from workers.simulation.kinds import Material, StreetClass
 from workers.simulation.meshes import Mesh, grid
-from workers.simulation.models import Model, models_of
+from workers.simulation.model import Model
+from workers.simulation.models import models_of
 from workers.simulation.road_map import RoadMap
 from workers.simulation.terrain import ROAD_WAVES, Terrain
 from workers.simulation.weather import Weather

@@ -17,6 +17,7 @@ from workers.simulation.drive import (
     turning_route,
 )
 from workers.simulation.kinds import VEHICLES, StreetClass
+from workers.simulation.mixes import LANE_MIX, PARKED_MIX
 from workers.simulation.models import models_of
 from workers.simulation.occupancy import Occupancy
 from workers.simulation.places import Place
@@ -24,19 +25,6 @@ from workers.simulation.street import Actor
 
 _SEEN_M: Final = 115.0
 """Who never comes so near to the ego is left out."""
-
-_LANE_MIX: Final = (
-    (StreetClass.CAR, 0.68),
-    (StreetClass.VAN, 0.11),
-    (StreetClass.TRUCK, 0.08),
-    (StreetClass.BUS, 0.05),
-    (StreetClass.MOTORCYCLE, 0.08),
-)
-_PARKED_MIX: Final = (
-    (StreetClass.CAR, 0.84),
-    (StreetClass.VAN, 0.12),
-    (StreetClass.TRUCK, 0.04),
-)
 
 
 @dataclass(slots=True, eq=False)
@@ -81,7 +69,7 @@ class Traffic:
                 for at in np.arange(low + 4.0, high - 4.0, 6.6):
                     taken = self.rng.random() < 0.55
                     wiggle, turn = self.rng.uniform(-0.4, 0.4), self.rng.normal(0.0, 0.02)
-                    what = self._drawn(_PARKED_MIX)
+                    what = self._drawn(PARKED_MIX)
                     if not taken or self._at_junction(number, float(at), place):
                         continue
                     model = self._model(what, small=True)
@@ -146,7 +134,7 @@ class Traffic:
 
     def offer_companion(self, drive: Drive) -> None:
         """Let somebody drive as given, if there is room."""
-        self._offer(self._drawn(_LANE_MIX[:2]), drive)
+        self._offer(self._drawn(LANE_MIX[:2]), drive)
 
     def _drawn(self, mix: Sequence[tuple[StreetClass, float]]) -> StreetClass:
         shares = np.array([share for _, share in mix])
@@ -193,7 +181,7 @@ class Traffic:
         slot_m = self._window(lane, cruise)
         at, waiting = slot_m[1], 0
         while at > slot_m[0]:
-            what = self._drawn(_LANE_MIX)
+            what = self._drawn(LANE_MIX)
             drive = drive_with_care(
                 lane, from_m=at, across_m=0.0, cruise_m_per_s=cruise, seconds=self.seconds
             )
@@ -264,7 +252,7 @@ class Traffic:
                 cruise_m_per_s=cruise,
                 seconds=self.seconds,
             )
-            self._offer(self._drawn(_LANE_MIX), drive)
+            self._offer(self._drawn(LANE_MIX), drive)
 
     def _walk_over(self, junction_m: float) -> None:
         rng, place = self.rng, self.place

@@ -6,6 +6,7 @@ from typing import Final, Literal
 
 import numpy as np
 
+from workers.simulation.builder import Network
 from workers.simulation.drive import (
     Drive,
     Knots,
@@ -14,10 +15,11 @@ from workers.simulation.drive import (
     drive_with_care,
     turning_route,
 )
+from workers.simulation.furniture import junction_furniture
 from workers.simulation.meshes import Floats
 from workers.simulation.places import PLACES, Place, PlaceName
 from workers.simulation.road_map import RoadMap
-from workers.simulation.scenery import Network, build_scenery, bump_meshes, junction_furniture
+from workers.simulation.scenery import build_scenery, bump_meshes
 from workers.simulation.street import Street
 from workers.simulation.terrain import ROAD_WAVES, Terrain, hills
 from workers.simulation.traffic import Traffic
