@@ -25,8 +25,8 @@ from schemas import keys
 from schemas.bucket import Bucket, open_bucket
 from schemas.bus import is_connected, recoverable_subscriber
 from schemas.errors import BucketRefusedError, TransientError
+from schemas.mining import MiningSettings
 from schemas.router_watch import RouterWatch
-from schemas.work import MiningSettings
 from service.bucket_watch import BucketWatch
 from service.clock_watch import ClockWatch
 from service.control import Control

@@ -17,7 +17,7 @@ from pydantic_core import from_json
 
 from schemas.camera import RECORDED, CameraCalibration
 from schemas.keys import DEFAULT_ROOT
-from schemas.work import MiningSettings
+from schemas.mining import MiningSettings
 from service.errors import UsageError
 from service.layers import CONFIG_VARIABLE, Written, lay, leaves, nested
 from service.presets import PRESETS, Preset

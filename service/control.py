@@ -12,15 +12,9 @@ import zenoh
 
 from schemas import keys
 from schemas.keys import Verb
+from schemas.mining import MiningSettings
 from schemas.wire import decode, encode
-from schemas.work import (
-    Answer,
-    ClaimRequest,
-    CommitRequest,
-    FailRequest,
-    MiningSettings,
-    RenewRequest,
-)
+from schemas.work import Answer, ClaimRequest, CommitRequest, FailRequest, RenewRequest
 from service.ledger import Ledger, StoredScene
 from service.messages import (
     AboutReply,

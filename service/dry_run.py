@@ -12,8 +12,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.bucket import Bucket, open_bucket
 from schemas.errors import PermanentError
+from schemas.mining import LOOKAHEAD
 from schemas.recordings import group_recordings
-from schemas.work import LOOKAHEAD, Recording
+from schemas.work import Recording
 from service.bucket_watch import is_wanted
 from service.config import Settings
 from service.doctor_machine import NEEDED

@@ -14,9 +14,9 @@ from prometheus_client import CollectorRegistry
 from schemas.bucket import Bucket, open_bucket
 from schemas.bus import check_endpoints, client_session, free_endpoint, router_session
 from schemas.http_endpoint import HttpEndpoint
+from schemas.mining import MiningSettings
 from schemas.process import stop_on_signals
 from schemas.retry import StoppedError
-from schemas.work import MiningSettings
 from service.app import Service
 from service.config import DEFAULT_ENDPOINT, Settings, cache_folder
 from service.errors import NothingFoundError

@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from schemas.work import MiningSettings
+from schemas.mining import MiningSettings
 from service.config import NOT_IN_VERSION, ReadSettings, Settings
 from service.layers import CONFIG_VARIABLE, flag_of, leaves, variable_of
 from service.settings_text import allowed, shown

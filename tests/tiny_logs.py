@@ -10,8 +10,9 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from schemas.arrays import NS_PER_S
 from schemas.bucket import Bucket
+from schemas.mining import Grid, MiningSettings
 from schemas.recordings import group_recordings
-from schemas.work import Grid, MiningSettings, Recording
+from schemas.work import Recording
 from workers.ingest.ros_definitions import ROS2_DEFINITIONS
 
 BEGIN_NS = 1_700_000_000 * NS_PER_S

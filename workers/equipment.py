@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 from schemas.bucket import Bucket, open_bucket
+from schemas.mining import MiningSettings
 from schemas.task import MOTION
-from schemas.work import MiningSettings
 from workers.errors import UnknownPartError
-from workers.registry import Parts
+from workers.protocols import Parts
 from workers.version import parts_of, pipeline_version
 
 

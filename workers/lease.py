@@ -15,6 +15,7 @@ from schemas import keys
 from schemas.ask import ask, ask_until
 from schemas.errors import CounterpointError, PermanentError, TransientError
 from schemas.keys import Verb
+from schemas.mining import MiningSettings
 from schemas.retry import StoppedError
 from schemas.wire import decode, encode
 from schemas.work import (
@@ -24,7 +25,6 @@ from schemas.work import (
     CommitRequest,
     FailRequest,
     MineLease,
-    MiningSettings,
     PlanLease,
     RenewRequest,
 )

@@ -10,15 +10,16 @@ from schemas.bucket import Bucket
 from schemas.contradiction import LabelledFrame
 from schemas.frame import LidarFrame, OdometryState
 from schemas.labels import Blindness
+from schemas.mining import MiningSettings
 from schemas.overlay import encode_overlay, overlay_key
 from schemas.score import SceneScore
 from schemas.wire import encode_scene_score, sha256
-from schemas.work import Damage, MiningSettings, MiningStats, Recording, Shard
+from schemas.work import Damage, MiningStats, Recording, Shard
 from workers.contradiction.overlay import overlay_of
 from workers.ingest.read import read_shard
 from workers.memory import peak_memory_bytes
 from workers.pipeline import MinedScene, mine_shard
-from workers.registry import Parts
+from workers.protocols import Parts
 from workers.stages import StageClock, timed
 
 

@@ -8,7 +8,7 @@ from typing import Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from schemas.work import LOOKAHEAD, MiningSettings
+from schemas.mining import LOOKAHEAD, MiningSettings
 from workers.networks import NETWORKS
 from workers.registry import INSTANCES, ODOMETRIES, SELFSUPERVISED, SUPERVISED, WITNESSES
 from workers.selfsupervised.scene_flow import LEARNED_FLOWS

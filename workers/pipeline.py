@@ -12,7 +12,7 @@ from workers.contradiction.compare import compare
 from workers.contradiction.instances import find_instances
 from workers.contradiction.score import score_scene
 from workers.ingest.scenes import cut_scenes
-from workers.registry import Parts
+from workers.protocols import Parts
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,122 +1,17 @@
-"""Which implementations exist for each replaceable part: plain tables, loaded when chosen.
+"""Which implementations exist for each replaceable part: plain tables, loaded when chosen."""
 
-A part turns an iterator into an iterator, so that it may keep state over the frames of one shard,
-hold back frames that it needs to look ahead, and still use bounded memory. It yields exactly one
-answer per frame, in order.
-"""
-
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Final, Protocol, TypeVar
+from typing import Final, TypeVar
 
-from schemas.contradiction import LabelledFrame
-from schemas.frame import LidarFrame, PosedFrame
-from schemas.labels import FrameLabels
+from schemas.mining import LOOKAHEAD
 from schemas.task import GROUND, MOTION, Task
-from schemas.work import LOOKAHEAD
 from workers.contradiction.settings import DEFAULT_INSTANCES, PAPER_INSTANCES, InstanceSettings
-from workers.errors import TasksDifferError, UnknownPartError
+from workers.errors import UnknownPartError
+from workers.part_files import PartFiles, all_there, weights_of
+from workers.protocols import NoWitness, Odometry, Parts, Stream, Witness
 from workers.selfsupervised.scene_flow import LEARNED_FLOWS, SCENE_FLOWS
-
-
-class Odometry(Protocol):
-    """Says where the sensor was at each frame."""
-
-    @property
-    def version(self) -> str:
-        """`name@digest` of everything that changes its output."""
-        ...
-
-    def __call__(self, frames: Iterable[LidarFrame]) -> Iterator[PosedFrame]:
-        """Yield each frame with its pose, in order; state begins anew with every call."""
-        ...
-
-
-class Stream(Protocol):
-    """One way to label points with the classes of a task; motion is the first one."""
-
-    @property
-    def task(self) -> Task:
-        """What it answers about every point: `FrameLabels.labels` index its classes."""
-        ...
-
-    @property
-    def version(self) -> str:
-        """`name@digest` of everything that changes its output: code, weights, settings."""
-        ...
-
-    @property
-    def class_names(self) -> tuple[str, ...]:
-        """Names that `FrameLabels.class_id` indexes; empty when the stream knows no classes."""
-        ...
-
-    def __call__(self, frames: Iterable[PosedFrame]) -> Iterator[FrameLabels]:
-        """Yield the labels of each frame, in order; state begins anew with every call."""
-        ...
-
-
-class Witness(Protocol):
-    """A third opinion on motion, which sees what both streams said, and what came after."""
-
-    @property
-    def version(self) -> str:
-        """`name@digest` of everything that changes its output."""
-        ...
-
-    def __call__(self, frames: Iterable[LabelledFrame]) -> Iterator[LabelledFrame]:
-        """Yield each frame with what it says of it, in order; state begins anew every time."""
-        ...
-
-
-class NoWitness:
-    """Nobody is asked."""
-
-    version = "none"
-
-    def __call__(self, frames: Iterable[LabelledFrame]) -> Iterator[LabelledFrame]:
-        """Yield the frames as they come."""
-        yield from frames
-
-
-@dataclass(frozen=True, slots=True)
-class Parts:
-    """The replaceable parts of the pipeline, as chosen by name."""
-
-    odometry: Odometry
-    supervised: Stream
-    selfsupervised: Stream
-    witness: Witness = field(default_factory=NoWitness)
-    instances: InstanceSettings = DEFAULT_INSTANCES
-
-    def __post_init__(self) -> None:
-        """Refuse two streams that answer different questions."""
-        said, other = self.supervised.task, self.selfsupervised.task
-        if said != other:
-            raise TasksDifferError(
-                f"the supervised stream answers the task {said.name}, the self-supervised one "
-                f"{other.name}: they have nothing to contradict each other about; choose two of "
-                "one task, which `counterpoint parts` lists"
-            )
-
-    @property
-    def task(self) -> Task:
-        """What both streams answer."""
-        return self.supervised.task
-
-
-@dataclass(frozen=True, slots=True)
-class PartFiles:
-    """What parts read beside the package.
-
-    Attributes:
-        model: Adapter of the user's own model; empty: none.
-        weights: Folder of imported weights; empty: what ships.
-    """
-
-    model: str = ""
-    weights: str = ""
 
 
 def _kiss_icp(_: PartFiles) -> Odometry:
@@ -128,7 +23,7 @@ def _kiss_icp(_: PartFiles) -> Odometry:
 def _delora(files: PartFiles) -> Odometry:
     from workers.selfsupervised.delora_odometry import DeLORAOdometry
 
-    return DeLORAOdometry.load(_weights(files, "odometry delora"))
+    return DeLORAOdometry.load(weights_of(files, "odometry", "delora"))
 
 
 def _salsanext_lmnet(files: PartFiles, *, published: bool = False, folded: bool = False) -> Stream:
@@ -176,7 +71,7 @@ def _two_stage(files: PartFiles, *, flow: str, published: bool = False) -> Strea
     rule = PAPER if published else PER_SECOND
     if flow not in LEARNED_FLOWS:
         return TwoStage(flow, rule)
-    weights = _weights(files, f"self-supervised stream two-stage:{flow}")
+    weights = weights_of(files, "self-supervised stream", f"two-stage:{flow}")
     return TwoStage(flow, rule, LEARNED_FLOWS[flow](weights))
 
 
@@ -196,45 +91,7 @@ def _ground(_: PartFiles) -> Stream:
 def _paper(files: PartFiles) -> Stream:
     from workers.selfsupervised.paper_chain import PaperChain
 
-    return PaperChain.load(_weights(files, "self-supervised stream paper"))
-
-
-NETWORKS_OF: Final[Mapping[str, tuple[str, ...]]] = {
-    "salsanext-lmnet": ("salsanext", "lmnet"),
-    "salsanext-lmnet:folded": ("salsanext", "lmnet"),
-    "salsanext-lmnet:published": ("salsanext", "lmnet"),
-    "salsanext:ground": ("salsanext",),
-    "paper": ("gndnet", "flowstep3d"),
-    "delora": ("delora",),
-    **{f"two-stage:{flow}": (flow,) for flow in LEARNED_FLOWS},
-    **{f"two-stage:{flow}:published": (flow,) for flow in LEARNED_FLOWS},
-}
-"""Whose weights a part loads; SalsaNext and LMNet ship, and are taken if no folder is named."""
-
-
-def _all_there(files: PartFiles, *parts: str) -> None:
-    """Name every network that the folder of weights lacks, not one after the other."""
-    needed = [network for part in parts for network in NETWORKS_OF.get(part, ())]
-    folder = Path(files.weights)
-    if files.weights and not folder.is_dir():
-        raise UnknownPartError(f"weights: there is no such folder ({folder})")
-    missing = [each for each in needed if not (folder / f"{each}.safetensors").is_file()]
-    if files.weights and missing:
-        raise UnknownPartError(
-            f"the folder of weights lacks {', '.join(missing)}, which the chosen parts need: "
-            "`counterpoint weights import CHECKPOINT --network NAME --config CONFIG --out FOLDER` "
-            f"for each; `counterpoint weights configs` lists those of published ones ({folder})"
-        )
-
-
-def _weights(files: PartFiles, part: str) -> Path:
-    if not files.weights:
-        networks = ", ".join(NETWORKS_OF[part.rpartition(" ")[2]])
-        raise UnknownPartError(
-            f"{part} needs weights that do not ship ({networks}): import them with `counterpoint "
-            "weights import` and name their folder in the setting weights"
-        )
-    return Path(files.weights)
+    return PaperChain.load(weights_of(files, "self-supervised stream", "paper"))
 
 
 _FLOWS: Final = (*SCENE_FLOWS, *LEARNED_FLOWS)
@@ -331,7 +188,7 @@ def build_parts(
             f"model names your own model, but the supervised stream is {supervised}: choose it "
             f"with --supervised own; a folder of imported weights goes to --weights ({files.model})"
         )
-    _all_there(files, odometry, supervised, selfsupervised)
+    all_there(files, odometry, supervised, selfsupervised)
     asked = _named("witness", witness, WITNESSES)
     semantic = build_supervised(supervised, files)
     return Parts(

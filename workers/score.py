@@ -3,8 +3,9 @@
 from collections.abc import Callable, Iterator
 
 from schemas.bucket import Bucket
+from schemas.mining import MiningSettings
 from schemas.score import SceneScore
-from schemas.work import Damage, MiningSettings, Recording
+from schemas.work import Damage, Recording
 from workers.errors import LogUnusableError
 from workers.ingest.plan import plan_recording
 from workers.mine import Account, MinedRecord, mine_records

@@ -4,10 +4,12 @@ import hashlib
 from importlib.metadata import version
 from typing import Final
 
+from schemas.mining import MiningSettings
 from schemas.wire import canonical_json
-from schemas.work import MiningSettings
 from workers.contradiction.version import contradiction_version
-from workers.registry import PartFiles, Parts, build_parts
+from workers.part_files import PartFiles
+from workers.protocols import Parts
+from workers.registry import build_parts
 
 NOT_IN_VERSION: Final = frozenset({"bucket", "artifacts", "model", "weights"})
 """Where logs and models lie and overlays go changes no record; every other setting may."""

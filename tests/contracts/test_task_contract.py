@@ -24,7 +24,7 @@ from workers.contradiction.overlay import overlay_of
 from workers.errors import TasksDifferError
 from workers.mine import Account
 from workers.pipeline import MinedScene, mine_shard
-from workers.registry import NoWitness, Parts, Witness
+from workers.protocols import NoWitness, Parts, Witness
 
 USERS = Task("users", ("rest", "car", "person"), moving="person")
 SURFACE = Task("surface", ("road", "grass", "wall", "water"), of_things=False)

@@ -10,7 +10,7 @@ from typing import Any, Final
 from schemas import keys
 from schemas.bucket import open_bucket
 from schemas.bus import client_session, free_endpoint, router_session
-from schemas.work import MiningSettings
+from schemas.mining import MiningSettings
 from service.app import Service
 from service.client import watch_scenes
 from service.merging import SceneEvent

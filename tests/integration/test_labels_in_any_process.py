@@ -12,7 +12,7 @@ import hashlib, sys
 from itertools import islice, tee
 from schemas.bucket import open_bucket
 from schemas.recordings import group_recordings
-from schemas.work import MiningSettings
+from schemas.mining import MiningSettings
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard
 from workers.selfsupervised.odometry import KissOdometry

@@ -24,7 +24,7 @@ from schemas.bus import client_session, free_endpoint, router_session
 from schemas.errors import PermanentError, TransientError
 from schemas.http_endpoint import HttpEndpoint
 from schemas.keys import DEFAULT_ROOT
-from schemas.work import MiningSettings
+from schemas.mining import MiningSettings
 from service.app import Service
 from service.store.engine import open_store
 from tests.contracts.ledger_world import World

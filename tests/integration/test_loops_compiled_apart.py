@@ -14,7 +14,7 @@ from itertools import islice
 from numba.core.dispatcher import Dispatcher
 from schemas.bucket import open_bucket
 from schemas.recordings import group_recordings
-from schemas.work import MiningSettings
+from schemas.mining import MiningSettings
 from workers.evaluation.whole_log import shards_of_log
 from workers.ingest.read import read_shard
 from workers.registry import build_parts

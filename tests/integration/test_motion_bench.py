@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from schemas.bucket import open_bucket
+from schemas.mining import MiningSettings
 from schemas.recordings import group_recordings
-from schemas.work import MiningSettings
 from tests.factories import street_log
 from workers.errors import LogUnusableError
 from workers.evaluation.bench_motion import KISS, PATCHWORK, STREAM, bench_motion

@@ -3,8 +3,8 @@ from pathlib import Path
 import pytest
 
 from schemas.bucket import open_bucket
+from schemas.mining import Grid, MiningSettings
 from schemas.recordings import group_recordings
-from schemas.work import Grid, MiningSettings
 from tests.factories import street_log
 from workers.evaluation.bench import WARMING_FRAMES, bench_pipeline
 from workers.simulation.lidar import Lidar

@@ -3,8 +3,8 @@ from pathlib import Path
 import pytest
 
 from schemas.bucket import open_bucket
+from schemas.mining import MiningSettings
 from schemas.recordings import group_recordings
-from schemas.work import MiningSettings
 from workers.score import score_recording
 from workers.simulation.fleet import FleetOptions, write_planned
 from workers.simulation.lidar import Lidar

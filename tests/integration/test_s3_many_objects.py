@@ -10,7 +10,7 @@ import pytest
 from schemas.bucket import Bucket, open_bucket
 from schemas.bus import client_session, free_endpoint, router_session
 from schemas.keys import DEFAULT_ROOT
-from schemas.work import MiningSettings
+from schemas.mining import MiningSettings
 from service.app import Service
 from service.client import ControlClient
 from service.store.engine import open_store

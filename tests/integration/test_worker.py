@@ -13,9 +13,10 @@ from structlog.testing import capture_logs
 from schemas.bucket import open_bucket
 from schemas.bus import client_session, free_endpoint, router_session
 from schemas.keys import DEFAULT_ROOT
+from schemas.mining import Grid, MiningSettings
 from schemas.retry import StoppedError
 from schemas.router_watch import RouterWatch
-from schemas.work import Grid, MiningSettings, PlanLease
+from schemas.work import PlanLease
 from service.app import Service
 from service.store.engine import open_store
 from tests.contracts.ledger_world import World

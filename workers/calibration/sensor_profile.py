@@ -13,7 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.bucket import Bucket
 from schemas.frame import LidarFrame
-from schemas.work import MiningSettings, Recording
+from schemas.mining import MiningSettings
+from schemas.work import Recording
 from workers.calibration.sensor_layout import measure_layout
 from workers.errors import LogUnusableError
 from workers.evaluation.whole_log import plan_of_log

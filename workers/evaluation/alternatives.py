@@ -3,17 +3,12 @@
 from collections.abc import Iterable
 from typing import Final
 
+from schemas.mining import MiningSettings
 from schemas.task import MOTION
-from schemas.work import MiningSettings
 from workers.errors import UnknownPartError
 from workers.evaluation.counts import StreamName
-from workers.registry import (
-    SELFSUPERVISED,
-    SUPERVISED,
-    Stream,
-    build_selfsupervised,
-    build_supervised,
-)
+from workers.protocols import Stream
+from workers.registry import SELFSUPERVISED, SUPERVISED, build_selfsupervised, build_supervised
 from workers.version import files_of
 
 OF_SETTINGS: Final[tuple[StreamName, ...]] = ("selfsupervised", "supervised")

@@ -8,7 +8,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.attribution import Wrong
 from schemas.bucket import Bucket
-from schemas.work import MiningSettings, Recording
+from schemas.mining import MiningSettings
+from schemas.work import Recording
 from workers.contradiction.strength import rank_tracks
 from workers.evaluation.failures.mine_log import planted_beside, slips_in
 from workers.evaluation.failures.seen import SeenFrame

@@ -11,7 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from schemas.arrays import NS_PER_S
 from schemas.bucket import Bucket
 from schemas.frame import LidarFrame
-from schemas.work import MiningSettings, Recording, Shard
+from schemas.mining import MiningSettings
+from schemas.work import Recording, Shard
 from workers.errors import LogUnusableError
 from workers.evaluation.floors import MS_PER_S, kiss_icp_ms, networks_ms, patchwork_ms, reading_ms
 from workers.evaluation.whole_log import shards_of_log

@@ -15,7 +15,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.bucket import Bucket, open_bucket
-from schemas.work import MiningSettings, Recording
+from schemas.mining import MiningSettings
+from schemas.work import Recording
 from workers.errors import LogUnusableError
 from workers.evaluation.floors import MS_PER_S, kiss_icp_ms, patchwork_ms
 from workers.evaluation.whole_log import shards_of_log

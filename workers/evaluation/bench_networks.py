@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from schemas.bucket import Bucket
-from schemas.work import MiningSettings, Recording
+from schemas.mining import MiningSettings
+from schemas.work import Recording
 from workers.evaluation import published_forward
 from workers.evaluation.floors import MS_PER_S
 from workers.evaluation.network_time import Network, NetworkTime, times_as_fast

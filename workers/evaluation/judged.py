@@ -9,14 +9,15 @@ from schemas.arrays import Mask
 from schemas.bucket import Bucket
 from schemas.frame import LidarFrame, PosedFrame
 from schemas.labels import FrameLabels
-from schemas.work import MiningSettings, Recording
+from schemas.mining import MiningSettings
+from schemas.work import Recording
 from workers.evaluation.counts import StreamName
 from workers.evaluation.disturbance import Disturbance, Numbered, with_yaw_noise, without_beams
 from workers.evaluation.floors import MS_PER_S
 from workers.evaluation.truth import LogTruth
 from workers.evaluation.whole_log import shards_of_log
 from workers.ingest.read import read_shard
-from workers.registry import Odometry, Stream
+from workers.protocols import Odometry, Stream
 from workers.stages import Stage, StageClock
 
 

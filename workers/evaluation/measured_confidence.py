@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from schemas.bucket import open_bucket
 from schemas.labels import FrameLabels, MotionLabel
+from schemas.mining import MiningSettings
 from schemas.recordings import group_recordings
-from schemas.work import MiningSettings
 from workers.evaluation.disturbance import Disturbance
 from workers.evaluation.judged import answers_of
 from workers.evaluation.truth import TRUTH_DYNAMIC, TRUTH_UNKNOWN, FrameTruth, LogTruth

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Mask, MotionLabels, Points
 from schemas.bucket import open_bucket
+from schemas.mining import MiningSettings
 from schemas.recordings import group_recordings
 from schemas.task import MOTION
-from schemas.work import MiningSettings
 from workers.contradiction.compare import compare
 from workers.evaluation.alternatives import OF_SETTINGS, build_streams, is_supervised
 from workers.evaluation.counting import count_frame

@@ -1,7 +1,8 @@
 """Some frames of a real log, to hold simulated ones against."""
 
 from schemas.bucket import Bucket
-from schemas.work import MiningSettings, Recording
+from schemas.mining import MiningSettings
+from schemas.work import Recording
 from workers.evaluation.bench_simulation import Look, Seen, look_at
 from workers.evaluation.whole_log import shards_of_log
 from workers.ingest.read import read_shard

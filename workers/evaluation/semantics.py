@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.bucket import open_bucket
+from schemas.mining import MiningSettings
 from schemas.recordings import group_recordings
-from schemas.work import MiningSettings
 from workers.errors import UnknownPartError
 from workers.evaluation.alternatives import build_streams
 from workers.evaluation.class_table import COARSE, MOVABLE, coarse_of_names

@@ -3,7 +3,8 @@
 from typing import Final
 
 from schemas.bucket import Bucket
-from schemas.work import Grid, LogPlan, MiningSettings, Recording, Shard
+from schemas.mining import Grid, MiningSettings
+from schemas.work import LogPlan, Recording, Shard
 from workers.errors import LogUnusableError
 from workers.ingest.plan import plan_recording
 

@@ -8,7 +8,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.arrays import NS_PER_S
 from schemas.bucket import Bucket
-from schemas.work import Channel, ChunkRef, Damage, LogPlan, MiningSettings, Recording
+from schemas.mining import MiningSettings
+from schemas.work import Channel, ChunkRef, Damage, LogPlan, Recording
 from workers.errors import CloudUnreadableError
 from workers.ingest.chunk import messages_in
 from workers.ingest.fetch import OpenedChunk, fetch_chunks

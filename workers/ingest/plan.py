@@ -7,16 +7,8 @@ from typing import Final
 from schemas.arrays import NS_PER_S
 from schemas.bucket import Bucket
 from schemas.camera import RECORDED, CameraCalibration
-from schemas.work import (
-    Channel,
-    ChunkRef,
-    Damage,
-    LogPlan,
-    MiningSettings,
-    RecordedSource,
-    Recording,
-    Shard,
-)
+from schemas.mining import MiningSettings
+from schemas.work import Channel, ChunkRef, Damage, LogPlan, RecordedSource, Recording, Shard
 from workers.errors import LogUnusableError, NotMcapError
 from workers.ingest.camera_calibration import find_calibration
 from workers.ingest.evidence import Sample, sample_end, sample_middle, sample_topics, true_times

@@ -7,7 +7,8 @@ from typing import Final
 
 from schemas.bucket import Bucket
 from schemas.frame import LidarFrame, RecordedLabels
-from schemas.work import Channel, ChunkRef, Damage, MiningSettings, Recording, Shard
+from schemas.mining import MiningSettings
+from schemas.work import Channel, ChunkRef, Damage, Recording, Shard
 from workers.errors import CloudUnreadableError
 from workers.ingest.chunk import messages_in
 from workers.ingest.fetch import OpenedChunk, fetch_chunks

@@ -10,7 +10,8 @@ from itertools import islice
 
 import numpy as np
 
-from schemas.work import ChunkRef, Grid
+from schemas.mining import Grid
+from schemas.work import ChunkRef
 from workers.ingest.scenes import CutRule
 
 

@@ -21,8 +21,8 @@ from schemas.attribution import Wrong
 from schemas.bucket import open_bucket
 from schemas.contradiction import ContradictionKind
 from schemas.errors import CounterpointError, TransientError
+from schemas.mining import MiningSettings
 from schemas.recordings import group_recordings
-from schemas.work import MiningSettings
 from workers.contradiction.attribution import Table, chances, table_of
 from workers.contradiction.evidence import NAMES
 from workers.evaluation.attributed import TrackRow, rows_of_log

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from schemas.arrays import NS_PER_S, Transform
 from schemas.bucket import open_bucket
 from schemas.frame import LidarFrame
+from schemas.mining import Grid, MiningSettings
 from schemas.recordings import recording_of
-from schemas.work import Grid, MiningSettings
 from workers.errors import LogUnusableError
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard

@@ -3,7 +3,7 @@ import pytest
 from schemas.bucket import open_bucket
 from schemas.errors import CounterpointError
 from schemas.labels import FrameHealth
-from schemas.work import MiningSettings
+from schemas.mining import MiningSettings
 from tests.factories import frame
 from tests.tiny_logs import Recorder, drive, only_recording, settings
 from workers.ingest.plan import plan_recording

@@ -15,7 +15,7 @@ from schemas.score import SceneScore
 from tests.factories import frame, pose, recorded
 from tests.labelled_worlds import START_NS, shard_of
 from workers.pipeline import mine_shard
-from workers.registry import Odometry, Parts
+from workers.protocols import Odometry, Parts
 from workers.selfsupervised.odometry import KissOdometry
 from workers.selfsupervised.stream import Registration
 from workers.simulation.lidar import UNIFORM_64, Lidar, sweep

@@ -9,8 +9,8 @@ import pytest
 from schemas.bucket import open_bucket
 from schemas.frame import LidarFrame, PosedFrame
 from schemas.labels import Blindness, MotionLabel
+from schemas.mining import MiningSettings
 from schemas.recordings import group_recordings
-from schemas.work import MiningSettings
 from tests.factories import pose
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from schemas.bucket import open_bucket
 from schemas.labels import Blindness, MotionLabel
+from schemas.mining import MiningSettings
 from schemas.recordings import group_recordings
-from schemas.work import MiningSettings
 from tests.factories import frame
 from workers.evaluation.whole_log import shards_of_log
 from workers.ingest.read import read_shard

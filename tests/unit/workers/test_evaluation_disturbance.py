@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from schemas.labels import MotionLabel
-from schemas.work import MiningSettings
+from schemas.mining import MiningSettings
 from tests.factories import frame, posed, street_log
 from workers.errors import LogUnusableError
 from workers.evaluation.beam_rows import BeamRows

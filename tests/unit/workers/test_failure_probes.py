@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from schemas.frame import PosedFrame
-from schemas.work import MiningSettings
+from schemas.mining import MiningSettings
 from tests.factories import SMALL_LIDAR, frame, posed
 from workers.evaluation.failures.probes import ProbedStream, Probing
 from workers.simulation.lidar import sweep

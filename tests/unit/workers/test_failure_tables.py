@@ -4,7 +4,8 @@ from typing import Any
 import pytest
 
 from schemas.attribution import Attribution, Wrong
-from schemas.work import MiningSettings, Part, Recording
+from schemas.mining import MiningSettings
+from schemas.work import Part, Recording
 from service.failure_report import write_report
 from workers.evaluation.failures.attribution import attribute
 from workers.evaluation.failures.bench import FailureBench, with_slips

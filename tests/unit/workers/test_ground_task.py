@@ -8,10 +8,11 @@ import pytest
 from numpy.typing import NDArray
 
 from schemas.frame import RecordedClass
+from schemas.mining import MiningSettings
 from schemas.score import AgreementShares, SceneScore
 from schemas.task import GROUND, MOTION
 from schemas.wire import encode_scene_score, sha256
-from schemas.work import CommitRequest, ManifestEntry, MiningSettings
+from schemas.work import CommitRequest, ManifestEntry
 from service.cli.main import main
 from service.store.manifest import verify
 from tests import factories
@@ -19,7 +20,8 @@ from workers.checkpoints.errors import WeightsUnusableError
 from workers.equipment import equip
 from workers.errors import TasksDifferError, UnknownPartError
 from workers.evaluation.alternatives import build_streams
-from workers.registry import SELFSUPERVISED, SUPERVISED, PartFiles, build_parts
+from workers.part_files import PartFiles
+from workers.registry import SELFSUPERVISED, SUPERVISED, build_parts
 from workers.selfsupervised.ground_stream import GroundStream
 from workers.supervised.classes import ClassMeaning, ClassSet
 from workers.supervised.ground_classes import GroundFusion, ground_labels_of

@@ -11,7 +11,8 @@ from workers.checkpoints import stored
 from workers.errors import UnknownPartError
 from workers.geometry.se3 import transform
 from workers.networks import read_config
-from workers.registry import PartFiles, build_selfsupervised
+from workers.part_files import PartFiles
+from workers.registry import build_selfsupervised
 from workers.selfsupervised.learned_flow import REACH_M, FlowStep3DFlow
 from workers.selfsupervised.weights import load_flowstep3d
 

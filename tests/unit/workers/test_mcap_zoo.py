@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 
 from schemas.bucket import Bucket, open_bucket
-from schemas.work import MiningSettings, Part, Recording
+from schemas.mining import MiningSettings
+from schemas.work import Part, Recording
 from workers.errors import NotMcapError
 from workers.ingest.inspect import LogReport, inspect_recording
 from workers.ingest.plan import plan_recording
@@ -27,7 +28,8 @@ INSPECT_ALL = """
 import sys
 from schemas.bucket import open_bucket
 from schemas.errors import PermanentError
-from schemas.work import MiningSettings, Part, Recording
+from schemas.work import Part, Recording
+from schemas.mining import MiningSettings
 from workers.ingest.inspect import inspect_recording
 from workers.memory import peak_memory_bytes
 

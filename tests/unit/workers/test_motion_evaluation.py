@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from schemas.bucket import open_bucket
 from schemas.labels import FrameLabels, MotionLabel
+from schemas.mining import MiningSettings
 from schemas.recordings import group_recordings
-from schemas.work import MiningSettings
 from tests.factories import SMALL_LIDAR, frame, street_log
 from workers.evaluation.counting import count_frame
 from workers.evaluation.counts import LogCounts, total_of

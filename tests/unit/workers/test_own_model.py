@@ -19,7 +19,8 @@ from workers.checkpoints.errors import WeightsUnusableError
 from workers.errors import UnknownPartError
 from workers.geometry.range_image import SensorProfile, project
 from workers.geometry.sensor_rows import lay_out
-from workers.registry import PartFiles, build_parts
+from workers.part_files import PartFiles
+from workers.registry import build_parts
 from workers.supervised.networks import RangeImageNetwork
 from workers.supervised.own_model import open_own_model
 from workers.supervised.residual_image import ResidualSettings

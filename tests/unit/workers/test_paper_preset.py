@@ -12,8 +12,8 @@ from schemas.bucket import open_bucket
 from schemas.camera import CameraCalibration
 from schemas.frame import LidarFrame
 from schemas.labels import Blindness, MotionLabel
+from schemas.mining import MiningSettings
 from schemas.recordings import group_recordings
-from schemas.work import MiningSettings
 from service.config import read_settings
 from service.errors import UsageError
 from workers.checkpoints import stored
@@ -24,7 +24,8 @@ from workers.errors import LogUnusableError, UnknownPartError
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard
 from workers.networks import read_config
-from workers.registry import PartFiles, build_odometry, build_parts, build_selfsupervised
+from workers.part_files import PartFiles
+from workers.registry import build_odometry, build_parts, build_selfsupervised
 from workers.selfsupervised.odometry import KissOdometry
 from workers.selfsupervised.paper_chain import PaperChain
 from workers.selfsupervised.paper_view import NoCameraError

@@ -2,7 +2,7 @@ import json
 
 import pytest
 
-from schemas.work import MiningSettings
+from schemas.mining import MiningSettings
 from service.cli.main import main
 from workers.networks import NETWORKS, known_configs, read_known
 from workers.parts import part_cards

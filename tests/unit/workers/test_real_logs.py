@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from schemas.bucket import open_bucket
+from schemas.mining import Grid, MiningSettings
 from schemas.recordings import group_recordings
-from schemas.work import Grid, MiningSettings
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from schemas.bucket import open_bucket
+from schemas.mining import Grid, MiningSettings
 from schemas.recordings import group_recordings
-from schemas.work import Grid, MiningSettings
 from tests.factories import SMALL_LIDAR
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard

@@ -8,8 +8,8 @@ import pytest
 from schemas.bucket import open_bucket
 from schemas.frame import LidarFrame, OdometryState
 from schemas.labels import MotionLabel
+from schemas.mining import MiningSettings
 from schemas.recordings import group_recordings
-from schemas.work import MiningSettings
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard
 from workers.selfsupervised.odometry import KissOdometry

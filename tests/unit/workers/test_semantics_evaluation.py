@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from schemas.work import Grid, MiningSettings
+from schemas.mining import Grid, MiningSettings
 from service.cli.main import main
 from tests.factories import street_log
 from workers.errors import UnknownPartError

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from schemas.labels import MotionLabel
-from schemas.work import MiningSettings
+from schemas.mining import MiningSettings
 from tests.factories import SMALL_LIDAR, street_log
 from workers.errors import UnknownPartError
 from workers.evaluation.counts import LogCounts, StreamCounts, total_of

@@ -3,8 +3,8 @@ from pathlib import Path
 import pytest
 
 from schemas.bucket import open_bucket
+from schemas.mining import MiningSettings
 from schemas.recordings import group_recordings
-from schemas.work import MiningSettings
 from tests.factories import SMALL_LIDAR
 from workers.ingest.plan import plan_recording
 from workers.simulation.fleet import SimulatedLog, simulate_fleet

@@ -8,9 +8,9 @@ import pytest
 from schemas.errors import PermanentError
 from schemas.frame import LidarFrame, PosedFrame
 from schemas.labels import FrameLabels
+from schemas.mining import Grid, MiningSettings
 from schemas.task import MOTION, Task
-from schemas.work import Grid, MiningSettings
-from workers.registry import Parts
+from workers.protocols import Parts
 from workers.version import NOT_IN_VERSION, parts_of, pipeline_version
 
 

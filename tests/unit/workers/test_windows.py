@@ -2,7 +2,8 @@
 
 import pytest
 
-from schemas.work import ChunkRef, Grid
+from schemas.mining import Grid
+from schemas.work import ChunkRef
 from workers.ingest.windows import Span, Spans, Window, cut_windows, is_continuous
 
 S = 1_000_000_000

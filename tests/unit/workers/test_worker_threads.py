@@ -6,7 +6,7 @@ import pytest
 EQUIPPED = """
 import sys
 import workers.worker
-from schemas.work import MiningSettings
+from schemas.mining import MiningSettings
 from workers.equipment import equip
 
 settings = MiningSettings(bucket="memory://", artifacts="memory://", supervised=sys.argv[1])

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from schemas.bucket import open_bucket
 from schemas.frame import LidarFrame
+from schemas.mining import MiningSettings
 from schemas.recordings import group_recordings
-from schemas.work import MiningSettings
 from tests.factories import SMALL_LIDAR, street_log
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard

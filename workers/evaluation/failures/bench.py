@@ -10,8 +10,8 @@ from pydantic import BaseModel, ConfigDict
 
 from schemas.arrays import NS_PER_S
 from schemas.bucket import open_bucket
+from schemas.mining import MiningSettings
 from schemas.recordings import group_recordings
-from schemas.work import MiningSettings
 from workers.evaluation.failures.mine_log import LogJob
 from workers.evaluation.failures.mining import Mining, mine_logs
 from workers.evaluation.failures.natural import NaturalTable, natural_table

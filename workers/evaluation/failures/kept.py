@@ -6,8 +6,8 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
+from schemas.mining import MiningSettings
 from schemas.wire import canonical_json
-from schemas.work import MiningSettings
 from workers.evaluation.failures.mine_log import LogJob
 from workers.evaluation.failures.probes import Probing
 from workers.evaluation.failures.rows import REVISION, MinedLog

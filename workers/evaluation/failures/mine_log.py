@@ -10,7 +10,8 @@ from schemas.arrays import NS_PER_S
 from schemas.attribution import Wrong
 from schemas.bucket import Bucket
 from schemas.contradiction import Instance, Scene
-from schemas.work import MiningSettings, Recording
+from schemas.mining import MiningSettings
+from schemas.work import Recording
 from workers.contradiction.strength import rank_tracks
 from workers.evaluation.failures.rows import OTHER_KIND, MinedLog, SceneRow, ThingRow, TrackRow
 from workers.evaluation.failures.seen import SeenFrame, TellsUnsureness
@@ -23,7 +24,7 @@ from workers.evaluation.truth import LogTruth, TruthUnusableError
 from workers.evaluation.whole_log import shards_of_log
 from workers.ingest.read import read_shard
 from workers.pipeline import MinedScene, mine_shard
-from workers.registry import Parts
+from workers.protocols import Parts
 from workers.simulation.plan import DisturbanceKind, FailureKind
 from workers.simulation.planted_truth import FailureRow, PlantedTruth
 from workers.version import pipeline_version

@@ -8,12 +8,12 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from schemas.bucket import open_bucket
-from schemas.work import MiningSettings
+from schemas.mining import MiningSettings
 from workers.evaluation.failures.kept import keep_log, kept_log
 from workers.evaluation.failures.mine_log import LogJob, mine_log
 from workers.evaluation.failures.probes import NO_PROBING, ProbedStream, Probing
 from workers.evaluation.failures.rows import MinedLog
-from workers.registry import Parts
+from workers.protocols import Parts
 from workers.version import parts_of
 
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from schemas.frame import PosedFrame
 from schemas.labels import FrameLabels, MotionLabel
+from schemas.mining import MiningSettings
 from schemas.task import Task
-from schemas.work import MiningSettings
 from workers.geometry.range_image import RangeImage
 from workers.supervised.networks import RangeImageNetwork
 from workers.supervised.stream import SHIPPED, RangeImageStream

@@ -8,7 +8,7 @@ import numpy as np
 from schemas.arrays import Transform
 from schemas.frame import LidarFrame, PosedFrame
 from workers.geometry.se3 import inverse
-from workers.registry import Odometry
+from workers.protocols import Odometry
 
 
 @dataclass(frozen=True, slots=True)

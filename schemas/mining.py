@@ -1,0 +1,116 @@
+"""What every worker does alike: how logs are cut and read, and by which parts they are mined."""
+
+import re
+from typing import Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+LOOKAHEAD: Final = ":lookahead-"
+"""In the name of a stream: the seconds that follow are how long it waits for later frames."""
+
+_STRICT = ConfigDict(frozen=True, extra="forbid")
+
+
+class Grid(BaseModel):
+    """How logs are cut: shards are whole multiples of the scene length on one grid per log."""
+
+    model_config = _STRICT
+
+    scene_s: float = Field(default=2.0, gt=0, le=60, description="Length of a scene's cell.")
+    shard_s: float = Field(default=20.0, gt=0, le=3600, description="Length of a shard's window.")
+    warmup_s: float = Field(
+        default=1.2, ge=0, le=10, description="Read before a window, for what has state."
+    )
+
+    @model_validator(mode="after")
+    def _shards_hold_whole_scenes(self) -> "Grid":
+        cells = self.shard_s / self.scene_s
+        if cells < 1 or abs(cells - round(cells)) > 1e-9:
+            raise ValueError(
+                f"shard_s ({self.shard_s:g}) must be a whole multiple of scene_s ({self.scene_s:g})"
+            )
+        return self
+
+
+class MiningSettings(BaseModel):
+    """What every worker of a service must do alike; answered to `hello`.
+
+    Credentials are never part of it: each process takes its own from its environment.
+    """
+
+    model_config = _STRICT
+
+    bucket: str = Field(description="URL of the log bucket.")
+    artifacts: str = Field(description="URL of the folder or bucket for point-level overlays.")
+    grid: Grid = Field(default_factory=Grid, description="Scene and shard lengths, warm-up.")
+    supervised: str = Field(
+        default="salsanext-lmnet",
+        description="Supervised stream, by name: salsanext-lmnet, recorded (what the model on the "
+        "car said), own (your model), salsanext-lmnet:folded (faster on a CPU), "
+        "salsanext-lmnet:published (image and votes bug for bug); for `score` of the task ground "
+        "salsanext:ground, recorded:ground.",
+    )
+    model: str = Field(
+        default="",
+        description="Your own model: the adapter's TOML file. Every worker reads it there; what is "
+        "in it counts, not where it lies.",
+    )
+    weights: str = Field(
+        default="",
+        description="Folder of imported weights, for every network that is chosen; empty: what "
+        "ships. Every worker reads it there.",
+    )
+    selfsupervised: str = Field(
+        default="registration",
+        description="Self-supervised stream, by name: registration, two-stage (on any flow), or "
+        "paper (the published chain); registration:lookahead-0.5 and :lookahead-1.0 wait so many "
+        "seconds for later frames; ground is of another task.",
+    )
+    odometry: str = Field(
+        default="kiss-icp", description="Odometry, by name: kiss-icp, or delora (the paper's)."
+    )
+    witness: str = Field(
+        default="free-space",
+        description="Third witness, by name: free-space (what was seen through a second before or "
+        "after is not static), or none.",
+    )
+    instances: Literal["default", "paper"] = Field(
+        default="default",
+        description="How contradicting points become instances; paper: the published numbers.",
+    )
+    lidar_topic: str = Field(default="", description="Mine this topic only; empty: by evidence.")
+    camera: str = Field(
+        default="",
+        description="For streams that compare only what a camera sees: `recorded` takes the "
+        "calibration of the log's front camera, a JSON file states one for all logs; empty: none.",
+    )
+    path_template: str = Field(
+        default="{vehicle}/{date}/{name}",
+        description="Vehicle and date of a log, matched from the right of its key, where the log "
+        "itself does not say.",
+    )
+    stamp_at: Literal["start", "middle", "end"] = Field(
+        default="start", description="Which instant of the revolution a header stamp names."
+    )
+    intensity_scale: float = Field(
+        default=0.0, ge=0, description="Recorded value that means 1; 0: by evidence."
+    )
+
+    @property
+    def takes_recorded(self) -> bool:
+        """Whether the supervised stream, for whatever task, is what the log itself says."""
+        return self.supervised.partition(":")[0] == "recorded"
+
+    @property
+    def ahead_ns(self) -> int:
+        """How much later than a frame those are that its labels may wait for."""
+        _, found, lookahead_s = self.selfsupervised.partition(LOOKAHEAD)
+        return round(float(lookahead_s) * 1e9) if found else 0
+
+    @field_validator("selfsupervised")
+    @classmethod
+    def _lookahead_is_a_time(cls, name: str) -> str:
+        _, found, lookahead_s = name.partition(LOOKAHEAD)
+        if found and not re.fullmatch(r"[0-9](\.[0-9])?", lookahead_s):
+            raise ValueError(f"{name!r} must end in seconds, such as {LOOKAHEAD}0.5")
+        return name
