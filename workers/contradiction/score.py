@@ -47,7 +47,7 @@ class Versioned(Protocol):
 
 
 class Streams(Protocol):
-    """What of `workers.registry.Parts` a record names."""
+    """What of `workers.protocols.Parts` a record names."""
 
     @property
     def supervised(self) -> Versioned:
