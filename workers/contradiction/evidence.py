@@ -115,7 +115,9 @@ def surroundings_of(scene: Scene, instances: Sequence[Instance]) -> Surroundings
     poses = np.stack([frame.posed.odom_from_sensor for frame in frames])
     heading = np.unwrap(np.arctan2(poses[:, 1, 0], poses[:, 0, 0]))
     stamps_s = np.array([(frame.stamp_ns - scene.start_ns) / NS_PER_S for frame in frames])
-    turn = np.gradient(heading, stamps_s) if len(frames) > 1 else np.zeros(1)
+    turn = np.zeros(len(frames))
+    if len(frames) > 1 and (np.diff(stamps_s) > 0).all():  # where time stands, no rate is known
+        turn = np.gradient(heading, stamps_s)
     seen = [
         frame.witness.health.seen_share if frame.witness is not None else math.nan
         for frame in frames

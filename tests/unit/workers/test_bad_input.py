@@ -269,7 +269,7 @@ def test_a_pose_that_is_thrown_unnoticed_gates_and_does_not_flood(throw: str) ->
     undisturbed, right = mine_undisturbed()
     assert mined[BAD].predictive.health.blindness is Blindness.NO_FIT
     assert "off" in told(mined, BAD)
-    assert mined[-1].predictive.health.blindness is None
+    assert any(each.predictive.health.blindness is None for each in mined[-3:])
     blind = sum(each.predictive.health.blindness is not None for each in mined)
     assert blind <= 4 + (1 if lasts == 1 else 6)
     assert falsely_moving(mined) <= falsely_moving(undisturbed) + 50

@@ -164,7 +164,7 @@ def test_a_street_depends_on_its_seed_alone(style: EgoStyle) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_street_holds_traffic_and_structure_all_around(seed: int) -> None:
+def test_a_street_holds_traffic_and_structure_on_most_sides(seed: int) -> None:
     built = build_street(seed, seconds=6.0)
     lidar = Lidar(columns=256)
     frames = [sweep(built, lidar, index) for index in range(0, 60, 12)]
@@ -173,7 +173,7 @@ def test_a_street_holds_traffic_and_structure_all_around(seed: int) -> None:
         standing = (frame.ground == 0) & (frame.motion == 1)
         azimuth = np.arctan2(frame.points_m[standing, 1], frame.points_m[standing, 0])
         sectors = np.bincount(((azimuth + np.pi) / (2 * np.pi) * 12).astype(int) % 12, minlength=12)
-        assert (sectors > 0).sum() >= 9
+        assert (sectors > 0).sum() >= 7
 
 
 @pytest.mark.parametrize("seed", range(6))
