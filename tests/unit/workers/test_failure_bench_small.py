@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from schemas.work import MiningSettings
+from schemas.mining import MiningSettings
 from tests.factories import missed_and_phantom, street_log
 from workers.evaluation.failures.bench import FailureBench, bench_failures
 from workers.evaluation.failures.probes import NO_PROBING
