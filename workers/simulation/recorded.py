@@ -42,7 +42,9 @@ def record(
     label = frame.class_id.astype(np.uint16)
     corrupt(frame, motion, label, failures)
     wrong = motion != frame.motion
-    thing = np.where(frame.track >= 0, frame.track, len(street.actors) + frame.class_id)
+    thing = np.where(
+        frame.track >= 0, frame.track, len(street.actors) + frame.class_id.astype(np.int64)
+    )
     right_sure, wrong_sure = draw_confidence(
         seed=street.seed,
         things=len(street.actors) + 1 + max(StreetClass),
