@@ -157,7 +157,7 @@ def mine_records(
 def _encoded(mined: MinedScene, class_names: tuple[str, ...], pipeline_version: str) -> MinedRecord:
     record = encode_scene_score(mined.score)
     digest = sha256(record)
-    overlay = overlay_of(mined.scene, mined.instances, class_names=class_names)
+    overlay = overlay_of(mined.scene, mined.instances, mined.tracks, class_names=class_names)
     return MinedRecord(
         score=mined.score,
         record=record,

@@ -11,17 +11,19 @@ from schemas.work import Shard
 from workers.contradiction.compare import compare
 from workers.contradiction.instances import find_instances
 from workers.contradiction.score import score_scene
+from workers.contradiction.strength import RankedTrack, rank_tracks
 from workers.ingest.scenes import cut_scenes
 from workers.protocols import Parts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MinedScene:
-    """A scored scene, with the points and instances that its overlay is made of."""
+    """A scored scene, with the points, instances and tracks that its overlay is made of."""
 
     score: SceneScore
     scene: Scene
     instances: tuple[Instance, ...]
+    tracks: tuple[RankedTrack, ...]
 
 
 def mine_shard(
@@ -56,5 +58,8 @@ def mine_shard(
         instances = find_instances(
             scene, class_names=parts.supervised.class_names, settings=parts.instances
         )
-        score = score_scene(shard, scene, instances, parts=parts, pipeline_version=pipeline_version)
-        yield MinedScene(score, scene, instances)
+        tracks = rank_tracks(scene, instances)
+        score = score_scene(
+            shard, scene, instances, tracks, parts=parts, pipeline_version=pipeline_version
+        )
+        yield MinedScene(score, scene, instances, tracks)

@@ -134,7 +134,7 @@ def test_record_and_overlay_come_back_with_their_task(task: Task) -> None:
     record = encode_scene_score(mined.score)
     assert decode(SceneScore, record) == mined.score
     assert (b'"task"' in record) == (task is not MOTION)
-    overlay = overlay_of(mined.scene, mined.instances, class_names=CLASS_NAMES)
+    overlay = overlay_of(mined.scene, mined.instances, mined.tracks, class_names=CLASS_NAMES)
     again = decode_overlay(encode_overlay(overlay))
     assert again.task == task
     np.testing.assert_array_equal(again.agreements, overlay.agreements)
@@ -146,7 +146,7 @@ def test_the_picture_shows_each_contradiction_in_a_colour_of_its_own(task: Task)
     assert len(set(colours.values())) == len(task.outcomes)
     assert len({meaning(outcome, task) for outcome in task.outcomes}) == len(task.outcomes)
     mined = _mined(task)
-    overlay = overlay_of(mined.scene, mined.instances, class_names=CLASS_NAMES)
+    overlay = overlay_of(mined.scene, mined.instances, mined.tracks, class_names=CLASS_NAMES)
     above = draw_scene(mined.score, overlay)
     for kind in _told(task):
         assert _pixels_of(above, colours[kind.code]) > 0, kind.name
@@ -222,7 +222,7 @@ def _told(task: Task) -> list[Outcome]:
 
 def _one_of_each(task: Task) -> Overlay:
     scene = labelled_scene([Thing((5, 0, 0), 0, 0, points=len(task.outcomes))], frames=1, task=task)
-    made = overlay_of(scene, (), class_names=CLASS_NAMES)
+    made = overlay_of(scene, (), (), class_names=CLASS_NAMES)
     fields = {name: getattr(made, name) for name in made.__dataclass_fields__}
     fields["agreements"] = np.arange(len(task.outcomes), dtype=np.uint8)
     return Overlay(**fields)

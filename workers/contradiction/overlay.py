@@ -10,19 +10,24 @@ from schemas.arrays import Points
 from schemas.contradiction import Instance, LabelledFrame, Scene
 from schemas.labels import FrameLabels
 from schemas.overlay import NO_POSITION_CM, Overlay
-from workers.contradiction.strength import rank_tracks
+from workers.contradiction.strength import RankedTrack
 
 _REACH_M = 327.0
 
 
 def overlay_of(
-    scene: Scene, instances: Sequence[Instance], *, class_names: Sequence[str]
+    scene: Scene,
+    instances: Sequence[Instance],
+    ranked: Sequence[RankedTrack],
+    *,
+    class_names: Sequence[str],
 ) -> Overlay:
     """Gather the overlay of a scene.
 
     Args:
         scene: Its labelled frames.
         instances: As `find_instances` found them in it.
+        ranked: Their tracks, as in the scene's record.
         class_names: Names that the supervised stream's class ids index.
 
     Returns:
@@ -35,8 +40,8 @@ def overlay_of(
     for i, instance in enumerate(instances):
         index[offsets[instance.frame_index] + instance.point_index] = i
     track = np.full(len(instances), -1, dtype=np.int32)
-    for track_id, ranked in enumerate(rank_tracks(scene, instances)):
-        track[list(ranked.track.members)] = track_id
+    for track_id, each in enumerate(ranked):
+        track[list(each.track.members)] = track_id
     boxes = [np.concatenate([i.centre_m, i.size_m, [i.yaw_rad]]) for i in instances]
     return Overlay(
         scene_id=scene.scene_id,

@@ -34,7 +34,7 @@ from schemas.work import Shard
 from workers.contradiction.reasons import WORTH_SAYING, class_word, reasons_of
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
 from workers.contradiction.shares import odometry_health, point_shares, stream_health
-from workers.contradiction.strength import RankedTrack, rank_tracks
+from workers.contradiction.strength import RankedTrack
 
 
 class Versioned(Protocol):
@@ -63,7 +63,8 @@ class Streams(Protocol):
 def score_scene(
     shard: Shard,
     scene: Scene,
-    instances: tuple[Instance, ...],
+    instances: Sequence[Instance],
+    ranked: Sequence[RankedTrack],
     *,
     parts: Streams,
     pipeline_version: str,
@@ -75,6 +76,7 @@ def score_scene(
         shard: Where the scene was cut from: names the log, the vehicle and the software.
         scene: Its labelled frames.
         instances: As `find_instances` found them in it.
+        ranked: Their tracks, as `rank_tracks` made them.
         parts: The streams that labelled it, for their versions.
         pipeline_version: Digest of all that changes a record.
         settings: Constants of the score.
@@ -82,7 +84,6 @@ def score_scene(
     Returns:
         The record; it fits the bus, with fewer than 32 tracks where names are very long.
     """
-    ranked = rank_tracks(scene, instances, settings=settings)
     state, gate = judge_odometry(scene, settings=settings)
     shares = point_shares(scene.frames)
     health, stream = odometry_health(scene), stream_health(scene)

@@ -43,6 +43,7 @@ class RankedTrack:
     Attributes:
         track: The track.
         strength: Product of the factors, rounded to 4 digits, before the odometry gate.
+        presence: The same without the chance that the supervised stream is wrong.
         strongest: Index of its instance with the most points and surest clash.
         speed_m_per_s: Median of the measured speeds over the ground; 0 when none was measured.
         class_name: Commonest class of its points.
@@ -55,6 +56,7 @@ class RankedTrack:
 
     track: Track
     strength: float
+    presence: float
     strongest: int
     speed_m_per_s: float
     class_name: str
@@ -156,11 +158,11 @@ def _rank(
     kind, attribution = track.kind.name, None
     if kind in tables():
         attribution = attribute(kind, evidence, because=because_of(kind, evidence))
-        worth = not_too_long(size_m, settings) * attribution.supervised_wrong
+        size, chance = not_too_long(size_m, settings), attribution.supervised_wrong
     else:
         clash = float(np.average(sure, weights=points))
-        worth = clash * evidence.own * (box if scene.task.of_things else 1.0)
-    strength = (
+        size, chance = (box if scene.task.of_things else 1.0), clash * evidence.own
+    presence = (
         persistence(
             frames=len(members),
             span_frames=last - first + 1,
@@ -168,13 +170,14 @@ def _rank(
             scale_s=settings.persistence_s,
         )
         * (1.0 - math.exp(-float(np.median(points)) / settings.evidence_points))
-        * worth
+        * size
     )
     confirmed_share = _confirmed_share(members, points)
     speeds = np.linalg.norm(velocities, axis=1)
     return RankedTrack(
         track=track,
-        strength=round(min(strength, 0.9999), 4),
+        strength=round(min(presence * chance, 0.9999), 4),
+        presence=round(presence, 4),
         strongest=track.members[int(np.argmax(np.round(points * sure, 6)))],
         speed_m_per_s=round(float(np.median(speeds[speeds > 0])), 2) if speeds.any() else 0.0,
         class_name=_commonest([member.class_name for member in members], points),

@@ -1,32 +1,31 @@
 """Fit who is wrong about a track: `python -m workers.training.attribution --help`.
 
-Two steps, so that mining, which takes long, is done once: `collect` mines logs that have truth and
-writes a row for every contradicting track; `fit` makes the table of such rows, judges it by leaving
-each log out in turn, and writes it with its card.
+What it is fitted on is what the benchmark of failures keeps of the logs it mined
+(`counterpoint bench failures FLEET --kept DIR`): every contradicting track with its evidence and
+who was wrong about it by truth. The table is judged by leaving each log out in turn
+(`attribution_scores.py`) and written with its card.
 """
 
 import argparse
 import json
 import logging
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
 from schemas.attribution import Wrong
-from schemas.bucket import open_bucket
 from schemas.contradiction import ContradictionKind
-from schemas.errors import CounterpointError, TransientError
-from schemas.mining import MiningSettings
-from schemas.recordings import group_recordings
-from workers.contradiction.attribution import Table, chances, table_of
+from schemas.errors import CounterpointError, PermanentError, TransientError
 from workers.contradiction.evidence import NAMES
-from workers.evaluation.attributed import TrackRow, rows_of_log
+from workers.evaluation.failures.rows import MinedLog, TrackRow
 from workers.training.attribution_prior import PRIOR
+from workers.training.attribution_scores import left_out, usable
 
 log = logging.getLogger(__name__)
 
@@ -34,7 +33,6 @@ EXIT_TRANSIENT: Final = 75
 REGULARISATION: Final = 2.0
 """How far from the prior a weight is expected to lie: rows are few, evidence overlaps."""
 
-MIN_FRAMES: Final = 3
 BALANCE: Final = 0.75
 """Rare answers weigh more by this power: 0 as they come, 1 all answers alike."""
 
@@ -48,70 +46,73 @@ _UNWITNESSED: Final = 0.3
 
 _LEAST: Final = 0.02
 
+Rows = Mapping[str, Any]
+"""The rows of one kind, as `attribution.json` has them."""
+
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Collect or fit; exit 0 when done, 1 on bad input, 75 try again."""
+    """Fit, judge and write; exit 0 when done, 1 on bad input, 75 try again."""
     args = _parser().parse_args(argv)
     logging.basicConfig(format="%(asctime)s %(message)s", level=logging.INFO)
     try:
-        if args.step == "collect":
-            _collect(args)
-        else:
-            _fit(args)
+        logs = read_kept(args.kept)
+        card = {
+            "logs": len(logs),
+            "scenes": sum(len(each.scenes) for each in logs),
+            "tracks": sum(len(scene.tracks) for each in logs for scene in each.scenes),
+            "data": args.data,
+            "settings": {"regularisation": REGULARISATION, "balance": BALANCE},
+            "left_out": left_out(logs, fit),
+        }
+        text = json.dumps({"card": card, "kinds": fit(logs)}, indent=1)
+        args.out.write_text(text + "\n", encoding="utf-8")
     except CounterpointError as error:
         log.error("%s", error)
         return EXIT_TRANSIENT if isinstance(error, TransientError) else 1
+    log.info("%s", json.dumps(card["left_out"], indent=1))
     return 0
 
 
-def _collect(args: argparse.Namespace) -> None:
-    settings = MiningSettings(bucket=args.bucket, artifacts="memory://", supervised=args.supervised)
-    bucket = open_bucket(args.bucket)
-    with args.out.open("a", encoding="utf-8") as out:
-        for recording in group_recordings(bucket.list()):
-            count = 0
-            for row in rows_of_log(bucket, recording, settings, truth=args.truth):
-                out.write(row.model_dump_json() + "\n")
-                count += 1
-            log.info("%s: %d tracks", recording.log_id, count)
+def read_kept(folders: Sequence[Path]) -> list[MinedLog]:
+    """Read what the benchmark kept, in the order of the names of the logs.
+
+    Raises:
+        PermanentError: If there is nothing, or it is of another version.
+    """
+    logs = []
+    for file in sorted(file for folder in folders for file in folder.glob("*.json")):
+        try:
+            logs.append(MinedLog.model_validate_json(file.read_text(encoding="utf-8")))
+        except ValidationError as error:
+            raise PermanentError(
+                f"{file} is not what this version keeps of a mined log ({error.error_count()} "
+                "fields differ); mine it again with `bench failures --kept`"
+            ) from error
+    if not logs:
+        raise PermanentError(f"nothing was kept in {', '.join(map(str, folders))}")
+    return sorted(logs, key=lambda each: (each.log_id, each.pipeline_version))
 
 
-def _fit(args: argparse.Namespace) -> None:
-    rows = list(_read(args.rows))
-    kinds = {kind: fit(kind, [row for row in rows if row.kind == kind]) for kind in PRIOR}
-    card = {
-        "rows": len(rows),
-        "logs": len({row.log_id for row in rows}),
-        "data": args.data,
-        "command": f"python -m workers.training.attribution fit ROWS --data {args.data!r}",
-        "settings": {
-            "regularisation": REGULARISATION,
-            "balance": BALANCE,
-            "min_frames": MIN_FRAMES,
-        },
-        "left_out": {
-            kind: judge(kind, [row for row in rows if row.kind == kind]) for kind in kinds
-        },
-    }
-    args.out.write_text(json.dumps({"card": card, "kinds": kinds}, indent=1) + "\n")
-    log.info("%s", json.dumps(card["left_out"], indent=1))
+def fit(logs: Sequence[MinedLog]) -> dict[str, Rows]:
+    """Fit the tables of all kinds on the tracks of mined logs."""
+    tracks = usable(logs)
+    return {kind: fit_kind(kind, [each for each in tracks if each.kind == kind]) for kind in PRIOR}
 
 
-def fit(kind: str, rows: Sequence[TrackRow]) -> dict[str, Any]:
+def fit_kind(kind: str, rows: Sequence[TrackRow]) -> dict[str, Any]:
     """Fit the table of one kind: what is most probable after the prior and the rows.
 
     A multinomial logistic regression whose weights are drawn to those of the prior, not to nothing.
 
     Args:
         kind: Name of the kind of contradiction.
-        rows: Tracks of that kind.
+        rows: Tracks of that kind of which truth knows who was wrong.
     """
     answers, prior = tuple(PRIOR[kind]), _prior_of(kind)
-    rows = _usable(rows)
-    rows += [_unwitnessed(row) for row in rows if kind not in _OF_WITNESS]
+    rows = [*rows, *(_unwitnessed(row) for row in rows if kind not in _OF_WITNESS)]
     if rows:
         seen = _matrix(rows)
-        true = np.eye(len(answers))[[answers.index(row.wrong) for row in rows]]
+        true = np.eye(len(answers))[[answers.index(_verdict(row)) for row in rows]]
         weights = _weights(rows)
 
         def loss(flat: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
@@ -146,6 +147,12 @@ def _unwitnessed(row: TrackRow) -> TrackRow:
     return row.model_copy(update={"evidence": {**row.evidence, **silent}})
 
 
+def _verdict(row: TrackRow) -> Wrong:
+    if row.verdict is None:
+        raise ValueError("truth does not know who is wrong about this track")
+    return row.verdict
+
+
 def _prior_of(kind: str) -> NDArray[np.float64]:
     """(answers, 1 + evidence) intercepts and weights of the prior."""
     return np.array(
@@ -156,47 +163,15 @@ def _prior_of(kind: str) -> NDArray[np.float64]:
     )
 
 
-def judge(kind: str, rows: Sequence[TrackRow]) -> dict[str, Any]:
-    """Judge by leaving one log out in turn: recall of each answer, and their mean."""
-    rows = _usable(rows)
-    said: list[Wrong] = []
-    true: list[Wrong] = []
-    for left_out in sorted({row.log_id for row in rows}):
-        table = table_of(fit(kind, [row for row in rows if row.log_id != left_out]))
-        mine = [row for row in rows if row.log_id == left_out]
-        said += [_likeliest(table, row) for row in mine]
-        true += [row.wrong for row in mine]
-    recall = {
-        answer.value: round(
-            float(np.mean([s is answer for s, t in zip(said, true, strict=True) if t is answer])), 3
-        )
-        for answer in sorted(set(true))
-    }
-    return {
-        "tracks": {answer.value: true.count(answer) for answer in sorted(set(true))},
-        "recall": recall,
-        "balanced_accuracy": round(float(np.mean(list(recall.values()))), 3) if recall else None,
-    }
-
-
-def _likeliest(table: Table, row: TrackRow) -> Wrong:
-    known = chances(table, row.evidence)
-    return max(Wrong, key=lambda wrong: known[wrong])
-
-
-def _usable(rows: Iterable[TrackRow]) -> list[TrackRow]:
-    return [row for row in rows if row.frames >= MIN_FRAMES]
-
-
 def _matrix(rows: Sequence[TrackRow]) -> NDArray[np.float64]:
     return np.array([[1.0, *(row.evidence[name] for name in USED)] for row in rows])
 
 
 def _weights(rows: Sequence[TrackRow]) -> NDArray[np.float64]:
     """What is worth a look weighs more, and so do rare answers."""
-    counts = {answer: sum(row.wrong is answer for row in rows) for answer in Wrong}
+    counts = {answer: sum(row.verdict is answer for row in rows) for answer in Wrong}
     worth = [row.evidence["lasting"] * row.evidence["many_points"] + 0.05 for row in rows]
-    rare = [(len(rows) / counts[row.wrong]) ** BALANCE for row in rows]
+    rare = [(len(rows) / counts[_verdict(row)]) ** BALANCE for row in rows]
     asked = [
         1.0 if row.evidence["witness_moving"] + row.evidence["witness_still"] else _UNWITNESSED
         for row in rows
@@ -205,24 +180,14 @@ def _weights(rows: Sequence[TrackRow]) -> NDArray[np.float64]:
     return weights
 
 
-def _read(files: Iterable[Path]) -> Iterator[TrackRow]:
-    for file in files:
-        for line in file.read_text(encoding="utf-8").splitlines():
-            yield TrackRow.model_validate_json(line)
-
-
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m workers.training.attribution")
-    steps = parser.add_subparsers(dest="step", required=True)
-    collect = steps.add_parser("collect", help="mine logs that have truth; a line for each track")
-    collect.add_argument("bucket", help="URL or path of the logs")
-    collect.add_argument("--truth", type=Path, required=True, help="folder of their truth")
-    collect.add_argument("--supervised", default="recorded", help="supervised stream, by name")
-    collect.add_argument("--out", type=Path, required=True, help="lines are added to this file")
-    fitting = steps.add_parser("fit", help="make the table of such lines")
-    fitting.add_argument("rows", type=Path, nargs="+", help="files that collect wrote")
-    fitting.add_argument("--data", required=True, help="what they were collected from, in words")
-    fitting.add_argument("--out", type=Path, required=True, help="the table, with its card")
+    parser = argparse.ArgumentParser(
+        prog="python -m workers.training.attribution",
+        description="Fit who is wrong about a track, on what `bench failures --kept DIR` kept.",
+    )
+    parser.add_argument("kept", type=Path, nargs="+", help="folders of mined logs")
+    parser.add_argument("--data", required=True, help="what was mined, in words")
+    parser.add_argument("--out", type=Path, required=True, help="the table, with its card")
     return parser
 
 

@@ -21,6 +21,7 @@ from tests.labelled_worlds import CLASS_NAMES, Thing, labelled_scene, shard_of
 from workers.contradiction.instances import find_instances
 from workers.contradiction.overlay import overlay_of
 from workers.contradiction.score import score_scene
+from workers.contradiction.strength import rank_tracks
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
 MISSED = Thing((-8, 6, 0), STATIC, DYNAMIC, velocity_m_per_s=(6, 0, 0), points=900)
@@ -42,10 +43,11 @@ class _Streams:
 
 def _mined(scene: Scene) -> tuple[SceneScore, Overlay]:
     instances = find_instances(scene, class_names=CLASS_NAMES)
+    tracks = rank_tracks(scene, instances)
     score = score_scene(
-        shard_of(), scene, instances, parts=_Streams(), pipeline_version="abcdef012345"
+        shard_of(), scene, instances, tracks, parts=_Streams(), pipeline_version="abcdef012345"
     )
-    return score, overlay_of(scene, instances, class_names=CLASS_NAMES)
+    return score, overlay_of(scene, instances, tracks, class_names=CLASS_NAMES)
 
 
 @pytest.fixture(scope="module")

@@ -13,9 +13,10 @@ from workers.contradiction.instances import find_instances
 from workers.contradiction.score import score_scene
 from workers.contradiction.strength import rank_tracks
 from workers.contradiction.version import contradiction_version
-from workers.evaluation.attributed import TrackRow
-from workers.training.attribution import fit, judge
+from workers.evaluation.failures.rows import MinedLog, SceneRow, ThingRow, TrackRow
+from workers.training.attribution import fit, fit_kind
 from workers.training.attribution_prior import PRIOR
+from workers.training.attribution_scores import left_out
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
 PARKED = Thing((12, -4, 0), DYNAMIC, STATIC)
@@ -45,7 +46,12 @@ def _witnessed(scene: Scene, label: MotionLabel) -> Scene:
 def _tracks(scene: Scene) -> tuple[TrackRecord, ...]:
     instances = find_instances(scene, class_names=CLASS_NAMES)
     return score_scene(
-        shard_of("fleet/car-1/drive"), scene, instances, parts=_Streams(), pipeline_version="x"
+        shard_of("fleet/car-1/drive"),
+        scene,
+        instances,
+        rank_tracks(scene, instances),
+        parts=_Streams(),
+        pipeline_version="x",
     ).tracks
 
 
@@ -128,40 +134,86 @@ def test_every_kind_of_motion_has_a_table_that_ships_and_counts_in_the_version()
     assert contradiction_version().startswith("contradiction@")
 
 
-def _row(log: str, wrong: Wrong, **evidence: float) -> TrackRow:
+def _row(wrong: Wrong, **evidence: float) -> TrackRow:
     known = {**dict.fromkeys(NAMES, 0.0), "lasting": 1.0, "many_points": 1.0, **evidence}
     return TrackRow(
-        log_id=log,
-        scene_id=f"{log}/0",
         kind=KIND,
-        evidence=known,
+        strength=0.5,
+        presence=1.0,
         frames=10,
         points=500,
-        strength=0.5,
-        said=None,
-        wrong=wrong,
+        thing="",
+        true_track=-1,
+        verdict=wrong,
+        evidence=known,
     )
 
 
+def _log(name: str, tracks: list[TrackRow]) -> MinedLog:
+    """A log of one scene a track; a scene fails where the supervised stream is wrong."""
+    scenes = []
+    for cell, track in enumerate(tracks):
+        fails = track.verdict is Wrong.SUPERVISED
+        thing = ThingRow(
+            key="track 1",
+            track=1,
+            class_name="car",
+            moves=True,
+            frames=10,
+            points=50,
+            fails=fails,
+            other_wrong_share=0.0,
+        )
+        scenes.append(
+            SceneRow(
+                scene_id=f"{name}/{cell}",
+                start_ns=cell,
+                cell=cell,
+                state="scored",
+                score=0.5,
+                gate=1.0,
+                seconds=2.0,
+                blind_share=0.0,
+                views={},
+                things=(thing,),
+                tracks=(track,),
+            )
+        )
+    return MinedLog(log_id=name, frames=20, scenes=tuple(scenes), pipeline_version="x")
+
+
 def test_without_rows_the_table_is_the_prior() -> None:
-    fitted = fit(KIND, [])
+    fitted = fit_kind(KIND, [])
     intercept, weights = PRIOR[KIND][Wrong.SUPERVISED]
     assert fitted["supervised"]["intercept"] == intercept
     assert fitted["supervised"]["weights"] == weights
 
 
-def test_rows_draw_weights_to_what_they_show_and_the_order_of_rows_does_not_matter() -> None:
-    rows = [
-        row
-        for log in ("a", "b", "c")
+def test_rows_draw_weights_to_what_they_show_in_logs_that_were_left_out_too() -> None:
+    tracks = [
+        _row(Wrong.SELFSUPERVISED if turning else Wrong.SUPERVISED, turning=turning)
         for turning in (0.0, 1.0)
-        for row in [
-            _row(log, Wrong.SELFSUPERVISED if turning else Wrong.SUPERVISED, turning=turning)
-        ]
-        * 20
+        for _ in range(20)
     ]
-    fitted = fit(KIND, rows)
+    logs = [_log(name, tracks) for name in ("a", "b", "c")]
+    fitted = fit(logs)[KIND]
     assert fitted["selfsupervised"]["weights"]["turning"] > 0.5
-    known = chances(table_of(fitted), rows[-1].evidence)
+    known = chances(table_of(fitted), tracks[-1].evidence)
     assert known[Wrong.SELFSUPERVISED] > 0.7
-    assert judge(KIND, rows)["recall"] == {"selfsupervised": 1.0, "supervised": 1.0}
+    judged = left_out(logs, fit)
+    assert judged["all"]["recall"] == {"selfsupervised": 1.0, "supervised": 1.0}
+    assert judged["scenes"] == {
+        "scenes": 120,
+        "failing": 60,
+        "ap": 1.0,
+        "precision_at": {"0.5": 1.0, "1": 1.0, "2": 1.0, "5": 1.0, "10": 1.0},
+    }
+
+
+def test_scenes_are_ranked_by_tables_that_never_saw_their_log() -> None:
+    """What is true of one log alone does not help to rank it."""
+    told = [_row(Wrong.SUPERVISED, far=1.0), _row(Wrong.NEITHER, turning=1.0)] * 10
+    lied = [_row(Wrong.SUPERVISED, turning=1.0), _row(Wrong.NEITHER, far=1.0)] * 10
+    judged = left_out([_log("a", told), _log("b", lied)], fit)
+    assert judged["scenes"]["ap"] == pytest.approx(0.5, abs=0.05)
+    assert judged["all"]["balanced_accuracy"] < 0.5

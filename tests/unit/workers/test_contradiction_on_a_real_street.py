@@ -14,6 +14,7 @@ from tests.labelled_worlds import shard_of
 from workers.contradiction.compare import compare
 from workers.contradiction.instances import find_instances
 from workers.contradiction.score import score_scene
+from workers.contradiction.strength import rank_tracks
 from workers.contradiction.version import contradiction_version
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard
@@ -75,6 +76,7 @@ def test_the_missed_mover_and_the_phantom_are_the_only_tracks_of_a_real_street(
         shard_of(LOG),
         street,
         instances,
+        rank_tracks(street, instances),
         parts=Parts(odometry=_Truth(), supervised=_Truth(), selfsupervised=_Truth()),  # type: ignore[arg-type]
         pipeline_version="truth",
     )

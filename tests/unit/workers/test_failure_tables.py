@@ -45,6 +45,8 @@ def track(verdict: Wrong | None, said: Wrong | None = None, **changes: Any) -> T
     fields: dict[str, Any] = {
         "kind": "only_predictive_dynamic",
         "strength": 0.5,
+        "presence": 0.9,
+        "evidence": {},
         "frames": 10,
         "points": 1000,
         "thing": "track 1",
@@ -62,6 +64,7 @@ def row(cell: int, score: float, *things: ThingRow, **changes: Any) -> SceneRow:
         "cell": cell,
         "state": "scored",
         "score": score,
+        "gate": 1.0,
         "seconds": 2.0,
         "blind_share": 0.0,
         "views": {"point_share": 0.01 * (cell % 3)},

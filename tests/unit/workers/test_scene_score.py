@@ -14,7 +14,12 @@ from workers.contradiction.compare import compare
 from workers.contradiction.instances import find_instances
 from workers.contradiction.reasons import bearing
 from workers.contradiction.score import combine, score_scene
-from workers.contradiction.strength import box_plausibility, motion_plausibility, persistence
+from workers.contradiction.strength import (
+    box_plausibility,
+    motion_plausibility,
+    persistence,
+    rank_tracks,
+)
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
 HEALTHY, DEGRADED, LOST = OdometryState.HEALTHY, OdometryState.DEGRADED, OdometryState.LOST
@@ -37,7 +42,12 @@ class _Streams:
 def _score(scene: Scene, log_id: str = "fleet/car-1/drive") -> SceneScore:
     instances = find_instances(scene, class_names=CLASS_NAMES)
     return score_scene(
-        shard_of(log_id), scene, instances, parts=_Streams(), pipeline_version="abcdef012345"
+        shard_of(log_id),
+        scene,
+        instances,
+        rank_tracks(scene, instances),
+        parts=_Streams(),
+        pipeline_version="abcdef012345",
     )
 
 
@@ -213,7 +223,12 @@ def test_a_record_fits_the_bus_whatever_the_names(log_id: str, tracks: int) -> N
     names = tuple('"\\\u00e9' * 40 for _ in CLASS_NAMES)
     instances = find_instances(scene, class_names=names)
     record = score_scene(
-        shard_of(log_id), scene, instances, parts=_Streams(), pipeline_version="abcdef012345"
+        shard_of(log_id),
+        scene,
+        instances,
+        rank_tracks(scene, instances),
+        parts=_Streams(),
+        pipeline_version="abcdef012345",
     )
     payload = encode_scene_score(record)
     assert len(payload) <= MAX_RECORD_BYTES

@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.attribution import Attribution, Wrong
 
-REVISION: Final = "1"
+REVISION: Final = "2"
 """Rises when the same log gives other rows."""
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
@@ -44,16 +44,19 @@ class TrackRow(BaseModel):
     model_config = _STRICT
 
     kind: str = Field(description="Who alone says that it moves.")
-    strength: float
+    strength: float = Field(description="As recorded, behind the odometry gate.")
+    presence: float = Field(
+        description="Strength without gate and blame: how lasting and large it is."
+    )
     frames: int
     points: int = Field(description="Over all frames.")
     thing: str = Field(description="Key of the thing that it lies on; empty: none.")
     true_track: int = Field(description="True object that it lies on; -1 none.")
     verdict: Wrong | None = Field(description="Who is wrong, by truth; null: truth is silent.")
     said: Attribution | None = Field(
-        default=None, description="Who the record says is wrong; null: it does not say."
+        default=None, description="Who is said to be wrong; null: that is not said."
     )
-    views: dict[str, float] = Field(default_factory=dict)
+    evidence: dict[str, float] = Field(description="What is known about it, by name.")
 
 
 class SceneRow(BaseModel):
@@ -66,6 +69,7 @@ class SceneRow(BaseModel):
     cell: int = Field(description="Which scene of its log, from 0.")
     state: str
     score: float
+    gate: float = Field(description="What doubted poses leave of its strengths.")
     seconds: float
     blind_share: float = Field(description="Frames of which the self-supervised stream was blind.")
     views: dict[str, float]
