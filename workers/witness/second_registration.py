@@ -58,16 +58,19 @@ class Misfit:
     """How a frame must be moved to fit another.
 
     Attributes:
-        shift_m: At the sensor.
-        turn_rad: About it.
+        shift_m: Over the ground, at the sensor.
+        turn_rad: About what is upright.
+        tilt_rad: About what is level. Walls hardly hold it, and the few planes that do, leaves and
+            eaves, are sampled by other beams in every frame.
         before_m: Distance to planes that nine in ten keep, as the odometry has it.
         after_m: The same once moved.
         share: Of the sample that has a counterpart.
-        correction: (4, 4) that moves it there, odom space.
+        correction: (4, 4) that moves it there over the ground, odom space: tilt and heave are left.
     """
 
     shift_m: float
     turn_rad: float
+    tilt_rad: float
     before_m: float
     after_m: float
     share: float
@@ -130,12 +133,19 @@ def misfit_between(reference: Structure, moved: Structure) -> Misfit | None:
         reach_m = max(_CLOSEST_REACH_M, 0.7 * reach_m)
         if float(np.linalg.norm(step[3:])) + 10 * float(np.linalg.norm(step[:3])) < _CONVERGED:
             break
-    turn_rad = float(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1.0, 1.0)))
+    turn_rad = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+    upright, level = _rotation(np.array([0.0, 0.0, turn_rad])), np.array([shift[0], shift[1], 0.0])
     correction: Transform = np.eye(4)
-    correction[:3, :3] = rotation
-    correction[:3, 3] = moved.centre_m + shift - rotation @ moved.centre_m
+    correction[:3, :3] = upright
+    correction[:3, 3] = moved.centre_m + level - upright @ moved.centre_m
     return Misfit(
-        float(np.linalg.norm(shift)), turn_rad, before_m, after_m, share, correction=correction
+        shift_m=float(np.linalg.norm(level)),
+        turn_rad=abs(turn_rad),
+        tilt_rad=float(np.hypot(rotation[2, 0], rotation[2, 1])),
+        before_m=before_m,
+        after_m=after_m,
+        share=share,
+        correction=correction,
     )
 
 
