@@ -40,6 +40,9 @@ _TILE_PX: Final = 168
 _LABELS: Final = 10
 _ROWS: Final = 3
 _LEGEND_ROWS: Final = 10
+_LINE_PX: Final = 21
+_FEWEST_LINES: Final = 2
+"""Of a reason; more where there is room for all of them."""
 
 
 def draw_scene(score: SceneScore, overlay: Overlay, *, frame: int | None = None) -> Image.Image:
@@ -182,20 +185,22 @@ def _draw_reasons(
     """List the reasons; one that tells a track has its number, colour and strongest moment."""
     task = task_named(score.task)
     bottom = HEIGHT_PX - _MARGIN_PX - (len(_named(score)) + 1) * 24
+    room = (bottom - top) // _LINE_PX
+    max_lines = max(_FEWEST_LINES, room // max(1, len(score.reasons)))
     for index, reason in enumerate(score.reasons):
         mark, ink = "-", SOFT_TEXT
         if index < len(score.tracks) and _tells_a_track(reason, score):
             track = score.tracks[index]
             mark, ink = str(track.track_id + 1), inks_of(task)[task.kind(track.kind).code]
             at_s = (track.strongest.stamp_ns - score.start_ns) / NS_PER_S
-            reason = f"{reason}, at {at_s:.1f} s"
-        lines = wrap(reason, width - 20, 16, max_lines=2)
-        if top + 21 * len(lines) > bottom:
+            reason = f"at {at_s:.1f} s: {reason}"
+        lines = wrap(reason, width - 20, 16, max_lines=max_lines)
+        if top + _LINE_PX * len(lines) > bottom:
             break
         draw.text((left, top), mark, fill=ink, font=font(16))
         for line in lines:
             draw.text((left + 20, top), line, fill=TEXT, font=font(16))
-            top += 21
+            top += _LINE_PX
 
 
 def _tells_a_track(reason: str, score: SceneScore) -> bool:

@@ -1,5 +1,6 @@
 """Colours, fonts and marks that every picture of a scene shares."""
 
+from collections.abc import Sequence
 from colorsys import hsv_to_rgb
 from functools import lru_cache
 from typing import Final
@@ -25,6 +26,7 @@ _TWO_CLASSES: Final = ((34, 139, 34), (225, 225, 0), (178, 34, 34), (65, 105, 22
 call the second class in blue, yellow where the supervised stream alone does, red where the other.
 """
 
+_MORE: Final = "..."
 _LIGHTER: Final = {(65, 105, 225): (105, 145, 255), (178, 34, 34): (255, 84, 84)}
 
 
@@ -97,18 +99,28 @@ def shorten(text: str, width_px: float, size_px: int) -> str:
 
 
 def wrap(text: str, width_px: float, size_px: int, *, max_lines: int) -> list[str]:
-    """Break a text into lines that fit; the last one is shortened if it must be."""
+    """Break a text into lines that fit; what is too much is left out after a word."""
     lines: list[str] = []
     rest = readable(text).split()
-    while rest and len(lines) < max_lines - 1:
-        count = 1
-        while count < len(rest) and (
-            font(size_px).getlength(" ".join(rest[: count + 1])) <= width_px
-        ):
-            count += 1
-        lines.append(shorten(" ".join(rest[:count]), width_px, size_px))
+    while rest and len(lines) < max_lines:
+        last = len(lines) == max_lines - 1
+        count = _words_that_fit(rest, width_px, size_px)
+        if last and count < len(rest):
+            count = _words_that_fit(rest, width_px, size_px, end=_MORE)
+        line = " ".join(rest[:count]) + (_MORE if last and count < len(rest) else "")
+        lines.append(shorten(line, width_px, size_px))
         rest = rest[count:]
-    return [*lines, shorten(" ".join(rest), width_px, size_px)] if rest else lines
+    return lines
+
+
+def _words_that_fit(words: Sequence[str], width_px: float, size_px: int, *, end: str = "") -> int:
+    """How many words fit on a line; one at least."""
+    count = 1
+    while count < len(words) and (
+        font(size_px).getlength(" ".join(words[: count + 1]) + end) <= width_px
+    ):
+        count += 1
+    return count
 
 
 def dot(radius_px: int) -> NDArray[np.int64]:
@@ -131,4 +143,4 @@ def stamp_dots(
 
 def _cut(text: str, keep: int) -> str:
     head = (keep + 1) // 2
-    return f"{text[:head]}...{text[len(text) - (keep - head) :]}"
+    return f"{text[:head]}{_MORE}{text[len(text) - (keep - head) :]}"

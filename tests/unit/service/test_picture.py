@@ -190,6 +190,15 @@ def test_long_words_are_cut_in_their_middle_and_long_sentences_wrapped() -> None
     assert wrap("short", 200, 16, max_lines=3) == ["short"]
 
 
+def test_what_is_too_much_for_its_lines_is_left_out_after_a_word() -> None:
+    said = "car seen moving by the supervised stream alone; the supervised stream errs (87%)"
+    first, last = wrap(said, 200, 16, max_lines=2)
+    assert last.endswith("...")
+    assert said.startswith(f"{first} {last.removesuffix('...')} ")
+    assert font(16).getlength(last) <= 200
+    assert " ".join(wrap(said, 200, 16, max_lines=9)) == said
+
+
 def _photo(width: int = 1600, height: int = 48) -> bytes:
     out = io.BytesIO()
     Image.new("RGB", (width, height), (90, 90, 90)).save(out, format="PNG")
