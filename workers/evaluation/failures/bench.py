@@ -12,6 +12,7 @@ from schemas.arrays import NS_PER_S
 from schemas.bucket import open_bucket
 from schemas.mining import MiningSettings
 from schemas.recordings import group_recordings
+from workers.evaluation.failures.intervals import DRAWS
 from workers.evaluation.failures.mine_log import LogJob
 from workers.evaluation.failures.mining import Mining, mine_logs
 from workers.evaluation.failures.natural import NaturalTable, natural_table
@@ -22,7 +23,6 @@ from workers.evaluation.failures.slips import Slip
 from workers.evaluation.truth import LogTruth, TruthUnusableError
 from workers.simulation.planted_truth import FILE as PLANTED
 
-DRAWS: Final = 1000
 _SLIP_SEED: Final = 0x5119
 
 

@@ -11,6 +11,7 @@ from schemas.wire import canonical_json
 from workers.evaluation.failures.mine_log import LogJob
 from workers.evaluation.failures.probes import Probing
 from workers.evaluation.failures.rows import REVISION, MinedLog
+from workers.simulation.planted_truth import FILE as PLANTED
 from workers.version import version_of
 
 
@@ -59,7 +60,7 @@ def _truth_digest(folder: Path) -> str:
     """What tells two truths apart, without reading every point."""
     files = sorted(folder.glob("*"))
     names = "\n".join(f"{file.name} {file.stat().st_size}" for file in files)
-    planted = folder / "planted.json"
+    planted = folder / PLANTED
     text = planted.read_text() if planted.is_file() else ""
     return hashlib.sha256(f"{names}\n{text}".encode()).hexdigest()
 

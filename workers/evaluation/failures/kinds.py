@@ -6,8 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from workers.evaluation.failures.ranking import BUDGETS
-from workers.evaluation.failures.retrieval import looked_at, name_of, order_of, retrieve
+from workers.evaluation.failures.retrieval import (
+    BUDGETS,
+    looked_at,
+    name_of,
+    order_of,
+    retrieve,
+)
 from workers.evaluation.failures.rows import SceneRow
 
 

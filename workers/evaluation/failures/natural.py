@@ -1,18 +1,22 @@
 """The table *natural*: the failures of the shipped networks, found thing by thing."""
 
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from workers.evaluation.failures.attribution import WhoIsWrong, attribute
 from workers.evaluation.failures.calibration import Calibration, calibrate
-from workers.evaluation.failures.ranking import Items, RankingRow, random_row, row_of
+from workers.evaluation.failures.ranking import (
+    MINUTE_S,
+    RANDOM,
+    Items,
+    RankingRow,
+    best_of,
+    random_row,
+    row_of,
+)
 from workers.evaluation.failures.rows import MinedLog, SceneRow, ThingRow
-
-RANDOM: Final = "random"
-_MINUTE_S: Final = 60.0
 
 
 class ClassRow(BaseModel):
@@ -62,7 +66,7 @@ def natural_table(logs: Sequence[MinedLog], *, draws: int) -> NaturalTable:
             [f"{logs[n].log_id} {_name(scene, thing)}"] if thing.fails else []
             for n, scene, thing in listed
         ],
-        minutes=np.array([scene.seconds / _MINUTE_S for _, scene, _ in listed]),
+        minutes=np.array([scene.seconds / MINUTE_S for _, scene, _ in listed]),
         scenes=sum(len(log.scenes) for log in logs),
     )
     baselines = {RANDOM: random_row(items)}
@@ -78,7 +82,7 @@ def natural_table(logs: Sequence[MinedLog], *, draws: int) -> NaturalTable:
         failing_things=int(items.wanted.sum()),
         failing_scenes=sum(scene.fails for scene in scenes),
         baselines=baselines,
-        best_baseline=max(baselines, key=lambda name: (baselines[name].ap or 0.0, name)),
+        best_baseline=best_of(baselines),
         attribution_accuracy=said.accuracy,
         attribution=said,
         calibration=calibrate(strengths, items.wanted),

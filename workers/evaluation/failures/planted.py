@@ -13,13 +13,18 @@ from workers.evaluation.failures.calibration import Calibration, calibrate
 from workers.evaluation.failures.common_mode import CommonMode, common_mode
 from workers.evaluation.failures.intervals import Interval, bootstrap
 from workers.evaluation.failures.kinds import KindRow, by_kind
-from workers.evaluation.failures.ranking import Items, RankingRow, random_row, row_of
+from workers.evaluation.failures.ranking import (
+    MINUTE_S,
+    RANDOM,
+    Items,
+    RankingRow,
+    best_of,
+    random_row,
+    row_of,
+)
 from workers.evaluation.failures.retrieval import retrieve
 from workers.evaluation.failures.rows import MinedLog, SceneRow
 from workers.evaluation.failures.undisturbed import DisturbedShare, by_disturbance, slipped
-
-RANDOM: Final = "random"
-_MINUTE_S: Final = 60.0
 
 
 class PlantedTable(RankingRow):
@@ -77,7 +82,7 @@ def planted_table(
     baselines = {RANDOM: random_row(items)}
     baselines |= {name: row_of(view, items, draws=draws) for name, view in others.items()}
     mine = row_of(scores, items, draws=draws)
-    best = max(baselines, key=lambda name: (baselines[name].ap or 0.0, name))
+    best = best_of(baselines)
     said = attribute(track for scene in scenes for track in scene.tracks)
     shared = common_mode(scenes)
     return PlantedTable(
@@ -107,7 +112,7 @@ def items_of(logs: Sequence[MinedLog]) -> Items:
         logs=np.repeat(np.arange(len(logs)), [len(log.scenes) for log in logs]),
         wanted=np.array([scene.fails for scene in scenes], dtype=np.bool_),
         failures=[names_of(scene, log.log_id) for log in logs for scene in log.scenes],
-        minutes=np.array([scene.seconds / _MINUTE_S for scene in scenes]),
+        minutes=np.array([scene.seconds / MINUTE_S for scene in scenes]),
         scenes=len(scenes),
     )
 

@@ -1,6 +1,6 @@
 """The figures of one way to rank, for the tables and the report."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from schemas.arrays import Mask
 from workers.evaluation.failures.intervals import Interval, bootstrap
 from workers.evaluation.failures.retrieval import (
+    BUDGETS,
     Retrieval,
     area_under,
     found_curve,
@@ -20,8 +21,11 @@ from workers.evaluation.failures.retrieval import (
     retrieve,
 )
 
-BUDGETS: Final = (0.005, 0.01, 0.02, 0.05, 0.10)
 MAIN_BUDGET: Final = 0.05
+MINUTE_S: Final = 60.0
+RANDOM: Final = "random"
+"""Name of the random order among other ways to rank."""
+
 _CURVE_POINTS: Final = 101
 
 Values = NDArray[np.float64]
@@ -99,6 +103,11 @@ def random_row(items: Items) -> RankingRow:
     count = len(items.wanted)
     curve = np.linspace(0.0, 1.0 if items.wanted.any() else 0.0, count + 1)
     return _row(random_retrieval(items.wanted, BUDGETS), curve, items)
+
+
+def best_of(rows: Mapping[str, RankingRow]) -> str:
+    """Name of the way to rank of the highest average precision."""
+    return max(rows, key=lambda name: (rows[name].ap or 0.0, name))
 
 
 def _row(found: Retrieval, curve: Values, items: Items, **intervals: Interval | None) -> RankingRow:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from schemas.labels import MotionLabel
 from workers.evaluation.failures.seen import SeenFrame
+from workers.evaluation.failures.views import proved_of
 
 
 def thing_views(
@@ -38,8 +39,7 @@ def thing_views(
             labels.append(bool((semantic.labels[mine][told] == MotionLabel.DYNAMIC).mean() > 0.5))
         both = told & (predictive.labels[mine] != MotionLabel.UNKNOWN)
         differing += int((semantic.labels[mine] != predictive.labels[mine])[both].sum())
-        witness = labelled.witness
-        proved = predictive.confirmed if witness is None else witness.labels == MotionLabel.DYNAMIC
+        proved = proved_of(labelled)
         if proved is not None:
             against += int((proved[mine] & (semantic.labels[mine] == MotionLabel.STATIC)).sum())
     every = np.concatenate(unsure) if unsure else np.zeros(0)

@@ -68,13 +68,10 @@ def flicker_share(frames: Sequence[LabelledFrame]) -> float:
 
 
 def free_space_share(frames: Sequence[LabelledFrame]) -> float:
-    """Share of judged points that free space proved to move and the supervised stream says stand.
-
-    The third witness where there is one; else what the self-supervised stream confirmed.
-    """
+    """Share of judged points that were proved to move and the supervised stream says stand."""
     against = judged = 0
     for frame in frames:
-        proved = _proved(frame)
+        proved = proved_of(frame)
         told = frame.agreements != Agreement.NOT_COMPARED
         judged += int(told.sum())
         if proved is not None:
@@ -95,7 +92,11 @@ def unsureness(frames: Sequence[LabelledFrame], *, share: float) -> float:
     return float(np.mean(means)) if means else 0.0
 
 
-def _proved(frame: LabelledFrame) -> Mask | None:
+def proved_of(frame: LabelledFrame) -> Mask | None:
+    """(N,) points that free space proved to move; None where nobody tells.
+
+    The third witness where there is one; else what the self-supervised stream confirmed.
+    """
     if frame.witness is not None:
         proved: Mask = frame.witness.labels == MotionLabel.DYNAMIC
         return proved
