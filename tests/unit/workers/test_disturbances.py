@@ -1,7 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tests.factories import SMALL_LIDAR
+from workers.simulation.confidence import draw_confidence
 from workers.simulation.disturbances import (
     Disturbance,
     delay_ns,
@@ -9,6 +12,7 @@ from workers.simulation.disturbances import (
     draw_disturbance,
     only_points,
 )
+from workers.simulation.kinds import StreetClass
 from workers.simulation.lidar import SimulatedFrame, sweep
 from workers.simulation.plan import SCENE_S, DisturbanceKind, PlannedDisturbance
 from workers.simulation.recorded import record
@@ -46,6 +50,25 @@ def test_recorded_labels_stay_right_under_a_disturbance(
     said = record(street, disturbed, ())
     np.testing.assert_array_equal(said.motion, disturbed.motion)
     assert len(said.label) == len(disturbed)
+
+
+@pytest.mark.parametrize("things", [250, 300])
+def test_a_street_of_hundreds_of_things_is_recorded_as_any(
+    street: Street, frame: SimulatedFrame, things: int
+) -> None:
+    crowd = (street.actors * things)[:things]
+    said = record(replace(street, actors=crowd), frame, ())
+    sure, _ = draw_confidence(
+        seed=street.seed,
+        things=things + 1 + max(StreetClass),
+        time_s=frame.time_s,
+        index=frame.index,
+    )
+    nobodys = frame.track < 0
+    of_class = sure[things + frame.class_id[nobodys].astype(np.int64)]
+    np.testing.assert_allclose(said.confidence[nobodys], of_class, atol=1e-3)
+    of_thing = sure[frame.track[~nobodys]]
+    np.testing.assert_allclose(said.confidence[~nobodys], of_thing, atol=1e-3)
 
 
 def test_a_dropped_sector_holds_no_return_and_the_rest_is_as_it_was(frame: SimulatedFrame) -> None:
