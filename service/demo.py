@@ -97,7 +97,9 @@ def run_demo(
 
     with progress() as bar:
         task = bar.add_task("simulating street logs", total=DEMO_FRAMES)
-        logs = make_demo_fleet(bucket, progress=lambda: bar.advance(task))
+        logs = make_demo_fleet(
+            bucket, processes=settings.workers, progress=lambda: bar.advance(task)
+        )
     planted = sum(len(log.planted.failures) for log in logs)
     remark(
         f"{len(logs)} simulated logs; the model on these cars was made to err {planted} times: it "

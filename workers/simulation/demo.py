@@ -4,7 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from workers.simulation.fleet import SimulatedLog, simulate_fleet
+from workers.simulation.fleet import FleetOptions, SimulatedLog, simulate_to
+from workers.simulation.plan import plan_fleet
 
 DEMO_SCENES: Final = 30
 DEMO_FAILURES: Final = 0.2
@@ -17,20 +18,19 @@ DEMO_FRAMES: Final = DEMO_SCENES * 20
 
 
 def make_demo_fleet(
-    folder: Path, progress: Callable[[], None] | None = None
+    folder: Path, *, processes: int, progress: Callable[[], None] | None = None
 ) -> tuple[SimulatedLog, ...]:
     """Write the demo's bucket to `folder/logs` and its truth to `folder/truth`.
 
     The supervised voice of these logs is `recorded`: the labels of the model that ran on the car,
     which are the truth but for what was planted.
+
+    Args:
+        folder: Is made.
+        processes: How many write at once; the bytes are the same.
+        progress: Called for each frame, as `simulate_to` does.
     """
-    return tuple(
-        simulate_fleet(
-            folder,
-            scenes=DEMO_SCENES,
-            seed=DEMO_SEED,
-            share=DEMO_FAILURES,
-            columns=DEMO_COLUMNS,
-            progress=progress,
-        )
-    )
+    plans = plan_fleet(scenes=DEMO_SCENES, seed=DEMO_SEED, share=DEMO_FAILURES)
+    options = FleetOptions(columns=DEMO_COLUMNS)
+    url = str(folder)
+    return tuple(simulate_to(url, plans, options=options, processes=processes, progress=progress))

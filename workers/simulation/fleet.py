@@ -17,7 +17,7 @@ from schemas.arrays import NS_PER_S
 from schemas.bucket import Bucket, open_bucket
 from workers.simulation.disturbances import disturb, draw_disturbance
 from workers.simulation.lidar import Lidar, sweep
-from workers.simulation.plan import LogPlan, plan_fleet
+from workers.simulation.plan import LogPlan
 from workers.simulation.planted_truth import Planted
 from workers.simulation.planting import plant
 from workers.simulation.sensors import MountingName, SensorName, mounted
@@ -71,36 +71,6 @@ class FleetOptions:
     columns: int | None = None
     recorded: RecordedAs = "fields"
     chunk_bytes: int = 4 << 20
-
-
-def simulate_fleet(
-    out_folder: Path,
-    *,
-    scenes: int,
-    seed: int,
-    share: float,
-    lidar: Lidar | None = None,
-    columns: int | None = None,
-    recorded: RecordedAs = "fields",
-    chunk_bytes: int = 4 << 20,
-    progress: Callable[[], None] | None = None,
-) -> list[SimulatedLog]:
-    """Write `out_folder/logs/<vehicle>/<date>/<name>.mcap` and the same under `truth`.
-
-    Args:
-        out_folder: Folder to write to; its `logs` is the bucket.
-        scenes: How many, ten to a log of 20 s.
-        seed: Seed of the whole fleet.
-        share: Of the scenes in which the model on the car errs.
-        lidar: The lidar of every car; each its own when None.
-        columns: Firings in a turn of every car's own lidar; fewer make logs cheap.
-        recorded: Where the labels of the model on the car go.
-        chunk_bytes: Uncompressed size at which a chunk is closed.
-        progress: Called after each frame.
-    """
-    options = FleetOptions(lidar=lidar, columns=columns, recorded=recorded, chunk_bytes=chunk_bytes)
-    plans = plan_fleet(scenes=scenes, seed=seed, share=share)
-    return [write_planned(out_folder, plan, options=options, progress=progress) for plan in plans]
 
 
 def simulate_to(

@@ -7,7 +7,8 @@ from schemas.mining import MiningSettings
 from schemas.recordings import group_recordings
 from tests.factories import SMALL_LIDAR
 from workers.ingest.plan import plan_recording
-from workers.simulation.fleet import SimulatedLog, simulate_fleet
+from workers.simulation.fleet import FleetOptions, SimulatedLog, simulate_to
+from workers.simulation.plan import plan_fleet
 from workers.simulation.planted_truth import PlantedTruth
 
 SCENES = 12
@@ -17,15 +18,13 @@ SCENES = 12
 def fleet(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[SimulatedLog], int]:
     folder = tmp_path_factory.mktemp("fleet")
     calls: list[None] = []
-    logs = simulate_fleet(
-        folder,
-        scenes=SCENES,
-        seed=3,
-        share=0.25,
-        lidar=SMALL_LIDAR,
+    logs = simulate_to(
+        str(folder),
+        plan_fleet(scenes=SCENES, seed=3, share=0.25),
+        options=FleetOptions(lidar=SMALL_LIDAR),
         progress=lambda: calls.append(None),
     )
-    return folder, logs, len(calls)
+    return folder, list(logs), len(calls)
 
 
 def test_a_fleet_is_a_bucket_of_logs_with_truth_beside_it(
