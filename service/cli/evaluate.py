@@ -15,6 +15,12 @@ if TYPE_CHECKING:
 
 WORST_FRAMES = 10
 
+BucketOfLogs = Annotated[str, typer.Argument(help="URL or path of a bucket of logs.")]
+Truth = Annotated[Path, typer.Option("--truth", help="Truth of BUCKET/x/y.mcap in DIR/x/y.")]
+Frames = Annotated[
+    str, typer.Option("--frames", help="A:B, half open, per log; earlier ones warm up.")
+]
+
 
 def add_to(app: typer.Typer) -> None:
     """Add the verbs of this file to the command."""
@@ -29,11 +35,9 @@ def add_to(app: typer.Typer) -> None:
 
 
 def motion(
-    bucket: Annotated[str, typer.Argument(help="URL or path of a bucket of logs.")],
-    truth: Annotated[Path, typer.Option("--truth", help="Truth of BUCKET/x/y.mcap in DIR/x/y.")],
-    frames: Annotated[
-        str, typer.Option("--frames", help="A:B, half open, per log; earlier ones warm up.")
-    ] = "0:",
+    bucket: BucketOfLogs,
+    truth: Truth,
+    frames: Frames = "0:",
     stream: Annotated[
         list[str] | None,
         typer.Option(
@@ -116,11 +120,9 @@ def motion(
 
 
 def semantics(
-    bucket: Annotated[str, typer.Argument(help="URL or path of a bucket of logs.")],
-    truth: Annotated[Path, typer.Option("--truth", help="Truth of BUCKET/x/y.mcap in DIR/x/y.")],
-    frames: Annotated[
-        str, typer.Option("--frames", help="A:B, half open, per log; earlier ones warm up.")
-    ] = "0:",
+    bucket: BucketOfLogs,
+    truth: Truth,
+    frames: Frames = "0:",
     stream: Annotated[
         str, typer.Option("--stream", help="Whose classes: supervised, or a part by its name.")
     ] = "supervised",

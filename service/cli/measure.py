@@ -1,19 +1,16 @@
 """The verb `bench`: how long a part or the whole takes, beside floors of the same run."""
 
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from service.cli.bench_simulation import simulation
 from service.cli.failures import failures
 from service.cli.options import Config, Json, settings_for
 from service.cli.output import json_line, progress, remark, table
-
-if TYPE_CHECKING:
-    from workers.evaluation.bench_simulation import Look
 
 
 def add_to(app: typer.Typer) -> None:
@@ -219,91 +216,6 @@ def ledger(
         f"durable writes, {scenes_per_shard} scenes per shard",
         ("write", "threads", "scenes in the ledger", "per second", "median ms", "99th ms"),
         ((r.what, r.threads, r.scenes, r.per_s, r.median_ms, r.p99_ms) for r in rows),
-    )
-
-
-def simulation(
-    url: Annotated[
-        str | None, typer.Argument(help="URL or path of a real .mcap file to compare with.")
-    ] = None,
-    sensor: Annotated[
-        str, typer.Option("--sensor", help="Which simulated lidar: pandar64, hdl64, …")
-    ] = "pandar64",
-    frames: Annotated[int, typer.Option("--frames", min=1, help="How many frames to time.")] = 20,
-    picture: Annotated[
-        Path | None, typer.Option("--picture", help="PNG of a real frame beside simulated ones.")
-    ] = None,
-    json: Json = False,
-    config: Config = None,
-) -> None:
-    """Time the simulator on one core; with a log, say how like it simulated frames are."""
-    from dataclasses import asdict
-
-    from service.cli.logs import locate
-    from workers.evaluation.bench_simulation import bench_rates, simulated_looks
-    from workers.evaluation.real_frames import real_look
-    from workers.simulation.sensors import SENSORS
-
-    chosen = next((name for name in SENSORS if name == sensor), None)
-    if chosen is None:
-        raise typer.BadParameter(f"{sensor!r} is none of {', '.join(SENSORS)}")
-    if picture is not None and url is None:
-        raise typer.BadParameter("--picture needs a log to draw a frame of")
-    looks = []
-    with progress() as bar:
-        task = bar.add_task("timing", total=None)
-        rates = bench_rates(
-            frames=frames,
-            on_progress=lambda done, total: bar.update(task, completed=done, total=total),
-        )
-        if url is not None:
-            settings = settings_for(config)
-            store, recording = locate(url, root_url=settings.bucket)
-            real, real_one = real_look(store, recording, settings.mining())
-            simulated, others = simulated_looks(chosen)
-            looks = [real_one, *others]
-            if picture is not None:
-                from workers.evaluation.picture_beside import draw_beside
-
-                draw_beside([(real_one.name, real), *simulated[:2]]).save(picture)
-    if json:
-        for rate in rates:
-            json_line(asdict(rate))
-        for look in looks:
-            json_line(asdict(look))
-        return
-    table(
-        "64 beams, 1800 columns: time of one core",
-        ("step", "ms", "a second"),
-        ((row.what, f"{row.ms:.0f}", f"{row.per_s:.1f}") for row in rates),
-    )
-    if looks:
-        _say_looks(looks)
-
-
-def _say_looks(looks: "Sequence[Look]") -> None:
-    from workers.evaluation.bench_simulation import RANGES_M
-
-    table(
-        "share of the points by range, percent",
-        ("frames of", "points", *(f"-{far} m" for far in RANGES_M[1:])),
-        (
-            (look.name, round(look.points), *(f"{100 * share:.1f}" for share in look.range_share))
-            for look in looks
-        ),
-    )
-    table(
-        "beams, drop-outs and intensity",
-        ("frames of", "points of a beam over 1800, every 6th beam", "lone gaps", "intensity"),
-        (
-            (
-                look.name,
-                " ".join(f"{share:.2f}" for share in look.ring_share[::6]),
-                "" if look.single_gap_share is None else f"{100 * look.single_gap_share:.1f} %",
-                " ".join(f"{value:.2f}" for value in look.intensity),
-            )
-            for look in looks
-        ),
     )
 
 
