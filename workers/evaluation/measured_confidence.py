@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from schemas.bucket import open_bucket
 from schemas.labels import FrameLabels, MotionLabel
 from schemas.mining import MiningSettings
-from schemas.recordings import group_recordings
 from workers.evaluation.disturbance import Disturbance
 from workers.evaluation.judged import answers_of
-from workers.evaluation.truth import TRUTH_DYNAMIC, TRUTH_UNKNOWN, FrameTruth, LogTruth
+from workers.evaluation.truth import TRUTH_DYNAMIC, TRUTH_UNKNOWN, FrameTruth, logs_with_truth
 from workers.registry import build_odometry, build_supervised
 from workers.simulation.worlds import build_street
 from workers.simulation.write import write_log
@@ -66,10 +65,7 @@ def measure(folder: Path, supervised: str = "salsanext-lmnet") -> dict[str, obje
     settings = MiningSettings(bucket=bucket.url, artifacts="memory://", supervised=supervised)
     stream = build_supervised(supervised)
     sure: dict[bool, list[float]] = {True: [], False: []}
-    for recording in group_recordings(bucket.list()):
-        truth = LogTruth.beside(recording, folder / "truth")
-        if truth is None:
-            continue
+    for recording, truth in logs_with_truth(bucket, folder / "truth"):
         for answered in answers_of(
             bucket,
             recording,

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from schemas.arrays import Mask, MotionLabels, Points
 from schemas.bucket import open_bucket
 from schemas.mining import MiningSettings
-from schemas.recordings import group_recordings
 from schemas.task import MOTION
 from workers.contradiction.compare import compare
 from workers.evaluation.alternatives import OF_SETTINGS, build_streams, is_supervised
@@ -20,7 +19,7 @@ from workers.evaluation.counts import LogCounts, StreamCounts, StreamName, total
 from workers.evaluation.disturbance import Disturbance
 from workers.evaluation.judged import Answered, answers_of
 from workers.evaluation.table import LogEvaluation, evaluation_of
-from workers.evaluation.truth import FrameTruth, LogTruth, TruthUnusableError
+from workers.evaluation.truth import FrameTruth, LogTruth, logs_with_truth
 from workers.registry import build_odometry
 
 UNDISTURBED = Disturbance()
@@ -96,13 +95,7 @@ def evaluate_motion(
     beside = tuple(name for name in OF_SETTINGS if both and alone in OF_SETTINGS and name != alone)
     streams = build_streams((*chosen, *beside), settings)
     bucket = open_bucket(bucket_url)
-    known = [
-        (recording, found)
-        for recording in group_recordings(bucket.list())
-        if (found := LogTruth.beside(recording, truth)) is not None
-    ]
-    if not known:
-        raise TruthUnusableError(f"no log of {bucket.url} has truth in {truth}")
+    known = logs_with_truth(bucket, truth)
     odometry = build_odometry(settings.odometry)
     judged = [_clipped(frames, len(found)) for _, found in known]
     total = sum(each.stop for each in judged if each)

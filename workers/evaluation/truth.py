@@ -1,18 +1,19 @@
 """What each point of a log really was, as it lies beside the log, message by message."""
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask
+from schemas.bucket import Bucket
 from schemas.errors import PermanentError
 from schemas.frame import LidarFrame
-from schemas.recordings import EXTENSION
+from schemas.recordings import EXTENSION, group_recordings
 from schemas.work import Recording
 from workers.evaluation.class_table import SEMANTIC_KITTI, coarse_of_ids, coarse_of_names
 from workers.evaluation.objects import Objects, TrueObject, objects_in, rotations_in
@@ -140,23 +141,14 @@ class LogTruth:
         Raises:
             TruthUnusableError: If it labels a different number of points.
         """
-        path = self._entries[number].path if number < len(self._entries) else None
-        if path is None or not path.is_file():
+        path, arrays = self._arrays_of(frame, number, ("motion", "track"))
+        if "motion" not in arrays:
             return None
-        with np.load(path) as arrays:
-            if "motion" not in arrays:
-                return None
-            motion = np.asarray(arrays["motion"], dtype=np.uint8)
-            track = np.asarray(arrays["track"], dtype=np.int16) if "track" in arrays else None
-        if len(motion) != len(frame):
-            raise TruthUnusableError(
-                f"truth labels {len(motion)} points, frame {number} has {len(frame)} "
-                f"({frame.log_id}, {path})"
-            )
+        track = arrays.get("track")
         return FrameTruth(
             number,
-            motion,
-            track,
+            np.asarray(arrays["motion"], dtype=np.uint8),
+            None if track is None else np.asarray(track, dtype=np.int16),
             self._objects[path.parent].get(int(path.stem), {}),
             self._rotations.get(frame.stamp_ns),
         )
@@ -170,23 +162,50 @@ class LogTruth:
         Raises:
             TruthUnusableError: If it labels a different number of points.
         """
-        path = self._entries[number].path if number < len(self._entries) else None
-        if path is None or not path.is_file():
+        path, arrays = self._arrays_of(frame, number, ("semantic19", "semantic"))
+        if "semantic19" in arrays:
+            table, ids = coarse_of_names(SEMANTIC_KITTI), arrays["semantic19"]
+        elif "semantic" in arrays and (of_ids := coarse_of_ids(path.parent)) is not None:
+            table, ids = of_ids, arrays["semantic"]
+        else:
             return None
-        with np.load(path) as arrays:
-            if "semantic19" in arrays:
-                table = coarse_of_names(SEMANTIC_KITTI)
-                classes: NDArray[np.uint8] = table[arrays["semantic19"]]
-            elif "semantic" in arrays and (ids := coarse_of_ids(path.parent)) is not None:
-                classes = ids[arrays["semantic"]]
-            else:
-                return None
-        if len(classes) != len(frame):
-            raise TruthUnusableError(
-                f"truth labels {len(classes)} points, frame {number} has {len(frame)} "
-                f"({frame.log_id}, {path})"
-            )
+        classes: NDArray[np.uint8] = table[ids]
         return classes
+
+    def _arrays_of(
+        self, frame: LidarFrame, number: int, names: Sequence[str]
+    ) -> tuple[Path, dict[str, NDArray[Any]]]:
+        """Read what the truth of a frame has of some arrays; nothing where it has no truth."""
+        if number >= len(self._entries):
+            return self._root, {}
+        path = self._entries[number].path
+        if not path.is_file():
+            return path, {}
+        with np.load(path) as file:
+            arrays = {name: file[name] for name in names if name in file}
+        for array in arrays.values():
+            if len(array) != len(frame):
+                raise TruthUnusableError(
+                    f"truth labels {len(array)} points, frame {number} has {len(frame)} "
+                    f"({frame.log_id}, {path})"
+                )
+        return path, arrays
+
+
+def logs_with_truth(bucket: Bucket, truth: Path) -> list[tuple[Recording, LogTruth]]:
+    """List the logs of a bucket that have truth, with it.
+
+    Raises:
+        TruthUnusableError: If there is none.
+    """
+    found = [
+        (recording, known)
+        for recording in group_recordings(bucket.list())
+        if (known := LogTruth.beside(recording, truth)) is not None
+    ]
+    if not found:
+        raise TruthUnusableError(f"no log of {bucket.url} has truth in {truth}")
+    return found
 
 
 def _entries_of(folder: Path) -> Iterator[tuple[_Entry, str]]:

@@ -2,25 +2,15 @@
 
 from typing import Final
 
+from workers.evaluation.class_table import COARSE, MOVABLE
 from workers.supervised.classes import ClassMeaning
 from workers.supervised.lmnet import MOTION_CLASSES
 
 CLASSES: Final[tuple[tuple[str, bool], ...]] = (
     ("unlabeled", False),
-    ("car", True),
-    ("large_vehicle", True),
-    ("two_wheeler", True),
-    ("pedestrian", True),
-    ("road", False),
-    ("sidewalk", False),
-    ("other_ground", False),
-    ("vegetation", False),
-    ("building", False),
-    ("traffic_facility", False),
-    ("other_static", False),
+    *((name, name in MOVABLE) for name in COARSE[1:]),
 )
-"""Name and whether it can move by itself; coarse, so that other data sets map onto it too."""
-
+"""Name and whether it can move by itself: those that semantics are judged in."""
 
 CLASS_NAMES: Final = tuple(name for name, _ in CLASSES)
 

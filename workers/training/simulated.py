@@ -1,41 +1,23 @@
 """Frames of short simulated streets with their truth, as clouds to make training images of."""
 
-from collections.abc import Mapping
+from functools import cache
 from itertools import pairwise
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from schemas.arrays import NS_PER_S, Transform
 from schemas.frame import LidarFrame
+from workers.evaluation.class_table import SEMANTIC_KITTI as KITTI_NAMES
+from workers.evaluation.class_table import coarse_of_names
 from workers.geometry.se3 import inverse
-from workers.simulation.kinds import StreetClass
+from workers.simulation.kinds import SEMANTIC_KITTI, StreetClass
 from workers.simulation.lidar import Lidar, SimulatedFrame
 from workers.simulation.samples import StreetSample
 from workers.training.classes import CLASS_NAMES
 from workers.training.images import Cloud
-
-_CLASS_OF: Final[Mapping[StreetClass, str]] = {
-    StreetClass.ROAD: "road",
-    StreetClass.SIDEWALK: "sidewalk",
-    StreetClass.TERRAIN: "other_ground",
-    StreetClass.BUILDING: "building",
-    StreetClass.VEGETATION: "vegetation",
-    StreetClass.TRUNK: "vegetation",
-    StreetClass.POLE: "traffic_facility",
-    StreetClass.SIGN: "traffic_facility",
-    StreetClass.FENCE: "other_static",
-    StreetClass.OBJECT: "other_static",
-    StreetClass.CAR: "car",
-    StreetClass.VAN: "car",
-    StreetClass.TRUCK: "large_vehicle",
-    StreetClass.BUS: "large_vehicle",
-    StreetClass.MOTORCYCLE: "two_wheeler",
-    StreetClass.CYCLIST: "two_wheeler",
-    StreetClass.PEDESTRIAN: "pedestrian",
-}
-"""What is taught of each simulated class; what is missing, as animals and dust, is not taught."""
 
 _START_NS: Final = 1_772_445_600 * NS_PER_S
 
@@ -46,10 +28,7 @@ def clouds_of(sample: StreetSample) -> list[Cloud]:
 
 
 def _cloud(this: SimulatedFrame, following: SimulatedFrame, lidar: Lidar) -> Cloud:
-    taught = np.zeros(256, dtype=np.uint8)
-    for street_class, name in _CLASS_OF.items():
-        taught[street_class] = CLASS_NAMES.index(name)
-    n = len(this)
+    taught, n = taught_classes(), len(this)
     frame = LidarFrame(
         log_id="simulated",
         stamp_ns=_START_NS + this.index * lidar.period_ns,
@@ -66,6 +45,20 @@ def _cloud(this: SimulatedFrame, following: SimulatedFrame, lidar: Lidar) -> Clo
         motion=this.motion,
         world_from_sensor=_halfway(this.world_from_sensor, following.world_from_sensor),
     )
+
+
+@cache
+def taught_classes() -> NDArray[np.uint8]:
+    """What is taught of each simulated class: (256,) number in `CLASSES`, 0 where nothing is.
+
+    As its class among those of SemanticKITTI is judged, which knows no things that stand about;
+    animals and dust are not taught.
+    """
+    names = tuple(KITTI_NAMES[number] for number in SEMANTIC_KITTI.values())
+    taught = np.zeros(256, dtype=np.uint8)
+    taught[list(SEMANTIC_KITTI)] = coarse_of_names(names)
+    taught[StreetClass.OBJECT] = CLASS_NAMES.index("other_static")
+    return taught
 
 
 def _halfway(first: Transform, second: Transform) -> Transform:

@@ -11,7 +11,6 @@ from pydantic import BaseModel, ConfigDict
 from schemas.arrays import NS_PER_S
 from schemas.bucket import open_bucket
 from schemas.mining import MiningSettings
-from schemas.recordings import group_recordings
 from workers.evaluation.failures.intervals import DRAWS
 from workers.evaluation.failures.mine_log import LogJob
 from workers.evaluation.failures.mining import Mining, mine_logs
@@ -20,7 +19,7 @@ from workers.evaluation.failures.planted import PlantedTable, planted_table
 from workers.evaluation.failures.probes import Probing
 from workers.evaluation.failures.rows import MinedLog
 from workers.evaluation.failures.slips import Slip
-from workers.evaluation.truth import LogTruth, TruthUnusableError
+from workers.evaluation.truth import TruthUnusableError, logs_with_truth
 from workers.simulation.planted_truth import FILE as PLANTED
 
 _SLIP_SEED: Final = 0x5119
@@ -118,14 +117,9 @@ def jobs_of(bucket_url: str, truth: Path) -> list[LogJob]:
         TruthUnusableError: If there is none.
     """
     bucket = open_bucket(bucket_url)
-    jobs = [
-        LogJob(recording, truth, len(found))
-        for recording in group_recordings(bucket.list())
-        if (found := LogTruth.beside(recording, truth)) is not None
+    return [
+        LogJob(recording, truth, len(found)) for recording, found in logs_with_truth(bucket, truth)
     ]
-    if not jobs:
-        raise TruthUnusableError(f"no log of {bucket.url} has truth in {truth}")
-    return jobs
 
 
 def with_slips(job: LogJob, log: MinedLog, *, scene_s: float) -> LogJob:
