@@ -13,6 +13,7 @@ from schemas.recordings import group_recordings
 from workers.errors import UnknownPartError
 from workers.evaluation.alternatives import build_streams
 from workers.evaluation.class_table import COARSE, MOVABLE, coarse_of_names
+from workers.evaluation.confusion import class_iou, joint_iou
 from workers.evaluation.disturbance import Disturbance
 from workers.evaluation.judged import answers_of
 from workers.evaluation.truth import LogTruth, TruthUnusableError
@@ -110,16 +111,7 @@ def _empty() -> NDArray[np.int64]:
 
 def _row(log: str, confusion: NDArray[np.int64], frames: int) -> SemanticsEvaluation:
     """Sum up: rows of the confusion are truth, columns answers."""
-    hits = confusion.diagonal()
-    union = confusion.sum(axis=0) + confusion.sum(axis=1) - hits
-    iou = {
-        name: round(float(hits[index] / union[index]), 4)
-        for index, name in enumerate(COARSE)
-        if index and confusion[index].any()
-    }
-    movable = np.isin(COARSE, MOVABLE)
-    both = int(confusion[np.ix_(movable, movable)].sum())
-    either = int(confusion[movable].sum() + confusion[:, movable].sum()) - both
+    iou = class_iou(confusion, COARSE)
     points = int(confusion.sum())
     return SemanticsEvaluation(
         log=log,
@@ -127,6 +119,6 @@ def _row(log: str, confusion: NDArray[np.int64], frames: int) -> SemanticsEvalua
         points=points,
         miou=round(sum(iou.values()) / len(iou), 4) if iou else None,
         iou=iou,
-        movable_iou=round(both / either, 4) if either else None,
+        movable_iou=joint_iou(confusion, np.isin(COARSE, MOVABLE)),
         unanswered_share=round(float(confusion[:, 0].sum() / points), 4) if points else None,
     )

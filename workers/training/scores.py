@@ -3,6 +3,7 @@
 import numpy as np
 import torch
 
+from workers.evaluation.confusion import class_iou, joint_iou
 from workers.supervised.salsanext import SalsaNext
 from workers.supervised.weights import WeightsCard
 from workers.training.augment import Sample, network_input
@@ -38,16 +39,8 @@ def score_images(net: SalsaNext, images: TrainingImages, card: WeightsCard) -> d
         found = shares[1:].argmax(0).numpy() + 1  # class 0 was never taught and never wins
         counted = labels > 0
         np.add.at(confusion, (labels[counted], found[counted]), 1)
-    hits = confusion.diagonal()
-    union = confusion.sum(0) + confusion.sum(1) - hits
-    scores = {
-        meaning.name: round(float(hits[index] / union[index]), 4)
-        for index, meaning in enumerate(card.classes)
-        if index and confusion[index].sum()
-    }
+    scores = class_iou(confusion, [meaning.name for meaning in card.classes])
     movable = np.array([meaning.movable for meaning in card.classes])
     if movable.any():
-        both = confusion[np.ix_(movable, movable)].sum()
-        either = confusion[movable].sum() + confusion[:, movable].sum() - both
-        scores["movable"] = round(float(both / max(either, 1)), 4)
+        scores["movable"] = joint_iou(confusion, movable) or 0.0
     return scores
