@@ -25,7 +25,8 @@ from workers.simulation.plan import FailureKind
 from workers.simulation.planted import PlantedFailure
 from workers.simulation.planted_truth import Planted
 from workers.simulation.street import Street
-from workers.simulation.worlds import EgoStyle, build_street
+from workers.simulation.street_plan import EgoStyle
+from workers.simulation.worlds import build_street
 from workers.simulation.write import Identity, RecordedAs, write_log
 
 BEGIN_NS = 1_772_445_600 * NS_PER_S

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from workers.simulation.lidar import sweep
 from workers.simulation.places import PlaceName
 from workers.simulation.sensors import SensorName, mounted
-from workers.simulation.worlds import StreetPlan, build_street
+from workers.simulation.street_plan import StreetPlan
+from workers.simulation.worlds import build_street
 from workers.simulation.write import write_log
 
 RANGES_M: Final = (0, 2, 5, 10, 15, 20, 30, 40, 60, 80, 120, 300)

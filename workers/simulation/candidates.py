@@ -1,7 +1,7 @@
 """Which things of a scene could be got wrong in which way: what is seen of them, frame by frame."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -149,7 +149,7 @@ def _candidates(view: CellView, kind: FailureKind, common_mode: bool) -> Iterato
         for each in runs(moves):
             because = _why_missed(view, each)
             if because or not common_mode:
-                yield _as(each, because=because)
+                yield replace(each, because=because)
     elif kind is FailureKind.UNSEEN_CLASS:
         yield from runs(moves, lambda name: name in RARE)
     elif kind is FailureKind.VERSION_REGRESSION:
@@ -164,7 +164,7 @@ def _candidates(view: CellView, kind: FailureKind, common_mode: bool) -> Iterato
         for each in runs(moves):
             nearest_m = float(view.nearest_m[moves[:, each.track], each.track].min())
             if nearest_m > _FAR_M:
-                yield _as(each, range_m=round(0.95 * nearest_m, 1))
+                yield replace(each, range_m=round(0.95 * nearest_m, 1))
     elif kind is FailureKind.LATE_DETECTION:
         for each in runs(moves):
             if each.start_s > view.times_s[0] and not view.points[0, each.track]:
@@ -173,17 +173,6 @@ def _candidates(view: CellView, kind: FailureKind, common_mode: bool) -> Iterato
         yield from _swaps(view, runs(moves), runs(stands))
     elif kind is FailureKind.GHOST_MOVER:
         yield from _ghosts(view)
-
-
-def _as(candidate: Candidate, *, because: str = "", range_m: float = 0.0) -> Candidate:
-    return Candidate(
-        candidate.track,
-        candidate.start_s,
-        candidate.lasts_s,
-        range_m=range_m,
-        because=because,
-        class_name=candidate.class_name,
-    )
 
 
 def _longest_run(view: CellView, usable: Mask) -> tuple[float, float] | None:

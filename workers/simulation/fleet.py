@@ -22,7 +22,8 @@ from workers.simulation.planted_truth import Planted
 from workers.simulation.planting import plant
 from workers.simulation.sensors import MountingName, SensorName, mounted
 from workers.simulation.street import Street
-from workers.simulation.worlds import build_street, draw_plan
+from workers.simulation.street_plan import draw_plan
+from workers.simulation.worlds import build_street
 from workers.simulation.write import Identity, RecordedAs, write_log
 
 VEHICLES: Final[tuple[tuple[SensorName, MountingName], ...]] = (

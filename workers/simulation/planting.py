@@ -86,8 +86,8 @@ def plant(
             planted.append(found)
             taken.add(found.cell)
         if found is None or (found.kind, found.cell) != (planned.kind, planned.cell):
-            kind_or_none = None if found is None else found.kind
-            redraws.append(Redraw(planned, kind_or_none, planned.cell if not found else found.cell))
+            became, cell = (None, planned.cell) if found is None else (found.kind, found.cell)
+            redraws.append(Redraw(planned, became, cell))
     planted.sort(key=lambda each: each.start_s)
     return tuple(planted), tuple(redraws)
 
@@ -114,7 +114,7 @@ def _plant(
     ]
     if not able:
         return None
-    if kind is FailureKind.GHOST_MOVER or not shared:
+    if not shared:
         chosen = able[int(rng.integers(len(able)))]
     else:  # common-mode reasons are equally likely, however many pedestrians there are
         reasons = sorted({each.because for each in able})

@@ -9,7 +9,8 @@ import numpy as np
 from workers.simulation.lidar import Lidar, SimulatedFrame, sweep
 from workers.simulation.sensors import MountingName, SensorName, mounted
 from workers.simulation.street import Street
-from workers.simulation.worlds import build_street, draw_plan
+from workers.simulation.street_plan import draw_plan
+from workers.simulation.worlds import build_street
 
 MOUNTINGS: Final[tuple[MountingName, ...]] = ("roof", "mast")
 DEFAULT_SENSORS: Final[tuple[SensorName, ...]] = ("pandar64", "hdl64", "hdl32", "vlp32c", "os1-128")

@@ -9,6 +9,7 @@ import numpy as np
 from workers.simulation.drive import (
     Drive,
     Floats,
+    Knots,
     Road,
     drive_across,
     drive_along,
@@ -87,7 +88,7 @@ class Traffic:
         if self.place.parking_m > 0.0:
             self._reversing()
         for junction, road, place in self.crossings:
-            self._turning(junction, road, place)
+            self._turning(road, place)
             self._walk_over(junction)
         self._lanes(self.main, self.place, main=True)
         for _, road, place in self.crossings:
@@ -126,7 +127,7 @@ class Traffic:
                 self.main,
                 from_m=along,
                 across_m=side * float(across),
-                speed=[(0.0, walk), (self.seconds, walk)],
+                speed=self._steady(walk),
                 seconds=self.seconds,
                 backwards=bool(rng.random() < 0.5),
             )
@@ -135,6 +136,9 @@ class Traffic:
     def offer_companion(self, drive: Drive) -> None:
         """Let somebody drive as given, if there is room."""
         self._offer(self._drawn(LANE_MIX[:2]), drive)
+
+    def _steady(self, m_per_s: float) -> Knots:
+        return [(0.0, m_per_s), (self.seconds, m_per_s)]
 
     def _drawn(self, mix: Sequence[tuple[StreetClass, float]]) -> StreetClass:
         shares = np.array([share for _, share in mix])
@@ -219,14 +223,14 @@ class Traffic:
         low = max(min(near) - 100.0 - cruise_m_per_s * self.seconds, 0.0)
         return low, min(max(near) + 100.0, float(lane.along_m[-1]))
 
-    def _turning(self, junction_m: float, road: Road, place: Place) -> None:
+    def _turning(self, road: Road, place: Place) -> None:
         """Send vehicles from the main road into the crossing one and out of it."""
         rng = self.rng
         for _ in range(round(2 * self.dense)):
             leftwards, out = bool(rng.random() < 0.5), bool(rng.random() < 0.5)
             backwards = bool(rng.random() < 0.5)
             main_lane = self.main.lane(
-                (self.place.lanes_m[0]) * (1 if backwards else -1), backwards=backwards
+                self.place.lanes_m[0] * (1 if backwards else -1), backwards=backwards
             )
             side_backwards = leftwards == backwards
             side_lane = road.lane(
@@ -265,7 +269,7 @@ class Traffic:
                 self.main,
                 at_m=junction_m + side * (place.kerb_m + float(rng.uniform(0.5, 3.0))),
                 from_across_m=(-1 if leftwards else 1) * float(rng.uniform(0.3, 1.0)) * reach,
-                speed=[(0.0, walk), (self.seconds, walk)],
+                speed=self._steady(walk),
                 seconds=min(self.seconds, 2 * reach / walk),
                 leftwards=leftwards,
             )
@@ -317,7 +321,7 @@ class Traffic:
                 self.main,
                 from_m=along,
                 across_m=place.cycle_m * (1 if backwards else -1) + float(rng.normal(0.0, 0.15)),
-                speed=[(0.0, ride), (self.seconds, ride)],
+                speed=self._steady(ride),
                 seconds=self.seconds,
                 backwards=backwards,
             )
@@ -341,7 +345,7 @@ class Traffic:
                     self.main,
                     at_m=along,
                     from_across_m=across,
-                    speed=[(0.0, walk), (self.seconds, walk)],
+                    speed=self._steady(walk),
                     seconds=min(self.seconds, 2 * abs(across) / max(walk, 0.5)),
                     leftwards=side < 0,
                 )
@@ -350,7 +354,7 @@ class Traffic:
                     self.main,
                     from_m=along,
                     across_m=across,
-                    speed=[(0.0, walk), (self.seconds, walk)],
+                    speed=self._steady(walk),
                     seconds=self.seconds,
                     backwards=bool(rng.random() < 0.5),
                 )
@@ -375,7 +379,7 @@ class Traffic:
                 self.main,
                 at_m=along,
                 from_across_m=(-1 if leftwards else 1) * float(rng.uniform(0.4, 1.0)) * reach,
-                speed=[(0.0, run), (self.seconds, run)],
+                speed=self._steady(run),
                 seconds=min(self.seconds, 2 * reach / run),
                 leftwards=leftwards,
             )

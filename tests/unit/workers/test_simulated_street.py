@@ -7,8 +7,9 @@ from workers.simulation.kinds import Material, StreetClass
 from workers.simulation.lidar import Lidar, SimulatedFrame, sweep
 from workers.simulation.meshes import Mesh, box, limb
 from workers.simulation.street import Actor, Street
+from workers.simulation.street_plan import EGO_STYLES, EgoStyle
 from workers.simulation.terrain import ROAD_WAVES
-from workers.simulation.worlds import EGO_STYLES, EgoStyle, build_street
+from workers.simulation.worlds import build_street
 
 SECONDS = 4.0
 STRAIGHT = Road.bending(from_m=-300.0, to_m=300.0, swing_rad=0.0, wave_m=100.0)

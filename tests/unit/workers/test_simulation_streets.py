@@ -13,7 +13,8 @@ from workers.simulation.places import PLACES, PlaceName
 from workers.simulation.samples import street_samples
 from workers.simulation.sensors import SENSORS, SensorName, mounted
 from workers.simulation.street import Street
-from workers.simulation.worlds import HARDSHIPS, StreetPlan, build_street, draw_plan
+from workers.simulation.street_plan import HARDSHIPS, StreetPlan, draw_plan
+from workers.simulation.worlds import build_street
 
 LIDAR = Lidar(columns=300)
 SIZES_M = {
