@@ -129,7 +129,7 @@ def semantics(
     json: Json = False,
     config: Config = None,
 ) -> None:
-    """Judge the supervised stream's classes point by point, in a dozen coarse ones."""
+    """Judge the supervised stream's classes point by point, in eleven coarse ones."""
     first, last = parse_frames(frames)
     settings = settings_for(config, bucket=bucket)
     from workers.evaluation.semantics import evaluate_semantics
