@@ -1,6 +1,5 @@
 """One log, mined as a worker would and compared with its truth, scene by scene."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -40,29 +39,7 @@ class LogJob:
     slips: tuple[Slip, ...] = ()
 
 
-def planted_beside(recording: Recording, truth: Path) -> PlantedTruth:
-    """Read what was planted in a log; nothing where its truth does not say."""
-    folder = truth / recording.log_id
-    return PlantedTruth.beside(folder) or PlantedTruth()
-
-
-def slips_in(planted: PlantedTruth) -> tuple[Slip, ...]:
-    """Which slips of the odometry the truth of a log asks for."""
-    return tuple(
-        Slip(each.start_ns, each.end_ns, each.strength, each.shift_m)
-        for each in planted.disturbances
-        if each.kind is DisturbanceKind.ODOMETRY_SLIP
-    )
-
-
-def mine_log(
-    bucket: Bucket,
-    job: LogJob,
-    settings: MiningSettings,
-    parts: Parts,
-    *,
-    on_frames: Callable[[int], None] = lambda frames: None,
-) -> MinedLog:
+def mine_log(bucket: Bucket, job: LogJob, settings: MiningSettings, parts: Parts) -> MinedLog:
     """Mine a log and judge what was found.
 
     Args:
@@ -70,7 +47,6 @@ def mine_log(
         job: The log, its truth, and what slips.
         settings: How it is mined.
         parts: Odometry, streams, and whoever else has an opinion.
-        on_frames: Told how many frames each scene had, as it is done.
 
     Raises:
         TruthUnusableError: If the log has no truth, or that of another log.
@@ -80,8 +56,8 @@ def mine_log(
     truth = LogTruth.beside(recording, job.truth)
     if truth is None:
         raise TruthUnusableError(f"{recording.log_id} has no truth in {job.truth}")
-    planted = planted_beside(recording, job.truth)
-    slips = (*slips_in(planted), *job.slips)
+    planted = PlantedTruth.beside(job.truth / recording.log_id) or PlantedTruth()
+    slips = (*_slips_in(planted), *job.slips)
     if slips:
         parts = replace(parts, odometry=SlippingOdometry(parts.odometry, slips))
     version = pipeline_version(settings, parts)
@@ -99,7 +75,6 @@ def mine_log(
             shown |= found
             scenes.append(row)
             frames += len(mined.scene.frames)
-            on_frames(len(mined.scene.frames))
     return MinedLog(
         log_id=recording.log_id,
         frames=frames,
@@ -120,3 +95,12 @@ def _with_truth(
         unsure = {} if told is None else told.take(frame.stamp_ns)
         seen.append(SeenFrame(labelled, truth.of(frame, number=place), unsure))
     return seen
+
+
+def _slips_in(planted: PlantedTruth) -> tuple[Slip, ...]:
+    """Which slips of the odometry the truth of a log asks for."""
+    return tuple(
+        Slip(each.start_ns, each.end_ns, each.strength, each.shift_m)
+        for each in planted.disturbances
+        if each.kind is DisturbanceKind.ODOMETRY_SLIP
+    )

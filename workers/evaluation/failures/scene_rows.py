@@ -41,7 +41,8 @@ def scene_row(
         if due is not None:
             shown.add(due)
         rows.append(_thing_row(thing, seen, None if due is None else planted.failures[due]))
-    tracks, strays = _track_rows(mined, seen, things)
+    _, gate = judge_odometry(scene)
+    tracks, strays = _track_rows(mined, seen, things, gate=gate)
     disturbance = next((each.kind for each in planted.disturbances if each.scene == cell), "")
     row = SceneRow(
         scene_id=scene.scene_id,
@@ -49,7 +50,7 @@ def scene_row(
         cell=cell,
         state=mined.score.state.value,
         score=mined.score.score,
-        gate=judge_odometry(scene)[1],
+        gate=gate,
         seconds=round((scene.end_ns - scene.start_ns) / NS_PER_S, 3),
         blind_share=0.0 if mined.score.health is None else mined.score.health.blind_share,
         views=_rounded(views_of(scene)),
@@ -88,7 +89,7 @@ def _thing_row(thing: Thing, seen: Sequence[SeenFrame], planted: FailureRow | No
         track=thing.track,
         class_name=thing.class_name,
         moves=thing.moves,
-        frames=len(thing.points),
+        frames=sum(size >= MIN_POINTS for size in sizes),
         points=int(np.median(sizes)),
         fails=thing.fails,
         kind=kind,
@@ -99,14 +100,13 @@ def _thing_row(thing: Thing, seen: Sequence[SeenFrame], planted: FailureRow | No
 
 
 def _track_rows(
-    mined: MinedScene, seen: Sequence[SeenFrame], things: Sequence[Thing]
+    mined: MinedScene, seen: Sequence[SeenFrame], things: Sequence[Thing], *, gate: float
 ) -> tuple[list[TrackRow], list[ThingRow]]:
     """Rows of the contradicting tracks, and of what they lie on where that is no thing yet.
 
     A stray is what the supervised stream is right about, or too little to be a failure.
     """
     rows: list[TrackRow] = []
-    gate = judge_odometry(mined.scene)[1]
     strays: list[ThingRow] = []
     for each in mined.tracks:
         members = [mined.instances[member] for member in each.track.members]
@@ -137,23 +137,17 @@ def _stray(
     key: str, members: Sequence[Instance], seen: Sequence[SeenFrame], track: int
 ) -> ThingRow:
     points = {each.frame_index: each.point_index for each in members}
-    wrong = total = moving = 0
-    for number, mine in points.items():
-        total += len(mine)
-        wrong += int(seen[number].wrong(seen[number].labelled.predictive)[mine].sum())
-        moving += int(seen[number].moving[mine].sum())
-    sizes = [len(mine) for mine in points.values()]
-    return ThingRow(
+    moving = np.concatenate([seen[number].moving[mine] for number, mine in points.items()])
+    thing = Thing(
         key=key,
         track=track,
         class_name=seen[members[0].frame_index].class_of(track) if track >= 0 else "",
-        moves=2 * moving > total,
-        frames=sum(size >= MIN_POINTS for size in sizes),
-        points=int(np.median(sizes)),
+        moves=bool(2 * moving.sum() > len(moving)),
+        points=points,
+        failing=(),
         fails=False,
-        other_wrong_share=round(wrong / total, 4) if total else 0.0,
-        views=_rounded(thing_views(points, seen)),
     )
+    return _thing_row(thing, seen, None)
 
 
 def _rounded(views: Mapping[str, float]) -> dict[str, float]:
