@@ -30,11 +30,14 @@ from workers.training.attribution_scores import left_out, usable
 log = logging.getLogger(__name__)
 
 EXIT_TRANSIENT: Final = 75
-REGULARISATION: Final = 2.0
+REGULARISATION: Final = 0.5
 """How far from the prior a weight is expected to lie: rows are few, evidence overlaps."""
 
-BALANCE: Final = 0.75
+BALANCE: Final = 0.5
 """Rare answers weigh more by this power: 0 as they come, 1 all answers alike."""
+
+_FEW: Final = 10
+"""Answers that occur less often than this are not made up for: one track is no rule."""
 
 USED: Final = tuple(name for name in NAMES if name not in ("lasting", "many_points"))
 """Length and points are terms of a track's strength already, and say little of who is wrong."""
@@ -171,7 +174,7 @@ def _weights(rows: Sequence[TrackRow]) -> NDArray[np.float64]:
     """What is worth a look weighs more, and so do rare answers."""
     counts = {answer: sum(row.verdict is answer for row in rows) for answer in Wrong}
     worth = [row.evidence["lasting"] * row.evidence["many_points"] + 0.05 for row in rows]
-    rare = [(len(rows) / counts[_verdict(row)]) ** BALANCE for row in rows]
+    rare = [(len(rows) / (counts[_verdict(row)] + _FEW)) ** BALANCE for row in rows]
     asked = [
         1.0 if row.evidence["witness_moving"] + row.evidence["witness_still"] else _UNWITNESSED
         for row in rows
