@@ -51,6 +51,21 @@ class RecordedLabels:
         freeze(self.class_id, self.motion, self.confidence)
 
 
+@dataclass(frozen=True, slots=True)
+class RecordedMotion:
+    """What the log itself says of how the car moved, in the mean since the frame before.
+
+    Whatever the axes of who recorded it: both are magnitudes.
+
+    Attributes:
+        speed_m_per_s: Of a place on the car.
+        turn_rad_per_s: About the vertical.
+    """
+
+    speed_m_per_s: float
+    turn_rad_per_s: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LidarFrame:
     """The returns of one lidar revolution, in the sensor's space.
@@ -70,6 +85,7 @@ class LidarFrame:
         stamp_at: Which instant of the revolution `stamp_ns` names.
         recorded: The labels of the model that ran on the car, where the log holds them.
         camera: The camera whose view is compared, where one is wanted.
+        moved: What the log says of the motion since the frame before, where it does.
 
     Raises:
         ValueError: If an array has the wrong shape or dtype, or lengths differ.
@@ -86,6 +102,7 @@ class LidarFrame:
     stamp_at: StampAt = "start"
     recorded: RecordedLabels | None = None
     camera: CameraCalibration | None = None
+    moved: RecordedMotion | None = None
 
     def __post_init__(self) -> None:
         """Check every array once, and make it read-only for the rest of its life."""
@@ -128,6 +145,7 @@ class PosedFrame:
             metres; NaN on the first frame.
         reason: Why the pose is not healthy; empty when it is.
         jumped: Whether it went where no car goes from one frame to the next.
+        remark: What else a reader should know of how it was judged; empty for nothing.
     """
 
     frame: LidarFrame
@@ -136,6 +154,7 @@ class PosedFrame:
     static_residual_m: float = field(default=float("nan"))
     reason: str = ""
     jumped: bool = False
+    remark: str = ""
 
     def __post_init__(self) -> None:
         """Check the pose once, and make it read-only."""

@@ -79,6 +79,11 @@ class MiningSettings(BaseModel):
         description="How contradicting points become instances; paper: the published numbers.",
     )
     lidar_topic: str = Field(default="", description="Mine this topic only; empty: by evidence.")
+    odometry_topic: str = Field(
+        default="",
+        description="What the car recorded of its own motion, held against the odometry: this "
+        "topic, in logs that have it; empty: by evidence; none: not looked for.",
+    )
     camera: str = Field(
         default="",
         description="For streams that compare only what a camera sees: `recorded` takes the "

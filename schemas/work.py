@@ -92,6 +92,9 @@ class Shard(BaseModel):
     index: int = Field(ge=0)
     lidar: Channel
     recorded: RecordedSource | None = None
+    motion: Channel | None = Field(
+        default=None, description="What the car recorded of its own motion, if it did."
+    )
     camera: CameraCalibration | None = None
     anchor_ns: int = Field(ge=0, description="First frame of the log: origin of the grid.")
     warmup_start_ns: int = Field(ge=0)

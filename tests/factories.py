@@ -213,6 +213,7 @@ def street_log(
     recorded_as: RecordedAs = "fields",
     failures: Sequence[PlantedFailure] = (),
     truth: Path | None = None,
+    odometry: bool = False,
     chunk_bytes: int = 200_000,
     **identity: Any,
 ) -> Path:
@@ -224,6 +225,7 @@ def street_log(
         lidar=lidar,
         identity=Identity(**identity),
         recorded=recorded_as,
+        odometry=odometry,
         planted=Planted(failures=tuple(failures)),
         truth=truth,
         chunk_bytes=chunk_bytes,

@@ -32,6 +32,10 @@ def simulate(
         int | None,
         typer.Option("--columns", min=64, help="Firings per turn of every lidar; its own if none."),
     ] = None,
+    odometry: Annotated[
+        bool,
+        typer.Option("--odometry", help="The cars record wheel speed and yaw rate, too."),
+    ] = False,
     workers: Annotated[int, typer.Option("--workers", min=1, help="Processes at once.")] = 1,
     json: Json = False,
 ) -> None:
@@ -46,7 +50,7 @@ def simulate(
         logs = simulate_to(
             out,
             plans,
-            options=FleetOptions(columns=columns),
+            options=FleetOptions(columns=columns, odometry=odometry),
             processes=workers,
             progress=lambda: bar.advance(task),
         )

@@ -63,6 +63,7 @@ def reasons_of(
     )
     if gate < 1.0:
         told += (f"odometry {health.state.value}{because}: strengths count {gate:.0%}",)
+    told += tuple(remark for remark in [_remark(scene)] if remark)
     if stream.blind_share > 0.0:
         told += (_blind(stream),)
     if stream.blind_share < 1.0 and (silent := _nothing_compared(scene)):
@@ -86,6 +87,11 @@ def _nothing_compared(scene: Scene) -> str:
     if not silent:
         return "nothing was compared: no point was judged by both streams"
     return f"nothing was compared: the {' and the '.join(silent)} stream judged no point"
+
+
+def _remark(scene: Scene) -> str:
+    """What was said of the poses beside whether they may be trusted, once; empty for nothing."""
+    return next((frame.posed.remark for frame in scene.frames if frame.posed.remark), "")
 
 
 def _blind(stream: StreamHealth) -> str:

@@ -80,7 +80,7 @@ def camera_image(message: RawMessage) -> CameraImage:
     """
     decoded = decode_message(message)
     try:
-        frame_id, stamp_ns = _frame_and_stamp(decoded)
+        frame_id, stamp_ns = frame_and_stamp(decoded)
         data = member(decoded, "data")
         return CameraImage(
             topic=message.channel.topic,
@@ -101,7 +101,7 @@ def calibration(message: RawMessage) -> Calibration:
     """
     decoded = decode_message(message)
     try:
-        frame_id, _ = _frame_and_stamp(decoded)
+        frame_id, _ = frame_and_stamp(decoded)
         intrinsics = np.array(_either(decoded, "K"), dtype=np.float64).reshape(3, 3)
         stated = np.array(_either(decoded, "P"), dtype=np.float64)
         projection = stated.reshape(3, 4) if stated.size else np.zeros((3, 4))
@@ -121,7 +121,7 @@ def calibration(message: RawMessage) -> Calibration:
         raise _unreadable(message, error) from error
 
 
-def _frame_and_stamp(decoded: Any) -> tuple[str, int]:
+def frame_and_stamp(decoded: Any) -> tuple[str, int]:
     """Read a ROS header, or Foxglove's frame and timestamp."""
     if hasattr(decoded, "header"):
         stamp = decoded.header.stamp

@@ -64,6 +64,9 @@ class LogReport(BaseModel):
     topics: tuple[TopicReport, ...]
     lidar_topic: str | None = Field(description="The densest lidar that is mined; None without.")
     lidar_topics: tuple[str, ...]
+    odometry_topic: str | None = Field(
+        description="What says how the car moved, held against the odometry; None without."
+    )
     frames: int | None = Field(
         description="Well-formed clouds of the lidars; by the index alone, those it counts."
     )
@@ -132,6 +135,7 @@ def inspect_recording(
         ),
         lidar_topic=plan.lidar_topics[0] if plan.lidar_topics else None,
         lidar_topics=plan.lidar_topics,
+        odometry_topic=next((each.motion.topic for each in plan.shards if each.motion), None),
         frames=frames,
         verified=verify,
         damage=tuple(damage),

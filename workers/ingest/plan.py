@@ -20,6 +20,7 @@ from workers.ingest.log_index import LogIndex, index_recording
 from workers.ingest.messages import MAX_TIME_NS
 from workers.ingest.pointcloud import is_cloud, unsupported_reason
 from workers.ingest.recorded_labels import CLASSES_RECORD, find_recorded_source
+from workers.ingest.recorded_motion import find_motion
 from workers.ingest.topics import Topic, chunks_of, count_in, topics_of
 from workers.ingest.windows import Span, Spans, cut_windows
 
@@ -30,6 +31,10 @@ MAX_NAMED_TOPICS: Final = 20
 
 DOUBTFUL_CHUNK_NS: Final = 10 * NS_PER_S
 """A chunk that spans longer, and stands out by it, is opened to see its times."""
+
+MOST_FOR_MOTION: Final = 0.1
+"""Of the bytes that a shard reads anyway: chunks that hold recorded motion but no clouds are read
+up to this. Mostly it lies between the clouds; beside cameras it would cost the log's images."""
 
 
 def plan_recording(
@@ -90,7 +95,8 @@ def plan_index(index: LogIndex, settings: MiningSettings) -> LogPlan:
             recorded = _recorded(index, topics, sample, samples, settings)
             channel = _without_schema(sample.topic.channel)
             camera = _camera(index, topics, sample, settings)
-            lidar = _Lidar(channel, anchor_ns, recorded, camera, identity)
+            motion = find_motion(topics, settings.odometry_topic)
+            lidar = _Lidar(channel, anchor_ns, recorded, motion, camera, identity)
             shards += _shards(index, lidar, sample, samples, settings, damage)
     except LogUnusableError as error:
         refused, shards = str(error), []
@@ -116,6 +122,7 @@ class _Lidar:
     channel: Channel
     anchor_ns: int
     recorded: RecordedSource | None
+    motion: Channel | None
     camera: CameraCalibration | None
     identity: Identity
 
@@ -230,6 +237,7 @@ def _shards(
         labels = _spans(index, samples[lidar.recorded.channel.topic], damage)
     scale = settings.intensity_scale or intensity_scale_of([*sample.clouds, *sample.later_clouds])
     chunks = Spans([*spans, *labels])
+    wider = Spans([*spans, *labels, *_motion_spans(index, lidar.motion, sample, spans)])
     for window in cut_windows(
         spans,
         grid=settings.grid,
@@ -237,11 +245,15 @@ def _shards(
         least_step_ns=sample.least_step_ns,
         ahead_ns=settings.ahead_ns,
     ):
+        reads = chunks
+        if _length(window.reads(wider)) <= (1.0 + MOST_FOR_MOTION) * _length(window.reads(chunks)):
+            reads = wider
         yield Shard(
             log_id=index.recording.log_id,
             index=window.index,
             lidar=lidar.channel,
             recorded=lidar.recorded,
+            motion=None if lidar.motion is None else _without_schema(lidar.motion),
             camera=lidar.camera,
             anchor_ns=lidar.anchor_ns,
             warmup_start_ns=window.warmup_start_ns,
@@ -252,8 +264,8 @@ def _shards(
             scene_s=settings.grid.scene_s,
             first_of_log=window.first_of_log,
             last_of_log=window.last_of_log,
-            chunks=tuple(window.reads(chunks)),
-            needed_bytes=sum(ref.length for ref in window.needs(chunks)),
+            chunks=tuple(window.reads(reads)),
+            needed_bytes=_length(window.needs(reads)),
             by_log_time=sample.by_log_time,
             intensity_scale=scale,
             vehicle=lidar.identity.vehicle,
@@ -286,6 +298,29 @@ def _spans(index: LogIndex, sample: Sample, damage: list[Damage]) -> list[Span]:
     if not spans:
         raise LogUnusableError(f"no chunk with clouds of {sample.topic.channel.topic} can be read")
     return spans
+
+
+def _motion_spans(
+    index: LogIndex, motion: Channel | None, sample: Sample, lidar: Iterable[Span]
+) -> list[Span]:
+    """Chunks with recorded motion alone, by the lidar's delays: its own are not known yet."""
+    if motion is None:
+        return []
+    known = {(span.ref.part, span.ref.offset) for span in lidar}
+    return [
+        Span(
+            chunk.ref,
+            earliest_ns=chunk.ref.start_ns - sample.bounds.most_ns,
+            latest_ns=chunk.ref.end_ns - sample.bounds.least_ns,
+            messages=count_in(chunk, motion),
+        )
+        for chunk in chunks_of(motion, index.parts)
+        if (chunk.ref.part, chunk.ref.offset) not in known
+    ]
+
+
+def _length(refs: Iterable[ChunkRef]) -> int:
+    return sum(ref.length for ref in refs)
 
 
 def _is_doubtful(ref: ChunkRef, *, messages: int, usual_ns: int) -> bool:

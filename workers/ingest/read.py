@@ -1,27 +1,34 @@
 """Reads the frames of one shard in order, while the next chunks are on their way."""
 
 import heapq
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from itertools import chain, repeat
 from typing import Final
 
 from schemas.bucket import Bucket
-from schemas.frame import LidarFrame, RecordedLabels
+from schemas.frame import LidarFrame, RecordedLabels, RecordedMotion
 from schemas.mining import MiningSettings
 from schemas.work import Channel, ChunkRef, Damage, Recording, Shard
 from workers.errors import CloudUnreadableError
 from workers.ingest.chunk import messages_in
+from workers.ingest.decoding import MessageUnreadableError
 from workers.ingest.fetch import OpenedChunk, fetch_chunks
 from workers.ingest.frames import frame_from_cloud
 from workers.ingest.messages import MAX_TIME_NS, RawMessage
 from workers.ingest.part import PartReader
 from workers.ingest.pointcloud import DecodedCloud, decode_cloud
 from workers.ingest.recorded_labels import LabelPairing, recorded_labels
+from workers.ingest.recorded_motion import MotionLog, middle_ns
 from workers.ingest.records import RecordMalformedError
 from workers.ingest.topics import ids_in
 
 MAX_WAITING_BYTES: Final = 256 * 1024 * 1024
 """Messages are held back until none earlier can come; beyond this they leave as they are."""
+
+FRAMES_HELD: Final = 2
+"""Frames that wait for what the car recorded of its motion, where a log has that."""
 
 
 def read_shard(
@@ -56,6 +63,8 @@ class ShardReader:
     settings: MiningSettings
     readers: tuple[PartReader, ...]
     damage: list[Damage] = field(default_factory=list)
+    _motion: MotionLog = field(default_factory=MotionLog)
+    _motion_damaged: bool = False
 
     @property
     def range_reads(self) -> int:
@@ -74,6 +83,13 @@ class ShardReader:
             ObjectChangedError: If an object is no longer the one that was planned.
             BucketUnreachableError: If the bucket does not answer.
         """
+        timed = self._timed_frames()
+        for frame, _ in timed if self.shard.motion is None else self._with_motion(timed):
+            if self._wants(frame.stamp_ns):
+                yield frame
+
+    def _timed_frames(self) -> Iterator[tuple[LidarFrame, int]]:
+        """All frames with their log times, those too early and too late included."""
         previous_ns: int | None = None
         for cloud, log_time_ns, labels in self._labelled_clouds():
             no_stamp = self.shard.by_log_time or cloud.stamp_ns > MAX_TIME_NS
@@ -88,8 +104,36 @@ class ShardReader:
                 camera=self.shard.camera,
             )
             previous_ns = frame.stamp_ns
-            if self._wants(frame.stamp_ns):
-                yield frame
+            yield frame, log_time_ns
+
+    def _with_motion(
+        self, timed: Iterator[tuple[LidarFrame, int]]
+    ) -> Iterator[tuple[LidarFrame, int]]:
+        """Say of each frame how the car moved since the one before.
+
+        A frame is held back for two more: what moved the car until the middle of its sweep is
+        recorded after it, and the first message after that at 10 Hz after the next one.
+        """
+        before: LidarFrame | None = None
+        held: deque[tuple[LidarFrame, int]] = deque()
+        for each in chain(timed, repeat(None, FRAMES_HELD)):
+            if each is not None:
+                held.append(each)
+            if held and (each is None or len(held) > FRAMES_HELD):
+                frame, log_time_ns = held.popleft()
+                moved = None if before is None else self._moved(before, frame, log_time_ns)
+                before = frame
+                yield replace(frame, moved=moved), log_time_ns
+
+    def _moved(
+        self, before: LidarFrame, frame: LidarFrame, log_time_ns: int
+    ) -> RecordedMotion | None:
+        step_ns = frame.stamp_ns - before.stamp_ns
+        return self._motion.between(
+            middle_ns(before, step_ns=step_ns),
+            middle_ns(frame, step_ns=step_ns),
+            delay_ns=log_time_ns - frame.stamp_ns,
+        )
 
     def _wants(self, stamp_ns: int) -> bool:
         shard = self.shard
@@ -127,10 +171,22 @@ class ShardReader:
 
     def _clouds(self) -> Iterator[tuple[SourcedMessage, DecodedCloud]]:
         for sourced in self._in_order():
+            if sourced.message.channel is self.shard.motion:
+                self._add_motion(sourced)
+                continue
             try:
                 yield sourced, decode_cloud(sourced.message)
             except CloudUnreadableError as error:
                 self._record(sourced.ref, str(error), length=len(sourced.message.data))
+
+    def _add_motion(self, sourced: SourcedMessage) -> None:
+        """Take a message of recorded motion; of those that say nothing the first is told."""
+        try:
+            self._motion.add(sourced.message)
+        except MessageUnreadableError as error:
+            if not self._motion_damaged:
+                self._record(sourced.ref, str(error), length=len(sourced.message.data))
+            self._motion_damaged = True
 
     def _in_order(self) -> Iterator[SourcedMessage]:
         """Messages by log time: a chunk may hold earlier ones than the chunk before it."""
@@ -170,10 +226,11 @@ class ShardReader:
             self._record(opened.ref, error.problem)
 
     def _channels(self, part: int) -> dict[int, Channel]:
-        """The lidar's channel by its ids in one part, and that of recorded labels."""
+        """The lidar's channel by its ids in one part, and those of recorded labels and motion."""
         source = self.shard.recorded
         labels = source.channel if source is not None else None
-        channels = [self.shard.lidar] if labels is None else [self.shard.lidar, labels]
+        wanted = (self.shard.lidar, labels, self.shard.motion)
+        channels = [channel for channel in wanted if channel is not None]
         return {each: channel for channel in channels for each in ids_in(channel, part)}
 
     def _record(self, ref: ChunkRef, what: str, *, length: int | None = None) -> None:

@@ -63,6 +63,26 @@ _TRANSFORM_PARTS: Final = (
     "MSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w",
 )
 
+_POSE_PARTS: Final = (
+    "MSG: geometry_msgs/PoseWithCovariance\ngeometry_msgs/Pose pose\nfloat64[36] covariance",
+    "MSG: geometry_msgs/Pose\ngeometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
+    "MSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z",
+    _TRANSFORM_PARTS[3],
+)
+_TWIST_PARTS: Final = (
+    "MSG: geometry_msgs/TwistWithCovariance\ngeometry_msgs/Twist twist\nfloat64[36] covariance",
+    "MSG: geometry_msgs/Twist\ngeometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular",
+    _TRANSFORM_PARTS[2],
+)
+_ODOMETRY: Final = (
+    "std_msgs/Header header\nstring child_frame_id\n"
+    "geometry_msgs/PoseWithCovariance pose\ngeometry_msgs/TwistWithCovariance twist"
+)
+
+
+def _stamped(name: str) -> str:
+    return f"std_msgs/Header header\ngeometry_msgs/{name} {name[:5].lower()}"
+
 
 def _definitions(header: str, *, camera: dict[str, str]) -> dict[str, str]:
     camera_info = _CAMERA_INFO.format(**camera)
@@ -70,6 +90,11 @@ def _definitions(header: str, *, camera: dict[str, str]) -> dict[str, str]:
         "sensor_msgs/PointCloud2": _SEPARATOR.join((_POINT_CLOUD2, header, _POINT_FIELD)),
         "sensor_msgs/CompressedImage": _SEPARATOR.join((_COMPRESSED_IMAGE, header)),
         "sensor_msgs/CameraInfo": _SEPARATOR.join((camera_info, header, _REGION_OF_INTEREST)),
+        "nav_msgs/Odometry": _SEPARATOR.join((_ODOMETRY, header, *_POSE_PARTS, *_TWIST_PARTS)),
+        "geometry_msgs/TwistStamped": _SEPARATOR.join((_stamped("Twist"), header, *_TWIST_PARTS)),
+        "geometry_msgs/TwistWithCovarianceStamped": _SEPARATOR.join(
+            (_stamped("TwistWithCovariance"), header, *_TWIST_PARTS)
+        ),
         "tf2_msgs/TFMessage": _SEPARATOR.join((_TF_MESSAGE, header, *_TRANSFORM_PARTS)),
     }
 

@@ -11,6 +11,13 @@ from workers.simulation.recorded import RecordedPoints
 
 POINT_CLOUD2: Final = "sensor_msgs/msg/PointCloud2"
 
+STAMP_DEFINITION: Final = f"""
+{"=" * 80}
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+
 POINT_CLOUD2_DEFINITION: Final = f"""std_msgs/Header header
 uint32 height
 uint32 width
@@ -37,12 +44,7 @@ uint32 count
 {"=" * 80}
 MSG: std_msgs/Header
 builtin_interfaces/Time stamp
-string frame_id
-{"=" * 80}
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-"""
+string frame_id{STAMP_DEFINITION}"""
 """The message as ROS 2 defines it (common_interfaces, sensor_msgs/msg/PointCloud2.msg)."""
 
 _DATATYPES: Final = {"u1": 2, "u2": 4, "u4": 6, "f4": 7}

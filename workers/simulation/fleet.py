@@ -66,12 +66,14 @@ class FleetOptions:
         columns: Of every car's own lidar; fewer make logs cheap; as many as it has when None.
         recorded: Where the labels of the model on the car go.
         chunk_bytes: Uncompressed size at which a chunk is closed.
+        odometry: Whether the cars record wheel speed and yaw rate.
     """
 
     lidar: Lidar | None = None
     columns: int | None = None
     recorded: RecordedAs = "fields"
     chunk_bytes: int = 4 << 20
+    odometry: bool = False
 
 
 def simulate_to(
@@ -163,6 +165,7 @@ def write_planned(
             start_ns=int(start.timestamp()) * NS_PER_S,
         ),
         recorded=options.recorded,
+        odometry=options.odometry,
         planted=planted,
         truth=truth,
         log_key=f"logs/{key}.mcap",

@@ -18,6 +18,7 @@ from workers.simulation.cloud import (
 )
 from workers.simulation.disturbances import delay_ns, disturb
 from workers.simulation.lidar import Lidar, sweep
+from workers.simulation.odometry import OdometryWriter
 from workers.simulation.planted_truth import NOTHING_PLANTED, Planted
 from workers.simulation.recorded import record, recorded_classes
 from workers.simulation.street import Street
@@ -49,6 +50,7 @@ def write_log(
     lidar: Lidar | None = None,
     identity: Identity | None = None,
     recorded: RecordedAs = "fields",
+    odometry: bool = False,
     planted: Planted = NOTHING_PLANTED,
     truth: Path | None = None,
     log_key: str = "",
@@ -64,6 +66,7 @@ def write_log(
         lidar: The lidar on the car; 64 beams and 1024 columns at 10 Hz when None.
         identity: Vehicle, date, software version and time of the first frame.
         recorded: Where the labels of the model on the car go.
+        odometry: Whether the car records wheel speed and yaw rate.
         planted: What that model gets wrong, and what disturbs the sensor.
         truth: Folder for the truth of this log; None writes none.
         log_key: What the truth calls the log.
@@ -90,11 +93,14 @@ def write_log(
         )
         if recorded != "nothing":
             writer.add_metadata("counterpoint.classes", recorded_classes())
+        moved = OdometryWriter(writer, street, start_ns=identity.start_ns) if odometry else None
         for index in range(count):
             frame = disturb(sweep(street, lidar, index), planted.disturbances)
             said = None if recorded == "nothing" else record(street, frame, planted.failures)
             late_ns = delay_ns(index, frame.time_s, planted.disturbances)
             stamp_ns = identity.start_ns + index * lidar.period_ns + late_ns
+            if moved is not None:
+                moved.write_until(stamp_ns)
             rows = cloud_of(frame, said if recorded == "fields" else None)
             message = message_of(rows, stamp_ns=stamp_ns, space=LIDAR_SPACE)
             writer.write_message(LIDAR_TOPIC, schema, message, stamp_ns, stamp_ns, index)
@@ -105,6 +111,8 @@ def write_log(
                 truth_writer.add(frame, stamp_ns=stamp_ns, data_crc32=zlib.crc32(message["data"]))
             if progress is not None:
                 progress()
+        if moved is not None:
+            moved.write_until(identity.start_ns + count * lidar.period_ns)
         writer.finish()  # type: ignore[no-untyped-call]  # upstream lacks the return type
     if truth_writer is not None:
         truth_writer.finish(planted.truth(identity.start_ns))

@@ -23,6 +23,8 @@ class Doubt:
         """Say what may be thought of the pose of a frame, now that it was registered again."""
         if sight.problem:
             self._since_ns, self._problem = sight.stamp_ns, sight.problem
+        if sight.remark:
+            labelled = replace(labelled, posed=replace(labelled.posed, remark=sight.remark))
         posed = labelled.posed
         if self._since_ns is None or posed.odometry is not OdometryState.HEALTHY:
             return labelled

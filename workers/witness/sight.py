@@ -1,6 +1,6 @@
 """What one frame saw, as other frames ask it, and which of its places are asked about."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -18,6 +18,7 @@ from workers.visibility.passes import judged_rows, moved_rows, returns_within, r
 from workers.visibility.range_image import range_image
 from workers.visibility.voxels import Voxels, voxelize
 from workers.witness.poses import PoseCheck
+from workers.witness.recorded_motion import MotionCheck, Verdict
 
 MAX_RANGE_M: Final = 80.0
 """Beyond it neighbouring beams are 0.6 m apart or more, and a car is a handful of points."""
@@ -65,12 +66,14 @@ class Sight:
         stretch: Number of the stretch of frames whose poses hang together; others are not asked.
         view: What it saw; None where nothing can be asked of it.
         problem: Why its pose is doubted; empty where it is not.
+        remark: Why what the car recorded of its motion is not believed; empty where it is.
     """
 
     stamp_ns: int
     stretch: int
     view: View | None = None
     problem: str = ""
+    remark: str = ""
 
 
 class Sights:
@@ -79,15 +82,24 @@ class Sights:
     def __init__(self) -> None:
         self._beams = BeamLearner()
         self._poses = PoseCheck()
+        self._recorded = MotionCheck()
         self._put_back: Transform = np.eye(4)
         self._last: PosedFrame | None = None
         self._stretch = 0
 
     def __call__(self, labelled: LabelledFrame) -> Sight:
         """Turn one frame into what others ask of it."""
+        velocity, told = self._follow(labelled.posed)
+        sight = self._look(labelled, velocity)
+        if told.problem and not sight.problem:
+            # nothing says where the frame belongs: what comes hangs together with none before it
+            self._begin_anew()
+            sight = replace(sight, stretch=self._stretch, problem=told.problem)
+        return replace(sight, remark=told.remark) if told.remark else sight
+
+    def _look(self, labelled: LabelledFrame, velocity: Twist | None) -> Sight:
         posed = labelled.posed
         frame = posed.frame
-        velocity = self._follow(posed)
         index = returns_within(frame.points_m, frame.valid_mask, _FARTHEST)
         if len(index) < _FEWEST_RETURNS or posed.odometry is OdometryState.LOST:
             return Sight(frame.stamp_ns, self._stretch)
@@ -122,20 +134,25 @@ class Sights:
         )
         return Sight(frame.stamp_ns, self._stretch, view, fit.problem)
 
-    def _follow(self, posed: PosedFrame) -> Twist | None:
-        """Begin a new stretch where poses do not hang together; else say how the sensor moves."""
+    def _follow(self, posed: PosedFrame) -> tuple[Twist | None, Verdict]:
+        """Begin a new stretch where poses do not hang together; else say how the sensor moves.
+
+        Returns:
+            Its twist per second, None if unknown, and how that fits what the car recorded.
+        """
         last, self._last = self._last, posed
         if last is None:
-            return None
+            return None, Verdict()
         step_ns = posed.frame.stamp_ns - last.frame.stamp_ns
         lost = OdometryState.LOST in (posed.odometry, last.odometry)
         if not 0 < step_ns <= MAX_GAP_NS or lost:
             self._begin_anew()
-            return None
+            return None, Verdict()
         moved = twist(inverse(last.odom_from_sensor) @ posed.odom_from_sensor)
         velocity: Twist = moved * (NS_PER_S / step_ns)
         fast = float(np.linalg.norm(velocity[3:])) > _FASTEST_M_PER_S
-        return None if fast or posed.jumped else velocity
+        told = self._recorded.judge(velocity, posed.frame.moved, step_ns / NS_PER_S)
+        return (None if fast or posed.jumped else velocity), told
 
     def _begin_anew(self) -> None:
         self._stretch += 1

@@ -40,6 +40,7 @@ CHANGED = {
     "selfsupervised": "two-stage",
     "odometry": "other",
     "lidar_topic": "/lidar/left",
+    "odometry_topic": "/odom",
     "path_template": "{date}/{name}",
     "stamp_at": "end",
     "camera": "recorded",

@@ -20,6 +20,7 @@ from workers.ingest.read import read_shard
 from workers.simulation.cloud import cloud_of
 from workers.simulation.kinds import StreetClass
 from workers.simulation.lidar import sweep
+from workers.simulation.odometry import ODOMETRY_TOPIC, RATE_HZ
 from workers.simulation.plan import FailureKind
 from workers.simulation.planted import PlantedFailure
 from workers.simulation.planted_truth import Planted
@@ -172,3 +173,25 @@ def test_a_log_may_be_written_to_memory() -> None:
     written = write_log(stream, street, lidar=SMALL_LIDAR, frames=2)
     assert written == 2
     assert stream.getvalue().startswith(b"\x89MCAP")
+
+
+def test_a_car_that_records_its_motion_says_how_it_drove(tmp_path: Path) -> None:
+    silent = street_log(tmp_path / "silent" / f"{KEY}.mcap", frames=FRAMES)
+    path = street_log(tmp_path / "said" / f"{KEY}.mcap", frames=FRAMES, odometry=True)
+    messages, _ = read_by_library(path)
+    without, _ = read_by_library(silent)
+    assert list(without) == [LIDAR_TOPIC]
+    assert [each.data for each, _ in messages[LIDAR_TOPIC]] == [
+        each.data for each, _ in without[LIDAR_TOPIC]
+    ]
+    assert len(messages[ODOMETRY_TOPIC]) == RATE_HZ * FRAMES // 10 + 1
+    street = build_street(1, seconds=FRAMES * SMALL_LIDAR.period_s, style="drives")
+    frames = read_by_ingest(tmp_path / "said")
+    assert frames[0].moved is None
+    for number, frame in enumerate(frames[1:-1], start=1):
+        middle_s = (number + 0.5) * SMALL_LIDAR.period_s
+        one, other = street.ego.pose(np.array([middle_s - SMALL_LIDAR.period_s, middle_s]))
+        true = float(np.hypot(*(other - one)[:2])) / SMALL_LIDAR.period_s
+        assert frame.moved is not None
+        assert frame.moved.speed_m_per_s == pytest.approx(true, rel=0.08, abs=0.05)
+        assert frame.moved.turn_rad_per_s < 0.1

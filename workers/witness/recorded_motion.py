@@ -1,0 +1,151 @@
+"""Whether steps of the odometry are what the car itself recorded of its motion."""
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from schemas.frame import RecordedMotion
+from workers.visibility.deskew import Twist
+
+NOISE_M: Final = 0.12
+NOISE_RAD: Final = float(np.radians(0.4))
+"""Of one step of a healthy odometry: a little over what the second registration calls a slip."""
+
+SCALE: Final = 0.04
+TURN_SCALE: Final = 0.10
+"""Tyres wear, load and slip by a few parts in a hundred; turns are often those of steered wheels,
+and a lidar's own axis leans."""
+
+LATE_S: Final = 0.05
+"""How far the two clocks may lie apart, and recorded values lag behind."""
+
+AHEAD_M: Final = 4.0
+ASIDE_M: Final = 1.0
+ABOVE_M: Final = 2.0
+"""How far the lidar may be from where the speed holds: another place of a car that turns, pitches
+or rolls goes at another speed."""
+
+TILTS_RAD_PER_S: Final = 0.5
+"""A car over a speed bump; a slip that tilts excuses no more than that."""
+
+STANDS_M_PER_S: Final = 0.5
+STANDS_RAD_PER_S: Final = float(np.radians(2.0))
+DRIVES_M_PER_S: Final = 3.0
+FASTEST_M_PER_S: Final = 70.0
+CREEPS: Final = 0.1
+"""An odometry that never caught on creeps; no unit of speed is that much smaller than another."""
+
+FEWEST: Final = 8
+"""Steps with motion after which a recording may be judged, and believed."""
+
+REMEMBERED: Final = 30
+AGREEING: Final = 0.5
+_SAME: Final = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What is thought of one step.
+
+    Attributes:
+        problem: How it differs, in words; empty where it does not, or nothing can be told.
+        remark: Why what was recorded is not believed; empty where it is, or there is nothing.
+    """
+
+    problem: str = ""
+    remark: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    ours_m_per_s: float
+    recorded_m_per_s: float
+    agrees: bool
+
+
+class MotionCheck:
+    """Compares steps, and the recording as a whole: one that hardly ever agrees is not believed.
+
+    Wrong units, another vehicle's motion, a value that froze: none of that is a fault of the
+    odometry. Steps without any motion say nothing of it, so that a value frozen at zero is not
+    believed for having agreed at a red light. The other way about, where the odometry stands still
+    and the recording drives and varies, the odometry is what failed.
+    """
+
+    def __init__(self) -> None:
+        self._steps: deque[_Step] = deque(maxlen=REMEMBERED)
+        self._before: RecordedMotion | None = None
+        self._says_turns = False
+
+    def judge(self, velocity: Twist, moved: RecordedMotion | None, step_s: float) -> Verdict:
+        """Compare one step of the odometry with what was recorded.
+
+        Args:
+            velocity: (6,) twist of the sensor per second, in its own space.
+            moved: What was recorded of the same time; None where nothing was.
+            step_s: That time.
+        """
+        before, self._before = self._before, moved
+        if moved is None:
+            return Verdict(remark=self._disbelief())
+        ours = float(np.linalg.norm(velocity[3:])), abs(float(velocity[2]))
+        self._says_turns |= moved.turn_rad_per_s > 0.0
+        turn = moved.turn_rad_per_s if self._says_turns else ours[1]
+        off_m = abs(ours[0] - moved.speed_m_per_s) * step_s
+        off_rad = abs(ours[1] - turn) * step_s
+        speeding = turning = 0.0
+        if before is not None:
+            speeding = abs(moved.speed_m_per_s - before.speed_m_per_s) / step_s
+            turning = abs(moved.turn_rad_per_s - before.turn_rad_per_s) / step_s
+        most_m = NOISE_M + step_s * (
+            SCALE * moved.speed_m_per_s
+            + LATE_S * speeding
+            + _lever_m_per_s(moved.speed_m_per_s, turn)
+            + ABOVE_M * min(float(np.hypot(velocity[0], velocity[1])), TILTS_RAD_PER_S)
+        )
+        most_rad = NOISE_RAD + step_s * (TURN_SCALE * turn + LATE_S * turning)
+        agrees = off_m <= most_m and off_rad <= most_rad
+        if (
+            max(ours[0], moved.speed_m_per_s) > STANDS_M_PER_S
+            or max(ours[1], moved.turn_rad_per_s) > STANDS_RAD_PER_S
+        ):
+            self._steps.append(_Step(ours[0], moved.speed_m_per_s, agrees))
+        remark = self._disbelief()
+        if agrees or remark or len(self._steps) < FEWEST:
+            return Verdict(remark=remark)
+        return Verdict(
+            problem=f"the step differs from the recorded odometry by {off_m:.2f} m and "
+            f"{np.degrees(off_rad):.1f} degrees"
+        )
+
+    def _disbelief(self) -> str:
+        """Why the recording is not believed; empty where it is, or too little is known."""
+        steps = self._steps
+        if len(steps) < FEWEST:
+            return ""
+        agreeing = sum(step.agrees for step in steps) / len(steps)
+        if agreeing >= AGREEING or self._ours_stands():
+            return ""
+        speeds = [step.recorded_m_per_s for step in steps]
+        return (
+            f"recorded odometry not believed: {1 - agreeing:.0%} of the last {len(steps)} steps "
+            f"differ (median {np.median(speeds):.1f} m/s recorded, "
+            f"{np.median([step.ours_m_per_s for step in steps]):.1f} m/s by the lidar)"
+        )
+
+    def _ours_stands(self) -> bool:
+        """Whether the odometry stands still while the recording drives, and is alive."""
+        recorded = np.array([step.recorded_m_per_s for step in self._steps])
+        ours = np.array([step.ours_m_per_s for step in self._steps])
+        usual = float(np.median(recorded))
+        drives = DRIVES_M_PER_S < usual < FASTEST_M_PER_S and float(np.std(recorded)) > _SAME
+        return drives and float(np.median(ours)) < CREEPS * usual
+
+
+def _lever_m_per_s(speed_m_per_s: float, turn_rad_per_s: float) -> float:
+    """How much faster or slower another place of a car that turns may go."""
+    ahead = turn_rad_per_s * AHEAD_M
+    longer = ahead**2 / (2 * speed_m_per_s) if speed_m_per_s > ahead else ahead
+    return turn_rad_per_s * ASIDE_M + longer
