@@ -157,7 +157,7 @@ def _rank(
     )
     kind, attribution = track.kind.name, None
     if kind in tables():
-        attribution = attribute(kind, evidence, because=because_of(kind, evidence))
+        attribution = attribute(kind, evidence, because=because_of(kind, evidence, size_m))
         size, chance = not_too_long(size_m, settings), attribution.supervised_wrong
     else:
         clash = float(np.average(sure, weights=points))

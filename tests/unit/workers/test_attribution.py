@@ -217,3 +217,35 @@ def test_scenes_are_ranked_by_tables_that_never_saw_their_log() -> None:
     judged = left_out([_log("a", told), _log("b", lied)], fit)
     assert judged["scenes"]["ap"] == pytest.approx(0.5, abs=0.05)
     assert judged["all"]["balanced_accuracy"] < 0.5
+
+
+@pytest.mark.parametrize(
+    ("size_m", "strange"),
+    [
+        ((1.0, 0.3, 0.45), True),  # a dog
+        ((3.0, 2.5, 5.2), True),  # a crane
+        ((9.0, 2.4, 0.8), True),  # an empty low loader
+        ((4.2, 1.8, 1.4), False),
+        ((4.2, 0.3, 1.1), False),  # the side of a car
+        ((0.5, 0.5, 1.6), False),
+        ((11.0, 2.5, 3.0), False),
+    ],
+)
+def test_a_mover_shaped_like_nothing_that_networks_know_is_said_to_be(
+    size_m: tuple[float, float, float], strange: bool
+) -> None:
+    missed = Thing(
+        (12.0, 4.0, 0.0),
+        semantic=STATIC,
+        predictive=DYNAMIC,
+        size_m=size_m,
+        points=150 + round(30 * float(np.prod(size_m))),  # dense enough to be one thing
+        velocity_m_per_s=(2.0, 0.0, 0.0),
+    )
+    said = _attribution(_witnessed(labelled_scene([missed]), DYNAMIC))
+    assert ("its shape fits no usual class" in said.because) is strange
+
+
+def test_a_strange_shape_that_the_supervised_stream_saw_move_is_not_told() -> None:
+    seen = Thing((12.0, 4.0, 0.0), semantic=DYNAMIC, predictive=STATIC, size_m=(1.0, 0.3, 0.4))
+    assert "its shape fits no usual class" not in _attribution(labelled_scene([seen])).because
