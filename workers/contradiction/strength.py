@@ -169,7 +169,7 @@ def _rank(
             period_s=period_s,
             scale_s=settings.persistence_s,
         )
-        * (1.0 - math.exp(-float(np.median(points)) / settings.evidence_points))
+        * evidence.many_points
         * size
     )
     confirmed_share = _confirmed_share(members, points)

@@ -39,8 +39,10 @@ class _Streams:
     selfsupervised: _Version = _Version("registration@ba9876543210")
 
 
-def _score(scene: Scene, log_id: str = "fleet/car-1/drive") -> SceneScore:
-    instances = find_instances(scene, class_names=CLASS_NAMES)
+def _score(
+    scene: Scene, log_id: str = "fleet/car-1/drive", names: tuple[str, ...] = CLASS_NAMES
+) -> SceneScore:
+    instances = find_instances(scene, class_names=names)
     return score_scene(
         shard_of(log_id),
         scene,
@@ -221,15 +223,7 @@ def test_a_record_fits_the_bus_whatever_the_names(log_id: str, tracks: int) -> N
     frames = labelled_scene(things, frames=3).frames
     scene = Scene(f"{log_id}/lidar/{START_NS}", frames)
     names = tuple('"\\\u00e9' * 40 for _ in CLASS_NAMES)
-    instances = find_instances(scene, class_names=names)
-    record = score_scene(
-        shard_of(log_id),
-        scene,
-        instances,
-        rank_tracks(scene, instances),
-        parts=_Streams(),
-        pipeline_version="abcdef012345",
-    )
+    record = _score(scene, log_id, names)
     payload = encode_scene_score(record)
     assert len(payload) <= MAX_RECORD_BYTES
     assert decode(SceneScore, payload) == record
