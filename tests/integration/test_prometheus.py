@@ -34,6 +34,9 @@ pytestmark = [pytest.mark.integration, pytest.mark.timeout(900)]
 MINED_S: Final = 400.0
 """Until the small bucket is mined; generous, since machines that run tests are busy."""
 
+WORKERS: Final = 2
+"""Of the pool of a `System`."""
+
 PANELS: Final = [
     (path, panel) for path in sorted(FOLDER.glob("*.json")) for panel in read_dashboard(path)
 ]
@@ -61,12 +64,33 @@ class Watched:
         found = query(self.prometheus.address, expr, at_s=time.time())
         return sum(value for series in found for _, value in series.samples)
 
+    def knows_every_counter(self) -> bool:
+        """Whether both endpoints were scraped, with both workers there.
+
+        What happens before the first scrape of a counter is in no rate and no increase of it.
+        """
+        return (
+            self.value("count (counterpoint_worker_plan_seconds_count == 0)") == 1
+            and self.value("count (counterpoint_worker_truncated_parts_total == 0)") == 1
+            and self.value("sum (counterpoint_worker_connected)") == WORKERS
+            and self.value('count (counterpoint_recordings{state="mining"} == 0)') == 1
+        )
+
+    def counted_by_workers(self) -> bool:
+        """Whether the workers have counted, and been scraped, as often as the service stored."""
+        stored = self.value('sum (counterpoint_commits_total{outcome="stored"})')
+        plans = 'counterpoint_worker_plans_total{outcome=~"committed|refused"}'
+        shards = 'counterpoint_worker_shards_total{outcome="committed"}'
+        return self.value(f"sum ({plans})") + self.value(f"sum ({shards})") >= stored > 0
+
 
 @pytest.fixture(scope="module")
 def watched(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Watched]:
     need_prometheus()
     folder = tmp_path_factory.mktemp("watched")
-    bucket = fill(folder / "bucket")
+    recorded = fill(folder / "recorded")
+    bucket = folder / "bucket"
+    bucket.mkdir()
     http, worker_http = (f"127.0.0.1:{free_port()}" for _ in range(2))
     settings = {
         "COUNTERPOINT_HTTP_LISTEN": http,
@@ -85,7 +109,11 @@ def watched(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Watched]:
     ) as prometheus:
         try:
             system.start()
-            yield Watched(system, prometheus, http, bucket, folder / "state", began_s)
+            watched = Watched(system, prometheus, http, bucket, folder / "state", began_s)
+            until("a zero from which each counter rises", watched.knows_every_counter)
+            for vehicle in sorted(recorded.iterdir()):
+                vehicle.rename(bucket / vehicle.name)
+            yield watched
         finally:
             system.end()
 
@@ -117,7 +145,9 @@ def mined(watched: Watched) -> Watched:
     until(
         "everything is mined",
         lambda: (
-            watched.value("sum (counterpoint_scenes_total)") >= 9 and watched.value(waiting) == 0
+            watched.value("sum (counterpoint_scenes_total)") >= 9
+            and watched.value(waiting) == 0
+            and watched.counted_by_workers()
         ),
         deadline_s=MINED_S,
     )
