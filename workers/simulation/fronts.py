@@ -7,6 +7,7 @@ import numpy as np
 from workers.simulation.builder import Builder
 from workers.simulation.kinds import Material, StreetClass
 from workers.simulation.meshes import Mesh, box, limb
+from workers.simulation.places import Place
 from workers.simulation.plants import SORTS, hedge
 
 
@@ -75,10 +76,15 @@ def _relief(build: Builder, start_m: float, length_m: float, front_m: float, hig
                 build.block(slab, what, Material.WALL, at + 1.0, front_m)
 
 
+def garden_line_m(place: Place) -> float:
+    """Where fences, walls and hedges stand, from the middle of the road."""
+    return place.kerb_m + max(place.pavement_m, 2.0) + 0.4
+
+
 def gardens(build: Builder, from_m: float, to_m: float, side: int) -> None:
     """Close gardens off by fences, walls or hedges."""
     place, rng = build.place, build.rng
-    line = side * (place.kerb_m + max(place.pavement_m, 2.0) + 0.4)
+    line = side * garden_line_m(place)
     at = from_m
     while at < to_m - 4.0:
         length = float(rng.uniform(8.0, 24.0))

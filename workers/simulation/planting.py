@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from workers.simulation.anew import places_anew
 from workers.simulation.candidates import Candidate, CellView, candidates_of, look_at
 from workers.simulation.lidar import SimulatedFrame
 from workers.simulation.plan import DRAWN_KINDS, SCENE_S, FailureKind, LogPlan, PlannedFailure
@@ -114,13 +115,10 @@ def _plant(
     ]
     if not able:
         return None
-    if not shared:
+    if shared:
+        chosen = min(able, key=lambda each: _seen_to_move(view, each))
+    else:
         chosen = able[int(rng.integers(len(able)))]
-    else:  # common-mode reasons are equally likely, however many pedestrians there are
-        reasons = sorted({each.because for each in able})
-        reason = reasons[int(rng.integers(len(reasons)))]
-        mine = [each for each in able if each.because == reason]
-        chosen = mine[int(rng.integers(len(mine)))]
     start_s, end_s = _window(chosen, kind, least_s, rng)
     return PlantedFailure(
         kind=kind,
@@ -135,6 +133,12 @@ def _plant(
         because=chosen.because,
         class_name=chosen.class_name,
     )
+
+
+def _seen_to_move(view: CellView, each: Candidate) -> tuple[float, int]:
+    """How plainly a mover is seen to move, by what lies where nothing was; then by its number."""
+    anew = places_anew(view.frames, each.track, start_s=each.start_s, lasts_s=each.lasts_s)
+    return anew, each.track
 
 
 def _window(

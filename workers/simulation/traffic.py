@@ -17,6 +17,7 @@ from workers.simulation.drive import (
     stand,
     turning_route,
 )
+from workers.simulation.fronts import garden_line_m
 from workers.simulation.kinds import VEHICLES, StreetClass
 from workers.simulation.mixes import LANE_MIX, PARKED_MIX
 from workers.simulation.models import models_of
@@ -26,6 +27,14 @@ from workers.simulation.street import Actor
 
 _SEEN_M: Final = 115.0
 """Who never comes so near to the ego is left out."""
+
+_WALK_M_PER_S: Final = (1.0, 1.8)
+_STROLL_M_PER_S: Final = (0.54, 0.8)
+"""With a stick, a pram, a shop window. Truth says of 0.5 and below that nobody knows."""
+
+_BRISK_SHARE: Final = 0.25
+_BY_WALL_SHARE: Final = 0.6
+"""Of those who are easily taken for standing; who walks briskly is one of them only by a wall."""
 
 
 @dataclass(slots=True, eq=False)
@@ -120,18 +129,24 @@ class Traffic:
             return
         for along in self._stretches(14.0):
             side = 1 if rng.random() < 0.5 else -1
-            along_wall = rng.random() < 0.5 and place.pavement_m > 3.0
-            walk = float(rng.uniform(1.0, 1.8) if along_wall else rng.uniform(0.55, 0.9))
-            across = place.facade_m - 0.8 if along_wall else place.kerb_m + rng.uniform(0.6, 1.8)
+            where = rng.random()
+            walk = float(rng.uniform(*(_WALK_M_PER_S if where < _BRISK_SHARE else _STROLL_M_PER_S)))
+            across = place.kerb_m + float(rng.uniform(0.6, 1.8))
+            if where < _BY_WALL_SHARE:
+                across = self._wall_m() - 0.8
             drive = drive_along(
                 self.main,
                 from_m=along,
-                across_m=side * float(across),
+                across_m=side * across,
                 speed=self._steady(walk),
                 seconds=self.seconds,
                 backwards=bool(rng.random() < 0.5),
             )
             self._offer(StreetClass.PEDESTRIAN, drive)
+
+    def _wall_m(self) -> float:
+        """What people walk along: fronts, or fences of gardens; from the middle of the road."""
+        return garden_line_m(self.place) if self.place.gardens else self.place.facade_m
 
     def offer_companion(self, drive: Drive) -> None:
         """Let somebody drive as given, if there is room."""
