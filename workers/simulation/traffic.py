@@ -32,8 +32,8 @@ _WALK_M_PER_S: Final = (1.0, 1.8)
 _STROLL_M_PER_S: Final = (0.54, 0.8)
 """With a stick, a pram, a shop window. Truth says of 0.5 and below that nobody knows."""
 
-_BRISK_SHARE: Final = 0.25
-_BY_WALL_SHARE: Final = 0.6
+_BRISK_SHARE: Final = 0.35
+_BY_WALL_SHARE: Final = 0.5
 """Of those who are easily taken for standing; who walks briskly is one of them only by a wall."""
 
 
