@@ -74,11 +74,16 @@ class Scene:
         scene_id: `<log_id>/<lidar>/<start_ns>`, unique in the bucket.
         frames: In the order of their stamps; at least one.
         too_short: A piece under a second between gaps, or a log too short to judge.
+        before: Up to a third of a second of the log right before it, where no gap lies between:
+            what a thing at its edge was, never scored with it.
+        after: And right after it.
     """
 
     scene_id: str
     frames: tuple[LabelledFrame, ...]
     too_short: bool = False
+    before: tuple[LabelledFrame, ...] = ()
+    after: tuple[LabelledFrame, ...] = ()
 
     @property
     def task(self) -> Task:

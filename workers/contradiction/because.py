@@ -61,6 +61,8 @@ def because_of(kind: str, evidence: Evidence, size_m: NDArray[np.float64]) -> tu
     said = (
         ("the witness sees it move", evidence.witness_moving > HALF),
         ("the witness sees it stand", evidence.witness_still > HALF),
+        ("both see it move right before", evidence.agreed_before > HALF),
+        ("both see it move right after", evidence.agreed_after > HALF),
         ("its shape fits no usual class", missed and fits_no_class(size_m)),
         ("occluded before and after", unasked > HALF),
         ("odometry unhealthy", evidence.doubted > 0.0),
@@ -68,6 +70,7 @@ def because_of(kind: str, evidence: Evidence, size_m: NDArray[np.float64]) -> tu
         ("far", evidence.far > FAR),
         ("few points", evidence.many_points < FEW),
         ("at a turn", evidence.turning > TURNING),
+        ("low", evidence.low > HALF),
         ("thin", evidence.thin > 0.0),
         ("slow", HALF > evidence.went > 0.2 and evidence.lasting > HALF),
         ("flickers", evidence.steady < 0.8),

@@ -12,18 +12,21 @@ from schemas.arrays import NS_PER_S
 from schemas.contradiction import Instance, Scene
 from schemas.frame import OdometryState
 from schemas.labels import MotionLabel
+from workers.contradiction.before_after import agreed_beside, both_moving
+from workers.contradiction.paths import path_of
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
 from workers.contradiction.tracks import Track
 
 _FAR_M: Final = 80.0
-_PATH_M: Final = 1.0
-_STEADY_M: Final = 0.2
 _TURN_RAD_PER_S: Final = 0.3
 _FAST_M_PER_S: Final = 10.0
 _CROWD: Final = 8.0
 _LONG_M: Final = 12.0
 _TALL_M: Final = 3.0
 _THIN_M: Final = 0.4
+_LOW_M: Final = 1.0
+_LOWEST_M: Final = 0.5
+_LOW_WITHIN_M: Final = 50.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +46,10 @@ class Evidence:
         long: Length over 12 m.
         tall: Height over 3 m.
         thin: Whether its box is thinner than 0.4 m.
+        low: Whether it is lower than a metre: 1 at half of that; near alone, as of what is far a
+            lidar sees few rows, and nothing says how high it is: none from 50 m on.
+        agreed_before: Share of it that both call moving in the third of a second before it begins.
+        agreed_after: And after it ends.
         own: Share of its surroundings that contradict alike.
         supervised_sure: Mean confidence of the supervised stream.
         selfsupervised_sure: Mean confidence of the self-supervised stream.
@@ -70,6 +77,9 @@ class Evidence:
     long: float
     tall: float
     thin: float
+    low: float
+    agreed_before: float
+    agreed_after: float
     own: float
     supervised_sure: float
     selfsupervised_sure: float
@@ -101,12 +111,15 @@ class Surroundings:
         unseen: (F,) share of what was asked about that no other frame saw.
         doubted: (F,) 1 where the pose is not healthy.
         crowd: Instances of each kind in each frame.
+        both_moving_m: For each frame, those before and after the scene included, (M, 3) what both
+            streams call moving, odom space.
     """
 
     turn_rad_per_s: NDArray[np.float64]
     unseen: NDArray[np.float64]
     doubted: NDArray[np.float64]
     crowd: dict[tuple[str, int], int]
+    both_moving_m: tuple[NDArray[np.float64], ...]
 
 
 def surroundings_of(scene: Scene, instances: Sequence[Instance]) -> Surroundings:
@@ -131,6 +144,7 @@ def surroundings_of(scene: Scene, instances: Sequence[Instance]) -> Surroundings
         unseen=1.0 - np.nan_to_num(np.array(seen), nan=0.0),
         doubted=np.array([float(f.posed.odometry is not OdometryState.HEALTHY) for f in frames]),
         crowd=crowd,
+        both_moving_m=both_moving(scene),
     )
 
 
@@ -159,7 +173,8 @@ def evidence_of(
     at = np.array([member.frame_index for member in members])
     stamps_s = np.array([(scene.frames[i].stamp_ns - scene.start_ns) / NS_PER_S for i in at])
     size_m = np.median([member.size_m for member in members], axis=0)
-    went, straight = _path(track.centres_m, stamps_s)
+    path = path_of(track.centres_m, stamps_s)
+    before, after = agreed_beside(scene, members, path.velocity_m_per_s, around.both_moving_m)
     moving, still = _testimony(scene, members)
     speeds = np.linalg.norm([member.velocity_m_per_s for member in members], axis=1)
     lasts_s = float(stamps_s[-1] - stamps_s[0])
@@ -168,19 +183,23 @@ def evidence_of(
     def mean(values: Sequence[float]) -> float:
         return float(np.average(values, weights=points))
 
+    range_m = mean([float(np.hypot(*m.centre_m[:2])) for m in members])
     return Evidence(
         witness_moving=moving,
         witness_still=still,
-        went=went,
-        straight=straight,
+        went=path.went,
+        straight=path.straight,
         lasting=1.0 - math.exp(-lasts_s / settings.persistence_s),
         steady=len(members) / float(at[-1] - at[0] + 1),
         many_points=1.0 - math.exp(-float(np.median(points)) / settings.evidence_points),
-        far=_clip(mean([float(np.hypot(*m.centre_m[:2])) for m in members]) / _FAR_M),
+        far=_clip(range_m / _FAR_M),
         road_user=_clip(road_user),
         long=_clip(float(size_m[0]) / _LONG_M),
         tall=_clip(float(size_m[2]) / _TALL_M),
         thin=_clip(1.0 - float(size_m[1]) / _THIN_M),
+        low=_clip((_LOW_M - float(size_m[2])) / _LOWEST_M) * _clip(1.0 - range_m / _LOW_WITHIN_M),
+        agreed_before=before,
+        agreed_after=after,
         own=_clip(mean([member.own_share for member in members])),
         supervised_sure=_clip(mean([member.semantic_confidence for member in members])),
         selfsupervised_sure=_clip(mean([member.predictive_confidence for member in members])),
@@ -196,20 +215,6 @@ def evidence_of(
         crowded=1.0
         - math.exp(-(float(np.median([around.crowd[kind, i] for i in at.tolist()])) - 1) / _CROWD),
     )
-
-
-def _path(centres_m: NDArray[np.float64], stamps_s: NDArray[np.float64]) -> tuple[float, float]:
-    """How far a straight line goes through the box centres, and how well it fits them."""
-    if len(stamps_s) < 3:
-        return 0.0, 0.0
-    time_s = stamps_s - stamps_s.mean()
-    spread = float((time_s**2).sum())
-    velocity = (time_s[:, None] * (centres_m[:, :2] - centres_m[:, :2].mean(axis=0))).sum(axis=0)
-    velocity = velocity / max(spread, 1e-9)
-    rest_m = centres_m[:, :2] - centres_m[:, :2].mean(axis=0) - time_s[:, None] * velocity
-    jumps_m = float(np.sqrt((rest_m**2).sum(axis=1).mean()))
-    went_m = float(np.linalg.norm(velocity)) * float(stamps_s[-1] - stamps_s[0])
-    return went_m / (went_m + _PATH_M), went_m / (went_m + 2.0 * jumps_m + _STEADY_M)
 
 
 def _testimony(scene: Scene, members: Sequence[Instance]) -> tuple[float, float]:

@@ -7,6 +7,7 @@ from typing import Final
 from schemas.arrays import NS_PER_S
 from schemas.attribution import Attribution, Wrong
 from schemas.contradiction import Instance, Scene, SceneState
+from schemas.frame import OdometryState
 from schemas.score import OdometryHealth, StreamHealth
 from schemas.task import Outcome, Task
 from workers.contradiction.strength import RankedTrack
@@ -41,13 +42,12 @@ def reasons_of(
     ranked: Sequence[RankedTrack],
     *,
     state: SceneState,
-    gate: float,
     health: OdometryHealth,
     stream: StreamHealth,
 ) -> tuple[str, ...]:
     """Say what made the score, strongest first; the state of a scene without one comes first.
 
-    What gated it comes last: poses that were not trusted, frames in which the self-supervised
+    What held it down comes last: poses that were not trusted, frames in which the self-supervised
     stream judged nothing, so that nothing could contradict.
     """
     span_s = (scene.end_ns - scene.start_ns) / NS_PER_S
@@ -61,8 +61,12 @@ def reasons_of(
         for each in ranked[:MAX_REASONS]
         if each.strength >= WORTH_SAYING
     )
-    if gate < 1.0:
-        told += (f"odometry {health.state.value}{because}: strengths count {gate:.0%}",)
+    if health.state is not OdometryState.HEALTHY:
+        doubted = 1.0 - health.healthy_share
+        told += (
+            f"odometry {health.state.value}{because} in {doubted:.0%} of the frames: what is "
+            "seen there counts less",
+        )
     told += tuple(remark for remark in [_remark(scene)] if remark)
     if stream.blind_share > 0.0:
         told += (_blind(stream),)

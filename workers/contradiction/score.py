@@ -1,9 +1,9 @@
 """A scene's score, made of its tracks, and the record that travels.
 
-    score = 1 - (1 - g s1)(1 - g s2 / 2)(1 - g s3 / 4) ...
+    score = 1 - (1 - s1)(1 - s2 / 2)(1 - s3 / 4) ...
 
-s1 >= s2 >= ... are the strengths of the scene's tracks (`strength.py`), g is the odometry gate: the
-square of the mean weight of the frames' poses (healthy 1, degraded 1/2, lost 0).
+s1 >= s2 >= ... are the strengths of the scene's tracks (`strength.py`); poses doubted while a
+track is seen have taken from it already.
 
 Range: 0 when nothing contradicts, below 1 always, and at least the strength of the strongest track,
 so that one clear failure is enough. It never falls when a track is added or grows. Each further
@@ -11,7 +11,8 @@ track counts half of the one before: a plain noisy-or is near 1 for every scene 
 supervised network is mediocre and leaves a hundred small contradictions everywhere; here any number
 of tracks of strength 0.2 stays below 0.35, under one clear track of 0.5.
 
-`too_short` and `odometry_lost` scenes have score 0: they are listed, last, and never ranked.
+`too_short` and `odometry_lost` scenes (mean weight of their poses below 1/2) have score 0, and so
+have their tracks: they are listed, last, and never ranked.
 """
 
 import math
@@ -26,7 +27,6 @@ from schemas.contradiction import (
     SceneState,
     TrackRecord,
 )
-from schemas.frame import OdometryState
 from schemas.score import MAX_RECORD_BYTES, MAX_TRACKS, KindTotal, Producers, SceneScore
 from schemas.task import Outcome
 from schemas.wire import encode
@@ -34,7 +34,7 @@ from schemas.work import Shard
 from workers.contradiction.reasons import WORTH_SAYING, class_word, reasons_of
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
 from workers.contradiction.shares import odometry_health, point_shares, stream_health
-from workers.contradiction.strength import RankedTrack
+from workers.contradiction.strength import RankedTrack, pose_weights
 
 
 class Versioned(Protocol):
@@ -84,7 +84,8 @@ def score_scene(
     Returns:
         The record; it fits the bus, with fewer than 32 tracks where names are very long.
     """
-    state, gate = judge_odometry(scene, settings=settings)
+    state = judge_odometry(scene, settings=settings)
+    counts = 1.0 if state is SceneState.SCORED else 0.0
     shares = point_shares(scene.frames)
     health, stream = odometry_health(scene), stream_health(scene)
     record = SceneScore(
@@ -99,17 +100,15 @@ def score_scene(
         end_ns=scene.end_ns,
         frames=len(scene.frames),
         state=state,
-        score=combine([gate * each.strength for each in ranked], decay=settings.decay),
-        reasons=reasons_of(
-            scene, instances, ranked, state=state, gate=gate, health=health, stream=stream
-        ),
+        score=combine([counts * each.strength for each in ranked], decay=settings.decay),
+        reasons=reasons_of(scene, instances, ranked, state=state, health=health, stream=stream),
         points=shares.points,
         compared_share=shares.compared_share,
         all_points=shares.all_points,
         nonground_points=shares.nonground_points,
         totals=tuple(_total(kind, instances, ranked) for kind in scene.task.kinds),
         tracks=tuple(
-            _track_record(scene, instances, each, track_id=track_id, gate=gate)
+            _track_record(scene, instances, each, track_id=track_id, counts=counts)
             for track_id, each in enumerate(ranked[:MAX_TRACKS])
         ),
         odometry=health,
@@ -137,21 +136,13 @@ def combine(strengths: Sequence[float], *, decay: float) -> float:
     return min(round(1.0 - remaining, 4), 0.9999)
 
 
-def judge_odometry(
-    scene: Scene, *, settings: ScoreSettings = DEFAULT_SCORE
-) -> tuple[SceneState, float]:
-    """Say what may be made of the scene, and the gate on its strengths, 0 to 1."""
+def judge_odometry(scene: Scene, *, settings: ScoreSettings = DEFAULT_SCORE) -> SceneState:
+    """Say what may be made of the scene."""
     if scene.too_short:
-        return SceneState.TOO_SHORT, 0.0
-    weights = {
-        OdometryState.HEALTHY: 1.0,
-        OdometryState.DEGRADED: settings.degraded_weight,
-        OdometryState.LOST: 0.0,
-    }
-    mean = sum(weights[frame.posed.odometry] for frame in scene.frames) / len(scene.frames)
-    if mean < settings.lost_below:
-        return SceneState.ODOMETRY_LOST, 0.0
-    return SceneState.SCORED, mean**2
+        return SceneState.TOO_SHORT
+    if float(pose_weights(scene, settings=settings).mean()) < settings.lost_below:
+        return SceneState.ODOMETRY_LOST
+    return SceneState.SCORED
 
 
 def _total(
@@ -172,14 +163,15 @@ def _track_record(
     ranked: RankedTrack,
     *,
     track_id: int,
-    gate: float,
+    counts: float,
 ) -> TrackRecord:
     members = ranked.track.members
+    strength = round(counts * ranked.strength, 4)
     return TrackRecord(
         track_id=track_id,
         kind=ranked.track.kind.name,
         class_name=class_word(ranked.class_name),
-        strength=round(gate * ranked.strength, 4),
+        strength=strength,
         first_ns=scene.frames[instances[members[0]].frame_index].stamp_ns,
         last_ns=scene.frames[instances[members[-1]].frame_index].stamp_ns,
         frames=len(members),
@@ -188,7 +180,7 @@ def _track_record(
         confirmed_share=(
             None if ranked.confirmed_share is None else _round(ranked.confirmed_share, 3)
         ),
-        attribution=_told(ranked.attribution, round(gate * ranked.strength, 4)),
+        attribution=_told(ranked.attribution, strength),
         strongest=_instance_record(scene, instances[ranked.strongest]),
     )
 

@@ -1,6 +1,6 @@
 """How strong a track is: what a look at it is worth, as a product of what must all hold.
 
-    strength = persistence x points x size x chance, each in [0, 1]
+    strength = persistence x points x size x chance x poses, each in [0, 1]
 
 - persistence  1 - exp(-(seen x steady / 0.5 s)^2): seen counts the frames of the track less a
   half, steady is the share of the frames of its span in which it contradicts. Errors flicker.
@@ -10,6 +10,8 @@
   (`attribution.py`): the witness's opinion, how far and how straight it went, whether the path
   bears out the measured speed, what was proved twice, whether it stands on its own, how sure both
   streams are, whether poses are doubted and much else contradicts alike.
+- poses        the square of the mean weight of the poses of its frames: healthy 1, degraded 1/2,
+  lost 0. A pose that is doubted while a thing is not seen says nothing against it.
 
 About anything but motion it was never measured who errs: there the last two are the product of both
 streams' confidence, of the share of the surroundings that contradict alike and, where things are
@@ -29,6 +31,7 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S
 from schemas.attribution import Attribution
 from schemas.contradiction import Instance, Scene
+from schemas.frame import OdometryState
 from workers.contradiction.attribution import attribute, tables
 from workers.contradiction.because import because_of
 from workers.contradiction.evidence import Evidence, Surroundings, evidence_of, surroundings_of
@@ -42,8 +45,9 @@ class RankedTrack:
 
     Attributes:
         track: The track.
-        strength: Product of the factors, rounded to 4 digits, before the odometry gate.
-        presence: The same without the chance that the supervised stream is wrong.
+        strength: Product of the factors, rounded to 4 digits.
+        presence: Of those that say how lasting and large it is: without chance and poses.
+        gate: What doubted poses leave of it.
         strongest: Index of its instance with the most points and surest clash.
         speed_m_per_s: Median of the measured speeds over the ground; 0 when none was measured.
         class_name: Commonest class of its points.
@@ -57,6 +61,7 @@ class RankedTrack:
     track: Track
     strength: float
     presence: float
+    gate: float
     strongest: int
     speed_m_per_s: float
     class_name: str
@@ -72,12 +77,35 @@ def rank_tracks(
     """Tie the instances of a scene to tracks, strongest first; equal ones by first instance."""
     period_s = frame_period_s(scene)
     around = surroundings_of(scene, instances)
+    weights = pose_weights(scene, settings=settings)
     ranked = [
-        _rank(scene, track, [instances[i] for i in track.members], around, period_s, settings)
+        _rank(
+            scene,
+            track,
+            [instances[i] for i in track.members],
+            around,
+            weights,
+            period_s,
+            settings,
+        )
         for track in tie_tracks(scene, instances)
     ]
     ranked.sort(key=lambda each: (-each.strength, each.track.members[0]))
     return tuple(ranked)
+
+
+def pose_weights(scene: Scene, *, settings: ScoreSettings = DEFAULT_SCORE) -> NDArray[np.float64]:
+    """Say what counts of what is seen in each frame, by whether its pose may be trusted.
+
+    Returns:
+        (F,) weights, 0 to 1.
+    """
+    weight_of = {
+        OdometryState.HEALTHY: 1.0,
+        OdometryState.DEGRADED: settings.degraded_weight,
+        OdometryState.LOST: 0.0,
+    }
+    return np.array([weight_of[frame.posed.odometry] for frame in scene.frames])
 
 
 def persistence(*, frames: int, span_frames: int, period_s: float, scale_s: float) -> float:
@@ -137,6 +165,7 @@ def _rank(
     track: Track,
     members: Sequence[Instance],
     around: Surroundings,
+    weights: NDArray[np.float64],
     period_s: float,
     settings: ScoreSettings,
 ) -> RankedTrack:
@@ -172,12 +201,14 @@ def _rank(
         * evidence.many_points
         * size
     )
+    gate = float(weights[[member.frame_index for member in members]].mean()) ** 2
     confirmed_share = _confirmed_share(members, points)
     speeds = np.linalg.norm(velocities, axis=1)
     return RankedTrack(
         track=track,
-        strength=round(min(presence * chance, 0.9999), 4),
+        strength=round(min(presence * chance * gate, 0.9999), 4),
         presence=round(presence, 4),
+        gate=round(gate, 4),
         strongest=track.members[int(np.argmax(np.round(points * sure, 6)))],
         speed_m_per_s=round(float(np.median(speeds[speeds > 0])), 2) if speeds.any() else 0.0,
         class_name=_commonest([member.class_name for member in members], points),

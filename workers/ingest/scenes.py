@@ -19,6 +19,11 @@ MAX_GAP_S: Final = 0.5
 MIN_SCENE_S: Final = 1.0
 """A shorter piece is too little to judge alone."""
 
+BESIDE_S: Final = 0.35
+"""Frames this near before and after a scene go with it: three at 10 Hz."""
+
+_Side = tuple[LabelledFrame, ...]
+
 
 @dataclass(frozen=True, slots=True)
 class CutRule:
@@ -45,6 +50,11 @@ class CutRule:
     def min_scene_ns(self) -> int:
         """A piece whose first and last frame are closer is short."""
         return min(round(MIN_SCENE_S * NS_PER_S), self.cell_ns // 2)
+
+    @property
+    def beside_ns(self) -> int:
+        """Frames this near before and after a scene go with it; every shard sees so far."""
+        return min(round(BESIDE_S * NS_PER_S), self.max_gap_ns)
 
     @property
     def lookbehind_ns(self) -> int:
@@ -90,8 +100,8 @@ class _Piece:
 def cut_scenes(shard: Shard, labelled: Iterable[LabelledFrame]) -> Iterator[Scene]:
     """Cut the labelled frames of a shard into its scenes.
 
-    Warm-up and lookahead frames are consumed; they only decide what continues what. Memory holds
-    two scenes at most.
+    Warm-up and lookahead frames are consumed; they only decide what continues what, and lie right
+    before and after a scene. Memory holds two scenes at most.
 
     Args:
         shard: The window, and what its neighbours see.
@@ -102,7 +112,9 @@ def cut_scenes(shard: Shard, labelled: Iterable[LabelledFrame]) -> Iterator[Scen
     """
     rule = CutRule.of(shard.scene_s)
     times_used: dict[int, int] = {}
-    for frames in _joined(shard, rule, _pieces(rule, shard.anchor_ns, labelled)):
+    for before, frames, after in _with_sides(
+        rule, _joined(shard, rule, _pieces(rule, shard.anchor_ns, labelled))
+    ):
         start_ns = frames[0].stamp_ns
         if not _begins_in_window(shard, start_ns):
             continue
@@ -112,7 +124,25 @@ def cut_scenes(shard: Shard, labelled: Iterable[LabelledFrame]) -> Iterator[Scen
             scene_id=f"{shard.log_id}/{shard.lidar_name}/{start_ns}{repeat}",
             frames=tuple(frames),
             too_short=frames[-1].stamp_ns - start_ns < rule.min_scene_ns,
+            before=before,
+            after=after,
         )
+
+
+def _with_sides(
+    rule: CutRule, scenes: Iterable[tuple[list[LabelledFrame], _Piece | None]]
+) -> Iterator[tuple[_Side, list[LabelledFrame], _Side]]:
+    """Give every scene the frames right before and after it, where no gap lies between."""
+    before: _Side = ()
+    for frames, piece in scenes:
+        after: _Side = ()
+        last: _Side = ()
+        if piece is not None and piece.continues:
+            end_ns, next_ns = frames[-1].stamp_ns, piece.start_ns
+            after = tuple(e for e in piece.frames if e.stamp_ns - end_ns <= rule.beside_ns)
+            last = tuple(e for e in frames if next_ns - e.stamp_ns <= rule.beside_ns)
+        yield before, frames, after
+        before = last
 
 
 def _pieces(rule: CutRule, anchor_ns: int, labelled: Iterable[LabelledFrame]) -> Iterator[_Piece]:
@@ -129,8 +159,10 @@ def _pieces(rule: CutRule, anchor_ns: int, labelled: Iterable[LabelledFrame]) ->
         yield piece
 
 
-def _joined(shard: Shard, rule: CutRule, pieces: Iterable[_Piece]) -> Iterator[list[LabelledFrame]]:
-    """Let each short piece that continues the one before it join that one."""
+def _joined(
+    shard: Shard, rule: CutRule, pieces: Iterable[_Piece]
+) -> Iterator[tuple[list[LabelledFrame], _Piece | None]]:
+    """Let each short piece that continues the one before it join that one; tell what follows."""
     scene: list[LabelledFrame] = []
     for piece in pieces:
         short = piece.end_ns - piece.start_ns < rule.min_scene_ns
@@ -138,10 +170,10 @@ def _joined(shard: Shard, rule: CutRule, pieces: Iterable[_Piece]) -> Iterator[l
             scene.extend(piece.frames)
             continue
         if scene:
-            yield scene
+            yield scene, piece
         scene = piece.frames
     if scene:
-        yield scene
+        yield scene, None
 
 
 def _begins_in_window(shard: Shard, stamp_ns: int) -> bool:

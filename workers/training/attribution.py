@@ -30,7 +30,7 @@ from workers.training.attribution_scores import left_out, usable
 log = logging.getLogger(__name__)
 
 EXIT_TRANSIENT: Final = 75
-REGULARISATION: Final = 0.5
+REGULARISATION: Final = 0.35
 """How far from the prior a weight is expected to lie: rows are few, evidence overlaps."""
 
 BALANCE: Final = 0.5

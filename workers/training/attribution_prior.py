@@ -1,7 +1,8 @@
 """What is believed of who is wrong before any truth was seen: what fitting is drawn to.
 
 Rows with truth are few and come from a few streets, while physics is known: what the witness sees
-stand does not move, what went a metre in a straight line does. Log-odds at full evidence.
+stand does not move, what went a metre in a straight line does, and what both streams see move right
+before or after did not stand in between: it starts or stops. Log-odds at full evidence.
 """
 
 from collections.abc import Mapping
@@ -18,7 +19,14 @@ PRIOR: Final[Mapping[str, Mapping[Wrong, Row]]] = {
         Wrong.SUPERVISED: (0.0, {"witness_still": 2.5, "denied": 1.0, "steady": 1.0}),
         Wrong.SELFSUPERVISED: (
             0.0,
-            {"witness_moving": 2.0, "went": 2.5, "straight": 1.0, "denied": 1.0},
+            {
+                "witness_moving": 2.0,
+                "went": 2.5,
+                "straight": 1.0,
+                "denied": 1.0,
+                "agreed_before": 2.0,
+                "agreed_after": 2.0,
+            },
         ),
         Wrong.BOTH: (-4.0, {}),
         Wrong.NEITHER: (0.0, {"agreed": 2.0, "denied": -1.5}),

@@ -72,7 +72,7 @@ def rescored(scene: SceneRow, tables: Mapping[str, Table]) -> float:
     for track in scene.tracks:
         chance = chances(tables[track.kind], track.evidence)
         worth = chance[Wrong.SUPERVISED] + chance[Wrong.BOTH]
-        strengths.append(scene.gate * track.presence * worth)
+        strengths.append(track.gate * track.presence * worth)
     return combine(strengths, decay=DEFAULT_SCORE.decay)
 
 

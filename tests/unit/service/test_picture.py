@@ -175,7 +175,10 @@ def test_what_gated_a_scene_is_told_without_the_number_and_colour_of_a_track(
         return int((_pixels(picture) == np.array(ink, np.uint8)).all(axis=2).sum())
 
     assert inked("object seen moving, 9 m left") > inked()
-    for gate in ("self-supervised stream blind in 25% of the frames", "odometry degraded: 50%"):
+    for gate in (
+        "self-supervised stream blind in 25% of the frames",
+        "odometry degraded in 50% of the frames",
+    ):
         assert inked(gate) == inked()
 
 

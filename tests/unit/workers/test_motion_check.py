@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from schemas.contradiction import LabelledFrame
+from schemas.contradiction import LabelledFrame, SceneState
 from schemas.frame import OdometryState, RecordedMotion
 from schemas.labels import MotionLabel
 from tests.factories import frame, labelled, pose, posed, scene
@@ -148,10 +148,8 @@ def test_a_step_ahead_in_a_tunnel_is_seen_by_the_wheels_alone() -> None:
 def test_a_frozen_recording_gates_nothing_and_is_said_once() -> None:
     witness = TwoSidedFreeSpace()
     seen = scene(list(witness(through_the_tunnel(slips_at=99, recorded_m_per_s=0.0))))
-    state, gate = judge_odometry(seen)
+    state = judge_odometry(seen)
     health = odometry_health(seen)
-    assert (gate, health.state, health.reason) == (1.0, OdometryState.HEALTHY, "")
-    told = reasons_of(
-        seen, (), (), state=state, gate=gate, health=health, stream=stream_health(seen)
-    )
+    assert (state, health.state, health.reason) == (SceneState.SCORED, OdometryState.HEALTHY, "")
+    told = reasons_of(seen, (), (), state=state, health=health, stream=stream_health(seen))
     assert sum("recorded odometry not believed" in each for each in told) == 1

@@ -181,8 +181,20 @@ def test_odometry_that_is_degraded_for_a_moment_lowers_the_score() -> None:
     bumpy = _score(labelled_scene([MISSED_CAR], odometry=[DEGRADED] * 4 + [HEALTHY] * 16))
     assert bumpy.state is SceneState.SCORED
     assert 0.6 * clean.score < bumpy.score <= 0.81 * clean.score + 1e-3
-    assert bumpy.reasons[-1] == "odometry degraded (a bump): strengths count 81%"
+    assert bumpy.reasons[-1] == (
+        "odometry degraded (a bump) in 20% of the frames: what is seen there counts less"
+    )
     assert bumpy.odometry.healthy_share == 0.8
+
+
+def test_a_pose_that_is_doubted_while_a_thing_is_not_seen_takes_nothing_from_it() -> None:
+    late = replace(MISSED_CAR, frames=frozenset(range(4, 20)))
+    clean = _score(labelled_scene([late]))
+    before = _score(labelled_scene([late], odometry=[DEGRADED] * 4 + [HEALTHY] * 16))
+    amid = _score(labelled_scene([late], odometry=[HEALTHY] * 4 + [DEGRADED] * 4 + [HEALTHY] * 12))
+    assert before.score == clean.score
+    assert amid.score < 0.8 * clean.score
+    assert amid.odometry.healthy_share == before.odometry.healthy_share
 
 
 def test_shares_are_those_of_compared_points_with_and_without_the_ground() -> None:
@@ -211,7 +223,7 @@ def test_the_same_scene_gives_the_same_bytes() -> None:
 @pytest.mark.parametrize(
     ("log_id", "tracks"),
     [
-        pytest.param("fleet/car-1/" + "x" * 200, 24, id="a long name"),
+        pytest.param("fleet/car-1/" + "x" * 200, 20, id="a long name"),
         pytest.param("\u00e4" * 500, 10, id="five hundred umlauts, six bytes each, twice"),
     ],
 )

@@ -84,8 +84,24 @@ def summary(scene: Scene) -> Cut:
 
 def cut(log: Sequence[LabelledFrame], *, shard_s: float, scene_s: float = 2.0) -> list[Cut]:
     """Cut every shard from the frames that its reader would give it."""
+    return [summary(scene) for scene in scenes_of(log, shard_s=shard_s, scene_s=scene_s)]
+
+
+def sides(scenes: Sequence[Scene]) -> list[tuple[str, list[int], list[int]]]:
+    """What lies right before and after each scene, by number."""
+    return sorted(
+        (
+            scene.scene_id,
+            [int(each.posed.frame.points_m[0, 0]) for each in scene.before],
+            [int(each.posed.frame.points_m[0, 0]) for each in scene.after],
+        )
+        for scene in scenes
+    )
+
+
+def scenes_of(log: Sequence[LabelledFrame], *, shard_s: float, scene_s: float = 2.0) -> list[Scene]:
     return [
-        summary(scene)
+        scene
         for shard in shards_of(log, shard_s=shard_s, scene_s=scene_s)
         for scene in cut_scenes(
             shard,
@@ -232,6 +248,32 @@ def test_scenes_are_the_same_for_any_length_of_shards(
         for cells in (1, 2, 3, 10):
             parts = cut(log, shard_s=cells * scene_s, scene_s=scene_s)
             assert sorted(parts) == sorted(whole), (seed, cells)
+
+
+def test_what_lies_right_before_and_after_a_scene_goes_with_it_but_for_gaps() -> None:
+    log = log_of([*at_10_hz(0, 4), *at_10_hz(5, 8)])
+    told = [each[1:] for each in sides(scenes_of(log, shard_s=20))]
+    # gaps and the ends of the log have nothing beyond them
+    assert told[:2] == [([], [20, 21, 22]), ([17, 18, 19], [])]
+    assert told[2][0] == told[-1][1] == []
+
+
+@pytest.mark.parametrize("step", [steady, jittery, gappy])
+@pytest.mark.parametrize("scene_s", [2.0, 0.8])
+def test_what_lies_beside_scenes_is_the_same_for_any_length_of_shards(
+    step: Callable[[np.random.Generator], float], scene_s: float
+) -> None:
+    rng = np.random.default_rng(5)
+    times_s = [0.0]
+    while len(times_s) < 150:
+        times_s.append(round(times_s[-1] + step(rng), 3))
+    log = log_of(times_s)
+    whole_s = scene_s * math.ceil(max(times_s) / scene_s + 2)
+    whole = sides(scenes_of(log, shard_s=whole_s, scene_s=scene_s))
+    assert any(before or after for _, before, after in whole)
+    for cells in (1, 2, 3, 10):
+        parts = sides(scenes_of(log, shard_s=cells * scene_s, scene_s=scene_s))
+        assert parts == whole, cells
 
 
 @pytest.mark.parametrize("step", [jittery, gappy, slow])

@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.attribution import Attribution, Wrong
 
-REVISION: Final = "2"
+REVISION: Final = "3"
 """Rises when the same log gives other rows."""
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
@@ -44,10 +44,11 @@ class TrackRow(BaseModel):
     model_config = _STRICT
 
     kind: str = Field(description="Who alone says that it moves.")
-    strength: float = Field(description="As recorded, behind the odometry gate.")
+    strength: float = Field(description="As recorded.")
     presence: float = Field(
         description="Strength without gate and blame: how lasting and large it is."
     )
+    gate: float = Field(description="What doubted poses leave of it; 0 in a scene not scored.")
     frames: int
     points: int = Field(description="Over all frames.")
     thing: str = Field(description="Key of the thing that it lies on; empty: none.")
@@ -69,7 +70,6 @@ class SceneRow(BaseModel):
     cell: int = Field(description="Which scene of its log, from 0.")
     state: str
     score: float
-    gate: float = Field(description="What doubted poses leave of its strengths.")
     seconds: float
     blind_share: float = Field(description="Frames of which the self-supervised stream was blind.")
     views: dict[str, float]

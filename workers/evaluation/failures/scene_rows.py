@@ -6,8 +6,7 @@ import numpy as np
 
 from schemas.arrays import NS_PER_S
 from schemas.attribution import Wrong
-from schemas.contradiction import Instance, Scene
-from workers.contradiction.score import judge_odometry
+from schemas.contradiction import Instance, Scene, SceneState
 from workers.evaluation.failures.rows import OTHER_KIND, SceneRow, ThingRow, TrackRow
 from workers.evaluation.failures.seen import SeenFrame
 from workers.evaluation.failures.thing_views import thing_views
@@ -41,8 +40,8 @@ def scene_row(
         if due is not None:
             shown.add(due)
         rows.append(_thing_row(thing, seen, None if due is None else planted.failures[due]))
-    _, gate = judge_odometry(scene)
-    tracks, strays = _track_rows(mined, seen, things, gate=gate)
+    scored = mined.score.state is SceneState.SCORED
+    tracks, strays = _track_rows(mined, seen, things, counts=1.0 if scored else 0.0)
     disturbance = next((each.kind for each in planted.disturbances if each.scene == cell), "")
     row = SceneRow(
         scene_id=scene.scene_id,
@@ -50,7 +49,6 @@ def scene_row(
         cell=cell,
         state=mined.score.state.value,
         score=mined.score.score,
-        gate=gate,
         seconds=round((scene.end_ns - scene.start_ns) / NS_PER_S, 3),
         blind_share=0.0 if mined.score.health is None else mined.score.health.blind_share,
         views=_rounded(views_of(scene)),
@@ -100,7 +98,7 @@ def _thing_row(thing: Thing, seen: Sequence[SeenFrame], planted: FailureRow | No
 
 
 def _track_rows(
-    mined: MinedScene, seen: Sequence[SeenFrame], things: Sequence[Thing], *, gate: float
+    mined: MinedScene, seen: Sequence[SeenFrame], things: Sequence[Thing], *, counts: float
 ) -> tuple[list[TrackRow], list[ThingRow]]:
     """Rows of the contradicting tracks, and of what they lie on where that is no thing yet.
 
@@ -119,8 +117,9 @@ def _track_rows(
         rows.append(
             TrackRow(
                 kind=each.track.kind.name,
-                strength=round(gate * each.strength, 4),
+                strength=round(counts * each.strength, 4),
                 presence=each.presence,
+                gate=counts * each.gate,
                 frames=len(members),
                 points=each.points,
                 thing=key,

@@ -1,0 +1,103 @@
+"""What both streams say of a track's place just before it begins and just after it ends."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import NS_PER_S
+from schemas.contradiction import Instance, LabelledFrame, Scene
+
+WITHIN_S: Final = 0.35
+"""Three frames at 10 Hz: what starts or stops is still in its place."""
+
+MARGIN_M: Final = 0.5
+"""Boxes of half-seen things end short."""
+
+MOST: Final = 0.5
+"""So many points as this share of the track's own are the whole thing."""
+
+
+def moments(scene: Scene) -> tuple[LabelledFrame, ...]:
+    """List the frames of a scene, and those that lie right before and after it."""
+    return (*scene.before, *scene.frames, *scene.after)
+
+
+def both_moving(scene: Scene) -> tuple[NDArray[np.float64], ...]:
+    """List the points that both streams call moving, off the ground.
+
+    Returns:
+        (M, 3) places for each of `moments`, odom space, metres; none where the task asks for no
+        motion.
+    """
+    places: list[NDArray[np.float64]] = []
+    moving = scene.task.classes.index(scene.task.moving) if scene.task.moving else None
+    for frame in moments(scene):
+        said = np.zeros(len(frame.agreements), np.bool_)
+        if moving is not None:
+            said = (frame.semantic.labels == moving) & (frame.predictive.labels == moving)
+        if frame.predictive.ground_mask is not None:
+            said &= ~frame.predictive.ground_mask
+        pose = frame.posed.odom_from_sensor
+        points_m = frame.posed.frame.points_m[said].astype(np.float64)
+        places.append(points_m @ pose[:3, :3].T + pose[:3, 3])
+    return tuple(places)
+
+
+def agreed_beside(
+    scene: Scene,
+    members: Sequence[Instance],
+    velocity_m_per_s: NDArray[np.float64],
+    moving_m: Sequence[NDArray[np.float64]],
+) -> tuple[float, float]:
+    """Say how much of a thing both streams call moving right before and right after its track.
+
+    Args:
+        scene: Where the track was found.
+        members: Its instances, in the order of their frames.
+        velocity_m_per_s: (2,) or (3,) how it goes, odom space.
+        moving_m: As `both_moving` lists them.
+
+    Returns:
+        Shares from 0 to 1, means over the frames within reach; 0 where there is none.
+    """
+    first, last, before = members[0], members[-1], len(scene.before)
+    backwards = range(before + first.frame_index - 1, -1, -1)
+    onwards = range(before + last.frame_index + 1, len(moving_m))
+    return (
+        _agreed(scene, first, velocity_m_per_s, moving_m, backwards),
+        _agreed(scene, last, velocity_m_per_s, moving_m, onwards),
+    )
+
+
+def _agreed(
+    scene: Scene,
+    edge: Instance,
+    velocity_m_per_s: NDArray[np.float64],
+    moving_m: Sequence[NDArray[np.float64]],
+    frames: Sequence[int],
+) -> float:
+    at, every = scene.frames[edge.frame_index], moments(scene)
+    pose = at.posed.odom_from_sensor
+    shares = []
+    for number in frames:
+        away_s = (every[number].stamp_ns - at.stamp_ns) / NS_PER_S
+        if abs(away_s) > WITHIN_S:
+            break
+        moved_m = np.zeros(3)
+        moved_m[:2] = velocity_m_per_s[:2] * away_s
+        inside = _inside(edge, (moving_m[number] - moved_m - pose[:3, 3]) @ pose[:3, :3])
+        shares.append(min(1.0, inside / (MOST * len(edge.point_index))))
+    return float(np.mean(shares)) if shares else 0.0
+
+
+def _inside(instance: Instance, points_m: NDArray[np.float64]) -> int:
+    """How many points lie in the box of an instance, and its margin; sensor space."""
+    away_m = points_m - instance.centre_m
+    cos, sin = np.cos(instance.yaw_rad), np.sin(instance.yaw_rad)
+    half_m = instance.size_m / 2.0 + MARGIN_M
+    inside = np.abs(away_m[:, 0] * cos + away_m[:, 1] * sin) <= half_m[0]
+    inside &= np.abs(away_m[:, 1] * cos - away_m[:, 0] * sin) <= half_m[1]
+    inside &= np.abs(away_m[:, 2]) <= half_m[2]
+    return int(inside.sum())
