@@ -11,15 +11,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import NS_PER_S, Mask, Points
+from schemas.arrays import NS_PER_S, Mask, Points, Transform
+from workers.geometry.se3 import transform
 from workers.selfsupervised.motion import ClusterMotions
 from workers.selfsupervised.neighbours import build_grid, nearest_indices
+from workers.selfsupervised.proof import proves_whole
 from workers.visibility.beam_table import BeamTable
-from workers.visibility.clusters import Clusters
 from workers.visibility.free_space import Votes
-from workers.visibility.range_image import COLUMNS
 from workers.visibility.steps import step
-from workers.visibility.voxels import VOXEL_M
 
 DYNAMIC_SCORE: Final = 0.6
 """The proof of one frame is worth 1, and still counts two tenths of a second later."""
@@ -43,13 +42,6 @@ REACH_M: Final = 0.5
 MIN_HIT_SHARE: Final = 0.3
 MOST_GROWTH: Final = 2.0
 """What was proved of a piece is not proved of a thing more than twice its size."""
-
-SMALL_M2: Final = 0.36
-"""As much as a wheel shows, 0.6 by 0.6 m: all that takes part in traffic has more than one."""
-
-SMALL_VOXELS: Final = 12
-"""What shows less, or has fewer voxels, may be the rim of a shadow, or the end of a thing that just
-came into sight: one frame is half a proof."""
 
 _PROOF: Final = 1.0
 _HALF_PROOF: Final = 0.5
@@ -101,6 +93,11 @@ class Tracker:
         self._score = np.zeros(0, np.float32)
         self._stamp_ns = 0
 
+    def move(self, to_from_here: Transform) -> None:
+        """Go on in another space that does not move."""
+        self._points_m = transform(to_from_here, self._points_m)
+        self._velocity = (self._velocity @ to_from_here[:3, :3].T).astype(np.float32)
+
     @step("tracker")
     def update(
         self,
@@ -126,8 +123,8 @@ class Tracker:
         dt_s = (now_ns - self._stamp_ns) / NS_PER_S
         before = self._inherited(points_m, found, centre_m, np.float32(dt_s))
         kept = before.score * np.float32(KEPT_PER_S**dt_s)
-        large = clusters.sizes >= _voxels_of(SMALL_M2, points_m, clusters, centre_m, table)
-        summed = kept + _evidence(found, votes, before, large)
+        whole = proves_whole(points_m, clusters, votes, centre_m=centre_m, table=table)
+        summed = kept + _evidence(found, votes, before, whole)
         score = np.clip(summed, MIN_SCORE, MAX_SCORE).astype(np.float32)
 
         measured = found.velocity_m_per_s
@@ -172,23 +169,8 @@ class Tracker:
         return _Inherited(known, mean(self._score), velocity)
 
 
-def _voxels_of(
-    area_m2: float,
-    points_m: Points,
-    clusters: Clusters,
-    centre_m: NDArray[np.floating],
-    table: BeamTable,
-) -> NDArray[np.float64]:
-    """(K,) how many voxels an area shows as far away as each cluster: as many as beams reach it."""
-    range_m = clusters.mean(np.linalg.norm(points_m - centre_m.astype(np.float32), axis=1))
-    gaps = np.diff(table.tangents)
-    up_m = np.maximum(range_m * (np.median(gaps) if len(gaps) else 0.0), VOXEL_M)
-    across_m = np.maximum(range_m * 2.0 * np.pi / COLUMNS, VOXEL_M)
-    return np.maximum(area_m2 / (up_m * across_m), SMALL_VOXELS)
-
-
 def _evidence(
-    found: ClusterMotions, votes: Votes, before: _Inherited, large: Mask
+    found: ClusterMotions, votes: Votes, before: _Inherited, whole: Mask
 ) -> NDArray[np.float64]:
     """(K,) what this frame alone says: for motion above zero, against it below."""
     clusters = found.clusters
@@ -203,7 +185,7 @@ def _evidence(
     stands = found.still & (free_share < _STANDS_FREE_SHARE) & (seen > _STANDS_VOTES)
     was_there = ~found.unconfirmed & (seen > _WAS_THERE_VOTES)
     return np.select(
-        [found.proved & large, found.proved, hint, stands, was_there],
+        [found.proved & whole, found.proved, hint, stands, was_there],
         [_PROOF, _HALF_PROOF, _HINT, _STANDS, _WAS_THERE],
         default=0.0,
     )

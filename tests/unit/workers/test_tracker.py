@@ -143,6 +143,21 @@ def test_as_many_voxels_are_a_piece_of_something_near_and_the_whole_of_something
     assert (first.dynamic[0], second.dynamic[0]) == (at_once, True)
 
 
+def test_what_is_proved_to_move_where_something_was_before_must_be_proved_twice() -> None:
+    frames = Frames()
+    first = frames.see(Thing(at=(5.0, 0.0), velocity=(1.0, 0.0), proved=True, occupied=2))
+    second = frames.see(Thing(at=(5.1, 0.0), velocity=(1.0, 0.0), proved=True, occupied=2))
+    assert (first.dynamic[0], second.dynamic[0]) == (False, True)
+
+
+@pytest.mark.parametrize(("breadth_m", "at_once"), [(0.1, False), (0.6, True)])
+def test_what_is_a_line_from_above_must_be_proved_twice(breadth_m: float, *, at_once: bool) -> None:
+    frames, side = Frames(), (4.5, breadth_m, 1.2)
+    first = frames.see(Thing(at=(20.0, 9.0), size_m=side, velocity=(8.0, 0.0), proved=True))
+    second = frames.see(Thing(at=(20.8, 9.0), size_m=side, velocity=(8.0, 0.0), proved=True))
+    assert (first.dynamic[0], second.dynamic[0]) == (at_once, True)
+
+
 def test_what_stands_where_a_mover_came_from_inherits_nothing() -> None:
     frames = Frames()
     frames.see(Thing(at=(5.0, 0.0), velocity=(20.0, 0.0), proved=True))
