@@ -11,8 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import NS_PER_S, Mask, Points, Transform
-from workers.geometry.se3 import transform
+from schemas.arrays import NS_PER_S, Mask, Points
 from workers.selfsupervised.motion import ClusterMotions
 from workers.selfsupervised.neighbours import build_grid, nearest_indices
 from workers.selfsupervised.proof import proves_whole
@@ -92,11 +91,6 @@ class Tracker:
         self._velocity = np.zeros((0, 3), np.float32)
         self._score = np.zeros(0, np.float32)
         self._stamp_ns = 0
-
-    def move(self, to_from_here: Transform) -> None:
-        """Go on in another space that does not move."""
-        self._points_m = transform(to_from_here, self._points_m)
-        self._velocity = (self._velocity @ to_from_here[:3, :3].T).astype(np.float32)
 
     @step("tracker")
     def update(

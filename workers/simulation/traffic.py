@@ -17,24 +17,16 @@ from workers.simulation.drive import (
     stand,
     turning_route,
 )
-from workers.simulation.fronts import garden_line_m
 from workers.simulation.kinds import VEHICLES, StreetClass
 from workers.simulation.mixes import LANE_MIX, PARKED_MIX
 from workers.simulation.models import models_of
 from workers.simulation.occupancy import Occupancy
 from workers.simulation.places import Place
 from workers.simulation.street import Actor
+from workers.simulation.strollers import draw_stroll
 
 _SEEN_M: Final = 115.0
 """Who never comes so near to the ego is left out."""
-
-_WALK_M_PER_S: Final = (1.0, 1.8)
-_STROLL_M_PER_S: Final = (0.54, 0.8)
-"""With a stick, a pram, a shop window. Truth says of 0.5 and below that nobody knows."""
-
-_BRISK_SHARE: Final = 0.35
-_BY_WALL_SHARE: Final = 0.5
-"""Of those who are easily taken for standing; who walks briskly is one of them only by a wall."""
 
 
 @dataclass(slots=True, eq=False)
@@ -129,11 +121,7 @@ class Traffic:
             return
         for along in self._stretches(14.0):
             side = 1 if rng.random() < 0.5 else -1
-            where = rng.random()
-            walk = float(rng.uniform(*(_WALK_M_PER_S if where < _BRISK_SHARE else _STROLL_M_PER_S)))
-            across = place.kerb_m + float(rng.uniform(0.6, 1.8))
-            if where < _BY_WALL_SHARE:
-                across = self._wall_m() - 0.8
+            walk, across = draw_stroll(place, rng)
             drive = drive_along(
                 self.main,
                 from_m=along,
@@ -143,10 +131,6 @@ class Traffic:
                 backwards=bool(rng.random() < 0.5),
             )
             self._offer(StreetClass.PEDESTRIAN, drive)
-
-    def _wall_m(self) -> float:
-        """What people walk along: fronts, or fences of gardens; from the middle of the road."""
-        return garden_line_m(self.place) if self.place.gardens else self.place.facade_m
 
     def offer_companion(self, drive: Drive) -> None:
         """Let somebody drive as given, if there is room."""
