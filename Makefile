@@ -1,8 +1,6 @@
 .DEFAULT_GOAL := help
 PYTHON ?= python3.11
 BIN := .venv/bin
-# Tests side by side, a process for each core: in each, libraries keep to one thread.
-PYTEST = OMP_NUM_THREADS=1 $(BIN)/pytest -q --numprocesses auto --maxprocesses 4
 
 help:         ## Show this list
 	@grep -hE '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*##/\t/' | expand -t 16
@@ -22,7 +20,8 @@ check: .venv/.installed    ## Format, lint, types, imports: what needs no server
 	$(BIN)/lint-imports
 
 test: check                ## The checks, then unit, contract and architecture tests
-	$(PYTEST) --dist worksteal
+	@# Side by side, a process for each core: in each, libraries keep to one thread.
+	OMP_NUM_THREADS=1 $(BIN)/pytest -q --numprocesses auto --maxprocesses 4 --dist worksteal
 
 integration: .venv/.installed  ## Real processes and servers, killed and restarted; a bucket's day
 	$(BIN)/pytest -q -m integration

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,10 @@ from schemas.attribution import Attribution
 from schemas.frame import PosedFrame
 from schemas.labels import FrameLabels
 from schemas.task import MOTION, Outcome, Task
+
+BESIDE_S: Final = 0.35
+"""Frames this near before and after a scene, or a track, say what it was: three at 10 Hz, in which
+what starts or stops is still in its place."""
 
 
 class ContradictionKind(StrEnum):

@@ -7,10 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import NS_PER_S
-from schemas.contradiction import Instance, LabelledFrame, Scene
-
-WITHIN_S: Final = 0.35
-"""Three frames at 10 Hz: what starts or stops is still in its place."""
+from schemas.contradiction import BESIDE_S, Instance, LabelledFrame, Scene
 
 MARGIN_M: Final = 0.5
 """Boxes of half-seen things end short."""
@@ -63,11 +60,12 @@ def agreed_beside(
         Shares from 0 to 1, means over the frames within reach; 0 where there is none.
     """
     first, last, before = members[0], members[-1], len(scene.before)
+    stamps_ns = [frame.stamp_ns for frame in moments(scene)]
     backwards = range(before + first.frame_index - 1, -1, -1)
     onwards = range(before + last.frame_index + 1, len(moving_m))
     return (
-        _agreed(scene, first, velocity_m_per_s, moving_m, backwards),
-        _agreed(scene, last, velocity_m_per_s, moving_m, onwards),
+        _agreed(scene, first, velocity_m_per_s, moving_m, stamps_ns, backwards),
+        _agreed(scene, last, velocity_m_per_s, moving_m, stamps_ns, onwards),
     )
 
 
@@ -76,14 +74,15 @@ def _agreed(
     edge: Instance,
     velocity_m_per_s: NDArray[np.float64],
     moving_m: Sequence[NDArray[np.float64]],
+    stamps_ns: Sequence[int],
     frames: Sequence[int],
 ) -> float:
-    at, every = scene.frames[edge.frame_index], moments(scene)
+    at = scene.frames[edge.frame_index]
     pose = at.posed.odom_from_sensor
     shares = []
     for number in frames:
-        away_s = (every[number].stamp_ns - at.stamp_ns) / NS_PER_S
-        if abs(away_s) > WITHIN_S:
+        away_s = (stamps_ns[number] - at.stamp_ns) / NS_PER_S
+        if abs(away_s) > BESIDE_S:
             break
         moved_m = np.zeros(3)
         moved_m[:2] = velocity_m_per_s[:2] * away_s

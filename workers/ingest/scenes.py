@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from schemas.arrays import NS_PER_S
-from schemas.contradiction import LabelledFrame, Scene
+from schemas.contradiction import BESIDE_S, LabelledFrame, Scene
 from schemas.work import Shard
 
 MAX_GAP_S: Final = 0.5
@@ -18,9 +18,6 @@ MAX_GAP_S: Final = 0.5
 
 MIN_SCENE_S: Final = 1.0
 """A shorter piece is too little to judge alone."""
-
-BESIDE_S: Final = 0.35
-"""Frames this near before and after a scene go with it: three at 10 Hz."""
 
 _Side = tuple[LabelledFrame, ...]
 
