@@ -1,7 +1,7 @@
 """The last second of frames, chosen from by time, never by count."""
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import NS_PER_S, Transform
+from workers.geometry.se3 import inverse, transform
+from workers.selfsupervised.neighbours import build_grid
 from workers.selfsupervised.point_grid import PointGrid
 
 LOOKBACK_S: Final = 1.0
@@ -28,6 +30,7 @@ class PastFrame:
 
     Attributes:
         stamp_ns: Its time.
+        space: (4, 4) odom from the space that poses and places are said in.
         odom_from_beams: (4, 4) where the beams met.
         beams_from_odom: (4, 4) the same, turned round.
         image: (R, C) its range image.
@@ -35,10 +38,26 @@ class PastFrame:
     """
 
     stamp_ns: int
+    space: Transform
     odom_from_beams: Transform
     beams_from_odom: Transform
     image: NDArray[np.float32]
     grid: PointGrid
+
+    def said_in(self, space: Transform) -> "PastFrame":
+        """The same frame, its poses and places said in another space, (4, 4) odom from it."""
+        if self.space is space:
+            return self
+        moved = inverse(space) @ self.space
+        pose = moved @ self.odom_from_beams
+        grid = build_grid(transform(moved, self.grid.points_m), pose[:3, 3])
+        return PastFrame(self.stamp_ns, space, pose, inverse(pose), self.image, grid)
+
+    def beams_from(self, space: Transform) -> Transform:
+        """(4, 4) where the beams met, from another space, (4, 4) odom from it."""
+        if self.space is space:
+            return self.beams_from_odom
+        return self.beams_from_odom @ inverse(self.space) @ space
 
 
 class History:
@@ -57,6 +76,11 @@ class History:
         while self.age_s(self._frames[0], frame.stamp_ns) > LOOKBACK_S + _TOLERANCE_S:
             self._frames.popleft()
 
+    def say_in(self, space: Transform) -> None:
+        """Say all frames in another space, (4, 4) odom from it."""
+        said = [frame.said_in(space) for frame in self._frames]
+        self._frames = deque(said, maxlen=self._frames.maxlen)
+
     @staticmethod
     def age_s(frame: PastFrame, now_ns: int) -> float:
         """How much earlier a frame was."""
@@ -65,6 +89,10 @@ class History:
     def span_s(self, now_ns: int) -> float:
         """How far back it reaches; 0 when empty."""
         return self.age_s(self._frames[0], now_ns) if self._frames else 0.0
+
+    def expected_m(self, now_ns: int) -> NDArray[np.float64] | None:
+        """(3,) where the sensor would be had it gone on as it went; None where that is unknown."""
+        return expected_m(self._frames, now_ns)
 
     def closest(
         self, age_s: float, now_ns: int, *, between: tuple[float, float]
@@ -75,6 +103,17 @@ class History:
     def voters(self, now_ns: int) -> list[PastFrame]:
         """Frames that vote: spread over the last second whatever the rate of the sensor."""
         return voters(self._frames, now_ns)
+
+
+def expected_m(frames: Sequence[PastFrame], now_ns: int) -> NDArray[np.float64] | None:
+    """Where the sensor would be had it gone on as between the last two frames, (3,), odom space."""
+    if len(frames) < 2:
+        return None
+    before, last = frames[-2], frames[-1]
+    moved_m = last.odom_from_beams[:3, 3] - before.odom_from_beams[:3, 3]
+    share = (now_ns - last.stamp_ns) / (last.stamp_ns - before.stamp_ns)
+    expected: NDArray[np.float64] = last.odom_from_beams[:3, 3] + share * moved_m
+    return expected
 
 
 def closest(

@@ -1,8 +1,7 @@
 """Where the sensor was at each frame, and whether that may be believed: KISS-ICP under guard."""
 
-import math
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,21 +11,17 @@ from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from workers.geometry.se3 import inverse, transform
 from workers.selfsupervised.beginning import contradicted_share, likely_velocities
 from workers.selfsupervised.health import HealthMonitor, Judgement, too_little
+from workers.selfsupervised.kiss_map import MAX_RANGE_M
+from workers.selfsupervised.maps_by_clock import MapsByClock
 from workers.selfsupervised.neighbours import PointGrid, build_grid, nearest_distances
 from workers.selfsupervised.versions import version_of
-from workers.visibility.deskew import Twist, motion, twist
-from workers.visibility.sensor_height import estimate_sensor_height
+from workers.visibility.deskew import Twist, twist
 
 MAX_GAP_S: Final = 0.5
 """After a longer silence the constant velocity that ICP starts from means nothing."""
 
 MIN_RANGE_M: Final = 2.5
-MAX_RANGE_M: Final = 100.0
-VOXEL_M: Final = 1.0
 _RESIDUAL_REACH_M: Final = 1.0
-_CONVERGED: Final = 1e-3
-"""Millimetres, where pose noise is centimetres; a tenth of it takes twice the time."""
-
 BEGINNING_S: Final = 0.35
 """So much is looked at before it is said how the sensor moves: five frames at 10 Hz."""
 
@@ -39,23 +34,11 @@ _BETTER: Final = 0.95
 """What free space must contradict less, at most. On simulated motorways on which the odometry began
 by standing still it was .58 to .87."""
 
-_UNKNOWN_STEP_M: Final = 2.0
-_KNOWN_STEP_M: Final = 1.0
-"""How far KISS-ICP thinks the first step may be off, a third of what it looks for: its own value,
-and that for a speed that was looked for."""
-
-_GOLDEN: Final = 0.6180339887498949
-_ROAD_M: Final = 0.3
-_ROAD_THINNING: Final = 20
-
 
 class KissOdometry:
-    """KISS-ICP (Vizzo et al., RA-L 2023), one thread, without its deskewing.
+    """KISS-ICP (`kiss_map.py`) on maps that begin by the clock (`maps_by_clock.py`).
 
-    Its deskewing applies the previous motion, refers the pose to the end of the sweep and aborts
-    the process when all stamps are equal. Without it the pose is that of the middle of the sweep,
-    whatever the stamp names. No frame is ever refused: one that cannot be registered gets the
-    predicted pose and says so.
+    No frame is ever refused: one that cannot be registered gets the predicted pose and says so.
 
     The first frames of a stretch are held back for a third of a second. KISS-ICP starts from no
     motion, and between rails and noise walls 2 m a frame fit as well without moving: every speed
@@ -135,16 +118,19 @@ def _moved_m(posed: Sequence[PosedFrame]) -> NDArray[np.float64]:
 class _Run:
     """State of one pass over a stretch of frames."""
 
-    def __init__(self) -> None:
+    def __init__(self, pose: Transform | None = None, velocity: Twist | None = None) -> None:
+        """Begin at a pose, with a motion per second; None where that is not known."""
         self.stamp_ns: int | None = None
-        self._pose: Transform = np.eye(4)
-        self._first_velocity: Twist | None = None
+        self._pose: Transform = np.eye(4) if pose is None else pose
+        self._begin(velocity)
+
+    def _begin(self, velocity: Twist | None) -> None:
+        """Forget the map and the motion, keep the pose."""
+        self._maps = MapsByClock(self._pose, velocity)
         self._velocity: Twist | None = None
         self._registered_ns: int | None = None
         self._previous: PointGrid | None = None
-        self._road_m: float | None = None
         self._health = HealthMonitor()
-        self._kiss = _new_kiss(self._pose, known=False)
 
     def anew(self, velocity: Twist | None = None) -> "_Run":
         """Begin after this one, where it ended.
@@ -152,10 +138,8 @@ class _Run:
         Args:
             velocity: How the sensor moves at first, per second; stands still when None.
         """
-        run = _Run()
-        run.stamp_ns, run._pose, run._road_m = self.stamp_ns, self._pose, self._road_m
-        run._first_velocity = velocity
-        run._kiss = _new_kiss(run._pose, known=velocity is not None)
+        run = _Run(self._pose, velocity)
+        run.stamp_ns = self.stamp_ns
         return run
 
     def pose(self, frame: LidarFrame) -> PosedFrame:
@@ -166,34 +150,24 @@ class _Run:
             restarted = f"no frame for {dt_s:.2f} s"
             if dt_s <= 0.0:
                 restarted = f"time went back by {-dt_s:.2f} s" if dt_s else "time stood still"
-            self._restart()
+            self._begin(None)
         self.stamp_ns = frame.stamp_ns
 
         points = _usable(frame)
-        predicted = self._pose
-        if self._velocity is not None:
-            predicted = predicted @ motion(self._velocity * dt_s)
+        predicted = self._maps.expected(frame.stamp_ns)
         problem = too_little(points)
         if problem:
             return self._unregistered(frame, predicted, problem)
-
-        if self._road_m is None:
-            self._road_m = _ROAD_M - estimate_sensor_height(points)
-        self._kiss.last_delta = inverse(self._pose) @ predicted
-        _, keypoints = self._kiss.register_frame(_chosen(points, self._road_m), np.empty(0))
-        pose: Transform = np.array(self._kiss.last_pose)
-        if not _is_pose(pose):
-            self._restart()
+        pose, keypoints = self._maps.register(points, frame.stamp_ns, self._velocity)
+        if pose is None:
+            self._begin(None)
             return self._unregistered(frame, predicted, "registration did not converge")
 
         residual_m = self._residual(keypoints, pose)
         judged = Judgement()
         if self._registered_ns is not None:
-            moved = twist(inverse(self._pose) @ pose) / dt_s
-            judged = self._health.judge(moved, dt_s, residual_m)
-            self._velocity = moved
-        else:
-            self._velocity, self._first_velocity = self._first_velocity, None
+            self._velocity = twist(inverse(self._pose) @ pose) / dt_s
+            judged = self._health.judge(self._velocity, dt_s, residual_m)
         self._pose, self._registered_ns = pose, frame.stamp_ns
         self._previous = build_grid(transform(pose, _structure(points)), pose[:3, 3])
         if restarted:
@@ -202,12 +176,6 @@ class _Run:
             frame, pose.copy(), judged.state, residual_m, judged.reason, jumped=judged.jumped
         )
 
-    def _restart(self) -> None:
-        """Forget the map and the motion, keep the pose."""
-        self._kiss = _new_kiss(self._pose, known=self._first_velocity is not None)
-        self._velocity = self._registered_ns = self._previous = None
-        self._health = HealthMonitor()
-
     def _unregistered(self, frame: LidarFrame, pose: Transform, problem: str) -> PosedFrame:
         """Answer with a predicted pose; believe in prediction for half a second."""
         since = self._registered_ns
@@ -215,9 +183,10 @@ class _Run:
         state = OdometryState.DEGRADED
         if blind_s > MAX_GAP_S:
             state = OdometryState.LOST
-            self._restart()
+            self._begin(None)
         else:
-            self._pose = self._kiss.last_pose = pose
+            self._pose = pose
+            self._maps.believe(pose, frame.stamp_ns)
         return PosedFrame(frame, pose.copy(), state, reason=problem)
 
     def _residual(self, keypoints: NDArray[np.float64], pose: Transform) -> float:
@@ -237,51 +206,7 @@ def _usable(frame: LidarFrame) -> NDArray[np.float64]:
     return usable
 
 
-def _chosen(points: NDArray[np.float64], road_m: float) -> NDArray[np.float64]:
-    """Half of the points, mixed, and of those on the road one in twenty of that.
-
-    KISS-ICP keeps the first point of each voxel. In the order of the scan that is always the same
-    corner of it; and the rings on the road are the same wherever the car is. Both pull towards
-    standing still: a car that sets off was followed with half its speed for a second. A few points
-    of the road still hold height, pitch and roll. Steps of the golden ratio spread evenly and need
-    no random numbers.
-    """
-    n = len(points)
-    step = int(n * _GOLDEN)
-    while math.gcd(step, n) != 1:
-        step += 1
-    mixed = points[np.arange(n // 2, dtype=np.int64) * step % n]
-    keep = mixed[:, 2] > road_m
-    keep[np.flatnonzero(~keep)[::_ROAD_THINNING]] = True
-    chosen: NDArray[np.float64] = mixed[keep]
-    return chosen
-
-
 def _structure(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Points off the road and near: rings on the road move with the car."""
     squared = points[:, 0] ** 2 + points[:, 1] ** 2
     return points[(points[:, 2] > -1.0) & (squared < 40.0**2)]
-
-
-def _new_kiss(pose: Transform, *, known: bool) -> Any:
-    """A KISS-ICP that goes on from a pose, and knows how it moves there or not."""
-    from kiss_icp.config import KISSConfig
-    from kiss_icp.kiss_icp import KissICP
-
-    config = KISSConfig()
-    config.data.max_range = MAX_RANGE_M
-    config.data.min_range = 0.0
-    config.data.deskew = False
-    config.mapping.voxel_size = VOXEL_M
-    config.adaptive_threshold.initial_threshold = _KNOWN_STEP_M if known else _UNKNOWN_STEP_M
-    config.registration.max_num_threads = 1
-    config.registration.convergence_criterion = _CONVERGED
-    kiss = KissICP(config)
-    kiss.last_pose = pose.copy()
-    return kiss
-
-
-def _is_pose(pose: Transform) -> bool:
-    return bool(
-        np.isfinite(pose).all() and np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-3)
-    )

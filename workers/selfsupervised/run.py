@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import NS_PER_S, Mask, Points
+from schemas.arrays import NS_PER_S, Mask, Points, Transform
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.labels import Blindness, FrameHealth, FrameLabels
 from workers.geometry.se3 import inverse
@@ -15,7 +15,7 @@ from workers.selfsupervised.ahead import Ready, Waiting
 from workers.selfsupervised.answer import nothing_known, to_labels
 from workers.selfsupervised.evidence import Evidence
 from workers.selfsupervised.fit import FitMonitor
-from workers.selfsupervised.following import Following
+from workers.selfsupervised.following import Following, fits
 from workers.selfsupervised.fragments import fragments_of_movers
 from workers.selfsupervised.history import (
     FAR_AGE_S,
@@ -38,12 +38,13 @@ _NEAR_AGES_S: Final = (0.04, 0.45)
 _FAR_AGES_S: Final = (0.38, 0.75)
 """From 0.38 s on: at 5 Hz the closest is 0.4 s old."""
 
-_MISFITS: Final = 2
-"""A frame that does not fit is left out; after two in a row, those before them are forgotten."""
-
 
 class Run:
-    """State of one pass over the frames of a shard."""
+    """State of one pass over the frames of a shard.
+
+    Within a second of the clock everything is said in the space of its first frame: voxels are then
+    the same wherever a log was cut, if poses are. To what is below, that is odom space.
+    """
 
     def __init__(self, *, looks_ahead: bool = False) -> None:
         self._prepare = Preparation()
@@ -51,9 +52,12 @@ class Run:
         self._tracker = Tracker()
         self._fit = FitMonitor()
         self._following = Following() if looks_ahead else None
-        self._misfits = 0
+        self._refused: PastFrame | None = None
         self._apart = False
         self._last: PosedFrame | None = None
+        self._first_ns = 0
+        self._space: Transform = np.eye(4)
+        self._said_in = self._space
 
     def prepare(self, posed: PosedFrame) -> Waiting:
         """Turn a frame into what can be compared, as soon as it is there."""
@@ -62,8 +66,10 @@ class Run:
         anew = last_ns is not None and not 0 < frame.stamp_ns - last_ns <= MAX_GAP_NS
         if anew:
             self._last = None
-        before = self._prepare.table
-        prepared = self._prepare(frame, posed.odom_from_sensor, self._velocity(posed))
+        if anew or frame.stamp_ns // NS_PER_S != self._first_ns // NS_PER_S:
+            self._first_ns, self._space = frame.stamp_ns, posed.odom_from_sensor
+        before, local = self._prepare.table, inverse(self._space) @ posed.odom_from_sensor
+        prepared = self._prepare(frame, local, self._velocity(posed))
         table = self._prepare.table
         anew |= table is not before
         self._last = posed
@@ -76,7 +82,8 @@ class Run:
             return Waiting(frame, nothing_known(frame, prepared, health=health), anew=True)
         places, pose = prepared.voxels.centroids_m, prepared.odom_from_beams
         grid = build_grid(places, pose[:3, 3])
-        seen = PastFrame(frame.stamp_ns, pose, prepared.beams_from_odom, prepared.image, grid)
+        away, image = prepared.beams_from_odom, prepared.image
+        seen = PastFrame(frame.stamp_ns, self._space, pose, away, image, grid)
         if self._following is not None:
             self._apart = not self._following.follows(seen, places, anew=anew)
         blind = None if table.trusted else self._prepare.problem(frame)
@@ -84,26 +91,48 @@ class Run:
         return Waiting(frame, ready, anew=anew, apart=self._apart)
 
     def label(self, waiting: Waiting, later: Sequence[PastFrame]) -> FrameLabels:
-        """Label a frame, asking those before it, and those after it that it waited for."""
+        """Label a frame, asking those before it, and those after it that it waited for.
+
+        A frame that does not fit is left out. One that fits the frame left out right before it says
+        that poses went on from another place: it is the first of what follows (of the one before it
+        the sweep was bent by the jump).
+        """
         if waiting.anew:
-            self._history.clear()
-            self._tracker.clear()
+            self._begin_anew()
         if not isinstance(waiting.content, Ready):
             return waiting.content
+        self._say_in(waiting.content.seen.space)
         answer = self._compare(waiting.frame, waiting.content, later)
-        if answer.health.blindness is Blindness.NO_FIT:
-            self._misfits += 1
-            if self._misfits < _MISFITS:
-                return answer
-            self._history.clear()
-            self._tracker.clear()
-        self._misfits = 0
-        self._history.add(waiting.content.seen)
+        seen, refused = waiting.content.seen, self._refused
+        match answer.health.blindness:
+            case Blindness.NO_FIT:
+                places = waiting.content.prepared.voxels.centroids_m
+                if refused is None or not fits(self._fit, seen, places, refused):
+                    self._refused = seen
+                    return answer
+                self._begin_anew()
+            case Blindness.NO_PAST if refused is not None:
+                self._begin_anew()
+        self._refused = None
+        self._history.add(seen)
         return answer
+
+    def _say_in(self, space: Transform) -> None:
+        """Say what is remembered in another space, (4, 4) odom from it."""
+        if space is not self._said_in:
+            self._history.say_in(space)
+            self._tracker.move(inverse(space) @ self._said_in)
+            self._said_in = space
+
+    def _begin_anew(self) -> None:
+        """Forget the frames so far: what comes cannot be compared with them."""
+        self._history.clear()
+        self._tracker.clear()
+        self._refused = None
 
     def _compare(self, frame: LidarFrame, ready: Ready, later: Sequence[PastFrame]) -> FrameLabels:
         """Compare a frame with those before it, and with those after it."""
-        prepared, now_ns = ready.prepared, frame.stamp_ns
+        prepared, now_ns, space = ready.prepared, frame.stamp_ns, ready.seen.space
         near = self._history.closest(NEAR_AGE_S, now_ns, between=_NEAR_AGES_S)
         far = self._history.closest(FAR_AGE_S, now_ns, between=_FAR_AGES_S)
         if ready.blind is not None:
@@ -115,7 +144,7 @@ class Run:
         places, centre_m = prepared.voxels.centroids_m, prepared.odom_from_beams[:3, 3]
 
         def ask(points_m: Points, other: PastFrame) -> NDArray[np.int8]:
-            return visibility(points_m, other.beams_from_odom, other.image, ready.table)
+            return visibility(points_m, other.beams_from(space), other.image, ready.table)
 
         def seen_through(points_m: Points) -> Mask:
             before, later = (
@@ -132,6 +161,7 @@ class Run:
             centre_m,
             near=(references[0], answers[near.stamp_ns] != HIDDEN),
             far=(references[1], answers[far.stamp_ns] != HIDDEN),
+            expected_m=self._history.expected_m(now_ns),
         )
         if misfit:
             health = FrameHealth(Blindness.NO_FIT, misfit)
@@ -155,6 +185,8 @@ class Run:
         )
         tracked = fragments_of_movers(places, found, tracked, evidence, centre_m=centre_m)
         found = specks_of_movers(places, found, tracked.dynamic, votes, centre_m=centre_m)
+        velocity = (tracked.velocity_m_per_s @ space[:3, :3].T).astype(np.float32)
+        tracked = replace(tracked, velocity_m_per_s=velocity)
         opinions = votes + after
         known = opinions.known
         seen_share = float(known.mean()) if len(known) else float("nan")
@@ -168,7 +200,7 @@ class Run:
         """
         last = self._last
         # who looks ahead judges frames later, but knows at once whether one follows another
-        doubted = self._apart if self._following is not None else self._misfits > 0
+        doubted = self._apart if self._following is not None else self._refused is not None
         healthy = posed.odometry is OdometryState.HEALTHY
         if last is None or doubted or not healthy or last.odometry is not OdometryState.HEALTHY:
             return None

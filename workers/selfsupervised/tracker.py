@@ -11,7 +11,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import NS_PER_S, Mask, Points
+from schemas.arrays import NS_PER_S, Mask, Points, Transform
+from workers.geometry.se3 import transform
 from workers.selfsupervised.motion import ClusterMotions
 from workers.selfsupervised.neighbours import build_grid, nearest_indices
 from workers.selfsupervised.proof import proves_whole
@@ -91,6 +92,11 @@ class Tracker:
         self._velocity = np.zeros((0, 3), np.float32)
         self._score = np.zeros(0, np.float32)
         self._stamp_ns = 0
+
+    def move(self, to_from_from: Transform) -> None:
+        """Say what is carried in another space, (4, 4) from the one it was said in."""
+        self._points_m = transform(to_from_from, self._points_m)
+        self._velocity = (self._velocity @ to_from_from[:3, :3].T).astype(np.float32)
 
     @step("tracker")
     def update(

@@ -13,7 +13,7 @@ import numpy as np
 
 from schemas.arrays import NS_PER_S, Points, Transform
 from workers.geometry.se3 import transform
-from workers.witness.second_registration import Misfit, Structure, misfit_between, structure_of
+from workers.geometry.second_registration import Misfit, Structure, misfit_between, structure_of
 
 STEP_M: Final = 0.10
 STEP_RAD: Final = float(np.radians(0.25))

@@ -65,5 +65,6 @@ def test_a_wrong_pose_in_a_real_street_gates_and_does_not_flood(
             blind.append(answer.health.blindness)
     assert false < 300
     assert blind[0] is Blindness.NO_FIT
-    assert sum(each is not None for each in blind) == (1 if lasts == 1 else 5)
+    # for good: the one that jumped, perhaps the next, which a bent sweep does not fit, and 0.4 s
+    assert sum(each is not None for each in blind) in ([1] if lasts == 1 else [5, 6])
     assert blind[-1] is None

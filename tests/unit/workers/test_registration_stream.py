@@ -137,6 +137,23 @@ def test_the_velocity_of_a_moving_cluster_is_its_speed_over_the_ground() -> None
     np.testing.assert_allclose(velocity, [-5.0, 0.0, 0.0], atol=0.3)
 
 
+@pytest.mark.parametrize("lookahead_s", [0.0, 0.5])
+def test_labels_do_not_hang_on_where_odom_space_begins(lookahead_s: float) -> None:
+    """A shard's odom space begins elsewhere than the log's; voxels must not be cut elsewhere."""
+    here = [posed for posed, _ in drive(BOXES, frames=16, speed_m_per_s=6.0)]
+    elsewhere = factories.pose(3.21, -1.07, np.radians(33.0))
+    there = [replace(each, odom_from_sensor=elsewhere @ each.odom_from_sensor) for each in here]
+    stream = Registration(lookahead_s)
+    for one, other in zip(stream(here), stream(there), strict=True):
+        assert (one.labels == other.labels).all()
+        velocities = one.cluster_velocity_m_per_s, other.cluster_velocity_m_per_s
+        assert velocities[0] is not None
+        assert velocities[1] is not None
+        turned = velocities[0] @ elsewhere[:3, :3].T
+        np.testing.assert_allclose(velocities[1], turned, atol=1e-3)
+    assert (one.labels == MotionLabel.DYNAMIC).any()
+
+
 def test_nothing_off_the_ground_is_known_in_the_first_frames() -> None:
     answers = label(drive(BOXES, frames=3))
     for answer in answers:

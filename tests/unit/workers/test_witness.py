@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 
 from workers.geometry.se3 import transform
+from workers.geometry.second_registration import misfit_between, structure_of
 from workers.visibility.free_space import FREE, HIDDEN, OCCUPIED
 from workers.witness.opinions import opinions_of
 from workers.witness.poses import PoseCheck
-from workers.witness.second_registration import misfit_between, structure_of
 
 S = np.int8
 

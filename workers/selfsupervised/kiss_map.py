@@ -1,0 +1,125 @@
+"""KISS-ICP's map, begun at some frame: registers what comes to it, in the space of that frame."""
+
+import math
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import Transform
+from workers.geometry.se3 import inverse
+from workers.visibility.deskew import Twist, motion, twist
+from workers.visibility.sensor_height import estimate_sensor_height
+
+MAX_RANGE_M: Final = 100.0
+VOXEL_M: Final = 1.0
+_CONVERGED: Final = 1e-3
+"""Millimetres, where pose noise is centimetres; a tenth of it takes twice the time."""
+
+STEP_M: Final = 2.0
+"""How far the first step may be off, a third of what is looked for: KISS-ICP's own value."""
+
+_ROAD_M: Final = 0.3
+_GOLDEN: Final = 0.6180339887498949
+_ROAD_THINNING: Final = 20
+
+
+class KissMap:
+    """One map of KISS-ICP (Vizzo et al., RA-L 2023), one thread, without its deskewing.
+
+    Its deskewing applies the previous motion, refers the pose to the end of the sweep and aborts
+    the process when all stamps are equal. Without it the pose is that of the middle of the sweep,
+    whatever the stamp names.
+
+    Attributes:
+        pose: (4, 4) of the last frame, in the space of the first.
+    """
+
+    def __init__(self, velocity: Twist | None, *, step_m: float = STEP_M) -> None:
+        """Begin a map.
+
+        Args:
+            velocity: How the sensor moves, per second; None if that is not known.
+            step_m: How far the first step may be off from it.
+        """
+        self.pose: Transform = np.eye(4)
+        self._velocity = velocity
+        self._begun = False
+        self._road_m = 0.0
+        self._kiss = _new_kiss(step_m)
+
+    def expected(self, dt_s: float) -> Transform:
+        """(4, 4) where the sensor would be, had it gone on as it went."""
+        if not self._begun or self._velocity is None:
+            return self.pose
+        return self.pose @ motion(self._velocity * dt_s)
+
+    def register(
+        self, points: NDArray[np.float64], dt_s: float
+    ) -> tuple[Transform | None, NDArray[np.float64]]:
+        """Register a frame, and take it into the map.
+
+        Args:
+            points: (N, 3) returns of the frame, about the sensor.
+            dt_s: Time since the frame before.
+
+        Returns:
+            (4, 4) its pose in the space of the first frame, None if registration failed; and
+            (K, 3) its key points, about the sensor.
+        """
+        if not self._begun:
+            self._road_m = _ROAD_M - estimate_sensor_height(points)
+        self._kiss.last_delta = inverse(self.pose) @ self.expected(dt_s)
+        _, keypoints = self._kiss.register_frame(_chosen(points, self._road_m), np.empty(0))
+        pose: Transform = np.array(self._kiss.last_pose)
+        if not _is_pose(pose):
+            return None, keypoints
+        if self._begun:
+            self._velocity = twist(inverse(self.pose) @ pose) / dt_s
+        self._begun, self.pose = True, pose
+        return pose, keypoints
+
+    def believe(self, pose: Transform) -> None:
+        """Go on from a pose that no registration gave."""
+        self.pose = self._kiss.last_pose = pose
+
+
+def _chosen(points: NDArray[np.float64], road_m: float) -> NDArray[np.float64]:
+    """Half of the points, mixed, and of those on the road one in twenty of that.
+
+    KISS-ICP keeps the first point of each voxel. In the order of the scan that is always the same
+    corner of it; and the rings on the road are the same wherever the car is. Both pull towards
+    standing still: a car that sets off was followed with half its speed for a second. A few points
+    of the road still hold height, pitch and roll. Steps of the golden ratio spread evenly and need
+    no random numbers.
+    """
+    n = len(points)
+    step = int(n * _GOLDEN)
+    while math.gcd(step, n) != 1:
+        step += 1
+    mixed = points[np.arange(n // 2, dtype=np.int64) * step % n]
+    keep = mixed[:, 2] > road_m
+    keep[np.flatnonzero(~keep)[::_ROAD_THINNING]] = True
+    taken: NDArray[np.float64] = mixed[keep]
+    return taken
+
+
+def _new_kiss(step_m: float) -> Any:
+    from kiss_icp.config import KISSConfig
+    from kiss_icp.kiss_icp import KissICP
+
+    config = KISSConfig()
+    config.data.max_range = MAX_RANGE_M
+    config.data.min_range = 0.0
+    config.data.deskew = False
+    config.mapping.voxel_size = VOXEL_M
+    config.adaptive_threshold.initial_threshold = step_m
+    config.registration.max_num_threads = 1
+    config.registration.convergence_criterion = _CONVERGED
+    return KissICP(config)
+
+
+def _is_pose(pose: Transform) -> bool:
+    return bool(
+        np.isfinite(pose).all() and np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-3)
+    )
