@@ -21,7 +21,7 @@ _OF_KUBERNETES: Final = re.compile(
 )
 """How the variables end that it sets in every pod for a service named `counterpoint…`."""
 
-_FLAG_NAMES: Final = {"grid.shard_s": "shard_seconds"}
+_FLAG_NAMES: Final = {"grid.shard_s": "shard_seconds", "grid.warmup_s": "warmup_seconds"}
 """Flags that are not named like their setting."""
 
 Kind: TypeAlias = Literal["default", "preset", "file", "variable", "flag"]

@@ -8,6 +8,7 @@ import typer
 
 from service.cli.options import Config, Json, Weights, settings_for
 from service.cli.output import json_line, progress, remark, table
+from service.cli.shards import shards
 from service.errors import UsageError
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ def add_to(app: typer.Typer) -> None:
     evaluation.command(epilog="counterpoint eval semantics logs --truth truth --frames 40:56")(
         semantics
     )
+    evaluation.command(epilog="counterpoint eval shards logs --shard-seconds 2")(shards)
     app.add_typer(evaluation, name="eval")
 
 

@@ -1,0 +1,62 @@
+"""The verb `eval shards`: whether labels hang on where a log was cut."""
+
+from typing import Annotated
+
+import typer
+
+from service.cli.options import Config, Json, SelfSupervised, ShardSeconds, settings_for
+from service.cli.output import json_line, progress, table
+
+BucketOfLogs = Annotated[str, typer.Argument(help="URL or path of a bucket of logs.")]
+
+
+def shards(
+    bucket: BucketOfLogs,
+    shard_seconds: ShardSeconds = None,
+    warmup_seconds: Annotated[
+        float | None,
+        typer.Option("--warmup-seconds", help="Read before a window, to warm up; 1.2."),
+    ] = None,
+    selfsupervised: SelfSupervised = None,
+    json: Json = False,
+    config: Config = None,
+) -> None:
+    """Compare the labels of every log in shards with those of the whole log, point by point."""
+    settings = settings_for(
+        config,
+        bucket=bucket,
+        selfsupervised=selfsupervised,
+        shard_seconds=shard_seconds,
+        warmup_seconds=warmup_seconds,
+    )
+    from workers.evaluation.shards import FROM_S, evaluate_shards
+
+    with progress() as bar:
+        task = bar.add_task("evaluating", total=None)
+        evaluated = evaluate_shards(
+            bucket,
+            settings=settings.mining(),
+            on_progress=lambda done: bar.update(task, completed=done),
+        )
+    if json:
+        for row in evaluated:
+            json_line(row)
+        return
+    table(
+        "share of the points with the same label in shards as in the whole log",
+        ("log", "shards", "points", "all", *(f"from {second} s on" for second in FROM_S)),
+        (
+            (
+                row.log,
+                row.shards,
+                row.points,
+                f"{row.equal_share:.5f}",
+                *(_share(row.equal_by_second.get(str(second))) for second in FROM_S),
+            )
+            for row in evaluated
+        ),
+    )
+
+
+def _share(value: float | None) -> str | None:
+    return None if value is None else f"{value:.5f}"
