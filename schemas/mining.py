@@ -46,8 +46,8 @@ class MiningSettings(BaseModel):
     supervised: str = Field(
         default="salsanext-lmnet",
         description="Supervised stream, by name: salsanext-lmnet, recorded (what the model on the "
-        "car said), own (your model), salsanext-lmnet:folded (faster on a CPU), "
-        "salsanext-lmnet:published (image and votes bug for bug); for `score` of the task ground "
+        "car said), own (your model), salsanext-lmnet:published (image and votes bug for bug); "
+        "for `score` of the task ground "
         "salsanext:ground, recorded:ground.",
     )
     model: str = Field(

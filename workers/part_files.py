@@ -24,7 +24,6 @@ class PartFiles:
 
 NETWORKS_OF: Final[Mapping[str, tuple[str, ...]]] = {
     "salsanext-lmnet": ("salsanext", "lmnet"),
-    "salsanext-lmnet:folded": ("salsanext", "lmnet"),
     "salsanext-lmnet:published": ("salsanext", "lmnet"),
     "salsanext:ground": ("salsanext",),
     "paper": ("gndnet", "flowstep3d"),

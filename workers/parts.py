@@ -63,11 +63,6 @@ _SUPERVISED: Final[Mapping[str, _Card]] = {
         source="SalsaNext (Cortinhal et al., 2020), LiDAR-MOS (Chen et al., RA-L 2021)",
         weights="ships: width 8, PandaSet (CC BY 4.0); or a folder in the setting weights",
     ),
-    "salsanext-lmnet:folded": _Card(
-        what="The same function in fewer passes over memory: faster on a CPU, other roundings.",
-        source="SalsaNext (Cortinhal et al., 2020), LiDAR-MOS (Chen et al., RA-L 2021)",
-        weights="as salsanext-lmnet",
-    ),
     "salsanext-lmnet:published": _Card(
         what="The same, with image, residuals and votes bug for bug.",
         source="SalsaNext (Cortinhal et al., 2020), LiDAR-MOS (Chen et al., RA-L 2021)",

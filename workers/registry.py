@@ -26,13 +26,13 @@ def _delora(files: PartFiles) -> Odometry:
     return DeLORAOdometry.load(weights_of(files, "odometry", "delora"))
 
 
-def _salsanext_lmnet(files: PartFiles, *, published: bool = False, folded: bool = False) -> Stream:
+def _salsanext_lmnet(files: PartFiles, *, published: bool = False) -> Stream:
     from workers.geometry.form import Form
     from workers.supervised.stream import SHIPPED, RangeImageStream
 
     folder = Path(files.weights) if files.weights else SHIPPED
     form = Form.PAPER if published else Form.CORRECTED
-    return RangeImageStream.salsanext_lmnet(folder, form=form, folded=folded)
+    return RangeImageStream.salsanext_lmnet(folder, form=form)
 
 
 def _salsanext_ground(files: PartFiles) -> Stream:
@@ -102,7 +102,6 @@ ODOMETRIES: Final[Mapping[str, Callable[[PartFiles], Odometry]]] = {
 }
 SUPERVISED: Final[Mapping[str, Callable[[PartFiles], Stream]]] = {
     "salsanext-lmnet": _salsanext_lmnet,
-    "salsanext-lmnet:folded": partial(_salsanext_lmnet, folded=True),
     "salsanext-lmnet:published": partial(_salsanext_lmnet, published=True),
     "recorded": _recorded,
     "own": _own,

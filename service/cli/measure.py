@@ -135,7 +135,7 @@ def networks(
     from service.cli.logs import locate
     from workers.evaluation.bench_flow import FLOW_POINTS, bench_flow
     from workers.evaluation.bench_networks import bench_images
-    from workers.evaluation.network_time import NetworkTime, recommended
+    from workers.evaluation.network_time import NetworkTime
 
     if only not in (None, "images", "flowstep3d"):
         raise typer.BadParameter(f"{only!r} is neither images nor flowstep3d")
@@ -179,8 +179,6 @@ def networks(
             for row in rows
         ),
     )
-    if best := recommended(rows):
-        remark(f"fastest on this machine with the same labels: --supervised {best}")
 
 
 def ledger(

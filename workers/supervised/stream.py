@@ -95,19 +95,17 @@ class RangeImageStream:
         return cls.salsanext_lmnet(SHIPPED)
 
     @classmethod
-    def salsanext_lmnet(
-        cls, folder: Path, *, form: Form = Form.CORRECTED, folded: bool = False
-    ) -> Self:
+    def salsanext_lmnet(cls, folder: Path, *, form: Form = Form.CORRECTED) -> Self:
         """Build the stream from `salsanext.safetensors` and `lmnet.safetensors` of a folder.
 
         Args:
             folder: Of weights, imported or trained.
-            form: Of image, residuals and votes.
-            folded: Run both folded: faster on a CPU, with other roundings and another version.
+            form: Of image, residuals and votes; the paper's runs networks layer by layer, too.
 
         Raises:
             WeightsUnusableError: If one is missing, damaged, or belongs to another network.
         """
+        folded = form is Form.CORRECTED
         semantic = load_weights(folder / "salsanext.safetensors", folded=folded)
         motion = load_weights(folder / "lmnet.safetensors", folded=folded)
         if semantic.card.network != "salsanext" or motion.card.network != "lmnet":
@@ -124,7 +122,7 @@ class RangeImageStream:
         Raises:
             WeightsUnusableError: If it is missing, damaged, or no class of it is ground.
         """
-        semantic = load_weights(folder / "salsanext.safetensors")
+        semantic = load_weights(folder / "salsanext.safetensors", folded=True)
         return cls(semantic, None, name="salsanext:ground", task=GROUND)
 
     @property

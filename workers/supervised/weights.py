@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from pydantic import Field
 
@@ -126,7 +127,8 @@ def load_weights(path: Path, *, folded: bool = False) -> LoadedWeights:
 
     Args:
         path: The `.safetensors` file, its sidecar beside it.
-        folded: Run it folded, faster on a CPU; the answers differ by rounding, the digest too.
+        folded: Run it folded, faster on a CPU; the answers differ by rounding, the digest too. A
+            torch without oneDNN cannot, and runs it layer by layer, as its digest then says.
 
     Returns:
         The network in evaluation mode.
@@ -136,4 +138,5 @@ def load_weights(path: Path, *, folded: bool = False) -> LoadedWeights:
             names the file and what differs.
     """
     read = stored.load(path, WeightsCard, WeightsCard.build)
-    return LoadedWeights(read.net, read.card, read.digest, folded=folded)
+    folds = folded and bool(torch.backends.mkldnn.is_available())  # type: ignore[no-untyped-call]
+    return LoadedWeights(read.net, read.card, read.digest, folded=folds)

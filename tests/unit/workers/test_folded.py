@@ -2,11 +2,12 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from workers.geometry.form import Form
 from workers.registry import build_supervised
 from workers.supervised.folded import FoldedSalsaNext
 from workers.supervised.lmnet import LMNet
 from workers.supervised.salsanext import SalsaNext
-from workers.supervised.stream import SHIPPED
+from workers.supervised.stream import SHIPPED, RangeImageStream
 from workers.supervised.weights import load_weights
 
 
@@ -64,7 +65,29 @@ def test_the_network_that_was_folded_is_left_alone() -> None:
     assert all(bool((net.state_dict()[name] == value).all()) for name, value in before.items())
 
 
-def test_the_folded_stream_is_a_part_of_its_own_with_a_version_of_its_own() -> None:
-    eager, folded = (build_supervised(f"salsanext-lmnet{way}") for way in ("", ":folded"))
-    assert eager.version != folded.version
-    assert eager.class_names == folded.class_names
+@pytest.mark.parametrize(
+    ("name", "form", "folded"),
+    [
+        ("salsanext-lmnet", Form.CORRECTED, True),
+        ("salsanext-lmnet:published", Form.PAPER, False),
+    ],
+)
+def test_networks_run_folded_but_for_the_published_form_and_versions_say_so(
+    name: str, form: Form, folded: bool
+) -> None:
+    semantic, motion = (
+        load_weights(SHIPPED / f"{network}.safetensors", folded=folded)
+        for network in ("salsanext", "lmnet")
+    )
+    assert semantic.digest.endswith("folded") == folded
+    composed = RangeImageStream(semantic, motion, name="salsanext-lmnet", form=form)
+    assert build_supervised(name).version == composed.version
+
+
+def test_without_onednn_networks_run_layer_by_layer_and_the_digest_says_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    path = SHIPPED / "lmnet.safetensors"
+    plain = load_weights(path).digest
+    monkeypatch.setattr(torch.backends.mkldnn, "is_available", lambda: False)
+    assert load_weights(path, folded=True).digest == plain

@@ -25,7 +25,7 @@ from workers.supervised.uncertainty import mc_dropout
 from workers.supervised.weights import LoadedWeights
 
 PASSES: Final = 8
-NETWORKS: Final = ("salsanext-lmnet", "salsanext-lmnet:folded")
+NETWORKS: Final = "salsanext-lmnet"
 """Streams that can be probed."""
 
 Views = Mapping[str, NDArray[np.float32]]
@@ -60,10 +60,10 @@ class ProbedStream:
     @classmethod
     def of(cls, settings: MiningSettings, probing: Probing) -> Self | None:
         """Probe the stream that the settings name; None where it is none of two networks."""
-        if settings.supervised not in NETWORKS:
+        if settings.supervised != NETWORKS:
             return None
         folder = Path(settings.weights) if settings.weights else SHIPPED
-        inner = _Noting.salsanext_lmnet(folder, folded=settings.supervised.endswith(":folded"))
+        inner = _Noting.salsanext_lmnet(folder)
         inner.ask_again(every=probing.dropout_every)
         other = RangeImageStream.salsanext_lmnet(Path(probing.second)) if probing.second else None
         return cls(inner, other)
