@@ -1,12 +1,13 @@
 """What both streams say of a track's place just before it begins and just after it ends."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import NS_PER_S
+from schemas.arrays import NS_PER_S, Mask
 from schemas.contradiction import BESIDE_S, Instance, LabelledFrame, Scene
 
 MARGIN_M: Final = 0.5
@@ -16,45 +17,70 @@ MOST: Final = 0.5
 """So many points as this share of the track's own are the whole thing."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Claimed:
+    """Points that the supervised stream calls moving.
+
+    Attributes:
+        places_m: (M, 3) odom space.
+        agreed: (M,) the self-supervised stream calls them moving as well.
+        open: (M,) it judges others, and leaves these open.
+    """
+
+    places_m: NDArray[np.float64]
+    agreed: Mask
+    open: Mask
+
+
 def moments(scene: Scene) -> tuple[LabelledFrame, ...]:
     """List the frames of a scene, and those that lie right before and after it."""
     return (*scene.before, *scene.frames, *scene.after)
 
 
-def both_moving(scene: Scene) -> tuple[NDArray[np.float64], ...]:
-    """List the points that both streams call moving, off the ground.
+def called_moving(scene: Scene) -> tuple[Claimed, ...]:
+    """List the points that the supervised stream calls moving, off the ground.
 
     Returns:
-        (M, 3) places for each of `moments`, odom space, metres; none where the task asks for no
-        motion.
+        One for each of `moments`, empty where the task asks for no motion.
     """
-    places: list[NDArray[np.float64]] = []
-    moving = scene.task.classes.index(scene.task.moving) if scene.task.moving else None
+    told: list[Claimed] = []
     for frame in moments(scene):
-        said = np.zeros(len(frame.agreements), np.bool_)
-        if moving is not None:
-            said = (frame.semantic.labels == moving) & (frame.predictive.labels == moving)
-        if frame.predictive.ground_mask is not None:
-            said &= ~frame.predictive.ground_mask
-        pose = frame.posed.odom_from_sensor
-        points_m = frame.posed.frame.points_m[said].astype(np.float64)
-        places.append(points_m @ pose[:3, :3].T + pose[:3, 3])
-    return tuple(places)
+        said, other = frame.semantic.labels, frame.predictive
+        claimed = np.zeros(len(said), np.bool_)
+        if scene.task.moving:
+            claimed = said == scene.task.classes.index(scene.task.moving)
+        if other.ground_mask is not None:
+            claimed = claimed & ~other.ground_mask
+        pose, answers = frame.posed.odom_from_sensor, other.labels[claimed]
+        points_m = frame.posed.frame.points_m[claimed].astype(np.float64)
+        blind = other.health.blindness is not None
+        told.append(
+            Claimed(
+                points_m @ pose[:3, :3].T + pose[:3, 3],
+                agreed=answers == said[claimed],
+                open=(answers == scene.task.unknown) & (not blind),
+            )
+        )
+    return tuple(told)
 
 
 def agreed_beside(
     scene: Scene,
     members: Sequence[Instance],
     velocity_m_per_s: NDArray[np.float64],
-    moving_m: Sequence[NDArray[np.float64]],
+    claimed: Sequence[Claimed],
 ) -> tuple[float, float]:
     """Say how much of a thing both streams call moving right before and right after its track.
+
+    After it, what the self-supervised stream leaves open counts as well: it called standing what it
+    no longer does, as of a thing that starts, whose place is neither free nor taken yet. Before it,
+    what is new is left open whatever it does.
 
     Args:
         scene: Where the track was found.
         members: Its instances, in the order of their frames.
         velocity_m_per_s: (2,) or (3,) how it goes, odom space.
-        moving_m: As `both_moving` lists them.
+        claimed: As `called_moving` lists them.
 
     Returns:
         Shares from 0 to 1, means over the frames within reach; 0 where there is none.
@@ -62,10 +88,12 @@ def agreed_beside(
     first, last, before = members[0], members[-1], len(scene.before)
     stamps_ns = [frame.stamp_ns for frame in moments(scene)]
     backwards = range(before + first.frame_index - 1, -1, -1)
-    onwards = range(before + last.frame_index + 1, len(moving_m))
+    onwards = range(before + last.frame_index + 1, len(claimed))
+    agreed_m = [each.places_m[each.agreed] for each in claimed]
+    undenied_m = [each.places_m[each.agreed | each.open] for each in claimed]
     return (
-        _agreed(scene, first, velocity_m_per_s, moving_m, stamps_ns, backwards),
-        _agreed(scene, last, velocity_m_per_s, moving_m, stamps_ns, onwards),
+        _agreed(scene, first, velocity_m_per_s, agreed_m, stamps_ns, backwards),
+        _agreed(scene, last, velocity_m_per_s, undenied_m, stamps_ns, onwards),
     )
 
 

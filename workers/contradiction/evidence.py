@@ -12,7 +12,7 @@ from schemas.arrays import NS_PER_S
 from schemas.contradiction import Instance, Scene
 from schemas.frame import OdometryState
 from schemas.labels import MotionLabel
-from workers.contradiction.before_after import agreed_beside, both_moving
+from workers.contradiction.before_after import Claimed, agreed_beside, called_moving
 from workers.contradiction.paths import path_of
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
 from workers.contradiction.tracks import Track
@@ -36,7 +36,7 @@ class Evidence:
     Attributes:
         witness_moving: Share of its points that the witness calls dynamic.
         witness_still: Share of its points that the witness calls static.
-        went: How far the box went over the ground along a straight line: half at a metre.
+        went: How far both its ends went over the ground along a straight line: half at a metre.
         straight: How much of that is a path, and how much the box jumps about.
         lasting: Seconds seen: 0.63 at half a second.
         steady: Share of the frames of its span in which it contradicts.
@@ -48,8 +48,10 @@ class Evidence:
         thin: Whether its box is thinner than 0.4 m.
         low: Whether it is lower than a metre: 1 at half of that; near alone, as of what is far a
             lidar sees few rows, and nothing says how high it is: none from 50 m on.
-        agreed_before: Share of it that both call moving in the third of a second before it begins.
-        agreed_after: And after it ends.
+        agreed_before: Share of it that both call moving in the third of a second before it begins;
+            of what the supervised stream calls static, as far as it goes straight: what stops is
+            remembered as moving for a while.
+        agreed_after: And after it ends, or the self-supervised stream leaves open.
         own: Share of its surroundings that contradict alike.
         supervised_sure: Mean confidence of the supervised stream.
         selfsupervised_sure: Mean confidence of the self-supervised stream.
@@ -111,15 +113,15 @@ class Surroundings:
         unseen: (F,) share of what was asked about that no other frame saw.
         doubted: (F,) 1 where the pose is not healthy.
         crowd: Instances of each kind in each frame.
-        both_moving_m: For each frame, those before and after the scene included, (M, 3) what both
-            streams call moving, odom space.
+        called_moving: For each frame, those before and after the scene included, what the
+            supervised stream calls moving.
     """
 
     turn_rad_per_s: NDArray[np.float64]
     unseen: NDArray[np.float64]
     doubted: NDArray[np.float64]
     crowd: dict[tuple[str, int], int]
-    both_moving_m: tuple[NDArray[np.float64], ...]
+    called_moving: tuple[Claimed, ...]
 
 
 def surroundings_of(scene: Scene, instances: Sequence[Instance]) -> Surroundings:
@@ -144,7 +146,7 @@ def surroundings_of(scene: Scene, instances: Sequence[Instance]) -> Surroundings
         unseen=1.0 - np.nan_to_num(np.array(seen), nan=0.0),
         doubted=np.array([float(f.posed.odometry is not OdometryState.HEALTHY) for f in frames]),
         crowd=crowd,
-        both_moving_m=both_moving(scene),
+        called_moving=called_moving(scene),
     )
 
 
@@ -173,8 +175,10 @@ def evidence_of(
     at = np.array([member.frame_index for member in members])
     stamps_s = np.array([(scene.frames[i].stamp_ns - scene.start_ns) / NS_PER_S for i in at])
     size_m = np.median([member.size_m for member in members], axis=0)
-    path = path_of(track.centres_m, stamps_s)
-    before, after = agreed_beside(scene, members, path.velocity_m_per_s, around.both_moving_m)
+    path = path_of(track.centres_m, stamps_s, _places(scene, members))
+    before, after = agreed_beside(scene, members, path.velocity_m_per_s, around.called_moving)
+    if track.kind.semantic != scene.task.moving:
+        before, after = before * path.straight, after * path.straight
     moving, still = _testimony(scene, members)
     speeds = np.linalg.norm([member.velocity_m_per_s for member in members], axis=1)
     lasts_s = float(stamps_s[-1] - stamps_s[0])
@@ -215,6 +219,17 @@ def evidence_of(
         crowded=1.0
         - math.exp(-(float(np.median([around.crowd[kind, i] for i in at.tolist()])) - 1) / _CROWD),
     )
+
+
+def _places(scene: Scene, members: Sequence[Instance]) -> list[NDArray[np.float64]]:
+    """(M, 2) points of each instance over the ground, odom space."""
+    places = []
+    for member in members:
+        posed = scene.frames[member.frame_index].posed
+        points_m = posed.frame.points_m[member.point_index].astype(np.float64)
+        pose = posed.odom_from_sensor
+        places.append(points_m @ pose[:2, :3].T + pose[:2, 3])
+    return places
 
 
 def _testimony(scene: Scene, members: Sequence[Instance]) -> tuple[float, float]:

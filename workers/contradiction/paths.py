@@ -1,5 +1,6 @@
 """Where a track went over the ground: how far, and how straight."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -8,16 +9,23 @@ from numpy.typing import NDArray
 
 _PATH_M: Final = 1.0
 _STEADY_M: Final = 0.2
-_FEWEST: Final = 3
+FEWEST: Final = 3
+"""Frames that make a path."""
+
+_END: Final = 0.01
+"""Of the points, those left aside at either end: one stray return moves no end."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Path:
     """A straight line through the box centres of a track.
 
+    Of a standing thing more or less is seen as the car passes, so that the middle of what is seen
+    goes, but one of its ends stays where it is. What goes, goes with both ends.
+
     Attributes:
-        velocity_m_per_s: (2,) over the ground; zero where there are too few frames.
-        went: How far it went: half at a metre.
+        velocity_m_per_s: (2,) of the centres over the ground; zero where there are too few frames.
+        went: How far the end that went less far went: half at a metre.
         straight: How much of that is a path, and how much the box jumps about.
     """
 
@@ -26,21 +34,49 @@ class Path:
     straight: float
 
 
-def path_of(centres_m: NDArray[np.float64], stamps_s: NDArray[np.float64]) -> Path:
-    """Fit a path.
+def velocity_of(
+    centres_m: NDArray[np.float64], stamps_s: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(2,) how the centres of boxes go over the ground; zero where there are too few.
 
     Args:
         centres_m: (F, 3) box centres, odom space.
         stamps_s: (F,) their times.
     """
-    if len(stamps_s) < _FEWEST:
+    if len(stamps_s) < FEWEST:
+        return np.zeros(2)
+    time_s = stamps_s - stamps_s.mean()
+    away_m = centres_m[:, :2] - centres_m[:, :2].mean(axis=0)
+    spread = max(float((time_s**2).sum()), 1e-9)
+    velocity: NDArray[np.float64] = (time_s[:, None] * away_m).sum(axis=0) / spread
+    return velocity
+
+
+def path_of(
+    centres_m: NDArray[np.float64],
+    stamps_s: NDArray[np.float64],
+    places_m: Sequence[NDArray[np.float64]],
+) -> Path:
+    """Fit a path.
+
+    Args:
+        centres_m: (F, 3) box centres, odom space.
+        stamps_s: (F,) their times.
+        places_m: F times (M, 2), the points in the boxes over the ground, M >= 1, odom space.
+    """
+    if len(stamps_s) < FEWEST:
         return Path(np.zeros(2), 0.0, 0.0)
     time_s = stamps_s - stamps_s.mean()
-    spread = float((time_s**2).sum())
+    spread = max(float((time_s**2).sum()), 1e-9)
+    velocity = velocity_of(centres_m, stamps_s)
     away_m = centres_m[:, :2] - centres_m[:, :2].mean(axis=0)
-    velocity = (time_s[:, None] * away_m).sum(axis=0) / max(spread, 1e-9)
     jumps_m = float(np.sqrt(((away_m - time_s[:, None] * velocity) ** 2).sum(axis=1).mean()))
-    went_m = float(np.linalg.norm(velocity)) * float(stamps_s[-1] - stamps_s[0])
+    speed = float(np.linalg.norm(velocity))
+    along = velocity / max(speed, 1e-9)
+    ends_m = np.array([np.quantile(each @ along, (_END, 1.0 - _END)) for each in places_m])
+    speeds = time_s @ (ends_m - ends_m.mean(axis=0)) / spread
+    slower = max(0.0, min(speed, float(speeds.min())))
+    went_m = slower * float(stamps_s[-1] - stamps_s[0])
     return Path(
         velocity_m_per_s=velocity,
         went=went_m / (went_m + _PATH_M),

@@ -2,7 +2,8 @@
 
 Rows with truth are few and come from a few streets, while physics is known: what the witness sees
 stand does not move, what went a metre in a straight line does, and what both streams see move right
-before or after did not stand in between: it starts or stops. Log-odds at full evidence.
+before or after did not stand in between: it starts or stops. Or, where it goes on and the
+supervised stream calls it static, that stream errs for a while. Log-odds at full evidence.
 """
 
 from collections.abc import Mapping
@@ -42,6 +43,8 @@ PRIOR: Final[Mapping[str, Mapping[Wrong, Row]]] = {
                 "own": 0.5,
                 "road_user": 1.0,
                 "denied": 1.0,
+                "agreed_before": 2.0,
+                "agreed_after": 2.0,
             },
         ),
         Wrong.SELFSUPERVISED: (
@@ -54,7 +57,15 @@ PRIOR: Final[Mapping[str, Mapping[Wrong, Row]]] = {
     ContradictionKind.ONLY_WITNESS_DYNAMIC.value: {
         Wrong.SUPERVISED: (
             -4.5,
-            {"went": 4.0, "straight": 1.5, "own": 1.0, "road_user": 1.0, "silent": 1.0},
+            {
+                "went": 4.0,
+                "straight": 1.5,
+                "own": 1.0,
+                "road_user": 1.0,
+                "silent": 1.0,
+                "agreed_before": 2.0,
+                "agreed_after": 2.0,
+            },
         ),
         Wrong.SELFSUPERVISED: (-5.0, {}),
         Wrong.BOTH: (

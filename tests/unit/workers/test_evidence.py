@@ -3,16 +3,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from schemas.contradiction import ContradictionKind, Scene
-from schemas.labels import MotionLabel
+from schemas.labels import Blindness, FrameHealth, MotionLabel
 from tests.labelled_worlds import CLASS_NAMES, START_NS, Thing, labelled_frame, labelled_scene
 from workers.contradiction.evidence import Evidence
 from workers.contradiction.instances import find_instances
-from workers.contradiction.paths import path_of
+from workers.contradiction.paths import Path, path_of
 from workers.contradiction.strength import rank_tracks
 
-STATIC, DYNAMIC = MotionLabel.STATIC, MotionLabel.DYNAMIC
+STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
 SEMANTIC = ContradictionKind.ONLY_SEMANTIC_DYNAMIC
 
 
@@ -68,10 +69,71 @@ def test_a_mover_that_passes_beside_a_thing_says_nothing_of_it() -> None:
 
 
 def test_a_path_of_two_frames_says_nothing() -> None:
-    places_m = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
-    path = path_of(places_m, np.array([0.0, 0.1]))
+    centres_m = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    path = path_of(centres_m, np.array([0.0, 0.1]), [centres_m[:1, :2], centres_m[1:, :2]])
     assert (path.went, path.straight) == (0.0, 0.0)
     assert not path.velocity_m_per_s.any()
+
+
+def _seen_from(begin_m: NDArray[np.float64], end_m: NDArray[np.float64]) -> Path:
+    """The path of a thing of which points from here to there are seen, frame by frame."""
+    ends_m = np.stack([begin_m, end_m], axis=1)
+    share = np.linspace(0.0, 1.0, 50)
+    places_m = [
+        np.stack([low + share * (high - low), np.full(50, 5.0)], axis=1) for low, high in ends_m
+    ]
+    centres_m = np.array([[each.mean(), 5.0, 0.0] for each in ends_m])
+    return path_of(centres_m, np.arange(len(ends_m)) / 10.0, places_m)
+
+
+def test_what_is_seen_more_of_at_one_end_did_not_go() -> None:
+    shown = np.linspace(1.0, 4.0, 11)
+    unveiled = _seen_from(np.zeros(11), shown)
+    covered = _seen_from(4.0 - shown, np.full(11, 4.0))
+    driven = _seen_from(shown - 1.0, shown + 3.0)
+    assert max(unveiled.went, covered.went) < 0.05  # 3 m more of it are seen, or 3 m less
+    assert max(unveiled.straight, covered.straight) < 0.2
+    assert driven.went == pytest.approx(0.75)
+    assert driven.straight > 0.9
+    assert np.allclose(unveiled.velocity_m_per_s, [1.5, 0.0])
+
+
+def test_what_comes_into_sight_as_it_goes_went_as_far_as_its_slower_end() -> None:
+    coming = _seen_from(np.linspace(0.0, 1.0, 11), np.linspace(0.5, 5.0, 11))
+    assert 0.45 < coming.went < 0.6
+
+
+@pytest.mark.parametrize(
+    ("after", "agreed"),
+    [((DYNAMIC, UNKNOWN), 1.0), ((STATIC, UNKNOWN), 0.0), ((UNKNOWN, UNKNOWN), 0.0)],
+    ids=["only the supervised stream says what it does", "the alarm is over", "nobody says"],
+)
+def test_what_is_no_longer_called_standing_starts(after: tuple[int, int], agreed: float) -> None:
+    said = [(STATIC, STATIC)] * 4 + [(DYNAMIC, STATIC)] * 6 + [after] * 4
+    assert _evidence(_scene(said, step_m=0.05)).agreed_after == agreed
+
+
+def test_what_goes_on_while_it_is_called_static_is_told_from_what_stops() -> None:
+    said = [(DYNAMIC, DYNAMIC)] * 4 + [(STATIC, DYNAMIC)] * 6 + [(DYNAMIC, DYNAMIC)] * 4
+    goes, stands = _evidence(_scene(said, step_m=0.5)), _evidence(_scene(said, step_m=0.0))
+    assert min(goes.agreed_before, goes.agreed_after) > 0.8
+    assert (stands.agreed_before, stands.agreed_after) == (0.0, 0.0)
+
+
+def test_a_new_thing_is_left_open_whatever_it_does() -> None:
+    said = [(DYNAMIC, UNKNOWN)] * 4 + [(DYNAMIC, STATIC)] * 6
+    assert _evidence(_scene(said, step_m=0.0)).agreed_before == 0.0
+
+
+def test_a_stream_that_goes_blind_leaves_nothing_open() -> None:
+    said = [(STATIC, STATIC)] * 4 + [(DYNAMIC, STATIC)] * 6 + [(DYNAMIC, UNKNOWN)] * 4
+    scene = _scene(said, step_m=0.0)
+    blind = FrameHealth(blindness=Blindness.NO_PAST, reason="a jump")
+    frames = [
+        replace(each, predictive=replace(each.predictive, health=blind)) if number >= 10 else each
+        for number, each in enumerate(scene.frames)
+    ]
+    assert _evidence(replace(scene, frames=tuple(frames))).agreed_after == 0.0
 
 
 @pytest.mark.parametrize(

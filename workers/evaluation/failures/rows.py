@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.attribution import Attribution, Wrong
 
-REVISION: Final = "3"
+REVISION: Final = "4"
 """Rises when the same log gives other rows."""
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
