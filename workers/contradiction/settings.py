@@ -71,8 +71,17 @@ class ScoreSettings:
         evidence_points: Median points per frame that give 0.63: the paper's smallest instance.
         low_m: A box whose height or length is below is no road user: half a wheel, a kerb.
         high_m: From here on the box counts in full.
-        long_m: Up to this length a box counts in full: a truck.
-        longest_m: Above it nothing: a facade, or half a street after a jump of the odometry.
+        long_m: Up to this length a box looks like a road user: a truck.
+        longest_m: Above it not at all.
+        lorry_m: Up to this length a track counts in full: the longest lorries and buses.
+        tram_m: Above it nothing: a facade, or half a street after a jump of the odometry.
+        flat_share: A box that is near and this high for its length, or higher, counts in full: cars
+            are a third as high as long, without their wheels a quarter.
+        flattest_share: And so flat counts nothing: a stretch of road, a kerb, a rail.
+        tall_m: From this height on a box is not flat, however long: a bus, a tram.
+        flat_below_m: Up to this height it is as flat as its length makes it.
+        rows_m_per_m: What may be missing of a height for each metre of range: two rows of beams
+            of a common lidar.
         slow_m_per_s: Above it a measured speed counts in full: 4 km/h, the paper's threshold.
         unmeasured: Stands for motion when no speed was measured or the track is too short to
             compare its path with its speed.
@@ -90,6 +99,13 @@ class ScoreSettings:
     high_m: float = 0.5
     long_m: float = 12.0
     longest_m: float = 20.0
+    lorry_m: float = 18.75
+    tram_m: float = 30.0
+    flat_share: float = 0.25
+    flattest_share: float = 0.1
+    tall_m: float = 1.5
+    flat_below_m: float = 1.0
+    rows_m_per_m: float = 0.02
     slow_m_per_s: float = 1.1
     unmeasured: float = 0.5
     path_error_m_per_s: float = 1.0

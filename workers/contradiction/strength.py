@@ -3,15 +3,20 @@
     strength = persistence x points x size x chance x poses, each in [0, 1]
 
 - persistence  1 - exp(-(seen x steady / 0.5 s)^2): seen counts the frames of the track less a
-  half, steady is the share of the frames of its span in which it contradicts. Errors flicker.
+  half, steady is the share of the frames of its span in which it contradicts. Errors flicker. What
+  the other of the two onlookers sees in its stead, before, after and in between, counts as far as
+  little else contradicts there (`company.py`).
 - points       1 - exp(-points / 25): median points per frame.
-- size         0 above 20 m of length: a facade is no road user.
+- size         0 above 30 m of length: a facade is no road user; and 0 where it is near, low and a
+  tenth as high as long: nor are stretches of road, kerbs and rails.
 - chance       that the supervised stream is wrong about it, alone or with the other
   (`attribution.py`): the witness's opinion, how far and how straight it went, whether the path
   bears out the measured speed, what was proved twice, whether it stands on its own, how sure both
   streams are, whether poses are doubted and much else contradicts alike.
 - poses        the square of the mean weight of the poses of its frames: healthy 1, degraded 1/2,
-  lost 0. A pose that is doubted while a thing is not seen says nothing against it.
+  lost 0. A pose that is doubted while a thing is not seen says nothing against it, and little where
+  hardly anything else contradicts: wrong poses make the whole street seem to move. Nor does a doubt
+  count where the supervised stream alone sees motion: they do not make what moves seem to stand.
 
 About anything but motion it was never measured who errs: there the last two are the product of both
 streams' confidence, of the share of the surroundings that contradict alike and, where things are
@@ -34,8 +39,10 @@ from schemas.contradiction import Instance, Scene
 from schemas.frame import OdometryState
 from workers.contradiction.attribution import attribute, tables
 from workers.contradiction.because import because_of
+from workers.contradiction.company import Others, frames_seen, others_of
 from workers.contradiction.evidence import Evidence, Surroundings, evidence_of, surroundings_of
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
+from workers.contradiction.sizes import box_plausibility, not_flat, not_too_long
 from workers.contradiction.tracks import Track, frame_period_s, tie_tracks
 
 
@@ -78,12 +85,14 @@ def rank_tracks(
     period_s = frame_period_s(scene)
     around = surroundings_of(scene, instances)
     weights = pose_weights(scene, settings=settings)
+    others = others_of(scene, instances)
     ranked = [
         _rank(
             scene,
             track,
             [instances[i] for i in track.members],
             around,
+            others,
             weights,
             period_s,
             settings,
@@ -112,22 +121,6 @@ def persistence(*, frames: int, span_frames: int, period_s: float, scale_s: floa
     """How lasting a track is, from the frames it was seen in and those of its span."""
     seen_s = (frames - 0.5) * period_s
     return 1.0 - math.exp(-((seen_s * frames / span_frames / scale_s) ** 2))
-
-
-def box_plausibility(size_m: NDArray[np.float64], settings: ScoreSettings = DEFAULT_SCORE) -> float:
-    """How much a box looks like a road user, from its length, width and height in metres."""
-    length_m, _, height_m = (float(side) for side in size_m)
-
-    def rise(value: float) -> float:
-        return _clip((value - settings.low_m) / (settings.high_m - settings.low_m))
-
-    return rise(length_m) * rise(height_m) * not_too_long(size_m, settings)
-
-
-def not_too_long(size_m: NDArray[np.float64], settings: ScoreSettings = DEFAULT_SCORE) -> float:
-    """1 up to the length of a truck, 0 from that of a facade on."""
-    span_m = settings.longest_m - settings.long_m
-    return _clip((settings.longest_m - float(size_m[0])) / span_m)
 
 
 def motion_plausibility(
@@ -165,6 +158,7 @@ def _rank(
     track: Track,
     members: Sequence[Instance],
     around: Surroundings,
+    others: Others,
     weights: NDArray[np.float64],
     period_s: float,
     settings: ScoreSettings,
@@ -172,7 +166,6 @@ def _rank(
     points = np.array([len(member.point_index) for member in members])
     sure = np.array([m.semantic_confidence * m.predictive_confidence for m in members])
     velocities = np.stack([member.velocity_m_per_s for member in members])
-    first, last = members[0].frame_index, members[-1].frame_index
     stamps_s = np.array(
         [(scene.frames[m.frame_index].stamp_ns - scene.start_ns) / NS_PER_S for m in members]
     )
@@ -187,21 +180,19 @@ def _rank(
     kind, attribution = track.kind.name, None
     if kind in tables():
         attribution = attribute(kind, evidence, because=because_of(kind, evidence, size_m))
-        size, chance = not_too_long(size_m, settings), attribution.supervised_wrong
+        range_m = float(np.average([np.hypot(*m.centre_m[:2]) for m in members], weights=points))
+        size = not_too_long(size_m, settings) * not_flat(size_m, range_m, settings)
+        chance = attribution.supervised_wrong
     else:
         clash = float(np.average(sure, weights=points))
         size, chance = (box if scene.task.of_things else 1.0), clash * evidence.own
-    presence = (
-        persistence(
-            frames=len(members),
-            span_frames=last - first + 1,
-            period_s=period_s,
-            scale_s=settings.persistence_s,
-        )
-        * evidence.many_points
-        * size
-    )
-    gate = float(weights[[member.frame_index for member in members]].mean()) ** 2
+    lone = 1.0 - evidence.crowded
+    frames = [member.frame_index for member in members]
+    lasting = _lasting(frames, period_s, settings)
+    seen = _lasting(frames_seen(scene, track, members, others), period_s, settings)
+    lasting += lone * max(0.0, seen - lasting)
+    presence = lasting * evidence.many_points * size
+    gate = _gate(weights[frames], lone, stands=track.kind.semantic == scene.task.moving)
     confirmed_share = _confirmed_share(members, points)
     speeds = np.linalg.norm(velocities, axis=1)
     return RankedTrack(
@@ -217,6 +208,29 @@ def _rank(
         evidence=evidence,
         attribution=attribution,
     )
+
+
+def _lasting(frames: Sequence[int], period_s: float, settings: ScoreSettings) -> float:
+    return persistence(
+        frames=len(frames),
+        span_frames=frames[-1] - frames[0] + 1,
+        period_s=period_s,
+        scale_s=settings.persistence_s,
+    )
+
+
+def _gate(weights: NDArray[np.float64], lone: float, *, stands: bool) -> float:
+    """What doubted poses leave of a track.
+
+    Args:
+        weights: Of the poses of its frames.
+        lone: How little else contradicts alike there.
+        stands: Whether the contradiction is that it stands; only a lost pose counts then.
+    """
+    if stands:
+        return float(np.sign(weights).mean()) ** 2
+    known, gate = float((weights > 0.0).mean()), float(weights.mean()) ** 2
+    return gate + max(0.0, known**2 - gate) * lone**2
 
 
 def _confirmed_share(members: Sequence[Instance], points: NDArray[np.int64]) -> float | None:

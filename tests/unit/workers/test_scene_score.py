@@ -14,17 +14,14 @@ from workers.contradiction.compare import compare
 from workers.contradiction.instances import find_instances
 from workers.contradiction.reasons import bearing
 from workers.contradiction.score import combine, score_scene
-from workers.contradiction.strength import (
-    box_plausibility,
-    motion_plausibility,
-    persistence,
-    rank_tracks,
-)
+from workers.contradiction.sizes import box_plausibility, not_flat
+from workers.contradiction.strength import motion_plausibility, persistence, rank_tracks
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
 HEALTHY, DEGRADED, LOST = OdometryState.HEALTHY, OdometryState.DEGRADED, OdometryState.LOST
 MISSED_CAR = Thing((-20, 3, 0), STATIC, DYNAMIC, velocity_m_per_s=(10, 0, 0))
 PHANTOM = Thing((12, -4, 0), DYNAMIC, STATIC, class_id=2, size_m=(0.6, 0.6, 1.7), points=60)
+STREET = [replace(MISSED_CAR, at_m=(-20.0, 4.0 + 6.0 * lane, 0.0)) for lane in range(5)]
 WALL = Thing((0, 15, 1), STATIC, STATIC, size_m=(40, 0.2, 4), points=1500, class_id=0)
 
 
@@ -105,7 +102,7 @@ def test_a_flicker_of_one_frame_is_next_to_nothing() -> None:
 
 
 def test_a_facade_that_seems_to_move_is_no_road_user() -> None:
-    facade = replace(WALL, semantic=DYNAMIC, size_m=(30, 0.2, 4))
+    facade = replace(WALL, semantic=DYNAMIC, size_m=(32, 0.2, 4))
     assert _score_of(facade) == 0.0
 
 
@@ -177,10 +174,12 @@ def test_odometry_that_is_lost_gates_the_score_to_zero() -> None:
 
 
 def test_odometry_that_is_degraded_for_a_moment_lowers_the_score() -> None:
-    clean = _score(labelled_scene([MISSED_CAR]))
-    bumpy = _score(labelled_scene([MISSED_CAR], odometry=[DEGRADED] * 4 + [HEALTHY] * 16))
+    clean = _score(labelled_scene(STREET))
+    bumpy = _score(labelled_scene(STREET, odometry=[DEGRADED] * 4 + [HEALTHY] * 16))
     assert bumpy.state is SceneState.SCORED
-    assert 0.6 * clean.score < bumpy.score <= 0.81 * clean.score + 1e-3
+    strengths = [(a.strength, b.strength) for a, b in zip(bumpy.tracks, clean.tracks, strict=True)]
+    assert all(0.8 * full < worth < 0.95 * full for worth, full in strengths)
+    assert bumpy.score < clean.score
     assert bumpy.reasons[-1] == (
         "odometry degraded (a bump) in 20% of the frames: what is seen there counts less"
     )
@@ -188,13 +187,21 @@ def test_odometry_that_is_degraded_for_a_moment_lowers_the_score() -> None:
 
 
 def test_a_pose_that_is_doubted_while_a_thing_is_not_seen_takes_nothing_from_it() -> None:
-    late = replace(MISSED_CAR, frames=frozenset(range(4, 20)))
-    clean = _score(labelled_scene([late]))
-    before = _score(labelled_scene([late], odometry=[DEGRADED] * 4 + [HEALTHY] * 16))
-    amid = _score(labelled_scene([late], odometry=[HEALTHY] * 4 + [DEGRADED] * 4 + [HEALTHY] * 12))
+    late = [replace(each, frames=frozenset(range(4, 20))) for each in STREET]
+    clean = _score(labelled_scene(late))
+    before = _score(labelled_scene(late, odometry=[DEGRADED] * 4 + [HEALTHY] * 16))
+    amid = _score(labelled_scene(late, odometry=[HEALTHY] * 4 + [DEGRADED] * 4 + [HEALTHY] * 12))
     assert before.score == clean.score
-    assert amid.score < 0.8 * clean.score
+    assert amid.tracks[0].strength < 0.85 * clean.tracks[0].strength
     assert amid.odometry.healthy_share == before.odometry.healthy_share
+
+
+def test_what_alone_contradicts_is_hardly_the_fault_of_a_pose() -> None:
+    doubted = [DEGRADED] * 20
+    alone, amid = (_score(labelled_scene(each, odometry=doubted)) for each in (STREET[:1], STREET))
+    assert alone.tracks[0].strength > 1.5 * amid.tracks[0].strength
+    lost = _score(labelled_scene(STREET[:1], odometry=[LOST] * 6 + [HEALTHY] * 14))
+    assert lost.tracks[0].strength < 0.6 * alone.tracks[0].strength
 
 
 def test_shares_are_those_of_compared_points_with_and_without_the_ground() -> None:
@@ -253,6 +260,42 @@ def test_factors_of_the_strength_rise_with_their_evidence() -> None:
     assert box_plausibility(np.array([4.5, 1.8, 1.5])) == 1.0
     assert box_plausibility(np.array([4.5, 1.8, 0.1])) == 0.0
     assert 0 < box_plausibility(np.array([16.0, 2.5, 3.0])) < 1
+
+
+@pytest.mark.parametrize(
+    ("size_m", "range_m", "least", "most"),
+    [
+        ((4.5, 1.8, 1.5), 10.0, 1.0, 1.0),
+        ((0.6, 0.5, 0.3), 10.0, 1.0, 1.0),
+        ((16.0, 2.5, 3.0), 10.0, 1.0, 1.0),
+        ((4.5, 0.2, 0.4), 60.0, 1.0, 1.0),
+        ((2.7, 0.2, 0.03), 5.0, 0.0, 0.0),
+        ((9.0, 0.2, 0.4), 20.0, 0.0, 0.05),
+        ((4.8, 2.0, 0.7), 6.0, 0.3, 0.6),
+    ],
+    ids=["a car", "a cat", "a truck", "rows of a far car", "a strip", "a rail", "lifted road"],
+)
+def test_what_lies_flat_is_no_road_user(
+    size_m: tuple[float, float, float], range_m: float, least: float, most: float
+) -> None:
+    assert least <= not_flat(np.array(size_m), range_m) <= most
+
+
+def test_a_flat_strip_that_seems_to_move_is_worth_nothing() -> None:
+    car = replace(MISSED_CAR, at_m=(-10, 3, 0))
+    strip = replace(car, size_m=(4.0, 0.4, 0.04))
+    assert _score_of(WALL, strip) == 0.0 < 0.5 < _score_of(WALL, car)
+
+
+def test_doubted_poses_say_nothing_against_what_is_seen_to_stand() -> None:
+    doubted = _score(labelled_scene([PHANTOM], odometry=[DEGRADED] * 20)).tracks[0]
+    moving = _score(labelled_scene(STREET, odometry=[DEGRADED] * 20)).tracks[0]
+    trusted = _score(labelled_scene([PHANTOM])).tracks[0]
+    assert doubted.strength > 0.5 * trusted.strength
+    assert moving.strength < 0.5 * _score(labelled_scene(STREET)).tracks[0].strength
+    lost = [LOST] * 6 + [HEALTHY] * 14
+    without = _score(labelled_scene([PHANTOM], odometry=lost)).tracks[0]
+    assert without.strength < 0.6 * trusted.strength
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,86 @@
+"""When else a thing was seen to move: by the one of the two onlookers whose track it is not.
+
+The self-supervised stream proves a motion from the past, the witness from the future as well: of a
+thing that comes into sight the witness speaks first, and where the stream falls silent it speaks
+alone. Both contradict a supervised stream that says it stands, and what lasts is the contradiction.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import NS_PER_S
+from schemas.contradiction import Instance, Scene
+from workers.contradiction.paths import FEWEST, velocity_of
+from workers.contradiction.settings import DEFAULT_TRACKS, TrackSettings
+from workers.contradiction.tracks import Track, centres_in_odom, frame_period_s
+
+Others = Mapping[str, Mapping[int, Sequence[NDArray[np.float64]]]]
+"""By kind of contradiction and frame: (2,) where others are seen to move, odom space."""
+
+
+def others_of(scene: Scene, instances: Sequence[Instance]) -> Others:
+    """Say for each kind in which one onlooker sees motion where the other one sees it."""
+    centres_m = centres_in_odom(scene, instances)
+    onlookers = [kind for kind in scene.task.kinds if kind.measured or kind.of_witness]
+    others: dict[str, dict[int, list[NDArray[np.float64]]]] = {}
+    for kind in onlookers:
+        mine = others.setdefault(kind.name, {})
+        for instance, centre_m in zip(instances, centres_m, strict=True):
+            if instance.kind in onlookers and instance.kind != kind:
+                mine.setdefault(instance.frame_index, []).append(centre_m[:2])
+    return others
+
+
+def frames_seen(
+    scene: Scene,
+    track: Track,
+    members: Sequence[Instance],
+    others: Others,
+    *,
+    settings: TrackSettings = DEFAULT_TRACKS,
+) -> list[int]:
+    """List the frames in which a thing was seen, by its own track or in its stead.
+
+    From either end of the track, and in its gaps, it is looked for where it should be. Two frames
+    do not say where that is.
+
+    Args:
+        scene: Where it was found.
+        track: Its track.
+        members: The instances of the track.
+        others: As `others_of` lists them.
+        settings: Gates.
+
+    Returns:
+        Indices of frames, rising.
+    """
+    own = [member.frame_index for member in members]
+    stamps_s = np.array([(frame.stamp_ns - scene.start_ns) / NS_PER_S for frame in scene.frames])
+    theirs = others.get(track.kind.name, {})
+    if len(own) < FEWEST or not theirs:
+        return own
+    velocity = velocity_of(track.centres_m, stamps_s[own])
+    period_s = frame_period_s(scene)
+    most_s = max(settings.max_miss_s, period_s) + 0.5 * period_s
+    longest_m = max(float(member.size_m[0]) for member in members)
+    gate_m = min(settings.gate_m + settings.gate_per_length * longest_m, settings.max_gate_m)
+    known = {at: centre[:2] for at, centre in zip(own, track.centres_m, strict=True)}
+    for steps in (range(own[0] - 1, -1, -1), range(own[0] + 1, len(stamps_s))):
+        at = own[0]
+        for frame in steps:
+            if frame not in known and abs(stamps_s[frame] - stamps_s[at]) <= most_s:
+                due = known[at] + velocity * (stamps_s[frame] - stamps_s[at])
+                found = _nearest(due, theirs.get(frame, ()))
+                if found is not None and float(np.linalg.norm(found - due)) <= gate_m:
+                    known[frame] = found
+            at = frame if frame in known else at
+    return sorted(known)
+
+
+def _nearest(
+    due_m: NDArray[np.float64], centres_m: Sequence[NDArray[np.float64]]
+) -> NDArray[np.float64] | None:
+    away_m = [float(np.linalg.norm(centre_m - due_m)) for centre_m in centres_m]
+    return centres_m[int(np.argmin(away_m))] if away_m else None

@@ -1,0 +1,44 @@
+"""Whether a box has the size of a road user."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
+
+
+def box_plausibility(size_m: NDArray[np.float64], settings: ScoreSettings = DEFAULT_SCORE) -> float:
+    """How much a box looks like a road user, from its length, width and height in metres."""
+    length_m, _, height_m = (float(side) for side in size_m)
+
+    def rise(value: float) -> float:
+        return _clip((value - settings.low_m) / (settings.high_m - settings.low_m))
+
+    long = (settings.longest_m - length_m) / (settings.longest_m - settings.long_m)
+    return rise(length_m) * rise(height_m) * _clip(long)
+
+
+def not_too_long(size_m: NDArray[np.float64], settings: ScoreSettings = DEFAULT_SCORE) -> float:
+    """1 up to the length of a lorry with its trailer, 0 from that of a tram, or a facade, on."""
+    span_m = settings.tram_m - settings.lorry_m
+    return _clip((settings.tram_m - float(size_m[0])) / span_m)
+
+
+def not_flat(
+    size_m: NDArray[np.float64], range_m: float, settings: ScoreSettings = DEFAULT_SCORE
+) -> float:
+    """1 for what is as high for its length as road users are, 0 for what lies flat.
+
+    Args:
+        size_m: (3,) length, width and height.
+        range_m: How far off: of what is far, rows of beams too few tell the height.
+        settings: Limits.
+    """
+    height_m = float(size_m[2]) + settings.rows_m_per_m * range_m
+    share = height_m / max(float(size_m[0]), 1e-3)
+    flat = (settings.flat_share - share) / (settings.flat_share - settings.flattest_share)
+    low = (settings.tall_m - height_m) / (settings.tall_m - settings.flat_below_m)
+    return 1.0 - _clip(flat) * _clip(low)
+
+
+def _clip(value: float) -> float:
+    return min(1.0, max(0.0, value))
