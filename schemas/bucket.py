@@ -241,6 +241,8 @@ def open_object(url: str, *, options: Mapping[str, str] | None = None) -> tuple[
     parts = urlsplit(url)
     if parts.scheme in ("", "file"):
         path = Path(unquote(parts.path) if parts.scheme else url).resolve()
+        if path.is_dir():
+            raise BucketRefusedError(f"{path} is a folder; name one log in it, a file .mcap")
         if not path.is_file():
             raise BucketRefusedError(f"no such file: {path}")
         folder = path.parents[min(_LOCAL_KEY_SEGMENTS, len(path.parents)) - 1]

@@ -1,5 +1,6 @@
 """Pictures of a scored scene: from above in the colours of the method, and on the camera image."""
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Final
 
@@ -184,9 +185,8 @@ def _draw_reasons(
 ) -> None:
     """List the reasons; one that tells a track has its number, colour and strongest moment."""
     task = task_named(score.task)
-    bottom = HEIGHT_PX - _MARGIN_PX - (len(_named(score)) + 1) * 24
-    room = (bottom - top) // _LINE_PX
-    max_lines = max(_FEWEST_LINES, room // max(1, len(score.reasons)))
+    bottom = HEIGHT_PX - _MARGIN_PX - (len(_named(score)) + len(_witnessed(score)) + 1) * 24
+    told = []
     for index, reason in enumerate(score.reasons):
         mark, ink = "-", SOFT_TEXT
         if index < len(score.tracks) and _tells_a_track(reason, score):
@@ -194,13 +194,29 @@ def _draw_reasons(
             mark, ink = str(track.track_id + 1), inks_of(task)[task.kind(track.kind).code]
             at_s = (track.strongest.stamp_ns - score.start_ns) / NS_PER_S
             reason = f"at {at_s:.1f} s: {reason}"
-        lines = wrap(reason, width - 20, 16, max_lines=max_lines)
-        if top + _LINE_PX * len(lines) > bottom:
-            break
+        told.append((mark, ink, reason))
+    room = (bottom - top) // _LINE_PX
+    broken = _broken([reason for _, _, reason in told], width - 20, room)
+    for (mark, ink, _), lines in zip(told, broken, strict=False):
         draw.text((left, top), mark, fill=ink, font=font(16))
         for line in lines:
             draw.text((left + 20, top), line, fill=TEXT, font=font(16))
             top += _LINE_PX
+
+
+def _broken(texts: Sequence[str], width_px: float, room: int) -> list[list[str]]:
+    """Break as many texts into lines as there is room for; what is left of it goes to the first."""
+    whole = [wrap(text, width_px, 16, max_lines=max(room, _FEWEST_LINES)) for text in texts]
+    shown = 0
+    while shown < len(whole) and _FEWEST_LINES * (shown + 1) <= room:
+        shown += 1
+    spare = room - sum(min(len(lines), _FEWEST_LINES) for lines in whole[:shown])
+    broken = []
+    for text, lines in zip(texts[:shown], whole, strict=False):
+        more = min(max(len(lines) - _FEWEST_LINES, 0), spare)
+        spare -= more
+        broken.append(wrap(text, width_px, 16, max_lines=_FEWEST_LINES + more))
+    return broken
 
 
 def _tells_a_track(reason: str, score: SceneScore) -> bool:
@@ -213,8 +229,8 @@ def _draw_legend(draw: ImageDraw.ImageDraw, score: SceneScore, *, left: int, wid
     """Name the colours, each with its share of the compared points off the ground."""
     task = task_named(score.task)
     colours = colours_of(task)
-    named = _named(score)
-    top = HEIGHT_PX - _MARGIN_PX - len(named) * 24 - 14
+    named, witnessed = _named(score), _witnessed(score)
+    top = HEIGHT_PX - _MARGIN_PX - (len(named) + len(witnessed)) * 24 - 14
     draw.rectangle((left, top, left + width, HEIGHT_PX - _MARGIN_PX), fill=PANEL)
     of_which = "off ground" if task.of_things else "of compared"
     for row, outcome in enumerate(named):
@@ -227,6 +243,16 @@ def _draw_legend(draw: ImageDraw.ImageDraw, score: SceneScore, *, left: int, wid
         )
         draw.text((left + 36, y), meaning(outcome, task), fill=TEXT, font=font(15))
         draw.text((left + width - 10, y), share, fill=SOFT_TEXT, font=font(15), anchor="ra")
+    for row, kind in enumerate(witnessed, start=len(named)):
+        y = top + 8 + 24 * row
+        draw.rectangle((left + 10, y + 3, left + 26, y + 17), outline=inks_of(task)[kind.code])
+        draw.text((left + 36, y), "boxes: the witness alone sees it move", fill=TEXT, font=font(15))
+
+
+def _witnessed(score: SceneScore) -> list[Outcome]:
+    """The kind of what the witness alone sees, where a track is of it."""
+    kinds = {track.kind for track in score.tracks[:_LABELS]}
+    return [kind for kind in task_named(score.task).kinds if kind.of_witness and kind.name in kinds]
 
 
 def _named(score: SceneScore) -> list[Outcome]:

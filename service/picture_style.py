@@ -26,6 +26,10 @@ _TWO_CLASSES: Final = ((34, 139, 34), (225, 225, 0), (178, 34, 34), (65, 105, 22
 call the second class in blue, yellow where the supervised stream alone does, red where the other.
 """
 
+WITNESS_INK: Final[Colour] = (232, 130, 250)
+"""Boxes and words of what the witness alone sees move; its points are green, as both streams say.
+"""
+
 _MORE: Final = "..."
 _LIGHTER: Final = {(65, 105, 225): (105, 145, 255), (178, 34, 34): (255, 84, 84)}
 
@@ -48,8 +52,13 @@ def colours_of(task: Task) -> dict[int, Colour]:
 
 
 def inks_of(task: Task) -> dict[int, Colour]:
-    """The same for lines and words: blue and red of the paper lightened to be read on dark."""
-    return {code: _LIGHTER.get(colour, colour) for code, colour in colours_of(task).items()}
+    """The same for lines and words: blue and red of the paper lightened to be read on dark.
+
+    What is drawn about points that both streams call static, the witness says.
+    """
+    inks = {code: _LIGHTER.get(colour, colour) for code, colour in colours_of(task).items()}
+    witnessed = {kind.code: WITNESS_INK for kind in task.kinds if kind.of_witness}
+    return inks | witnessed
 
 
 def draw_order(task: Task) -> tuple[Outcome, ...]:

@@ -74,6 +74,10 @@ def failures(
         raise UsageError(f"--table must be planted or natural, got {only!r}")
     logs_url = url if truth is not None else f"{url.rstrip('/')}/logs"
     where = _beside(url) if truth is None else truth
+    if truth is None and not where.is_dir():
+        raise UsageError(
+            f"{url} is no fleet of `simulate`, it has no truth/: name one with --truth"
+        )
     settings = settings_for(
         config,
         bucket=logs_url,

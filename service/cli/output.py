@@ -4,16 +4,26 @@ import json
 import sys
 from collections.abc import Iterable, Mapping
 from threading import Event
+from time import monotonic
 from typing import Any, Final, Literal
 
 import structlog
 from pydantic import BaseModel
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 
 WIDE: Final = 200
 """Characters of a table that goes into a pipe or a file, where no terminal says its width."""
+
+LINE_EVERY_S: Final = 30.0
 
 remarks = Console(stderr=True, highlight=False)
 log = structlog.get_logger(__name__)
@@ -64,8 +74,28 @@ def table(title: str, columns: Iterable[str], rows: Iterable[Iterable[object]]) 
     results.print(out)
 
 
+class _Lines(Progress):
+    """Says how far the work is every half a minute, where no bar can be drawn."""
+
+    def __init__(self) -> None:
+        super().__init__(disable=True)
+        self._said_s = monotonic()
+
+    def update(self, task_id: TaskID, **fields: Any) -> None:
+        """Take in how far a task is."""
+        super().update(task_id, **fields)
+        if _as_events.is_set() or monotonic() - self._said_s < LINE_EVERY_S:
+            return
+        self._said_s = monotonic()
+        task = self.tasks[self.task_ids.index(task_id)]
+        of = "" if task.total is None else f" of {task.total:g}"
+        remark(f"{task.description}: {task.completed:g}{of}")
+
+
 def progress() -> Progress:
-    """Make a progress bar on stderr; silent where stderr is no terminal."""
+    """Make a progress bar on stderr; a line now and then where stderr is no terminal."""
+    if not remarks.is_terminal or _as_events.is_set():
+        return _Lines()
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -73,7 +103,6 @@ def progress() -> Progress:
         TimeRemainingColumn(),
         console=remarks,
         transient=True,
-        disable=not remarks.is_terminal or _as_events.is_set(),
     )
 
 

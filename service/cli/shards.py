@@ -42,16 +42,18 @@ def shards(
         for row in evaluated:
             json_line(row)
         return
+    seconds = [str(each) for each in FROM_S if str(each) in evaluated[-1].equal_by_second]
     table(
-        "share of the points with the same label in shards as in the whole log",
-        ("log", "shards", "points", "all", *(f"from {second} s on" for second in FROM_S)),
+        "share of the points with the same label in shards as in the whole log: in all windows; "
+        "and of windows with a warm-up, from so many seconds after they began",
+        ("log", "shards", "points", "all", *(f"from {second} s on" for second in seconds)),
         (
             (
                 row.log,
                 row.shards,
                 row.points,
                 f"{row.equal_share:.5f}",
-                *(_share(row.equal_by_second.get(str(second))) for second in FROM_S),
+                *(_share(row.equal_by_second.get(second)) for second in seconds),
             )
             for row in evaluated
         ),

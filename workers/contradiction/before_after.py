@@ -38,7 +38,7 @@ def moments(scene: Scene) -> tuple[LabelledFrame, ...]:
 
 
 def called_moving(scene: Scene) -> tuple[Claimed, ...]:
-    """List the points that the supervised stream calls moving, off the ground.
+    """List the points that the supervised stream calls moving, off the ground and somewhere.
 
     Returns:
         One for each of `moments`, empty where the task asks for no motion.
@@ -51,12 +51,13 @@ def called_moving(scene: Scene) -> tuple[Claimed, ...]:
             claimed = said == scene.task.classes.index(scene.task.moving)
         if other.ground_mask is not None:
             claimed = claimed & ~other.ground_mask
+        points_m = frame.posed.frame.points_m
+        claimed[claimed] = np.isfinite(points_m[claimed]).all(axis=1)
         pose, answers = frame.posed.odom_from_sensor, other.labels[claimed]
-        points_m = frame.posed.frame.points_m[claimed].astype(np.float64)
         blind = other.health.blindness is not None
         told.append(
             Claimed(
-                points_m @ pose[:3, :3].T + pose[:3, 3],
+                points_m[claimed].astype(np.float64) @ pose[:3, :3].T + pose[:3, 3],
                 agreed=answers == said[claimed],
                 open=(answers == scene.task.unknown) & (not blind),
             )

@@ -105,11 +105,11 @@ def evaluate_shards(
         UnknownPartError: If a part does not exist.
     """
     bucket, rows, total, done = open_bucket(bucket_url), list[ShardsEvaluation](), _Counted(), 0
+    odometry = build_odometry(settings.odometry)
+    stream = build_selfsupervised(settings.selfsupervised)
 
     def labels(recording: Recording, shard: Shard) -> Labels:
         nonlocal done
-        odometry = build_odometry(settings.odometry)
-        stream = build_selfsupervised(settings.selfsupervised)
         said = Labels()
         for stamp_ns, of_frame in _labelled(bucket, recording, shard, settings, odometry, stream):
             done += 1
@@ -132,7 +132,10 @@ def evaluate_shards(
         rows.append(counted.row(recording.log_id))
         total.add(counted)
     if not rows:
-        raise NoShardsError(f"no log of {bucket.url} is longer than a shard: cut shorter ones")
+        raise NoShardsError(
+            f"no log of {bucket.url} is longer than a shard of {settings.grid.shard_s:g} s: "
+            "cut them into shorter ones, such as --shard-seconds 2"
+        )
     return [*rows, total.row("all")]
 
 
