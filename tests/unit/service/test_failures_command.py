@@ -27,4 +27,4 @@ def test_a_bucket_without_truth_is_refused(
 ) -> None:
     (tmp_path / "logs").mkdir()
     assert main(["bench", "failures", str(tmp_path)]) == 1
-    assert "has truth in" in capsys.readouterr().err
+    assert "is no fleet of `simulate`" in capsys.readouterr().err
