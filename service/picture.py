@@ -207,9 +207,7 @@ def _draw_reasons(
 def _broken(texts: Sequence[str], width_px: float, room: int) -> list[list[str]]:
     """Break as many texts into lines as there is room for; what is left of it goes to the first."""
     whole = [wrap(text, width_px, 16, max_lines=max(room, _FEWEST_LINES)) for text in texts]
-    shown = 0
-    while shown < len(whole) and _FEWEST_LINES * (shown + 1) <= room:
-        shown += 1
+    shown = max(0, min(len(whole), room // _FEWEST_LINES))
     spare = room - sum(min(len(lines), _FEWEST_LINES) for lines in whole[:shown])
     broken = []
     for text, lines in zip(texts[:shown], whole, strict=False):

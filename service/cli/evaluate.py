@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.options import Config, Json, Weights, settings_for
+from service.cli.options import BucketOfLogs, Config, Json, Weights, settings_for
 from service.cli.output import json_line, progress, remark, table
 from service.cli.shards import shards
 from service.errors import UsageError
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 WORST_FRAMES = 10
 
-BucketOfLogs = Annotated[str, typer.Argument(help="URL or path of a bucket of logs.")]
 Truth = Annotated[Path, typer.Option("--truth", help="Truth of BUCKET/x/y.mcap in DIR/x/y.")]
 Frames = Annotated[
     str, typer.Option("--frames", help="A:B, half open, per log; earlier ones warm up.")

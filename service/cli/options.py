@@ -16,6 +16,7 @@ Config = Annotated[
         help="TOML file of settings, else COUNTERPOINT_CONFIG; variables and flags win over it.",
     ),
 ]
+BucketOfLogs = Annotated[str, typer.Argument(help="URL or path of a bucket of logs.")]
 BucketUrl = Annotated[
     str | None,
     typer.Option("--bucket", help="URL or path of the log bucket, else COUNTERPOINT_BUCKET."),

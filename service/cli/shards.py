@@ -4,10 +4,15 @@ from typing import Annotated
 
 import typer
 
-from service.cli.options import Config, Json, SelfSupervised, ShardSeconds, settings_for
+from service.cli.options import (
+    BucketOfLogs,
+    Config,
+    Json,
+    SelfSupervised,
+    ShardSeconds,
+    settings_for,
+)
 from service.cli.output import json_line, progress, table
-
-BucketOfLogs = Annotated[str, typer.Argument(help="URL or path of a bucket of logs.")]
 
 
 def shards(

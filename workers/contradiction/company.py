@@ -14,7 +14,7 @@ from schemas.arrays import NS_PER_S
 from schemas.contradiction import Instance, Scene
 from workers.contradiction.paths import FEWEST, velocity_of
 from workers.contradiction.settings import DEFAULT_TRACKS, TrackSettings
-from workers.contradiction.tracks import Track, centres_in_odom, frame_period_s
+from workers.contradiction.tracks import Track, centres_in_odom, frame_period_s, longest_gap_s
 
 Others = Mapping[str, Mapping[int, Sequence[NDArray[np.float64]]]]
 """By kind of contradiction and frame: (2,) where others are seen to move, odom space."""
@@ -62,8 +62,7 @@ def frames_seen(
     if len(own) < FEWEST or not theirs:
         return own
     velocity = velocity_of(track.centres_m, stamps_s[own])
-    period_s = frame_period_s(scene)
-    most_s = max(settings.max_miss_s, period_s) + 0.5 * period_s
+    most_s = longest_gap_s(frame_period_s(scene), settings)
     longest_m = max(float(member.size_m[0]) for member in members)
     gate_m = min(settings.gate_m + settings.gate_per_length * longest_m, settings.max_gate_m)
     known = {at: centre[:2] for at, centre in zip(own, track.centres_m, strict=True)}

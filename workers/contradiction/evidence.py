@@ -16,6 +16,7 @@ from workers.contradiction.before_after import Claimed, agreed_beside, called_mo
 from workers.contradiction.paths import path_of
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
 from workers.contradiction.tracks import Track
+from workers.contradiction.unit import clip
 
 _FAR_M: Final = 80.0
 _TURN_RAD_PER_S: Final = 0.3
@@ -196,25 +197,25 @@ def evidence_of(
         lasting=1.0 - math.exp(-lasts_s / settings.persistence_s),
         steady=len(members) / float(at[-1] - at[0] + 1),
         many_points=1.0 - math.exp(-float(np.median(points)) / settings.evidence_points),
-        far=_clip(range_m / _FAR_M),
-        road_user=_clip(road_user),
-        long=_clip(float(size_m[0]) / _LONG_M),
-        tall=_clip(float(size_m[2]) / _TALL_M),
-        thin=_clip(1.0 - float(size_m[1]) / _THIN_M),
-        low=_clip((_LOW_M - float(size_m[2])) / _LOWEST_M) * _clip(1.0 - range_m / _LOW_WITHIN_M),
+        far=clip(range_m / _FAR_M),
+        road_user=clip(road_user),
+        long=clip(float(size_m[0]) / _LONG_M),
+        tall=clip(float(size_m[2]) / _TALL_M),
+        thin=clip(1.0 - float(size_m[1]) / _THIN_M),
+        low=clip((_LOW_M - float(size_m[2])) / _LOWEST_M) * clip(1.0 - range_m / _LOW_WITHIN_M),
         agreed_before=before,
         agreed_after=after,
-        own=_clip(mean([member.own_share for member in members])),
-        supervised_sure=_clip(mean([member.semantic_confidence for member in members])),
-        selfsupervised_sure=_clip(mean([member.predictive_confidence for member in members])),
-        confirmed=_clip(mean([_told(member.confirmed_share) for member in members])),
-        speed_fits=_clip(speed_fits),
-        fast=_clip(float(np.median(speeds)) / _FAST_M_PER_S),
+        own=clip(mean([member.own_share for member in members])),
+        supervised_sure=clip(mean([member.semantic_confidence for member in members])),
+        selfsupervised_sure=clip(mean([member.predictive_confidence for member in members])),
+        confirmed=clip(mean([_told(member.confirmed_share) for member in members])),
+        speed_fits=clip(speed_fits),
+        fast=clip(float(np.median(speeds)) / _FAST_M_PER_S),
         doubted=mean(around.doubted[at].tolist()),
-        turning=_clip(float(around.turn_rad_per_s[at].max()) / _TURN_RAD_PER_S),
-        unseen=_clip(float(around.unseen[at].mean())),
-        denied=_clip(mean([member.denied_share for member in members])),
-        agreed=_clip(mean([member.agreed_share for member in members])),
+        turning=clip(float(around.turn_rad_per_s[at].max()) / _TURN_RAD_PER_S),
+        unseen=clip(float(around.unseen[at].mean())),
+        denied=clip(mean([member.denied_share for member in members])),
+        agreed=clip(mean([member.agreed_share for member in members])),
         silent=_silence(scene, members),
         crowded=1.0
         - math.exp(-(float(np.median([around.crowd[kind, i] for i in at.tolist()])) - 1) / _CROWD),
@@ -257,7 +258,3 @@ def _silence(scene: Scene, members: Sequence[Instance]) -> float:
 
 def _told(share: float | None) -> float:
     return 1.0 if share is None else share
-
-
-def _clip(value: float) -> float:
-    return min(1.0, max(0.0, value))

@@ -44,6 +44,7 @@ from workers.contradiction.evidence import Evidence, Surroundings, evidence_of, 
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
 from workers.contradiction.sizes import box_plausibility, not_flat, not_too_long
 from workers.contradiction.tracks import Track, frame_period_s, tie_tracks
+from workers.contradiction.unit import clip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,7 +143,7 @@ def motion_plausibility(
         return settings.unmeasured
     velocity = np.median(measured, axis=0)
     speed = float(np.median(np.linalg.norm(measured, axis=1)))
-    fast_enough = _clip(speed / settings.slow_m_per_s)
+    fast_enough = clip(speed / settings.slow_m_per_s)
     span_s = float(stamps_s[-1] - stamps_s[0])
     if span_s < 0.4:  # a box jumps by decimetres: too short a path says nothing
         return fast_enough * (1.0 + settings.unmeasured) / 2
@@ -248,7 +249,3 @@ def _commonest(names: Sequence[str], points: NDArray[np.int64]) -> str:
     for name, count in zip(names, points, strict=True):
         weight[name] = weight.get(name, 0) + int(count)
     return min(weight, key=lambda name: (-weight[name], name))
-
-
-def _clip(value: float) -> float:
-    return min(1.0, max(0.0, value))

@@ -82,7 +82,7 @@ def tie_tracks(
     """
     stamps_s = [(frame.stamp_ns - scene.start_ns) / NS_PER_S for frame in scene.frames]
     period_s = frame_period_s(scene)
-    max_gap_s = max(settings.max_miss_s, period_s) + 0.5 * period_s
+    max_gap_s = longest_gap_s(period_s, settings)
     centres_m = centres_in_odom(scene, instances)
     done: list[_Open] = []
     for kind in scene.task.kinds:
@@ -144,6 +144,11 @@ def _match(
         for row, column in zip(rows, columns, strict=True)
         if within[row, column]
     ]
+
+
+def longest_gap_s(period_s: float, settings: TrackSettings) -> float:
+    """How long a track may go unseen: a while, or one frame of a slow sensor, and some jitter."""
+    return max(settings.max_miss_s, period_s) + 0.5 * period_s
 
 
 def _gate_m(track: _Open, instance: Instance, stamp_s: float, settings: TrackSettings) -> float:

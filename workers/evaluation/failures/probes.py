@@ -25,8 +25,8 @@ from workers.supervised.uncertainty import mc_dropout
 from workers.supervised.weights import LoadedWeights
 
 PASSES: Final = 8
-NETWORKS: Final = "salsanext-lmnet"
-"""Streams that can be probed."""
+PROBED: Final = "salsanext-lmnet"
+"""The stream that can be."""
 
 Views = Mapping[str, NDArray[np.float32]]
 
@@ -60,7 +60,7 @@ class ProbedStream:
     @classmethod
     def of(cls, settings: MiningSettings, probing: Probing) -> Self | None:
         """Probe the stream that the settings name; None where it is none of two networks."""
-        if settings.supervised != NETWORKS:
+        if settings.supervised != PROBED:
             return None
         folder = Path(settings.weights) if settings.weights else SHIPPED
         inner = _Noting.salsanext_lmnet(folder)
