@@ -6,6 +6,7 @@ alone. Both contradict a supervised stream that says it stands, and what lasts i
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,30 +15,60 @@ from schemas.arrays import NS_PER_S
 from schemas.contradiction import Instance, Scene
 from workers.contradiction.paths import FEWEST, velocity_of
 from workers.contradiction.settings import DEFAULT_TRACKS, TrackSettings
-from workers.contradiction.tracks import Track, centres_in_odom, frame_period_s, longest_gap_s
-
-Others = Mapping[str, Mapping[int, Sequence[NDArray[np.float64]]]]
-"""By kind of contradiction and frame: (2,) where others are seen to move, odom space."""
+from workers.contradiction.tracks import Track, frame_period_s, longest_gap_s
 
 
-def others_of(scene: Scene, instances: Sequence[Instance]) -> Others:
-    """Say for each kind in which one onlooker sees motion where the other one sees it."""
-    centres_m = centres_in_odom(scene, instances)
+@dataclass(frozen=True, slots=True, eq=False)
+class Company:
+    """What the tracks of a scene share when asked who else saw their thing: worked out once.
+
+    Attributes:
+        stamps_s: (F,) times of the frames since the scene began.
+        longest_gap_s: How long a thing may go unseen.
+        others: By kind of contradiction and frame: (2,) where the other onlooker sees motion, odom
+            space.
+    """
+
+    stamps_s: NDArray[np.float64]
+    longest_gap_s: float
+    others: Mapping[str, Mapping[int, Sequence[NDArray[np.float64]]]]
+
+
+def company_of(
+    scene: Scene,
+    tracks: Sequence[Track],
+    instances: Sequence[Instance],
+    *,
+    settings: TrackSettings = DEFAULT_TRACKS,
+) -> Company:
+    """Say for each kind in which one onlooker sees motion where the other one sees it.
+
+    Args:
+        scene: Where it was found.
+        tracks: All of it; every instance is in exactly one.
+        instances: As the tracks count them.
+        settings: Gates.
+    """
     onlookers = [kind for kind in scene.task.kinds if kind.measured or kind.of_witness]
-    others: dict[str, dict[int, list[NDArray[np.float64]]]] = {}
-    for kind in onlookers:
-        mine = others.setdefault(kind.name, {})
-        for instance, centre_m in zip(instances, centres_m, strict=True):
-            if instance.kind in onlookers and instance.kind != kind:
-                mine.setdefault(instance.frame_index, []).append(centre_m[:2])
-    return others
+    others: dict[str, dict[int, list[NDArray[np.float64]]]] = {kind.name: {} for kind in onlookers}
+    for track in tracks:
+        for kind in onlookers if track.kind in onlookers else ():
+            if kind == track.kind:
+                continue
+            for member, centre_m in zip(track.members, track.centres_m, strict=True):
+                seen = others[kind.name].setdefault(instances[member].frame_index, [])
+                seen.append(centre_m[:2])
+    return Company(
+        stamps_s=np.array([(f.stamp_ns - scene.start_ns) / NS_PER_S for f in scene.frames]),
+        longest_gap_s=longest_gap_s(frame_period_s(scene), settings),
+        others=others,
+    )
 
 
 def frames_seen(
-    scene: Scene,
     track: Track,
     members: Sequence[Instance],
-    others: Others,
+    company: Company,
     *,
     settings: TrackSettings = DEFAULT_TRACKS,
 ) -> list[int]:
@@ -47,29 +78,27 @@ def frames_seen(
     do not say where that is.
 
     Args:
-        scene: Where it was found.
         track: Its track.
         members: The instances of the track.
-        others: As `others_of` lists them.
+        company: Who else saw something.
         settings: Gates.
 
     Returns:
         Indices of frames, rising.
     """
     own = [member.frame_index for member in members]
-    stamps_s = np.array([(frame.stamp_ns - scene.start_ns) / NS_PER_S for frame in scene.frames])
-    theirs = others.get(track.kind.name, {})
+    stamps_s = company.stamps_s
+    theirs = company.others.get(track.kind.name, {})
     if len(own) < FEWEST or not theirs:
         return own
     velocity = velocity_of(track.centres_m, stamps_s[own])
-    most_s = longest_gap_s(frame_period_s(scene), settings)
     longest_m = max(float(member.size_m[0]) for member in members)
     gate_m = min(settings.gate_m + settings.gate_per_length * longest_m, settings.max_gate_m)
     known = {at: centre[:2] for at, centre in zip(own, track.centres_m, strict=True)}
     for steps in (range(own[0] - 1, -1, -1), range(own[0] + 1, len(stamps_s))):
         at = own[0]
         for frame in steps:
-            if frame not in known and abs(stamps_s[frame] - stamps_s[at]) <= most_s:
+            if frame not in known and abs(stamps_s[frame] - stamps_s[at]) <= company.longest_gap_s:
                 due = known[at] + velocity * (stamps_s[frame] - stamps_s[at])
                 found = _nearest(due, theirs.get(frame, ()))
                 if found is not None and float(np.linalg.norm(found - due)) <= gate_m:

@@ -39,7 +39,7 @@ from schemas.contradiction import Instance, Scene
 from schemas.frame import OdometryState
 from workers.contradiction.attribution import attribute, tables
 from workers.contradiction.because import because_of
-from workers.contradiction.company import Others, frames_seen, others_of
+from workers.contradiction.company import Company, company_of, frames_seen
 from workers.contradiction.evidence import Evidence, Surroundings, evidence_of, surroundings_of
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
 from workers.contradiction.sizes import box_plausibility, not_flat, not_too_long
@@ -86,19 +86,20 @@ def rank_tracks(
     period_s = frame_period_s(scene)
     around = surroundings_of(scene, instances)
     weights = pose_weights(scene, settings=settings)
-    others = others_of(scene, instances)
+    tracks = tie_tracks(scene, instances)
+    company = company_of(scene, tracks, instances)
     ranked = [
         _rank(
             scene,
             track,
             [instances[i] for i in track.members],
             around,
-            others,
+            company,
             weights,
             period_s,
             settings,
         )
-        for track in tie_tracks(scene, instances)
+        for track in tracks
     ]
     ranked.sort(key=lambda each: (-each.strength, each.track.members[0]))
     return tuple(ranked)
@@ -159,7 +160,7 @@ def _rank(
     track: Track,
     members: Sequence[Instance],
     around: Surroundings,
-    others: Others,
+    company: Company,
     weights: NDArray[np.float64],
     period_s: float,
     settings: ScoreSettings,
@@ -190,7 +191,7 @@ def _rank(
     lone = 1.0 - evidence.crowded
     frames = [member.frame_index for member in members]
     lasting = _lasting(frames, period_s, settings)
-    seen = _lasting(frames_seen(scene, track, members, others), period_s, settings)
+    seen = _lasting(frames_seen(track, members, company), period_s, settings)
     lasting += lone * max(0.0, seen - lasting)
     presence = lasting * evidence.many_points * size
     gate = _gate(weights[frames], lone, stands=track.kind.semantic == scene.task.moving)
