@@ -1,12 +1,17 @@
 """Which stream is probably wrong about a contradicting thing, how sure that is, and why."""
 
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Final
 
 from pydantic import BaseModel, ConfigDict, Field
 
 Chance = Annotated[float, Field(ge=0, le=1)]
 """A probability."""
+
+MOST_WORDS: Final = 6
+"""Of a track, for, against and beside together: a record has to fit the bus."""
+
+Words = tuple[str, ...]
 
 
 class Wrong(StrEnum):
@@ -28,11 +33,24 @@ class Attribution(BaseModel):
     selfsupervised: Chance = Field(description="That the self-supervised stream alone is wrong.")
     both: Chance = Field(description="That both are wrong, and the witness right.")
     neither: Chance = Field(description="That both are right, and the witness wrong.")
-    because: tuple[str, ...] = Field(
+    because: Words = Field(
         default=(),
-        max_length=6,
+        max_length=MOST_WORDS,
         exclude_if=lambda value: not value,
-        description="What speaks for it, in words; absent where a track is hardly worth a look.",
+        description="What speaks for it, the weightiest first; of tracks hardly worth a look no "
+        "word is told.",
+    )
+    against: Words = Field(
+        default=(),
+        max_length=MOST_WORDS,
+        exclude_if=lambda value: not value,
+        description="What speaks for another answer, the weightiest first.",
+    )
+    also: Words = Field(
+        default=(),
+        max_length=MOST_WORDS,
+        exclude_if=lambda value: not value,
+        description="What else is known of the track and speaks neither for nor against it.",
     )
 
     @property

@@ -10,18 +10,22 @@ with a card that says on what, and how well. An answer without a row has no chan
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from typing import Any, Final
 
-from schemas.attribution import Attribution, Wrong
+from schemas.attribution import MOST_WORDS, Attribution, Wrong
+from workers.contradiction.because import Remark
 from workers.contradiction.evidence import NAMES, Evidence
 
 FILE: Final = "attribution.json"
 _DIGITS: Final = 3
 _MOST_ODDS: Final = 30.0
+
+NOTHING: Final = 0.1
+"""Log-odds: what moves a chance of a half by less than 0.025 speaks neither for nor against."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,21 +82,49 @@ def chances(table: Table, evidence: Mapping[str, float]) -> dict[Wrong, float]:
     return {wrong: shares.get(wrong, 0.0) / total for wrong in Wrong}
 
 
-def attribute(kind: str, evidence: Evidence, *, because: tuple[str, ...] = ()) -> Attribution:
+def weight_of(
+    otherwise: Mapping[str, float], table: Table, evidence: Mapping[str, float], wrong: Wrong
+) -> float:
+    """What evidence adds to the log-odds of an answer against all others together.
+
+    It is the difference to the same track with that evidence as it would be otherwise, so that its
+    sign says whether it speaks for the answer, whatever the weights of the others.
+    """
+    there = _log_odds(table, evidence, wrong)
+    return there - _log_odds(table, {**evidence, **otherwise}, wrong)
+
+
+def attribute(kind: str, evidence: Evidence, *, remarks: Sequence[Remark] = ()) -> Attribution:
     """Say who is wrong about a track.
 
     Args:
         kind: Name of the kind of contradiction.
         evidence: What is known about the track.
-        because: What speaks for it, in words.
+        remarks: What of it is worth saying; sorted by whether it speaks for the answer.
     """
-    known = chances(tables()[kind], evidence.named())
+    table, named = tables()[kind], evidence.named()
+    known = chances(table, named)
     rounded = {wrong: round(chance, _DIGITS) for wrong, chance in known.items()}
+    answer = max(Wrong, key=lambda wrong: rounded[wrong])
+    weighed = [
+        (round(weight_of(remark.otherwise, table, named, answer), _DIGITS), remark.words)
+        for remark in remarks
+    ]
+    weighed = sorted(weighed, key=lambda each: -abs(each[0]))[:MOST_WORDS]
     return Attribution(
-        wrong=max(Wrong, key=lambda wrong: rounded[wrong]),
+        wrong=answer,
         supervised=rounded[Wrong.SUPERVISED],
         selfsupervised=rounded[Wrong.SELFSUPERVISED],
         both=rounded[Wrong.BOTH],
         neither=rounded[Wrong.NEITHER],
-        because=because,
+        because=tuple(words for weight, words in weighed if weight >= NOTHING),
+        against=tuple(words for weight, words in weighed if weight <= -NOTHING),
+        also=tuple(words for weight, words in weighed if abs(weight) < NOTHING),
     )
+
+
+def _log_odds(table: Table, evidence: Mapping[str, float], wrong: Wrong) -> float:
+    odds = {answer: row.of(evidence) for answer, row in table.items()}
+    rest = [value for answer, value in odds.items() if answer is not wrong]
+    highest = max(rest)
+    return odds[wrong] - highest - math.log(sum(math.exp(value - highest) for value in rest))

@@ -1,5 +1,7 @@
-"""What speaks for an attribution, in words: where, how, and what the witness saw."""
+"""What is known of a track, in words: where, how, and what the witness saw."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -14,7 +16,6 @@ FEW: Final = 0.4
 TURNING: Final = 0.5
 HALF: Final = 0.5
 SURE: Final = 0.7
-MOST_WORDS: Final = 6
 
 MISSED: Final = frozenset({"only_predictive_dynamic", "only_witness_dynamic"})
 """Kinds in which the supervised stream calls static what is seen to move."""
@@ -46,33 +47,52 @@ def fits_no_class(size_m: NDArray[np.float64]) -> bool:
     )
 
 
-def because_of(kind: str, evidence: Evidence, size_m: NDArray[np.float64]) -> tuple[str, ...]:
-    """Say what speaks for an attribution and what made the error likely.
+@dataclass(frozen=True, slots=True)
+class Remark:
+    """Something worth saying of a track.
+
+    Attributes:
+        words: What is said.
+        otherwise: The evidence it rests on, as it would be were it not so; empty where the tables
+            of `attribution.py` do not ask for it.
+    """
+
+    words: str
+    otherwise: Mapping[str, float]
+
+
+def remarks_on(
+    kind: str, evidence: Evidence, size_m: NDArray[np.float64], *, of_witness: bool
+) -> tuple[Remark, ...]:
+    """Say what is known of a track that a person would want to hear.
 
     Args:
         kind: Name of the kind of contradiction.
         evidence: What is known about the track.
         size_m: (3,) length, width and height of its box in the median.
+        of_witness: Whether the kind says already that the witness sees it move.
     """
     unasked = 1.0 - evidence.witness_moving - evidence.witness_still
     # a piece of a thing, or one seen badly, has no shape of its own
     whole = evidence.own > SURE and evidence.many_points > HALF and evidence.far < FAR
     missed = kind in MISSED and evidence.supervised_sure > SURE and whole
-    said = (
-        ("the witness sees it move", evidence.witness_moving > HALF),
-        ("the witness sees it stand", evidence.witness_still > HALF),
-        ("both see it move right before", evidence.agreed_before > HALF),
-        ("both see it move right after", evidence.agreed_after > HALF),
-        ("its shape fits no usual class", missed and fits_no_class(size_m)),
-        ("occluded before and after", unasked > HALF),
-        ("odometry unhealthy", evidence.doubted > 0.0),
-        ("much else contradicts alike", evidence.crowded > HALF),
-        ("far", evidence.far > FAR),
-        ("few points", evidence.many_points < FEW),
-        ("at a turn", evidence.turning > TURNING),
-        ("low", evidence.low > HALF),
-        ("thin", evidence.thin > 0.0),
-        ("slow", HALF > evidence.went > 0.2 and evidence.lasting > HALF),
-        ("flickers", evidence.steady < 0.8),
+    slow = HALF > evidence.went > 0.2 and evidence.lasting > HALF
+    sees_move = evidence.witness_moving > HALF and not of_witness
+    said: tuple[tuple[str, bool, Mapping[str, float]], ...] = (
+        ("the witness sees it move", sees_move, {"witness_moving": 0.0}),
+        ("the witness sees it stand", evidence.witness_still > HALF, {"witness_still": 0.0}),
+        ("both see it move right before", evidence.agreed_before > HALF, {"agreed_before": 0.0}),
+        ("both see it move right after", evidence.agreed_after > HALF, {"agreed_after": 0.0}),
+        ("its shape fits no usual class", missed and fits_no_class(size_m), {}),
+        ("occluded before and after", unasked > HALF, {}),
+        ("odometry unhealthy", evidence.doubted > 0.0, {"doubted": 0.0}),
+        ("much else contradicts alike", evidence.crowded > HALF, {"crowded": 0.0}),
+        ("far", evidence.far > FAR, {"far": 0.0}),
+        ("few points", evidence.many_points < FEW, {"many_points": 1.0}),
+        ("at a turn", evidence.turning > TURNING, {"turning": 0.0}),
+        ("low", evidence.low > HALF, {"low": 0.0}),
+        ("thin", evidence.thin > 0.0, {"thin": 0.0}),
+        ("slow", slow, {"went": 0.0}),
+        ("flickers", evidence.steady < 0.8, {"steady": 1.0}),
     )
-    return tuple(words for words, holds in said if holds)[:MOST_WORDS]
+    return tuple(Remark(words, otherwise) for words, holds, otherwise in said if holds)

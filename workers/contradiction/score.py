@@ -189,7 +189,7 @@ def _told(attribution: Attribution | None, strength: float) -> Attribution | Non
     """Words are kept for tracks that are worth saying: a record has to fit the bus."""
     if attribution is None or strength >= WORTH_SAYING:
         return attribution
-    return attribution.model_copy(update={"because": ()})
+    return attribution.model_copy(update={"because": (), "against": (), "also": ()})
 
 
 def _instance_record(scene: Scene, instance: Instance) -> InstanceRecord:

@@ -38,7 +38,7 @@ from schemas.attribution import Attribution
 from schemas.contradiction import Instance, Scene
 from schemas.frame import OdometryState
 from workers.contradiction.attribution import attribute, tables
-from workers.contradiction.because import because_of
+from workers.contradiction.because import remarks_on
 from workers.contradiction.company import Company, company_of, frames_seen
 from workers.contradiction.evidence import Evidence, Surroundings, evidence_of, surroundings_of
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
@@ -181,7 +181,8 @@ def _rank(
     )
     kind, attribution = track.kind.name, None
     if kind in tables():
-        attribution = attribute(kind, evidence, because=because_of(kind, evidence, size_m))
+        remarks = remarks_on(kind, evidence, size_m, of_witness=track.kind.of_witness)
+        attribution = attribute(kind, evidence, remarks=remarks)
         range_m = float(np.average([np.hypot(*m.centre_m[:2]) for m in members], weights=points))
         size = not_too_long(size_m, settings) * not_flat(size_m, range_m, settings)
         chance = attribution.supervised_wrong

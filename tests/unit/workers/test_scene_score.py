@@ -1,9 +1,11 @@
 import math
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
+from schemas.attribution import Attribution, Wrong
 from schemas.contradiction import ContradictionKind, LabelledFrame, Scene, SceneState
 from schemas.frame import OdometryState
 from schemas.labels import Blindness, FrameHealth, MotionLabel
@@ -12,7 +14,7 @@ from schemas.wire import decode, encode_scene_score
 from tests.labelled_worlds import CLASS_NAMES, START_NS, Thing, labelled_scene, shard_of
 from workers.contradiction.compare import compare
 from workers.contradiction.instances import find_instances
-from workers.contradiction.reasons import bearing
+from workers.contradiction.reasons import bearing, describe
 from workers.contradiction.score import combine, score_scene
 from workers.contradiction.sizes import box_plausibility, not_flat
 from workers.contradiction.strength import motion_plausibility, persistence, rank_tracks
@@ -83,9 +85,30 @@ def test_a_phantom_pedestrian_is_told_with_where_it_stands() -> None:
         "pedestrian seen moving by the supervised stream alone for 2.0 s, 13 m ahead; "
         "the supervised stream errs ("
     )
+    assert re.search(r" errs \(\d+%; also: occluded before and after\)$", reason)
     strongest = record.tracks[0].strongest
     assert strongest.range_m == pytest.approx(math.hypot(12, 4), abs=0.3)
     assert (strongest.semantic_confidence, strongest.predictive_confidence) == (0.9, 0.9)
+
+
+def test_what_speaks_for_and_against_who_errs_is_told_apart() -> None:
+    attribution = Attribution(
+        wrong=Wrong.SUPERVISED,
+        supervised=0.6,
+        selfsupervised=0.4,
+        both=0.0,
+        neither=0.0,
+        because=("the witness sees it stand",),
+        against=("far", "low"),
+        also=("few points",),
+    )
+    scene = labelled_scene([PHANTOM])
+    instances = find_instances(scene, class_names=CLASS_NAMES)
+    (ranked,) = rank_tracks(scene, instances)
+    assert describe(scene, instances, replace(ranked, attribution=attribution)).endswith(
+        "; the supervised stream errs "
+        "(60%; for: the witness sees it stand; against: far, low; also: few points)"
+    )
 
 
 def test_the_score_never_falls_when_a_contradiction_is_added_or_grows() -> None:
