@@ -1,6 +1,5 @@
 """Pictures of a scored scene: from above in the colours of the method, and on the camera image."""
 
-from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Final
 
@@ -15,6 +14,7 @@ from schemas.score import SceneScore
 from schemas.task import Outcome, task_named
 from service.picture_above import draw_above
 from service.picture_camera import draw_camera
+from service.picture_reasons import draw_reasons
 from service.picture_style import (
     BACKGROUND,
     GRID,
@@ -26,7 +26,6 @@ from service.picture_style import (
     inks_of,
     meaning,
     shorten,
-    wrap,
 )
 from service.picture_view import View
 
@@ -41,9 +40,7 @@ _TILE_PX: Final = 168
 _LABELS: Final = 10
 _ROWS: Final = 3
 _LEGEND_ROWS: Final = 10
-_LINE_PX: Final = 21
-_FEWEST_LINES: Final = 2
-"""Of a reason; more where there is room for all of them."""
+_LEGEND_PX: Final = 24
 
 
 def draw_scene(score: SceneScore, overlay: Overlay, *, frame: int | None = None) -> Image.Image:
@@ -127,7 +124,9 @@ def _draw_side(image: Image.Image, score: SceneScore, overlay: Overlay) -> None:
     if not score.tracks:
         draw.text((left, y), "no contradiction in this scene", fill=SOFT_TEXT, font=font(18))
         y += 40
-    _draw_reasons(draw, score, left=left, top=y, width=width)
+    legend = len(_named(score)) + len(_witnessed(score)) + 1
+    bottom = HEIGHT_PX - _MARGIN_PX - _LEGEND_PX * legend
+    draw_reasons(draw, score, left=left, top=y, width=width, bottom=bottom)
     _draw_legend(draw, score, left=left, width=width)
 
 
@@ -180,59 +179,16 @@ def _moments(members: NDArray[np.intp], strongest: int) -> list[int]:
     return sorted({first, between, last})
 
 
-def _draw_reasons(
-    draw: ImageDraw.ImageDraw, score: SceneScore, *, left: int, top: int, width: int
-) -> None:
-    """List the reasons; one that tells a track has its number, colour and strongest moment."""
-    task = task_named(score.task)
-    bottom = HEIGHT_PX - _MARGIN_PX - (len(_named(score)) + len(_witnessed(score)) + 1) * 24
-    told = []
-    for index, reason in enumerate(score.reasons):
-        mark, ink = "-", SOFT_TEXT
-        if index < len(score.tracks) and _tells_a_track(reason, score):
-            track = score.tracks[index]
-            mark, ink = str(track.track_id + 1), inks_of(task)[task.kind(track.kind).code]
-            at_s = (track.strongest.stamp_ns - score.start_ns) / NS_PER_S
-            reason = f"at {at_s:.1f} s: {reason}"
-        told.append((mark, ink, reason))
-    room = (bottom - top) // _LINE_PX
-    broken = _broken([reason for _, _, reason in told], width - 20, room)
-    for (mark, ink, _), lines in zip(told, broken, strict=False):
-        draw.text((left, top), mark, fill=ink, font=font(16))
-        for line in lines:
-            draw.text((left + 20, top), line, fill=TEXT, font=font(16))
-            top += _LINE_PX
-
-
-def _broken(texts: Sequence[str], width_px: float, room: int) -> list[list[str]]:
-    """Break as many texts into lines as there is room for; what is left of it goes to the first."""
-    whole = [wrap(text, width_px, 16, max_lines=max(room, _FEWEST_LINES)) for text in texts]
-    shown = max(0, min(len(whole), room // _FEWEST_LINES))
-    spare = room - sum(min(len(lines), _FEWEST_LINES) for lines in whole[:shown])
-    broken = []
-    for text, lines in zip(texts[:shown], whole, strict=False):
-        more = min(max(len(lines) - _FEWEST_LINES, 0), spare)
-        spare -= more
-        broken.append(wrap(text, width_px, 16, max_lines=_FEWEST_LINES + more))
-    return broken
-
-
-def _tells_a_track(reason: str, score: SceneScore) -> bool:
-    """Reasons come track by track; what gated the scene has none, and stands last."""
-    gates = ("odometry ", "self-supervised stream ", "nothing was compared")
-    return score.state is SceneState.SCORED and not reason.startswith(gates)
-
-
 def _draw_legend(draw: ImageDraw.ImageDraw, score: SceneScore, *, left: int, width: int) -> None:
     """Name the colours, each with its share of the compared points off the ground."""
     task = task_named(score.task)
     colours = colours_of(task)
     named, witnessed = _named(score), _witnessed(score)
-    top = HEIGHT_PX - _MARGIN_PX - (len(named) + len(witnessed)) * 24 - 14
+    top = HEIGHT_PX - _MARGIN_PX - (len(named) + len(witnessed)) * _LEGEND_PX - 14
     draw.rectangle((left, top, left + width, HEIGHT_PX - _MARGIN_PX), fill=PANEL)
     of_which = "off ground" if task.of_things else "of compared"
     for row, outcome in enumerate(named):
-        y = top + 8 + 24 * row
+        y = top + 8 + _LEGEND_PX * row
         draw.rectangle((left + 10, y + 3, left + 26, y + 17), fill=colours[outcome.code])
         share = (
             f"{1 - score.compared_share:.1%} of all"
@@ -242,7 +198,7 @@ def _draw_legend(draw: ImageDraw.ImageDraw, score: SceneScore, *, left: int, wid
         draw.text((left + 36, y), meaning(outcome, task), fill=TEXT, font=font(15))
         draw.text((left + width - 10, y), share, fill=SOFT_TEXT, font=font(15), anchor="ra")
     for row, kind in enumerate(witnessed, start=len(named)):
-        y = top + 8 + 24 * row
+        y = top + 8 + _LEGEND_PX * row
         draw.rectangle((left + 10, y + 3, left + 26, y + 17), outline=inks_of(task)[kind.code])
         draw.text((left + 36, y), "boxes: the witness alone sees it move", fill=TEXT, font=font(15))
 

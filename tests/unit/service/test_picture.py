@@ -41,7 +41,7 @@ class _Streams:
     selfsupervised: _Part = _Part()
 
 
-def _mined(scene: Scene) -> tuple[SceneScore, Overlay]:
+def mined_scene(scene: Scene) -> tuple[SceneScore, Overlay]:
     instances = find_instances(scene, class_names=CLASS_NAMES)
     tracks = rank_tracks(scene, instances)
     score = score_scene(
@@ -52,7 +52,7 @@ def _mined(scene: Scene) -> tuple[SceneScore, Overlay]:
 
 @pytest.fixture(scope="module")
 def mined() -> tuple[SceneScore, Overlay]:
-    return _mined(labelled_scene([WALL, AGREED, MISSED, PHANTOM], frames=12))
+    return mined_scene(labelled_scene([WALL, AGREED, MISSED, PHANTOM], frames=12))
 
 
 def _pixels(image: Image.Image) -> NDArray[np.uint8]:
@@ -115,7 +115,7 @@ def test_the_frame_with_the_strongest_evidence_is_shown_unless_another_is_asked_
 
 
 def test_frames_are_laid_over_each_other_by_their_poses() -> None:
-    _, overlay = _mined(labelled_scene([WALL], frames=12, ego_m_per_s=10))
+    _, overlay = mined_scene(labelled_scene([WALL], frames=12, ego_m_per_s=10))
     view = View(frame=0, centre_m=(0.0, 0.0), half_m=30.0, size_px=600)
     faint = _pixels(draw_above(overlay, view, rings=False))
     bare = _pixels(draw_above(overlay, view, rings=False, background=False))
@@ -154,7 +154,7 @@ def test_the_overlay_of_another_scene_is_refused(mined: tuple[SceneScore, Overla
     ],
 )
 def test_scenes_with_little_to_show_are_drawn_all_the_same(scene: Scene) -> None:
-    assert draw_scene(*_mined(scene)).size == (1600, 1130)
+    assert draw_scene(*mined_scene(scene)).size == (1600, 1130)
 
 
 def test_names_of_any_length_and_script_are_drawn(mined: tuple[SceneScore, Overlay]) -> None:
