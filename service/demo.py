@@ -11,10 +11,10 @@ from rich.progress import Progress
 
 from schemas.overlay import decode_overlay
 from service.config import Settings, load_settings
+from service.demo_planted import DemoScene, beside_truth
 from service.demo_retrieval import RankingFound, found_in
 from service.embedded import run_embedded
 from service.picture import draw_scene
-from service.ranking import RankedScene
 from service.reading import StateReader
 from service.status import Status
 
@@ -27,16 +27,14 @@ class DemoResult:
 
     Attributes:
         status: How mining went.
-        ranking: All scenes, best first.
-        pictures: Of its best scenes.
-        failing: Scenes in which a failure was planted.
-        found: How well rankings find those.
+        scenes: All of them, best first, each beside what was planted in it.
+        pictures: Of the best ones.
+        found: How well rankings find those in which a failure was planted.
     """
 
     status: Status
-    ranking: list[RankedScene]
+    scenes: list[DemoScene]
     pictures: list[Path]
-    failing: int
     found: list[RankingFound]
 
 
@@ -115,13 +113,13 @@ def run_demo(
         )
     reader = StateReader(settings, now_s=now_s)
     ranking = reader.top()
+    records = {row.scene_id: reader.scene(row.scene_id) for row in ranking}
+    scenes = beside_truth(ranking, records, bucket / "truth")
     drawn: list[Path] = []
-    for row in [scene for scene in ranking if scene.twin_of is None and scene.score > 0][:PICTURES]:
-        path = pictures / f"{len(drawn) + 1}.png"
-        draw_scene(reader.scene(row.scene_id), decode_overlay(reader.overlay(row.scene_id))).save(
-            path
-        )
+    worth = [each for each in scenes if each.row.twin_of is None and each.record.score > 0]
+    for scene in worth[:PICTURES]:
+        path = pictures / scene.file_name
+        overlay = decode_overlay(reader.overlay(scene.row.scene_id))
+        draw_scene(scene.record, overlay).save(path)
         drawn.append(path)
-    scenes = [reader.scene(row.scene_id) for row in ranking]
-    failing, found = found_in(scenes, bucket / "truth")
-    return DemoResult(status, ranking, drawn, failing, found)
+    return DemoResult(status, scenes, drawn, found_in(scenes))

@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from schemas.score import SceneScore
+from service.demo_planted import DemoScene
 
 BUDGETS: Final = (0.1, 0.2)
 """Of thirty scenes the first three and the first six."""
@@ -28,40 +28,18 @@ class RankingFound:
     precision_at: dict[str, float]
 
 
-def found_in(scenes: Sequence[SceneScore], truth: Path) -> tuple[int, list[RankingFound]]:
-    """Hold rankings of a simulated fleet against what was planted.
-
-    Args:
-        scenes: All of its scenes.
-        truth: Folder of its truth.
-
-    Returns:
-        How many scenes hold a planted failure, and how well each way to rank finds them.
-    """
+def found_in(scenes: Sequence[DemoScene]) -> list[RankingFound]:
+    """Say how well each way to rank the scenes finds those with a planted failure."""
     from workers.evaluation.failures.retrieval import Retrieval, random_retrieval, retrieve
-    from workers.simulation.planted_truth import PlantedTruth
 
-    planted = {
-        log_id: known.failures if (known := PlantedTruth.beside(truth / log_id)) else ()
-        for log_id in {each.log_id for each in scenes}
-    }
-    wanted = np.array(
-        [
-            any(
-                row.start_ns <= scene.end_ns and scene.start_ns < row.end_ns
-                for row in planted[scene.log_id]
-            )
-            for scene in scenes
-        ],
-        dtype=np.bool_,
-    )
+    wanted = np.array([bool(scene.failures) for scene in scenes], dtype=np.bool_)
 
     def row(name: str, found: Retrieval) -> RankingFound:
         return RankingFound(name, found.ap, found.precision_at)
 
-    scores = np.array([scene.score for scene in scenes])
-    shares = np.array([_contradicting(scene) for scene in scenes])
-    return int(wanted.sum()), [
+    scores = np.array([scene.record.score for scene in scenes])
+    shares = np.array([_contradicting(scene.record) for scene in scenes])
+    return [
         row("counterpoint's score", retrieve(scores, wanted, BUDGETS)),
         row("share of contradicting points", retrieve(shares, wanted, BUDGETS)),
         row("a random order", random_retrieval(wanted, BUDGETS)),

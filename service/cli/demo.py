@@ -1,15 +1,19 @@
 """The verb `demo`: a small simulated fleet, mined, ranked, drawn, and held against its truth."""
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
 from service.cli.options import LogFormat, LogLevel, log_as
 from service.cli.output import progress, remark, table
 
-DEMO_ROWS = 12
+if TYPE_CHECKING:
+    from service.demo_planted import DemoScene
+
+DEMO_ROWS: Final = 12
 
 
 def add_to(app: typer.Typer) -> None:
@@ -26,7 +30,7 @@ def demo(
     log_level: LogLevel = None,
 ) -> None:
     """Simulate street logs, mine them, rank the scenes, draw the best ones."""
-    from service.cli.report import say_ranking, say_what_was_found
+    from service.cli.report import say_what_was_found
     from service.demo import demo_settings, run_demo
 
     settings = demo_settings(out, workers=workers, log_format=log_format, log_level=log_level)
@@ -39,10 +43,11 @@ def demo(
         now_s=time.clock_gettime(time.CLOCK_REALTIME),
     )
     say_what_was_found(result.status)
-    say_ranking(result.ranking, most=DEMO_ROWS)
+    say_demo_ranking(result.scenes)
+    failing = sum(bool(scene.failures) for scene in result.scenes)
     table(
-        f"how well rankings find the {result.failing} of {len(result.ranking)} scenes in which the "
-        "model on the car errs",
+        f"how well rankings find the {failing} of {len(result.scenes)} scenes with a planted "
+        "failure",
         ("ranked by", "average precision", "precision of the first 10 %", "of the first 20 %"),
         (
             (each.name, each.ap, each.precision_at["10"], each.precision_at["20"])
@@ -52,3 +57,25 @@ def demo(
     for path in result.pictures:
         remark(f"picture: {path}")
     remark(f"more: counterpoint top --state {out / 'state'}")
+
+
+def say_demo_ranking(scenes: "Sequence[DemoScene]", *, most: int = DEMO_ROWS) -> None:
+    """Print the best scenes, and of the others those in which a failure was planted."""
+    rank_of = {scene.row.scene_id: scene.row.rank for scene in scenes}
+    shown = [scene for scene in scenes if scene.row.rank <= most or scene.failures]
+    table(
+        f"{len(scenes)} scenes: the best {most}, and of the others those with a planted failure",
+        ("rank", "score", "scene", "planted", "who errs", "why", "twin of rank"),
+        (
+            (
+                scene.row.rank,
+                scene.record.score,
+                scene.name,
+                scene.planted,
+                scene.wrong,
+                "; ".join(scene.record.reasons[:1]) or "-",
+                rank_of[scene.row.twin_of] if scene.row.twin_of else None,
+            )
+            for scene in shown
+        ),
+    )

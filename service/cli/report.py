@@ -73,11 +73,11 @@ def say_what_was_found(status: Status) -> None:
     )
 
 
-def say_ranking(rows: Sequence[RankedScene], *, most: int | None = None) -> None:
-    """Print the ranking, best first, or only its `most` first rows."""
+def say_ranking(rows: Sequence[RankedScene]) -> None:
+    """Print the ranking, best first."""
     rank_of = {row.scene_id: row.rank for row in rows}
     table(
-        f"{len(rows)} scenes" + (f", the best {most}" if most and most < len(rows) else ""),
+        f"{len(rows)} scenes",
         ("rank", "score", "scene", "begins (UTC)", "seconds", "why", "twin of rank"),
         (
             (
@@ -89,7 +89,7 @@ def say_ranking(rows: Sequence[RankedScene], *, most: int | None = None) -> None
                 "; ".join(row.reasons[:2]),
                 rank_of.get(row.twin_of, row.twin_of) if row.twin_of else None,
             )
-            for row in rows[:most]
+            for row in rows
         ),
     )
 

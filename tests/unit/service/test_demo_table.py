@@ -1,0 +1,118 @@
+from pathlib import Path
+
+import pytest
+
+from schemas.attribution import Attribution, Wrong
+from schemas.score import SceneScore
+from service.cli.demo import say_demo_ranking
+from service.demo_planted import DemoScene, beside_truth
+from service.demo_retrieval import found_in
+from service.ranking import RankedScene
+from tests.factories import BEGIN_NS, LOG_ID, scene_score, track_record
+from workers.simulation.plan import DisturbanceKind, FailureKind
+from workers.simulation.planted_truth import FILE, DisturbanceRow, FailureRow, PlantedTruth
+
+STREET = LOG_ID.rpartition("/")[2]
+ERRS = Attribution(
+    wrong=Wrong.SUPERVISED, supervised=0.9, selfsupervised=0.1, both=0.0, neither=0.0
+)
+
+
+def _ns(at_s: float) -> int:
+    return BEGIN_NS + round(at_s * 1e9)
+
+
+def _failure(kind: FailureKind, begin_s: float, end_s: float) -> FailureRow:
+    return FailureRow(
+        kind=kind,
+        track=4,
+        class_name="car",
+        scene=0,
+        start_s=begin_s,
+        end_s=end_s,
+        start_ns=_ns(begin_s),
+        end_ns=_ns(end_s),
+        common_mode=False,
+        because="",
+        other_track=-1,
+        place_m=None,
+        range_m=0.0,
+    )
+
+
+def _disturbance(begin_s: float, end_s: float) -> DisturbanceRow:
+    return DisturbanceRow(
+        kind=DisturbanceKind.ODOMETRY_SLIP,
+        scene=0,
+        start_s=begin_s,
+        end_s=end_s,
+        start_ns=_ns(begin_s),
+        end_ns=_ns(end_s),
+        strength=0.1,
+        shift_m=0.0,
+    )
+
+
+@pytest.fixture
+def scenes(tmp_path: Path) -> list[DemoScene]:
+    """Four scenes of 2 s: a failure and a slip, a slip, nothing, and a failure that scores 0."""
+    planted = PlantedTruth(
+        failures=(
+            _failure(FailureKind.GHOST_MOVER, 0.5, 1.5),
+            _failure(FailureKind.FLICKER, 0.7, 2.0),
+            _failure(FailureKind.MISSED_MOVER, 6.5, 7.5),
+        ),
+        disturbances=(_disturbance(1.0, 2.5),),
+    )
+    (tmp_path / LOG_ID).mkdir(parents=True)
+    (tmp_path / LOG_ID / FILE).write_text(planted.model_dump_json())
+    told = (track_record(attribution=ERRS),)
+    records = [
+        scene_score(number=number, score=score, tracks=told if number < 3 else ())
+        for number, score in enumerate((0.8, 0.3, 0.1, 0.0))
+    ]
+    ranking = [_row(rank, record) for rank, record in enumerate(records, start=1)]
+    return beside_truth(ranking, {record.scene_id: record for record in records}, tmp_path)
+
+
+def _row(rank: int, record: SceneScore) -> RankedScene:
+    return RankedScene(
+        rank=rank,
+        scene_id=record.scene_id,
+        log_id=record.log_id,
+        start_ns=record.start_ns,
+        end_ns=record.end_ns,
+        score=record.score,
+        sha256="0" * 64,
+    )
+
+
+def test_what_was_planted_stands_beside_the_scene_that_it_is_in(scenes: list[DemoScene]) -> None:
+    assert [scene.planted for scene in scenes] == [
+        "ghost mover, flicker; disturbed: odometry slip",
+        "disturbed: odometry slip",
+        "-",
+        "missed mover",
+    ]
+    assert [scene.wrong for scene in scenes] == ["supervised", "supervised", "supervised", "-"]
+
+
+def test_a_picture_is_named_after_rank_street_and_second(scenes: list[DemoScene]) -> None:
+    assert scenes[1].file_name == f"02-{STREET}-2s.png"
+
+
+def test_scenes_with_a_failure_are_listed_however_far_down(
+    scenes: list[DemoScene], capsys: pytest.CaptureFixture[str]
+) -> None:
+    say_demo_ranking(scenes, most=1)
+    said = capsys.readouterr().out
+    assert f"{STREET} at 0 s" in said
+    assert "missed mover" in said
+    assert f"{STREET} at 2 s" not in said
+
+
+def test_rankings_are_held_against_failures_not_against_disturbances(
+    scenes: list[DemoScene],
+) -> None:
+    ours = found_in(scenes)[0]
+    assert ours.ap == pytest.approx((1.0 + 2 / 4) / 2)
