@@ -1,6 +1,7 @@
 """What each replaceable part is: its source, its licence, and what weights it needs.
 
-`workers.registry` builds parts by name, this file describes them, without loading any.
+`workers.registry` builds parts by name, `schemas.parts` says in a line what each does, this file
+the rest, without loading any.
 """
 
 from collections.abc import Mapping
@@ -9,11 +10,12 @@ from typing import Final, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.mining import LOOKAHEAD, MiningSettings
+from schemas.parts import PART_LINES, PartSetting
 from workers.networks import NETWORKS
 from workers.registry import INSTANCES, ODOMETRIES, SELFSUPERVISED, SUPERVISED, WITNESSES
 from workers.selfsupervised.scene_flow import LEARNED_FLOWS
 
-PartKind = Literal["odometry", "supervised", "selfsupervised", "witness", "instances", "network"]
+PartKind = PartSetting | Literal["network"]
 
 
 class PartCard(BaseModel):
@@ -36,21 +38,22 @@ class PartCard(BaseModel):
 class _Card(BaseModel):
     model_config = ConfigDict(frozen=True)
 
-    what: str
     source: str
     paper: bool = False
     licence: str = "Apache-2.0"
     weights: str = "none"
 
 
+class _NetworkCard(_Card):
+    what: str
+
+
 _ODOMETRY: Final[Mapping[str, _Card]] = {
     "kiss-icp": _Card(
-        what="Point-to-point ICP against a local map, its trust checked frame by frame.",
         source="KISS-ICP (Vizzo et al., RA-L 2023); the paper has DeLORA",
         licence="MIT (kiss-icp)",
     ),
     "delora": _Card(
-        what="A network says how the sensor moved between two frames; no trust in a pose is known.",
         source="DeLORA (Nubert et al., ICRA 2021)",
         paper=True,
         weights="delora, imported; none ship",
@@ -59,131 +62,100 @@ _ODOMETRY: Final[Mapping[str, _Card]] = {
 
 _SUPERVISED: Final[Mapping[str, _Card]] = {
     "salsanext-lmnet": _Card(
-        what="SalsaNext says what can move, LMNet what moves, both over one range image.",
         source="SalsaNext (Cortinhal et al., 2020), LiDAR-MOS (Chen et al., RA-L 2021)",
         weights="ships: width 8, PandaSet (CC BY 4.0); or a folder in the setting weights",
     ),
     "salsanext-lmnet:published": _Card(
-        what="The same, with image, residuals and votes bug for bug.",
         source="SalsaNext (Cortinhal et al., 2020), LiDAR-MOS (Chen et al., RA-L 2021)",
         paper=True,
         weights="salsanext and lmnet, imported; those that ship otherwise",
     ),
-    "recorded": _Card(
-        what="Labels that the model on the car wrote into the log.",
-        source="the log",
-    ),
+    "recorded": _Card(source="the log"),
     "own": _Card(
-        what="Your exported network over range images or points.",
         source="yours",
         licence="yours (run by Apache-2.0 code, ONNX by onnxruntime, MIT)",
         weights="ONNX, TorchScript or torch.export, named by the adapter in the setting model",
     ),
     "salsanext:ground": _Card(
-        what="Task ground: SalsaNext says which points lie on road, sidewalk, terrain.",
         source="SalsaNext (Cortinhal et al., 2020)",
         weights="salsanext alone, as salsanext-lmnet",
     ),
-    "recorded:ground": _Card(
-        what="Task ground: classes that the model on the car wrote into the log, by their names.",
-        source="the log",
-    ),
+    "recorded:ground": _Card(source="the log"),
 }
 
 _RULE_OF_INSTANCES: Final = "arXiv 2407.14306, section III-C"
 _RULE: Final = "arXiv 2407.14306, section III-B"
-_FLOWS: Final[Mapping[str, str]] = {
-    "nearest-neighbour": "each point goes to the nearest one",
-    "registered-clusters": "each cluster goes where it fits best",
-    "tracked": "only what the default stream proved to move has flow",
-    "flowstep3d": "FlowStep3D says where each point within 35 m goes beyond ego-motion",
-}
-
 _REGISTRATION: Final = "own; Patchwork++ (Lee et al., IROS 2022)"
 _REGISTRATION_LICENCE: Final = "Apache-2.0; BSD-2-Clause (pypatchworkpp)"
 _SELFSUPERVISED: Final[Mapping[str, _Card]] = {
     "registration": _Card(
-        what="Clusters registered over time, verified by free space, tracked; ground by "
-        "Patchwork++.",
         source=_REGISTRATION,
         licence=_REGISTRATION_LICENCE,
     ),
     **{
         f"registration{LOOKAHEAD}{lookahead_s}": _Card(
-            what=f"The same, its labels {said} later: what is free after counts as well.",
             source=_REGISTRATION,
             licence=_REGISTRATION_LICENCE,
         )
-        for lookahead_s, said in (("0.5", "half a second"), ("1.0", "a second"))
+        for lookahead_s in ("0.5", "1.0")
     },
     "paper": _Card(
-        what="GndNet, the camera's view, FlowStep3D, two-stage clustering as published.",
         source=f"{_RULE}; GndNet (Paigwar et al., 2020), FlowStep3D (Kittenplon et al., 2021)",
         paper=True,
         weights="gndnet and flowstep3d, imported; none ship; a camera's calibration",
     ),
-    "two-stage": _Card(
-        what=f"The paper's clustering, numbers per second; {_FLOWS['nearest-neighbour']}.",
-        source=_RULE,
-    ),
+    "two-stage": _Card(source=_RULE),
     "ground": _Card(
-        what="Task ground: what Patchwork++ finds in each frame.",
         source="Patchwork++ (Lee et al., IROS 2022)",
         licence=_REGISTRATION_LICENCE,
     ),
 }
 
 _WITNESS: Final[Mapping[str, _Card]] = {
-    "free-space": _Card(
-        what="Free space a second before and after: where something else was seen through, "
-        "nothing stands.",
-        source="own",
-    ),
-    "none": _Card(what="Nobody is asked beside the two streams.", source="none", paper=True),
+    "free-space": _Card(source="own"),
+    "none": _Card(source="none", paper=True),
 }
 
 _INSTANCES: Final[Mapping[str, _Card]] = {
     "default": _Card(
-        what="DBSCAN over places of 0.1 m, instances of 10 points and more.",
         source=f"{_RULE_OF_INSTANCES}; DBSCAN (Ester et al., 1996)",
         licence="Apache-2.0; BSD-3-Clause (scikit-learn)",
     ),
     "paper": _Card(
-        what="DBSCAN over points, instances of 25 points and more, as published.",
         source=f"{_RULE_OF_INSTANCES}; DBSCAN (Ester et al., 1996)",
         licence="Apache-2.0; BSD-3-Clause (scikit-learn)",
         paper=True,
     ),
 }
 
-_NETWORKS: Final[Mapping[str, _Card]] = {
-    "salsanext": _Card(
+_NETWORKS: Final[Mapping[str, _NetworkCard]] = {
+    "salsanext": _NetworkCard(
         paper=True,
         what="Semantic classes over a range image.",
         source="Cortinhal, Tzelepis, Aksoy, 2020",
         weights="ships for salsanext-lmnet (width 8); published ones by weights import, configs "
         "salsanext-semantickitti, salsanext-kitti360",
     ),
-    "lmnet": _Card(
+    "lmnet": _NetworkCard(
         paper=True,
         what="Moving or static over a range image and its residuals.",
         source="LiDAR-MOS (Chen et al., RA-L 2021)",
         weights="ships for salsanext-lmnet (width 8); published ones by weights import, configs "
         "lmnet-semantickitti-1, lmnet-semantickitti-8, lmnet-kitti360-8",
     ),
-    "gndnet": _Card(
+    "gndnet": _NetworkCard(
         paper=True,
         what="Height of the ground in cells of a metre.",
         source="Paigwar et al., IROS 2020",
         weights="none ship; published ones by weights import, config gndnet-semantickitti",
     ),
-    "flowstep3d": _Card(
+    "flowstep3d": _NetworkCard(
         paper=True,
         what="Scene flow between two clouds.",
         source="Kittenplon, Eldar, Raviv, CVPR 2021",
         weights="none ship; published ones by weights import, config flowstep3d",
     ),
-    "delora": _Card(
+    "delora": _NetworkCard(
         paper=True,
         what="Motion of the sensor between two frames.",
         source="Nubert, Khattak, Hutter, ICRA 2021",
@@ -194,7 +166,7 @@ _NETWORKS: Final[Mapping[str, _Card]] = {
 
 def part_cards() -> list[PartCard]:
     """Describe every part, the default of each kind before the others; networks come last."""
-    kinds: Mapping[PartKind, list[str]] = {
+    kinds: Mapping[PartSetting, list[str]] = {
         "odometry": list(ODOMETRIES),
         "supervised": list(SUPERVISED),
         "selfsupervised": list(SELFSUPERVISED),
@@ -212,7 +184,7 @@ def part_cards() -> list[PartCard]:
     ]
 
 
-def _card(kind: PartKind, name: str) -> PartCard:
+def _card(kind: PartSetting, name: str) -> PartCard:
     known = {
         "odometry": _ODOMETRY,
         "supervised": _SUPERVISED,
@@ -222,15 +194,19 @@ def _card(kind: PartKind, name: str) -> PartCard:
     }
     card = known[kind].get(name) or _two_stage(name)
     chosen = MiningSettings.model_fields[kind].default
-    return PartCard(part=kind, name=name, default=name == chosen, **card.model_dump())
+    return PartCard(
+        part=kind,
+        name=name,
+        what=PART_LINES[kind][name],
+        default=name == chosen,
+        **card.model_dump(),
+    )
 
 
 def _two_stage(name: str) -> _Card:
     """Describe `two-stage:FLOW` and `two-stage:FLOW:published`."""
     _, flow, *rest = name.split(":")
-    numbers = "as published, per frame" if rest else "per second"
     return _Card(
-        what=f"The paper's clustering, numbers {numbers}; {_FLOWS[flow]}.",
         source=f"{_RULE}; FlowStep3D (Kittenplon et al., 2021)" if flow in LEARNED_FLOWS else _RULE,
         paper=bool(rest),
         weights=f"{flow}, imported; none ship" if flow in LEARNED_FLOWS else "none",

@@ -1,13 +1,30 @@
 """Options that several verbs share, and how a verb gets its settings from them."""
 
+import textwrap
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import typer
 
+from schemas.parts import PART_LINES, PartSetting
 from schemas.process import log_to_stderr
 from service.cli.output import remark_as_events
 from service.config import Settings, load_settings
+
+_HELP_WIDTH: Final = 50
+"""What is left beside the names of options on a terminal of 80 columns."""
+
+
+def _choice_of(setting: PartSetting, what: str) -> str:
+    """Say what an option chooses, and below it each name it takes with its line."""
+    lines = [f"{what}, one of:"]
+    for name, does in PART_LINES[setting].items():
+        lines.append(name)
+        lines += textwrap.wrap(
+            does, _HELP_WIDTH, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False
+        )
+    return "\b\n" + "\n".join(lines)
+
 
 Config = Annotated[
     Path | None,
@@ -37,7 +54,7 @@ Connect = Annotated[
 ]
 Supervised = Annotated[
     str | None,
-    typer.Option("--supervised", help="Supervised stream: salsanext-lmnet, recorded, own."),
+    typer.Option("--supervised", help=_choice_of("supervised", "Supervised stream")),
 ]
 Model = Annotated[
     str | None,
@@ -47,7 +64,9 @@ Weights = Annotated[
     str | None,
     typer.Option("--weights", help="Folder of imported weights; those that ship."),
 ]
-Odometry = Annotated[str | None, typer.Option("--odometry", help="Odometry: kiss-icp or delora.")]
+Odometry = Annotated[
+    str | None, typer.Option("--odometry", help=_choice_of("odometry", "Odometry"))
+]
 Camera = Annotated[
     str | None,
     typer.Option("--camera", help="Whose view is compared: recorded, or a JSON calibration."),
@@ -60,8 +79,7 @@ SelfSupervised = Annotated[
     str | None,
     typer.Option(
         "--selfsupervised",
-        help="Self-supervised: registration, registration:lookahead-0.5 (or -1.0), paper or "
-        "two-stage.",
+        help=_choice_of("selfsupervised", "Self-supervised stream"),
     ),
 ]
 ShardSeconds = Annotated[

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from schemas.parts import PART_LINES, PartSetting
 from service.cli.main import main
 
 
@@ -133,3 +134,16 @@ def test_help_needs_no_bucket_and_lists_every_verb(capsys: pytest.CaptureFixture
     verbs = ("run", "service", "worker", "router", "inspect", "score", "watch", "top", "select")
     for verb in (*verbs, "show", "status", "eval", "bench", "demo", "config", "doctor"):
         assert f"  {verb} " in told
+
+
+@pytest.mark.parametrize("setting", ["odometry", "supervised", "selfsupervised"])
+def test_help_lists_every_part_that_an_option_takes_with_a_line(
+    setting: PartSetting, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["score", "--help"]) == 0
+    told = [line.strip() for line in capsys.readouterr().out.splitlines()]
+    said = " ".join(told)
+    for name, does in PART_LINES[setting].items():
+        assert name in told, "alone in its line, to be copied"
+        assert f"{name} {does}" in said
+    assert max(map(len, told)) <= 80

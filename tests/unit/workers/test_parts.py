@@ -3,6 +3,7 @@ import json
 import pytest
 
 from schemas.mining import MiningSettings
+from schemas.parts import PART_LINES
 from service.cli.main import main
 from workers.networks import NETWORKS, known_configs, read_known
 from workers.parts import part_cards
@@ -21,6 +22,9 @@ def test_every_part_that_can_be_chosen_is_described_once() -> None:
     chosen = [(kind, name) for kind, table in tables.items() for name in table]
     chosen += [("network", name) for name in NETWORKS]
     assert sorted(described) == sorted(chosen)
+    assert {kind: set(table) for kind, table in tables.items()} == {
+        kind: set(lines) for kind, lines in PART_LINES.items()
+    }
 
 
 def test_the_default_of_each_kind_stands_first_and_is_what_runs() -> None:
