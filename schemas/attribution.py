@@ -37,14 +37,14 @@ class Attribution(BaseModel):
         default=(),
         max_length=MOST_WORDS,
         exclude_if=lambda value: not value,
-        description="What speaks for it, the weightiest first; of tracks hardly worth a look no "
-        "word is told.",
+        description="What speaks for what it says of the supervised stream (wrong, or not), the "
+        "weightiest first; of tracks hardly worth a look no word is told.",
     )
     against: Words = Field(
         default=(),
         max_length=MOST_WORDS,
         exclude_if=lambda value: not value,
-        description="What speaks for another answer, the weightiest first.",
+        description="What speaks against that, the weightiest first.",
     )
     also: Words = Field(
         default=(),

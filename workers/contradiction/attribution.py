@@ -24,6 +24,9 @@ FILE: Final = "attribution.json"
 _DIGITS: Final = 3
 _MOST_ODDS: Final = 30.0
 
+_SUPERVISED: Final = frozenset({Wrong.SUPERVISED, Wrong.BOTH})
+"""Answers by which the supervised stream is wrong."""
+
 NOTHING: Final = 0.1
 """Log-odds: what moves a chance of a half by less than 0.025 speaks neither for nor against."""
 
@@ -85,13 +88,14 @@ def chances(table: Table, evidence: Mapping[str, float]) -> dict[Wrong, float]:
 def weight_of(
     otherwise: Mapping[str, float], table: Table, evidence: Mapping[str, float], wrong: Wrong
 ) -> float:
-    """What evidence adds to the log-odds of an answer against all others together.
+    """What evidence adds to the log-odds that the supervised stream is wrong, or that it is not.
 
-    It is the difference to the same track with that evidence as it would be otherwise, so that its
-    sign says whether it speaks for the answer, whatever the weights of the others.
+    Which of the two is what the answer says of it: that decides what a look is worth. It is the
+    difference to the same track with that evidence as it would be otherwise.
     """
-    there = _log_odds(table, evidence, wrong)
-    return there - _log_odds(table, {**evidence, **otherwise}, wrong)
+    there = _log_odds(table, evidence)
+    added = there - _log_odds(table, {**evidence, **otherwise})
+    return added if wrong in _SUPERVISED else -added
 
 
 def attribute(kind: str, evidence: Evidence, *, remarks: Sequence[Remark] = ()) -> Attribution:
@@ -123,8 +127,14 @@ def attribute(kind: str, evidence: Evidence, *, remarks: Sequence[Remark] = ()) 
     )
 
 
-def _log_odds(table: Table, evidence: Mapping[str, float], wrong: Wrong) -> float:
+def _log_odds(table: Table, evidence: Mapping[str, float]) -> float:
+    """Log-odds that the supervised stream is wrong, alone or not."""
     odds = {answer: row.of(evidence) for answer, row in table.items()}
-    rest = [value for answer, value in odds.items() if answer is not wrong]
-    highest = max(rest)
-    return odds[wrong] - highest - math.log(sum(math.exp(value - highest) for value in rest))
+    errs = [value for answer, value in odds.items() if answer in _SUPERVISED]
+    rest = [value for answer, value in odds.items() if answer not in _SUPERVISED]
+    return _log_sum(errs) - _log_sum(rest)
+
+
+def _log_sum(odds: Sequence[float]) -> float:
+    highest = max(odds)
+    return highest + math.log(sum(math.exp(value - highest) for value in odds))
