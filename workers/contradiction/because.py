@@ -86,6 +86,7 @@ def remarks_on(
         ("its shape fits no usual class", missed and fits_no_class(size_m), {}),
         ("occluded before and after", unasked > HALF, {}),
         ("odometry unhealthy", evidence.doubted > 0.0, {"doubted": 0.0}),
+        ("the ground rises around it", evidence.ground_rises > HALF, {"ground_rises": 0.0}),
         ("much else contradicts alike", evidence.crowded > HALF, {"crowded": 0.0}),
         ("far", evidence.far > FAR, {"far": 0.0}),
         ("few points", evidence.many_points < FEW, {"many_points": 1.0}),

@@ -17,6 +17,7 @@ from workers.contradiction.paths import path_of
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
 from workers.contradiction.tracks import Track
 from workers.contradiction.unit import clip
+from workers.visibility.rising_ground import RisingGround, share_of
 
 _FAR_M: Final = 80.0
 _TURN_RAD_PER_S: Final = 0.3
@@ -28,6 +29,9 @@ _THIN_M: Final = 0.4
 _LOW_M: Final = 1.0
 _LOWEST_M: Final = 0.5
 _LOW_WITHIN_M: Final = 50.0
+_RISES_SHARE: Final = 0.03
+_RISES_ALL: Final = 0.1
+"""Shares of the ground around a thing that rises."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +70,8 @@ class Evidence:
         agreed: And dynamic: the rim of a thing that both see move.
         silent: Share of its points that the self-supervised stream says nothing about.
         crowded: Whether much else contradicts in the same way in its frames: 0.63 at eight.
+        ground_rises: How much of the ground around it rises where nothing stands
+            (`rising_ground.py`): none up to 3 %, 1 from a tenth on.
     """
 
     witness_moving: float
@@ -96,6 +102,7 @@ class Evidence:
     agreed: float
     silent: float
     crowded: float
+    ground_rises: float
 
     def named(self) -> dict[str, float]:
         """All of them by name, rounded."""
@@ -116,6 +123,7 @@ class Surroundings:
         crowd: Instances of each kind in each frame.
         called_moving: For each frame, those before and after the scene included, what the
             supervised stream calls moving.
+        ground: Where the ground itself rises.
     """
 
     turn_rad_per_s: NDArray[np.float64]
@@ -123,6 +131,7 @@ class Surroundings:
     doubted: NDArray[np.float64]
     crowd: dict[tuple[str, int], int]
     called_moving: tuple[Claimed, ...]
+    ground: RisingGround
 
 
 def surroundings_of(scene: Scene, instances: Sequence[Instance]) -> Surroundings:
@@ -148,6 +157,7 @@ def surroundings_of(scene: Scene, instances: Sequence[Instance]) -> Surroundings
         doubted=np.array([float(f.posed.odometry is not OdometryState.HEALTHY) for f in frames]),
         crowd=crowd,
         called_moving=called_moving(scene),
+        ground=RisingGround([frame.posed for frame in frames]),
     )
 
 
@@ -219,6 +229,7 @@ def evidence_of(
         silent=_silence(scene, members),
         crowded=1.0
         - math.exp(-(float(np.median([around.crowd[kind, i] for i in at.tolist()])) - 1) / _CROWD),
+        ground_rises=_rises(members, around.ground),
     )
 
 
@@ -254,6 +265,11 @@ def _silence(scene: Scene, members: Sequence[Instance]) -> float:
         silent += int((said == MotionLabel.UNKNOWN).sum())
         total += len(said)
     return silent / max(1, total)
+
+
+def _rises(members: Sequence[Instance], ground: RisingGround) -> float:
+    share = share_of([ground.around(each.frame_index, each.point_index) for each in members])
+    return clip((share - _RISES_SHARE) / (_RISES_ALL - _RISES_SHARE))
 
 
 def _told(share: float | None) -> float:

@@ -4,8 +4,8 @@
 
 - persistence  1 - exp(-(seen x steady / 0.5 s)^2): seen counts the frames of the track less a
   half, steady is the share of the frames of its span in which it contradicts. Errors flicker. What
-  the other of the two onlookers sees in its stead, before, after and in between, counts as far as
-  little else contradicts there (`company.py`).
+  the other of the two onlookers sees in its stead, before, after and in between, counts by its
+  points, and as far as little else contradicts there (`company.py`).
 - points       1 - exp(-points / 25): median points per frame.
 - size         0 above 30 m of length: a facade is no road user; and 0 where it is near, low and a
   tenth as high as long: nor are stretches of road, kerbs and rails.
@@ -27,7 +27,7 @@ next to nothing, however large. Every term is in the record, or follows from wha
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -119,7 +119,7 @@ def pose_weights(scene: Scene, *, settings: ScoreSettings = DEFAULT_SCORE) -> ND
     return np.array([weight_of[frame.posed.odometry] for frame in scene.frames])
 
 
-def persistence(*, frames: int, span_frames: int, period_s: float, scale_s: float) -> float:
+def persistence(*, frames: float, span_frames: int, period_s: float, scale_s: float) -> float:
     """How lasting a track is, from the frames it was seen in and those of its span."""
     seen_s = (frames - 0.5) * period_s
     return 1.0 - math.exp(-((seen_s * frames / span_frames / scale_s) ** 2))
@@ -191,7 +191,7 @@ def _rank(
         size, chance = (box if scene.task.of_things else 1.0), clash * evidence.own
     lone = 1.0 - evidence.crowded
     frames = [member.frame_index for member in members]
-    lasting = _lasting(frames, period_s, settings)
+    lasting = _lasting(dict.fromkeys(frames, 1.0), period_s, settings)
     seen = _lasting(frames_seen(track, members, company), period_s, settings)
     lasting += lone * max(0.0, seen - lasting)
     presence = lasting * evidence.many_points * size
@@ -213,10 +213,11 @@ def _rank(
     )
 
 
-def _lasting(frames: Sequence[int], period_s: float, settings: ScoreSettings) -> float:
+def _lasting(counts: Mapping[int, float], period_s: float, settings: ScoreSettings) -> float:
+    """How lasting what was seen in some frames is: by index, rising, and what each counts."""
     return persistence(
-        frames=len(frames),
-        span_frames=frames[-1] - frames[0] + 1,
+        frames=sum(counts.values()),
+        span_frames=max(counts) - min(counts) + 1,
         period_s=period_s,
         scale_s=settings.persistence_s,
     )

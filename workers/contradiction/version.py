@@ -13,12 +13,12 @@ LIBRARIES: Final = ("numpy", "scikit-learn", "scipy")
 
 @cache
 def contradiction_version() -> str:
-    """Digest the sources of this stage, its settings among them, and the libraries it rests on.
+    """Digest the sources of this stage, its settings among them, and all that it rests on.
 
     Returns:
         `contradiction@` and twelve hexadecimal digits.
     """
-    digest = hashlib.sha256(source_digest("workers.contradiction").encode())
+    digest = hashlib.sha256(source_digest("workers.contradiction", "workers.visibility").encode())
     digest.update(resources.files("workers.contradiction").joinpath(FILE).read_bytes())
     for library in LIBRARIES:
         digest.update(f"{library}=={metadata.version(library)}\n".encode())

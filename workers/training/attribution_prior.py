@@ -1,9 +1,10 @@
 """What is believed of who is wrong before any truth was seen: what fitting is drawn to.
 
 Rows with truth are few and come from a few streets, while physics is known: what the witness sees
-stand does not move, what went a metre in a straight line does, and what both streams see move right
-before or after did not stand in between: it starts or stops. Or, where it goes on and the
-supervised stream calls it static, that stream errs for a while. Log-odds at full evidence.
+stand does not move, what went a metre in a straight line does, and where the ground itself rises
+nothing is proved by what rises with it. What both streams see move right before or after did not
+stand in between: it starts or stops. Or, where it goes on and the supervised stream calls it
+static, that stream errs for a while. Log-odds at full evidence.
 """
 
 from collections.abc import Mapping
@@ -49,7 +50,14 @@ PRIOR: Final[Mapping[str, Mapping[Wrong, Row]]] = {
         ),
         Wrong.SELFSUPERVISED: (
             0.5,
-            {"witness_still": 2.0, "doubted": 1.5, "crowded": 1.5, "thin": 1.0, "denied": 0.5},
+            {
+                "witness_still": 2.0,
+                "doubted": 1.5,
+                "crowded": 1.5,
+                "thin": 1.0,
+                "denied": 0.5,
+                "ground_rises": 5.0,
+            },
         ),
         Wrong.BOTH: (-4.0, {}),
         Wrong.NEITHER: (0.0, {"agreed": 2.0, "denied": -1.5}),
@@ -72,6 +80,6 @@ PRIOR: Final[Mapping[str, Mapping[Wrong, Row]]] = {
             -4.5,
             {"went": 4.0, "straight": 1.5, "own": 1.0, "road_user": 1.0, "denied": 1.0},
         ),
-        Wrong.NEITHER: (0.0, {"crowded": 2.0, "doubted": 1.5}),
+        Wrong.NEITHER: (0.0, {"crowded": 2.0, "doubted": 1.5, "ground_rises": 5.0}),
     },
 }

@@ -339,3 +339,16 @@ def test_of_too_much_that_is_known_the_weightiest_is_told() -> None:
     assert len(said.because) + len(said.against) + len(said.also) == MOST_WORDS
     assert said.because[0] == "low"
     assert "few points" not in said.also
+
+
+def test_where_the_ground_itself_rises_nothing_speaks_against_the_supervised_stream() -> None:
+    sure = ("witness_moving", "went", "straight", "own", "confirmed", "steady", "many_points")
+    shaken = dict.fromkeys(("ground_rises", *sure), 1.0)
+    for kind in ("only_predictive_dynamic", "only_witness_dynamic"):
+        evidence = dict.fromkeys(NAMES, 0.0) | shaken
+        rises = chances(tables()[kind], evidence)
+        still = chances(tables()[kind], evidence | {"ground_rises": 0.0})
+        wrong = (Wrong.SUPERVISED, Wrong.BOTH)
+        assert sum(rises[each] for each in wrong) < 0.1 < 0.3 < sum(still[each] for each in wrong)
+    said = remarks_on(KIND, _evidence(ground_rises=0.9), np.ones(3), of_witness=False)
+    assert "the ground rises around it" in [remark.words for remark in said]

@@ -20,6 +20,7 @@ def _track(
     *,
     witness: bool = True,
     aside_m: float = 0.0,
+    seen_share: float = 1.0,
     others: tuple[Thing, ...] = (),
 ) -> RankedTrack:
     """The track of a car that the supervised stream calls static throughout.
@@ -28,6 +29,7 @@ def _track(
         said: What the self-supervised stream says of it, frame by frame.
         witness: Whether the witness sees it move, in every frame.
         aside_m: How far beside it lies what the witness sees where the other one is silent.
+        seen_share: Share of its points that the witness sees move where the other one is silent.
         others: What else is there, of which the witness says the same.
     """
     frames = []
@@ -36,7 +38,10 @@ def _track(
         car = Thing((12.0 + STEP_M * number, y_m, 0.0), STATIC, predictive)
         frame = labelled_frame([car, *others], frame=number, time_s=number / 10.0)
         n = len(frame.posed.frame)
-        moves = FrameLabels(np.full(n, DYNAMIC, np.uint8), np.ones(n, np.float16))
+        labels = np.full(n, DYNAMIC, np.uint8)
+        if predictive == UNKNOWN:
+            labels[np.arange(n) >= seen_share * n] = UNKNOWN
+        moves = FrameLabels(labels, (labels == DYNAMIC).astype(np.float16))
         frames.append(replace(frame, witness=moves if witness else None))
     scene = Scene(f"fleet/car-1/drive/lidar/{START_NS}", tuple(frames))
     mine = [
@@ -73,3 +78,8 @@ def test_in_a_crowd_it_cannot_be_told_which_is_the_same() -> None:
 def test_two_frames_do_not_say_where_a_thing_should_be() -> None:
     said = [UNKNOWN] * 5 + [DYNAMIC] * 2
     assert _track(said).presence == _track(said, witness=False).presence
+
+
+def test_a_scrap_that_is_seen_in_its_stead_counts_as_little_as_it_is() -> None:
+    whole, scrap = (_track(PIECES, seen_share=share).presence for share in (1.0, 0.7))
+    assert _track(PIECES, witness=False).presence < scrap < 0.9 * whole
