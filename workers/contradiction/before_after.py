@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import NS_PER_S, Mask
+from schemas.arrays import NS_PER_S
 from schemas.contradiction import BESIDE_S, Instance, LabelledFrame, Scene
 
 MARGIN_M: Final = 0.5
@@ -19,17 +19,15 @@ MOST: Final = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Claimed:
-    """Points that the supervised stream calls moving.
+    """Points that the supervised stream calls moving, odom space.
 
     Attributes:
-        places_m: (M, 3) odom space.
-        agreed: (M,) the self-supervised stream calls them moving as well.
-        open: (M,) it judges others, and leaves these open.
+        agreed_m: (M, 3) that the self-supervised stream calls moving as well.
+        undenied_m: (M, 3) the same, and those that it leaves open while it judges others.
     """
 
-    places_m: NDArray[np.float64]
-    agreed: Mask
-    open: Mask
+    agreed_m: NDArray[np.float64]
+    undenied_m: NDArray[np.float64]
 
 
 def moments(scene: Scene) -> tuple[LabelledFrame, ...]:
@@ -55,13 +53,10 @@ def called_moving(scene: Scene) -> tuple[Claimed, ...]:
         claimed[claimed] = np.isfinite(points_m[claimed]).all(axis=1)
         pose, answers = frame.posed.odom_from_sensor, other.labels[claimed]
         blind = other.health.blindness is not None
-        told.append(
-            Claimed(
-                points_m[claimed].astype(np.float64) @ pose[:3, :3].T + pose[:3, 3],
-                agreed=answers == said[claimed],
-                open=(answers == scene.task.unknown) & (not blind),
-            )
-        )
+        places_m = points_m[claimed].astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
+        agreed = answers == said[claimed]
+        undenied = agreed | ((answers == scene.task.unknown) & (not blind))
+        told.append(Claimed(places_m[agreed], places_m[undenied]))
     return tuple(told)
 
 
@@ -90,8 +85,8 @@ def agreed_beside(
     stamps_ns = [frame.stamp_ns for frame in moments(scene)]
     backwards = range(before + first.frame_index - 1, -1, -1)
     onwards = range(before + last.frame_index + 1, len(claimed))
-    agreed_m = [each.places_m[each.agreed] for each in claimed]
-    undenied_m = [each.places_m[each.agreed | each.open] for each in claimed]
+    agreed_m = [each.agreed_m for each in claimed]
+    undenied_m = [each.undenied_m for each in claimed]
     return (
         _agreed(scene, first, velocity_m_per_s, agreed_m, stamps_ns, backwards),
         _agreed(scene, last, velocity_m_per_s, undenied_m, stamps_ns, onwards),
