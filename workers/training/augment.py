@@ -2,11 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workers.geometry.range_image import CHANNELS, Channel, SensorProfile
+
+TILT: Final = 0.008
+"""Standard deviation of a mounting's slope, half a degree; on a mast less is level than on a roof.
+
+So small a slope moves points by a row at most, which is left out.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,6 +64,8 @@ def augment(sample: Sample, rng: np.random.Generator, *, columns: int) -> Sample
     seen, labels = seen[..., keep], labels[..., keep].copy()
 
     channels[3] += rng.normal(scale=0.15)  # mounting height
+    tilt = rng.normal(scale=TILT, size=2).astype(np.float32)
+    channels[3] += tilt[0] * channels[1] + tilt[1] * channels[2]
     scale = np.float32(1 + rng.normal(scale=0.02))
     channels[:4] *= scale
     channels[0] += rng.normal(scale=0.02, size=channels[0].shape)

@@ -28,23 +28,27 @@ def class_weights(drawn: NDArray[np.floating], *, balance: float = 1.0) -> Tenso
     return weights.float()
 
 
-def segmentation_loss(logits: Tensor, labels: Tensor, weights: Tensor) -> Tensor:
+def segmentation_loss(
+    logits: Tensor, labels: Tensor, weights: Tensor, *, lovasz_every: int = 1
+) -> Tensor:
     """Sum of both losses, as SalsaNext and LiDAR-MOS are trained.
 
     Args:
         logits: (B, C, H, W) scores before softmax.
         labels: (B, H, W) int64; `IGNORED` pixels count for neither loss.
         weights: (C,) weight of each class in the log loss, zero for the ignored one.
+        lovasz_every: Only each that many-th pixel counts for the Lovász loss, whose sorting takes
+            longer than the network's answer where all do.
 
     Returns:
         Scalar.
     """
     shares = functional.softmax(logits, dim=1)
     log_loss = functional.nll_loss(torch.log(shares.clamp(min=1e-8)), labels, weight=weights)
-    return log_loss + lovasz_softmax(shares, labels)
+    return log_loss + lovasz_softmax(shares, labels, every=lovasz_every)
 
 
-def lovasz_softmax(shares: Tensor, labels: Tensor) -> Tensor:
+def lovasz_softmax(shares: Tensor, labels: Tensor, *, every: int = 1) -> Tensor:
     """Smooth stand-in for one minus the mean IoU of the classes present.
 
     Source: Berman, Rannen Triki, Blaschko, "The Lovász-Softmax loss", CVPR 2018, algorithm 1.
@@ -52,13 +56,14 @@ def lovasz_softmax(shares: Tensor, labels: Tensor) -> Tensor:
     Args:
         shares: (B, C, H, W) softmax output.
         labels: (B, H, W) int64; `IGNORED` pixels are left out.
+        every: Of the others, each that many-th counts.
 
     Returns:
         Scalar; zero when every pixel is ignored.
     """
     counted = labels != IGNORED
-    flat_shares = shares.movedim(1, -1)[counted]
-    flat_labels = labels[counted]
+    flat_shares = shares.movedim(1, -1)[counted][::every]
+    flat_labels = labels[counted][::every]
     losses = []
     for class_id in torch.unique(flat_labels).tolist():
         truth = (flat_labels == class_id).float()

@@ -12,7 +12,7 @@ import torch
 
 from schemas.errors import CounterpointError, TransientError
 from workers.geometry.range_image import SensorProfile
-from workers.supervised.weights import WeightsCard, load_weights
+from workers.supervised.weights import LoadedWeights, WeightsCard, load_weights
 from workers.training.classes import meanings
 from workers.training.dataset import EXIT_TRANSIENT, PROFILE, RESIDUAL
 from workers.training.fit import Lesson, TrainingSettings, train
@@ -48,7 +48,10 @@ def _run(args: argparse.Namespace) -> None:
         driving_weight=args.driving_weight,
         balance=args.balance,
         peak_rate=args.peak_rate,
+        batch=args.batch,
         fixed_norms=args.fixed_norms,
+        lovasz_every=args.lovasz_every,
+        bfloat16=args.bfloat16,
         seed=args.seed,
     )
     lessons, sources = [], []
@@ -65,7 +68,7 @@ def _run(args: argparse.Namespace) -> None:
         network=args.model,
         classes=meanings(args.model),
         width=args.width,
-        profile=_measured(lessons),
+        profile=_measured(lessons) if initial is None else _as_before(initial),
         channels=CHANNELS,
         residual=None if args.model == "salsanext" else RESIDUAL,
         attribution=ATTRIBUTION,
@@ -77,6 +80,11 @@ def _run(args: argparse.Namespace) -> None:
         },
     )
     train(lessons, judged, card, settings, initial=initial, out=args.out)
+
+
+def _as_before(initial: LoadedWeights) -> SensorProfile:
+    """Means and deviations of the weights to go on from, which their kernels are used to."""
+    return replace(PROFILE, means=initial.profile.means, stds=initial.profile.stds)
 
 
 def _measured(lessons: Sequence[Lesson]) -> SensorProfile:
@@ -117,6 +125,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--judge", nargs="*", default=[], metavar="FOLDER", help="images to score")
     parser.add_argument("--width", type=int, default=8, help="channels of the first stage")
     parser.add_argument("--steps", type=int, default=2400)
+    parser.add_argument("--batch", type=int, default=2, help="windows a step")
     parser.add_argument("--initial", type=Path, help="weights to go on from")
     parser.add_argument(
         "--driving-weight", type=float, default=2.0, help="weight of frames in which the car drives"
@@ -124,8 +133,16 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--balance", type=float, default=0.5, help="exponent of class weights")
     parser.add_argument("--peak-rate", type=float, default=4e-3)
     parser.add_argument(
-        "--fixed-norms", action="store_true", help="normalise by running means, as in use"
+        "--fixed-norms",
+        type=float,
+        default=0.0,
+        metavar="SHARE",
+        help="of the steps, the last ones, that normalise by running means, as in use",
     )
+    parser.add_argument(
+        "--lovasz-every", type=int, default=1, metavar="N", help="each N-th pixel counts for it"
+    )
+    parser.add_argument("--bfloat16", action="store_true", help="convolve in bfloat16")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--threads", type=int, default=1)
     return parser

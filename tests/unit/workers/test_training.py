@@ -16,7 +16,7 @@ from workers.training.classes import CLASSES
 from workers.training.dataset import main as make_images
 from workers.training.fit import Lesson, TrainingSettings, train
 from workers.training.images import Cloud, TrainingImages, build_images
-from workers.training.loss import class_weights, lovasz_softmax
+from workers.training.loss import class_weights, lovasz_softmax, segmentation_loss
 from workers.training.pandaset import read_clouds
 from workers.training.simulated import clouds_of
 from workers.training.stored_images import join, read_images, write_images
@@ -58,13 +58,13 @@ def _street(frames: int) -> list[Cloud]:
     return clouds
 
 
-def _images(frames: int = 4, *, variants: tuple[int, ...] = (1, -1)) -> TrainingImages:
+def images_of_a_wall(frames: int = 4, *, variants: tuple[int, ...] = (1, -1)) -> TrainingImages:
     rng = np.random.default_rng(1)
     return build_images(_street(frames), PROFILE, RESIDUAL, variants=variants, rng=rng)
 
 
 def test_only_what_moves_has_a_residual_forwards_and_backwards() -> None:
-    images = _images()
+    images = images_of_a_wall()
     assert images.residuals.shape == (4, 2, 2, 16, 64)
     middle = images.residuals[2].astype(np.float32)
     moving, still = images.motion[2] == 2, images.motion[2] == 1
@@ -74,7 +74,7 @@ def test_only_what_moves_has_a_residual_forwards_and_backwards() -> None:
 
 
 def test_played_at_double_speed_things_move_twice_as_far() -> None:
-    images = _images(frames=5, variants=(1, 2))
+    images = images_of_a_wall(frames=5, variants=(1, 2))
     moving = images.motion[4] == 2
     single, double = images.residuals[4].astype(np.float32)
     assert np.median(single[0][moving]) == pytest.approx(1 / 14, abs=0.02)
@@ -89,7 +89,7 @@ def test_images_are_made_of_chosen_frames_but_compared_with_all() -> None:
 
 
 def _sample(seed: int, *, columns: int = 64) -> tuple[Sample, Sample]:
-    images = _images()
+    images = images_of_a_wall()
     whole = Sample(
         images.channels[2],
         images.residuals[2, 0].astype(np.float32),
@@ -122,8 +122,8 @@ def test_labels_and_residuals_move_with_their_pixels(seed: int) -> None:
 
 def test_augmenting_changes_no_original() -> None:
     whole, _ = _sample(3)
-    np.testing.assert_array_equal(whole.channels, _images().channels[2])
-    np.testing.assert_array_equal(whole.labels, _images().motion[2])
+    np.testing.assert_array_equal(whole.channels, images_of_a_wall().channels[2])
+    np.testing.assert_array_equal(whole.labels, images_of_a_wall().motion[2])
 
 
 def test_a_window_is_as_wide_as_asked_and_empty_pixels_are_zero() -> None:
@@ -150,8 +150,8 @@ def test_nothing_is_lost_where_everything_is_ignored() -> None:
 def _trained(path: Path, seed: int) -> bytes:
     torch.set_num_threads(1)
     settings = TrainingSettings(steps=3, columns=32, seed=seed)
-    lessons = [Lesson(_images(), 1.0), Lesson(_images(frames=5), 3.0)]
-    train(lessons, {"held out": _images(variants=(1,))}, CARD, settings, out=path)
+    lessons = [Lesson(images_of_a_wall(), 1.0), Lesson(images_of_a_wall(frames=5), 3.0)]
+    train(lessons, {"held out": images_of_a_wall(variants=(1,))}, CARD, settings, out=path)
     return path.read_bytes()
 
 
@@ -167,9 +167,9 @@ def test_fixed_norms_stay_what_they_were_while_everything_else_learns(tmp_path: 
     torch.set_num_threads(1)
     _trained(tmp_path / "first.safetensors", seed=1)
     initial = load_weights(tmp_path / "first.safetensors")
-    settings = TrainingSettings(steps=2, columns=32, fixed_norms=True)
+    settings = TrainingSettings(steps=2, columns=32, fixed_norms=1.0)
     out = tmp_path / "second.safetensors"
-    train([Lesson(_images(), 1.0)], {}, CARD, settings, initial=initial, out=out)
+    train([Lesson(images_of_a_wall(), 1.0)], {}, CARD, settings, initial=initial, out=out)
     before, after = initial.net.state_dict(), load_weights(out).net.state_dict()
     running = [name for name in before if "running" in name]
     assert running
@@ -177,8 +177,44 @@ def test_fixed_norms_stay_what_they_were_while_everything_else_learns(tmp_path: 
     assert not torch.equal(before["logits.weight"], after["logits.weight"])
 
 
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_norms_are_fixed_for_the_last_share_of_the_steps(tmp_path: Path, share: float) -> None:
+    torch.set_num_threads(1)
+    settings = TrainingSettings(steps=4, columns=32, fixed_norms=share)
+    train([Lesson(images_of_a_wall(), 1.0)], {}, CARD, settings, out=tmp_path / "w.safetensors")
+    parameters = load_weights(tmp_path / "w.safetensors").net.state_dict()
+    batches = {int(value) for name, value in parameters.items() if "num_batches" in name}
+    assert batches == {round(4 * (1 - share))}
+
+
+def test_of_a_lovasz_loss_over_each_second_pixel_only_these_count() -> None:
+    rng = np.random.default_rng(1)
+    shares = torch.softmax(torch.from_numpy(rng.normal(size=(1, 3, 4, 8))).float(), dim=1)
+    labels = torch.from_numpy(rng.integers(1, 3, size=(1, 4, 8)))
+    halved = lovasz_softmax(shares[..., ::2], labels[..., ::2])
+    torch.testing.assert_close(lovasz_softmax(shares, labels, every=2), halved)
+    assert not torch.isclose(lovasz_softmax(shares, labels), halved)
+    weights = torch.ones(3)
+    whole = segmentation_loss(shares.log(), labels, weights)
+    fewer = segmentation_loss(shares.log(), labels, weights, lovasz_every=2)
+    torch.testing.assert_close(whole - fewer, lovasz_softmax(shares, labels) - halved)
+
+
+def test_bfloat16_teaches_much_the_same(tmp_path: Path) -> None:
+    torch.set_num_threads(1)
+    trained = []
+    for half in (False, True):
+        out = tmp_path / f"{half}.safetensors"
+        settings = TrainingSettings(steps=3, columns=32, bfloat16=half)
+        train([Lesson(images_of_a_wall(), 1.0)], {}, CARD, settings, out=out)
+        trained.append(load_weights(out).net.logits.weight.detach())
+    single, half_precise = trained
+    assert not torch.equal(single, half_precise)
+    torch.testing.assert_close(single, half_precise, atol=0.02, rtol=0)
+
+
 def test_images_of_a_sensor_are_joined_written_and_read_back(tmp_path: Path) -> None:
-    both = join([_images(), _images()])
+    both = join([images_of_a_wall(), images_of_a_wall()])
     write_images(tmp_path / "wall", both, source={"seeds": "1:3"})
     images, source = read_images(tmp_path / "wall")
     assert source == {"seeds": "1:3"}
