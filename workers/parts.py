@@ -63,7 +63,8 @@ _ODOMETRY: Final[Mapping[str, _Card]] = {
 _SUPERVISED: Final[Mapping[str, _Card]] = {
     "salsanext-lmnet": _Card(
         source="SalsaNext (Cortinhal et al., 2020), LiDAR-MOS (Chen et al., RA-L 2021)",
-        weights="ships: width 8, PandaSet (CC BY 4.0); or a folder in the setting weights",
+        weights="ships: width 8, simulated streets and PandaSet (CC BY 4.0); or a folder in the "
+        "setting weights",
     ),
     "salsanext-lmnet:published": _Card(
         source="SalsaNext (Cortinhal et al., 2020), LiDAR-MOS (Chen et al., RA-L 2021)",
