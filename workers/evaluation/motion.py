@@ -24,6 +24,9 @@ from workers.registry import build_odometry
 
 UNDISTURBED = Disturbance()
 
+_DIFFERING = [kind.code for kind in MOTION.kinds if not kind.of_witness]
+"""Outcomes in which the two streams differ; where only the witness does, they agree."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JudgedFrame:
@@ -172,7 +175,7 @@ def _count(counts: LogCounts, answered: Answered, true: FrameTruth, log_id: str)
     others = [name for name in answered.labels if not is_supervised(name)]
     for semantic, predictive in product(supervised, others):
         agreements = compare(answered.labels[semantic].labels, answered.labels[predictive].labels)
-        differs = np.isin(agreements, [kind.code for kind in MOTION.kinds])
+        differs = np.isin(agreements, _DIFFERING)
         compared = np.count_nonzero(agreements != MOTION.not_compared)
         counts.compared[semantic, predictive] += int(compared)
         counts.contradicted[semantic, predictive] += int(np.count_nonzero(differs))

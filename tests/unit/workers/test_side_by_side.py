@@ -68,6 +68,17 @@ def test_side_by_side_each_stream_has_the_figures_that_it_has_alone(tmp_path: Pa
     assert two_stage.contradicted_share is not None
 
 
+def test_what_both_call_static_is_no_contradiction(tmp_path: Path) -> None:
+    rows, seen = evaluate(tmp_path, ("supervised", "selfsupervised"))
+    one, other = (
+        np.concatenate([each.labels for each in seen if each.stream == stream])
+        for stream in ("supervised", "selfsupervised")
+    )
+    known = (one != MotionLabel.UNKNOWN) & (other != MotionLabel.UNKNOWN)
+    assert 0 < (one != other)[known].mean() < 0.9
+    assert rows[-1].contradicted_share == pytest.approx((one != other)[known].mean(), abs=1e-5)
+
+
 def test_streams_of_one_kind_contradict_nobody(tmp_path: Path) -> None:
     rows, _ = evaluate(tmp_path, ("two-stage", PUBLISHED))
     assert all(row.contradicted_share is None for row in rows)
