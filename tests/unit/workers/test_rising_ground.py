@@ -25,7 +25,8 @@ def _box(x_m: float, y_m: float, size_m: tuple[float, float, float]) -> Cloud:
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     rim = (np.abs(grid[:, 0]) > half_x - 0.2) | (np.abs(grid[:, 1]) > half_y - 0.2)
     roof = grid[:, 2] > top - 0.2
-    return grid[rim | roof] + [x_m, y_m, -HEIGHT_M]
+    box: Cloud = grid[rim | roof] + [x_m, y_m, -HEIGHT_M]
+    return box
 
 
 def _road() -> Cloud:
