@@ -68,6 +68,7 @@ def answers_of(
         TruthUnusableError: If the truth does not know a frame.
     """
     number_of_stamp: dict[int, int] = {}
+    settings = _read_for(streams, settings)
     for shard in shards_of_log(bucket, recording, settings, topic=truth.topic):
         clock = StageClock()
         read = clock.drawn("ingest", read_shard(bucket, recording, shard, settings).frames())
@@ -93,6 +94,12 @@ def answers_of(
             if shard.start_ns <= each.whole.stamp_ns < shard.end_ns:
                 said = dict(zip(streams, labels, strict=True))
                 yield Answered(each.number, each.whole, frame, each.kept, said, took_ms)
+
+
+def _read_for(streams: Iterable[StreamName], settings: MiningSettings) -> MiningSettings:
+    """Have what the log recorded read as well, where one of the streams is that."""
+    asked = [settings.model_copy(update={"supervised": name}) for name in streams]
+    return next((each for each in asked if each.takes_recorded), settings)
 
 
 def _numbered(

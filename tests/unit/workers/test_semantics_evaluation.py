@@ -58,6 +58,15 @@ def test_what_is_recorded_right_has_an_iou_of_one_in_every_class(fleet: Path) ->
     assert row.unanswered_share == 0.0
 
 
+def test_what_is_recorded_is_read_when_it_is_asked_for_by_name(fleet: Path) -> None:
+    settings = _settings(fleet)
+    (row, _) = evaluate_semantics(
+        settings.bucket, fleet / "truth", frames=range(1, 3), settings=settings, stream="recorded"
+    )
+    assert row.miou == 1.0
+    assert row.unanswered_share == 0.0
+
+
 def test_a_network_that_never_saw_such_a_street_is_counted_point_by_point(fleet: Path) -> None:
     settings = _settings(fleet)
     (row, _) = evaluate_semantics(settings.bucket, fleet / "truth", settings=settings)
