@@ -47,6 +47,9 @@ _USUAL_SHARE: Final = 0.3
 _FEWEST_ASKED: Final = 12
 """Cells: of three square metres some may rise by chance."""
 
+_ASTRAY_M: Final = 100.0
+"""Each way from the middle of the frames; what a lost pose puts farther off is not asked."""
+
 _NOTHING: Final = np.float32(1e9)
 
 Heights = NDArray[np.float32]
@@ -67,6 +70,8 @@ class RisingGround:
         """
         self._frames = frames
         at_m = np.array([posed.odom_from_sensor[:2, 3] for posed in frames])
+        middle_m = np.median(at_m, axis=0)
+        at_m = at_m.clip(middle_m - _ASTRAY_M, middle_m + _ASTRAY_M)
         self._origin_m = at_m.min(axis=0) - WITHIN_M - CELL_M
         across = np.ceil((at_m.max(axis=0) - self._origin_m + WITHIN_M) / CELL_M) + 1
         shape = (len(frames), int(across[0]), int(across[1]))
@@ -127,14 +132,11 @@ def _span(
         across = x * x + y * y
         if not (valid[i] and BEYOND_M * BEYOND_M < across < WITHIN_M * WITHIN_M):
             continue
-        a = int(
-            (pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3] - origin[0]) / CELL_M
-        )
-        b = int(
-            (pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3] - origin[1]) / CELL_M
-        )
+        along = pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3] - origin[0]
+        aside = pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3] - origin[1]
+        a, b = int(np.floor(along / CELL_M)), int(np.floor(aside / CELL_M))
         if not (0 <= a < low.shape[0] and 0 <= b < low.shape[1]):
-            continue  # the car is on its side: heights are none
+            continue  # the car is on its side, or astray: heights are none
         height = pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]
         low[a, b] = min(low[a, b], height)
         high[a, b] = max(high[a, b], height)

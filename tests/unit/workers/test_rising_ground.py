@@ -127,6 +127,23 @@ def test_points_without_a_place_and_a_car_on_its_side_are_borne() -> None:
     assert rising.around(1, np.flatnonzero(valid)[:50])[1] >= 0
 
 
+def test_a_pose_that_went_astray_costs_its_own_frame() -> None:
+    """Cells from here to there would fill any memory."""
+
+    def told(away_m: float) -> list[tuple[int, int]]:
+        frames = [
+            posed(frame(_leaking(n), at_s=n / 10.0), pose(away_m if n == FRAMES - 1 else 0.0))
+            for n in range(FRAMES)
+        ]
+        rising = RisingGround(frames)
+        return [rising.around(n, np.arange(50)) for n in range(FRAMES)]
+
+    far, farther = told(-1e4), told(1e9)
+    assert far == farther
+    assert far[-1] == (0, 0)
+    assert sum(asked for _, asked in far) > 0
+
+
 def test_one_frame_that_is_lifted_whole_rises_whole() -> None:
     """A kerb hit hard, a pose that is wrong in height: all of the ground at once."""
 
