@@ -30,7 +30,11 @@ _BUDGETS: Final = ("0.5", "1", "2", "5", "10")
 def write_report(file: Path, bench: "FailureBench") -> None:
     """Write the page of a benchmark; it appears whole or not at all."""
     parts = [
-        f"<h1>Failures found by contradiction</h1><p>{escape(bench.bucket)}, {bench.logs} logs"
+        f"<h1>Failures found by contradiction</h1><p>{escape(bench.bucket)}, {bench.logs} logs",
+        *(
+            f"<p>Judged in <i>{table}</i>: the supervised stream {escape(stream)}.</p>"
+            for table, stream in bench.judged.items()
+        ),
     ]
     if bench.planted is not None:
         parts += _planted(bench.planted)

@@ -60,6 +60,16 @@ class PointTotals(BaseModel):
     not_compared: int = 0
 
 
+class Judged(BaseModel):
+    """Two streams whose labels were compared, and how many current scenes tell of that."""
+
+    model_config = _STRICT
+
+    supervised: str = Field(description="`name@version` of the stream that was judged.")
+    selfsupervised: str = Field(description="`name@version` of the stream beside it.")
+    scenes: int = Field(ge=1)
+
+
 class Status(BaseModel):
     """The ledger at one moment, under one pipeline version."""
 
@@ -82,5 +92,8 @@ class Status(BaseModel):
     plan_bytes_read: int = 0
     peak_memory_bytes: int = Field(default=0, description="Most memory that any worker held.")
     points: PointTotals = Field(default_factory=PointTotals)
+    judged: tuple[Judged, ...] = Field(
+        default=(), description="Streams that current scenes compare; of most scenes first."
+    )
     last_seq: int = Field(default=0, description="Number of the newest scene event.")
     published_seq: int = Field(default=0, description="Number up to which events are published.")

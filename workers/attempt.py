@@ -15,7 +15,7 @@ from workers.lease import LeaseKeeper, LeaseLostError, Leases
 from workers.metrics import WorkerMetrics
 from workers.mine import Account, mine_records
 from workers.stores import put_artifact
-from workers.telling import tell_mined, tell_planned, tell_truncated
+from workers.telling import tell_mined, tell_planned, tell_truncated, tell_unread_labels
 
 log = structlog.get_logger(__name__)
 
@@ -49,15 +49,18 @@ class Attempts:
         """
         began_s = time.monotonic()
         truncated: list[TruncatedPart] = []
+        unread_labels: list[str] = []
         plan = plan_recording(
             equipment.bucket,
             lease.recording,
             equipment.settings,
             settled=lease.settled,
             on_truncated=truncated.append,
+            on_unread_labels=unread_labels.append,
         )
         self.metrics.planned(plan, truncated_parts=len(truncated))
         tell_truncated(truncated)
+        tell_unread_labels(unread_labels)
         self._commit(self._request(lease, plan=plan), {}, keeper)
         seconds = time.monotonic() - began_s
         self.metrics.plan_committed(seconds)

@@ -20,6 +20,7 @@ def score_recording(
     on_shard: Callable[[int, int], None] = lambda done, total: None,
     on_damage: Callable[[Damage], None] = lambda damage: None,
     on_scene: Callable[[MinedRecord], None] = lambda mined: None,
+    on_unread_labels: Callable[[str], None] = lambda topic: None,
 ) -> Iterator[SceneScore]:
     """Mine a recording shard by shard, exactly as a worker would.
 
@@ -30,6 +31,7 @@ def score_recording(
         on_shard: Told how many shards are done, and of how many.
         on_damage: Told every stretch that cannot be read.
         on_scene: Told each scene with its overlay, before its score is yielded.
+        on_unread_labels: Told the topic of recorded labels, where another stream is judged.
 
     Yields:
         The score of each scene, in the order of their starts within each lidar.
@@ -39,7 +41,7 @@ def score_recording(
     """
     parts = parts_of(settings)
     version = pipeline_version(settings, parts)
-    plan = plan_recording(bucket, recording, settings)
+    plan = plan_recording(bucket, recording, settings, on_unread_labels=on_unread_labels)
     if plan.refused:
         raise LogUnusableError(f"cannot mine {recording.log_id}: {plan.refused}")
     for damage in plan.damage:

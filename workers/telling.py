@@ -30,6 +30,12 @@ def tell_truncated(parts: Iterable[TruncatedPart]) -> None:
         )
 
 
+def tell_unread_labels(topics: Iterable[str]) -> None:
+    """Say on which topics a log holds labels of the model on the car that nobody judges."""
+    for topic in topics:
+        log.info("this log holds recorded labels; judge them by --supervised recorded", topic=topic)
+
+
 def tell_planned(plan: LogPlan, *, seconds: float) -> None:
     """Say what a log holds, or why it cannot be mined."""
     if plan.refused:

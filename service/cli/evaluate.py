@@ -110,6 +110,9 @@ def motion(
             json_line(row)
     else:
         _say(evaluated, streams)
+        for name in streams:
+            if name in ("supervised", "selfsupervised"):
+                remark(f"{name}: {getattr(settings, name)}")
     if plot is not None:
         plot.parent.mkdir(parents=True, exist_ok=True)
         draw_table(evaluated).save(plot)
@@ -150,8 +153,9 @@ def semantics(
             json_line(row)
         return
     classes = list(dict.fromkeys(name for row in evaluated for name in row.iou))
+    judged = settings.supervised if stream == "supervised" else stream
     table(
-        "intersection over union of the classes",
+        f"intersection over union of the classes, supervised stream {judged}",
         ("class", *(row.log for row in evaluated)),
         (
             ("mean of the classes", *(row.miou for row in evaluated)),

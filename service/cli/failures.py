@@ -110,6 +110,8 @@ def failures(
             _say_planted(bench.planted)
         if bench.natural is not None:
             _say_natural(bench.natural)
+    for judged_in, stream in bench.judged.items():
+        remark(f"judged in {judged_in}: supervised stream {stream}")
     if report is not None:
         from service.failure_report import write_report
 

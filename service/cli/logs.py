@@ -24,7 +24,7 @@ from service.cli.options import (
     settings_for,
 )
 from service.cli.output import json_line, progress, remark, table
-from service.cli.report import say_inspected
+from service.cli.report import say_inspected, say_judged
 from service.errors import NothingFoundError
 
 if TYPE_CHECKING:
@@ -115,6 +115,9 @@ def score(
                 f"damaged: {damage.what} ({damage.key} at byte {damage.offset})"
             ),
             on_scene=partial(_draw, folder=pictures) if pictures else lambda mined: None,
+            on_unread_labels=lambda topic: remark(
+                f"this log holds recorded labels on {topic}; judge them by --supervised recorded"
+            ),
         ):
             if json:
                 json_line(row)
@@ -128,6 +131,7 @@ def score(
                 for s in scored
             ),
         )
+    say_judged(scored)
 
 
 def _draw(mined: "MinedRecord", *, folder: Path) -> None:

@@ -61,6 +61,9 @@ def pipeline(
             for row in rows
         ),
     )
+    remark(
+        f"judged: supervised stream {settings.supervised}, held against {settings.selfsupervised}"
+    )
 
 
 def motion(

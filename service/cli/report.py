@@ -1,9 +1,10 @@
 """What a person is told of a status and of a ranking."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
+from schemas.score import SceneScore
 from service.cli.output import remark, table
 from service.dry_run import DryLog, DryRun
 from service.ranking import RankedScene
@@ -57,6 +58,16 @@ def say_what_was_found(status: Status) -> None:
             f"logs and frames are those of pipeline version {status.pipeline_version}, the newest; "
             "scenes of one before stand until it has mined their log"
         )
+    if status.judged:
+        several = len(status.judged) > 1
+        remark(
+            "judged: "
+            + "; ".join(
+                said_of(each.supervised, each.selfsupervised)
+                + (f" in {each.scenes} scenes" if several else "")
+                for each in status.judged
+            )
+        )
     points = status.points
     compared = (
         points.both_static
@@ -71,6 +82,18 @@ def say_what_was_found(status: Status) -> None:
         f"({_percent(points.only_semantic_dynamic, compared)} only semantic, "
         f"{_percent(points.only_predictive_dynamic, compared)} only predictive dynamic)"
     )
+
+
+def said_of(supervised: str, selfsupervised: str) -> str:
+    """Name the stream that was judged, and what it was held against."""
+    return f"supervised stream {supervised}, held against {selfsupervised}"
+
+
+def say_judged(scores: Iterable[SceneScore]) -> None:
+    """Say in one line which streams these scenes compare."""
+    pairs = {(each.producers.supervised, each.producers.selfsupervised): None for each in scores}
+    if pairs:
+        remark("judged: " + "; ".join(said_of(*pair) for pair in pairs))
 
 
 def say_ranking(rows: Sequence[RankedScene]) -> None:

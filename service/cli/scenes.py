@@ -6,9 +6,10 @@ from typing import Annotated, Any
 
 import typer
 
+from schemas.errors import PermanentError
 from service.cli.options import Artifacts, Config, Connect, Database, Json, settings_for
 from service.cli.output import json_line, remark, results, table
-from service.cli.report import say_ranking, say_what_was_found
+from service.cli.report import said_of, say_judged, say_ranking, say_what_was_found
 from service.config import Settings
 from service.errors import NothingFoundError, UsageError
 from service.merging import SceneEvent
@@ -96,12 +97,26 @@ def top(
     config: Config = None,
 ) -> None:
     """List every current scene, the most contradicting first."""
-    rows = reader(config, connect=connect, state=state, database=database).top(n)
+    source = reader(config, connect=connect, state=state, database=database)
+    rows = source.top(n)
     if json:
         for row in rows:
             json_line(row)
         return
     say_ranking(rows)
+    if rows:
+        _say_judged_in_best(source, rows[0].scene_id)
+
+
+def _say_judged_in_best(source: Reader, scene_id: str) -> None:
+    """Say whose labels the best scene judges: one record is opened, however many are listed."""
+    try:
+        made_by = source.scene(scene_id).producers
+    except PermanentError as error:  # a running service took it back between two questions
+        remark(str(error))
+        return
+    pair = said_of(made_by.supervised, made_by.selfsupervised)
+    remark(f"judged, in the best scene: {pair}; `counterpoint status` counts all")
 
 
 def select(
@@ -160,6 +175,7 @@ def show(
         picture = draw_scene(score, overlay)
     picture.save(out)
     remark(f"{out}: {score.scene_id}, score {score.score:.3f}")
+    say_judged([score])
 
 
 def status(

@@ -20,6 +20,7 @@ from sqlalchemy import (
 
 from schemas.work import Damage
 from service.status import LogStatus, ParkedWork, PointTotals, Status
+from service.store.judged import judged
 from service.store.tables import COUNTERS, DAMAGE, PIPELINES, PLANS, RECORDINGS, SCENES, SHARDS
 from service.store.work import OPEN, WorkState
 
@@ -77,6 +78,7 @@ def status(connection: Connection, pipeline_version: str | None, *, now_s: float
         plan_bytes_read=sum(log.plan_bytes_read for log in logs),
         peak_memory_bytes=max((log.peak_memory_bytes for log in logs), default=0),
         points=_points(connection),
+        judged=judged(connection),
         last_seq=counters["seq"],
         published_seq=counters["published"],
     )

@@ -19,7 +19,7 @@ from workers.ingest.lidar import choose_lidars, lidar_evidence
 from workers.ingest.log_index import LogIndex, index_recording
 from workers.ingest.messages import MAX_TIME_NS
 from workers.ingest.pointcloud import is_cloud, unsupported_reason
-from workers.ingest.recorded_labels import CLASSES_RECORD, find_recorded_source
+from workers.ingest.recorded_labels import CLASSES_RECORD, find_labels, find_recorded_source
 from workers.ingest.recorded_motion import find_motion
 from workers.ingest.topics import Topic, chunks_of, count_in, topics_of
 from workers.ingest.windows import Span, Spans, cut_windows
@@ -44,6 +44,7 @@ def plan_recording(
     *,
     settled: bool = True,
     on_truncated: Callable[[TruncatedPart], None] = lambda part: None,
+    on_unread_labels: Callable[[str], None] = lambda topic: None,
 ) -> LogPlan:
     """Find the lidars of a recording and cut it into shards.
 
@@ -55,6 +56,8 @@ def plan_recording(
         settings: Grid and parts.
         settled: Whether a part without a valid footer is taken as far as it goes.
         on_truncated: Told every such part.
+        on_unread_labels: Told the topic that holds recorded labels of a lidar, where the settings
+            judge another stream; with `lidar_topic` set, only those on that topic are looked for.
 
     Raises:
         StillGrowingError: If a part has no valid footer, and the recording is not settled.
@@ -67,11 +70,16 @@ def plan_recording(
         return LogPlan(log_id=recording.log_id, refused=str(error))
     for part in index.truncated:
         on_truncated(part)
-    return plan_index(index, settings)
+    return plan_index(index, settings, on_unread_labels=on_unread_labels)
 
 
-def plan_index(index: LogIndex, settings: MiningSettings) -> LogPlan:
-    """Plan a recording whose index is known."""
+def plan_index(
+    index: LogIndex,
+    settings: MiningSettings,
+    *,
+    on_unread_labels: Callable[[str], None] = lambda topic: None,
+) -> LogPlan:
+    """Plan a recording whose index is known; the arguments are those of `plan_recording`."""
     topics = topics_of(index.parts)
     damage: list[Damage] = []
     identity = Identity()
@@ -92,7 +100,11 @@ def plan_index(index: LogIndex, settings: MiningSettings) -> LogPlan:
                 sample_end(index, sample)
         anchor_ns = min(sample.first_stamp_ns for sample in chosen)
         for sample in chosen:
-            recorded = _recorded(index, topics, sample, samples, settings)
+            recorded = None
+            if settings.takes_recorded:
+                recorded = _recorded(index, topics, sample, samples)
+            elif found := _labels(index, topics, sample, samples):
+                on_unread_labels(found.topic)
             channel = _without_schema(sample.topic.channel)
             camera = _camera(index, topics, sample, settings)
             motion = find_motion(topics, settings.odometry_topic)
@@ -191,10 +203,7 @@ def _recorded(
     topics: Sequence[Topic],
     sample: Sample,
     samples: Mapping[str, Sample],
-    settings: MiningSettings,
-) -> RecordedSource | None:
-    if not settings.takes_recorded:
-        return None
+) -> RecordedSource:
     classes: dict[str, str] = {}
     records = index.metadata(CLASSES_RECORD)
     for record in records:
@@ -213,6 +222,17 @@ def _recorded(
     if source.channel is None:
         return source
     return source.model_copy(update={"channel": _without_schema(source.channel)})
+
+
+def _labels(
+    index: LogIndex, topics: Sequence[Topic], sample: Sample, samples: Mapping[str, Sample]
+) -> Channel | None:
+    return find_labels(
+        [topic.channel for topic in topics],
+        has_classes=bool(index.metadata(CLASSES_RECORD)),
+        lidar=sample.topic.channel,
+        clouds={name: each.clouds for name, each in samples.items()},
+    )
 
 
 def _camera(

@@ -51,19 +51,41 @@ def find_recorded_source(
     record = metadata.get(CLASSES_RECORD)
     classes_json = canonical_json(dict(record or {})).decode()
     recorded_classes(classes_json)
+    found = find_labels(channels, has_classes=record is not None, lidar=lidar, clouds=clouds)
+    if found is None:
+        return None
+    channel = None if found.topic == lidar.topic else found
+    return RecordedSource(channel=channel, classes_json=classes_json)
+
+
+def find_labels(
+    channels: Sequence[Channel],
+    *,
+    has_classes: bool,
+    lidar: Channel,
+    clouds: Mapping[str, Sequence[DecodedCloud]],
+) -> Channel | None:
+    """Find the channel that holds the recorded labels of a lidar, which may be its own.
+
+    Args:
+        channels: All of the log.
+        has_classes: Whether the log says what its class ids mean.
+        lidar: The lidar whose labels are wanted.
+        clouds: As `find_recorded_source` takes them.
+    """
     own = clouds.get(lidar.topic, ())
-    if any(_says_motion(cloud, has_classes=record is not None) for cloud in own):
-        return RecordedSource(channel=None, classes_json=classes_json)
+    if any(_says_motion(cloud, has_classes=has_classes) for cloud in own):
+        return lidar
     widths = {cloud.stamp_ns: len(cloud) for cloud in own}
     for channel in sorted(channels, key=lambda channel: channel.topic):
         if channel.topic == lidar.topic or not is_cloud(channel):
             continue
         if any(
-            _says_motion(cloud, has_classes=record is not None)
+            _says_motion(cloud, has_classes=has_classes)
             and widths.get(cloud.stamp_ns) == len(cloud)
             for cloud in clouds.get(channel.topic, ())
         ):
-            return RecordedSource(channel=channel, classes_json=classes_json)
+            return channel
     return None
 
 

@@ -51,6 +51,7 @@ def test_what_was_planted_is_mined_judged_and_kept(fleet: Path, tmp_path: Path) 
     table = made.planted
     assert table is not None
     assert made.natural is None
+    assert made.judged == {"planted": "recorded"}
     assert (table.scenes, table.failing_scenes) == (2, 2)
     assert table.failures >= 2
     assert set(table.kinds) <= {"missed_mover", "parked_called_moving"}
@@ -60,7 +61,9 @@ def test_what_was_planted_is_mined_judged_and_kept(fleet: Path, tmp_path: Path) 
 
 
 def test_things_are_ranked_whatever_said_the_labels(fleet: Path) -> None:
-    table = bench(fleet, "natural")[0].natural
+    made, _ = bench(fleet, "natural")
+    assert made.judged == {"natural": "recorded"}
+    table = made.natural
     assert table is not None
     assert 0 < table.failing_things < table.things
     assert {"random", "confidence", "flicker", "point_share"} <= set(table.baselines)

@@ -124,6 +124,7 @@ def test_the_keys_that_others_read_are_at_the_top() -> None:
         out["baselines"]["random"]
     )
     assert out["natural"] is None
+    assert out["judged"] == {}
 
 
 def test_a_thing_that_fails_in_two_scenes_is_one_failure_and_a_swap_is_one() -> None:
@@ -228,6 +229,7 @@ def test_the_report_holds_its_tables_and_plots(tmp_path: Path) -> None:
     bench = FailureBench(
         bucket="fleet/<logs>",
         logs=6,
+        judged={"natural": "<own>"},
         planted=planted_table(fleet(), draws=20),
         natural=natural_table(fleet(), draws=20),
     )
@@ -235,5 +237,6 @@ def test_the_report_holds_its_tables_and_plots(tmp_path: Path) -> None:
     page = file.read_text()
     assert page.count("<svg") == 6
     assert "fleet/&lt;logs&gt;" in page
+    assert "Judged in <i>natural</i>: the supervised stream &lt;own&gt;" in page
     assert "unseen_class" in page
     assert "point_share" in page

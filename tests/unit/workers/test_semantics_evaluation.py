@@ -93,7 +93,9 @@ def test_the_command_prints_a_table_or_json(
 ) -> None:
     arguments = ["eval", "semantics", str(fleet / "logs"), "--truth", str(fleet / "truth")]
     assert main([*arguments, "--frames", "0:2", "--stream", "recorded"]) == 0
-    assert "all that can move" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "all that can move" in said
+    assert "supervised stream recorded" in said
     assert main([*arguments, "--frames", "0:2", "--stream", "recorded", "--json"]) == 0
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [row["log"] for row in rows] == ["drive", "all"]

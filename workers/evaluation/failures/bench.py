@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.arrays import NS_PER_S
 from schemas.bucket import open_bucket
@@ -32,6 +32,9 @@ class FailureBench(BaseModel):
 
     bucket: str
     logs: int
+    judged: dict[str, str] = Field(
+        default_factory=dict, description="Table to the supervised stream that it judges, by name."
+    )
     planted: PlantedTable | None = None
     natural: NaturalTable | None = None
 
@@ -39,7 +42,8 @@ class FailureBench(BaseModel):
         """One object: *planted* at the top level, *natural* under its name."""
         planted = {} if self.planted is None else self.planted.model_dump(mode="json")
         natural = None if self.natural is None else self.natural.model_dump(mode="json")
-        return {"bucket": self.bucket, "logs": self.logs, **planted, "natural": natural}
+        about = {"bucket": self.bucket, "logs": self.logs, "judged": self.judged}
+        return {**about, **planted, "natural": natural}
 
 
 def bench_failures(
@@ -93,6 +97,7 @@ def bench_failures(
 
     on_progress(0, total)
     planted = natural = None
+    judged: dict[str, str] = {}
     mining = Mining(bucket_url, settings, processes, kept)
     if plant:
         recorded = settings.model_copy(update={"supervised": "recorded", "model": ""})
@@ -103,11 +108,15 @@ def bench_failures(
             for job, log in list(zip(sowed, mined, strict=True))[:slip_logs]
         ]
         slipping = mine_logs(of_car, again, on_log=on_log)
+        judged["planted"] = recorded.supervised
         planted = planted_table(mined, slipping=slipping, draws=draws)
     if "natural" in tables:
         mined = mine_logs(replace(mining, probing=probing), jobs, on_log=on_log)
+        judged["natural"] = settings.supervised
         natural = natural_table(mined, draws=draws)
-    return FailureBench(bucket=bucket_url, logs=len(jobs), planted=planted, natural=natural)
+    return FailureBench(
+        bucket=bucket_url, logs=len(jobs), judged=judged, planted=planted, natural=natural
+    )
 
 
 def jobs_of(bucket_url: str, truth: Path) -> list[LogJob]:
