@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 
 WORST_FRAMES = 10
 
-Truth = Annotated[Path, typer.Option("--truth", help="Truth of BUCKET/x/y.mcap in DIR/x/y.")]
+Truth = Annotated[
+    Path,
+    typer.Option("--truth", help="Truth of BUCKET/x/y.mcap in DIR/x/y, as deploy/TRUTH.md says."),
+]
 Frames = Annotated[
     str, typer.Option("--frames", help="A:B, half open, per log; earlier ones warm up.")
 ]

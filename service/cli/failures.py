@@ -31,7 +31,8 @@ def failures(
         str, typer.Argument(help="A fleet of `simulate`, or with --truth any bucket of logs.")
     ],
     truth: Annotated[
-        Path | None, typer.Option("--truth", help="Truth of URL/x/y.mcap in DIR/x/y.")
+        Path | None,
+        typer.Option("--truth", help="Truth of URL/x/y.mcap in DIR/x/y, as deploy/TRUTH.md says."),
     ] = None,
     only: Annotated[
         str | None,

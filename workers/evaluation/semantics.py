@@ -101,7 +101,10 @@ def evaluate_semantics(
             rows.append(_row(recording.log_id, confusion, counted))
             total, all_frames = total + confusion, all_frames + counted
     if not rows:
-        raise TruthUnusableError(f"no log of {bucket.url} has truth of classes in {truth}")
+        raise TruthUnusableError(
+            f"no log of {bucket.url} has truth of classes in {truth}: arrays semantic19, or "
+            "semantic and a classes.json; their form is on the page deploy/TRUTH.md"
+        )
     return [*rows, _row("all", total, all_frames)]
 
 

@@ -62,6 +62,7 @@ class _Entry:
 class LogTruth:
     """The truth of one log: a folder for each part, `NNNNNN.npz` for each message of the lidar.
 
+    Its form for those who bring their own is told in `deploy/TRUTH.md`.
     Frames are matched by their stamps where `frames.json` lists them, so that a cloud that could
     not be read shifts nothing; else by their order.
 
@@ -204,7 +205,9 @@ def logs_with_truth(bucket: Bucket, truth: Path) -> list[tuple[Recording, LogTru
         if (known := LogTruth.beside(recording, truth)) is not None
     ]
     if not found:
-        raise TruthUnusableError(f"no log of {bucket.url} has truth in {truth}")
+        raise TruthUnusableError(
+            f"no log of {bucket.url} has truth in {truth}; its form is on the page deploy/TRUTH.md"
+        )
     return found
 
 
