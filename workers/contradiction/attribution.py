@@ -17,7 +17,7 @@ from importlib import resources
 from typing import Any, Final
 
 from schemas.attribution import MOST_WORDS, Attribution, Wrong
-from workers.contradiction.because import Remark
+from workers.contradiction.because import AS_MOST, LIKELIEST, Remark
 from workers.contradiction.evidence import NAMES, Evidence
 
 FILE: Final = "attribution.json"
@@ -110,21 +110,57 @@ def attribute(kind: str, evidence: Evidence, *, remarks: Sequence[Remark] = ()) 
     known = chances(table, named)
     rounded = {wrong: round(chance, _DIGITS) for wrong, chance in known.items()}
     answer = max(Wrong, key=lambda wrong: rounded[wrong])
-    weighed = [
-        (round(weight_of(remark.otherwise, table, named, answer), _DIGITS), remark.words)
-        for remark in remarks
-    ]
-    weighed = sorted(weighed, key=lambda each: -abs(each[0]))[:MOST_WORDS]
+    weighed = sorted(
+        (
+            (round(weight_of(remark.otherwise, table, named, answer), _DIGITS), remark)
+            for remark in remarks
+        ),
+        key=lambda each: -abs(each[0]),
+    )
+    told = [(weight, remark.words) for weight, remark in weighed if not remark.quiet][:MOST_WORDS]
+    if weighed and all(weight < NOTHING for weight, _ in told):
+        quiet = max((each for each in weighed if each[1].quiet), key=_by_weight, default=None)
+        if quiet is not None and quiet[0] >= NOTHING:
+            first = (quiet[0], quiet[1].words)
+        else:
+            first = (NOTHING, _by_kind(kind, table, named, answer, remarks))
+        told = [first, *told[: MOST_WORDS - 1]]
     return Attribution(
         wrong=answer,
         supervised=rounded[Wrong.SUPERVISED],
         selfsupervised=rounded[Wrong.SELFSUPERVISED],
         both=rounded[Wrong.BOTH],
         neither=rounded[Wrong.NEITHER],
-        because=tuple(words for weight, words in weighed if weight >= NOTHING),
-        against=tuple(words for weight, words in weighed if weight <= -NOTHING),
-        also=tuple(words for weight, words in weighed if abs(weight) < NOTHING),
+        because=tuple(words for weight, words in told if weight >= NOTHING),
+        against=tuple(words for weight, words in told if weight <= -NOTHING),
+        also=tuple(words for weight, words in told if abs(weight) < NOTHING),
     )
+
+
+def _by_weight(weighed: tuple[float, Remark]) -> float:
+    return weighed[0]
+
+
+def _by_kind(
+    kind: str,
+    table: Table,
+    evidence: Mapping[str, float],
+    answer: Wrong,
+    remarks: Sequence[Remark],
+) -> str:
+    """What speaks for an answer for which no remark does.
+
+    It is the kind, where a track of it would be so without all that is remarked; else nothing but
+    that the other three are less likely still.
+    """
+    without = dict(evidence)
+    for remark in remarks:
+        if not remark.quiet:
+            without |= remark.otherwise
+    odds = _log_odds(table, without)
+    if (odds if answer in _SUPERVISED else -odds) >= NOTHING:
+        return AS_MOST[kind]
+    return LIKELIEST
 
 
 def _log_odds(table: Table, evidence: Mapping[str, float]) -> float:

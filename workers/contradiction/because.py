@@ -17,6 +17,18 @@ TURNING: Final = 0.5
 HALF: Final = 0.5
 SURE: Final = 0.7
 
+LITTLE: Final = 0.2
+
+AS_MOST: Final[Mapping[str, str]] = {
+    "only_semantic_dynamic": "as most that the supervised stream alone sees move",
+    "only_predictive_dynamic": "as most that the self-supervised stream alone sees move",
+    "only_witness_dynamic": "as most that the witness alone sees move",
+}
+"""What speaks for an answer where nothing that is told does: the kind of contradiction."""
+
+LIKELIEST: Final = "the likeliest of four"
+"""What is left where the kind speaks against it, too."""
+
 MISSED: Final = frozenset({"only_predictive_dynamic", "only_witness_dynamic"})
 """Kinds in which the supervised stream calls static what is seen to move."""
 
@@ -55,10 +67,12 @@ class Remark:
         words: What is said.
         otherwise: The evidence it rests on, as it would be were it not so; empty where the tables
             of `attribution.py` do not ask for it.
+        quiet: Told only where nothing else speaks for the answer.
     """
 
     words: str
     otherwise: Mapping[str, float]
+    quiet: bool = False
 
 
 def remarks_on(
@@ -96,4 +110,22 @@ def remarks_on(
         ("slow", slow, {"went": 0.0}),
         ("flickers", evidence.steady < 0.8, {"steady": 1.0}),
     )
-    return tuple(Remark(words, otherwise) for words, holds, otherwise in said if holds)
+    loud = tuple(Remark(words, otherwise) for words, holds, otherwise in said if holds)
+    return loud + _quiet(evidence)
+
+
+def _quiet(evidence: Evidence) -> tuple[Remark, ...]:
+    """What the chances rest on most and a picture shows: how it goes, how large and how alone."""
+    goes = evidence.went > HALF and evidence.straight > HALF
+    said: tuple[tuple[str, bool, Mapping[str, float]], ...] = (
+        ("it goes its way", goes, {"went": 0.0, "straight": 0.0}),
+        ("it goes nowhere", evidence.went < LITTLE, {"went": 1.0, "straight": 1.0}),
+        ("of a road user's size", evidence.road_user > SURE, {"road_user": 0.0}),
+        ("of no road user's size", evidence.road_user < LITTLE, {"road_user": 1.0}),
+        ("a thing of its own", evidence.own > SURE, {"own": 0.0}),
+        ("a part of something", evidence.own < LITTLE, {"own": 1.0}),
+        ("the rim of what both see move", evidence.agreed > HALF, {"agreed": 0.0}),
+        ("the other calls all of it standing", evidence.denied > SURE, {"denied": 0.0}),
+        ("never proved twice to move", evidence.confirmed < LITTLE, {"confirmed": 1.0}),
+    )
+    return tuple(Remark(words, otherwise, quiet=True) for words, holds, otherwise in said if holds)

@@ -85,7 +85,9 @@ def test_a_phantom_pedestrian_is_told_with_where_it_stands() -> None:
         "pedestrian seen moving by the supervised stream alone for 2.0 s, 13 m ahead; "
         "the supervised stream errs ("
     )
-    assert re.search(r" errs \(\d+%; also: occluded before and after\)$", reason)
+    assert re.search(
+        r" errs \(\d+%; for: it goes nowhere; also: occluded before and after\)$", reason
+    )
     strongest = record.tracks[0].strongest
     assert strongest.range_m == pytest.approx(math.hypot(12, 4), abs=0.3)
     assert (strongest.semantic_confidence, strongest.predictive_confidence) == (0.9, 0.9)
