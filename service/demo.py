@@ -114,7 +114,12 @@ def run_demo(
     reader = StateReader(settings, now_s=now_s)
     ranking = reader.top()
     records = {row.scene_id: reader.scene(row.scene_id) for row in ranking}
-    scenes = beside_truth(ranking, records, bucket / "truth")
+    scenes = beside_truth(
+        ranking,
+        records,
+        bucket / "truth",
+        overlay_of=lambda scene_id: decode_overlay(reader.overlay(scene_id)),
+    )
     drawn: list[Path] = []
     worth = [each for each in scenes if each.row.twin_of is None and each.record.score > 0]
     for scene in worth[:PICTURES]:

@@ -1,13 +1,15 @@
 """The scenes of the demo's fleet, each beside what was put into it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from schemas.arrays import NS_PER_S
 from schemas.attribution import Wrong
+from schemas.overlay import Overlay
 from schemas.score import SceneScore
+from service.demo_named import PlantedPoints
 from service.ranking import RankedScene
 
 if TYPE_CHECKING:
@@ -32,6 +34,7 @@ class DemoScene:
         at_s: Seconds from the first scene of its log.
         failures: Kinds of what the model on the car was made to get wrong in it, in words.
         disturbances: Kinds of what disturbs in it without being a failure, in words.
+        named: Whether its first reason tells of a failure that was planted; None where none was.
     """
 
     row: RankedScene
@@ -39,6 +42,7 @@ class DemoScene:
     at_s: int
     failures: tuple[str, ...]
     disturbances: tuple[str, ...]
+    named: bool | None = None
 
     @property
     def street(self) -> str:
@@ -71,7 +75,11 @@ class DemoScene:
 
 
 def beside_truth(
-    ranking: Sequence[RankedScene], records: Mapping[str, SceneScore], truth: Path
+    ranking: Sequence[RankedScene],
+    records: Mapping[str, SceneScore],
+    truth: Path,
+    *,
+    overlay_of: Callable[[str], Overlay],
 ) -> list[DemoScene]:
     """Hold each scene of a simulated fleet beside what was planted in it.
 
@@ -79,7 +87,9 @@ def beside_truth(
         ranking: All of its scenes, best first.
         records: Theirs, by scene.
         truth: Folder of its truth.
+        overlay_of: Reads the points of a scene; asked for those with a failure and a reason.
     """
+    from workers.contradiction.reasons import WORTH_SAYING
     from workers.simulation.planted_truth import PlantedTruth
 
     begins_ns = {
@@ -89,14 +99,21 @@ def beside_truth(
     planted = {log_id: PlantedTruth.beside(truth / log_id) for log_id in begins_ns}
     scenes = []
     for row in ranking:
-        known = planted[row.log_id]
+        known, record = planted[row.log_id], records[row.scene_id]
+        failures = _within(known.failures, row) if known else ()
+        named = False if failures else None
+        told = record.tracks and record.tracks[0].strength >= WORTH_SAYING
+        if known and failures and record.score > 0 and told:
+            points = PlantedPoints(truth / row.log_id)
+            named = points.first_reason_names(overlay_of(row.scene_id), known.failures)
         scenes.append(
             DemoScene(
                 row=row,
-                record=records[row.scene_id],
+                record=record,
                 at_s=round((row.start_ns - begins_ns[row.log_id]) / NS_PER_S),
-                failures=_within(known.failures, row) if known else (),
+                failures=failures,
                 disturbances=_within(known.disturbances, row) if known else (),
+                named=named,
             )
         )
     return scenes

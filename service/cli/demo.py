@@ -45,6 +45,8 @@ def demo(
     say_what_was_found(result.status)
     say_demo_ranking(result.scenes)
     failing = sum(bool(scene.failures) for scene in result.scenes)
+    named = sum(scene.named is True for scene in result.scenes)
+    remark(f"the first reason names what was planted in {named} of {failing} scenes with a failure")
     table(
         f"how well rankings find the {failing} of {len(result.scenes)} scenes with a planted "
         "failure",
@@ -65,13 +67,14 @@ def say_demo_ranking(scenes: "Sequence[DemoScene]", *, most: int = DEMO_ROWS) ->
     shown = [scene for scene in scenes if scene.row.rank <= most or scene.failures]
     table(
         f"{len(scenes)} scenes: the best {most}, and of the others those with a planted failure",
-        ("rank", "score", "scene", "planted", "who errs", "why", "twin of rank"),
+        ("rank", "score", "scene", "planted", "why names it", "who errs", "why", "twin of rank"),
         (
             (
                 scene.row.rank,
                 scene.record.score,
                 scene.name,
                 scene.planted,
+                None if scene.named is None else "yes" if scene.named else "no",
                 scene.wrong,
                 "; ".join(scene.record.reasons[:1]) or "-",
                 rank_of[scene.row.twin_of] if scene.row.twin_of else None,

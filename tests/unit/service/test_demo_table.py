@@ -8,6 +8,7 @@ from service.cli.demo import say_demo_ranking
 from service.demo_planted import DemoScene, beside_truth
 from service.demo_retrieval import found_in
 from service.ranking import RankedScene
+from tests.demo_truth import one_thing, write_truth
 from tests.factories import BEGIN_NS, LOG_ID, scene_score, track_record
 from workers.simulation.plan import DisturbanceKind, FailureKind
 from workers.simulation.planted_truth import FILE, DisturbanceRow, FailureRow, PlantedTruth
@@ -66,13 +67,15 @@ def scenes(tmp_path: Path) -> list[DemoScene]:
     )
     (tmp_path / LOG_ID).mkdir(parents=True)
     (tmp_path / LOG_ID / FILE).write_text(planted.model_dump_json())
+    write_truth(tmp_path / LOG_ID, stamps_ns=[_ns(1.0)])
     told = (track_record(attribution=ERRS),)
     records = [
         scene_score(number=number, score=score, tracks=told if number < 3 else ())
         for number, score in enumerate((0.8, 0.3, 0.1, 0.0))
     ]
     ranking = [_row(rank, record) for rank, record in enumerate(records, start=1)]
-    return beside_truth(ranking, {record.scene_id: record for record in records}, tmp_path)
+    by_id = {record.scene_id: record for record in records}
+    return beside_truth(ranking, by_id, tmp_path, overlay_of=one_thing)
 
 
 def _row(rank: int, record: SceneScore) -> RankedScene:
@@ -95,6 +98,16 @@ def test_what_was_planted_stands_beside_the_scene_that_it_is_in(scenes: list[Dem
         "missed mover",
     ]
     assert [scene.wrong for scene in scenes] == ["supervised", "supervised", "supervised", "-"]
+
+
+def test_whether_the_first_reason_names_what_was_planted_is_marked(
+    scenes: list[DemoScene], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert [scene.named for scene in scenes] == [True, None, None, False]
+    say_demo_ranking(scenes)
+    said = capsys.readouterr().out
+    assert "why names" in said
+    assert (said.count("yes"), said.count("no ")) == (1, 1)
 
 
 def test_a_picture_is_named_after_rank_street_and_second(scenes: list[DemoScene]) -> None:
