@@ -24,6 +24,7 @@ svg { margin: .5em 1em .5em 0 } .title { font-weight: 600; font-size: 14px }
 .grid { stroke: #e9ecef } .diagonal { stroke: #868e96; stroke-dasharray: 4 4 }
 """
 
+_DOES: Final = "what the model on the car does"
 _BUDGETS: Final = ("0.5", "1", "2", "5", "10")
 
 
@@ -50,8 +51,12 @@ def write_report(file: Path, bench: "FailureBench") -> None:
 
 
 def _planted(found: "PlantedTable") -> list[str]:
+    from workers.simulation.plan import DISTURBANCE_MEANS, FAILURE_MEANS
+
     shares = dict(found.disturbances) | ({"slips": found.slips} if found.slips else {})
     shared = found.common_mode
+    failures = {kind.value: means for kind, means in FAILURE_MEANS.items()}
+    disturbances = {kind.value: means for kind, means in DISTURBANCE_MEANS.items()}
     return [
         f"<h2>Planted</h2><p>{found.failures} failures in {found.failing_scenes} of {found.scenes} "
         f"scenes. {found.unseen} of {found.planted} planted ones are not in the labels.</p>",
@@ -62,16 +67,22 @@ def _planted(found: "PlantedTable") -> list[str]:
         _reliability("score: share of scenes with a failure", found.calibration),
         "<h3>By kind, against scenes without failure</h3>",
         html_table(
-            ("kind", "scenes", "AP", *(f"recall {b} %" for b in _BUDGETS), "median rank"),
+            ("kind", "scenes", "AP", *(f"recall {b} %" for b in _BUDGETS), "median rank", _DOES),
             [
-                (kind, row.scenes, row.ap, *row.recall_at.values(), row.median_rank_share)
+                (
+                    *(kind, row.scenes, row.ap, *row.recall_at.values(), row.median_rank_share),
+                    failures.get(kind, "errs where nothing was planted"),
+                )
                 for kind, row in found.kinds.items()
             ],
         ),
         "<h3>Scenes without failure above the score of the undisturbed 5 % budget</h3>",
         html_table(
-            ("disturbed by", "scenes", "above", "share"),
-            [(name, row.scenes, row.above, row.share) for name, row in shares.items()],
+            ("disturbed by", "scenes", "above", "share", "what is wrong with the recording"),
+            [
+                (name, row.scenes, row.above, row.share, disturbances.get(name))
+                for name, row in shares.items()
+            ],
         ),
         f"<p>Common mode: both streams wrong on {shared.both_wrong} of {shared.planted}; "
         f"{shared.surfaced} surfaced, {shared.witnessed} witnessed, {shared.in_budget} in the best "

@@ -29,6 +29,38 @@ AS_MOST: Final[Mapping[str, str]] = {
 LIKELIEST: Final = "the likeliest of four"
 """What is left where the kind speaks against it, too."""
 
+TOLD: Final[Mapping[str, str]] = {
+    "the witness sees it move": "free space before and after says that most of it moves",
+    "the witness sees it stand": "free space before and after says that most of it stands",
+    "both see it move right before": "both streams call it moving just before it contradicts",
+    "both see it move right after": "both streams call it moving just after it contradicts",
+    "its shape fits no usual class": "too low, too long or too tall for a usual road user",
+    "occluded before and after": "the witness could not see its place before or after",
+    "odometry unhealthy": "poses were doubted in some of its frames",
+    "the ground rises around it": "the ground around it rises where nothing stands: spray, shaking",
+    "much else contradicts alike": "six others and more contradict in the same way in its frames",
+    "far": "beyond 44 m",
+    "few points": "under about 13 points a frame",
+    "at a turn": "while the sensor turned by 0.15 rad/s and more",
+    "low": "under 0.75 m high, near",
+    "thin": "under 0.4 m wide",
+    "slow": "it lasts, and goes between a quarter of a metre and one metre",
+    "flickers": "it contradicts in less than 80 % of the frames of its span",
+    "it goes its way": "it goes over a metre along a straight path",
+    "it goes nowhere": "it stays within a quarter of a metre",
+    "of a road user's size": "its box has the size of a road user",
+    "of no road user's size": "its box has no road user's size",
+    "a thing of its own": "what contradicts is most of what is compared in and around it",
+    "a part of something": "little of what is compared in and around it contradicts",
+    "the rim of what both see move": "most that is called moving around it both call moving",
+    "the other calls all of it standing": "most that is called moving around it the other stream "
+    "calls standing",
+    "never proved twice to move": "the self-supervised stream proved once at most that it moves",
+    **dict.fromkeys(AS_MOST.values(), "no evidence speaks for the verdict, but the kind does"),
+    LIKELIEST: "nothing speaks for the verdict, and the three others are less likely",
+}
+"""What may be told of a track for, against or beside a verdict, and what that means."""
+
 MISSED: Final = frozenset({"only_predictive_dynamic", "only_witness_dynamic"})
 """Kinds in which the supervised stream calls static what is seen to move."""
 

@@ -4,6 +4,7 @@ Nothing here knows a street. The draw says what is wanted where; `planting.py` f
 can carry it, once the street of the log is known.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from math import ceil
@@ -44,6 +45,20 @@ class FailureKind(StrEnum):
     MISSED_MOVER = "missed_mover"
 
 
+FAILURE_MEANS: Final[Mapping[FailureKind, str]] = {
+    FailureKind.UNSEEN_CLASS: "calls a mover of a rare class static, and a mere object",
+    FailureKind.MISSED_PEDESTRIAN: "calls somebody on foot static, and a mere object",
+    FailureKind.GHOST_MOVER: "calls what stands and belongs to nobody a moving car",
+    FailureKind.PARKED_CALLED_MOVING: "calls a parked car moving",
+    FailureKind.FLICKER: "is wrong and right about a thing by turns: 0.3 s wrong, 0.15 s right",
+    FailureKind.LATE_DETECTION: "calls a mover static at first, when it comes into sight",
+    FailureKind.LABEL_SWAP: "calls a mover static, and a thing that stands near it moving",
+    FailureKind.RANGE_LIMIT: "calls all movers beyond a distance static",
+    FailureKind.VERSION_REGRESSION: "calls movers static that the version before got right",
+    FailureKind.MISSED_MOVER: "calls a mover static that the self-supervised stream tends to miss",
+}
+"""What the model on the car does in each kind of failure."""
+
 DRAWN_KINDS: Final = tuple(kind for kind in FailureKind if kind is not FailureKind.MISSED_MOVER)
 """What is equally likely, common-mode failures aside."""
 
@@ -57,6 +72,17 @@ class DisturbanceKind(StrEnum):
     INTENSITY_SCALE = "intensity_scale"
     DROPPED_SECTOR = "dropped_sector"
     TIME_JITTER = "time_jitter"
+
+
+DISTURBANCE_MEANS: Final[Mapping[DisturbanceKind, str]] = {
+    DisturbanceKind.ODOMETRY_SLIP: "poses slip for 0.2 to 0.5 s, when the log is judged",
+    DisturbanceKind.GROUND_LEAK: "patches of the ground in a sector are lifted, as by spray",
+    DisturbanceKind.SENSOR_SWAP: "a lidar of half the rows, turned a little and set higher",
+    DisturbanceKind.INTENSITY_SCALE: "all intensities are scaled, by 0.2 to 4",
+    DisturbanceKind.DROPPED_SECTOR: "a sector of 40 to 90 degrees is missing",
+    DisturbanceKind.TIME_JITTER: "stamps of frames are up to 0.04 s late",
+}
+"""What is wrong with the recording in each kind of disturbance; the model on the car is right."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from workers.evaluation.failures.planted import planted_table
 from workers.evaluation.failures.probes import Probing
 from workers.evaluation.failures.rows import MinedLog, SceneRow, ThingRow, TrackRow
 from workers.evaluation.failures.undisturbed import by_disturbance, slipped, threshold_of
+from workers.simulation.plan import DISTURBANCE_MEANS, FAILURE_MEANS, DisturbanceKind, FailureKind
 
 SCENES = 10
 
@@ -226,11 +227,12 @@ def test_every_scene_slips_once_and_within_itself() -> None:
 
 def test_the_report_holds_its_tables_and_plots(tmp_path: Path) -> None:
     file = tmp_path / "out" / "report.html"
+    slipping = log(6, row(0, 0.1, disturbance="odometry_slip"))
     bench = FailureBench(
         bucket="fleet/<logs>",
         logs=6,
         judged={"natural": "<own>"},
-        planted=planted_table(fleet(), draws=20),
+        planted=planted_table([*fleet(), slipping], draws=20),
         natural=natural_table(fleet(), draws=20),
     )
     write_report(file, bench)
@@ -239,4 +241,6 @@ def test_the_report_holds_its_tables_and_plots(tmp_path: Path) -> None:
     assert "fleet/&lt;logs&gt;" in page
     assert "Judged in <i>natural</i>: the supervised stream &lt;own&gt;" in page
     assert "unseen_class" in page
+    assert FAILURE_MEANS[FailureKind.UNSEEN_CLASS] in page
+    assert DISTURBANCE_MEANS[DisturbanceKind.ODOMETRY_SLIP] in page
     assert "point_share" in page
