@@ -31,7 +31,7 @@ def draw_on_camera(score: SceneScore, overlay: Overlay, settings: Settings) -> I
     from workers.ingest.camera import read_camera
 
     if not settings.bucket:
-        raise UsageError("--camera reads the log: name its bucket with --bucket URL")
+        raise UsageError("--on-image reads the log: name its bucket with --bucket URL")
     bucket = open_bucket(settings.bucket)
     folder = score.log_id.rpartition("/")[0]
     recordings = {found.log_id: found for found in group_recordings(bucket.list(prefix=folder))}

@@ -145,8 +145,8 @@ def select(
 def show(
     scene_id: Annotated[str, typer.Argument(help="As `counterpoint top` prints it.")],
     out: Annotated[Path, typer.Option("--out", help="PNG file to write.")],
-    camera: Annotated[
-        bool, typer.Option("--camera", help="The points on the camera image instead.")
+    on_image: Annotated[
+        bool, typer.Option("--on-image", help="The points on the car's camera image instead.")
     ] = False,
     bucket: Annotated[
         str | None, typer.Option("--bucket", help="Log bucket, for the camera image.")
@@ -167,7 +167,7 @@ def show(
         raise UsageError(f"--out must name a .png file, got {out}")
     if not out.absolute().parent.is_dir():
         raise UsageError(f"no such folder: {out.absolute().parent}")
-    if camera:
+    if on_image:
         from service.camera import draw_on_camera
 
         picture = draw_on_camera(score, overlay, settings_for(config, bucket=bucket))

@@ -1,4 +1,4 @@
-"""Finds the camera image that belongs to a frame, and its calibration, for `show --camera`."""
+"""Finds the camera image that belongs to a frame, and its calibration, for `show --on-image`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
