@@ -58,7 +58,9 @@ def demo(
     )
     for path in result.pictures:
         remark(f"picture: {path}")
-    remark(f"more: counterpoint top --state {out / 'state'}")
+    state = out / "state"
+    remark(f"more: counterpoint top --state {state}")
+    remark(f"any scene by its rank: counterpoint show 1 --state {state} --out scene.png")
 
 
 def say_demo_ranking(scenes: "Sequence[DemoScene]", *, most: int = DEMO_ROWS) -> None:

@@ -8,6 +8,7 @@ from schemas.score import SceneScore
 from service.cli.output import remark, table
 from service.dry_run import DryLog, DryRun
 from service.ranking import RankedScene
+from service.scene_names import short_names
 from service.status import Status
 
 
@@ -98,16 +99,15 @@ def say_judged(scores: Iterable[SceneScore]) -> None:
 
 def say_ranking(rows: Sequence[RankedScene]) -> None:
     """Print the ranking, best first."""
-    rank_of = {row.scene_id: row.rank for row in rows}
+    rank_of, name_of = {row.scene_id: row.rank for row in rows}, short_names(rows)
     table(
         f"{len(rows)} scenes",
-        ("rank", "score", "scene", "begins (UTC)", "seconds", "why", "twin of rank"),
+        ("rank", "score", "scene (begins, UTC)", "seconds", "why", "twin of"),
         (
             (
                 row.rank,
                 row.score,
-                row.scene_id,
-                _utc(row.start_ns),
+                name_of[row.scene_id],
                 f"{(row.end_ns - row.start_ns) / 1e9:.1f}",
                 "; ".join(row.reasons[:2]),
                 rank_of.get(row.twin_of, row.twin_of) if row.twin_of else None,

@@ -14,6 +14,7 @@ from service.config import Settings
 from service.errors import NothingFoundError, UsageError
 from service.merging import SceneEvent
 from service.reading import Reader, StateReader, choose_endpoint
+from service.scene_names import is_short_name, named
 
 StateDir = Annotated[
     Path | None, typer.Option("--state", help="Folder of a run; no daemon is needed then.")
@@ -25,9 +26,7 @@ def add_to(app: typer.Typer) -> None:
     app.command(epilog="counterpoint watch --connect tcp/127.0.0.1:7447 --json")(watch)
     app.command(epilog="counterpoint top -n 20 --state counterpoint-state")(top)
     app.command(epilog="counterpoint select --budget 50 --name week-47")(select)
-    app.command(
-        epilog="counterpoint show car-7/2026-11-20/drive/lidar/1750000000000000000 --out a.png"
-    )(show)
+    app.command(epilog="counterpoint show 1 --out best.png")(show)
     app.command(epilog="counterpoint status --state counterpoint-state")(status)
 
 
@@ -143,7 +142,10 @@ def select(
 
 
 def show(
-    scene_id: Annotated[str, typer.Argument(help="As `counterpoint top` prints it.")],
+    scene: Annotated[
+        str,
+        typer.Argument(help="Its rank, its name as `counterpoint top` prints it, or its scene_id."),
+    ],
     out: Annotated[Path, typer.Option("--out", help="PNG file to write.")],
     on_image: Annotated[
         bool, typer.Option("--on-image", help="The points on the car's camera image instead.")
@@ -162,6 +164,7 @@ def show(
     from service.picture import draw_scene
 
     source = reader(config, connect=connect, state=state, artifacts=artifacts, database=database)
+    scene_id = _scene_id(source, scene)
     score, overlay = source.scene(scene_id), decode_overlay(source.overlay(scene_id))
     if out.suffix.lower() != ".png":
         raise UsageError(f"--out must name a .png file, got {out}")
@@ -176,6 +179,24 @@ def show(
     picture.save(out)
     remark(f"{out}: {score.scene_id}, score {score.score:.3f}")
     say_judged([score])
+
+
+def _scene_id(source: Reader, said: str) -> str:
+    """Find the scene that a person names: by rank, short name or id.
+
+    Raises:
+        NothingFoundError: If there is none.
+        UsageError: If several have the name.
+    """
+    if said.isdecimal():
+        rank = int(said)
+        rows = source.top(rank) if rank else []
+        if not rows or len(rows) < rank:
+            raise NothingFoundError(f"no scene of rank {rank}; `counterpoint top` lists them")
+        return rows[-1].scene_id
+    if is_short_name(said):
+        return named(said, source.top()).scene_id
+    return said
 
 
 def status(

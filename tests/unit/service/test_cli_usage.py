@@ -44,10 +44,10 @@ from service.cli.main import main
         pytest.param(
             ["top", "--state", ".", "--connect", "tcp/127.0.0.1:7447"], "not both", id="two places"
         ),
-        pytest.param(["run", "--bucket", ".", "--json"], "--log-format json", id="json of a run"),
         pytest.param(
             ["show", "1", "--out", "a.png", "--camera"], "No such option", id="a calibration"
         ),
+        pytest.param(["run", "--bucket", ".", "--json"], "--log-format json", id="json of a run"),
         pytest.param(["run", "--bucket", ".", "--dry-run"], "no .mcap log", id="nothing to mine"),
     ],
 )
