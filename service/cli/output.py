@@ -2,7 +2,8 @@
 
 import json
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from shutil import get_terminal_size
 from threading import Event
 from time import monotonic
 from typing import Any, Final, Literal
@@ -20,14 +21,22 @@ from rich.progress import (
 )
 from rich.table import Table
 
-WIDE: Final = 200
-"""Characters of a table that goes into a pipe or a file, where no terminal says its width."""
+WIDE: Final = 120
+"""Characters of a table that goes into a pipe or a file, if COLUMNS does not say another width."""
+
+_LEAST: Final = 12
+"""Characters of a cell that is not broken for a narrow table."""
+
+_COPIED: Final = ("scene", "log", "name")
+"""How columns begin that are there to be copied: they are never broken."""
 
 LINE_EVERY_S: Final = 30.0
 
 remarks = Console(stderr=True, highlight=False)
 log = structlog.get_logger(__name__)
-results = Console(highlight=False, width=None if sys.stdout.isatty() else WIDE)
+results = Console(
+    highlight=False, width=None if sys.stdout.isatty() else get_terminal_size((WIDE, 25)).columns
+)
 
 
 def json_line(row: BaseModel | Mapping[str, Any]) -> None:
@@ -57,7 +66,8 @@ def table(title: str, columns: Iterable[str], rows: Iterable[Iterable[object]]) 
     """Print a table of results; numbers to the right."""
     out = Table(title=title, title_justify="left", header_style="bold")
     materialised = [[_cell(value) for value in row] for row in rows]
-    for index, column in enumerate(columns):
+    names = tuple(columns)
+    for index, column in enumerate(names):
         numeric = bool(materialised) and all(
             row[index].replace(".", "").replace("-", "").replace(",", "").isdigit()
             for row in materialised
@@ -67,11 +77,33 @@ def table(title: str, columns: Iterable[str], rows: Iterable[Iterable[object]]) 
             column,
             justify="right" if numeric else "left",
             overflow="fold",
-            no_wrap=column in ("scene", "log", "name"),  # they are there to be copied
+            no_wrap=_is_copied(column),
         )
     for row in materialised:
         out.add_row(*row)
-    results.print(out)
+    if results.is_terminal:
+        results.print(out)
+        return
+    piped = Console(
+        file=results.file,
+        highlight=False,
+        width=max(results.width, _least_width(list(names), materialised)),
+    )
+    piped.print(out)
+
+
+def _is_copied(column: str) -> bool:
+    return column.split(" ")[0] in _COPIED
+
+
+def _least_width(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> int:
+    """Width below which names would be cut and numbers broken: a file can be as wide as that."""
+    width = 1 + 3 * len(columns)
+    for index, column in enumerate(columns):
+        longest = max((len(row[index]) for row in rows), default=0)
+        whole = longest if _is_copied(column) else min(longest, _LEAST)
+        width += max(whole, *(len(word) for word in column.split(" ")))
+    return width
 
 
 class _Lines(Progress):

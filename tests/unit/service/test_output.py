@@ -1,6 +1,12 @@
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 
 from service.cli import output
+
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def test_where_no_bar_can_be_drawn_a_line_says_how_far_the_work_is(
@@ -15,3 +21,27 @@ def test_where_no_bar_can_be_drawn_a_line_says_how_far_the_work_is(
         bar.update(task, completed=7, total=20)
         bar.update(task, completed=8, total=20)
     assert capsys.readouterr().err == "mining: 7 of 20\n"
+
+
+ROW = (1, 0.5, "car-1/2026-03-02/drive/lidar.top.points/" + "9" * 100, "a reason " * 40)
+
+
+@pytest.mark.parametrize(("columns", "wide"), [("", 120), ("150", 150), ("40", 40)])
+def test_a_table_in_a_pipe_is_as_wide_as_columns_say_or_a_page(columns: str, wide: int) -> None:
+    code = "from service.cli.output import table; table('t', ('rank', 'why'), [(1, 'word ' * 99)])"
+    environment = (
+        {"PYTHONPATH": str(ROOT), "COLUMNS": columns} if columns else {"PYTHONPATH": str(ROOT)}
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
+    assert wide - 6 < max(map(len, done.stdout.splitlines())) <= wide
+
+
+def test_names_are_whole_and_numbers_in_one_piece_however_narrow_it_is(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    output.table("scenes", ("rank", "score", "scene", "why"), [ROW])
+    lines = capsys.readouterr().out.splitlines()
+    (first,) = [line for line in lines if ROW[2] in line]
+    assert "0.500" in first
