@@ -108,7 +108,7 @@ def shorten(text: str, width_px: float, size_px: int) -> str:
 
 
 def wrap(text: str, width_px: float, size_px: int, *, max_lines: int) -> list[str]:
-    """Break a text into lines that fit; what is too much is left out after a word."""
+    """Break a text into lines that fit; what is too much is left out after a word or a remark."""
     lines: list[str] = []
     rest = readable(text).split()
     while rest and len(lines) < max_lines:
@@ -116,10 +116,24 @@ def wrap(text: str, width_px: float, size_px: int, *, max_lines: int) -> list[st
         count = _words_that_fit(rest, width_px, size_px)
         if last and count < len(rest):
             count = _words_that_fit(rest, width_px, size_px, end=_MORE)
-        line = " ".join(rest[:count]) + (_MORE if last and count < len(rest) else "")
+            line = " ".join(_whole_remarks(rest[:count])).rstrip(",;") + _MORE
+        else:
+            line = " ".join(rest[:count])
         lines.append(shorten(line, width_px, size_px))
         rest = rest[count:]
     return lines
+
+
+def _whole_remarks(words: Sequence[str]) -> Sequence[str]:
+    """Take back what was begun at the end of a cut line: half a remark, or a heading of nothing.
+
+    Of a line that is one long remark its words stay.
+    """
+    ends = [place for place, word in enumerate(words, start=1) if word.endswith((",", ";"))]
+    count = ends[-1] if ends and 2 * ends[-1] >= len(words) else len(words)
+    while count and words[count - 1].endswith(":"):
+        count -= 1
+    return words[:count]
 
 
 def _words_that_fit(words: Sequence[str], width_px: float, size_px: int, *, end: str = "") -> int:

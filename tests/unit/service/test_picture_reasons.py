@@ -7,6 +7,7 @@ from schemas.overlay import Overlay
 from schemas.score import SceneScore
 from service.picture import draw_scene
 from service.picture_reasons import lines_of
+from service.picture_style import font, wrap
 from tests.labelled_worlds import Thing, labelled_scene
 from tests.unit.service.test_picture import DYNAMIC, PHANTOM, STATIC, WALL, mined_scene
 
@@ -55,6 +56,35 @@ def test_what_a_recorded_odometry_is_worth_is_no_track(
     other = draw_scene(score.model_copy(update={"reasons": ("odometry" + told[17:],)}), overlay)
     marks = [np.asarray(each)[700:1000, 1056:1070] for each in (picture, other)]
     assert (marks[0] == marks[1]).all()
+
+
+def test_a_long_reason_ends_with_a_whole_remark_and_never_with_an_empty_heading() -> None:
+    ends = set[str]()
+    for width_px in range(180, 900, 3):
+        for most in (1, 2, 3):
+            *_, last = wrap(LONG, width_px, 16, max_lines=most)
+            if last.endswith("..."):
+                assert not last.endswith((":...", ",...", ";..."))
+                assert all(word.strip(".,;") in LONG for word in last.split())
+                ends.add(last.removesuffix("...").rpartition("; ")[2])
+    assert "against: the witness sees it stand" in ends, "the first of two remarks is whole"
+
+
+@pytest.mark.parametrize(
+    ("text", "room_for", "cut"),
+    [
+        ("errs (79%; for: far, low and thin)", "errs (79%; for:...", "errs (79%..."),
+        (
+            "errs (79%; for: far, low and thin)",
+            "errs (79%; for: far, low...",
+            "errs (79%; for: far...",
+        ),
+        ("for: both see it move right after", "for: both see...", "for: both see..."),
+        ("against: all", "against:...", "..."),
+    ],
+)
+def test_what_is_cut_within_a_line(text: str, room_for: str, cut: str) -> None:
+    assert wrap(text, font(16).getlength(room_for), 16, max_lines=1) == [cut]
 
 
 @pytest.mark.parametrize(
