@@ -147,6 +147,13 @@ def _of_ledger(backlog: Backlog, *, now_s: float) -> Iterator[Metric]:
         {(damage,): backlog.damaged.get(damage, 0) for damage in get_args(LogDamage)},
         labels=("damage",),
     )
+    yield _gauge(
+        "damaged_stretches",
+        "Stretches of the recordings in the bucket, mostly one chunk each, that cannot be read, "
+        "each once, whichever pipeline version found it. Worry when it grows: a recorder or an "
+        "upload loses data; `counterpoint status` names each.",
+        backlog.damaged_stretches,
+    )
     oldest = backlog.oldest_listed_s
     yield _gauge(
         "oldest_work_age_seconds",

@@ -406,6 +406,13 @@ TROUBLE: Final = Row(
             queries=(Query("sum by (damage) (counterpoint_damaged_recordings)", "{{damage}}"),),
         ),
         Panel(
+            title="Stretches that cannot be read",
+            description="In the recordings that are in the bucket now, each once. "
+            "`counterpoint status` names each.",
+            unit="short",
+            queries=(Query("max (counterpoint_damaged_stretches)", "stretches"),),
+        ),
+        Panel(
             title="Frames by health of their pose",
             description="Share of the mined frames. Degraded poses lower a scene's score, lost "
             "ones void it.",

@@ -24,6 +24,8 @@ class Backlog:
         work: Plans and shards by kind and state; done ones of replaced recordings count as well.
         recordings: Current recordings by state, named as in `LogStatus`.
         damaged: Current recordings that are mined only in part, by why; each is counted once.
+        damaged_stretches: Stretches of current recordings that cannot be read, as any pipeline
+            version found: a new one forgets none of them.
         leases_held: Leases that are out.
         workers: Workers that hold them.
         current_scenes: Scenes that are current, of any pipeline version.
@@ -35,6 +37,7 @@ class Backlog:
     work: dict[tuple[WorkKind, str], int] = field(default_factory=dict)
     recordings: dict[str, int] = field(default_factory=dict)
     damaged: dict[LogDamage, int] = field(default_factory=dict)
+    damaged_stretches: int = 0
     leases_held: int = 0
     workers: int = 0
     current_scenes: int = 0
@@ -53,6 +56,7 @@ def backlog(connection: Connection, *, now_s: float) -> Backlog:
         work=work,
         recordings=_recordings(connection, version, now_s=now_s),
         damaged=_damaged(connection, version),
+        damaged_stretches=connection.execute(_DAMAGED_STRETCHES).scalar_one(),
         leases_held=held.leases,
         workers=held.workers,
         current_scenes=connection.execute(_CURRENT_SCENES).scalar_one(),
@@ -179,3 +183,11 @@ _HELD: Final = select(
     func.count().label("leases"), func.count(distinct(LEASES.c.worker_id)).label("workers")
 ).where(LEASES.c.is_held)
 _CURRENT_SCENES: Final = select(func.count()).select_from(SCENES).where(SCENES.c.is_current)
+_DAMAGED_STRETCHES: Final = select(func.count()).select_from(
+    select(DAMAGE.c.log_id, DAMAGE.c.object_key, DAMAGE.c.byte_offset)
+    .join(RECORDINGS, _same_log(DAMAGE))
+    .where(RECORDINGS.c.is_current)
+    .distinct()
+    .subquery()
+)
+"""Planning, several shards and several pipeline versions may have met the same one."""
