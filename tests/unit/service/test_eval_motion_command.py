@@ -42,3 +42,7 @@ def test_streams_side_by_side_have_a_line_and_a_folder_each(
     said = capsys.readouterr().out
     assert "side by side" in said
     assert said.count("recorded") >= 4
+
+    monkeypatch.setenv("COUNTERPOINT_SUPERVISED", "recorded")
+    assert main([*argv, "--stream", "supervised", "--alone"]) == 0
+    assert "supervised: recorded\n" in capsys.readouterr().err
