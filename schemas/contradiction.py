@@ -14,9 +14,9 @@ from schemas.frame import PosedFrame
 from schemas.labels import FrameLabels
 from schemas.task import MOTION, Outcome, Task
 
-BESIDE_S: Final = 0.35
-"""Frames this near before and after a scene, or a track, say what it was: three at 10 Hz, in which
-what starts or stops is still in its place."""
+BESIDE_S: Final = 1.0
+"""Frames this near before and after a scene, or a track, say what it was: what starts, at a metre
+per second squared, is half a metre on by then, and still in its place."""
 
 
 class ContradictionKind(StrEnum):
@@ -78,7 +78,7 @@ class Scene:
         scene_id: `<log_id>/<lidar>/<start_ns>`, unique in the bucket.
         frames: In the order of their stamps; at least one.
         too_short: A piece under a second between gaps, or a log too short to judge.
-        before: Up to a third of a second of the log right before it, where no gap lies between:
+        before: Up to a second of the log right before it, where no gap lies between:
             what a thing at its edge was, never scored with it.
         after: And right after it.
     """

@@ -32,8 +32,12 @@ LIKELIEST: Final = "the likeliest of four"
 TOLD: Final[Mapping[str, str]] = {
     "the witness sees it move": "free space before and after says that most of it moves",
     "the witness sees it stand": "free space before and after says that most of it stands",
-    "both see it move right before": "both streams call it moving just before it contradicts",
-    "both see it move right after": "both streams call it moving just after it contradicts",
+    "both see it move before": "in its first half or up to a second before, for a third of a "
+    "second, both streams call it moving",
+    "nobody denies later that it moves": "in its second half or up to a second after, for a third "
+    "of a second, the supervised stream calls it moving and the other one not static",
+    "called moving before": "the supervised stream itself calls it moving then: its answer changes",
+    "called moving later": "the supervised stream itself calls it moving later: its answer changes",
     "its shape fits no usual class": "too low, too long or too tall for a usual road user",
     "occluded before and after": "the witness could not see its place before or after",
     "odometry unhealthy": "poses were doubted in some of its frames",
@@ -124,11 +128,16 @@ def remarks_on(
     missed = kind in MISSED and evidence.supervised_sure > SURE and whole
     slow = HALF > evidence.went > 0.2 and evidence.lasting > HALF
     sees_move = evidence.witness_moving > HALF and not of_witness
+    before, after = evidence.agreed_before > HALF, evidence.undenied_after > HALF
+    called_before = kind in MISSED and not before and evidence.called_before > HALF
+    called_after = kind in MISSED and not after and evidence.called_after > HALF
     said: tuple[tuple[str, bool, Mapping[str, float]], ...] = (
         ("the witness sees it move", sees_move, {"witness_moving": 0.0}),
         ("the witness sees it stand", evidence.witness_still > HALF, {"witness_still": 0.0}),
-        ("both see it move right before", evidence.agreed_before > HALF, {"agreed_before": 0.0}),
-        ("both see it move right after", evidence.agreed_after > HALF, {"agreed_after": 0.0}),
+        ("both see it move before", before, {"agreed_before": 0.0}),
+        ("nobody denies later that it moves", after, {"undenied_after": 0.0}),
+        ("called moving before", called_before, {"called_before": 0.0}),
+        ("called moving later", called_after, {"called_after": 0.0}),
         ("its shape fits no usual class", missed and fits_no_class(size_m), {}),
         ("occluded before and after", unasked > HALF, {}),
         ("odometry unhealthy", evidence.doubted > 0.0, {"doubted": 0.0}),

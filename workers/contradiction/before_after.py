@@ -1,4 +1,4 @@
-"""What both streams say of a track's place just before it begins and just after it ends."""
+"""What both streams say of a thing at other times than when they contradict each other about it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,20 +14,55 @@ MARGIN_M: Final = 0.5
 """Boxes of half-seen things end short."""
 
 MOST: Final = 0.5
-"""So many points as this share of the track's own are the whole thing."""
+"""So many points as this share of the track's own are the whole thing; and so much of its usual
+points a scrap of it has not."""
+
+BEST_S: Final = 0.3
+"""A label that holds for as long is no flicker: three frames at 10 Hz."""
+
+_WIDE_M: Final = 2e6
+"""No scene is wider: frames lie side by side along one axis."""
+
+_MOST_M: Final = _WIDE_M / 2 - 1.0
+"""Either way: a pose that is lost leaves no moment for another."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Claimed:
-    """Points that the supervised stream calls moving, odom space.
+class CalledMoving:
+    """Points that the supervised stream calls moving, in a scene and right before and after it.
 
     Attributes:
-        agreed_m: (M, 3) that the self-supervised stream calls moving as well.
-        undenied_m: (M, 3) the same, and those that it leaves open while it judges others.
+        stamps_ns: (T,) of `moments`.
+        order: (M,) rising: 2,000 km times the moment, and x from the first pose on.
+        places_m: (M, 3) where they are, odom space.
+        agreed: (M,) whether the self-supervised stream calls them moving as well.
+        undenied: (M,) whether it does, or leaves them open while it judges others.
     """
 
-    agreed_m: NDArray[np.float64]
-    undenied_m: NDArray[np.float64]
+    stamps_ns: NDArray[np.int64]
+    order: NDArray[np.float64]
+    places_m: NDArray[np.float64]
+    agreed: NDArray[np.bool_]
+    undenied: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class OtherTimes:
+    """Shares of a thing, 0 to 1, in the third of a second in which they are highest.
+
+    Before and after are the halves of its track, by its points, and a second beyond its ends.
+
+    Attributes:
+        agreed_before: That both streams call moving.
+        undenied_after: That the supervised stream calls moving, and the other one does not deny.
+        called_before: That the supervised stream calls moving, whatever the other one says.
+        called_after: The same, later.
+    """
+
+    agreed_before: float
+    undenied_after: float
+    called_before: float
+    called_after: float
 
 
 def moments(scene: Scene) -> tuple[LabelledFrame, ...]:
@@ -35,14 +70,16 @@ def moments(scene: Scene) -> tuple[LabelledFrame, ...]:
     return (*scene.before, *scene.frames, *scene.after)
 
 
-def called_moving(scene: Scene) -> tuple[Claimed, ...]:
+def called_moving(scene: Scene) -> CalledMoving:
     """List the points that the supervised stream calls moving, off the ground and somewhere.
 
-    Returns:
-        One for each of `moments`, empty where the task asks for no motion.
+    None where the task asks for no motion.
     """
-    told: list[Claimed] = []
-    for frame in moments(scene):
+    origin_m = scene.frames[0].posed.odom_from_sensor[0, 3]
+    places, order = [np.zeros((0, 3))], [np.zeros(0)]
+    agreed, undenied = [np.zeros(0, np.bool_)], [np.zeros(0, np.bool_)]
+    frames = moments(scene)
+    for number, frame in enumerate(frames):
         said, other = frame.semantic.labels, frame.predictive
         claimed = np.zeros(len(said), np.bool_)
         if scene.task.moving:
@@ -52,75 +89,123 @@ def called_moving(scene: Scene) -> tuple[Claimed, ...]:
         points_m = frame.posed.frame.points_m
         claimed[claimed] = np.isfinite(points_m[claimed]).all(axis=1)
         pose, answers = frame.posed.odom_from_sensor, other.labels[claimed]
-        blind = other.health.blindness is not None
-        places_m = points_m[claimed].astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
-        agreed = answers == said[claimed]
-        undenied = agreed | ((answers == scene.task.unknown) & (not blind))
-        told.append(Claimed(places_m[agreed], places_m[undenied]))
-    return tuple(told)
+        mine_m = points_m[claimed].astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
+        both = answers == said[claimed]
+        left_open = (answers == scene.task.unknown) & (other.health.blindness is None)
+        along = _along(number, mine_m[:, 0] - origin_m)
+        by_place = np.argsort(along, kind="stable")
+        places.append(mine_m[by_place])
+        order.append(along[by_place])
+        agreed.append(both[by_place])
+        undenied.append((both | left_open)[by_place])
+    return CalledMoving(
+        stamps_ns=np.array([frame.stamp_ns for frame in frames], np.int64),
+        order=np.concatenate(order),
+        places_m=np.concatenate(places),
+        agreed=np.concatenate(agreed),
+        undenied=np.concatenate(undenied),
+    )
 
 
-def agreed_beside(
+def at_other_times(
     scene: Scene,
     members: Sequence[Instance],
     velocity_m_per_s: NDArray[np.float64],
-    claimed: Sequence[Claimed],
-) -> tuple[float, float]:
-    """Say how much of a thing both streams call moving right before and right after its track.
+    called: CalledMoving,
+    *,
+    period_s: float,
+) -> OtherTimes:
+    """Say what both streams say of a thing where it should be in all frames around its track.
 
-    After it, what the self-supervised stream leaves open counts as well: it called standing what it
-    no longer does, as of a thing that starts, whose place is neither free nor taken yet. Before it,
-    what is new is left open whatever it does.
+    Of what starts the self-supervised stream says "stands", nothing, "moves": later it need not
+    agree, not to deny is enough. Earlier it is not: what is new is left open whatever it does.
+    Scraps that are tied to a track do not say where the thing is.
 
     Args:
         scene: Where the track was found.
         members: Its instances, in the order of their frames.
         velocity_m_per_s: (2,) or (3,) how it goes, odom space.
-        claimed: As `called_moving` lists them.
-
-    Returns:
-        Shares from 0 to 1, means over the frames within reach; 0 where there is none.
+        called: As `called_moving` lists it.
+        period_s: Between frames; 0 where there is but one.
     """
-    first, last, before = members[0], members[-1], len(scene.before)
-    stamps_ns = [frame.stamp_ns for frame in moments(scene)]
-    backwards = range(before + first.frame_index - 1, -1, -1)
-    onwards = range(before + last.frame_index + 1, len(claimed))
-    agreed_m = [each.agreed_m for each in claimed]
-    undenied_m = [each.undenied_m for each in claimed]
-    return (
-        _agreed(scene, first, velocity_m_per_s, agreed_m, stamps_ns, backwards),
-        _agreed(scene, last, velocity_m_per_s, undenied_m, stamps_ns, onwards),
+    points = np.array([len(member.point_index) for member in members])
+    large = points >= MOST * np.median(points)
+    edges = [member for member, whole in zip(members, large, strict=True) if whole]
+    edge_ns = np.array([scene.frames[edge.frame_index].stamp_ns for edge in edges], np.int64)
+    away_ns = called.stamps_ns[:, None] - edge_ns
+    nearest = np.abs(away_ns).argmin(axis=1)
+    away_s = away_ns[np.arange(len(away_ns)), nearest] / NS_PER_S
+    within = np.flatnonzero(np.abs(away_s) <= BESIDE_S)
+    row, point = _inside(
+        scene, edges, nearest[within], within, away_s[within], velocity_m_per_s, called
+    )
+    whole_thing = MOST * points[large][nearest[within]]
+    halfway = int(np.searchsorted(np.cumsum(points), points.sum() / 2))
+    before = called.stamps_ns[within] < scene.frames[members[halfway].frame_index].stamp_ns
+    best = max(1, round(BEST_S / period_s)) if period_s > 0 else 1
+
+    def share(points: NDArray[np.bool_], when: NDArray[np.bool_]) -> float:
+        counts = np.bincount(row[points[point]], minlength=len(within))
+        shares = np.minimum(1.0, counts / whole_thing)[when]
+        return float(np.sort(shares)[-best:].sum()) / best
+
+    every = np.ones(len(called.places_m), np.bool_)
+    return OtherTimes(
+        agreed_before=share(called.agreed, before),
+        undenied_after=share(called.undenied, ~before),
+        called_before=share(every, before),
+        called_after=share(every, ~before),
     )
 
 
-def _agreed(
+def _inside(
     scene: Scene,
-    edge: Instance,
+    edges: Sequence[Instance],
+    edge: NDArray[np.int64],
+    moment: NDArray[np.int64],
+    away_s: NDArray[np.float64],
     velocity_m_per_s: NDArray[np.float64],
-    moving_m: Sequence[NDArray[np.float64]],
-    stamps_ns: Sequence[int],
-    frames: Sequence[int],
-) -> float:
-    at = scene.frames[edge.frame_index]
-    pose = at.posed.odom_from_sensor
-    shares = []
-    for number in frames:
-        away_s = (stamps_ns[number] - at.stamp_ns) / NS_PER_S
-        if abs(away_s) > BESIDE_S:
-            break
-        moved_m = np.zeros(3)
-        moved_m[:2] = velocity_m_per_s[:2] * away_s
-        inside = _inside(edge, (moving_m[number] - moved_m - pose[:3, 3]) @ pose[:3, :3])
-        shares.append(min(1.0, inside / (MOST * len(edge.point_index))))
-    return float(np.mean(shares)) if shares else 0.0
+    called: CalledMoving,
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Which points that are called moving lie in a box, and its margin, at some moments.
+
+    Args:
+        scene: Where the boxes were found.
+        edges: Whose boxes.
+        edge: (R,) which of them.
+        moment: (R,) when.
+        away_s: (R,) how much later than the box.
+        velocity_m_per_s: How the boxes go.
+        called: The points.
+
+    Returns:
+        (I,) rows of the moments and (I,) indices of the points that lie in them.
+    """
+    poses = np.stack([scene.frames[each.frame_index].posed.odom_from_sensor for each in edges])
+    centres_m = np.stack([each.centre_m for each in edges])
+    centres_m = np.einsum("eij,ej->ei", poses[:, :3, :3], centres_m) + poses[:, :3, 3]
+    half_m = np.stack([each.size_m for each in edges]) / 2.0 + MARGIN_M
+    moved_m = np.zeros((len(edge), 3))
+    moved_m[:, :2] = velocity_m_per_s[:2] * away_s[:, None]
+    middle_m = centres_m[edge] + moved_m
+    reach_m = np.linalg.norm(half_m, axis=1)[edge]
+    x_m = middle_m[:, 0] - scene.frames[0].posed.odom_from_sensor[0, 3]
+    first = np.searchsorted(called.order, _along(moment, x_m - reach_m), side="left")
+    last = np.searchsorted(called.order, _along(moment, x_m + reach_m), side="right")
+    row = np.repeat(np.arange(len(moment)), last - first)
+    begins = np.repeat(np.cumsum(last - first) - (last - first), last - first)
+    point = np.arange(len(row)) - begins + first[row]
+    away_m = called.places_m[point] - middle_m[row]
+    away_m = np.einsum("ni,nij->nj", away_m, poses[edge[row], :3, :3])
+    yaw_rad = np.array([each.yaw_rad for each in edges])[edge[row]]
+    cos, sin, limit_m = np.cos(yaw_rad), np.sin(yaw_rad), half_m[edge[row]]
+    inside = np.abs(away_m[:, 0] * cos + away_m[:, 1] * sin) <= limit_m[:, 0]
+    inside &= np.abs(away_m[:, 1] * cos - away_m[:, 0] * sin) <= limit_m[:, 1]
+    inside &= np.abs(away_m[:, 2]) <= limit_m[:, 2]
+    return row[inside], point[inside]
 
 
-def _inside(instance: Instance, points_m: NDArray[np.float64]) -> int:
-    """How many points lie in the box of an instance, and its margin; sensor space."""
-    away_m = points_m - instance.centre_m
-    cos, sin = np.cos(instance.yaw_rad), np.sin(instance.yaw_rad)
-    half_m = instance.size_m / 2.0 + MARGIN_M
-    inside = np.abs(away_m[:, 0] * cos + away_m[:, 1] * sin) <= half_m[0]
-    inside &= np.abs(away_m[:, 1] * cos - away_m[:, 0] * sin) <= half_m[1]
-    inside &= np.abs(away_m[:, 2]) <= half_m[2]
-    return int(inside.sum())
+def _along(moment: NDArray[np.int64] | int, x_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Where points of several moments lie on one axis."""
+    clipped_m: NDArray[np.float64] = np.clip(x_m, -_MOST_M, _MOST_M)
+    return clipped_m + np.asarray(moment, np.float64) * _WIDE_M

@@ -12,10 +12,10 @@ from schemas.arrays import NS_PER_S
 from schemas.contradiction import Instance, Scene
 from schemas.frame import OdometryState
 from schemas.labels import MotionLabel
-from workers.contradiction.before_after import Claimed, agreed_beside, called_moving
+from workers.contradiction.before_after import CalledMoving, at_other_times, called_moving
 from workers.contradiction.paths import path_of
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
-from workers.contradiction.tracks import Track
+from workers.contradiction.tracks import Track, frame_period_s
 from workers.contradiction.unit import clip
 from workers.visibility.rising_ground import RisingGround, share_of
 
@@ -53,10 +53,16 @@ class Evidence:
         thin: Whether its box is thinner than 0.4 m.
         low: Whether it is lower than a metre: 1 at half of that; near alone, as of what is far a
             lidar sees few rows, and nothing says how high it is: none from 50 m on.
-        agreed_before: Share of it that both call moving in the third of a second before it begins;
-            of what the supervised stream calls static, as far as it goes straight: what stops is
-            remembered as moving for a while.
-        agreed_after: And after it ends, or the self-supervised stream leaves open.
+        agreed_before: Share of it that both streams call moving, in the best third of a second of
+            the first half of its track and of the second before; of what the supervised stream
+            calls static, as far as it goes straight: what stops is remembered as moving for a
+            while.
+        undenied_after: Share that the supervised stream calls moving and the other one does not
+            call static, in its second half and the second after; likewise as far as it goes
+            straight.
+        called_before: Share of it that the supervised stream calls moving earlier, whatever the
+            other one says.
+        called_after: And later.
         own: Share of its surroundings that contradict alike.
         supervised_sure: Mean confidence of the supervised stream.
         selfsupervised_sure: Mean confidence of the self-supervised stream.
@@ -88,7 +94,9 @@ class Evidence:
     thin: float
     low: float
     agreed_before: float
-    agreed_after: float
+    undenied_after: float
+    called_before: float
+    called_after: float
     own: float
     supervised_sure: float
     selfsupervised_sure: float
@@ -121,8 +129,8 @@ class Surroundings:
         unseen: (F,) share of what was asked about that no other frame saw.
         doubted: (F,) 1 where the pose is not healthy.
         crowd: Instances of each kind in each frame.
-        called_moving: For each frame, those before and after the scene included, what the
-            supervised stream calls moving.
+        called: What the supervised stream calls moving, right before and after the scene as well.
+        period_s: Between its frames.
         ground: Where the ground itself rises.
     """
 
@@ -130,7 +138,8 @@ class Surroundings:
     unseen: NDArray[np.float64]
     doubted: NDArray[np.float64]
     crowd: dict[tuple[str, int], int]
-    called_moving: tuple[Claimed, ...]
+    called: CalledMoving
+    period_s: float
     ground: RisingGround
 
 
@@ -156,7 +165,8 @@ def surroundings_of(scene: Scene, instances: Sequence[Instance]) -> Surroundings
         unseen=1.0 - np.nan_to_num(np.array(seen), nan=0.0),
         doubted=np.array([float(f.posed.odometry is not OdometryState.HEALTHY) for f in frames]),
         crowd=crowd,
-        called_moving=called_moving(scene),
+        called=called_moving(scene),
+        period_s=frame_period_s(scene),
         ground=RisingGround([frame.posed for frame in frames]),
     )
 
@@ -187,9 +197,10 @@ def evidence_of(
     stamps_s = np.array([(scene.frames[i].stamp_ns - scene.start_ns) / NS_PER_S for i in at])
     size_m = np.median([member.size_m for member in members], axis=0)
     path = path_of(track.centres_m, stamps_s, _places(scene, members))
-    before, after = agreed_beside(scene, members, path.velocity_m_per_s, around.called_moving)
-    if track.kind.semantic != scene.task.moving:
-        before, after = before * path.straight, after * path.straight
+    others = at_other_times(
+        scene, members, path.velocity_m_per_s, around.called, period_s=around.period_s
+    )
+    goes_on = 1.0 if track.kind.semantic == scene.task.moving else path.straight
     moving, still = _testimony(scene, members)
     speeds = np.linalg.norm([member.velocity_m_per_s for member in members], axis=1)
     lasts_s = float(stamps_s[-1] - stamps_s[0])
@@ -213,8 +224,10 @@ def evidence_of(
         tall=clip(float(size_m[2]) / _TALL_M),
         thin=clip(1.0 - float(size_m[1]) / _THIN_M),
         low=clip((_LOW_M - float(size_m[2])) / _LOWEST_M) * clip(1.0 - range_m / _LOW_WITHIN_M),
-        agreed_before=before,
-        agreed_after=after,
+        agreed_before=others.agreed_before * goes_on,
+        undenied_after=others.undenied_after * goes_on,
+        called_before=others.called_before,
+        called_after=others.called_after,
         own=clip(mean([member.own_share for member in members])),
         supervised_sure=clip(mean([member.semantic_confidence for member in members])),
         selfsupervised_sure=clip(mean([member.predictive_confidence for member in members])),

@@ -67,7 +67,7 @@ class ScoreSettings:
     """How a track's strength and a scene's score are made; `strength.py` has the formula.
 
     Attributes:
-        persistence_s: Seen for this long gives 0.63: a flicker of two frames at 10 Hz gives 0.09.
+        persistence_s: Seen for this long gives 0.63: a flicker of two frames at 10 Hz gives 0.26.
         evidence_points: Median points per frame that give 0.63: the paper's smallest instance.
         low_m: A box whose height or length is below is no road user: half a wheel, a kerb.
         high_m: From here on the box counts in full.

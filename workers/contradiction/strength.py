@@ -2,7 +2,7 @@
 
     strength = persistence x points x size x chance x poses, each in [0, 1]
 
-- persistence  1 - exp(-(seen x steady / 0.5 s)^2): seen counts the frames of the track less a
+- persistence  1 - exp(-seen x steady / 0.5 s): seen counts the frames of the track less a
   half, steady is the share of the frames of its span in which it contradicts. Errors flicker. What
   the other of the two onlookers sees in its stead, before, after and in between, counts by its
   points, and as far as little else contradicts there (`company.py`).
@@ -122,7 +122,7 @@ def pose_weights(scene: Scene, *, settings: ScoreSettings = DEFAULT_SCORE) -> ND
 def persistence(*, frames: float, span_frames: int, period_s: float, scale_s: float) -> float:
     """How lasting a track is, from the frames it was seen in and those of its span."""
     seen_s = (frames - 0.5) * period_s
-    return 1.0 - math.exp(-((seen_s * frames / span_frames / scale_s) ** 2))
+    return 1.0 - math.exp(-seen_s * frames / span_frames / scale_s)
 
 
 def motion_plausibility(

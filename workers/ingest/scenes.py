@@ -50,8 +50,8 @@ class CutRule:
 
     @property
     def beside_ns(self) -> int:
-        """Frames this near before and after a scene go with it; every shard sees so far."""
-        return min(round(BESIDE_S * NS_PER_S), self.max_gap_ns)
+        """Frames this near before and after a scene go with it, as far as its shard sees."""
+        return min(round(BESIDE_S * NS_PER_S), self.cell_ns // 2)
 
     @property
     def lookbehind_ns(self) -> int:

@@ -2,9 +2,11 @@
 
 Rows with truth are few and come from a few streets, while physics is known: what the witness sees
 stand does not move, what went a metre in a straight line does, and where the ground itself rises
-nothing is proved by what rises with it. What both streams see move right before or after did not
-stand in between: it starts or stops. Or, where it goes on and the supervised stream calls it
-static, that stream errs for a while. Log-odds at full evidence.
+nothing is proved by what rises with it. What the supervised stream calls moving and the other one
+does not deny a second earlier or later did not stand in between: it starts or stops. Or, where it
+goes on and the supervised stream calls it static, that stream errs for a while, as it does where
+the witness sees move what it called moving itself. What lies at the rim of what both see move is
+that thing's rim, and nobody's error. Log-odds at full evidence.
 """
 
 from collections.abc import Mapping
@@ -26,12 +28,15 @@ PRIOR: Final[Mapping[str, Mapping[Wrong, Row]]] = {
                 "went": 2.5,
                 "straight": 1.0,
                 "denied": 1.0,
-                "agreed_before": 2.0,
-                "agreed_after": 2.0,
+                "agreed_before": 3.0,
+                "undenied_after": 3.0,
             },
         ),
         Wrong.BOTH: (-4.0, {}),
-        Wrong.NEITHER: (0.0, {"agreed": 2.0, "denied": -1.5}),
+        Wrong.NEITHER: (
+            0.0,
+            {"agreed": 2.0, "denied": -1.5, "agreed_before": 3.0, "undenied_after": 3.0},
+        ),
     },
     ContradictionKind.ONLY_PREDICTIVE_DYNAMIC.value: {
         Wrong.SUPERVISED: (
@@ -44,8 +49,9 @@ PRIOR: Final[Mapping[str, Mapping[Wrong, Row]]] = {
                 "own": 0.5,
                 "road_user": 1.0,
                 "denied": 1.0,
-                "agreed_before": 2.0,
-                "agreed_after": 2.0,
+                "agreed": -2.0,
+                "agreed_before": 1.0,
+                "undenied_after": 1.0,
             },
         ),
         Wrong.SELFSUPERVISED: (
@@ -59,7 +65,7 @@ PRIOR: Final[Mapping[str, Mapping[Wrong, Row]]] = {
                 "ground_rises": 5.0,
             },
         ),
-        Wrong.BOTH: (-4.0, {}),
+        Wrong.BOTH: (-4.0, {"agreed": -2.0}),
         Wrong.NEITHER: (0.0, {"agreed": 2.0, "denied": -1.5}),
     },
     ContradictionKind.ONLY_WITNESS_DYNAMIC.value: {
@@ -70,15 +76,24 @@ PRIOR: Final[Mapping[str, Mapping[Wrong, Row]]] = {
                 "straight": 1.5,
                 "own": 1.0,
                 "road_user": 1.0,
-                "silent": 1.0,
-                "agreed_before": 2.0,
-                "agreed_after": 2.0,
+                "agreed": -4.0,
+                "called_before": 0.5,
+                "called_after": 0.5,
             },
         ),
         Wrong.SELFSUPERVISED: (-5.0, {}),
         Wrong.BOTH: (
             -4.5,
-            {"went": 4.0, "straight": 1.5, "own": 1.0, "road_user": 1.0, "denied": 1.0},
+            {
+                "went": 4.0,
+                "straight": 1.5,
+                "own": 1.0,
+                "road_user": 1.0,
+                "denied": 1.0,
+                "agreed": -4.0,
+                "called_before": 0.5,
+                "called_after": 0.5,
+            },
         ),
         Wrong.NEITHER: (0.0, {"crowded": 2.0, "doubted": 1.5, "ground_rises": 5.0}),
     },

@@ -13,7 +13,7 @@ from tests.unit.service.test_picture import DYNAMIC, PHANTOM, STATIC, WALL, mine
 
 LONG = (
     "car seen moving at 10.0 m/s by the self-supervised stream alone for 2.0 s, 20 m behind; the "
-    "supervised stream errs (79%; for: both see it move right after; against: the witness sees it "
+    "supervised stream errs (79%; for: both see it move before; against: the witness sees it "
     "stand, much else contradicts alike)"
 )
 ODOMETRY = "odometry degraded (a second registration is 0.15 m off over 0.1 s) in 55% of the frames"
@@ -79,7 +79,7 @@ def test_a_long_reason_ends_with_a_whole_remark_and_never_with_an_empty_heading(
             "errs (79%; for: far, low...",
             "errs (79%; for: far...",
         ),
-        ("for: both see it move right after", "for: both see...", "for: both see..."),
+        ("for: both see it move before", "for: both see...", "for: both see..."),
         ("against: all", "against:...", "..."),
     ],
 )

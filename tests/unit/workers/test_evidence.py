@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from schemas.contradiction import ContradictionKind, Scene
 from schemas.labels import Blindness, FrameHealth, MotionLabel
 from tests.labelled_worlds import CLASS_NAMES, START_NS, Thing, labelled_frame, labelled_scene
+from workers.contradiction.before_after import MARGIN_M, at_other_times, called_moving
 from workers.contradiction.evidence import Evidence
 from workers.contradiction.instances import find_instances
 from workers.contradiction.paths import Path, path_of
@@ -48,7 +49,7 @@ def test_what_both_call_moving_before_or_after_is_told(
     said: Sequence[tuple[int, int]], before: float, after: float, step_m: float
 ) -> None:
     evidence = _evidence(_scene(said, step_m=step_m))
-    assert (evidence.agreed_before, evidence.agreed_after) == (before, after)
+    assert (evidence.agreed_before, evidence.undenied_after) == (before, after)
 
 
 @pytest.mark.parametrize("step_m", [0.0, 0.3], ids=["in its place", "as it goes"])
@@ -57,7 +58,7 @@ def test_what_is_said_beyond_the_ends_of_the_scene_counts(step_m: float) -> None
     whole = _scene(said, step_m=step_m)
     cut = replace(whole, frames=whole.frames[4:14], before=whole.frames[1:4])
     alone = replace(cut, before=())
-    assert (_evidence(cut).agreed_before, _evidence(cut).agreed_after) == (1.0, 0.0)
+    assert (_evidence(cut).agreed_before, _evidence(cut).undenied_after) == (1.0, 0.0)
     assert _evidence(alone).agreed_before == 0.0
 
 
@@ -65,7 +66,7 @@ def test_a_mover_that_passes_beside_a_thing_says_nothing_of_it() -> None:
     said = [(STATIC, STATIC)] * 4 + [(DYNAMIC, STATIC)] * 6 + [(STATIC, STATIC)] * 4
     beside = Thing((12.0, 9.0, 0.0), DYNAMIC, DYNAMIC, points=400)
     evidence = _evidence(_scene(said, step_m=0.0, others=(beside,)))
-    assert (evidence.agreed_before, evidence.agreed_after) == (0.0, 0.0)
+    assert (evidence.agreed_before, evidence.undenied_after) == (0.0, 0.0)
 
 
 def test_a_path_of_two_frames_says_nothing() -> None:
@@ -110,14 +111,14 @@ def test_what_comes_into_sight_as_it_goes_went_as_far_as_its_slower_end() -> Non
 )
 def test_what_is_no_longer_called_standing_starts(after: tuple[int, int], agreed: float) -> None:
     said = [(STATIC, STATIC)] * 4 + [(DYNAMIC, STATIC)] * 6 + [after] * 4
-    assert _evidence(_scene(said, step_m=0.05)).agreed_after == agreed
+    assert _evidence(_scene(said, step_m=0.05)).undenied_after == agreed
 
 
 def test_what_goes_on_while_it_is_called_static_is_told_from_what_stops() -> None:
     said = [(DYNAMIC, DYNAMIC)] * 4 + [(STATIC, DYNAMIC)] * 6 + [(DYNAMIC, DYNAMIC)] * 4
     goes, stands = _evidence(_scene(said, step_m=0.5)), _evidence(_scene(said, step_m=0.0))
-    assert min(goes.agreed_before, goes.agreed_after) > 0.8
-    assert (stands.agreed_before, stands.agreed_after) == (0.0, 0.0)
+    assert min(goes.agreed_before, goes.undenied_after) > 0.8
+    assert (stands.agreed_before, stands.undenied_after) == (0.0, 0.0)
 
 
 def test_a_new_thing_is_left_open_whatever_it_does() -> None:
@@ -133,7 +134,7 @@ def test_a_stream_that_goes_blind_leaves_nothing_open() -> None:
         replace(each, predictive=replace(each.predictive, health=blind)) if number >= 10 else each
         for number, each in enumerate(scene.frames)
     ]
-    assert _evidence(replace(scene, frames=tuple(frames))).agreed_after == 0.0
+    assert _evidence(replace(scene, frames=tuple(frames))).undenied_after == 0.0
 
 
 @pytest.mark.parametrize(
@@ -146,3 +147,83 @@ def test_low_is_what_is_near_and_has_no_height(
 ) -> None:
     thing = Thing((range_m, 0.0, 0.0), DYNAMIC, STATIC, size_m=(3.0, 1.5, height_m))
     assert least <= _evidence(labelled_scene([replace(thing, points=200)])).low <= most
+
+
+def test_what_both_see_move_is_found_up_to_a_second_away_and_no_further() -> None:
+    gap = [(STATIC, STATIC)]
+    for frames_between, agreed in ((5, 1.0), (9, 2 / 3), (12, 0.0)):
+        said = [(DYNAMIC, DYNAMIC)] * 3 + gap * (frames_between - 1) + [(DYNAMIC, STATIC)] * 6
+        evidence = _evidence(_scene(said, step_m=0.0))
+        assert evidence.agreed_before == pytest.approx(agreed), frames_between
+
+
+def test_scraps_that_are_tied_to_a_track_do_not_hide_that_it_starts() -> None:
+    late = frozenset(range(8, 14))
+    scrap = Thing((12.0, 5.0, 0.0), DYNAMIC, STATIC, (1.0, 0.5, 0.5), points=30, frames=late)
+    said = [(STATIC, STATIC)] * 4 + [(DYNAMIC, STATIC)] * 4 + [(DYNAMIC, DYNAMIC)] * 6
+    scene = _scene(said, step_m=0.0, others=(scrap,))
+    (track,) = rank_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))
+    assert max(track.track.members) == len(track.track.members) - 1 == 9  # to the last frame
+    assert track.evidence.undenied_after == 1.0
+
+
+@pytest.mark.parametrize(
+    ("said", "before", "after"),
+    [
+        ([(DYNAMIC, UNKNOWN)] * 4 + [(STATIC, DYNAMIC)] * 6 + [(STATIC, STATIC)] * 4, 1.0, 0.0),
+        ([(STATIC, UNKNOWN)] * 4 + [(STATIC, DYNAMIC)] * 6 + [(DYNAMIC, STATIC)] * 4, 0.0, 1.0),
+        ([(STATIC, UNKNOWN)] * 4 + [(STATIC, DYNAMIC)] * 6 + [(STATIC, STATIC)] * 4, 0.0, 0.0),
+    ],
+    ids=["called moving before", "called moving later", "never"],
+)
+def test_whether_the_answer_of_the_supervised_stream_changes_is_told(
+    said: Sequence[tuple[int, int]], before: float, after: float
+) -> None:
+    scene = _scene(said, step_m=0.3)
+    (track,) = (
+        track
+        for track in rank_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))
+        if track.track.kind.measured
+    )
+    assert (track.evidence.called_before, track.evidence.called_after) == (before, after)
+
+
+def test_the_points_in_a_box_are_those_that_a_plain_search_finds() -> None:
+    rng = np.random.default_rng(3)
+    things = [
+        Thing((float(x), float(y), 0.0), DYNAMIC, (STATIC, DYNAMIC, UNKNOWN)[k % 3], points=30)
+        for k, (x, y) in enumerate(rng.uniform(-20.0, 20.0, (40, 2)))
+    ]
+    turned = np.eye(4)
+    turned[:2, :2] = [[0.8, -0.6], [0.6, 0.8]]
+    turned[:3, 3] = (900.0, -300.0, 2.0)
+    frames = [
+        labelled_frame(
+            [
+                replace(each, at_m=(each.at_m[0] + 900.0, each.at_m[1] - 300.0, 2.0))
+                for each in part
+            ],
+            frame=number,
+            time_s=number / 10.0,
+            odom_from_sensor=turned,
+        )
+        for number, part in enumerate((things[:30], things, things[10:]))
+    ]
+    scene = Scene(scene_id="fleet/car-1/drive/lidar/0", frames=tuple(frames))
+    called = called_moving(scene)
+    instances = find_instances(scene, class_names=CLASS_NAMES)
+    assert len(instances) > 20
+    for instance in instances:
+        told = at_other_times(scene, [instance], np.zeros(2), called, period_s=0.3)
+        shares = []
+        for frame in scene.frames:
+            moves = np.flatnonzero(frame.semantic.labels == DYNAMIC)
+            away_m = frame.posed.frame.points_m[moves] - instance.centre_m
+            turn = np.array([[np.cos(instance.yaw_rad), np.sin(instance.yaw_rad)]])
+            along, across = away_m[:, :2] @ turn[0], away_m[:, :2] @ (turn[0, ::-1] * [-1, 1])
+            box = np.abs(np.stack([along, across, away_m[:, 2]], axis=1))
+            inside = (box <= instance.size_m / 2 + MARGIN_M).all(axis=1)
+            shares.append(min(1.0, inside.sum() / (0.5 * len(instance.point_index))))
+        at = instance.frame_index
+        assert told.called_before == pytest.approx(max(shares[:at], default=0.0))
+        assert told.called_after == pytest.approx(max(shares[at:]))

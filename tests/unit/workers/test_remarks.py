@@ -38,12 +38,12 @@ def test_what_is_known_is_told_as_for_against_or_neither() -> None:
     said = _said(
         ContradictionKind.ONLY_PREDICTIVE_DYNAMIC,
         **dict.fromkeys(("witness_moving", "confirmed", "straight", "speed_fits", "went"), 1.0),
-        agreed_after=1.0,
+        undenied_after=1.0,
         crowded=0.8,
         many_points=0.3,
     )
     assert said.wrong is Wrong.SUPERVISED
-    assert said.because == ("both see it move right after", "the witness sees it move")
+    assert said.because == ("nobody denies later that it moves", "the witness sees it move")
     assert said.against == ("much else contradicts alike",)
     assert said.also == ("few points",)
 
@@ -51,7 +51,7 @@ def test_what_is_known_is_told_as_for_against_or_neither() -> None:
 def test_the_same_evidence_speaks_for_one_answer_and_against_another() -> None:
     parked = {"witness_still": 0.7, "denied": 1.0, "supervised_sure": 0.9, "own": 0.9}
     errs = _said(ContradictionKind.ONLY_SEMANTIC_DYNAMIC, **parked)
-    starts = _said(ContradictionKind.ONLY_SEMANTIC_DYNAMIC, **parked, agreed_after=1.0, went=1.0)
+    starts = _said(ContradictionKind.ONLY_SEMANTIC_DYNAMIC, **parked, undenied_after=1.0, went=1.0)
     assert (errs.wrong, starts.wrong) == (Wrong.SUPERVISED, Wrong.SELFSUPERVISED)
     assert "the witness sees it stand" in errs.because
     assert "the witness sees it stand" in starts.against
@@ -162,11 +162,11 @@ def test_no_verdict_is_without_a_word_for_it(kind: ContradictionKind) -> None:
 
 
 def test_of_too_much_that_is_known_the_weightiest_is_told() -> None:
-    loud = dict.fromkeys(("agreed_before", "agreed_after", "witness_still", "far"), 1.0)
+    loud = dict.fromkeys(("agreed_before", "undenied_after", "witness_still", "far"), 1.0)
     loud |= dict.fromkeys(("doubted", "crowded", "turning", "low", "thin"), 1.0)
     said = _said(ContradictionKind.ONLY_PREDICTIVE_DYNAMIC, **loud, many_points=0.1, steady=0.1)
     assert len(said.because) + len(said.against) + len(said.also) == MOST_WORDS
-    assert said.because[0] == "low"
+    assert said.because[0] == "the witness sees it stand"
     assert "few points" not in said.also
 
 

@@ -254,7 +254,7 @@ def test_what_lies_right_before_and_after_a_scene_goes_with_it_but_for_gaps() ->
     log = log_of([*at_10_hz(0, 4), *at_10_hz(5, 8)])
     told = [each[1:] for each in sides(scenes_of(log, shard_s=20))]
     # gaps and the ends of the log have nothing beyond them
-    assert told[:2] == [([], [20, 21, 22]), ([17, 18, 19], [])]
+    assert told[:2] == [([], [*range(20, 30)]), ([*range(10, 20)], [])]
     assert told[2][0] == told[-1][1] == []
 
 
