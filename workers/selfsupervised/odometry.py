@@ -1,6 +1,7 @@
 """Where the sensor was at each frame, and whether that may be believed: KISS-ICP under guard."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -34,6 +35,15 @@ _BETTER: Final = 0.95
 """What free space must contradict less, at most. On simulated motorways on which the odometry began
 by standing still it was .58 to .87."""
 
+_ALIKE: Final = 1.25
+"""What free space contradicts no more than by this factor may be the truth as well: on a motorway
+full of cars that drive along standing still was contradicted .12, the true speed .14, and a second
+later .11 and .09."""
+
+_AGAIN_S: Final = 1.0
+_LOOKS: Final = 5
+"""So often; what is not clear by then, as among cars that drive along all around, is believed."""
+
 
 class KissOdometry:
     """KISS-ICP (`kiss_map.py`) on maps that begin by the clock (`maps_by_clock.py`).
@@ -43,7 +53,8 @@ class KissOdometry:
     The first frames of a stretch are held back for a third of a second. KISS-ICP starts from no
     motion, and between rails and noise walls 2 m a frame fit as well without moving: every speed
     that the first two frames allow is tried beside it, and the one kept that free space contradicts
-    least.
+    least. Where another one is contradicted hardly more, poses are doubted, and both are looked at
+    again each second, until one is clearly better, five times at most.
 
     State starts anew after a gap of more than 0.5 s, after time that does not rise, and when a
     registration fails: the pose then goes on from the last one, so what lies between is unknown.
@@ -57,45 +68,148 @@ class KissOdometry:
     def __call__(self, frames: Iterable[LidarFrame]) -> Iterator[PosedFrame]:
         """Yield each frame with its pose, the first ones once it is known how they move."""
         run, held, begun = _Run(), list[LidarFrame](), False
+        unsure: _Unsure | None = None
         for frame in frames:
             if not _follows(held[-1].stamp_ns if held else run.stamp_ns, frame):
                 if held:
-                    run, posed = _begin(run, held)
+                    run, posed, unsure = _begin(run, held)
                     yield from posed
                 held, begun = [], False
             if begun:
-                yield run.pose(frame)
+                now = run.pose(frame)
+                if unsure is not None:
+                    run, now, unsure = unsure.look_again(run, now)
+                yield now
                 continue
             held.append(frame)
             if _span_s(held) >= BEGINNING_S or len(held) == _MOST_HELD:
-                run, posed = _begin(run, held)
+                run, posed, unsure = _begin(run, held)
                 yield from posed
                 held, begun = [], True
         if held:
             yield from _begin(run, held)[1]
 
 
-def _begin(before: "_Run", held: Sequence[LidarFrame]) -> tuple["_Run", list[PosedFrame]]:
+def _begin(
+    before: "_Run", held: Sequence[LidarFrame]
+) -> tuple["_Run", list[PosedFrame], "_Unsure | None"]:
     """Register the first frames of a stretch; from no motion, unless another start is better."""
-    best = before.anew()
-    posed = [best.pose(frame) for frame in held]
+    run = before.anew()
+    posed = [run.pose(frame) for frame in held]
     if len(held) < _FEWEST_HELD:
-        return best, posed
-    dt_s = _span_s(held[:2])
-    first_m = _moved_m(posed[:2])
-    share = float("nan")
-    for velocity in likely_velocities(held[0], held[1]):
+        return run, posed, None
+    found = _likeliest(run, posed, before.anew)
+    if not found.alike:
+        return found.run, found.posed, None
+    return found.run, [_doubted(each, found.alike) for each in found.posed], _Unsure(found)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Likeliest:
+    """How the sensor moves, as far as a few frames tell.
+
+    Attributes:
+        run: The run that goes on from there.
+        posed: The frames as it poses them.
+        alike: What else may be, in words; empty where it is clear.
+    """
+
+    run: "_Run"
+    posed: list[PosedFrame]
+    alike: str = ""
+
+
+def _likeliest(
+    run: "_Run", posed: list[PosedFrame], begin: Callable[[Twist], "_Run"]
+) -> _Likeliest:
+    """Try every motion that two frames allow beside the one that is believed.
+
+    Args:
+        run: The run that posed the frames.
+        posed: Frames in a row.
+        begin: Begins another run before the first of them, with a motion per second.
+    """
+    frames = [each.frame for each in posed]
+    dt_s, first_m, moved_m = _span_s(frames[:2]), _moved_m(posed[:2]), _moved_m(posed)
+    ways = [(float("nan"), run, posed)]
+    for velocity in likely_velocities(frames[0], frames[1]):
         if np.linalg.norm(velocity[3:] * dt_s - first_m) < _ANOTHER_M:
             continue
-        other = before.anew(velocity)
-        posed_so = [other.pose(frame) for frame in held]
-        if np.linalg.norm(_moved_m(posed_so) - _moved_m(posed)) < _ANOTHER_M:
+        other = begin(velocity)
+        posed_so = [other.pose(frame) for frame in frames]
+        if np.linalg.norm(_moved_m(posed_so) - moved_m) < _ANOTHER_M:
             continue
-        share = contradicted_share(posed) if np.isnan(share) else share
-        share_so = contradicted_share(posed_so)
-        if share_so < _BETTER * share:
-            best, posed, share = other, posed_so, share_so
-    return best, posed
+        if len(ways) == 1:
+            ways[0] = (contradicted_share(posed), run, posed)
+        ways.append((contradicted_share(posed_so), other, posed_so))
+    share, best = ways[0][0], ways[0]
+    for way in ways[1:]:
+        if way[0] < _BETTER * share:
+            share, best = way[0], way
+    moved_m = _moved_m(best[2])
+    for share_so, _, posed_so in ways:
+        apart = float(np.linalg.norm(_moved_m(posed_so) - moved_m)) >= _ANOTHER_M
+        if apart and share_so <= _ALIKE * share:
+            speed = float(np.linalg.norm(_moved_m(posed_so))) / _span_s(frames)
+            return _Likeliest(best[1], best[2], f"{speed:.0f} m/s would fit alike")
+    return _Likeliest(best[1], best[2])
+
+
+class _Unsure:
+    """A stretch of which it is not clear yet how the sensor moves: it is looked at each second."""
+
+    def __init__(self, found: _Likeliest, *, looks: int = _LOOKS) -> None:
+        """Begin after its first frames.
+
+        Args:
+            found: How the sensor seems to move, and what else may be.
+            looks: How often it is looked at again.
+        """
+        self._posed = list(found.posed)
+        self._looks = looks
+        self._asked_ns = found.posed[-1].frame.stamp_ns
+        self._alike = found.alike
+
+    def look_again(
+        self, run: "_Run", now: PosedFrame
+    ) -> tuple["_Run", PosedFrame, "_Unsure | None"]:
+        """Doubt a pose, or once a second say how the sensor moves.
+
+        Args:
+            run: That posed it.
+            now: The frame.
+
+        Returns:
+            The run that goes on, the frame as it is posed, and whether that is still not clear.
+        """
+        self._posed.append(now)
+        since_s = (now.frame.stamp_ns - self._asked_ns) / NS_PER_S
+        if since_s < _AGAIN_S:
+            return run, _doubted(now, self._alike), self
+        last = [
+            each
+            for each in self._posed
+            if now.frame.stamp_ns - each.frame.stamp_ns <= (BEGINNING_S + 0.1) * NS_PER_S
+        ]
+        if len(last) < _FEWEST_HELD:
+            return run, now, None
+        begins = last[0].odom_from_sensor
+        found = _likeliest(run, last, lambda velocity: _Run(begins, velocity))
+        if found.run is not run:
+            moved = float(np.linalg.norm(_moved_m(found.posed))) / _span_s([p.frame for p in last])
+            reason = f"the sensor moves at {moved:.0f} m/s, other than was believed"
+            now = replace(found.posed[-1], odometry=OdometryState.LOST, reason=reason, jumped=True)
+            found = replace(found, posed=[*found.posed[:-1], now])
+        if not found.alike or self._looks <= 1:
+            return found.run, now, None
+        return found.run, _doubted(now, found.alike), _Unsure(found, looks=self._looks - 1)
+
+
+def _doubted(posed: PosedFrame, alike: str) -> PosedFrame:
+    """The same pose, doubted where nothing worse is known of it."""
+    if posed.odometry is not OdometryState.HEALTHY:
+        return posed
+    return replace(posed, odometry=OdometryState.DEGRADED, reason=alike)
 
 
 def _follows(last_ns: int | None, frame: LidarFrame) -> bool:
