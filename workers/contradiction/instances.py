@@ -13,7 +13,9 @@ from schemas.task import Outcome
 from workers.contradiction.boxes import fit_box
 from workers.contradiction.claims import Claims
 from workers.contradiction.settings import DEFAULT_INSTANCES, InstanceSettings
-from workers.contradiction.surroundings import neighbours
+from workers.visibility.around import counts_around
+from workers.visibility.density import density_clusters, weighted_places
+from workers.visibility.passes import within_box
 
 
 def find_instances(
@@ -39,9 +41,8 @@ def find_instances(
     return tuple(
         instance
         for frame_index, frame in enumerate(scene.frames)
-        for kind in scene.task.kinds
-        for instance in _instances_of(
-            frame, kind, frame_index=frame_index, class_names=class_names, settings=settings
+        for instance in _instances_in(
+            frame, frame_index=frame_index, class_names=class_names, settings=settings
         )
     )
 
@@ -65,38 +66,57 @@ def cluster_places(
         return np.asarray(found.fit_predict(points_m), dtype=np.int64)
     voxel_m = settings.voxel_m
     while True:
-        centroids_m, place, weight = _places(points_m, voxel_m)
-        if len(centroids_m) <= settings.max_voxels or voxel_m >= settings.coarsest_voxel_m:
+        places_m, place, weight = weighted_places(points_m, np.float32(voxel_m))
+        if len(places_m) <= settings.max_voxels or voxel_m >= settings.coarsest_voxel_m:
             break
         voxel_m *= 2
-    clusters = DBSCAN(eps=settings.eps_m, min_samples=settings.min_points).fit_predict(
-        centroids_m, sample_weight=weight
-    )
-    return np.asarray(clusters, dtype=np.int64)[place]
+    clusters = density_clusters(places_m, weight, settings.eps_m, settings.min_points)
+    of_point: NDArray[np.int64] = clusters[place]
+    return of_point
 
 
-def _instances_of(
+def _instances_in(
     frame: LabelledFrame,
-    kind: Outcome,
     *,
     frame_index: int,
     class_names: Sequence[str],
     settings: InstanceSettings,
 ) -> Iterator[Instance]:
+    """Instances of one frame, kind by kind."""
+    points_m, ground_mask = frame.posed.frame.points_m, frame.predictive.ground_mask
+    apart = within_box(points_m, settings.max_coordinate_m)
+    if ground_mask is not None:
+        apart &= ~ground_mask
+    for kind in frame.task.kinds:
+        yield from _instances_of(
+            frame,
+            kind,
+            apart,
+            frame_index=frame_index,
+            class_names=class_names,
+            settings=settings,
+        )
+
+
+def _instances_of(
+    frame: LabelledFrame,
+    kind: Outcome,
+    apart: Mask,
+    *,
+    frame_index: int,
+    class_names: Sequence[str],
+    settings: InstanceSettings,
+) -> Iterator[Instance]:
+    """Instances of one kind among the points (N,) that are off the ground and in reach."""
     points_m = frame.posed.frame.points_m
     asked, contradicting = _candidates(frame, kind)
-    for axis in range(3):  # column by column: numpy is slow along an axis of three
-        asked &= np.abs(points_m[:, axis]) <= settings.max_coordinate_m
-    if frame.predictive.ground_mask is not None:
-        asked &= ~frame.predictive.ground_mask
+    asked &= apart
     candidates = np.flatnonzero(asked & contradicting)
     clusters = cluster_places(points_m[candidates], settings=settings)
     found = int(clusters.max(initial=-1)) + 1
     if not found:
         return
-    own, around = neighbours(
-        points_m[candidates], (points_m[candidates], points_m[asked]), cell_m=settings.around_m
-    )
+    own, around = counts_around(points_m, candidates, asked, np.float32(settings.around_m))
     claims = _claims(frame, kind)
     order = np.argsort(clusters, kind="stable")
     first = np.searchsorted(clusters[order], np.arange(found + 1))
@@ -153,20 +173,6 @@ def _claims(frame: LabelledFrame, kind: Outcome) -> Claims:
         said = said & ~frame.predictive.ground_mask
     claimed = np.flatnonzero(said)
     return Claims(frame.posed.frame.points_m[claimed], other[claimed])
-
-
-def _places(
-    points_m: NDArray[np.float32], voxel_m: float
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
-    """Voxel centroids, the voxel of each point, and how many points each voxel has."""
-    key = np.zeros(len(points_m), dtype=np.int64)
-    for axis in range(3):
-        cell = np.floor(points_m[:, axis] / voxel_m).astype(np.int64)
-        key = (key << 21) + (cell - cell.min())
-    _, place, count = np.unique(key, return_inverse=True, return_counts=True)
-    weight = count.astype(np.float64)
-    sums_m = [np.bincount(place, weights=points_m[:, axis]) for axis in range(3)]
-    return np.stack(sums_m, axis=1) / weight[:, None], place, weight
 
 
 def _class_name(frame: LabelledFrame, index: NDArray[np.int64], class_names: Sequence[str]) -> str:

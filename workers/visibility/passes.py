@@ -62,6 +62,19 @@ def within(points: Points, nearest: float, farthest: float) -> Mask:
 
 
 @compiled
+def within_box(points: Points, farthest: float) -> Mask:
+    """Rows that are no farther than a distance along every axis; (N,)."""
+    inside = np.empty(len(points), np.bool_)
+    for i in range(len(points)):
+        inside[i] = (
+            (abs(points[i, 0]) <= farthest)
+            & (abs(points[i, 1]) <= farthest)
+            & (abs(points[i, 2]) <= farthest)
+        )
+    return inside
+
+
+@compiled
 def moved_rows(points: Points, index: NDArray[np.int64], to_from_from: Transform) -> Points:
     """Chosen rows in another space; (J, 3) float32, worked out in float64 as poses are large."""
     rows = np.empty((len(index), 3), np.float32)

@@ -22,6 +22,7 @@ from workers.visibility.passes import (
     returns_within,
     rows_about,
     within,
+    within_box,
 )
 
 S, D, U = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
@@ -32,6 +33,15 @@ def cloud(n: int, seed: int) -> NDArray[np.float32]:
         np.random.default_rng(seed).normal(0, 30, (n, 3)).astype(np.float32)
     )
     return points
+
+
+def test_a_box_holds_what_is_near_along_every_axis() -> None:
+    points = cloud(400, seed=9)
+    points[::7, 2], points[5] = np.nan, (20, -20, 20)
+    expected = (np.abs(points) <= 20).all(axis=1)
+    assert expected[5]
+    assert not expected.all()
+    np.testing.assert_array_equal(within_box(points, 20.0), expected)
 
 
 def test_returns_are_valid_finite_and_near() -> None:
