@@ -5,11 +5,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
-from schemas.arrays import Mask
 from workers.geometry.form import Form
 from workers.geometry.range_image import RangeImage
+from workers.geometry.window import (
+    commonest,
+    look_up,
+    mean_of,
+    mixed_windows,
+    nearest_in_window,
+    padded,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +63,7 @@ class Voters:
 
     def look_up(self, class_image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Give each point the class of its own pixel, as without this step; 0 where it has none."""
-        return np.where(self.own_pixel >= 0, class_image.ravel()[self.own_pixel], np.uint8(0))
+        return look_up(class_image, self.own_pixel, np.uint8(0))
 
     def vote(self, class_image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Give each point the commonest class of its voters, the lowest id on a tie.
@@ -69,19 +75,9 @@ class Voters:
         Returns:
             (N,) class of each point; 0 where it is not projected, or (corrected) nobody votes.
         """
-        flat = class_image.ravel()
         labels = self.look_up(class_image)
-        if len(self.contested):
-            ballots = np.where(self.pixel >= 0, flat[self.pixel], np.uint8(0)).astype(np.intp)
-            classes = int(flat.max()) + 1
-            offset = np.arange(len(ballots))[:, None] * classes
-            counts = np.bincount((ballots + offset).ravel(), minlength=ballots.shape[0] * classes)
-            counts = counts.reshape(-1, classes)
-            counts[:, 0] = 0
-            winners = counts.argmax(axis=1)
-            if self.form is Form.PAPER:
-                winners[winners == 0] = 1
-            labels[self.contested] = winners
+        nobody = np.uint8(1 if self.form is Form.PAPER else 0)
+        labels[self.contested] = commonest(class_image, self.pixel, nobody)
         return labels
 
     def average(self, value_image: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -93,13 +89,9 @@ class Voters:
         Returns:
             (N,) float32; zero where a point is not projected or nobody votes.
         """
-        flat = value_image.ravel()
-        values = np.where(self.own_pixel >= 0, flat[self.own_pixel], np.float32(0))
-        if len(self.contested):
-            votes = self.pixel >= 0
-            sums = np.where(votes, flat[self.pixel], np.float32(0)).sum(axis=1)
-            values[self.contested] = sums / np.maximum(votes.sum(axis=1), 1)
-        return values.astype(np.float32)
+        values = look_up(value_image, self.own_pixel, np.float32(0))
+        values[self.contested] = mean_of(value_image, self.pixel)
+        return values
 
 
 def find_voters(
@@ -123,56 +115,32 @@ def find_voters(
     own_pixel = np.where(image.row >= 0, image.row * np.int32(columns) + image.column, np.int32(-1))
     mixed = np.zeros(image.index.shape, dtype=np.bool_)
     for class_image in class_images:
-        mixed |= _mixed(class_image, image.index >= 0, settings)
+        mixed |= mixed_windows(class_image, image.index, settings.window // 2, settings.wrap)
     contested = np.flatnonzero((own_pixel >= 0) & mixed.ravel()[own_pixel])
     return Voters(own_pixel, contested, _nearest(image, contested, settings), settings.form)
-
-
-def _mixed(class_image: NDArray[np.uint8], seen: Mask, settings: KnnSettings) -> Mask:
-    """Pixels in whose window more than one class, or class 0, is seen."""
-    mode = ("nearest", "wrap" if settings.wrap else "nearest")
-    highest = ndimage.maximum_filter(np.where(seen, class_image, 0), settings.window, mode=mode)
-    lowest = ndimage.minimum_filter(np.where(seen, class_image, 255), settings.window, mode=mode)
-    mixed: Mask = (highest != lowest) | (lowest == 0)
-    return mixed
 
 
 def _nearest(
     image: RangeImage, points: NDArray[np.intp], settings: KnnSettings
 ) -> NDArray[np.int32]:
     """Flat pixels of the k nearest neighbours of each point, -1 beyond the cutoff."""
-    rows, columns = image.index.shape
     reach = settings.window // 2
-    padded_columns = columns + 2 * reach
-    ranges = np.where(image.index >= 0, image.range_m, np.float32(np.inf))
-    flat = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
-    ranges, flat = (
-        _pad(ranges, reach, 0 if settings.form is Form.PAPER else np.inf, wrap=settings.wrap),
-        _pad(flat, reach, -1, wrap=settings.wrap),
+    beyond = np.float32(0 if settings.form is Form.PAPER else np.inf)
+    return nearest_in_window(
+        padded(image.range_m, image.index, reach, beyond, settings.wrap),
+        image.row,
+        image.column,
+        image.point_range_m,
+        points,
+        _discount(np.arange(-reach, reach + 1), settings.sigma),
+        settings.neighbours,
+        np.float32(settings.cutoff_m),
+        settings.wrap,
     )
-    steps = np.arange(-reach, reach + 1)
-    offsets = (steps[:, None] * padded_columns + steps[None, :]).ravel()
-    corner = (image.row[points] + reach) * padded_columns + image.column[points] + reach
-    around = corner[:, None] + offsets
-    own = image.point_range_m[points]
-    distance = np.abs(ranges.ravel()[around] - own[:, None])
-    distance[:, len(offsets) // 2] = 0  # the centre stands for the point itself
-    distance *= _discount(steps, settings.sigma)
-    nearest = np.argpartition(distance, settings.neighbours - 1, axis=1)[:, : settings.neighbours]
-    chosen = np.take_along_axis(around, nearest, axis=1)
-    near = np.take_along_axis(distance, nearest, axis=1) <= settings.cutoff_m
-    return np.where(near, flat.ravel()[chosen], np.int32(-1))
-
-
-def _pad(array: NDArray[np.generic], reach: int, fill: float, *, wrap: bool) -> NDArray[np.generic]:
-    """Surround an image: nothing above and below, left and right nothing or the other side."""
-    tall = np.pad(array, ((reach, reach), (0, 0)), constant_values=fill)
-    sides = ((0, 0), (reach, reach))
-    return np.pad(tall, sides, mode="wrap") if wrap else np.pad(tall, sides, constant_values=fill)
 
 
 def _discount(steps: NDArray[np.int_], sigma: float) -> NDArray[np.float32]:
-    """One minus the normalised Gaussian of each place in the window, row by row."""
+    """One minus the normalised Gaussian of each place in the window, (S, S)."""
     bell = np.exp(-(steps[:, None] ** 2 + steps[None, :] ** 2) / (2 * sigma**2))
-    discount: NDArray[np.float32] = (1 - bell / bell.sum()).ravel().astype(np.float32)
+    discount: NDArray[np.float32] = (1 - bell / bell.sum()).astype(np.float32)
     return discount
