@@ -6,8 +6,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import Transform
+from schemas.arrays import Points, Transform
 from workers.geometry.se3 import inverse
+from workers.visibility.compiled import compiled
 from workers.visibility.deskew import Twist, motion, twist
 from workers.visibility.sensor_height import estimate_sensor_height
 
@@ -54,9 +55,7 @@ class KissMap:
             return self.pose
         return self.pose @ motion(self._velocity * dt_s)
 
-    def register(
-        self, points: NDArray[np.float64], dt_s: float
-    ) -> tuple[Transform | None, NDArray[np.float64]]:
+    def register(self, points: Points, dt_s: float) -> tuple[Transform | None, NDArray[np.float64]]:
         """Register a frame, and take it into the map.
 
         Args:
@@ -68,9 +67,9 @@ class KissMap:
             (K, 3) its key points, about the sensor.
         """
         if not self._begun:
-            self._road_m = _ROAD_M - estimate_sensor_height(points)
+            self._road_m = _ROAD_M - estimate_sensor_height(points.astype(np.float64))
         self._kiss.last_delta = inverse(self.pose) @ self.expected(dt_s)
-        _, keypoints = self._kiss.register_frame(_chosen(points, self._road_m), np.empty(0))
+        _, keypoints = self._kiss.register_frame(chosen(points, self._road_m), np.empty(0))
         pose: Transform = np.array(self._kiss.last_pose)
         if not _is_pose(pose):
             return None, keypoints
@@ -84,7 +83,7 @@ class KissMap:
         self.pose = self._kiss.last_pose = pose
 
 
-def _chosen(points: NDArray[np.float64], road_m: float) -> NDArray[np.float64]:
+def chosen(points: Points, road_m: float) -> NDArray[np.float64]:
     """Half of the points, mixed, and of those on the road one in twenty of that.
 
     KISS-ICP keeps the first point of each voxel. In the order of the scan that is always the same
@@ -97,11 +96,27 @@ def _chosen(points: NDArray[np.float64], road_m: float) -> NDArray[np.float64]:
     step = int(n * _GOLDEN)
     while math.gcd(step, n) != 1:
         step += 1
-    mixed = points[np.arange(n // 2, dtype=np.int64) * step % n]
-    keep = mixed[:, 2] > road_m
-    keep[np.flatnonzero(~keep)[::_ROAD_THINNING]] = True
-    taken: NDArray[np.float64] = mixed[keep]
-    return taken
+    return _mixed(points, step, road_m)
+
+
+@compiled
+def _mixed(points: Points, step: int, road_m: float) -> NDArray[np.float64]:
+    """Half of the points, so many steps apart, but few of those on the road; (M, 3)."""
+    n = len(points)
+    taken = np.empty((n // 2, 3), np.float64)
+    count, on_road, i = 0, 0, 0
+    for _ in range(n // 2):
+        keep = points[i, 2] > road_m
+        if not keep:
+            keep = on_road % _ROAD_THINNING == 0
+            on_road += 1
+        if keep:
+            for axis in range(3):
+                taken[count, axis] = points[i, axis]
+            count += 1
+        i += step
+        i -= n if i >= n else 0
+    return taken[:count]
 
 
 def _new_kiss(step_m: float) -> Any:

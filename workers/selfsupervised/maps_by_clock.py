@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import NS_PER_S, Transform
+from schemas.arrays import NS_PER_S, Points, Transform
 from workers.geometry.se3 import inverse
 from workers.selfsupervised.kiss_map import KissMap
 from workers.visibility.deskew import Twist
@@ -52,7 +52,7 @@ class MapsByClock:
         return self._odom_from_map @ self._map.expected(self._dt_s(stamp_ns))
 
     def register(
-        self, points: NDArray[np.float64], stamp_ns: int, velocity: Twist | None
+        self, points: Points, stamp_ns: int, velocity: Twist | None
     ) -> tuple[Transform | None, NDArray[np.float64]]:
         """Register a frame.
 

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import NS_PER_S, Transform
+from schemas.arrays import NS_PER_S, Mask, Points, Transform
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from workers.geometry.se3 import inverse, transform
 from workers.selfsupervised.beginning import contradicted_share, likely_velocities
@@ -16,6 +16,7 @@ from workers.selfsupervised.kiss_map import MAX_RANGE_M
 from workers.selfsupervised.maps_by_clock import MapsByClock
 from workers.selfsupervised.neighbours import PointGrid, build_grid, nearest_distances
 from workers.selfsupervised.versions import version_of
+from workers.visibility.compiled import compiled
 from workers.visibility.deskew import Twist, twist
 
 MAX_GAP_S: Final = 0.5
@@ -267,7 +268,7 @@ class _Run:
             self._begin(None)
         self.stamp_ns = frame.stamp_ns
 
-        points = _usable(frame)
+        points = usable(frame.points_m, frame.valid_mask)
         predicted = self._maps.expected(frame.stamp_ns)
         problem = too_little(points)
         if problem:
@@ -283,7 +284,7 @@ class _Run:
             self._velocity = twist(inverse(self._pose) @ pose) / dt_s
             judged = self._health.judge(self._velocity, dt_s, residual_m)
         self._pose, self._registered_ns = pose, frame.stamp_ns
-        self._previous = build_grid(transform(pose, _structure(points)), pose[:3, 3])
+        self._previous = build_grid(transform(pose, structure(points)), pose[:3, 3])
         if restarted:
             judged = Judgement(OdometryState.DEGRADED, f"odometry starts anew: {restarted}")
         return PosedFrame(
@@ -307,20 +308,34 @@ class _Run:
         """Median distance of this frame's key points to the frame before, metres."""
         if self._previous is None:
             return float("nan")
-        placed = transform(pose, _structure(keypoints))
+        placed = transform(pose, structure(keypoints))
         if len(placed) == 0:
             return float("nan")
         return float(np.median(nearest_distances(self._previous, placed, _RESIDUAL_REACH_M)))
 
 
-def _usable(frame: LidarFrame) -> NDArray[np.float64]:
-    points = frame.points_m[frame.valid_mask].astype(np.float64)
-    squared = np.einsum("ij,ij->i", points, points)
-    usable: NDArray[np.float64] = points[(squared > MIN_RANGE_M**2) & (squared < MAX_RANGE_M**2)]
-    return usable
+@compiled
+def usable(points: Points, valid: Mask) -> Points:
+    """Returns between the nearest and the farthest range that is registered, (M, 3)."""
+    rows = np.empty(points.shape, np.float32)
+    count = 0
+    for i in range(len(points)):
+        x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
+        squared = x * x + y * y + z * z
+        if valid[i] and MIN_RANGE_M**2 < squared < MAX_RANGE_M**2:
+            rows[count] = points[i]
+            count += 1
+    return rows[:count].copy()
 
 
-def _structure(points: NDArray[np.float64]) -> NDArray[np.float64]:
+@compiled
+def structure(points: NDArray[np.floating]) -> NDArray[np.floating]:
     """Points off the road and near: rings on the road move with the car."""
-    squared = points[:, 0] ** 2 + points[:, 1] ** 2
-    return points[(points[:, 2] > -1.0) & (squared < 40.0**2)]
+    rows = np.empty(points.shape, points.dtype)
+    count = 0
+    for i in range(len(points)):
+        x, y = np.float64(points[i, 0]), np.float64(points[i, 1])
+        if points[i, 2] > -1.0 and x * x + y * y < 40.0**2:
+            rows[count] = points[i]
+            count += 1
+    return rows[:count].copy()
