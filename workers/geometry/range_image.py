@@ -1,7 +1,7 @@
 """Spherical projection of a frame to a range image: which point is seen in which pixel."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Final, Literal
 
 import numpy as np
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
 from workers.geometry.form import Form
+from workers.geometry.pixels import UNSURE, Gaps, gaps_between, nearest_of_pixels, place
 
 Channel = Literal["range", "x", "y", "z", "intensity"]
 
@@ -79,7 +80,7 @@ class SensorProfile:
         )
 
     @cached_property
-    def _row_edges_rad(self) -> NDArray[np.float32]:
+    def row_edges_rad(self) -> NDArray[np.float32]:
         """Inner edges between rows, rising, midway between neighbouring beams."""
         beams = np.radians(np.asarray(self.elevations_deg, dtype=np.float64))[::-1]
         return ((beams[1:] + beams[:-1]) / 2).astype(np.float32)
@@ -96,7 +97,7 @@ class SensorProfile:
             row = np.floor(share * number(self.rows)).astype(np.int32)
             row = np.clip(row, 0, self.rows - 1)
         else:
-            below = np.searchsorted(self._row_edges_rad, elevation_rad)
+            below = np.searchsorted(self.row_edges_rad, elevation_rad)
             row = (self.rows - 1 - below).astype(np.int32)
         if not (clamp or self.clamp):
             row[(elevation_rad > up) | (elevation_rad < down)] = -1
@@ -166,46 +167,59 @@ def project(
         The image; points that are invalid or outside the field of view have row -1.
     """
     points: NDArray[np.floating] = points_m.astype(precision, copy=False)
-    x, y, z = points[:, 0], points[:, 1], points[:, 2]
-    range_m = np.sqrt(x * x + y * y + z * z)
-    usable = np.isfinite(range_m) & (range_m > 0)
-    if valid_mask is not None:
-        usable &= valid_mask
-    if gate_m is not None:
-        usable &= (range_m > precision(gate_m[0])) & (range_m < precision(gate_m[1]))
-    safe_range = np.where(usable, range_m, precision(1))
-    azimuth = -np.arctan2(y, x)
-    share = precision(0.5) * (azimuth / precision(np.pi) + precision(1))
-    elevation = np.arcsin(np.clip(np.where(usable, z, precision(0)) / safe_range, -1, 1))
-    row = profile.row_of(elevation, clamp=form is Form.PAPER)
-    row[~usable] = -1
-    seen = np.flatnonzero(row >= 0)
-    column = np.full(len(row), -1, dtype=np.int32)
-    column[seen] = np.clip(
-        np.floor(share[seen] * precision(profile.columns)), 0, profile.columns - 1
-    ).astype(np.int32)
-    index, image = _nearest(
-        seen, row[seen] * np.int32(profile.columns) + column[seen], range_m[seen], profile
+    valid = np.ones(len(points), np.bool_) if valid_mask is None else valid_mask
+    low, high = (0.0, np.inf) if gate_m is None else gate_m
+    clamp = form is Form.PAPER
+    range_m = np.empty(len(points), precision)
+    row, column = np.empty((2, len(points)), np.int32)
+    gaps = _gaps_of(profile, clamp)
+    place(
+        points,
+        valid,
+        precision(low),
+        precision(high),
+        gaps,
+        profile.columns,
+        range_m,
+        row,
+        column,
     )
-    own_range = np.where(usable, range_m, precision(0)).astype(np.float32)
-    return RangeImage(index, image, row, column, own_range, form)
+    unsure = np.flatnonzero(row == UNSURE)
+    row[unsure], column[unsure] = _pixels(points[unsure], range_m[unsure], profile, clamp=clamp)
+    shape = (profile.rows, profile.columns)
+    index, image = np.full(shape, -1, np.int32), np.full(shape, -1, precision)
+    nearest_of_pixels(row, column, range_m, index, image)
+    image_m, own_m = (each.astype(np.float32, copy=False) for each in (image, range_m))
+    return RangeImage(index, image_m, row, column, own_m, form)
 
 
-def _nearest(
-    seen: NDArray[np.intp],
-    pixel: NDArray[np.int32],
+@lru_cache(maxsize=16)
+def _gaps_of(profile: SensorProfile, clamp: bool) -> Gaps:
+    """The edges between rows, and those of the field of view, with what lies between them."""
+    up, down = np.radians(profile.fov_up_deg), np.radians(profile.fov_down_deg)
+    if profile.elevations_deg is None:
+        edges = np.linspace(down, up, profile.rows + 1)
+    else:
+        edges = np.union1d(profile.row_edges_rad, (down, up)).astype(np.float64)
+    edges = np.clip(edges, -np.pi / 2, np.pi / 2)
+    ends = np.concatenate(([-np.pi / 2], edges, [np.pi / 2]))
+    return gaps_between(edges, profile.row_of((ends[1:] + ends[:-1]) / 2, clamp=clamp))
+
+
+def _pixels(
+    points: NDArray[np.floating],
     range_m: NDArray[np.floating],
     profile: SensorProfile,
-) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Keep the nearest point of each pixel; of equally near ones the first."""
-    shape = (profile.rows, profile.columns)
-    depth = np.full(profile.rows * profile.columns, np.inf, dtype=range_m.dtype)
-    np.minimum.at(depth, pixel, range_m)
-    nearest = range_m == depth[pixel]
-    index = np.full(depth.shape, -1, dtype=np.int32)
-    index[pixel[nearest][::-1]] = seen[nearest][::-1]  # the last write stays: the lowest index
-    depth[index < 0] = -1
-    return index.reshape(shape), depth.reshape(shape).astype(np.float32, copy=False)
+    *,
+    clamp: bool,
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Row, -1 for none, and column of points, as the published code works them out."""
+    precision = points.dtype.type
+    x, y, z = points[:, 0], points[:, 1], points[:, 2]
+    share = precision(0.5) * (-np.arctan2(y, x) / precision(np.pi) + precision(1))
+    row = profile.row_of(np.arcsin(np.clip(z / range_m, -1, 1)), clamp=clamp)
+    column = np.clip(np.floor(share * precision(profile.columns)), 0, profile.columns - 1)
+    return row, np.where(row >= 0, column, -1).astype(np.int32)
 
 
 def image_channels(

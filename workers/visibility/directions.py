@@ -23,7 +23,7 @@ _ATAN = tuple(
     for c in (0.99997726, -0.33262347, 0.19354346, -0.11643287, 0.05265332, -0.01172120)
 )
 _QUARTER, _HALF, _TINY = np.float32(np.pi / 2), np.float32(np.pi), np.float32(1e-30)
-_ANGLE_ERROR = 3e-5
+ANGLE_ERROR = 3e-5
 """Ten times what the polynomial errs by, and the rounding of a 32-bit angle a hundred times."""
 
 _NEAREST = np.float32(1e-3)
@@ -82,6 +82,22 @@ def fill(block: Block, points: Points, first: int, pose: NDArray[np.float32]) ->
 
 
 @compiled
+def angle_of(x: np.float32, y: np.float32) -> np.float32:
+    """Azimuth to `ANGLE_ERROR`, counter-clockwise from -pi, without a branch."""
+    ax, ay = abs(x), abs(y)
+    less, more = ax if ax < ay else ay, ax if ax > ay else ay
+    t = less / (more if more > _TINY else _TINY)
+    s = t * t
+    # arctan on [0, 1] to 2e-6 (minimax, odd powers)
+    angle = t * (
+        _ATAN[0] + s * (_ATAN[1] + s * (_ATAN[2] + s * (_ATAN[3] + s * (_ATAN[4] + s * _ATAN[5]))))
+    )
+    angle = _QUARTER - angle if ay > ax else angle
+    angle = _HALF - angle if x < 0 else angle
+    return -angle if y < 0 else angle
+
+
+@compiled
 def look(block: Block, n: int, tangents: NDArray[np.float32], rows: NDArray[np.int32]) -> None:
     """Work out range, tangent, azimuth and a row of the first n places of a block."""
     for k in range(n):
@@ -92,19 +108,7 @@ def look(block: Block, n: int, tangents: NDArray[np.float32], rows: NDArray[np.i
         block.distance[k] = np.sqrt(flat + z * z)
         block.tangent[k] = z / (across if across > _NEAREST else _NEAREST)
     for k in range(n):
-        x, y = block.x[k], block.y[k]
-        ax, ay = abs(x), abs(y)
-        less, more = ax if ax < ay else ay, ax if ax > ay else ay
-        t = less / (more if more > _TINY else _TINY)
-        s = t * t
-        # arctan on [0, 1] to 2e-6 (minimax, odd powers)
-        angle = t * (
-            _ATAN[0]
-            + s * (_ATAN[1] + s * (_ATAN[2] + s * (_ATAN[3] + s * (_ATAN[4] + s * _ATAN[5]))))
-        )
-        angle = _QUARTER - angle if ay > ax else angle
-        angle = _HALF - angle if x < 0 else angle
-        block.angle[k] = -angle if y < 0 else angle
+        block.angle[k] = angle_of(block.x[k], block.y[k])
     lowest, scale = tangents[0], _steps_per_tangent(tangents)
     for k in range(n):
         at = (block.tangent[k] - lowest) * scale
@@ -152,7 +156,7 @@ def column_of(angle: np.float32, x: np.float32, y: np.float32, columns: int) -> 
     scale = columns / (2.0 * np.pi)
     place = (np.float64(angle) + np.pi) * scale
     column = int(place)
-    close = _ANGLE_ERROR * scale
+    close = ANGLE_ERROR * scale
     if place - column < close or place - column > 1.0 - close:
         column = int((np.arctan2(y, x) + np.pi) * scale)
     return min(max(column, 0), columns - 1)
