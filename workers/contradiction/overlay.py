@@ -1,18 +1,18 @@
 """The overlay of a mined scene: every point with what both streams said of it."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import Points
 from schemas.contradiction import Instance, LabelledFrame, Scene
 from schemas.labels import FrameLabels
 from schemas.overlay import NO_POSITION_CM, Overlay
 from workers.contradiction.strength import RankedTrack
+from workers.visibility.passes import in_centimetres
 
-_REACH_M = 327.0
+_REACH_M: Final = np.float32(327.0)
 
 
 def overlay_of(
@@ -71,11 +71,8 @@ def _gather(
 
 
 def _points_cm(frame: LabelledFrame) -> NDArray[np.int16]:
-    points_m: Points = frame.posed.frame.points_m
-    seen = frame.posed.frame.valid_mask & (np.abs(points_m) <= _REACH_M).all(axis=1)
-    centimetres = np.rint(np.where(seen[:, None], points_m, 0) * np.float32(100)).astype(np.int16)
-    centimetres[~seen] = NO_POSITION_CM
-    return centimetres
+    points_m, valid = frame.posed.frame.points_m, frame.posed.frame.valid_mask
+    return in_centimetres(points_m, valid, _REACH_M, np.int16(NO_POSITION_CM))
 
 
 def _or(

@@ -64,7 +64,7 @@ def find_parts(
     """
     whole = ~decided & (clusters.sizes >= _SPLIT_VOXELS) & (fit.extent_m > _SPLIT_EXTENT_M)
     asked = np.flatnonzero(clusters.member_mask(whole))
-    is_new = nearest_distances(far.grid, points_m[asked], 1.5 * _NEW_M) > _NEW_M
+    is_new = nearest_distances(far.grid, points_m[asked], 1.05 * _NEW_M) > _NEW_M
     among = np.zeros(len(points_m), np.bool_)
     among[asked] = is_new | evidence.seen_through[asked]
     parts = connected(

@@ -61,13 +61,14 @@ def cell_along(value: float, origin: float, count: int) -> int:
 @compiled
 def _bounds(points: Points) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Lowest and highest value of each coordinate; zero where there is no point."""
-    low, high = np.zeros(3), np.zeros(3)
-    for axis in range(3):
-        for i in range(len(points)):
-            value = points[i, axis]
-            low[axis] = value if i == 0 else min(low[axis], value)
-            high[axis] = value if i == 0 else max(high[axis], value)
-    return low, high
+    low, high = np.zeros(3, np.float32), np.zeros(3, np.float32)
+    if len(points) > 0:
+        low[:], high[:] = points[0], points[0]
+    for i in range(len(points)):
+        for axis in range(3):
+            low[axis] = min(low[axis], points[i, axis])
+            high[axis] = max(high[axis], points[i, axis])
+    return low.astype(np.float64), high.astype(np.float64)
 
 
 @compiled

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S, Points, Transform
 from schemas.frame import PosedFrame
 from workers.geometry.range_image import RangeImage, SensorProfile, project
-from workers.geometry.se3 import inverse, transform
+from workers.geometry.se3 import inverse
+from workers.visibility.passes import moved
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,8 +120,8 @@ class ResidualHistory:
             if past is None:
                 continue
             odom_from_past, points_m = past
-            moved = transform(sensor_from_odom @ odom_from_past, points_m)
-            channel[:] = residual_image(image, moved, self._profile, settings)
+            placed_m = moved(points_m, sensor_from_odom @ odom_from_past)
+            channel[:] = residual_image(image, placed_m, self._profile, settings)
             found += 1
         return stack, found
 

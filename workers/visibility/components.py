@@ -35,13 +35,16 @@ def components(
     cells = sorted_cells(points, index, group, reach * np.float32(_EDGE_SHARE))
     count = len(cells.height)
     parent = np.arange(count).astype(np.int32)
-    for c in range(len(cells.place)):
-        x, y = cells.place[c, 0], cells.place[c, 1]
-        for step_x in range(_SPAN + 1):
-            for step_y in range(-_SPAN if step_x else 0, _SPAN + 1):
-                other = column_at(cells.place, cells.slots, x + step_x, y + step_y)
-                if other >= 0:
-                    _join_columns(cells, parent, c, other, reach)
+    for away in range(_SPAN + 1):  # what touches first: it rules most of the others out
+        for c in range(len(cells.place)):
+            x, y = cells.place[c, 0], cells.place[c, 1]
+            for step_x in range(away + 1):
+                for step_y in range(-away if step_x else 0, away + 1):
+                    if max(step_x, abs(step_y)) != away:
+                        continue
+                    other = column_at(cells.place, cells.slots, x + step_x, y + step_y)
+                    if other >= 0:
+                        _join_columns(cells, parent, c, other, reach)
     earliest = np.full(count, len(index), np.int32)
     for k in range(count):
         root = _find(parent, k)

@@ -90,6 +90,36 @@ def moved_rows(points: Points, index: NDArray[np.int64], to_from_from: Transform
 
 
 @compiled
+def moved(points: Points, to_from_from: Transform) -> Points:
+    """Points in another space; (N, 3) float32, worked out in float64."""
+    rows = np.empty(points.shape, np.float32)
+    pose = to_from_from
+    for i in range(len(points)):
+        x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
+        for axis in range(3):
+            turned = pose[axis, 0] * x + pose[axis, 1] * y + pose[axis, 2] * z
+            rows[i, axis] = turned + pose[axis, 3]
+    return rows
+
+
+@compiled
+def in_centimetres(
+    points: Points, valid: Mask, farthest: np.float32, nowhere: np.int16
+) -> NDArray[np.int16]:
+    """Valid points no farther than a distance along every axis, to the centimetre; (N, 3)."""
+    rows = np.empty(points.shape, np.int16)
+    for i in range(len(points)):
+        seen = valid[i] and (
+            abs(points[i, 0]) <= farthest
+            and abs(points[i, 1]) <= farthest
+            and abs(points[i, 2]) <= farthest
+        )
+        for axis in range(3):
+            rows[i, axis] = np.rint(points[i, axis] * np.float32(100)) if seen else nowhere
+    return rows
+
+
+@compiled
 def first_and_last(values: NDArray[np.int32], valid: Mask) -> tuple[int, int]:
     """Least and greatest of the valid values; the greatest is the lesser where none is valid."""
     first, last = np.int64(1), np.int64(0)

@@ -17,7 +17,9 @@ from workers.selfsupervised.point_answers import (
 )
 from workers.visibility.passes import (
     first_and_last,
+    in_centimetres,
     judged_rows,
+    moved,
     moved_rows,
     returns_within,
     rows_about,
@@ -33,6 +35,24 @@ def cloud(n: int, seed: int) -> NDArray[np.float32]:
         np.random.default_rng(seed).normal(0, 30, (n, 3)).astype(np.float32)
     )
     return points
+
+
+def test_points_are_told_to_the_centimetre_up_to_where_they_fit() -> None:
+    points, valid = cloud(900, seed=11) * 6, np.arange(900) % 5 > 0
+    points[:40], points[41], points[43] = np.round(points[:40] * 2) / 200, np.nan, (5, 400, 0)
+    farthest, nowhere = np.float32(327), np.int16(-32768)
+    seen: NDArray[np.bool_] = valid & np.all(np.abs(points) <= farthest, axis=1)
+    wanted = np.rint(np.where(seen[:, None], points, 0) * np.float32(100)).astype(np.int16)
+    wanted[~seen] = nowhere
+    assert 100 < seen.sum() < valid.sum()
+    np.testing.assert_array_equal(in_centimetres(points, valid, farthest, nowhere), wanted)
+
+
+def test_points_are_moved_as_matrices_move_them() -> None:
+    pose = np.eye(4)
+    pose[:2, :2], pose[:3, 3] = [[0.6, -0.8], [0.8, 0.6]], (4000, -7, 1)
+    points = cloud(500, seed=12)
+    np.testing.assert_allclose(moved(points, pose), transform(pose, points), rtol=1.2e-7)
 
 
 def test_a_box_holds_what_is_near_along_every_axis() -> None:
