@@ -55,13 +55,18 @@ def compile_apart() -> None:
 
 
 def rehearse() -> None:
-    """Run the default odometry and stream on a small street, so that every loop is called."""
+    """Run the default odometry and stream on a small street, so that every loop is called.
+
+    Loops that other stages share with them are called beside.
+    """
+    from workers.geometry.rehearsal import call_loops
     from workers.selfsupervised.odometry import KissOdometry
     from workers.selfsupervised.rehearsal import rehearsal
     from workers.selfsupervised.stream import Registration
 
     for with_beams in (True, False):
         deque(Registration()(KissOdometry()(rehearsal(with_beams=with_beams))), maxlen=0)
+    call_loops(next(rehearsal(with_beams=True)))
 
 
 def _marker() -> str:
