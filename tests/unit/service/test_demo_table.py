@@ -5,6 +5,7 @@ import pytest
 from schemas.attribution import Attribution, Wrong
 from schemas.score import SceneScore
 from service.cli.demo import say_demo_ranking
+from service.cli.output import results
 from service.demo_planted import DemoScene, beside_truth
 from service.demo_retrieval import found_in
 from service.ranking import RankedScene
@@ -100,6 +101,13 @@ def test_what_was_planted_stands_beside_the_scene_that_it_is_in(scenes: list[Dem
     assert [scene.wrong for scene in scenes] == ["supervised", "supervised", "supervised", "-"]
 
 
+@pytest.fixture
+def _wide(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing breaks, whatever COLUMNS says where the tests run."""
+    monkeypatch.setattr(results, "width", 200)
+
+
+@pytest.mark.usefixtures("_wide")
 def test_whether_the_first_reason_names_what_was_planted_is_marked(
     scenes: list[DemoScene], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -114,6 +122,7 @@ def test_a_picture_is_named_after_rank_street_and_second(scenes: list[DemoScene]
     assert scenes[1].file_name == f"02-{STREET}-2s.png"
 
 
+@pytest.mark.usefixtures("_wide")
 def test_scenes_with_a_failure_are_listed_however_far_down(
     scenes: list[DemoScene], capsys: pytest.CaptureFixture[str]
 ) -> None:
