@@ -51,6 +51,7 @@ class PlantedPoints:
         return 2 * planted > points
 
     def _of_any(self, due: Sequence["FailureRow"], stamp_ns: int, points_m: Points) -> Mask:
+        from workers.evaluation.truth import TRUTH_DYNAMIC
         from workers.simulation.plan import FailureKind
         from workers.simulation.planted import GHOST_RADIUS_M
 
@@ -59,7 +60,7 @@ class PlantedPoints:
         found = np.zeros(len(points_m), dtype=np.bool_)
         for each in due:
             if each.kind is FailureKind.RANGE_LIMIT:
-                moves = motion == 2
+                moves = motion == TRUTH_DYNAMIC
                 found |= moves & (np.hypot(points_m[:, 0], points_m[:, 1]) > each.range_m)
             elif each.place_m is not None:
                 pose = self._world_from_sensor[stamp_ns]

@@ -11,6 +11,7 @@ from service.cli.bench_simulation import simulation
 from service.cli.failures import failures
 from service.cli.options import Config, Json, settings_for
 from service.cli.output import json_line, progress, remark, table
+from service.cli.report import said_of
 
 
 def add_to(app: typer.Typer) -> None:
@@ -61,9 +62,7 @@ def pipeline(
             for row in rows
         ),
     )
-    remark(
-        f"judged: supervised stream {settings.supervised}, held against {settings.selfsupervised}"
-    )
+    remark(f"judged: {said_of(settings.supervised, settings.selfsupervised)}")
 
 
 def motion(

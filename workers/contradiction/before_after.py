@@ -110,6 +110,7 @@ def called_moving(scene: Scene) -> CalledMoving:
 def at_other_times(
     scene: Scene,
     members: Sequence[Instance],
+    centres_m: NDArray[np.float64],
     velocity_m_per_s: NDArray[np.float64],
     called: CalledMoving,
     *,
@@ -124,6 +125,7 @@ def at_other_times(
     Args:
         scene: Where the track was found.
         members: Its instances, in the order of their frames.
+        centres_m: (len(members), 3) of their boxes, odom space.
         velocity_m_per_s: (2,) or (3,) how it goes, odom space.
         called: As `called_moving` lists it.
         period_s: Between frames; 0 where there is but one.
@@ -137,7 +139,8 @@ def at_other_times(
     away_s = away_ns[np.arange(len(away_ns)), nearest] / NS_PER_S
     within = np.flatnonzero(np.abs(away_s) <= BESIDE_S)
     row, point = _inside(
-        scene, edges, nearest[within], within, away_s[within], velocity_m_per_s, called
+        *(scene, edges, centres_m[large], nearest[within]),
+        *(within, away_s[within], velocity_m_per_s, called),
     )
     whole_thing = MOST * points[large][nearest[within]]
     halfway = int(np.searchsorted(np.cumsum(points), points.sum() / 2))
@@ -161,6 +164,7 @@ def at_other_times(
 def _inside(
     scene: Scene,
     edges: Sequence[Instance],
+    centres_m: NDArray[np.float64],
     edge: NDArray[np.int64],
     moment: NDArray[np.int64],
     away_s: NDArray[np.float64],
@@ -172,6 +176,7 @@ def _inside(
     Args:
         scene: Where the boxes were found.
         edges: Whose boxes.
+        centres_m: (len(edges), 3) their centres, odom space.
         edge: (R,) which of them.
         moment: (R,) when.
         away_s: (R,) how much later than the box.
@@ -182,8 +187,6 @@ def _inside(
         (I,) rows of the moments and (I,) indices of the points that lie in them.
     """
     poses = np.stack([scene.frames[each.frame_index].posed.odom_from_sensor for each in edges])
-    centres_m = np.stack([each.centre_m for each in edges])
-    centres_m = np.einsum("eij,ej->ei", poses[:, :3, :3], centres_m) + poses[:, :3, 3]
     half_m = np.stack([each.size_m for each in edges]) / 2.0 + MARGIN_M
     moved_m = np.zeros((len(edge), 3))
     moved_m[:, :2] = velocity_m_per_s[:2] * away_s[:, None]

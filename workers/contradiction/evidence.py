@@ -198,7 +198,8 @@ def evidence_of(
     size_m = np.median([member.size_m for member in members], axis=0)
     path = path_of(track.centres_m, stamps_s, _places(scene, members))
     others = at_other_times(
-        scene, members, path.velocity_m_per_s, around.called, period_s=around.period_s
+        *(scene, members, track.centres_m, path.velocity_m_per_s, around.called),
+        period_s=around.period_s,
     )
     goes_on = 1.0 if track.kind.semantic == scene.task.moving else path.straight
     moving, still = _testimony(scene, members)

@@ -43,7 +43,7 @@ from workers.contradiction.company import Company, company_of, frames_seen
 from workers.contradiction.evidence import Evidence, Surroundings, evidence_of, surroundings_of
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
 from workers.contradiction.sizes import box_plausibility, not_flat, not_too_long
-from workers.contradiction.tracks import Track, frame_period_s, tie_tracks
+from workers.contradiction.tracks import Track, tie_tracks
 from workers.contradiction.unit import clip
 
 
@@ -83,7 +83,8 @@ def rank_tracks(
     scene: Scene, instances: Sequence[Instance], *, settings: ScoreSettings = DEFAULT_SCORE
 ) -> tuple[RankedTrack, ...]:
     """Tie the instances of a scene to tracks, strongest first; equal ones by first instance."""
-    period_s = frame_period_s(scene)
+    if not instances:
+        return ()
     around = surroundings_of(scene, instances)
     weights = pose_weights(scene, settings=settings)
     tracks = tie_tracks(scene, instances)
@@ -96,7 +97,6 @@ def rank_tracks(
             around,
             company,
             weights,
-            period_s,
             settings,
         )
         for track in tracks
@@ -162,7 +162,6 @@ def _rank(
     around: Surroundings,
     company: Company,
     weights: NDArray[np.float64],
-    period_s: float,
     settings: ScoreSettings,
 ) -> RankedTrack:
     points = np.array([len(member.point_index) for member in members])
@@ -191,8 +190,8 @@ def _rank(
         size, chance = (box if scene.task.of_things else 1.0), clash * evidence.own
     lone = 1.0 - evidence.crowded
     frames = [member.frame_index for member in members]
-    lasting = _lasting(dict.fromkeys(frames, 1.0), period_s, settings)
-    seen = _lasting(frames_seen(track, members, company), period_s, settings)
+    lasting = _lasting(dict.fromkeys(frames, 1.0), around.period_s, settings)
+    seen = _lasting(frames_seen(track, members, company), around.period_s, settings)
     lasting += lone * max(0.0, seen - lasting)
     presence = lasting * evidence.many_points * size
     gate = _gate(weights[frames], lone, stands=track.kind.semantic == scene.task.moving)

@@ -143,14 +143,14 @@ def _likeliest(
         if len(ways) == 1:
             ways[0] = (contradicted_share(posed), run, posed)
         ways.append((contradicted_share(posed_so), other, posed_so))
-    share, best = ways[0][0], ways[0]
+    best = ways[0]
     for way in ways[1:]:
-        if way[0] < _BETTER * share:
-            share, best = way[0], way
+        if way[0] < _BETTER * best[0]:
+            best = way
     moved_m = _moved_m(best[2])
     for share_so, _, posed_so in ways:
         apart = float(np.linalg.norm(_moved_m(posed_so) - moved_m)) >= _ANOTHER_M
-        if apart and share_so <= _ALIKE * share:
+        if apart and share_so <= _ALIKE * best[0]:
             speed = float(np.linalg.norm(_moved_m(posed_so))) / _span_s(frames)
             return _Likeliest(best[1], best[2], f"{speed:.0f} m/s would fit alike")
     return _Likeliest(best[1], best[2])

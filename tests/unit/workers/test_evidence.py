@@ -13,6 +13,7 @@ from workers.contradiction.evidence import Evidence
 from workers.contradiction.instances import find_instances
 from workers.contradiction.paths import Path, path_of
 from workers.contradiction.strength import rank_tracks
+from workers.contradiction.tracks import centres_in_odom
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
 SEMANTIC = ContradictionKind.ONLY_SEMANTIC_DYNAMIC
@@ -214,7 +215,10 @@ def test_the_points_in_a_box_are_those_that_a_plain_search_finds() -> None:
     instances = find_instances(scene, class_names=CLASS_NAMES)
     assert len(instances) > 20
     for instance in instances:
-        told = at_other_times(scene, [instance], np.zeros(2), called, period_s=0.3)
+        told = at_other_times(
+            *(scene, [instance], centres_in_odom(scene, [instance]), np.zeros(2), called),
+            period_s=0.3,
+        )
         shares = []
         for frame in scene.frames:
             moves = np.flatnonzero(frame.semantic.labels == DYNAMIC)
