@@ -38,6 +38,12 @@ TOLD: Final[Mapping[str, str]] = {
     "of a second, the supervised stream calls it moving and the other one not static",
     "called moving before": "the supervised stream itself calls it moving then: its answer changes",
     "called moving later": "the supervised stream itself calls it moving later: its answer changes",
+    "it stays where it is": "its shape lies where points lie half a second to two seconds before, "
+    "and later",
+    "it came from elsewhere": "half a second to two seconds before, its shape lay elsewhere: one "
+    "velocity leads from there to here",
+    "it leaves its place": "half a second to two seconds later, its shape lies elsewhere",
+    "it stands from then on": "half a second to two seconds later, its shape lies in its place",
     "its shape fits no usual class": "too low, too long or too tall for a usual road user",
     "occluded before and after": "the witness could not see its place before or after",
     "odometry unhealthy": "poses were doubted in some of its frames",
@@ -131,6 +137,7 @@ def remarks_on(
     before, after = evidence.agreed_before > HALF, evidence.undenied_after > HALF
     called_before = kind in MISSED and not before and evidence.called_before > HALF
     called_after = kind in MISSED and not after and evidence.called_after > HALF
+    stays, stands_after = evidence.stays > HALF, evidence.stands_after > HALF
     said: tuple[tuple[str, bool, Mapping[str, float]], ...] = (
         ("the witness sees it move", sees_move, {"witness_moving": 0.0}),
         ("the witness sees it stand", evidence.witness_still > HALF, {"witness_still": 0.0}),
@@ -138,6 +145,10 @@ def remarks_on(
         ("nobody denies later that it moves", after, {"undenied_after": 0.0}),
         ("called moving before", called_before, {"called_before": 0.0}),
         ("called moving later", called_after, {"called_after": 0.0}),
+        ("it stays where it is", stays, {"stays": 0.0, "stands_after": 0.0}),
+        ("it stands from then on", stands_after and not stays, {"stands_after": 0.0}),
+        ("it came from elsewhere", evidence.came > HALF, {"came": 0.0}),
+        ("it leaves its place", evidence.leaves > HALF, {"leaves": 0.0}),
         ("its shape fits no usual class", missed and fits_no_class(size_m), {}),
         ("occluded before and after", unasked > HALF, {}),
         ("odometry unhealthy", evidence.doubted > 0.0, {"doubted": 0.0}),

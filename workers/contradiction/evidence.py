@@ -13,10 +13,12 @@ from schemas.contradiction import Instance, Scene
 from schemas.frame import OdometryState
 from schemas.labels import MotionLabel
 from workers.contradiction.before_after import CalledMoving, at_other_times, called_moving
+from workers.contradiction.glances import Glances
 from workers.contradiction.paths import path_of
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
 from workers.contradiction.tracks import Track, frame_period_s
 from workers.contradiction.unit import clip
+from workers.contradiction.whereabouts import Whereabouts, whereabouts_of
 from workers.visibility.rising_ground import RisingGround, share_of
 
 _FAR_M: Final = 80.0
@@ -32,6 +34,9 @@ _LOW_WITHIN_M: Final = 50.0
 _RISES_SHARE: Final = 0.03
 _RISES_ALL: Final = 0.1
 """Shares of the ground around a thing that rises."""
+
+_WORTH_IT: Final = 0.1
+"""`lasting` times `many_points`, from which on it is asked where a thing was and will be."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +68,11 @@ class Evidence:
         called_before: Share of it that the supervised stream calls moving earlier, whatever the
             other one says.
         called_after: And later.
+        stays: Its shape lies in the same place half a second to two seconds before and after
+            (`whereabouts.py`); asked of what lasts and has points.
+        stands_after: It does after, whatever it did before.
+        came: It lay elsewhere before, and one velocity leads from there to here.
+        leaves: It lies elsewhere after. All are 0 where it is hidden, or the log ends.
         own: Share of its surroundings that contradict alike.
         supervised_sure: Mean confidence of the supervised stream.
         selfsupervised_sure: Mean confidence of the self-supervised stream.
@@ -97,6 +107,10 @@ class Evidence:
     undenied_after: float
     called_before: float
     called_after: float
+    stays: float
+    stands_after: float
+    came: float
+    leaves: float
     own: float
     supervised_sure: float
     selfsupervised_sure: float
@@ -130,6 +144,7 @@ class Surroundings:
         doubted: (F,) 1 where the pose is not healthy.
         crowd: Instances of each kind in each frame.
         called: What the supervised stream calls moving, right before and after the scene as well.
+        glances: What stands off the ground every half second of it.
         period_s: Between its frames.
         ground: Where the ground itself rises.
     """
@@ -139,6 +154,7 @@ class Surroundings:
     doubted: NDArray[np.float64]
     crowd: dict[tuple[str, int], int]
     called: CalledMoving
+    glances: Glances
     period_s: float
     ground: RisingGround
 
@@ -166,6 +182,7 @@ def surroundings_of(scene: Scene, instances: Sequence[Instance]) -> Surroundings
         doubted=np.array([float(f.posed.odometry is not OdometryState.HEALTHY) for f in frames]),
         crowd=crowd,
         called=called_moving(scene),
+        glances=Glances(scene),
         period_s=frame_period_s(scene),
         ground=RisingGround([frame.posed for frame in frames]),
     )
@@ -207,6 +224,12 @@ def evidence_of(
     lasts_s = float(stamps_s[-1] - stamps_s[0])
     kind = track.kind.name
 
+    lasting = 1.0 - math.exp(-lasts_s / settings.persistence_s)
+    many_points = 1.0 - math.exp(-float(np.median(points)) / settings.evidence_points)
+    where = Whereabouts()
+    if scene.task.moving and lasting * many_points >= _WORTH_IT:
+        where = whereabouts_of(scene, members, path.velocity_m_per_s, around.glances)
+
     def mean(values: Sequence[float]) -> float:
         return float(np.average(values, weights=points))
 
@@ -216,9 +239,9 @@ def evidence_of(
         witness_still=still,
         went=path.went,
         straight=path.straight,
-        lasting=1.0 - math.exp(-lasts_s / settings.persistence_s),
+        lasting=lasting,
         steady=len(members) / float(at[-1] - at[0] + 1),
-        many_points=1.0 - math.exp(-float(np.median(points)) / settings.evidence_points),
+        many_points=many_points,
         far=clip(range_m / _FAR_M),
         road_user=clip(road_user),
         long=clip(float(size_m[0]) / _LONG_M),
@@ -229,6 +252,10 @@ def evidence_of(
         undenied_after=others.undenied_after * goes_on,
         called_before=others.called_before,
         called_after=others.called_after,
+        stays=min(where.here_before, where.here_after),
+        stands_after=where.here_after,
+        came=where.elsewhere_before,
+        leaves=where.elsewhere_after,
         own=clip(mean([member.own_share for member in members])),
         supervised_sure=clip(mean([member.semantic_confidence for member in members])),
         selfsupervised_sure=clip(mean([member.predictive_confidence for member in members])),

@@ -5,8 +5,10 @@ stand does not move, what went a metre in a straight line does, and where the gr
 nothing is proved by what rises with it. What the supervised stream calls moving and the other one
 does not deny a second earlier or later did not stand in between: it starts or stops. Or, where it
 goes on and the supervised stream calls it static, that stream errs for a while, as it does where
-the witness sees move what it called moving itself. What lies at the rim of what both see move is
-that thing's rim, and nobody's error. Log-odds at full evidence.
+the witness sees move what it called moving itself. What came from elsewhere or leaves its place
+moves, however slowly, and what is called moving later as well was moving. What stands from then on
+has stopped; of what stays all along, who calls it moving errs. What lies at the rim of what both
+see move is that thing's rim, and nobody's error. Log-odds at full evidence.
 """
 
 from collections.abc import Mapping
@@ -20,7 +22,7 @@ Row = tuple[float, Mapping[str, float]]
 
 PRIOR: Final[Mapping[str, Mapping[Wrong, Row]]] = {
     ContradictionKind.ONLY_SEMANTIC_DYNAMIC.value: {
-        Wrong.SUPERVISED: (0.0, {"witness_still": 2.5, "denied": 1.0, "steady": 1.0}),
+        Wrong.SUPERVISED: (0.0, {"witness_still": 2.5, "denied": 1.0, "steady": 1.0, "stays": 1.0}),
         Wrong.SELFSUPERVISED: (
             0.0,
             {
@@ -30,12 +32,21 @@ PRIOR: Final[Mapping[str, Mapping[Wrong, Row]]] = {
                 "denied": 1.0,
                 "agreed_before": 3.0,
                 "undenied_after": 3.0,
+                "came": 1.0,
+                "leaves": 2.0,
             },
         ),
         Wrong.BOTH: (-4.0, {}),
         Wrong.NEITHER: (
             0.0,
-            {"agreed": 2.0, "denied": -1.5, "agreed_before": 3.0, "undenied_after": 3.0},
+            {
+                "agreed": 2.0,
+                "denied": -1.5,
+                "agreed_before": 3.0,
+                "undenied_after": 3.0,
+                "came": 1.0,
+                "leaves": 2.0,
+            },
         ),
     },
     ContradictionKind.ONLY_PREDICTIVE_DYNAMIC.value: {
@@ -52,6 +63,8 @@ PRIOR: Final[Mapping[str, Mapping[Wrong, Row]]] = {
                 "agreed": -2.0,
                 "agreed_before": 1.0,
                 "undenied_after": 1.0,
+                "called_after": 1.0,
+                "crowded": -1.0,
             },
         ),
         Wrong.SELFSUPERVISED: (
@@ -62,11 +75,12 @@ PRIOR: Final[Mapping[str, Mapping[Wrong, Row]]] = {
                 "crowded": 1.5,
                 "thin": 1.0,
                 "denied": 0.5,
+                "stands_after": 2.0,
                 "ground_rises": 5.0,
             },
         ),
         Wrong.BOTH: (-4.0, {"agreed": -2.0}),
-        Wrong.NEITHER: (0.0, {"agreed": 2.0, "denied": -1.5}),
+        Wrong.NEITHER: (0.0, {"agreed": 2.0, "denied": -1.5, "stands_after": 2.0}),
     },
     ContradictionKind.ONLY_WITNESS_DYNAMIC.value: {
         Wrong.SUPERVISED: (
@@ -95,6 +109,9 @@ PRIOR: Final[Mapping[str, Mapping[Wrong, Row]]] = {
                 "called_after": 0.5,
             },
         ),
-        Wrong.NEITHER: (0.0, {"crowded": 2.0, "doubted": 1.5, "ground_rises": 5.0}),
+        Wrong.NEITHER: (
+            0.0,
+            {"crowded": 2.0, "doubted": 1.5, "stays": 2.0, "ground_rises": 5.0},
+        ),
     },
 }

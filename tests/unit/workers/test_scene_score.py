@@ -86,7 +86,7 @@ def test_a_phantom_pedestrian_is_told_with_where_it_stands() -> None:
         "the supervised stream errs ("
     )
     assert re.search(
-        r" errs \(\d+%; for: it goes nowhere; also: occluded before and after\)$", reason
+        r" errs \(\d+%; for: it stays where it is; also: occluded before and after\)$", reason
     )
     strongest = record.tracks[0].strongest
     assert strongest.range_m == pytest.approx(math.hypot(12, 4), abs=0.3)
