@@ -91,7 +91,7 @@ class _Shape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pair:
-    """A shape, and what is seen about it at another time; no tree where that is nothing."""
+    """A shape, the glance it is laid over, and how much later that was taken."""
 
     shape: _Shape
     number: int

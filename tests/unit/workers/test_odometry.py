@@ -1,3 +1,4 @@
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -173,6 +174,24 @@ def test_a_car_that_teleports_is_not_healthy() -> None:
     answers = poses(frames)
     assert answers[5].odometry is not OdometryState.HEALTHY
     assert "jumped" in answers[5].reason
+
+
+def test_an_odometry_that_goes_astray_begins_anew() -> None:
+    frames, yaw = list[LidarFrame](), 0.0
+    for number in range(40):
+        yaw += math.radians(65.0) if 8 <= number < 17 else 0.0
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        spun = street(number * 0.5) @ np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+        frames.append(frame_of(spun.astype(np.float32), START_NS + number * PERIOD_NS))
+    answers = poses(frames)
+    states = [answer.odometry for answer in answers]
+    assert states[:8] == [OdometryState.HEALTHY] * 8
+    assert states[8:14] == [OdometryState.LOST] * 6  # a sensor that spins: nothing can be known
+    assert states[18:] == [OdometryState.HEALTHY] * 22  # where nothing began anew, all were lost
+    moved = np.linalg.norm(
+        np.diff([a.odom_from_sensor[:3, 3] for a in answers[18:]], axis=0), axis=1
+    )
+    np.testing.assert_allclose(moved, 0.5, atol=0.1)
 
 
 def test_the_same_frames_give_the_same_poses() -> None:

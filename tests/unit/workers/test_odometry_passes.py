@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from workers.selfsupervised.kiss_map import chosen
-from workers.selfsupervised.odometry import structure, usable
+from workers.selfsupervised.odometry_run import structure, usable
 
 
 def cloud(n: int) -> NDArray[np.float32]:

@@ -1,0 +1,134 @@
+"""One pass of KISS-ICP over a stretch of frames: each with its pose, and what is thought of it."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import NS_PER_S, Mask, Points, Transform
+from schemas.frame import LidarFrame, OdometryState, PosedFrame
+from workers.geometry.se3 import inverse, transform
+from workers.selfsupervised.health import HealthMonitor, Judgement, too_little
+from workers.selfsupervised.kiss_map import MAX_RANGE_M
+from workers.selfsupervised.maps_by_clock import MapsByClock
+from workers.selfsupervised.neighbours import PointGrid, build_grid, nearest_distances
+from workers.visibility.compiled import compiled
+from workers.visibility.deskew import Twist, twist
+
+MAX_GAP_S: Final = 0.5
+"""After a longer silence the constant velocity that ICP starts from means nothing."""
+
+MIN_RANGE_M: Final = 2.5
+
+RESIDUAL_REACH_M: Final = 1.0
+
+
+class Run:
+    """State of one pass over a stretch of frames."""
+
+    def __init__(self, pose: Transform | None = None, velocity: Twist | None = None) -> None:
+        """Begin at a pose, with a motion per second; None where that is not known."""
+        self.stamp_ns: int | None = None
+        self._pose: Transform = np.eye(4) if pose is None else pose
+        self._begin(velocity)
+
+    def _begin(self, velocity: Twist | None) -> None:
+        """Forget the map and the motion, keep the pose."""
+        self._maps = MapsByClock(self._pose, velocity)
+        self._velocity: Twist | None = None
+        self._registered_ns: int | None = None
+        self._previous: PointGrid | None = None
+        self._health = HealthMonitor()
+
+    def anew(self, velocity: Twist | None = None) -> "Run":
+        """Begin after this one, where it ended.
+
+        Args:
+            velocity: How the sensor moves at first, per second; stands still when None.
+        """
+        run = Run(self._pose, velocity)
+        run.stamp_ns = self.stamp_ns
+        return run
+
+    def pose(self, frame: LidarFrame) -> PosedFrame:
+        """Register one frame."""
+        dt_s = 0.0 if self.stamp_ns is None else (frame.stamp_ns - self.stamp_ns) / NS_PER_S
+        restarted = ""
+        if self.stamp_ns is not None and not 0.0 < dt_s <= MAX_GAP_S:
+            restarted = f"no frame for {dt_s:.2f} s"
+            if dt_s <= 0.0:
+                restarted = f"time went back by {-dt_s:.2f} s" if dt_s else "time stood still"
+            self._begin(None)
+        self.stamp_ns = frame.stamp_ns
+
+        points = usable(frame.points_m, frame.valid_mask)
+        predicted = self._maps.expected(frame.stamp_ns)
+        problem = too_little(points)
+        if problem:
+            return self._unregistered(frame, predicted, problem)
+        pose, keypoints = self._maps.register(points, frame.stamp_ns, self._velocity)
+        if pose is None:
+            self._begin(None)
+            return self._unregistered(frame, predicted, "registration did not converge")
+
+        residual_m = self._residual(keypoints, pose)
+        judged = Judgement()
+        if self._registered_ns is not None:
+            self._velocity = twist(inverse(self._pose) @ pose) / dt_s
+            judged = self._health.judge(self._velocity, dt_s, residual_m)
+        self._pose, self._registered_ns = pose, frame.stamp_ns
+        self._previous = build_grid(transform(pose, structure(points)), pose[:3, 3])
+        if restarted:
+            judged = Judgement(OdometryState.DEGRADED, f"odometry starts anew: {restarted}")
+        return PosedFrame(
+            frame, pose.copy(), judged.state, residual_m, judged.reason, jumped=judged.jumped
+        )
+
+    def _unregistered(self, frame: LidarFrame, pose: Transform, problem: str) -> PosedFrame:
+        """Answer with a predicted pose; believe in prediction for half a second."""
+        since = self._registered_ns
+        blind_s = np.inf if since is None else (frame.stamp_ns - since) / NS_PER_S
+        state = OdometryState.DEGRADED
+        if blind_s > MAX_GAP_S:
+            state = OdometryState.LOST
+            self._begin(None)
+        else:
+            self._pose = pose
+            self._maps.believe(pose, frame.stamp_ns)
+        return PosedFrame(frame, pose.copy(), state, reason=problem)
+
+    def _residual(self, keypoints: NDArray[np.float64], pose: Transform) -> float:
+        """Median distance of this frame's key points to the frame before, metres."""
+        if self._previous is None:
+            return float("nan")
+        placed = transform(pose, structure(keypoints))
+        if len(placed) == 0:
+            return float("nan")
+        return float(np.median(nearest_distances(self._previous, placed, RESIDUAL_REACH_M)))
+
+
+@compiled
+def usable(points: Points, valid: Mask) -> Points:
+    """Returns between the nearest and the farthest range that is registered, (M, 3)."""
+    rows = np.empty(points.shape, np.float32)
+    count = 0
+    for i in range(len(points)):
+        x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
+        squared = x * x + y * y + z * z
+        if valid[i] and MIN_RANGE_M**2 < squared < MAX_RANGE_M**2:
+            rows[count] = points[i]
+            count += 1
+    return rows[:count].copy()
+
+
+@compiled
+def structure(points: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Points off the road and near: rings on the road move with the car."""
+    rows = np.empty(points.shape, points.dtype)
+    count = 0
+    for i in range(len(points)):
+        x, y = np.float64(points[i, 0]), np.float64(points[i, 1])
+        if points[i, 2] > -1.0 and x * x + y * y < 40.0**2:
+            rows[count] = points[i]
+            count += 1
+    return rows[:count].copy()
