@@ -67,6 +67,7 @@ def table(title: str, columns: Iterable[str], rows: Iterable[Iterable[object]]) 
     out = Table(title=title, title_justify="left", header_style="bold")
     materialised = [[_cell(value) for value in row] for row in rows]
     names = tuple(columns)
+    crowded = _natural_width(names, materialised) > results.width
     for index, column in enumerate(names):
         numeric = bool(materialised) and all(
             row[index].replace(".", "").replace("-", "").replace(",", "").isdigit()
@@ -78,6 +79,7 @@ def table(title: str, columns: Iterable[str], rows: Iterable[Iterable[object]]) 
             justify="right" if numeric else "left",
             overflow="fold",
             no_wrap=_is_copied(column),
+            max_width=_folded_width(column, materialised, index) if crowded else None,
         )
     for row in materialised:
         out.add_row(*row)
@@ -94,6 +96,21 @@ def table(title: str, columns: Iterable[str], rows: Iterable[Iterable[object]]) 
 
 def _is_copied(column: str) -> bool:
     return column.split(" ")[0] in _COPIED
+
+
+def _natural_width(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> int:
+    """Width at which nothing is broken."""
+    longest = (
+        max(len(column), *(len(row[index]) for row in rows), 0)
+        for index, column in enumerate(columns)
+    )
+    return 1 + 3 * len(columns) + sum(longest)
+
+
+def _folded_width(column: str, rows: Sequence[Sequence[str]], index: int) -> int:
+    """Width of a column whose header is broken at its spaces: room for the long cells of others."""
+    longest = max((len(row[index]) for row in rows), default=0)
+    return max(longest, *(len(word) for word in column.split(" ")))
 
 
 def _least_width(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> int:

@@ -45,3 +45,16 @@ def test_names_are_whole_and_numbers_in_one_piece_however_narrow_it_is(
     lines = capsys.readouterr().out.splitlines()
     (first,) = [line for line in lines if ROW[2] in line]
     assert "0.500" in first
+
+
+def test_headers_are_broken_where_long_cells_need_the_room(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(output.results, "width", 60)
+    output.table("t", ("twin of any rank", "why"), [(1, "word " * 40)])
+    crowded = capsys.readouterr().out
+    output.table("t", ("twin of any rank", "why"), [(1, "word")])
+    roomy = capsys.readouterr().out
+    assert "twin of any rank" in roomy
+    assert "twin of any rank" not in crowded
+    assert max(line.count("word") for line in crowded.splitlines()) == 10
