@@ -44,7 +44,9 @@ def glossary_page() -> str:
         ),
         *_section(
             "What is told of a track",
-            "In reasons and records, `for` a verdict, `against` it, or neither (`also`).",
+            "In reasons and records, `for` a verdict, `against` it, or neither (`also`). All are "
+            "read off points, none is the truth: of a pole or rail passed fast few points are seen "
+            "before and after, and it may be told to come from elsewhere or to leave its place.",
             ("words", "meaning"),
             TOLD,
         ),
