@@ -1,5 +1,7 @@
 """The verb `demo`: a small simulated fleet, mined, ranked, drawn, and held against its truth."""
 
+import shutil
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,6 +15,7 @@ from service.cli.output import progress, remark, table
 if TYPE_CHECKING:
     from service.demo_planted import DemoScene
 
+COMMAND: Final = "counterpoint"
 DEMO_ROWS: Final = 12
 
 
@@ -59,8 +62,16 @@ def demo(
     for path in result.pictures:
         remark(f"picture: {path}")
     state = out / "state"
-    remark(f"more: counterpoint top --state {state}")
-    remark(f"any scene by its rank: counterpoint show 1 --state {state} --out scene.png")
+    command = _command()
+    remark(f"more: {command} top --state {state}")
+    remark(f"any scene by its rank: {command} show 1 --state {state} --out scene.png")
+
+
+def _command() -> str:
+    """How this command is typed: as it was, where a shell does not find it by its name."""
+    typed = Path(sys.argv[0])
+    unknown = typed.name == COMMAND and shutil.which(COMMAND) is None
+    return str(typed) if unknown else COMMAND
 
 
 def say_demo_ranking(scenes: "Sequence[DemoScene]", *, most: int = DEMO_ROWS) -> None:
