@@ -24,7 +24,7 @@ from service.cli.options import (
     settings_for,
 )
 from service.cli.output import json_line, progress, remark, table
-from service.cli.report import say_inspected, say_judged
+from service.cli.report import first_of, say_inspected, say_judged
 from service.errors import NothingFoundError
 
 if TYPE_CHECKING:
@@ -126,10 +126,7 @@ def score(
         table(
             recording.log_id,
             ("scene", "state", "frames", "score", "reasons"),
-            (
-                (s.scene_id, s.state.value, s.frames, s.score, "; ".join(s.reasons[:2]))
-                for s in scored
-            ),
+            ((s.scene_id, s.state.value, s.frames, s.score, first_of(s.reasons)) for s in scored),
         )
     say_judged(scored)
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, Final
 
 from schemas.score import SceneScore
 from service.cli.output import remark, table
@@ -10,6 +10,9 @@ from service.dry_run import DryLog, DryRun
 from service.ranking import RankedScene
 from service.scene_names import short_names
 from service.status import Status
+
+REASONS: Final = 2
+"""Of a scene in a table."""
 
 
 def say_what_was_found(status: Status) -> None:
@@ -109,12 +112,18 @@ def say_ranking(rows: Sequence[RankedScene]) -> None:
                 row.score,
                 name_of[row.scene_id],
                 f"{(row.end_ns - row.start_ns) / 1e9:.1f}",
-                "; ".join(row.reasons[:2]),
+                first_of(row.reasons),
                 rank_of.get(row.twin_of, row.twin_of) if row.twin_of else None,
             )
             for row in rows
         ),
     )
+
+
+def first_of(reasons: Sequence[str]) -> str:
+    """Tell the first reasons of a scene, and how many are left out: its picture has them."""
+    left_out = len(reasons) - REASONS
+    return "; ".join([*reasons[:REASONS], *([f"and {left_out} more"] if left_out > 0 else [])])
 
 
 def say_inspected(report: dict[str, Any]) -> None:

@@ -9,7 +9,7 @@ import typer
 from schemas.errors import PermanentError
 from service.cli.options import Artifacts, Config, Connect, Database, Json, settings_for
 from service.cli.output import json_line, remark, results, table
-from service.cli.report import said_of, say_judged, say_ranking, say_what_was_found
+from service.cli.report import first_of, said_of, say_judged, say_ranking, say_what_was_found
 from service.config import Settings
 from service.errors import NothingFoundError, UsageError
 from service.merging import SceneEvent
@@ -137,7 +137,7 @@ def select(
     table(
         f"selection {selection.name!r}: {len(selection.scenes)} of at most {budget} scenes",
         ("rank", "score", "scene", "why"),
-        ((s.rank, s.score, s.scene_id, "; ".join(s.reasons[:2])) for s in selection.scenes),
+        ((s.rank, s.score, s.scene_id, first_of(s.reasons)) for s in selection.scenes),
     )
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from service.cli import output
+from service.cli.report import first_of
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -58,3 +59,9 @@ def test_headers_are_broken_where_long_cells_need_the_room(
     assert "twin of any rank" in roomy
     assert "twin of any rank" not in crowded
     assert max(line.count("word") for line in crowded.splitlines()) == 10
+
+
+def test_a_table_tells_two_reasons_and_how_many_it_leaves_out() -> None:
+    assert first_of(()) == ""
+    assert first_of(("one", "two")) == "one; two"
+    assert first_of(("one", "two", "three", "four")) == "one; two; and 2 more"
