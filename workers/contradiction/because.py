@@ -42,8 +42,9 @@ TOLD: Final[Mapping[str, str]] = {
     "and later",
     "it came from elsewhere": "half a second to two seconds before, its shape lay elsewhere: one "
     "velocity leads from there to here",
-    "it leaves its place": "half a second to two seconds later, its shape lies elsewhere",
-    "it stands from then on": "half a second to two seconds later, its shape lies in its place",
+    "it leaves its place": "half a second to two seconds later, its shape lies elsewhere: one "
+    "velocity leads from here to there",
+    "it stands later": "half a second to two seconds later, its shape lies where it does now",
     "its shape fits no usual class": "too low, too long or too tall for a usual road user",
     "occluded before and after": "the witness could not see its place before or after",
     "odometry unhealthy": "poses were doubted in some of its frames",
@@ -146,7 +147,7 @@ def remarks_on(
         ("called moving before", called_before, {"called_before": 0.0}),
         ("called moving later", called_after, {"called_after": 0.0}),
         ("it stays where it is", stays, {"stays": 0.0, "stands_after": 0.0}),
-        ("it stands from then on", stands_after and not stays, {"stands_after": 0.0}),
+        ("it stands later", stands_after and not stays, {"stands_after": 0.0}),
         ("it came from elsewhere", evidence.came > HALF, {"came": 0.0}),
         ("it leaves its place", evidence.leaves > HALF, {"leaves": 0.0}),
         ("its shape fits no usual class", missed and fits_no_class(size_m), {}),
