@@ -98,26 +98,27 @@ def _is_copied(column: str) -> bool:
     return column.split(" ")[0] in _COPIED
 
 
+def _longest(rows: Sequence[Sequence[str]], index: int) -> int:
+    """Width of the longest cell of a column."""
+    return max((len(row[index]) for row in rows), default=0)
+
+
 def _natural_width(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> int:
     """Width at which nothing is broken."""
-    longest = (
-        max(len(column), *(len(row[index]) for row in rows), 0)
-        for index, column in enumerate(columns)
-    )
-    return 1 + 3 * len(columns) + sum(longest)
+    widths = (max(len(column), _longest(rows, index)) for index, column in enumerate(columns))
+    return 1 + 3 * len(columns) + sum(widths)
 
 
 def _folded_width(column: str, rows: Sequence[Sequence[str]], index: int) -> int:
     """Width of a column whose header is broken at its spaces: room for the long cells of others."""
-    longest = max((len(row[index]) for row in rows), default=0)
-    return max(longest, *(len(word) for word in column.split(" ")))
+    return max(_longest(rows, index), *(len(word) for word in column.split(" ")))
 
 
 def _least_width(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> int:
     """Width below which names would be cut and numbers broken: a file can be as wide as that."""
     width = 1 + 3 * len(columns)
     for index, column in enumerate(columns):
-        longest = max((len(row[index]) for row in rows), default=0)
+        longest = _longest(rows, index)
         whole = longest if _is_copied(column) else min(longest, _LEAST)
         width += max(whole, *(len(word) for word in column.split(" ")))
     return width

@@ -213,7 +213,8 @@ def evidence_of(
     at = np.array([member.frame_index for member in members])
     stamps_s = np.array([(scene.frames[i].stamp_ns - scene.start_ns) / NS_PER_S for i in at])
     size_m = np.median([member.size_m for member in members], axis=0)
-    path = path_of(track.centres_m, stamps_s, _places(scene, members))
+    places_m = places_in_odom(scene, members)
+    path = path_of(track.centres_m, stamps_s, [each[:, :2] for each in places_m])
     others = at_other_times(
         *(scene, members, track.centres_m, path.velocity_m_per_s, around.called),
         period_s=around.period_s,
@@ -223,12 +224,11 @@ def evidence_of(
     speeds = np.linalg.norm([member.velocity_m_per_s for member in members], axis=1)
     lasts_s = float(stamps_s[-1] - stamps_s[0])
     kind = track.kind.name
-
     lasting = 1.0 - math.exp(-lasts_s / settings.persistence_s)
     many_points = 1.0 - math.exp(-float(np.median(points)) / settings.evidence_points)
     where = Whereabouts()
     if scene.task.moving and lasting * many_points >= _WORTH_IT:
-        where = whereabouts_of(scene, members, path.velocity_m_per_s, around.glances)
+        where = whereabouts_of(scene, members, places_m, path.velocity_m_per_s, around.glances)
 
     def mean(values: Sequence[float]) -> float:
         return float(np.average(values, weights=points))
@@ -274,14 +274,14 @@ def evidence_of(
     )
 
 
-def _places(scene: Scene, members: Sequence[Instance]) -> list[NDArray[np.float64]]:
-    """(M, 2) points of each instance over the ground, odom space."""
+def places_in_odom(scene: Scene, members: Sequence[Instance]) -> list[NDArray[np.float64]]:
+    """(M, 3) points of each instance, odom space."""
     places = []
     for member in members:
         posed = scene.frames[member.frame_index].posed
         points_m = posed.frame.points_m[member.point_index].astype(np.float64)
         pose = posed.odom_from_sensor
-        places.append(points_m @ pose[:2, :3].T + pose[:2, 3])
+        places.append(points_m @ pose[:3, :3].T + pose[:3, 3])
     return places
 
 

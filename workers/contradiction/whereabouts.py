@@ -59,6 +59,9 @@ _STEPS_M_PER_S: Final = (0.5, 0.25, 0.125)
 _GOES_M_PER_S: Final = _SLOW_M_PER_S + _STEPS_M_PER_S[1]
 """From here on its own path says where to look."""
 
+_GRID: Final = np.stack(
+    np.meshgrid(*[np.arange(-_SLOW_M_PER_S, _SLOW_M_PER_S + 0.01, _STEPS_M_PER_S[0])] * 2), axis=-1
+).reshape(-1, 2)
 _ROUND: Final = np.array([(x, y) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)])
 
 
@@ -101,6 +104,7 @@ class _Pair:
 def whereabouts_of(
     scene: Scene,
     members: Sequence[Instance],
+    places_m: Sequence[NDArray[np.float64]],
     velocity_m_per_s: NDArray[np.float64],
     glances: Glances,
 ) -> Whereabouts:
@@ -109,10 +113,11 @@ def whereabouts_of(
     Args:
         scene: Where its track was found.
         members: Its instances, in the order of their frames.
+        places_m: (M, 3) their points, odom space.
         velocity_m_per_s: (2,) of its path: where to look for what is fast.
         glances: Of the scene.
     """
-    shapes = _shapes(scene, members)
+    shapes = _shapes(scene, members, places_m)
     here_before, elsewhere_before = _side(_pairs(shapes, glances, -1), velocity_m_per_s, glances)
     here_after, elsewhere_after = _side(_pairs(shapes, glances, 1), velocity_m_per_s, glances)
     return Whereabouts(here_before, elsewhere_before, here_after, elsewhere_after)
@@ -129,9 +134,7 @@ def _side(
     here = clip((AWAY_M - float(np.quantile(as_is_m, ALWAYS))) / (AWAY_M - HERE_M))
     if here == 1.0:
         return 1.0, 0.0
-    steps = np.arange(-_SLOW_M_PER_S, _SLOW_M_PER_S + 0.01, _STEPS_M_PER_S[0])
-    grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-    shifted_m = _best_m(pairs, trees, grid, _STEPS_M_PER_S[1:])
+    shifted_m = _best_m(pairs, trees, _GRID, _STEPS_M_PER_S[1:])
     if np.hypot(*velocity_m_per_s) > _GOES_M_PER_S:
         along = _trees(pairs, glances, velocity_m_per_s, sum(_STEPS_M_PER_S) * 2)
         near = velocity_m_per_s + _ROUND * _STEPS_M_PER_S[0] * 2
@@ -201,20 +204,18 @@ def _pairs(shapes: Sequence[_Shape], glances: Glances, side: int) -> list[_Pair]
     return [pairs[each] for each in _spread(len(pairs), _PAIRS)]
 
 
-def _shapes(scene: Scene, members: Sequence[Instance]) -> list[_Shape]:
+def _shapes(
+    scene: Scene, members: Sequence[Instance], places_m: Sequence[NDArray[np.float64]]
+) -> list[_Shape]:
     """Some instances of a track that are no scraps, from its first to its last."""
-    points = np.array([len(member.point_index) for member in members])
+    points = np.array([len(each) for each in places_m])
     whole = np.flatnonzero(points >= MOST * np.median(points))
     shapes = []
     for each in whole[_spread(len(whole), _SHAPES)]:
-        member = members[each]
-        posed = scene.frames[member.frame_index].posed
-        pose = posed.odom_from_sensor
-        places_m = posed.frame.points_m[member.point_index].astype(np.float64) @ pose[:3, :3].T
-        places_m += pose[:3, 3]
-        some_m = places_m[:: max(1, len(places_m) // _POINTS), :2]
-        stamp_ns = posed.frame.stamp_ns
-        shapes.append(_Shape(stamp_ns, some_m, places_m.min(axis=0), places_m.max(axis=0)))
+        placed_m = places_m[each]
+        some_m = placed_m[:: max(1, len(placed_m) // _POINTS), :2]
+        stamp_ns = scene.frames[members[each].frame_index].stamp_ns
+        shapes.append(_Shape(stamp_ns, some_m, placed_m.min(axis=0), placed_m.max(axis=0)))
     return shapes
 
 

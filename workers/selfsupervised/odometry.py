@@ -34,7 +34,8 @@ class KissOdometry:
     motion, and between rails and noise walls 2 m a frame fit as well without moving: every speed
     that the first two frames allow is tried beside it, and the one kept that free space contradicts
     least. Where another one is contradicted hardly more, poses are doubted, and both are looked at
-    again each second, until one is clearly better, five times at most.
+    again each second, until one is clearly better, five times at most. What was not believed before
+    is doubted until two more looks bear it out.
 
     State starts anew after a gap of more than 0.5 s, after time that does not rise, when a
     registration fails, and after half a second of poses that no car can take, or at which nothing

@@ -8,6 +8,7 @@ import pytest
 from schemas.contradiction import Scene
 from schemas.labels import MotionLabel
 from tests.labelled_worlds import CLASS_NAMES, START_NS, Thing, labelled_frame
+from workers.contradiction.evidence import places_in_odom
 from workers.contradiction.glances import EVERY_S, Glances
 from workers.contradiction.instances import find_instances
 from workers.contradiction.paths import velocity_of
@@ -60,7 +61,8 @@ def _told(scene: Scene) -> Whereabouts:
     members = [instances[each] for each in track.members]
     stamps_s = np.array([scene.frames[m.frame_index].stamp_ns / 1e9 for m in members])
     velocity = velocity_of(track.centres_m, stamps_s)
-    return whereabouts_of(scene, members, velocity, Glances(scene))
+    places_m = places_in_odom(scene, members)
+    return whereabouts_of(scene, members, places_m, velocity, Glances(scene))
 
 
 @pytest.mark.parametrize(
