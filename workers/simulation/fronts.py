@@ -1,6 +1,7 @@
 """What closes a street off: house fronts, gardens behind fences, rails and noise walls."""
 
 from functools import cache
+from typing import Final
 
 import numpy as np
 
@@ -9,6 +10,9 @@ from workers.simulation.kinds import Material, StreetClass
 from workers.simulation.meshes import Mesh, box, limb
 from workers.simulation.places import Place
 from workers.simulation.plants import SORTS, hedge
+
+_NARROW_M: Final = 5.0
+"""Less than the narrowest carriageway is wide."""
 
 
 def fronts(build: Builder, from_m: float, to_m: float, side: int) -> None:
@@ -20,13 +24,7 @@ def fronts(build: Builder, from_m: float, to_m: float, side: int) -> None:
         high = float(rng.uniform(4.0, 8.0) if place.gardens else rng.uniform(5.0, 18.0))
         back = float(rng.choice([0.0, 0.0, 0.6, 1.5, 3.0])) * (2.0 if place.gardens else 1.0)
         front = place.facade_m + back
-        corners = [
-            (at, front),
-            (at + length, front),
-            (at, front + depth),
-            (at + length, front + depth),
-        ]
-        if all(build.free(a, side * b) for a, b in corners):
+        if _is_free(build, (at, at + length), (front, front + depth), side):
             middle = at + length / 2
             build.put(
                 _house(length, depth, high, pointed=place.gardens),
@@ -38,6 +36,16 @@ def fronts(build: Builder, from_m: float, to_m: float, side: int) -> None:
         if place.gardens:
             gap = rng.uniform(40.0, 120.0) if rural else rng.uniform(4.0, 14.0)
         at += length + float(gap)
+
+
+def _is_free(
+    build: Builder, along_m: tuple[float, float], across_m: tuple[float, float], side: int
+) -> bool:
+    """Whether no other road lies under a house; one may be narrower than it is long."""
+    along, across = (
+        np.linspace(*each, 2 + int((each[1] - each[0]) / _NARROW_M)) for each in (along_m, across_m)
+    )
+    return all(build.free(a, side * b) for b in across.tolist() for a in along.tolist())
 
 
 def _house(length_m: float, depth_m: float, high_m: float, *, pointed: bool) -> Mesh:

@@ -77,6 +77,24 @@ def test_what_is_easily_taken_for_standing_is_there_where_it_is_wanted() -> None
     assert any(actor.size_m[0] > 18.0 and not actor.parked for actor in built.actors)
 
 
+def test_no_house_stands_across_a_narrow_street() -> None:
+    """Of the corners of one, all were beside the street that its middle stood on."""
+    built = build_street(9, seconds=20.0, plan=StreetPlan(place="country", style="turns"))
+    time_s = np.arange(0.0, 20.0, 0.1)
+    way = np.column_stack([built.ego.pose(time_s)[:, :2], built.ego_bodies(time_s)[:, 2] + 1.0])
+    step = np.diff(way, axis=0)
+    far_m = np.linalg.norm(step, axis=1)
+    goes = far_m > 0.05
+    scene = built.standing_scene
+    met, _, _ = scene.cast(
+        way[:-1][goes].astype(np.float32),
+        (step[goes] / far_m[goes, None]).astype(np.float32),
+        (far_m[goes] + 0.5).astype(np.float32),
+    )
+    assert goes.sum() > 100
+    assert np.isinf(met).all()
+
+
 @cache
 def _some_street() -> Street:
     return build_street(3, seconds=1.0)
