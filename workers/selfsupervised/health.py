@@ -74,19 +74,36 @@ class HealthMonitor:
         self._velocity: NDArray[np.float64] | None = None
         self._residuals_m: deque[float] = deque(maxlen=_REMEMBERED)
 
+    def remember(self, velocity: NDArray[np.float64], residual_m: float) -> None:
+        """Take in a motion that is gone on from, and its residual."""
+        self._velocity = velocity
+        if np.isfinite(residual_m):
+            self._residuals_m.append(residual_m)
+
     def judge(self, velocity: NDArray[np.float64], dt_s: float, residual_m: float) -> Judgement:
         """Judge the motion that a registration found.
 
         Args:
             velocity: (6,) twist per second since the last registered frame.
             dt_s: Time between the two.
-            residual_m: Median distance of key points to the frame before; NaN if there is none.
+            residual_m: Median distance of key points to the frame before; NaN if either has none.
         """
-        before, self._velocity = self._velocity, velocity
+        lost, degraded = OdometryState.LOST, OdometryState.DEGRADED
+        wild = self._wild(velocity, dt_s)
+        if wild.state is not lost and residual_m > LOST_RESIDUAL_M:
+            return Judgement(lost, f"structure is {residual_m:.2f} m off")
+        if wild.jumped:
+            return wild
+        if np.isnan(residual_m):
+            return Judgement(degraded, "nothing stands near by which to tell the pose")
         usual = float(np.median(self._residuals_m)) if self._residuals_m else residual_m
-        if np.isfinite(residual_m):
-            self._residuals_m.append(residual_m)
+        if residual_m > max(DEGRADED_RESIDUAL_M, RESIDUAL_JUMP * usual):
+            said = f"structure is {residual_m:.2f} m off, {usual:.2f} m is usual"
+            return Judgement(degraded, said)
+        return Judgement()
 
+    def _wild(self, velocity: NDArray[np.float64], dt_s: float) -> Judgement:
+        """What no car does, if it is that: too fast, too sharp a turn, or a jump."""
         speed, turn = float(np.linalg.norm(velocity[3:])), float(np.linalg.norm(velocity[:3]))
         lost, degraded = OdometryState.LOST, OdometryState.DEGRADED
         if speed > MAX_SPEED_M_PER_S:
@@ -94,20 +111,16 @@ class HealthMonitor:
         if turn > MAX_TURN_RAD_PER_S:
             said = f"{np.degrees(turn):.0f} degrees per second is no turn"
             return Judgement(lost, said, jumped=True)
-        if residual_m > LOST_RESIDUAL_M:
-            return Judgement(lost, f"structure is {residual_m:.2f} m off")
-        if before is not None:
-            jump_m = float(np.linalg.norm(velocity[3:] - before[3:])) * dt_s
-            jump_rad = float(np.linalg.norm(velocity[:3] - before[:3])) * dt_s
-            limit_m = MAX_ACCELERATION_M_PER_S2 * dt_s**2 + POSE_NOISE_M
-            limit_rad = MAX_TURN_CHANGE_RAD_PER_S2 * dt_s**2 + POSE_NOISE_RAD
-            if jump_m > limit_m:
-                state = lost if jump_m > limit_m + LOST_JUMP_M else degraded
-                return Judgement(state, f"pose jumped by {jump_m:.2f} m", jumped=True)
-            if jump_rad > limit_rad:
-                said = f"pose turned by {np.degrees(jump_rad):.1f} degrees"
-                return Judgement(degraded, said, jumped=True)
-        if residual_m > max(DEGRADED_RESIDUAL_M, RESIDUAL_JUMP * usual):
-            said = f"structure is {residual_m:.2f} m off, {usual:.2f} m is usual"
-            return Judgement(degraded, said)
+        if self._velocity is None:
+            return Judgement()
+        jump_m = float(np.linalg.norm(velocity[3:] - self._velocity[3:])) * dt_s
+        jump_rad = float(np.linalg.norm(velocity[:3] - self._velocity[:3])) * dt_s
+        limit_m = MAX_ACCELERATION_M_PER_S2 * dt_s**2 + POSE_NOISE_M
+        limit_rad = MAX_TURN_CHANGE_RAD_PER_S2 * dt_s**2 + POSE_NOISE_RAD
+        if jump_m > limit_m:
+            state = lost if jump_m > limit_m + LOST_JUMP_M else degraded
+            return Judgement(state, f"pose jumped by {jump_m:.2f} m", jumped=True)
+        if jump_rad > limit_rad:
+            said = f"pose turned by {np.degrees(jump_rad):.1f} degrees"
+            return Judgement(degraded, said, jumped=True)
         return Judgement()

@@ -1,7 +1,7 @@
 """KISS-ICP's map, begun at some frame: registers what comes to it, in the space of that frame."""
 
 import math
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,15 @@ STEP_M: Final = 2.0
 _ROAD_M: Final = 0.3
 _GOLDEN: Final = 0.6180339887498949
 _ROAD_THINNING: Final = 20
+
+
+class _Registered(NamedTuple):
+    """A frame that is not in the map yet: its pose, where it was expected, its places, its time."""
+
+    pose: Transform
+    guess: Transform
+    places: NDArray[np.float64]
+    dt_s: float
 
 
 class KissMap:
@@ -48,6 +57,7 @@ class KissMap:
         self._begun = False
         self._road_m = 0.0
         self._kiss = _new_kiss(step_m)
+        self._registered: _Registered | None = None
 
     def expected(self, dt_s: float) -> Transform:
         """(4, 4) where the sensor would be, had it gone on as it went."""
@@ -56,7 +66,7 @@ class KissMap:
         return self.pose @ motion(self._velocity * dt_s)
 
     def register(self, points: Points, dt_s: float) -> tuple[Transform | None, NDArray[np.float64]]:
-        """Register a frame, and take it into the map.
+        """Register a frame; the map is as it was until it is told to take it in.
 
         Args:
             points: (N, 3) returns of the frame, about the sensor.
@@ -68,19 +78,34 @@ class KissMap:
         """
         if not self._begun:
             self._road_m = _ROAD_M - estimate_sensor_height(points.astype(np.float64))
-        self._kiss.last_delta = inverse(self.pose) @ self.expected(dt_s)
-        _, keypoints = self._kiss.register_frame(chosen(points, self._road_m), np.empty(0))
-        pose: Transform = np.array(self._kiss.last_pose)
-        if not _is_pose(pose):
-            return None, keypoints
+        kiss, guess = self._kiss, self.expected(dt_s)
+        places, keypoints = _thinned(kiss, chosen(points, self._road_m))
+        sigma = kiss.adaptive_threshold.get_threshold()
+        pose: Transform = kiss.registration.align_points_to_map(
+            points=keypoints,
+            voxel_map=kiss.local_map,
+            initial_guess=guess,
+            max_correspondance_distance=3 * sigma,
+            kernel=sigma,
+        )
+        self._registered = _Registered(pose, guess, places, dt_s) if _is_pose(pose) else None
+        return (None if self._registered is None else pose), keypoints
+
+    def take_in(self) -> None:
+        """Believe what was registered last, and lay it into the map."""
+        if self._registered is None:
+            return
+        pose, guess, places, dt_s = self._registered
+        self._registered = None
+        self._kiss.adaptive_threshold.update_model_deviation(inverse(guess) @ pose)
+        self._kiss.local_map.update(places, pose)
         if self._begun:
             self._velocity = twist(inverse(self.pose) @ pose) / dt_s
         self._begun, self.pose = True, pose
-        return pose, keypoints
 
     def believe(self, pose: Transform) -> None:
         """Go on from a pose that no registration gave."""
-        self.pose = self._kiss.last_pose = pose
+        self.pose = pose
 
 
 def chosen(points: Points, road_m: float) -> NDArray[np.float64]:
@@ -132,6 +157,12 @@ def _new_kiss(step_m: float) -> Any:
     config.registration.max_num_threads = 1
     config.registration.convergence_criterion = _CONVERGED
     return KissICP(config)
+
+
+def _thinned(kiss: Any, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """What KISS-ICP lays into its map, and its key points, of which it has fewer."""
+    keypoints, places = kiss.voxelize(kiss.preprocessor.preprocess(points, np.empty(0), np.eye(4)))
+    return places, keypoints
 
 
 def _is_pose(pose: Transform) -> bool:

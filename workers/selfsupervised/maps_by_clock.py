@@ -54,7 +54,7 @@ class MapsByClock:
     def register(
         self, points: Points, stamp_ns: int, velocity: Twist | None
     ) -> tuple[Transform | None, NDArray[np.float64]]:
-        """Register a frame.
+        """Register a frame; it is in no map until they are told to take it in.
 
         Args:
             points: (N, 3) of the frame, about the sensor.
@@ -66,7 +66,9 @@ class MapsByClock:
         """
         dt_s, before_ns = self._dt_s(stamp_ns), self._stamp_ns
         self._stamp_ns = stamp_ns
-        last, last_next = self._map.pose, None if self._next is None else self._next.pose
+        if self._next is not None and stamp_ns - self._next_ns >= LEAD_NS:
+            self._odom_from_map = self._odom_from_map @ self._map.pose @ inverse(self._next.pose)
+            self._map, self._next = self._next, None
         pose, keypoints = self._map.register(points, dt_s)
         if self._next is not None:
             if self._next.register(points, dt_s)[0] is None:
@@ -74,12 +76,13 @@ class MapsByClock:
         elif before_ns is not None and before_ns // EVERY_NS != stamp_ns // EVERY_NS:
             self._next, self._next_ns = KissMap(_rounded(velocity)), stamp_ns
             self._next.register(points, dt_s)
-        if pose is None:
-            return None, keypoints
-        if self._next is not None and last_next is not None and stamp_ns - self._next_ns >= LEAD_NS:
-            self._odom_from_map = self._odom_from_map @ last @ inverse(last_next)
-            self._map, self._next = self._next, None
-        return self._odom_from_map @ self._map.pose, keypoints
+        return (None if pose is None else self._odom_from_map @ pose), keypoints
+
+    def take_in(self) -> None:
+        """Lay the frame that was registered last into the maps."""
+        self._map.take_in()
+        if self._next is not None:
+            self._next.take_in()
 
     def believe(self, pose: Transform, stamp_ns: int) -> None:
         """Go on from a pose in odom space that no registration gave."""

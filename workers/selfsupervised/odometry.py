@@ -64,7 +64,7 @@ class KissOdometry:
                     run, now, unsure = unsure.look_again(run, now)
                 yield now
                 if astray.too_long(now):
-                    begun, unsure = False, None
+                    run, begun, unsure = run.anew(why=f"astray for {_ASTRAY_S} s"), False, None
                 continue
             held.append(frame)
             if span_s(held) >= BEGINNING_S or len(held) == _MOST_HELD:

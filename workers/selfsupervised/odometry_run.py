@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S, Mask, Points, Transform
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from workers.geometry.se3 import inverse, transform
-from workers.selfsupervised.health import HealthMonitor, Judgement, too_little
+from workers.selfsupervised.health import LOST_RESIDUAL_M, HealthMonitor, Judgement, too_little
 from workers.selfsupervised.kiss_map import MAX_RANGE_M
 from workers.selfsupervised.maps_by_clock import MapsByClock
 from workers.selfsupervised.neighbours import PointGrid, build_grid, nearest_distances
@@ -22,6 +22,10 @@ MIN_RANGE_M: Final = 2.5
 
 RESIDUAL_REACH_M: Final = 1.0
 
+_SOUND: Final = 5
+"""Frames in a row after which a pose that goes astray is the exception: in the first ones of a
+stretch each step corrects the one before."""
+
 
 class Run:
     """State of one pass over a stretch of frames."""
@@ -30,6 +34,7 @@ class Run:
         """Begin at a pose, with a motion per second; None where that is not known."""
         self.stamp_ns: int | None = None
         self._pose: Transform = np.eye(4) if pose is None else pose
+        self._restarted = ""
         self._begin(velocity)
 
     def _begin(self, velocity: Twist | None) -> None:
@@ -39,21 +44,24 @@ class Run:
         self._registered_ns: int | None = None
         self._previous: PointGrid | None = None
         self._health = HealthMonitor()
+        self._sound = 0
 
-    def anew(self, velocity: Twist | None = None) -> "Run":
+    def anew(self, velocity: Twist | None = None, *, why: str = "") -> "Run":
         """Begin after this one, where it ended.
 
         Args:
             velocity: How the sensor moves at first, per second; stands still when None.
+            why: What came between, of which nothing is known; empty where nothing did.
         """
         run = Run(self._pose, velocity)
         run.stamp_ns = self.stamp_ns
+        run._restarted = why or self._restarted
         return run
 
     def pose(self, frame: LidarFrame) -> PosedFrame:
         """Register one frame."""
         dt_s = 0.0 if self.stamp_ns is None else (frame.stamp_ns - self.stamp_ns) / NS_PER_S
-        restarted = ""
+        restarted, self._restarted = self._restarted, ""
         if self.stamp_ns is not None and not 0.0 < dt_s <= MAX_GAP_S:
             restarted = f"no frame for {dt_s:.2f} s"
             if dt_s <= 0.0:
@@ -72,17 +80,33 @@ class Run:
             return self._unregistered(frame, predicted, "registration did not converge")
 
         residual_m = self._residual(keypoints, pose)
-        judged = Judgement()
+        judged, velocity = Judgement(), None
         if self._registered_ns is not None:
-            self._velocity = twist(inverse(self._pose) @ pose) / dt_s
-            judged = self._health.judge(self._velocity, dt_s, residual_m)
+            velocity = twist(inverse(self._pose) @ pose) / dt_s
+            judged = self._health.judge(velocity, dt_s, residual_m)
+            if self._refuses(judged, residual_m, frame.stamp_ns):
+                return self._unregistered(frame, predicted, f"not believed: {judged.reason}")
+            self._health.remember(velocity, residual_m)
+        self._velocity = velocity
+        self._maps.take_in()
         self._pose, self._registered_ns = pose, frame.stamp_ns
+        self._sound = 0 if judged.state is OdometryState.LOST else self._sound + 1
         self._previous = build_grid(transform(pose, structure(points)), pose[:3, 3])
         if restarted:
             judged = Judgement(OdometryState.DEGRADED, f"odometry starts anew: {restarted}")
         return PosedFrame(
             frame, pose.copy(), judged.state, residual_m, judged.reason, jumped=judged.jumped
         )
+
+    def _refuses(self, judged: Judgement, residual_m: float, stamp_ns: int) -> bool:
+        """Whether a registration went where no car goes and fits nothing, after sound ones.
+
+        Laid into the map, it would bend what comes after. Half a second of them is no mishap.
+        """
+        wild = judged.jumped and judged.state is OdometryState.LOST
+        wrong = wild and residual_m > LOST_RESIDUAL_M and self._sound >= _SOUND
+        since = self._registered_ns
+        return wrong and since is not None and (stamp_ns - since) / NS_PER_S <= MAX_GAP_S
 
     def _unregistered(self, frame: LidarFrame, pose: Transform, problem: str) -> PosedFrame:
         """Answer with a predicted pose; believe in prediction for half a second."""

@@ -176,6 +176,32 @@ def test_a_car_that_teleports_is_not_healthy() -> None:
     assert "jumped" in answers[5].reason
 
 
+def test_two_frames_that_fit_nothing_are_not_believed_and_bend_no_map() -> None:
+    """As of a sensor that is behind a lorry at arm's length for a moment."""
+    clean, frames = poses(list(drive(16))), list(drive(16))
+    for number in (8, 9):
+        other = np.random.default_rng(number).uniform(-9.0, 9.0, (8_000, 3)).astype(np.float32)
+        frames[number] = frame_of(other, frames[number].stamp_ns)
+    answers = poses(frames)
+    assert all(answers[number].reason.startswith("not believed: ") for number in (8, 9))
+    assert all(answers[number].odometry is OdometryState.DEGRADED for number in (8, 9))
+    assert all(answer.odometry is OdometryState.HEALTHY for answer in answers[10:])
+    found, right = (np.stack([a.odom_from_sensor for a in each]) for each in (answers, clean))
+    np.testing.assert_allclose(found, right, atol=0.05)
+
+
+def test_where_nothing_stands_near_a_pose_is_doubted() -> None:
+    far = street(0.0)[np.abs(street(0.0)[:, 1]) > 14.5] * np.float32(3.2)
+    frames = [
+        frame_of(far + np.array([-0.5 * i, 0.0, 0.0], np.float32), START_NS + i * PERIOD_NS)
+        for i in range(4)
+    ]
+    first, *later = poses(frames)
+    assert first.odometry is OdometryState.HEALTHY  # it is the origin
+    assert {each.odometry for each in later} == {OdometryState.DEGRADED}
+    assert all("nothing stands near" in each.reason for each in later)
+
+
 def test_an_odometry_that_goes_astray_begins_anew() -> None:
     frames, yaw = list[LidarFrame](), 0.0
     for number in range(40):
@@ -188,6 +214,7 @@ def test_an_odometry_that_goes_astray_begins_anew() -> None:
     assert states[:8] == [OdometryState.HEALTHY] * 8
     assert states[8:14] == [OdometryState.LOST] * 6  # a sensor that spins: nothing can be known
     assert states[18:] == [OdometryState.HEALTHY] * 22  # where nothing began anew, all were lost
+    assert any("starts anew: astray" in answer.reason for answer in answers)
     moved = np.linalg.norm(
         np.diff([a.odom_from_sensor[:3, 3] for a in answers[18:]], axis=0), axis=1
     )
