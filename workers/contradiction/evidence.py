@@ -73,6 +73,7 @@ class Evidence:
         stands_after: It does after, whatever it did before.
         came: It lay elsewhere before, and one velocity leads from there to here.
         leaves: It lies elsewhere after. All are 0 where it is hidden, or the log ends.
+        passes: It came, and leaves: what only stops or sets off does one of both.
         own: Share of its surroundings that contradict alike.
         supervised_sure: Mean confidence of the supervised stream.
         selfsupervised_sure: Mean confidence of the self-supervised stream.
@@ -111,6 +112,7 @@ class Evidence:
     stands_after: float
     came: float
     leaves: float
+    passes: float
     own: float
     supervised_sure: float
     selfsupervised_sure: float
@@ -256,6 +258,7 @@ def evidence_of(
         stands_after=where.here_after,
         came=where.elsewhere_before,
         leaves=where.elsewhere_after,
+        passes=min(where.elsewhere_before, where.elsewhere_after),
         own=clip(mean([member.own_share for member in members])),
         supervised_sure=clip(mean([member.semantic_confidence for member in members])),
         selfsupervised_sure=clip(mean([member.predictive_confidence for member in members])),

@@ -6,9 +6,10 @@ nothing is proved by what rises with it. What the supervised stream calls moving
 does not deny a second earlier or later did not stand in between: it starts or stops. Or, where it
 goes on and the supervised stream calls it static, that stream errs for a while, as it does where
 the witness sees move what it called moving itself. What came from elsewhere or leaves its place
-moves, however slowly, and what is called moving later as well was moving. What stands from then on
-has stopped; of what stays all along, who calls it moving errs. What lies at the rim of what both
-see move is that thing's rim, and nobody's error. Log-odds at full evidence.
+moves, however slowly; what does both where the witness alone sees it move, neither stops nor sets
+off. What is called moving later as well was moving. What stands from then on has stopped; of what
+stays all along, who calls it moving errs. What lies at the rim of what both see move is that
+thing's rim, and nobody's error. Log-odds at full evidence.
 """
 
 from collections.abc import Mapping
@@ -91,8 +92,9 @@ PRIOR: Final[Mapping[str, Mapping[Wrong, Row]]] = {
                 "own": 1.0,
                 "road_user": 1.0,
                 "agreed": -4.0,
-                "called_before": 0.5,
+                "called_before": 1.0,
                 "called_after": 0.5,
+                "passes": 1.5,
             },
         ),
         Wrong.SELFSUPERVISED: (-5.0, {}),
@@ -105,8 +107,9 @@ PRIOR: Final[Mapping[str, Mapping[Wrong, Row]]] = {
                 "road_user": 1.0,
                 "denied": 1.0,
                 "agreed": -4.0,
-                "called_before": 0.5,
+                "called_before": 1.0,
                 "called_after": 0.5,
+                "passes": 1.5,
             },
         ),
         Wrong.NEITHER: (

@@ -89,6 +89,15 @@ def test_a_mover_that_only_the_witness_sees_is_worth_a_look() -> None:
     assert track.strength > 0.3
 
 
+def test_who_goes_on_is_missed_and_who_only_stops_is_not_so_surely() -> None:
+    table = tables()[ContradictionKind.ONLY_WITNESS_DYNAMIC.value]
+    sees = dict.fromkeys(("witness_moving", "steady", "own", "road_user", "came"), 1.0)
+    sees = {**dict.fromkeys(NAMES, 0.0), **sees, "went": 0.5}
+    stops, goes_on = (chances(table, {**sees, "passes": each}) for each in (0.0, 1.0))
+    assert goes_on[Wrong.BOTH] > 2.0 * stops[Wrong.BOTH]
+    assert goes_on[Wrong.NEITHER] < stops[Wrong.NEITHER]
+
+
 def test_what_jumps_about_while_only_the_witness_sees_it_move_is_nobodys_error() -> None:
     stands = replace(MISSED_BY_BOTH, velocity_m_per_s=(0, 0, 0))
     (track,) = _tracks(_witnessed(labelled_scene([stands]), DYNAMIC))

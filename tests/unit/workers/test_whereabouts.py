@@ -108,6 +108,18 @@ def test_what_hangs_above_a_place_does_not_stand_there() -> None:
     assert min(told.elsewhere_before, told.elsewhere_after) > 0.8
 
 
+@pytest.mark.parametrize(
+    ("along_m", "passes"),
+    [(lambda time_s: 0.5 * time_s, 1.0), (lambda time_s: 0.8 * min(0.0, time_s - 1.2), 0.0)],
+    ids=["it strolls", "it stops"],
+)
+def test_what_came_and_leaves_passes(along_m: Callable[[float], float], passes: float) -> None:
+    scene = _scene(along_m)
+    (track,) = rank_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))
+    assert track.evidence.came == pytest.approx(1.0, abs=0.15)
+    assert track.evidence.passes == pytest.approx(passes, abs=0.15)
+
+
 def test_it_is_asked_of_what_lasts_and_has_points() -> None:
     lasting, brief = (
         rank_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))[0].evidence
