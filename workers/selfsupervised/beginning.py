@@ -39,7 +39,6 @@ def likely_velocities(first: LidarFrame, second: LidarFrame) -> list[Twist]:
     """Ask two frames how the sensor may have moved between them, whichever way its axes look.
 
     Every place of the second frame votes for the shifts that lay it on something of the first, and
-    Every place of the second frame votes for the shifts that lay it on something of the first, and
     shares its one vote among them: a rail or a noise wall, which lies on itself at most shifts,
     says next to nothing, a post nearly all. The speed of what stands wins, or that of a queue that
     drives along; several may be near the best.

@@ -57,7 +57,7 @@ class KissOdometry:
                 if held:
                     run, posed, unsure = _begin(run, held)
                     yield from posed
-                held, begun = [], False
+                held, begun, astray = [], False, _Astray()
             if begun:
                 now = run.pose(frame)
                 if unsure is not None:
@@ -87,7 +87,7 @@ class _Astray:
         wild = now.jumped or now.static_residual_m >= _NOTHING_FITS_M
         if now.odometry is not OdometryState.LOST or not wild:
             self._since_ns = None
-        elif self._since_ns is None or stamp_ns < self._since_ns:
+        elif self._since_ns is None:
             self._since_ns = stamp_ns
         elif stamp_ns - self._since_ns >= _ASTRAY_S * NS_PER_S:
             self._since_ns = None
