@@ -1,13 +1,11 @@
 """Wires processes: everything on one machine, or the service or the workers alone."""
 
-import multiprocessing
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from functools import partial
 from threading import Event
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from prometheus_client import CollectorRegistry
 
@@ -31,6 +29,9 @@ from service.status import Status
 from service.store.opening import open_ledger_store, sole_service
 from service.store.sole import SoleService
 from service.sweeping import DAY_S
+
+if TYPE_CHECKING:
+    from workers.pool.local import LocalPool
 
 LOCAL_WORKERS: Final = "local-"
 """Prefix of the ids of workers that live and die with one `run`."""
@@ -69,7 +70,6 @@ def run_embedded(
         mining = _mining(settings)
         endpoint = settings.listen or free_endpoint()
         opened.enter_context(router_session([endpoint]))
-        version = _version_of(mining) if once else ""
         ledger.free_leases(LOCAL_WORKERS)
         service = _enter_service(
             settings,
@@ -106,7 +106,7 @@ def run_embedded(
         on_ready(
             f"mining {bucket.url} with {settings.workers} workers; service at {endpoint}{where}"
         )
-        _stay(service, ledger, pool.check, stop, version=version, on_progress=on_progress)
+        version = _stay(service, ledger, pool, stop, once=once, on_progress=on_progress)
         status = ledger.status(version or None)
     if once and not stop.is_set():
         _refuse_when_nothing_was_minable(status, bucket)
@@ -287,33 +287,32 @@ def _wants_http(settings: Settings, *, once: bool) -> bool:
 def _stay(
     service: Service,
     ledger: Ledger,
-    check_pool: Callable[[], None],
+    pool: "LocalPool",
     stop: Event,
     *,
-    version: str,
+    once: bool,
     on_progress: Callable[[int, int], None],
-) -> None:
-    """Look after service and pool until told to stop or, given a version, until it is settled."""
+) -> str:
+    """Look after service and pool until told to stop or, once, until all is settled.
+
+    Returns:
+        With `once`, the pipeline version of the pool's workers; empty if none got so far.
+    """
+    version = ""
     while not stop.wait(_LOOK_S):
         service.check()
-        check_pool()
+        pool.check()
+        version = (pool.pipeline_version() or version) if once else ""
         if version and ledger.settled(version):
-            return
+            break
         works = ledger.backlog().work.items()  # cheap, unlike a whole status
         shards = {state: count for (kind, state), count in works if kind == "shard"}
         on_progress(shards.get("done", 0) + shards.get("parked", 0), sum(shards.values()))
+    return version
 
 
 def _take_back(ledger: Ledger, worker_id: str) -> None:
     ledger.worker_died(worker_id)
-
-
-def _version_of(mining: MiningSettings) -> str:
-    """Ask a process of its own, so that the service never loads what workers need."""
-    from workers.version import version_of
-
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as one:
-        return one.submit(version_of, mining).result()
 
 
 def _refuse_when_nothing_was_minable(status: Status, bucket: Bucket) -> None:

@@ -8,7 +8,6 @@ without that answer will be done again, byte for byte the same.
 import sys
 import traceback
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
 from typing import Final, Literal
@@ -34,46 +33,14 @@ from workers.ingest.footer import StillGrowingError
 from workers.lease import LeaseKeeper, LeaseLostError, Leases
 from workers.metrics import ShardOutcome, WorkerMetrics
 from workers.stores import StoreTroubleError, cause_of, wait_until_over
+from workers.worker_config import WorkerConfig, WorkerObserver
 
 log = structlog.get_logger(__name__)
-
-DRAIN_S: Final = 20.0
-"""A worker told to stop finishes its shard if that takes no longer; systems kill after 30 s."""
 
 FAIL_PATIENCE_S: Final = 20.0
 LAST_PATIENCE_S: Final = 3.0
 """How long to try to say that a lease failed, and how long when told to stop; after that it
 expires, which says the same."""
-
-
-@dataclass(frozen=True, slots=True)
-class WorkerConfig:
-    """What a worker must know before it can ask the service for the rest.
-
-    Attributes:
-        worker_id: Unique; the ids of one pool share a prefix.
-        connect: Endpoints of routers.
-        root: First part of every key.
-        drain_s: How long a lease may still be worked on after being told to stop, seconds.
-    """
-
-    worker_id: str
-    connect: tuple[str, ...]
-    root: str = keys.DEFAULT_ROOT
-    drain_s: float = DRAIN_S
-
-
-class WorkerObserver:
-    """What a worker tells whoever started it; does nothing until it is overridden."""
-
-    def connected(self, connected: bool) -> None:
-        """Told whether a router is there, at the beginning and at every change."""
-
-    def equipped(self) -> None:
-        """Told when the worker can mine what the service asks for."""
-
-    def working(self, working: bool) -> None:
-        """Told true when work on a lease begins and false when it ends."""
 
 
 def run_worker(
@@ -165,7 +132,7 @@ class Worker:
         if self._equipped is None or self._equipped.settings != settings:
             self._equipped = equip(settings)
             one_thread_only()
-            self._observer.equipped()
+            self._observer.equipped(self._equipped.version)
             log.info("worker ready", pipeline_version=self._equipped.version)
         return self._equipped
 

@@ -15,3 +15,17 @@ def test_importing_the_service_loads_nothing_of_the_workers(module: str) -> None
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
     )
     assert found.stdout.split() == []
+
+
+@pytest.mark.parametrize(
+    ("module", "heavy"),
+    [("workers.pool.local", ("torch", "scipy", "numba")), ("service.cli.__main__", ("typer",))],
+)
+def test_what_a_pool_and_its_workers_begin_with_loads_nothing_they_do_not_need(
+    module: str, heavy: tuple[str, ...]
+) -> None:
+    code = f"import sys, {module}; print(*(m for m in {heavy!r} if m in sys.modules))"
+    found = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert found.stdout.split() == []

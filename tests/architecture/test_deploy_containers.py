@@ -14,7 +14,7 @@ import yaml
 from service.cli.main import EX_TEMPFAIL, app
 from service.config import Settings
 from workers.pool.slot import KILL_MARGIN_S
-from workers.worker import DRAIN_S
+from workers.worker_config import DRAIN_S
 
 ROOT = Path(__file__).resolve().parents[2]
 DEPLOY = ROOT / "deploy"

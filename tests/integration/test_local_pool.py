@@ -30,6 +30,7 @@ from service.store.engine import open_store
 from tests.contracts.ledger_world import World
 from workers.pool.local import LocalPool
 from workers.pool.pages import pool_pages
+from workers.version import version_of
 
 pytestmark = pytest.mark.integration
 
@@ -203,7 +204,7 @@ class Served:
     def serve(self, **asked: str) -> None:
         """Start the service, with other settings than before, in the place of the one before."""
         self._serving.close()
-        settings = MiningSettings.model_validate(
+        self.settings = MiningSettings.model_validate(
             {"bucket": str(self.logs), "artifacts": str(self.logs.parent / "overlays")}
             | {"supervised": "recorded"}
             | asked
@@ -212,7 +213,7 @@ class Served:
             self._serving.enter_context(client_session([self.endpoint])),
             self.world.ledger,
             bucket=open_bucket(str(self.logs)),
-            settings=settings,
+            settings=self.settings,
             list_interval_s=0.2,
         )
         self._serving.enter_context(service)
@@ -326,9 +327,11 @@ def test_a_pool_serves_what_its_workers_count_and_the_counts_survive_them(
     pool = pool_of(served)
     url = opened.enter_context(HttpEndpoint("127.0.0.1:0", pool_pages(pool))).url
     assert get(f"{url}/healthz") == (503, "the pool watches its workers no more: it is stopped\n")
+    assert pool.pipeline_version() == ""
     opened.enter_context(pool)
     assert get(f"{url}/healthz") == (200, "ok\n")
     until(lambda: get(f"{url}/readyz") == (200, "ok\n"), "a pool that is ready")
+    assert pool.pipeline_version() == version_of(served.settings)
     until(lambda: counted(pool, "plans_total", outcome="refused") == 1, "a plan")
     assert counted(pool, "connected") == 1
 

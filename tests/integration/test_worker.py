@@ -26,7 +26,8 @@ from workers.metrics import WorkerMetrics
 from workers.simulation.lidar import UNEVEN_64, Lidar
 from workers.simulation.worlds import build_street
 from workers.simulation.write import write_log
-from workers.worker import Worker, WorkerConfig, WorkerObserver
+from workers.worker import Worker
+from workers.worker_config import WorkerConfig, WorkerObserver
 
 pytestmark = pytest.mark.integration
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from schemas.arrays import NS_PER_S
 from schemas.contradiction import BESIDE_S, Instance, LabelledFrame, Scene
+from workers.visibility.in_boxes import counts_in_boxes, rows_said
 
 MARGIN_M: Final = 0.5
 """Boxes of half-seen things end short."""
@@ -81,13 +82,13 @@ def called_moving(scene: Scene) -> CalledMoving:
     frames = moments(scene)
     for number, frame in enumerate(frames):
         said, other = frame.semantic.labels, frame.predictive
-        claimed = np.zeros(len(said), np.bool_)
+        points_m, ground = frame.posed.frame.points_m, other.ground_mask
+        if ground is None:
+            ground = np.zeros(len(said), np.bool_)
+        claimed = np.zeros(0, np.int64)
         if scene.task.moving:
-            claimed = said == scene.task.classes.index(scene.task.moving)
-        if other.ground_mask is not None:
-            claimed = claimed & ~other.ground_mask
-        points_m = frame.posed.frame.points_m
-        claimed[claimed] = np.isfinite(points_m[claimed]).all(axis=1)
+            moving = scene.task.classes.index(scene.task.moving)
+            claimed = rows_said(points_m, said, moving, ground)
         pose, answers = frame.posed.odom_from_sensor, other.labels[claimed]
         mine_m = points_m[claimed].astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
         both = answers == said[claimed]
@@ -138,7 +139,7 @@ def at_other_times(
     nearest = np.abs(away_ns).argmin(axis=1)
     away_s = away_ns[np.arange(len(away_ns)), nearest] / NS_PER_S
     within = np.flatnonzero(np.abs(away_s) <= BESIDE_S)
-    row, point = _inside(
+    counts = _counts(
         *(scene, edges, centres_m[large], nearest[within]),
         *(within, away_s[within], velocity_m_per_s, called),
     )
@@ -147,21 +148,20 @@ def at_other_times(
     before = called.stamps_ns[within] < scene.frames[members[halfway].frame_index].stamp_ns
     best = max(1, round(BEST_S / period_s)) if period_s > 0 else 1
 
-    def share(points: NDArray[np.bool_], when: NDArray[np.bool_]) -> float:
-        counts = np.bincount(row[points[point]], minlength=len(within))
+    def share(counts: NDArray[np.int64], when: NDArray[np.bool_]) -> float:
         shares = np.minimum(1.0, counts / whole_thing)[when]
         return float(np.sort(shares)[-best:].sum()) / best
 
-    every = np.ones(len(called.places_m), np.bool_)
+    agreed, undenied, every = counts
     return OtherTimes(
-        agreed_before=share(called.agreed, before),
-        undenied_after=share(called.undenied, ~before),
+        agreed_before=share(agreed, before),
+        undenied_after=share(undenied, ~before),
         called_before=share(every, before),
         called_after=share(every, ~before),
     )
 
 
-def _inside(
+def _counts(
     scene: Scene,
     edges: Sequence[Instance],
     centres_m: NDArray[np.float64],
@@ -170,8 +170,8 @@ def _inside(
     away_s: NDArray[np.float64],
     velocity_m_per_s: NDArray[np.float64],
     called: CalledMoving,
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Which points that are called moving lie in a box, and its margin, at some moments.
+) -> NDArray[np.int64]:
+    """Count the points that are called moving in a box, and its margin, at some moments.
 
     Args:
         scene: Where the boxes were found.
@@ -184,7 +184,7 @@ def _inside(
         called: The points.
 
     Returns:
-        (I,) rows of the moments and (I,) indices of the points that lie in them.
+        (3, R) those agreed, undenied, and all of them.
     """
     poses = np.stack([scene.frames[each.frame_index].posed.odom_from_sensor for each in edges])
     half_m = np.stack([each.size_m for each in edges]) / 2.0 + MARGIN_M
@@ -195,17 +195,22 @@ def _inside(
     x_m = middle_m[:, 0] - scene.frames[0].posed.odom_from_sensor[0, 3]
     first = np.searchsorted(called.order, _along(moment, x_m - reach_m), side="left")
     last = np.searchsorted(called.order, _along(moment, x_m + reach_m), side="right")
-    row = np.repeat(np.arange(len(moment)), last - first)
-    begins = np.repeat(np.cumsum(last - first) - (last - first), last - first)
-    point = np.arange(len(row)) - begins + first[row]
-    away_m = called.places_m[point] - middle_m[row]
-    away_m = np.einsum("ni,nij->nj", away_m, poses[edge[row], :3, :3])
-    yaw_rad = np.array([each.yaw_rad for each in edges])[edge[row]]
-    cos, sin, limit_m = np.cos(yaw_rad), np.sin(yaw_rad), half_m[edge[row]]
-    inside = np.abs(away_m[:, 0] * cos + away_m[:, 1] * sin) <= limit_m[:, 0]
-    inside &= np.abs(away_m[:, 1] * cos - away_m[:, 0] * sin) <= limit_m[:, 1]
-    inside &= np.abs(away_m[:, 2]) <= limit_m[:, 2]
-    return row[inside], point[inside]
+    yaw_rad = np.array([each.yaw_rad for each in edges])
+    turned = poses[:, :3, :3] @ _about_z(yaw_rad)
+    return counts_in_boxes(
+        *(called.places_m, called.agreed, called.undenied, first, last),
+        *(middle_m, turned[edge], half_m[edge]),
+    )
+
+
+def _about_z(yaw_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N, 3, 3) turns, the axes of a box as columns."""
+    turns = np.zeros((len(yaw_rad), 3, 3))
+    turns[:, 0, 0] = turns[:, 1, 1] = np.cos(yaw_rad)
+    turns[:, 1, 0] = np.sin(yaw_rad)
+    turns[:, 0, 1] = -turns[:, 1, 0]
+    turns[:, 2, 2] = 1.0
+    return turns
 
 
 def _along(moment: NDArray[np.int64] | int, x_m: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -5,6 +5,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from workers.visibility.in_boxes import areas_of
+
 _HEADINGS_RAD: Final = np.deg2rad(np.arange(0.0, 90.0, 2.0))
 _AXES: Final = np.stack(
     [np.cos(_HEADINGS_RAD), np.sin(_HEADINGS_RAD), -np.sin(_HEADINGS_RAD), np.cos(_HEADINGS_RAD)]
@@ -32,9 +34,7 @@ def fit_box(
     """
     points = points_m.astype(np.float64)
     thin = points[:: -(-len(points) // MAX_BOX_POINTS), :2]
-    along, across = np.einsum("nk,akh->anh", thin, _AXES)
-    area_m2 = np.ptp(along, axis=0) * np.ptp(across, axis=0)
-    best = int(np.argmin(np.round(area_m2, 9)))
+    best = int(np.argmin(np.round(areas_of(thin, _AXES), 9)))
     axes = _AXES[:, :, best]
     turned = points[:, :2] @ axes.T
     low, high = turned.min(axis=0), turned.max(axis=0)

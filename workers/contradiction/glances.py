@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S, Points
 from schemas.contradiction import LabelledFrame, Scene
 from workers.contradiction.before_after import moments
-from workers.visibility.passes import moved_rows, places_in_box, returns_within
+from workers.visibility.laid_over import Cells, Tiles, cells_in_box, tiled
+from workers.visibility.passes import moved_rows, returns_within
 
 EVERY_S: Final = 0.45
 """Between the frames that are asked: half a second at 10 Hz, jitter or not."""
@@ -27,21 +28,19 @@ class Glances:
             if frame.stamp_ns >= due_ns:
                 self._frames.append(frame)
         self.stamps_ns = np.array([frame.stamp_ns for frame in self._frames], np.int64)
-        self._places: dict[int, Points] = {}
+        self._tiles: dict[int, Tiles] = {}
 
-    def near(
-        self, number: int, low_m: NDArray[np.float64], high_m: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """(M, 2) places over the ground of one frame within bounds, odom space.
+    def near(self, number: int, low_m: NDArray[np.float64], high_m: NDArray[np.float64]) -> Cells:
+        """Sort the places of one frame within bounds, over the ground; odom space.
 
         Args:
             number: Which of the frames.
             low_m: (3,) bounds, odom space.
             high_m: (3,) likewise.
         """
-        if number not in self._places:
-            self._places[number] = _off_ground(self._frames[number])
-        return places_in_box(self._places[number], low_m, high_m)
+        if number not in self._tiles:
+            self._tiles[number] = tiled(_off_ground(self._frames[number]))
+        return cells_in_box(self._tiles[number], low_m, high_m)
 
 
 def _off_ground(frame: LabelledFrame) -> Points:

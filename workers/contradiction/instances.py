@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.cluster import DBSCAN
 
 from schemas.arrays import Mask
 from schemas.contradiction import Instance, LabelledFrame, Scene
@@ -62,6 +61,8 @@ def cluster_places(
     if len(points_m) < settings.min_points:
         return np.full(len(points_m), -1, dtype=np.int64)
     if settings.voxel_m == 0:
+        from sklearn.cluster import DBSCAN  # a second to import: only whoever asks for points waits
+
         found = DBSCAN(eps=settings.eps_m, min_samples=settings.min_points)
         return np.asarray(found.fit_predict(points_m), dtype=np.int64)
     voxel_m = settings.voxel_m

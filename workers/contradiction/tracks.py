@@ -84,6 +84,9 @@ def tie_tracks(
     period_s = frame_period_s(scene)
     max_gap_s = longest_gap_s(period_s, settings)
     centres_m = centres_in_odom(scene, instances)
+    found: dict[tuple[str, int], list[int]] = {}
+    for i, instance in enumerate(instances):
+        found.setdefault((instance.kind.name, instance.frame_index), []).append(i)
     done: list[_Open] = []
     for kind in scene.task.kinds:
         going: list[_Open] = []
@@ -91,11 +94,7 @@ def tie_tracks(
             still = [t for t in going if stamp_s - t.stamps_s[-1] <= max_gap_s]
             done.extend(t for t in going if stamp_s - t.stamps_s[-1] > max_gap_s)
             going = still
-            new = [
-                i
-                for i, instance in enumerate(instances)
-                if instance.kind == kind and instance.frame_index == frame_index
-            ]
+            new = found.get((kind.name, frame_index), [])
             matched = _match(going, new, instances, centres_m, stamp_s, settings)
             for track, i in matched:
                 _extend(track, i, instances[i], centres_m[i], stamp_s, settings)

@@ -13,13 +13,13 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from schemas.arrays import NS_PER_S
 from schemas.contradiction import Instance, Scene
 from workers.contradiction.before_after import MOST
 from workers.contradiction.glances import Glances
 from workers.contradiction.unit import clip
+from workers.visibility.laid_over import Cells, misfits
 
 NEAREST_S: Final = 0.4
 """Sooner, who walks is where he was."""
@@ -129,14 +129,14 @@ def _side(
     """How sure the shapes lie where they are, and elsewhere, on one side in time."""
     if not pairs:
         return 0.0, 0.0
-    trees = _trees(pairs, glances, np.zeros(2), _SLOW_M_PER_S)
-    as_is_m = _misfit_m(pairs, trees, np.zeros((1, 2)))[:, 0]
+    about = _about(pairs, glances, np.zeros(2), _SLOW_M_PER_S)
+    as_is_m = _misfit_m(pairs, about, np.zeros((1, 2)))[:, 0]
     here = clip((AWAY_M - float(np.quantile(as_is_m, ALWAYS))) / (AWAY_M - HERE_M))
     if here == 1.0:
         return 1.0, 0.0
-    shifted_m = _best_m(pairs, trees, _GRID, _STEPS_M_PER_S[1:])
+    shifted_m = _best_m(pairs, about, _GRID, _STEPS_M_PER_S[1:])
     if np.hypot(*velocity_m_per_s) > _GOES_M_PER_S:
-        along = _trees(pairs, glances, velocity_m_per_s, sum(_STEPS_M_PER_S) * 2)
+        along = _about(pairs, glances, velocity_m_per_s, sum(_STEPS_M_PER_S) * 2)
         near = velocity_m_per_s + _ROUND * _STEPS_M_PER_S[0] * 2
         shifted_m = min(shifted_m, _best_m(pairs, along, near, _STEPS_M_PER_S))
     fits = clip((FITS_NOT - shifted_m / float(as_is_m.mean())) / (FITS_NOT - FITS))
@@ -145,53 +145,48 @@ def _side(
 
 def _best_m(
     pairs: Sequence[_Pair],
-    trees: Sequence[KDTree | None],
+    about: Sequence[Cells],
     velocities: NDArray[np.float64],
     steps: Sequence[float],
 ) -> float:
     """Least misfit of some velocities, and of those about the best one in ever finer steps."""
-    misfit_m = _misfit_m(pairs[::_COARSE], trees[::_COARSE], velocities, every=_COARSE).mean(axis=0)
+    misfit_m = _misfit_m(pairs[::_COARSE], about[::_COARSE], velocities, every=_COARSE).mean(axis=0)
     for step in steps:
         velocities = velocities[int(misfit_m.argmin())] + _ROUND * step
-        misfit_m = _misfit_m(pairs, trees, velocities).mean(axis=0)
+        misfit_m = _misfit_m(pairs, about, velocities).mean(axis=0)
     return float(misfit_m.min())
 
 
 def _misfit_m(
     pairs: Sequence[_Pair],
-    trees: Sequence[KDTree | None],
+    about: Sequence[Cells],
     velocities: NDArray[np.float64],
     *,
     every: int = 1,
 ) -> NDArray[np.float64]:
     """(pairs, V) how far the bulk of shapes that go so lies from what is seen."""
-    misfit_m = np.full((len(pairs), len(velocities)), HIDDEN_M)
-    for number, (pair, tree) in enumerate(zip(pairs, trees, strict=True)):
-        if tree is None:
-            continue
-        shifted_m = pair.shape.places_m[::every] + velocities[:, None, :] * pair.away_s
-        away_m, _ = tree.query(shifted_m, distance_upper_bound=HIDDEN_M)
-        away_m = np.sort(np.minimum(away_m, HIDDEN_M), axis=1)
-        misfit_m[number] = away_m[:, : max(1, int(BULK * away_m.shape[1]))].mean(axis=1)
+    misfit_m = np.empty((len(pairs), len(velocities)))
+    for number, (pair, seen) in enumerate(zip(pairs, about, strict=True)):
+        shape_m, shifts_m = pair.shape.places_m[::every], velocities * pair.away_s
+        misfit_m[number] = misfits(shape_m, shifts_m, seen, HIDDEN_M, BULK)
     return misfit_m
 
 
-def _trees(
+def _about(
     pairs: Sequence[_Pair],
     glances: Glances,
     velocity_m_per_s: NDArray[np.float64],
     spread_m_per_s: float,
-) -> list[KDTree | None]:
-    """What is seen about shapes that go so, more or less; None where nothing is."""
-    trees: list[KDTree | None] = []
+) -> list[Cells]:
+    """What is seen about shapes that go so, more or less."""
+    about = []
     for pair in pairs:
         shift_m = np.append(velocity_m_per_s * pair.away_s, 0.0)
         margin_m = np.full(3, HIDDEN_M + spread_m_per_s * abs(pair.away_s))
         margin_m[2] = _HEIGHT_M
         low_m, high_m = pair.shape.low_m + shift_m, pair.shape.high_m + shift_m
-        seen_m = glances.near(pair.number, low_m - margin_m, high_m + margin_m)
-        trees.append(KDTree(seen_m) if len(seen_m) else None)
-    return trees
+        about.append(glances.near(pair.number, low_m - margin_m, high_m + margin_m))
+    return about
 
 
 def _pairs(shapes: Sequence[_Shape], glances: Glances, side: int) -> list[_Pair]:

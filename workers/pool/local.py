@@ -15,7 +15,7 @@ from schemas.errors import PermanentError, TransientError
 from workers.pool.process import LogStyle, Place
 from workers.pool.shared_metrics import SharedMetrics
 from workers.pool.slot import KILL_MARGIN_S, Slot
-from workers.worker import DRAIN_S, WorkerConfig
+from workers.worker_config import DRAIN_S, WorkerConfig
 
 log = structlog.get_logger(__name__)
 
@@ -98,6 +98,11 @@ class LocalPool:
         """Return the process ids of the workers that run now."""
         return [pid for slot in self._slots if (pid := slot.pid) is not None]
 
+    def pipeline_version(self) -> str:
+        """Say as what its workers mine; empty until the first of them is equipped."""
+        versions = (slot.signs.version.value.decode() for slot in self._slots)
+        return next((version for version in versions if version), "")
+
     def check(self) -> None:
         """Raise why, if nothing will be mined here any more.
 
@@ -135,7 +140,7 @@ class LocalPool:
         signs = [slot.signs for slot in self._slots if slot.is_alive()]
         if not any(each.connected.value for each in signs):
             raise TransientError("no worker is connected to a router")
-        if not any(each.connected.value and each.equipped.value for each in signs):
+        if not any(each.connected.value and each.version.value for each in signs):
             raise TransientError("no worker is equipped yet: no service has said what to mine")
 
     def stop(self) -> None:

@@ -8,7 +8,7 @@ import time
 from dataclasses import dataclass
 from multiprocessing import parent_process
 from multiprocessing.connection import Connection
-from multiprocessing.sharedctypes import Synchronized
+from multiprocessing.sharedctypes import Synchronized, SynchronizedString
 from pathlib import Path
 from threading import Event, Thread
 from types import FrameType
@@ -20,7 +20,7 @@ from schemas.errors import PermanentError, TransientError
 from schemas.process import log_to_stderr
 from workers.metrics import WorkerMetrics
 from workers.pool.shared_metrics import count_in
-from workers.worker import WorkerConfig, WorkerObserver, run_worker
+from workers.worker_config import WorkerConfig, WorkerObserver
 
 log = structlog.get_logger(__name__)
 
@@ -41,6 +41,9 @@ class LogStyle:
 _REMOVALS: Final = 5
 """Another thread, or another worker, may just be making a file in what is taken away."""
 
+VERSION_BYTES: Final = 64
+"""Room for a pipeline version, and an end."""
+
 NO_LEASE_YET: Final = 0.0
 BETWEEN_LEASES: Final = -1.0
 """What stands where the time is told when work on the current lease began."""
@@ -54,17 +57,17 @@ class Signs:
         since_s: When work on the current lease began, monotonic seconds, or one of `NO_LEASE_YET`
             and `BETWEEN_LEASES`.
         connected: Whether it has a router.
-        equipped: Whether it can mine what the service asks for.
+        version: As what it mines what the service asks for; empty until it can.
     """
 
     since_s: "Synchronized[float]"
     connected: "Synchronized[int]"
-    equipped: "Synchronized[int]"
+    version: "SynchronizedString"
 
     def clear(self) -> None:
         """Nothing is known of the worker that comes next."""
         self.since_s.value = NO_LEASE_YET
-        self.connected.value = self.equipped.value = 0
+        self.connected.value, self.version.value = 0, b""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,8 +90,8 @@ class _Showing(WorkerObserver):
     def connected(self, connected: bool) -> None:
         self._signs.connected.value = connected
 
-    def equipped(self) -> None:
-        self._signs.equipped.value = True
+    def equipped(self, pipeline_version: str) -> None:
+        self._signs.version.value = pipeline_version.encode()
 
     def working(self, working: bool) -> None:
         self._signs.since_s.value = time.monotonic() if working else BETWEEN_LEASES
@@ -110,6 +113,8 @@ def worker_process(
         signs: What it shows of itself.
         problem: Takes why it gives up for good.
     """
+    from workers.worker import run_worker  # the pool, which never mines, does without numba
+
     stop = _stop_on_signals()
     log_to_stderr(level=style.level, as_json=style.as_json)
     Thread(target=_end_with_parent, args=(place,), name="parent", daemon=True).start()

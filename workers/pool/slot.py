@@ -17,12 +17,13 @@ from workers.pool.process import (
     EX_DONE,
     EX_TEMPFAIL,
     NO_LEASE_YET,
+    VERSION_BYTES,
     LogStyle,
     Place,
     Signs,
     worker_process,
 )
-from workers.worker import WorkerConfig
+from workers.worker_config import WorkerConfig
 
 log = structlog.get_logger(__name__)
 
@@ -69,7 +70,7 @@ class Slot:
         self.signs = Signs(
             since_s=self._context.Value("d", NO_LEASE_YET, lock=False),
             connected=self._context.Value("b", 0, lock=False),
-            equipped=self._context.Value("b", 0, lock=False),
+            version=self._context.Array("c", VERSION_BYTES, lock=False),
         )
         self._was_at_work = self._stuck = False
         self._process: SpawnProcess | None = None

@@ -75,21 +75,6 @@ def within_box(points: Points, farthest: float) -> Mask:
 
 
 @compiled
-def places_in_box(
-    places: Points, low: NDArray[np.float64], high: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Those that lie within bounds on every axis, over the ground; (M, 2)."""
-    inside = np.empty((len(places), 2), np.float64)
-    count = 0
-    for i in range(len(places)):
-        x, y, z = np.float64(places[i, 0]), np.float64(places[i, 1]), np.float64(places[i, 2])
-        if low[0] < x < high[0] and low[1] < y < high[1] and low[2] < z < high[2]:
-            inside[count, 0], inside[count, 1] = x, y
-            count += 1
-    return inside[:count].copy()
-
-
-@compiled
 def moved_rows(points: Points, index: NDArray[np.int64], to_from_from: Transform) -> Points:
     """Chosen rows in another space; (J, 3) float32, worked out in float64 as poses are large."""
     rows = np.empty((len(index), 3), np.float32)
