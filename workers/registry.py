@@ -57,7 +57,7 @@ def _recorded(_: PartFiles, *, task: Task = MOTION) -> Stream:
 
 
 def _registration(_: PartFiles, *, lookahead_s: float = 0.0) -> Stream:
-    from workers.selfsupervised.compiling import compile_apart
+    from workers.compiling import compile_apart
     from workers.selfsupervised.stream import Registration
 
     compile_apart()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 RUN_ONE_LOOP = """
 import numpy as np
-from workers.selfsupervised.compiling import compile_apart
+from workers.compiling import compile_apart
 from workers.visibility.passes import within
 
 compile_apart()
@@ -13,7 +13,7 @@ print(within(np.ones((1, 3), np.float32), 0.0, 2.0).tolist())
 """
 COMPILED_BEFORE = """
 from pathlib import Path
-from workers.selfsupervised import compiling
+from workers import compiling
 from workers.visibility.compiled import cache_folder
 from workers.visibility.passes import within
 

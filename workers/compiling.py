@@ -1,4 +1,4 @@
-"""Compiles the loops of the stream in a process of its own: the compiler's memory goes with it.
+"""Compiles the loops of the stages in a process of its own: the compiler's memory goes with it.
 
 What the compiler leaves behind in a process is half as much again as the stream needs. A child
 compiles, on a small street, and leaves the loops in numba's cache on disk; whoever labels loads
@@ -9,15 +9,20 @@ import fcntl
 import hashlib
 import subprocess
 import sys
-from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import metadata
 from pathlib import Path
 from typing import Final
 
+import numpy as np
 import structlog
 
+from schemas.contradiction import LabelledFrame, Scene
+from schemas.frame import PosedFrame
+from schemas.labels import FrameLabels, MotionLabel
+from schemas.task import MOTION
+from workers.contradiction.compare import compare
 from workers.sources import source_digest
 from workers.visibility.compiled import COMPILED, cache_folder
 from workers.visibility.passes import within
@@ -55,18 +60,35 @@ def compile_apart() -> None:
 
 
 def rehearse() -> None:
-    """Run the default odometry and stream on a small street, so that every loop is called.
+    """Mine a small street by the default parts, so that every loop is called.
 
-    Loops that other stages share with them are called beside.
+    Networks take no part: their loops are called beside. What the supervised stream says stands in
+    for it, so that something contradicts.
     """
+    from workers.contradiction.instances import find_instances
+    from workers.contradiction.strength import rank_tracks
     from workers.geometry.rehearsal import call_loops
     from workers.selfsupervised.odometry import KissOdometry
     from workers.selfsupervised.rehearsal import rehearsal
     from workers.selfsupervised.stream import Registration
+    from workers.witness.free_space import TwoSidedFreeSpace
 
     for with_beams in (True, False):
-        deque(Registration()(KissOdometry()(rehearsal(with_beams=with_beams))), maxlen=0)
+        posed = list(KissOdometry()(rehearsal(with_beams=with_beams)))
+        labelled = map(_all_moves, posed, Registration()(iter(posed)))
+        scene = Scene("rehearsal/0", tuple(TwoSidedFreeSpace()(labelled)))
+        rank_tracks(scene, find_instances(scene, class_names=()))
     call_loops(next(rehearsal(with_beams=True)))
+
+
+def _all_moves(posed: PosedFrame, predictive: FrameLabels) -> LabelledFrame:
+    count = len(posed.frame)
+    semantic = FrameLabels(
+        labels=np.full(count, MotionLabel.DYNAMIC, np.uint8),
+        confidence=np.ones(count, np.float16),
+    )
+    agreements = compare(semantic.labels, predictive.labels, MOTION)
+    return LabelledFrame(posed, semantic, predictive, agreements, MOTION)
 
 
 def _marker() -> str:
@@ -80,7 +102,7 @@ def _marker() -> str:
 
 def _in_child() -> None:
     subprocess.run(
-        [sys.executable, "-m", "workers.selfsupervised.compiling"],
+        [sys.executable, "-m", "workers.compiling"],
         check=True,
         capture_output=True,
         timeout=_CHILD_S,
