@@ -40,9 +40,11 @@ from schemas.frame import OdometryState
 from workers.contradiction.attribution import attribute, tables
 from workers.contradiction.because import remarks_on
 from workers.contradiction.company import Company, company_of, frames_seen
-from workers.contradiction.evidence import Evidence, Surroundings, evidence_of, surroundings_of
+from workers.contradiction.evidence import Evidence
+from workers.contradiction.gathering import evidence_of
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
 from workers.contradiction.sizes import box_plausibility, not_flat, not_too_long
+from workers.contradiction.surroundings import Surroundings, surroundings_of
 from workers.contradiction.tracks import Track, tie_tracks
 from workers.contradiction.unit import clip
 

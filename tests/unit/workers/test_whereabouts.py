@@ -8,7 +8,7 @@ import pytest
 from schemas.contradiction import Scene
 from schemas.labels import MotionLabel
 from tests.labelled_worlds import CLASS_NAMES, START_NS, Thing, labelled_frame
-from workers.contradiction.evidence import places_in_odom
+from workers.contradiction.gathering import places_in_odom
 from workers.contradiction.glances import EVERY_S, Glances
 from workers.contradiction.instances import find_instances
 from workers.contradiction.paths import velocity_of
