@@ -173,6 +173,7 @@ class Service:
         Raises:
             BucketUnreachableError: If the store does not answer; later on it is waited for.
             BucketRefusedError: If it says no.
+            OtherBucketError: If the ledger is that of another bucket.
             StateInUseError: If another service answers under this root.
         """
         self._be_alone()

@@ -79,6 +79,7 @@ class BucketWatch:
         """What a listing that broke off had listed: the next one goes on after it."""
         self._taken_over: list[ObjectMeta] | None = None
         """What the ledger took over last: the same again is no news to it."""
+        self._is_ours = False
         self._took_s, self._broke_off_s = 0.0, 0.0
         self._empty_since_s: float | None = None
         self._errors: Counter[str] = Counter(unreachable=0, refused=0)
@@ -96,6 +97,7 @@ class BucketWatch:
         Raises:
             BucketUnreachableError: If the store does not answer, or a local folder is gone.
             BucketRefusedError: If it says no.
+            OtherBucketError: If the ledger is that of another bucket.
         """
         objects = self._objects()
         if objects == self._taken_over and not self._ledger.stale_logs():
@@ -113,6 +115,9 @@ class BucketWatch:
             for each in objects
             if is_wanted(each.key, include=self._include, exclude=self._exclude)
         )
+        if not self._is_ours:
+            self._ledger.serve_bucket(self._bucket.url, found)
+            self._is_ours = True
         before = self.recordings
         is_believed = bool(found) or self._is_empty_for_good()
         result = self._ledger.sync_recordings(found) if is_believed else SyncResult()

@@ -18,6 +18,7 @@ from service.settings_text import shown
 from service.state import endpoint_of_running
 from service.store.engine import DATABASE_NAME
 from service.store.opening import open_ledger_store_to_read
+from service.store.served_bucket import served_bucket
 
 PROBE_KEY: Final = "counterpoint-doctor-probe"
 PROBE: Final = b"written by `counterpoint doctor`; may be deleted\n"
@@ -124,12 +125,18 @@ def database(settings: Settings) -> Iterator[Finding]:
         yield ok("database", f"none yet: the first run makes it ({path})")
         return
     try:
-        with closing(open_ledger_store_to_read(settings)):
-            pass
+        with closing(open_ledger_store_to_read(settings)) as store, store.reading() as connection:
+            served = served_bucket(connection)
     except StateOutdatedError as error:
         yield warning("database", str(error))
         return
     yield ok("database", f"can be read, and is of this version ({where})")
+    if settings.bucket and served and open_bucket(settings.bucket).url != served:
+        yield warning(
+            "database",
+            f"belongs to {served}: a run on another bucket is refused, unless that holds its logs; "
+            "name another folder with --state",
+        )
 
 
 def file_system_of(folder: Path, mounts: Path = Path("/proc/self/mountinfo")) -> str:

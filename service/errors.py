@@ -15,6 +15,10 @@ class StateOutdatedError(StateUnusableError):
     """An older version wrote the state; a service that starts on it brings it up to date."""
 
 
+class OtherBucketError(PermanentError):
+    """The state belongs to another bucket."""
+
+
 class StateInUseError(TransientError):
     """Another service holds this state folder."""
 

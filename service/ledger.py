@@ -40,6 +40,7 @@ from service.store import (
     retrying,
     scenes,
     selections,
+    served_bucket,
 )
 from service.store.backlog import Backlog
 from service.store.effects import StoreObserver
@@ -120,6 +121,19 @@ class Ledger:
         self._store.observe(observer)
 
     # What lies in the bucket.
+
+    def serve_bucket(self, url: str, listed: Sequence[Recording]) -> None:
+        """Make sure that this is the bucket whose logs are recorded here.
+
+        Call it before its first listing is taken over: that withdraws the scenes of all logs that
+        are not in it.
+
+        Raises:
+            OtherBucketError: If it is another one.
+        """
+        with self._store.writing() as connection:
+            if not served_bucket.require_served(connection, url, listed, name=self._store.name):
+                served_bucket.note_served(connection, url)
 
     def sync_recordings(self, listed: Sequence[Recording]) -> SyncResult:
         """Take over a complete listing: new, replaced and deleted recordings.

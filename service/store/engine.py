@@ -43,6 +43,9 @@ class Store:
 
     Writers wait for each other here, so that a process never competes with itself for SQLite's one
     write lock; readers take part in no lock and see the last commit.
+
+    Attributes:
+        name: Which one, for errors; without a password.
     """
 
     def __init__(self, engine: Engine, *, name: str, reader: Mapping[str, object]) -> None:
@@ -53,7 +56,8 @@ class Store:
             name: Which one, for errors.
             reader: Execution options of transactions that only read.
         """
-        self._engine, self._reader, self._name = engine, engine.execution_options(**reader), name
+        self._engine, self._reader = engine, engine.execution_options(**reader)
+        self.name = name
         self._writer = threading.Lock()
         self._observer: StoreObserver | None = None
         self._groups = GroupedWrites(self.writing)
@@ -130,12 +134,12 @@ class Store:
                 self._observer.on_database_error()
             if isinstance(cause, (driver.OperationalError, PoolTimeoutError)) or _may_pass(cause):
                 raise StoreUnavailableError(
-                    f"cannot use the database: {cause} ({self._name}); "
+                    f"cannot use the database: {cause} ({self.name}); "
                     "nothing acknowledged is lost, try again when that is mended"
                 ) from error
             if type(cause) is driver.DatabaseError:
                 raise StateUnusableError(
-                    f"not a database, or a damaged one: {cause} ({self._name}); "
+                    f"not a database, or a damaged one: {cause} ({self.name}); "
                     "restore it from a copy, or name another folder with --state"
                 ) from error
             raise  # the other kinds are wrong queries: ours, not the user's

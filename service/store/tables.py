@@ -27,6 +27,8 @@ SCHEMA_VERSIONS: Final = Table("schema_version", METADATA, _number("version", ke
 
 COUNTERS: Final = Table("counters", METADATA, _text("name", key=True), _number("value"))
 
+SERVED_BUCKET: Final = Table("served_bucket", METADATA, _text("url"))
+
 WRITE_PROOF: Final = Table("write_proof", METADATA, _number("writes"))
 
 PIPELINES: Final = Table(

@@ -14,6 +14,7 @@ STEPS: Final[tuple[str, ...]] = (
     "0004_truncated.sql",
     "0005_write_proof.sql",
     "0006_retired_overlays.sql",
+    "0007_served_bucket.sql",
 )
 """Step i leads from version i to i + 1. A step that has been released is never edited."""
 

@@ -12,6 +12,7 @@ import structlog.testing
 from schemas.bucket import Bucket, open_bucket
 from schemas.errors import BucketRefusedError, BucketUnreachableError
 from service.bucket_watch import RESUME_WITHIN_S, BucketWatch
+from service.errors import OtherBucketError
 from service.store.engine import open_store
 from tests.contracts.ledger_world import Clock, World
 
@@ -268,3 +269,19 @@ def test_a_bucket_that_was_never_filled_is_empty_at_once(world: World) -> None:
         watch.list_once()
         watch.list_once()
     assert [entry["event"] for entry in said] == ["no logs in the bucket"]
+
+
+@pytest.mark.parametrize("settle_s", [0.0, 30.0])
+@pytest.mark.parametrize("logs", [(), ("b.mcap",)])
+def test_another_bucket_is_refused_before_it_is_taken_over(
+    world: World, tmp_path: Path, settle_s: float, logs: tuple[str, ...]
+) -> None:
+    for folder, names in (("one", ("a.mcap",)), ("other", logs)):
+        (tmp_path / folder).mkdir()
+        for name in names:
+            (tmp_path / folder / name).write_bytes(b"x")
+    BucketWatch(open_bucket(str(tmp_path / "one")), world.ledger).list_once()
+    other = BucketWatch(open_bucket(str(tmp_path / "other")), world.ledger, settle_s=settle_s)
+    with pytest.raises(OtherBucketError, match=r"/one: of its 1 logs .*/other holds 0"):
+        other.list_once()
+    assert log_ids(world) == ["a"]

@@ -20,6 +20,7 @@ from service.config import Settings, load_settings, read_settings
 from service.doctor import Finding, examine
 from service.state import StateLock
 from service.store.engine import DATABASE_NAME, open_store
+from service.store.served_bucket import note_served
 from tests.contracts.ledger_world import World
 from tests.tiny_logs import Recorder, drive
 
@@ -119,6 +120,19 @@ def test_a_database_of_an_older_version_is_only_a_warning() -> None:
     ((verdict, says),) = told(doctor_stores.database(here))
     assert verdict == "warning"
     assert "bring it up to date" in says
+
+
+def test_a_state_of_another_bucket_is_a_warning(tmp_path: Path) -> None:
+    for name in ("one", "other"):
+        (tmp_path / name).mkdir()
+    with closing(open_store(tmp_path)) as store, store.writing() as connection:
+        note_served(connection, (tmp_path / "one").as_uri())
+    its = settings(state=tmp_path, bucket=str(tmp_path / "one"))
+    assert [verdict for verdict, _ in told(doctor_stores.database(its))] == ["ok"]
+    another = settings(state=tmp_path, bucket=str(tmp_path / "other"))
+    _, (verdict, says) = told(doctor_stores.database(another))
+    assert verdict == "warning"
+    assert says.startswith(f"belongs to {(tmp_path / 'one').as_uri()}: ")
 
 
 def test_what_is_no_database_and_what_does_not_answer_are_problems() -> None:

@@ -22,8 +22,9 @@ from service.dry_run import (
     DryRun,
     plan_dry_run,
 )
-from service.errors import NothingFoundError
+from service.errors import NothingFoundError, OtherBucketError
 from service.store.engine import open_store
+from service.store.served_bucket import note_served
 from tests.contracts.ledger_world import World, mined, plan_of, shard_commit
 from tests.tiny_logs import Recorder, drive
 from workers.version import version_of
@@ -225,6 +226,18 @@ def test_a_log_that_is_back_as_it_was_is_not_mined_again(tmp_path: Path, version
     mine(tmp_path, version)
     away.rename(tmp_path / "logs" / "b.mcap")
     assert standings(dry_run(tmp_path)) == {"a": "mined", "b": "mined"}
+
+
+def test_a_state_of_another_bucket_is_refused_as_a_run_would(tmp_path: Path, version: str) -> None:
+    logs = bucket_of(tmp_path, (1,))
+    mine(tmp_path, version)
+    with closing(open_store(tmp_path / "state")) as store, store.writing() as connection:
+        note_served(connection, logs.as_uri())
+    assert dry_run(tmp_path).by_standing == {"mined": 1}
+    elsewhere = bucket_of(tmp_path / "elsewhere", (2,))
+    settings = load_settings(bucket=str(elsewhere), state=tmp_path / "state")
+    with pytest.raises(OtherBucketError, match=r"of its 1 logs .*/elsewhere/logs holds 0"):
+        plan_dry_run(settings)
 
 
 def test_without_a_state_all_is_left(tmp_path: Path) -> None:

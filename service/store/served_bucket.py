@@ -1,0 +1,63 @@
+"""Whose logs these are: a state belongs to one bucket, which may move but not be another."""
+
+from collections.abc import Sequence
+from typing import Final
+
+from sqlalchemy import Connection, delete, insert, select
+
+from schemas.work import Recording
+from service.errors import OtherBucketError
+from service.store.tables import RECORDINGS, SERVED_BUCKET
+
+LEAST_SHARE: Final = 0.5
+"""A bucket that has moved holds at least so much of the logs it held: some may have gone since."""
+
+
+def served_bucket(connection: Connection) -> str:
+    """Read the URL of the bucket this state belongs to; empty: of none so far."""
+    return connection.execute(select(SERVED_BUCKET.c.url)).scalar_one_or_none() or ""
+
+
+def require_served(
+    connection: Connection, url: str, listed: Sequence[Recording], *, name: str
+) -> bool:
+    """Check that a bucket is the one that this state belongs to.
+
+    At the same URL it is. At another one it is where it holds at least half of the logs, by key and
+    size: copies have etags of their own. A state without logs belongs to any.
+
+    Args:
+        connection: In a transaction.
+        url: Where the bucket lies.
+        listed: All logs that it holds.
+        name: Of the database, for the message.
+
+    Returns:
+        Whether the URL is the one that is noted.
+
+    Raises:
+        OtherBucketError: If it is another bucket.
+    """
+    before = served_bucket(connection)
+    if not before or before == url:
+        return before == url
+    stored = connection.execute(select(RECORDINGS.c.recording).where(RECORDINGS.c.is_current))
+    known = {_contents(Recording.model_validate_json(row)) for row in stored.scalars()}
+    found = len(known & {_contents(each) for each in listed})
+    if found < LEAST_SHARE * len(known):
+        raise OtherBucketError(
+            f"this state belongs to {before}: of its {len(known)} logs {url} holds {found}, and "
+            f"the scenes of the others would be taken back ({name}); name another folder with "
+            "--state, or another --database, for this bucket"
+        )
+    return False
+
+
+def note_served(connection: Connection, url: str) -> None:
+    """Note where the bucket lies from now on."""
+    connection.execute(delete(SERVED_BUCKET))
+    connection.execute(insert(SERVED_BUCKET).values(url=url))
+
+
+def _contents(recording: Recording) -> tuple[tuple[str, int], ...]:
+    return tuple((part.key, part.size) for part in recording.parts)
