@@ -5,14 +5,19 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import NS_PER_S, Points
+from schemas.arrays import NS_PER_S, Points, Transform
 from schemas.contradiction import LabelledFrame, Scene
 from workers.contradiction.before_after import moments
+from workers.geometry.se3 import inverse
+from workers.visibility.hiding import Shades, hidden_share, shades_of
 from workers.visibility.laid_over import Cells, Tiles, cells_in_box, tiled
 from workers.visibility.passes import moved_rows, returns_within
 
 EVERY_S: Final = 0.45
 """Between the frames that are asked: half a second at 10 Hz, jitter or not."""
+
+BEFORE_M: Final = 0.5
+"""So much nearer than a thing is another one: free space is no finer."""
 
 _FARTHEST: Final = np.float32(1000.0)
 
@@ -29,6 +34,7 @@ class Glances:
                 self._frames.append(frame)
         self.stamps_ns = np.array([frame.stamp_ns for frame in self._frames], np.int64)
         self._tiles: dict[int, Tiles] = {}
+        self._shades: dict[int, tuple[Transform, Shades]] = {}
 
     def near(self, number: int, low_m: NDArray[np.float64], high_m: NDArray[np.float64]) -> Cells:
         """Sort the places of one frame within bounds, over the ground; odom space.
@@ -41,6 +47,20 @@ class Glances:
         if number not in self._tiles:
             self._tiles[number] = tiled(_off_ground(self._frames[number]))
         return cells_in_box(self._tiles[number], low_m, high_m)
+
+    def hidden_share(self, number: int, places_m: NDArray[np.float64]) -> float:
+        """Share of places (P, 3), odom space, before which something stands in one frame."""
+        if number not in self._shades:
+            posed = self._frames[number].posed
+            self._shades[number] = inverse(posed.odom_from_sensor), _shades(self._frames[number])
+        return hidden_share(places_m, *self._shades[number], BEFORE_M)
+
+
+def _shades(frame: LabelledFrame) -> Shades:
+    points_m = frame.posed.frame.points_m
+    index = returns_within(points_m, frame.posed.frame.valid_mask, _FARTHEST)
+    ground = frame.predictive.ground_mask
+    return shades_of(points_m, index, np.zeros(len(points_m), bool) if ground is None else ground)
 
 
 def _off_ground(frame: LabelledFrame) -> Points:

@@ -4,7 +4,8 @@ Free space sees a place left once it is empty by half a metre: who strolls along
 creeps and what stops or starts stand for it. But their shape goes. Laid over what is seen at other
 times, the points of what stands meet points, however much more or less of it is seen; those of what
 went meet none, and do so once they are shifted by one velocity. Where they meet none however they
-are shifted, the thing is hidden, or was none: then nothing is said.
+are shifted, the thing was none: then nothing is said. Moments at which another thing stands before
+its place are not asked.
 """
 
 from collections.abc import Sequence
@@ -40,6 +41,13 @@ BULK: Final = 0.8
 ALWAYS: Final = 0.8
 """Of the times it is asked, so many lie where it stands: a lorry sets off slowly, and by its own
 length little seems to go at first."""
+
+OFTEN: Final = 0.4
+"""Of the times it is asked, what went is away in so many, as it may set off or stop between them;
+what stands is half seen in some."""
+
+HIDDEN: Final = 0.5
+"""Of a shape, so much behind something else leaves too little to look for."""
 
 FITS: Final = 0.5
 FITS_NOT: Final = 0.8
@@ -132,15 +140,16 @@ def _side(
     about = _about(pairs, glances, np.zeros(2), _SLOW_M_PER_S)
     as_is_m = _misfit_m(pairs, about, np.zeros((1, 2)))[:, 0]
     here = clip((AWAY_M - float(np.quantile(as_is_m, ALWAYS))) / (AWAY_M - HERE_M))
-    if here == 1.0:
-        return 1.0, 0.0
+    away = clip((float(np.quantile(as_is_m, 1.0 - OFTEN)) - HERE_M) / (AWAY_M - HERE_M))
+    if away == 0.0:
+        return here, 0.0
     shifted_m = _best_m(pairs, about, _GRID, _STEPS_M_PER_S[1:])
     if np.hypot(*velocity_m_per_s) > _GOES_M_PER_S:
         along = _about(pairs, glances, velocity_m_per_s, sum(_STEPS_M_PER_S) * 2)
         near = velocity_m_per_s + _ROUND * _STEPS_M_PER_S[0] * 2
         shifted_m = min(shifted_m, _best_m(pairs, along, near, _STEPS_M_PER_S))
     fits = clip((FITS_NOT - shifted_m / float(as_is_m.mean())) / (FITS_NOT - FITS))
-    return here, (1.0 - here) * fits
+    return here, (1.0 - here) * away * fits
 
 
 def _best_m(
@@ -167,7 +176,7 @@ def _misfit_m(
     """(pairs, V) how far the bulk of shapes that go so lies from what is seen."""
     misfit_m = np.empty((len(pairs), len(velocities)))
     for number, (pair, seen) in enumerate(zip(pairs, about, strict=True)):
-        shape_m, shifts_m = pair.shape.places_m[::every], velocities * pair.away_s
+        shape_m, shifts_m = pair.shape.places_m[::every, :2], velocities * pair.away_s
         misfit_m[number] = misfits(shape_m, shifts_m, seen, HIDDEN_M, BULK)
     return misfit_m
 
@@ -196,7 +205,13 @@ def _pairs(shapes: Sequence[_Shape], glances: Glances, side: int) -> list[_Pair]
         away_s = (glances.stamps_ns - shape.stamp_ns) / NS_PER_S
         due = (side * away_s >= NEAREST_S) & (side * away_s <= FARTHEST_S)
         pairs += [_Pair(shape, int(each), float(away_s[each])) for each in np.flatnonzero(due)]
-    return [pairs[each] for each in _spread(len(pairs), _PAIRS)]
+    chosen = [pairs[each] for each in _spread(len(pairs), _PAIRS)]
+    return [each for each in chosen if _is_asked(each, glances)]
+
+
+def _is_asked(pair: _Pair, glances: Glances) -> bool:
+    """Whether the place of a shape could be seen in the frame it is laid over."""
+    return glances.hidden_share(pair.number, pair.shape.places_m) < HIDDEN
 
 
 def _shapes(
@@ -208,7 +223,7 @@ def _shapes(
     shapes = []
     for each in whole[_spread(len(whole), _SHAPES)]:
         placed_m = places_m[each]
-        some_m = placed_m[:: max(1, len(placed_m) // _POINTS), :2]
+        some_m = placed_m[:: max(1, len(placed_m) // _POINTS)]
         stamp_ns = scene.frames[members[each].frame_index].stamp_ns
         shapes.append(_Shape(stamp_ns, some_m, placed_m.min(axis=0), placed_m.max(axis=0)))
     return shapes

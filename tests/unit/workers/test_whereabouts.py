@@ -30,8 +30,12 @@ def _scene(
     seen: Callable[[int], bool] = lambda _: True,
     size_m: tuple[float, float, float] = PERSON_M,
     others: Sequence[Thing] = (WALL,),
+    instead: Sequence[Thing] = (),
 ) -> Scene:
-    """Something that is somewhere along x at each time, and is called moving in some frames."""
+    """Something that is somewhere along x at each time, and is called moving in some frames.
+
+    In those in which it is not seen there may be something instead.
+    """
     made = []
     for number in range(frames):
         says = DYNAMIC if number in contradicts else STATIC
@@ -39,7 +43,8 @@ def _scene(
         # the same shape wherever it is: its points hang on how its place reads
         body = Thing((10.0, 5.0, 0.0), says, STATIC, size_m).placed(0.0)
         shown = [thing] if seen(number) else []
-        frame = labelled_frame([*shown, *others], frame=number, time_s=number / 10)
+        beside = others if shown else (*instead, *others)
+        frame = labelled_frame([*shown, *beside], frame=number, time_s=number / 10)
         if shown:
             frame.posed.frame.points_m.setflags(write=True)
             frame.posed.frame.points_m[: len(body)] = body
@@ -100,6 +105,30 @@ def test_a_shape_that_is_half_hidden_at_other_times_stands() -> None:
     hides = Thing((12.0, 4.6, 0.0), STATIC, STATIC, (4.0, 0.4, 1.5), points=400)
     scene = _scene(lambda _: 0.0, size_m=(4.0, 1.8, 1.5), others=(WALL, hides))
     assert _told(scene) == Whereabouts(1.0, 0.0, 1.0, 0.0)
+
+
+def test_moments_at_which_something_stands_before_it_are_not_asked() -> None:
+    lorry = Thing((6.0, 2.5, 0.0), STATIC, STATIC, (5.0, 0.2, 3.0), points=6000)
+    wall = Thing((16.0, -12.0, 0.0), STATIC, STATIC, WALL.size_m, points=3000, class_id=0)
+    for instead, here in (((lorry,), 1.0), ((), 0.0)):
+        seen = [n for n in range(30) if n not in (0, 5, 20, 25)]
+        told = _told(_scene(lambda _: 0.0, seen=seen.__contains__, others=(wall,), instead=instead))
+        assert (told.here_before, told.here_after) == (here, here)
+        assert (told.elsewhere_before, told.elsewhere_after) == (0.0, 0.0)
+
+
+def test_a_piece_of_a_rail_that_is_not_seen_now_and_then_did_not_come_along_it() -> None:
+    rail = Thing((20.0, 5.0, 0.0), STATIC, STATIC, (14.0, 0.1, 0.6), points=1500, class_id=0)
+    told = _told(
+        _scene(
+            lambda _: 0.0,
+            contradicts=range(14, 24),
+            seen=lambda n: n != 0,
+            size_m=(4.0, 0.1, 0.6),
+            others=(WALL, rail),
+        )
+    )
+    assert told.elsewhere_before == 0.0
 
 
 def test_what_hangs_above_a_place_does_not_stand_there() -> None:
