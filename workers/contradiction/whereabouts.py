@@ -42,9 +42,9 @@ ALWAYS: Final = 0.8
 """Of the times it is asked, so many lie where it stands: a lorry sets off slowly, and by its own
 length little seems to go at first."""
 
-OFTEN: Final = 0.4
-"""Of the times it is asked, what went is away in so many, as it may set off or stop between them;
-what stands is half seen in some."""
+OFTEN: Final = 0.3
+"""Of the times it is asked, what went is away in so many more than it is here, beyond the moment at
+which it may have stopped or set off."""
 
 HIDDEN: Final = 0.5
 """Of a shape, so much behind something else leaves too little to look for."""
@@ -140,7 +140,7 @@ def _side(
     about = _about(pairs, glances, np.zeros(2), _SLOW_M_PER_S)
     as_is_m = _misfit_m(pairs, about, np.zeros((1, 2)))[:, 0]
     here = clip((AWAY_M - float(np.quantile(as_is_m, ALWAYS))) / (AWAY_M - HERE_M))
-    away = clip((float(np.quantile(as_is_m, 1.0 - OFTEN)) - HERE_M) / (AWAY_M - HERE_M))
+    away = clip(_away_share(pairs, as_is_m) / OFTEN)
     if away == 0.0:
         return here, 0.0
     shifted_m = _best_m(pairs, about, _GRID, _STEPS_M_PER_S[1:])
@@ -150,6 +150,17 @@ def _side(
         shifted_m = min(shifted_m, _best_m(pairs, along, near, _STEPS_M_PER_S))
     fits = clip((FITS_NOT - shifted_m / float(as_is_m.mean())) / (FITS_NOT - FITS))
     return here, (1.0 - here) * away * fits
+
+
+def _away_share(pairs: Sequence[_Pair], as_is_m: NDArray[np.float64]) -> float:
+    """How many more of all pairs lie away than here, beyond the moment from which on most do.
+
+    What lies where it is a second and a half away was not elsewhere half a second away: it was half
+    seen then.
+    """
+    farthest_first = np.argsort([-abs(pair.away_s) for pair in pairs], kind="stable")
+    away = np.clip((as_is_m[farthest_first] - HERE_M) / (AWAY_M - HERE_M), 0.0, 1.0)
+    return max(0.0, float(np.cumsum(2.0 * away - 1.0).max())) / len(pairs)
 
 
 def _best_m(
