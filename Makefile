@@ -6,12 +6,13 @@ help:         ## Show this list
 	@grep -hE '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*##/\t/' | expand -t 16
 
 .venv/.installed: pyproject.toml
+	@echo "installing into .venv: 2 GB, some two minutes without a word"
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[workers,dev]'
 	@touch $@
 
 install: .venv/.installed  ## Make .venv with the command counterpoint in it
-	@echo "installed: $(BIN)/counterpoint"
+	@echo "installed: $(BIN)/counterpoint; see it work: make demo"
 
 check: .venv/.installed    ## Format, lint, types, imports: what needs no server
 	$(BIN)/ruff format --check .
