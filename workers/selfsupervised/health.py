@@ -1,5 +1,6 @@
 """Whether a pose may be believed: what a car cannot do, and structure that does not fit."""
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from typing import Final
@@ -25,6 +26,12 @@ LOST_JUMP_M: Final = 1.0
 DEGRADED_RESIDUAL_M: Final = 0.2
 LOST_RESIDUAL_M: Final = 0.5
 RESIDUAL_JUMP: Final = 2.0
+
+STANDS_M: Final = 0.25
+FEWEST_STAND: Final = 100
+"""Among cars that drive along most of what is near goes with them. Where a quarter of so many key
+points lies so near, that quarter stands: at poses that were wrong it was 0.5 m off and more."""
+
 _REMEMBERED: Final = 10
 
 MIN_POINTS: Final = 100
@@ -50,6 +57,35 @@ def too_little(points_m: NDArray[np.floating], *, places: int = MIN_PLACES) -> s
     # one number for each: whole rows take numpy twenty times as long
     found = len(np.unique(cells @ _PLACE_KEYS))
     return "" if found >= places else f"points in {found} places only"
+
+
+@dataclass(frozen=True, slots=True)
+class Residual:
+    """How far key points off the road lie from the frame before; NaN where there are none.
+
+    Attributes:
+        median_m: Of half of them.
+        quarter_m: Of the nearest quarter.
+        points: How many they are.
+    """
+
+    median_m: float = math.nan
+    quarter_m: float = math.nan
+    points: int = 0
+
+    @classmethod
+    def of(cls, distances_m: NDArray[np.floating]) -> "Residual":
+        """Sum up distances (N,)."""
+        if len(distances_m) == 0:
+            return cls()
+        quarter_m = float(np.quantile(distances_m, 0.25))
+        return cls(float(np.median(distances_m)), quarter_m, len(distances_m))
+
+    @property
+    def fits_nowhere(self) -> bool:
+        """Whether most is elsewhere, and no quarter of it stands either."""
+        stands = self.points >= FEWEST_STAND and self.quarter_m < STANDS_M
+        return self.median_m > LOST_RESIDUAL_M and not stands
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,22 +116,25 @@ class HealthMonitor:
         if np.isfinite(residual_m):
             self._residuals_m.append(residual_m)
 
-    def judge(self, velocity: NDArray[np.float64], dt_s: float, residual_m: float) -> Judgement:
+    def judge(self, velocity: NDArray[np.float64], dt_s: float, residual: Residual) -> Judgement:
         """Judge the motion that a registration found.
 
         Args:
             velocity: (6,) twist per second since the last registered frame.
             dt_s: Time between the two.
-            residual_m: Median distance of key points to the frame before; NaN if either has none.
+            residual: Of its key points.
         """
+        residual_m = residual.median_m
         lost, degraded = OdometryState.LOST, OdometryState.DEGRADED
         wild = self._wild(velocity, dt_s)
-        if wild.state is not lost and residual_m > LOST_RESIDUAL_M:
+        if wild.state is not lost and residual.fits_nowhere:
             return Judgement(lost, f"structure is {residual_m:.2f} m off")
         if wild.jumped:
             return wild
         if np.isnan(residual_m):
             return Judgement(degraded, "nothing stands near by which to tell the pose")
+        if residual_m > LOST_RESIDUAL_M:
+            return Judgement(degraded, f"structure is {residual_m:.2f} m off, a quarter stands")
         usual = float(np.median(self._residuals_m)) if self._residuals_m else residual_m
         if residual_m > max(DEGRADED_RESIDUAL_M, RESIDUAL_JUMP * usual):
             said = f"structure is {residual_m:.2f} m off, {usual:.2f} m is usual"

@@ -8,7 +8,13 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S, Mask, Points, Transform
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from workers.geometry.se3 import inverse, transform
-from workers.selfsupervised.health import LOST_RESIDUAL_M, HealthMonitor, Judgement, too_little
+from workers.selfsupervised.health import (
+    LOST_RESIDUAL_M,
+    HealthMonitor,
+    Judgement,
+    Residual,
+    too_little,
+)
 from workers.selfsupervised.kiss_map import MAX_RANGE_M
 from workers.selfsupervised.maps_by_clock import MapsByClock
 from workers.selfsupervised.neighbours import PointGrid, build_grid, nearest_distances
@@ -79,14 +85,14 @@ class Run:
             self._begin(None)
             return self._unregistered(frame, predicted, "registration did not converge")
 
-        residual_m = self._residual(keypoints, pose)
+        residual = self._residual(keypoints, pose)
         judged, velocity = Judgement(), None
         if self._registered_ns is not None:
             velocity = twist(inverse(self._pose) @ pose) / dt_s
-            judged = self._health.judge(velocity, dt_s, residual_m)
-            if self._refuses(judged, residual_m, frame.stamp_ns):
+            judged = self._health.judge(velocity, dt_s, residual)
+            if self._refuses(judged, residual, frame.stamp_ns):
                 return self._unregistered(frame, predicted, f"not believed: {judged.reason}")
-            self._health.remember(velocity, residual_m)
+            self._health.remember(velocity, residual.median_m)
         self._velocity = velocity
         self._maps.take_in()
         self._pose, self._registered_ns = pose, frame.stamp_ns
@@ -95,16 +101,16 @@ class Run:
         if restarted:
             judged = Judgement(OdometryState.DEGRADED, f"odometry starts anew: {restarted}")
         return PosedFrame(
-            frame, pose.copy(), judged.state, residual_m, judged.reason, jumped=judged.jumped
+            frame, pose.copy(), judged.state, residual.median_m, judged.reason, jumped=judged.jumped
         )
 
-    def _refuses(self, judged: Judgement, residual_m: float, stamp_ns: int) -> bool:
+    def _refuses(self, judged: Judgement, residual: Residual, stamp_ns: int) -> bool:
         """Whether a registration went where no car goes and fits nothing, after sound ones.
 
         Laid into the map, it would bend what comes after. Half a second of them is no mishap.
         """
         wild = judged.jumped and judged.state is OdometryState.LOST
-        wrong = wild and residual_m > LOST_RESIDUAL_M and self._sound >= _SOUND
+        wrong = wild and residual.median_m > LOST_RESIDUAL_M and self._sound >= _SOUND
         since = self._registered_ns
         return wrong and since is not None and (stamp_ns - since) / NS_PER_S <= MAX_GAP_S
 
@@ -121,14 +127,12 @@ class Run:
             self._maps.believe(pose, frame.stamp_ns)
         return PosedFrame(frame, pose.copy(), state, reason=problem)
 
-    def _residual(self, keypoints: NDArray[np.float64], pose: Transform) -> float:
-        """Median distance of this frame's key points to the frame before, metres."""
+    def _residual(self, keypoints: NDArray[np.float64], pose: Transform) -> Residual:
+        """Distances of this frame's key points to the frame before, metres, at most a metre."""
         if self._previous is None:
-            return float("nan")
+            return Residual()
         placed = transform(pose, structure(keypoints))
-        if len(placed) == 0:
-            return float("nan")
-        return float(np.median(nearest_distances(self._previous, placed, RESIDUAL_REACH_M)))
+        return Residual.of(nearest_distances(self._previous, placed, RESIDUAL_REACH_M))
 
 
 @compiled
