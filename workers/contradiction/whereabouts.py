@@ -141,7 +141,7 @@ def _side(
     as_is_m = _misfit_m(pairs, about, np.zeros((1, 2)))[:, 0]
     here = clip((AWAY_M - float(np.quantile(as_is_m, ALWAYS))) / (AWAY_M - HERE_M))
     away = clip(_away_share(pairs, as_is_m) / OFTEN)
-    if away == 0.0:
+    if here == 1.0 or away == 0.0:
         return here, 0.0
     shifted_m = _best_m(pairs, about, _GRID, _STEPS_M_PER_S[1:])
     if np.hypot(*velocity_m_per_s) > _GOES_M_PER_S:
