@@ -45,6 +45,7 @@ TOLD: Final[Mapping[str, str]] = {
     "it leaves its place": "half a second to two seconds later, its shape lies elsewhere: one "
     "velocity leads from here to there",
     "it stands later": "half a second to two seconds later, its shape lies where it does now",
+    "the log ends right after": "within 0.75 s of its beginning: whether it sets off is not seen",
     "its shape fits no usual class": "too low, too long or too tall for a usual road user",
     "occluded before and after": "the witness could not see its place before or after",
     "odometry unhealthy": "poses were doubted in some of its frames",
@@ -150,6 +151,7 @@ def remarks_on(
         ("it stands later", stands_after and not stays, {"stands_after": 0.0}),
         ("it came from elsewhere", evidence.came > HALF, {"came": 0.0, "passes": 0.0}),
         ("it leaves its place", evidence.leaves > HALF, {"leaves": 0.0, "passes": 0.0}),
+        ("the log ends right after", evidence.log_ends > HALF, {"log_ends": 0.0}),
         ("its shape fits no usual class", missed and fits_no_class(size_m), {}),
         ("occluded before and after", unasked > HALF, {}),
         ("odometry unhealthy", evidence.doubted > 0.0, {"doubted": 0.0}),

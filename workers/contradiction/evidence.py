@@ -39,6 +39,8 @@ class Evidence:
         came: It lay elsewhere before, and one velocity leads from there to here.
         leaves: It lies elsewhere after. All are 0 where it is hidden, or the log ends.
         passes: It came, and leaves: what only stops or sets off does one of both.
+        log_ends: It begins so shortly before the end of log or shard that nothing tells whether it
+            sets off: 1 up to half a second, none from a second on.
         own: Share of its surroundings that contradict alike.
         supervised_sure: Mean confidence of the supervised stream.
         selfsupervised_sure: Mean confidence of the self-supervised stream.
@@ -78,6 +80,7 @@ class Evidence:
     came: float
     leaves: float
     passes: float
+    log_ends: float
     own: float
     supervised_sure: float
     selfsupervised_sure: float

@@ -234,7 +234,7 @@ def _shapes(
     shapes = []
     for each in whole[_spread(len(whole), _SHAPES)]:
         placed_m = places_m[each]
-        some_m = placed_m[:: max(1, len(placed_m) // _POINTS)]
+        some_m = np.ascontiguousarray(placed_m[:: max(1, len(placed_m) // _POINTS)])
         stamp_ns = scene.frames[members[each].frame_index].stamp_ns
         shapes.append(_Shape(stamp_ns, some_m, placed_m.min(axis=0), placed_m.max(axis=0)))
     return shapes

@@ -8,7 +8,8 @@ goes on and the supervised stream calls it static, that stream errs for a while,
 the witness sees move what it called moving itself. What came from elsewhere or leaves its place
 moves, however slowly; what does both where the witness alone sees it move, neither stops nor sets
 off. What is called moving later as well was moving. What stands from then on has stopped; of what
-stays all along, who calls it moving errs. What lies at the rim of what both see move is that
+stays all along, who calls it moving errs; of what is called moving as the log ends nobody has seen
+whether it sets off. What lies at the rim of what both see move is that
 thing's rim, and nobody's error. Log-odds at full evidence.
 """
 
@@ -23,7 +24,10 @@ Row = tuple[float, Mapping[str, float]]
 
 PRIOR: Final[Mapping[str, Mapping[Wrong, Row]]] = {
     ContradictionKind.ONLY_SEMANTIC_DYNAMIC.value: {
-        Wrong.SUPERVISED: (0.0, {"witness_still": 2.5, "denied": 1.0, "steady": 1.0, "stays": 1.0}),
+        Wrong.SUPERVISED: (
+            0.0,
+            {"witness_still": 2.5, "denied": 1.0, "steady": 1.0, "stays": 1.0, "log_ends": -1.5},
+        ),
         Wrong.SELFSUPERVISED: (
             0.0,
             {

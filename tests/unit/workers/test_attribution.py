@@ -89,6 +89,24 @@ def test_a_mover_that_only_the_witness_sees_is_worth_a_look() -> None:
     assert track.strength > 0.3
 
 
+@pytest.mark.parametrize(("begins", "is_open"), [(16, True), (4, False)])
+def test_what_begins_to_be_called_moving_as_the_log_ends_may_set_off(
+    begins: int, is_open: bool
+) -> None:
+    phantom = replace(PARKED, frames=frozenset(range(begins, 20)))
+    scene = labelled_scene([phantom, replace(PARKED, semantic=STATIC, at_m=(12, 9, 0))], frames=26)
+    ends, goes_on = (
+        _tracks(_witnessed(replace(scene, frames=scene.frames[:20], after=after), STATIC))[0]
+        for after in ((), scene.frames[20:])
+    )
+    said, later = ends.attribution, goes_on.attribution
+    assert said is not None
+    assert later is not None
+    assert (later.supervised - said.supervised > 0.15) is is_open
+    assert ("the log ends right after" in (*said.because, *said.against)) is is_open
+    assert "the log ends right after" not in (*later.because, *later.against, *later.also)
+
+
 def test_who_goes_on_is_missed_and_who_only_stops_is_not_so_surely() -> None:
     table = tables()[ContradictionKind.ONLY_WITNESS_DYNAMIC.value]
     whole = dict.fromkeys(("witness_moving", "steady", "supervised_sure", "road_user", "came"), 1.0)
