@@ -1,6 +1,7 @@
 """Which scenes go to the labellers: the best distinct ones under a budget. Pure."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from itertools import islice, takewhile
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -38,3 +39,32 @@ def select(ranking: Iterable[RankedScene], *, budget: int) -> list[RankedScene]:
         raise ValueError(f"budget must be at least 1 scene, got {budget}")
     contradicting = takewhile(lambda scene: scene.score > 0, ranking)
     return list(islice((scene for scene in contradicting if scene.twin_of is None), budget))
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """Scenes that a selection passed over, by why.
+
+    Attributes:
+        twins: Right beside a better scene of their log, ranked before the last one selected, or
+            anywhere where the budget was not used up.
+        without: In which nothing contradicts; counted where the budget was not used up.
+    """
+
+    twins: int
+    without: int
+
+
+def left_out(ranking: Sequence[RankedScene], selection: Selection) -> LeftOut:
+    """Count what a selection passed over.
+
+    Args:
+        ranking: All of it, best first.
+        selection: Of this ranking.
+    """
+    used_up = len(selection.scenes) == selection.budget
+    last = selection.scenes[-1].rank if used_up else len(ranking)
+    passed = [scene for scene in ranking if scene.rank <= last]
+    without = sum(scene.score <= 0 for scene in passed)
+    twins = sum(scene.twin_of is not None and scene.score > 0 for scene in passed)
+    return LeftOut(twins, without)

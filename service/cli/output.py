@@ -15,6 +15,7 @@ from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress,
+    Task,
     TaskID,
     TextColumn,
     TimeRemainingColumn,
@@ -60,6 +61,11 @@ def remark(text: str, *, level: Literal["info", "warning", "error"] = "info") ->
         getattr(log, level)(text)
     else:
         remarks.print(text, markup=False, soft_wrap=True)
+
+
+def counted(number: int, what: str) -> str:
+    """Say how many, with an s where they are not one."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def table(title: str, columns: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
@@ -138,8 +144,14 @@ class _Lines(Progress):
             return
         self._said_s = monotonic()
         task = self.tasks[self.task_ids.index(task_id)]
-        of = "" if task.total is None else f" of {task.total:g}"
-        remark(f"{task.description}: {task.completed:g}{of}")
+        remark(f"{task.description}{_how_far(task)}")
+
+
+def _how_far(task: Task) -> str:
+    """What is done of a task, as the end of a line; nothing where nothing can be counted yet."""
+    if task.total is not None:
+        return f": {task.completed:g} of {task.total:g}"
+    return f": {task.completed:g}" if task.completed else ""
 
 
 def progress() -> Progress:

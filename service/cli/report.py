@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 from typing import Any, Final
 
 from schemas.score import SceneScore
-from service.cli.output import remark, table
+from service.cli.output import counted, remark, table
 from service.dry_run import DryLog, DryRun
 from service.ranking import RankedScene
 from service.scene_names import short_names
@@ -68,7 +68,7 @@ def say_what_was_found(status: Status) -> None:
             "judged: "
             + "; ".join(
                 said_of(each.supervised, each.selfsupervised)
-                + (f" in {each.scenes} scenes" if several else "")
+                + (f" in {counted(each.scenes, 'scene')}" if several else "")
                 for each in status.judged
             )
         )
@@ -81,8 +81,8 @@ def say_what_was_found(status: Status) -> None:
     )
     contradicting = points.only_semantic_dynamic + points.only_predictive_dynamic
     remark(
-        f"{status.scenes} scenes, {status.frames} frames; {_percent(contradicting, compared)} of "
-        f"{compared:,} compared points contradict "
+        f"{counted(status.scenes, 'scene')}, {counted(status.frames, 'frame')}; "
+        f"{_percent(contradicting, compared)} of {compared:,} compared points contradict "
         f"({_percent(points.only_semantic_dynamic, compared)} only semantic, "
         f"{_percent(points.only_predictive_dynamic, compared)} only predictive dynamic)"
     )
@@ -104,7 +104,7 @@ def say_ranking(rows: Sequence[RankedScene]) -> None:
     """Print the ranking, best first."""
     rank_of, name_of = {row.scene_id: row.rank for row in rows}, short_names(rows)
     table(
-        f"{len(rows)} scenes",
+        counted(len(rows), "scene"),
         ("rank", "score", "scene (begins, UTC)", "seconds", "why", "twin of"),
         (
             (
@@ -178,7 +178,8 @@ def say_dry_run(found: DryRun) -> None:
     if found.pipeline_version:
         _say_compared(found)
     remark(
-        f"{len(found.logs)} logs, {found.bytes / 1e9:.2f} GB; left to mine: {left} logs, "
+        f"{counted(len(found.logs), 'log')}, {found.bytes / 1e9:.2f} GB; left to mine: "
+        f"{counted(left, 'log')}, "
         f"{found.left_bytes / 1e9:.2f} GB, {found.looked_into} looked into"
         + (", the rest estimated by bytes" if found.looked_into < left else "")
     )

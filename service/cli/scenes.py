@@ -8,13 +8,14 @@ import typer
 
 from schemas.errors import PermanentError
 from service.cli.options import Artifacts, Config, Connect, Database, Json, settings_for
-from service.cli.output import json_line, remark, results, table
+from service.cli.output import counted, json_line, remark, results, table
 from service.cli.report import first_of, said_of, say_judged, say_ranking, say_what_was_found
 from service.config import Settings
 from service.errors import NothingFoundError, UsageError
 from service.merging import SceneEvent
 from service.reading import Reader, StateReader, choose_endpoint
-from service.scene_names import is_short_name, named
+from service.scene_names import is_short_name, named, short_names
+from service.selection import left_out
 
 StateDir = Annotated[
     Path | None, typer.Option("--state", help="Folder of a run; no daemon is needed then.")
@@ -134,11 +135,23 @@ def select(
         for row in selection.scenes:
             json_line({"selection": selection.name} | row.model_dump(mode="json"))
         return
+    ranking = source.top()
+    name_of = short_names(ranking)
     table(
-        f"selection {selection.name!r}: {len(selection.scenes)} of at most {budget} scenes",
-        ("rank", "score", "scene", "why"),
-        ((s.rank, s.score, s.scene_id, first_of(s.reasons)) for s in selection.scenes),
+        f"selection {selection.name!r}: {len(selection.scenes)} of at most "
+        f"{counted(budget, 'scene')}",
+        ("rank", "score", "scene (begins, UTC)", "why"),
+        (
+            (s.rank, s.score, name_of.get(s.scene_id, s.scene_id), first_of(s.reasons))
+            for s in selection.scenes
+        ),
     )
+    passed = left_out(ranking, selection)
+    if passed.twins:
+        remark(f"left out: {counted(passed.twins, 'scene')} right beside a better one of the log")
+    if passed.without:
+        remark(f"left out: {counted(passed.without, 'scene')} in which nothing contradicts")
+    remark("ids, for a labelling tool: --json, or the selection as it was published")
 
 
 def show(

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from service.cli.options import Json
-from service.cli.output import json_line, progress, remark
+from service.cli.output import counted, json_line, progress, remark
 
 
 def add_to(app: typer.Typer) -> None:
@@ -69,7 +69,7 @@ def simulate(
                 json_line(row)
     took_s = time.monotonic() - began_s
     remark(
-        f"{len(plans)} logs, {scenes} scenes, {frames} frames, {planted} planted failures, "
-        f"{disturbed} disturbances in {out}: {frames / took_s / workers:.1f} frames a second and "
-        f"process"
+        f"{counted(len(plans), 'log')}, {counted(scenes, 'scene')}, {frames} frames, "
+        f"{counted(planted, 'planted failure')}, {counted(disturbed, 'disturbance')} in {out}: "
+        f"{frames / took_s / workers:.1f} frames a second and process"
     )

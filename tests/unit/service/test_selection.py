@@ -3,7 +3,7 @@
 import pytest
 
 from service.ranking import RankedScene
-from service.selection import select
+from service.selection import LeftOut, Selection, left_out, select
 
 
 def row(rank: int, score: float, *, twin_of: str | None = None) -> RankedScene:
@@ -39,3 +39,13 @@ def test_nothing_can_be_selected_from_nothing() -> None:
 def test_a_budget_below_one_is_refused(budget: int) -> None:
     with pytest.raises(ValueError, match=f"at least 1 scene, got {budget}"):
         select(RANKING, budget=budget)
+
+
+def test_what_a_selection_passed_over_is_counted_by_why() -> None:
+    def passed(budget: int) -> LeftOut:
+        chosen = tuple(select(RANKING, budget=budget))
+        return left_out(RANKING, Selection(name="week", budget=budget, scenes=chosen))
+
+    assert passed(1) == LeftOut(twins=0, without=0), "the twin comes after the last one selected"
+    assert passed(2) == LeftOut(twins=1, without=0)
+    assert passed(50) == LeftOut(twins=1, without=1)
