@@ -12,12 +12,21 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 from urllib.parse import urlsplit
 
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+)
 from pydantic_core import from_json
 
 from schemas.camera import RECORDED, CameraCalibration
 from schemas.keys import DEFAULT_ROOT
 from schemas.mining import MiningSettings
+from schemas.parts import PART_LINES
 from service.errors import UsageError
 from service.layers import CONFIG_VARIABLE, Written, lay, leaves, nested
 from service.presets import PRESETS, Preset
@@ -147,6 +156,14 @@ class Settings(MiningSettings):
     shard_deadline_s: float = Field(
         default=1800.0, gt=0, description="A worker longer than this on one lease is killed."
     )
+
+    @field_validator("odometry", "supervised", "selfsupervised", "witness")
+    @classmethod
+    def _is_a_part(cls, name: str, setting: ValidationInfo) -> str:
+        known = next(lines for kind, lines in PART_LINES.items() if kind == setting.field_name)
+        if name not in known:
+            raise ValueError(f"one of {', '.join(known)}")
+        return name
 
     @property
     def artifacts_url(self) -> str:

@@ -74,6 +74,8 @@ def test_a_pattern_in_brackets_is_no_json(monkeypatch: pytest.MonkeyPatch) -> No
         pytest.param("lease_s = inf", "lease_s = inf: must be a number above 1", id="endless"),
         pytest.param("workers = 0", "fleet.toml: workers = 0: must be a whole number", id="zero"),
         pytest.param('log_level = "loud"', 'log_level = "loud": must be debug or', id="no level"),
+        pytest.param('supervised = "nosuch"', "must be one of salsanext-lmnet, ", id="no part"),
+        pytest.param('witness = "nosuch"', "must be one of free-space, none", id="no witness"),
         pytest.param("vehicles = 5", "vehicles = 5: must be a list of at most 50", id="no list"),
         pytest.param(
             "[grid]\nshard_s = 3", "grid.shard_s = 3: shard_s (3) must be a whole", id="cuts scenes"
