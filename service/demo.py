@@ -109,7 +109,9 @@ def run_demo(
             settings,
             once=True,
             on_ready=remark,
-            on_progress=lambda done, total: bar.update(task, completed=done, total=total),
+            on_progress=lambda what, done, total: bar.update(
+                task, description=what, completed=done, total=total
+            ),
         )
     reader = StateReader(settings, now_s=now_s)
     ranking = reader.top()

@@ -38,13 +38,15 @@ LOCAL_WORKERS: Final = "local-"
 
 _LOOK_S: Final = 0.5
 
+_STARTING: Final = "workers start; a first run compiles its loops, about a minute"
+
 
 def run_embedded(
     settings: Settings,
     *,
     once: bool,
     on_ready: Callable[[str], None],
-    on_progress: Callable[[int, int], None],
+    on_progress: Callable[[str, int, int | None], None],
 ) -> Status:
     """Run router, service and workers of one machine until told to stop, or until all is mined.
 
@@ -52,7 +54,7 @@ def run_embedded(
         settings: Bucket, state, workers, and what workers must do alike.
         once: Stop when every log that lies in the bucket now is done, refused or parked.
         on_ready: Told in one sentence where the service can be reached.
-        on_progress: Told shards finished and shards known, now and then.
+        on_progress: Told now and then what is done, shards finished, and shards known if any are.
 
     Returns:
         How far everything is at the end.
@@ -291,7 +293,7 @@ def _stay(
     stop: Event,
     *,
     once: bool,
-    on_progress: Callable[[int, int], None],
+    on_progress: Callable[[str, int, int | None], None],
 ) -> str:
     """Look after service and pool until told to stop or, once, until all is settled.
 
@@ -302,13 +304,14 @@ def _stay(
     while not stop.wait(_LOOK_S):
         service.check()
         pool.check()
-        version = (pool.pipeline_version() or version) if once else ""
-        if version and ledger.settled(version):
+        version = pool.pipeline_version() or version
+        if once and version and ledger.settled(version):
             break
         works = ledger.backlog().work.items()  # cheap, unlike a whole status
         shards = {state: count for (kind, state), count in works if kind == "shard"}
-        on_progress(shards.get("done", 0) + shards.get("parked", 0), sum(shards.values()))
-    return version
+        finished = shards.get("done", 0) + shards.get("parked", 0)
+        on_progress("mining" if version else _STARTING, finished, sum(shards.values()) or None)
+    return version if once else ""
 
 
 def _take_back(ledger: Ledger, worker_id: str) -> None:

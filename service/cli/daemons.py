@@ -114,7 +114,9 @@ def run(
             settings,
             once=once,
             on_ready=remark,
-            on_progress=lambda done, total: bar.update(task, completed=done, total=total),
+            on_progress=lambda what, done, total: bar.update(
+                task, description=what, completed=done, total=total
+            ),
         )
     if once:
         say_what_was_found(status)
