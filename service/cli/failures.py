@@ -15,10 +15,11 @@ from service.cli.options import (
     Weights,
     settings_for,
 )
-from service.cli.output import json_line, progress, remark, table
+from service.cli.output import counted, json_line, progress, remark, table
 from service.errors import UsageError
 
 if TYPE_CHECKING:
+    from workers.evaluation.failures.bench import FailureBench
     from workers.evaluation.failures.natural import NaturalTable
     from workers.evaluation.failures.planted import PlantedTable
     from workers.evaluation.failures.ranking import RankingRow
@@ -111,9 +112,12 @@ def failures(
             _say_planted(bench.planted)
         if bench.natural is not None:
             _say_natural(bench.natural)
+        _say_what_columns_mean(bench)
     for judged_in, stream in bench.judged.items():
         remark(f"judged in {judged_in}: supervised stream {stream}")
-    if report is not None:
+    if report is None:
+        remark("a page with plots, and with what each kind means: --report FILE.html")
+    else:
         from service.failure_report import write_report
 
         write_report(report, bench)
@@ -139,7 +143,8 @@ COLUMNS = ("ranked by", "AP", "95 %", "precision 5 %", "recall 1 %", "5 %", "10 
 
 def _say_planted(found: "PlantedTable") -> None:
     table(
-        f"planted: {found.failures} failures in {found.failing_scenes} of {found.scenes} scenes",
+        f"planted: {counted(found.failures, 'failure')} in {found.failing_scenes} of "
+        f"{counted(found.scenes, 'scene')}",
         (*COLUMNS, "found a minute", "found area"),
         [_row("score", found)] + [_row(name, row) for name, row in _best_first(found.baselines)],
     )
@@ -173,7 +178,7 @@ def _say_planted(found: "PlantedTable") -> None:
 def _say_natural(found: "NaturalTable") -> None:
     table(
         f"natural: the stream fails on {found.failing_things} of {found.things} things, in "
-        f"{found.failing_scenes} of {found.scenes} scenes",
+        f"{found.failing_scenes} of {counted(found.scenes, 'scene')}",
         (*COLUMNS, "found a minute", "found area"),
         [_row("strength", found)] + [_row(name, row) for name, row in _best_first(found.baselines)],
     )
@@ -195,6 +200,27 @@ def _say_who(found: "PlantedTable | NaturalTable") -> None:
             for name, count in said.cases.items()
         ),
     )
+
+
+def _say_what_columns_mean(bench: "FailureBench") -> None:
+    """Explain the words of the tables, and say what a fleet is too small for."""
+    from workers.evaluation.failures.intervals import FEWEST_LOGS
+    from workers.evaluation.failures.retrieval import looked_at
+
+    remark(
+        "AP: average precision; 95 %: where it would lie, had other logs been recorded; precision, "
+        "recall and lift (precision over a random order's) of the first so many percent; found a "
+        "minute: distinct failures for each minute of recording that is looked at; found area: "
+        "under the share of failures found, 0.5 for a random order"
+    )
+    if bench.logs < FEWEST_LOGS:
+        remark(f"no intervals: {counted(bench.logs, 'log')} cannot say what others would give")
+    for ranked, what in ((bench.planted, "scene"), (bench.natural, "thing")):
+        if ranked is not None and looked_at(0.01, ranked.ranked) == looked_at(0.05, ranked.ranked):
+            remark(
+                f"{counted(ranked.ranked, what)}: 1 % and 5 % are the same ones; figures of so few "
+                "move with each"
+            )
 
 
 def _row(name: str, row: "RankingRow") -> tuple[Any, ...]:

@@ -101,6 +101,17 @@ def test_intervals_draw_whole_logs() -> None:
     assert set(drawn) == {15}
 
 
+def test_of_too_few_logs_no_interval_is_said() -> None:
+    values = np.arange(10.0)
+
+    def mean(items: np.ndarray[tuple[int], np.dtype[np.int64]]) -> tuple[float | None, ...]:
+        return (float(values[items].mean()), 1.0)
+
+    assert bootstrap([0] * 10, mean, draws=50) == [None, None]
+    assert bootstrap([0] * 5 + [1] * 5, mean, draws=50) == [None, None]
+    assert None not in bootstrap([0] * 4 + [1] * 3 + [2] * 3, mean, draws=50)
+
+
 def test_a_score_that_says_how_often_it_is_right_has_no_error() -> None:
     said = np.repeat([0.25, 0.75], 400)
     was = np.concatenate([np.arange(400) < 100, np.arange(400) < 300])

@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 DRAWS: Final = 1000
 LEVEL: Final = 0.95
 
+FEWEST_LOGS: Final = 3
+"""One log drawn anew is itself, of two, half of the draws are one of them twice."""
+
 Interval = tuple[float, float]
 
 
@@ -30,11 +33,13 @@ def bootstrap(
         seed: Of the draws.
 
     Returns:
-        For each figure; None where less than half of the draws have it.
+        For each figure; None where less than half of the draws have it, or of too few logs.
     """
     of = np.asarray(groups)
     names = np.unique(of)
     members = [np.flatnonzero(of == name) for name in names]
+    if len(members) < FEWEST_LOGS:
+        return [None for _ in figures(np.arange(len(of)))]
     rng = np.random.default_rng(seed)
     drawn = []
     for _ in range(draws):
