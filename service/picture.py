@@ -31,9 +31,9 @@ from service.picture_view import View
 
 __all__ = ["draw_camera", "draw_scene"]
 
-WIDTH_PX: Final = 1600
-HEIGHT_PX: Final = 1130
-_ABOVE_PX: Final = 1020
+WIDTH_PX: Final = 1720
+HEIGHT_PX: Final = 1250
+_ABOVE_PX: Final = 1140
 _MARGIN_PX: Final = 18
 _TOP_PX: Final = 92
 _TILE_PX: Final = 168

@@ -89,7 +89,7 @@ def test_the_picture_is_the_same_every_time_and_as_wide_as_a_page(
     mined: tuple[SceneScore, Overlay],
 ) -> None:
     image = draw_scene(*mined)
-    assert image.size == (1600, 1130)
+    assert image.size == (1720, 1250)
     assert image.tobytes() == draw_scene(*mined).tobytes()
 
 
@@ -154,14 +154,14 @@ def test_the_overlay_of_another_scene_is_refused(mined: tuple[SceneScore, Overla
     ],
 )
 def test_scenes_with_little_to_show_are_drawn_all_the_same(scene: Scene) -> None:
-    assert draw_scene(*mined_scene(scene)).size == (1600, 1130)
+    assert draw_scene(*mined_scene(scene)).size == (1720, 1250)
 
 
 def test_names_of_any_length_and_script_are_drawn(mined: tuple[SceneScore, Overlay]) -> None:
     score, overlay = mined
     name = "東京/" + "a" * 400
     renamed = score.model_copy(update={"scene_id": name, "reasons": ("x" * 500, "word " * 90)})
-    assert draw_scene(renamed, replace(overlay, scene_id=name)).size == (1600, 1130)
+    assert draw_scene(renamed, replace(overlay, scene_id=name)).size == (1720, 1250)
 
 
 def test_what_gated_a_scene_is_told_without_the_number_and_colour_of_a_track(

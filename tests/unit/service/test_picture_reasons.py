@@ -54,7 +54,7 @@ def test_what_a_recorded_odometry_is_worth_is_no_track(
     told = "recorded odometry not believed: 90% of the last 50 steps differ"
     picture = draw_scene(score.model_copy(update={"reasons": (told,)}), overlay)
     other = draw_scene(score.model_copy(update={"reasons": ("odometry" + told[17:],)}), overlay)
-    marks = [np.asarray(each)[700:1000, 1056:1070] for each in (picture, other)]
+    marks = [np.asarray(each)[700:1120, 1176:1190] for each in (picture, other)]
     assert (marks[0] == marks[1]).all()
 
 
