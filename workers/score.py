@@ -39,13 +39,13 @@ def score_recording(
     Raises:
         LogUnusableError: If the log cannot be mined at all.
     """
-    parts = parts_of(settings)
-    version = pipeline_version(settings, parts)
     plan = plan_recording(bucket, recording, settings, on_unread_labels=on_unread_labels)
     if plan.refused:
         raise LogUnusableError(f"cannot mine {recording.log_id}: {plan.refused}")
     for damage in plan.damage:
         on_damage(damage)
+    parts = parts_of(settings)  # seconds, and vain where the log cannot be mined
+    version = pipeline_version(settings, parts)
     for done, shard in enumerate(plan.shards):
         on_shard(done, len(plan.shards))
         account = Account()
