@@ -34,6 +34,7 @@ class DemoScene:
         at_s: Seconds from the first scene of its log.
         failures: Kinds of what the model on the car was made to get wrong in it, in words.
         disturbances: Kinds of what disturbs in it without being a failure, in words.
+        told: Whether its first reason tells of a track, and not of what held it down.
         named: Whether its first reason tells of a failure that was planted; None where none was.
     """
 
@@ -42,6 +43,7 @@ class DemoScene:
     at_s: int
     failures: tuple[str, ...]
     disturbances: tuple[str, ...]
+    told: bool
     named: bool | None = None
 
     @property
@@ -69,9 +71,15 @@ class DemoScene:
 
     @property
     def wrong(self) -> str:
-        """Who probably errs about its strongest track; a dash where nothing is worth a look."""
-        said = self.record.tracks[0].attribution if self.record.tracks else None
-        return _WORDS[said.wrong] if said and self.record.score > 0 else "-"
+        """Who probably errs about the track that is told, and how probably; else a dash."""
+        said = self.record.tracks[0].attribution if self.told else None
+        return f"{_WORDS[said.wrong]} {getattr(said, said.wrong.value):.0%}" if said else "-"
+
+    @property
+    def why(self) -> str:
+        """What its first reason tells, without who errs and what speaks for it: a table's worth."""
+        first = next(iter(self.record.reasons), "-")
+        return first.partition("; ")[0] if self.told else first
 
 
 def beside_truth(
@@ -102,8 +110,9 @@ def beside_truth(
         known, record = planted[row.log_id], records[row.scene_id]
         failures = _within(known.failures, row) if known else ()
         named = False if failures else None
-        told = record.tracks and record.tracks[0].strength >= WORTH_SAYING
-        if known and failures and record.score > 0 and told:
+        strongest = max((track.strength for track in record.tracks[:1]), default=0.0)
+        told = record.score > 0 and strongest >= WORTH_SAYING
+        if known and failures and told:
             points = PlantedPoints(truth / row.log_id)
             named = points.first_reason_names(overlay_of(row.scene_id), known.failures)
         scenes.append(
@@ -113,6 +122,7 @@ def beside_truth(
                 at_s=round((row.start_ns - begins_ns[row.log_id]) / NS_PER_S),
                 failures=failures,
                 disturbances=_within(known.disturbances, row) if known else (),
+                told=told,
                 named=named,
             )
         )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from service.cli.options import LogFormat, LogLevel, log_as
-from service.cli.output import progress, remark, table
+from service.cli.output import counted, progress, remark, table
 
 if TYPE_CHECKING:
     from service.demo_planted import DemoScene
@@ -49,7 +49,10 @@ def demo(
     say_demo_ranking(result.scenes)
     failing = sum(bool(scene.failures) for scene in result.scenes)
     named = sum(scene.named is True for scene in result.scenes)
-    remark(f"the first reason names what was planted in {named} of {failing} scenes with a failure")
+    remark(
+        f"the first reason names what was planted in {named} of "
+        f"{counted(failing, 'scene')} with a failure"
+    )
     table(
         f"how well rankings find the {failing} of {len(result.scenes)} scenes with a planted "
         "failure",
@@ -79,7 +82,8 @@ def say_demo_ranking(scenes: "Sequence[DemoScene]", *, most: int = DEMO_ROWS) ->
     rank_of = {scene.row.scene_id: scene.row.rank for scene in scenes}
     shown = [scene for scene in scenes if scene.row.rank <= most or scene.failures]
     table(
-        f"{len(scenes)} scenes: the best {most}, and of the others those with a planted failure",
+        f"{counted(len(scenes), 'scene')}: the best {most}, and of the others those with a planted "
+        "failure",
         ("rank", "score", "scene", "planted", "why names it", "who errs", "why", "twin of rank"),
         (
             (
@@ -89,7 +93,7 @@ def say_demo_ranking(scenes: "Sequence[DemoScene]", *, most: int = DEMO_ROWS) ->
                 scene.planted,
                 None if scene.named is None else "yes" if scene.named else "no",
                 scene.wrong,
-                "; ".join(scene.record.reasons[:1]) or "-",
+                scene.why,
                 rank_of[scene.row.twin_of] if scene.row.twin_of else None,
             )
             for scene in shown

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -98,7 +99,7 @@ def test_what_was_planted_stands_beside_the_scene_that_it_is_in(scenes: list[Dem
         "-",
         "missed mover",
     ]
-    assert [scene.wrong for scene in scenes] == ["supervised", "supervised", "supervised", "-"]
+    assert [scene.wrong for scene in scenes] == ["supervised 90%"] * 3 + ["-"]
 
 
 @pytest.fixture
@@ -138,3 +139,15 @@ def test_rankings_are_held_against_failures_not_against_disturbances(
 ) -> None:
     ours = found_in(scenes)[0]
     assert ours.ap == pytest.approx((1.0 + 2 / 4) / 2)
+
+
+def test_a_table_tells_what_was_seen_the_picture_what_speaks_for_it(
+    scenes: list[DemoScene],
+) -> None:
+    seen, verdict = "car seen moving by the supervised stream alone for 1.3 s, 16 m behind", "errs"
+    record = scenes[0].record.model_copy(update={"reasons": (f"{seen}; {verdict}", "odometry")})
+    assert replace(scenes[0], record=record).why == seen
+    lost = record.model_copy(update={"reasons": ("odometry lost (a; b): not judged",)})
+    untold = replace(scenes[0], record=lost, told=False)
+    assert untold.why == "odometry lost (a; b): not judged"
+    assert untold.wrong == "-", "no verdict on what is not told"
