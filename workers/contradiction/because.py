@@ -59,7 +59,7 @@ TOLD: Final[Mapping[str, str]] = {
     "slow": "it lasts, and goes between a quarter of a metre and one metre",
     "flickers": "it contradicts in less than 80 % of the frames of its span",
     "it goes its way": "it goes over a metre along a straight path",
-    "it goes nowhere": "it stays within a quarter of a metre",
+    "its boxes go nowhere": "the boxes of its track stay within a quarter of a metre",
     "of a road user's size": "its box has the size of a road user",
     "of no road user's size": "its box has no road user's size",
     "a thing of its own": "what contradicts is most of what is compared in and around it",
@@ -174,7 +174,7 @@ def _quiet(evidence: Evidence) -> tuple[Remark, ...]:
     goes = evidence.went > HALF and evidence.straight > HALF
     said: tuple[tuple[str, bool, Mapping[str, float]], ...] = (
         ("it goes its way", goes, {"went": 0.0, "straight": 0.0}),
-        ("it goes nowhere", evidence.went < LITTLE, {"went": 1.0, "straight": 1.0}),
+        ("its boxes go nowhere", evidence.went < LITTLE, {"went": 1.0, "straight": 1.0}),
         ("of a road user's size", evidence.road_user > SURE, {"road_user": 0.0}),
         ("of no road user's size", evidence.road_user < LITTLE, {"road_user": 1.0}),
         ("a thing of its own", evidence.own > SURE, {"own": 0.0}),
