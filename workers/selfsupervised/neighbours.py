@@ -11,12 +11,12 @@ from workers.selfsupervised.point_grid import (
     build_grid,
     cell_along,
 )
-from workers.visibility.compiled import compiled
+from workers.visibility.compiled import compiled, inlined
 
 __all__ = ["PointGrid", "build_grid", "nearer", "nearest_distances", "nearest_indices"]
 
 
-@compiled
+@inlined
 def nearer(
     grid: PointGrid, x: float, y: float, z: float, best: float, found: int
 ) -> tuple[float, int]:

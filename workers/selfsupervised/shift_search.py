@@ -14,7 +14,7 @@ from workers.selfsupervised.occupancy import (
     cells_of,
     scores_around,
 )
-from workers.visibility.compiled import compiled
+from workers.visibility.compiled import compiled, inlined
 from workers.visibility.steps import step
 
 ENERGY_REACH_M: Final = 0.5
@@ -96,7 +96,7 @@ def energy_of(
     return total / len(points)
 
 
-@compiled
+@inlined
 def _near(
     grid: PointGrid, x: float, y: float, z: float, reach: float, row: int
 ) -> tuple[float, int]:
