@@ -3,9 +3,10 @@
 import numpy as np
 
 from schemas.frame import LidarFrame
-from workers.geometry.range_image import SensorProfile, project
+from workers.geometry.range_image import SensorProfile, image_channels, project
 from workers.geometry.window import (
     commonest,
+    likeliest,
     look_up,
     mean_of,
     mixed_windows,
@@ -28,6 +29,8 @@ def call_loops(frame: LidarFrame) -> None:
     image = project(frame.points_m, _PROFILE, valid_mask=frame.valid_mask)
     seen = frame.points_m[image.index[image.index >= 0]]
     project(moved(seen, np.eye(4)), _PROFILE, gate_m=(2.0, 100.0))
+    channels = image_channels(image, frame.points_m, frame.intensity, _PROFILE)
+    likeliest(channels.reshape(len(channels), -1))
     codes, flat = np.ones(image.index.shape, np.uint8), image.row * np.int32(64) + image.column
     mixed_windows(codes, image.index, 2, True)
     voters = nearest_in_window(
