@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
-from workers.selfsupervised.neighbours import PointGrid, build_grid, nearer
 from workers.selfsupervised.occupancy import (
     CELL_M,
     Occupancy,
@@ -15,6 +14,7 @@ from workers.selfsupervised.occupancy import (
     scores_around,
 )
 from workers.visibility.compiled import compiled, inlined
+from workers.visibility.neighbours import PointGrid, build_grid, nearer
 from workers.visibility.steps import step
 
 ENERGY_REACH_M: Final = 0.5
