@@ -123,3 +123,41 @@ def nearest_of_pixels(
             if shown < 0 or range_m[i] < depth[row[i], column[i]]:
                 index[row[i], column[i]] = i
                 depth[row[i], column[i]] = range_m[i]
+
+
+@compiled
+def normalised(
+    index: NDArray[np.int32],
+    least: int,
+    range_m: NDArray[np.float32],
+    points: NDArray[np.float32],
+    intensity: NDArray[np.float32],
+    means: NDArray[np.float32],
+    stds: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    """Range, x, y, z and intensity of the point that each pixel shows, less means, over deviations.
+
+    Args:
+        index: (H, W) point of each pixel.
+        least: Pixels of a lower index are empty.
+        range_m: (N,) of each point.
+        points: (N, 3) metres.
+        intensity: (N,).
+        means: (5,).
+        stds: (5,).
+
+    Returns:
+        (5, H, W) float32; zero in empty pixels.
+    """
+    rows, columns = index.shape
+    channels = np.zeros((5, rows, columns), np.float32)
+    for row in range(rows):
+        for column in range(columns):
+            i = index[row, column]
+            if i >= least:
+                channels[0, row, column] = (range_m[i] - means[0]) / stds[0]
+                for axis in range(3):
+                    value = points[i, axis] - means[1 + axis]
+                    channels[1 + axis, row, column] = value / stds[1 + axis]
+                channels[4, row, column] = (intensity[i] - means[4]) / stds[4]
+    return channels

@@ -9,7 +9,14 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
 from workers.geometry.form import Form
-from workers.geometry.pixels import UNSURE, Gaps, gaps_between, nearest_of_pixels, place
+from workers.geometry.pixels import (
+    UNSURE,
+    Gaps,
+    gaps_between,
+    nearest_of_pixels,
+    normalised,
+    place,
+)
 
 Channel = Literal["range", "x", "y", "z", "intensity"]
 
@@ -236,12 +243,12 @@ def image_channels(
     Returns:
         (5, H, W) float32 in the order of `CHANNELS`; zero in empty pixels.
     """
-    filled = image.seen_mask
-    shown = image.index[filled]
-    channels = np.zeros((len(CHANNELS), *image.index.shape), dtype=np.float32)
-    values = (image.point_range_m[shown], *points_m[shown].T, intensity[shown])
-    for channel, value, mean, std in zip(
-        channels, values, profile.means, profile.stds, strict=True
-    ):
-        channel[filled] = (value - np.float32(mean)) / np.float32(std)
-    return channels
+    return normalised(
+        image.index,
+        1 if image.form is Form.PAPER else 0,
+        image.point_range_m,
+        points_m,
+        intensity,
+        np.array(profile.means, np.float32),
+        np.array(profile.stds, np.float32),
+    )

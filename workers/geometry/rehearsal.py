@@ -3,9 +3,11 @@
 import numpy as np
 
 from schemas.frame import LidarFrame
-from workers.geometry.range_image import SensorProfile, project
+from workers.geometry.range_image import SensorProfile, image_channels, project
+from workers.geometry.second_registration import misfit_between, structure_of
 from workers.geometry.window import (
     commonest,
+    likeliest,
     look_up,
     mean_of,
     mixed_windows,
@@ -20,14 +22,20 @@ _PROFILE = SensorProfile(name="rehearsal", rows=16, columns=64, fov_up_deg=10, f
 
 
 def call_loops(frame: LidarFrame) -> None:
-    """Call the loops over range images, instances and overlays with a frame.
+    """Call the loops over range images, static structure, instances and overlays with a frame.
 
     Arrays that may not be written to, as those of a frame, and such that may are two types to the
     compiler: each loop is called with what its stage gives it.
     """
     image = project(frame.points_m, _PROFILE, valid_mask=frame.valid_mask)
     seen = frame.points_m[image.index[image.index >= 0]]
-    project(moved(seen, np.eye(4)), _PROFILE, gate_m=(2.0, 100.0))
+    placed_m = moved(seen, np.eye(4))
+    project(placed_m, _PROFILE, gate_m=(2.0, 100.0))
+    stands = structure_of(placed_m, np.zeros(3))
+    if stands is not None:
+        misfit_between(stands, stands)
+    channels = image_channels(image, frame.points_m, frame.intensity, _PROFILE)
+    likeliest(channels.reshape(len(channels), -1))
     codes, flat = np.ones(image.index.shape, np.uint8), image.row * np.int32(64) + image.column
     mixed_windows(codes, image.index, 2, True)
     voters = nearest_in_window(

@@ -5,12 +5,14 @@ to plane. Along what the structure does not hold (a tunnel, an empty motorway) i
 """
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points, Transform
+from workers.visibility.compiled import compiled
+from workers.visibility.neighbours import PointGrid, build_grid, nearest_few, nearest_rows
 
 NEAR_M: Final = 40.0
 """Beyond it beams lie too far apart for planes."""
@@ -42,13 +44,13 @@ class Structure:
 
     Attributes:
         centre_m: (3,) where the sensor was, odom space.
-        tree: Of all of it.
+        grid: Of all of it.
         sample_m: (S, 3) some of it, on planes.
         normals: (S, 3) of those planes.
     """
 
     centre_m: NDArray[np.float64]
-    tree: Any
+    grid: PointGrid
     sample_m: NDArray[np.float64]
     normals: NDArray[np.float64]
 
@@ -84,22 +86,19 @@ def structure_of(static_m: Points, centre_m: NDArray[np.floating]) -> Structure 
         static_m: (N, 3) places off the ground that no stream calls dynamic, odom space.
         centre_m: (3,) where the sensor was.
     """
-    from scipy.spatial import cKDTree
-
     centre = np.asarray(centre_m, np.float64)
-    away = static_m.astype(np.float64) - centre
-    near = static_m[(away[:, 0] ** 2 + away[:, 1] ** 2) < NEAR_M**2].astype(np.float64)
+    near = _near(static_m, centre[0], centre[1])
     if len(near) < FEWEST:
         return None
-    tree = cKDTree(near, compact_nodes=False, balanced_tree=False)
-    sample = near[:: max(1, len(near) // _SAMPLES)]
-    _, around = tree.query(sample, k=_AROUND)
-    spread = near[around] - near[around].mean(axis=1, keepdims=True)
+    grid = build_grid(near, centre)
+    sample = np.ascontiguousarray(near[:: max(1, len(near) // _SAMPLES)])
+    around = grid.points_m[nearest_few(grid, sample, _AROUND)].astype(np.float64)
+    spread = around - around.mean(axis=1, keepdims=True)
     values, vectors = np.linalg.eigh(np.einsum("ski,skj->sij", spread, spread))
     flat = values[:, 0] < _FLAT * np.maximum(values[:, 1], 1e-9)
     if int(flat.sum()) < FEWEST // 2:
         return None
-    return Structure(centre, tree, sample[flat], vectors[flat, :, 0])
+    return Structure(centre, grid, sample[flat].astype(np.float64), vectors[flat, :, 0])
 
 
 def misfit_between(reference: Structure, moved: Structure) -> Misfit | None:
@@ -115,13 +114,13 @@ def misfit_between(reference: Structure, moved: Structure) -> Misfit | None:
     for count in range(_STEPS):
         turned = arms @ rotation.T
         placed = turned + moved.centre_m + shift
-        distance_m, at = reference.tree.query(placed, distance_upper_bound=reach_m)
-        met = np.isfinite(distance_m)
+        row = nearest_rows(reference.grid, placed, reach_m)
+        met = row >= 0
         share = float(met.mean())
         if int(met.sum()) < FEWEST // 2:
             return None
         planes = normals[met] @ rotation.T
-        gap_m = ((reference.tree.data[at[met]] - placed[met]) * planes).sum(axis=1)
+        gap_m = ((reference.grid.points_m[row[met]] - placed[met]) * planes).sum(axis=1)
         size_m = np.abs(gap_m)
         after_m = float(np.quantile(size_m, _MOST))
         before_m = after_m if np.isnan(before_m) else before_m
@@ -147,6 +146,19 @@ def misfit_between(reference: Structure, moved: Structure) -> Misfit | None:
         share=share,
         correction=correction,
     )
+
+
+@compiled
+def _near(points: Points, x: float, y: float) -> Points:
+    """Points that are near a place, seen from above; (M, 3)."""
+    rows = np.empty(points.shape, np.float32)
+    count = 0
+    for i in range(len(points)):
+        dx, dy = np.float64(points[i, 0]) - x, np.float64(points[i, 1]) - y
+        if dx * dx + dy * dy < NEAR_M**2:
+            rows[count] = points[i]
+            count += 1
+    return rows[:count].copy()
 
 
 def _step(

@@ -231,3 +231,18 @@ def mixed_windows(codes: Codes, index: Pixels, reach: int, wrap: bool) -> NDArra
                 low, high = min(low, lowest[at, column]), max(high, highest[at, column])
             mixed[row, column] = low != high or low == 0
     return mixed
+
+
+@compiled
+def likeliest(values: Values) -> Codes:
+    """One more than the first of the greatest of K values of each pixel, of (K, P); (P,)."""
+    count, pixels = values.shape
+    best = np.ones(pixels, np.uint8)
+    most = values[0].copy()
+    for k in range(1, count):
+        value, code = values[k], np.uint8(k + 1)
+        for p in range(pixels):  # without a branch, for vector instructions
+            more = value[p] > most[p]
+            best[p] = code if more else best[p]
+            most[p] = value[p] if more else most[p]
+    return best

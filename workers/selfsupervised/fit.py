@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from schemas.arrays import Mask, Points
 from workers.geometry.second_registration import misfit_between, structure_of
 from workers.selfsupervised.health import MAX_ACCELERATION_M_PER_S2, POSE_NOISE_M
-from workers.selfsupervised.neighbours import nearest_distances
 from workers.selfsupervised.registration import Reference
+from workers.visibility.neighbours import nearest_distances
 from workers.visibility.passes import within
 
 SHARE: Final = 0.75

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from schemas.arrays import Points
 from workers.selfsupervised.evidence import Evidence
 from workers.selfsupervised.motion import ClusterMotions
-from workers.selfsupervised.neighbours import build_grid, nearest_indices
 from workers.selfsupervised.strips import are_strips
 from workers.selfsupervised.tracker import Tracked
+from workers.visibility.neighbours import build_grid, nearest_indices
 from workers.visibility.steps import step
 
 MAX_VOXELS: Final = 60

@@ -6,9 +6,9 @@ import numpy as np
 
 from schemas.arrays import Mask, Points
 from workers.selfsupervised.evidence import Evidence
-from workers.selfsupervised.neighbours import nearest_distances
 from workers.selfsupervised.registration import Reference, Registered
 from workers.visibility.clusters import Clusters, connected, from_labels
+from workers.visibility.neighbours import nearest_distances
 from workers.visibility.steps import step
 
 REACH_M: Final = 0.5

@@ -74,18 +74,25 @@ def scores_around(
         (2 * reach + 1, 2 * reach + 1), 1 where all cells fall on points.
     """
     side = 2 * reach + 1
-    hits = np.zeros((side, side), np.int64)
-    bits = occupancy.bits
+    # both kinds of cells beside each other, as they lie in memory: for vector instructions
+    hits = np.zeros((side, 2 * side), np.uint64)
+    bits = occupancy.bits.reshape((_COLUMNS, 2 * _COLUMNS))
+    one = np.uint64(1)
     for n in range(len(cells)):
         z = np.uint64(cells[n, 2])
         x0, y0 = cells[n, 0] + cx - reach, cells[n, 1] + cy - reach
         first, last = max(0, -y0), min(side, _COLUMNS - y0)
+        if first >= last:
+            continue
         for i in range(max(0, -x0), min(side, _COLUMNS - x0)):
-            for j in range(first, last):
-                on = np.int64((bits[x0 + i, y0 + j, 0] >> z) & np.uint64(1))
-                beside = np.int64((bits[x0 + i, y0 + j, 1] >> z) & np.uint64(1))
-                hits[i, j] += 2 * on + beside
-    return hits / (3.0 * len(cells))
+            there, hit = bits[x0 + i, 2 * (y0 + first) :], hits[i, 2 * first : 2 * last]
+            for k in range(len(hit)):
+                hit[k] += (there[k] >> z) & one
+    score = np.empty((side, side), np.float64)
+    for i in range(side):
+        for j in range(side):
+            score[i, j] = np.int64(2 * hits[i, 2 * j] + hits[i, 2 * j + 1]) / (3.0 * len(cells))
+    return score
 
 
 @compiled

@@ -17,9 +17,9 @@ from workers.selfsupervised.health import (
 )
 from workers.selfsupervised.kiss_map import MAX_RANGE_M
 from workers.selfsupervised.maps_by_clock import MapsByClock
-from workers.selfsupervised.neighbours import PointGrid, build_grid, nearest_distances
 from workers.visibility.compiled import compiled
 from workers.visibility.deskew import Twist, twist
+from workers.visibility.neighbours import PointGrid, build_grid, nearest_distances
 
 MAX_GAP_S: Final = 0.5
 """After a longer silence the constant velocity that ICP starts from means nothing."""

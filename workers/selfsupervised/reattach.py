@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 
 from schemas.arrays import Mask, Points
-from workers.selfsupervised.neighbours import build_grid, nearest_indices
 from workers.selfsupervised.prepare import Prepared
+from workers.visibility.neighbours import build_grid, nearest_indices
 from workers.visibility.passes import moved_rows
 from workers.visibility.steps import step
 

@@ -26,13 +26,13 @@ from workers.selfsupervised.history import (
     voters,
 )
 from workers.selfsupervised.motion import find_motions
-from workers.selfsupervised.neighbours import build_grid
 from workers.selfsupervised.prepare import Preparation
 from workers.selfsupervised.registration import Reference, reference_to
 from workers.selfsupervised.specks import specks_of_movers
 from workers.selfsupervised.tracker import Tracker
 from workers.visibility.deskew import Twist, twist
 from workers.visibility.free_space import HIDDEN, count_votes, visibility
+from workers.visibility.neighbours import build_grid
 
 _NEAR_AGES_S: Final = (0.04, 0.45)
 _FAR_AGES_S: Final = (0.38, 0.75)

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
-from workers.selfsupervised.neighbours import PointGrid, build_grid, nearer
 from workers.selfsupervised.occupancy import (
     CELL_M,
     Occupancy,
@@ -14,7 +13,8 @@ from workers.selfsupervised.occupancy import (
     cells_of,
     scores_around,
 )
-from workers.visibility.compiled import compiled
+from workers.visibility.compiled import compiled, inlined
+from workers.visibility.neighbours import PointGrid, build_grid, nearer
 from workers.visibility.steps import step
 
 ENERGY_REACH_M: Final = 0.5
@@ -96,7 +96,7 @@ def energy_of(
     return total / len(points)
 
 
-@compiled
+@inlined
 def _near(
     grid: PointGrid, x: float, y: float, z: float, reach: float, row: int
 ) -> tuple[float, int]:

@@ -9,9 +9,9 @@ from schemas.arrays import Mask, Points
 from workers.selfsupervised.fragments import REACH_M, WAS_THERE_VOTES
 from workers.selfsupervised.grouping import REACH_M as BODY_REACH_M
 from workers.selfsupervised.motion import ClusterMotions
-from workers.selfsupervised.neighbours import build_grid, nearest_indices
 from workers.visibility.clusters import from_labels
 from workers.visibility.free_space import Votes
+from workers.visibility.neighbours import build_grid, nearest_indices
 from workers.visibility.steps import step
 
 

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S, Mask, Points, Transform
 from workers.geometry.se3 import transform
 from workers.selfsupervised.motion import ClusterMotions
-from workers.selfsupervised.neighbours import build_grid, nearest_indices
 from workers.selfsupervised.proof import proves_whole
 from workers.visibility.beam_table import BeamTable
 from workers.visibility.free_space import Votes
+from workers.visibility.neighbours import build_grid, nearest_indices
 from workers.visibility.steps import step
 
 DYNAMIC_SCORE: Final = 0.6

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.arrays import Mask
+from workers.geometry.window import likeliest
 
 
 class ClassMeaning(BaseModel):
@@ -52,9 +53,8 @@ class ClassSet:
         Returns:
             (...) one more than the rank of the class among those that were taught.
         """
-        taught = probabilities[self._outputs]
-        best: NDArray[np.uint8] = (taught.argmax(axis=0) + 1).astype(np.uint8)
-        return best
+        taught = np.ascontiguousarray(probabilities[self._outputs])
+        return likeliest(taught.reshape(len(taught), -1)).reshape(probabilities.shape[1:])
 
     def class_of(self, codes: NDArray[np.uint8]) -> NDArray[np.int16]:
         """Index of the class behind each code; 0 gives the first ignored class, or -1."""

@@ -32,8 +32,20 @@ def compiled(loop: Loop) -> Loop:
     that it takes from others; a digest of all of them in the name makes stale code impossible.
     Where no cache can be written, that is said once, and every process compiles for itself.
     """
+    return _compiled(loop, inline=False)
+
+
+def inlined(loop: Loop) -> Loop:
+    """Compile a loop that others call for each point: it is laid into each of them.
+
+    A call hands over arrays word by word, several for each, which takes as long as a short loop.
+    """
+    return _compiled(loop, inline=True)
+
+
+def _compiled(loop: Loop, *, inline: bool) -> Loop:
     loop.__qualname__ += f"_{source_digest(*COMPILED)[:8]}"
-    compiler = njit(nogil=True, error_model="numpy")
+    compiler = njit(nogil=True, error_model="numpy", forceinline=inline)
     dispatcher = compiler(loop)
     try:
         dispatcher.enable_caching()

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Points
 from workers.visibility.cells import Cells, column_at, sorted_cells
-from workers.visibility.compiled import compiled
+from workers.visibility.compiled import compiled, inlined
 
 _EDGE_SHARE = 0.577
 """Edge of a cell over the reach: its diagonal, sqrt(3) edges, is shorter than the reach."""
@@ -35,15 +35,17 @@ def components(
     cells = sorted_cells(points, index, group, reach * np.float32(_EDGE_SHARE))
     count = len(cells.height)
     parent = np.arange(count).astype(np.int32)
+    place, slots = cells.place, cells.slots
     for away in range(_SPAN + 1):  # what touches first: it rules most of the others out
-        for c in range(len(cells.place)):
-            x, y = cells.place[c, 0], cells.place[c, 1]
+        whole = _whole_columns(cells, parent)
+        for c in range(len(place)):
+            x, y = place[c, 0], place[c, 1]
             for step_x in range(away + 1):
                 for step_y in range(-away if step_x else 0, away + 1):
                     if max(step_x, abs(step_y)) != away:
                         continue
-                    other = column_at(cells.place, cells.slots, x + step_x, y + step_y)
-                    if other >= 0:
+                    other = column_at(place, slots, x + step_x, y + step_y)
+                    if other >= 0 and not _joined(parent, whole[c], whole[other]):
                         _join_columns(cells, parent, c, other, reach)
     earliest = np.full(count, len(index), np.int32)
     for k in range(count):
@@ -58,6 +60,25 @@ def components(
 
 
 @compiled
+def _whole_columns(cells: Cells, parent: NDArray[np.int32]) -> NDArray[np.int32]:
+    """(columns,) a cell of each column whose cells are all joined, -1 for the other columns."""
+    first, whole = cells.first, np.empty(len(cells.place), np.int32)
+    for c in range(len(whole)):
+        whole[c] = _find(parent, first[c])
+        for k in range(first[c] + 1, first[c + 1]):
+            if _find(parent, k) != whole[c]:
+                whole[c] = -1
+                break
+    return whole
+
+
+@compiled
+def _joined(parent: NDArray[np.int32], one: int, other: int) -> bool:
+    """Whether two cells are joined already; -1 is no cell."""
+    return one >= 0 and other >= 0 and _find(parent, one) == _find(parent, other)
+
+
+@inlined
 def _join_columns(
     cells: Cells, parent: NDArray[np.int32], one: int, other: int, reach: np.float32
 ) -> None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points, Transform
 from workers.visibility.beam_table import BeamTable
-from workers.visibility.compiled import compiled
+from workers.visibility.compiled import compiled, inlined
 from workers.visibility.directions import (
     BLOCK,
     column_of,
@@ -188,7 +188,7 @@ def _visibility(
     return answer
 
 
-@compiled
+@inlined
 def _seen(
     image: NDArray[np.float32], above: int, column: int, distance: np.float32, wide: bool
 ) -> int:

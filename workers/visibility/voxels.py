@@ -49,11 +49,11 @@ def _voxelize(points: Points, voxel: np.float32) -> tuple[Points, NDArray[np.int
     slots = 1
     while slots < 2 * n + 1:
         slots *= 2
-    key_of_slot = np.full(slots, -1, np.int64)
-    voxel_of_slot = np.empty(slots, np.int32)
+    voxel_of_slot = np.full(slots, -1, np.int32)
+    # of each voxel, filled as it appears: what is never touched costs nothing
+    key_of, count = np.empty(n, np.int64), np.empty(n, np.int32)
+    total = np.empty((n, 3), np.float64)
     of_point = np.empty(n, np.int32)
-    total = np.zeros((n, 3), np.float64)
-    count = np.zeros(n, np.int32)
     used = 0
     for i in range(n):
         # 21 bits per axis hold 300 km at 0.15 m
@@ -62,13 +62,15 @@ def _voxelize(points: Points, voxel: np.float32) -> tuple[Points, NDArray[np.int
         kz = np.int64(np.floor(points[i, 2] / voxel)) & 0x1FFFFF
         key = (kx << 42) | (ky << 21) | kz
         slot = (kx * 73856093 ^ ky * 19349663 ^ kz * 83492791) & (slots - 1)
-        while key_of_slot[slot] != key and key_of_slot[slot] != -1:
-            slot = (slot + 1) & (slots - 1)
-        if key_of_slot[slot] == -1:
-            key_of_slot[slot] = key
-            voxel_of_slot[slot] = used
-            used += 1
         v = voxel_of_slot[slot]
+        while v >= 0 and key_of[v] != key:
+            slot = (slot + 1) & (slots - 1)
+            v = voxel_of_slot[slot]
+        if v < 0:
+            v = np.int32(used)
+            voxel_of_slot[slot], key_of[v], count[v] = v, key, 0
+            total[v] = 0.0
+            used += 1
         of_point[i] = v
         count[v] += 1
         for axis in range(3):

@@ -3,9 +3,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from workers.selfsupervised.neighbours import build_grid, nearest_distances
 from workers.selfsupervised.registration import STILL_M, Registered, build_reference, register
 from workers.visibility.clusters import connected
+from workers.visibility.neighbours import build_grid, nearest_distances
 from workers.visibility.voxels import voxelize
 
 

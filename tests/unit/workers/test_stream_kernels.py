@@ -10,7 +10,6 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from workers.selfsupervised.neighbours import build_grid, nearest_indices
 from workers.selfsupervised.occupancy import CELL_M, build_occupancy, cells_of, scores_around
 from workers.selfsupervised.strips import are_strips
 from workers.visibility.clusters import connected, from_labels
@@ -24,6 +23,7 @@ from workers.visibility.directions import (
     row_above,
     rows_of_steps,
 )
+from workers.visibility.neighbours import build_grid, nearest_few, nearest_indices, nearest_rows
 from workers.visibility.steps import step, watched
 
 HERE = np.eye(4, dtype=np.float32)[:3]
@@ -86,6 +86,19 @@ def test_the_nearest_of_few_points_far_off_the_centre_is_found() -> None:
     distance, nearest = cKDTree(points).query(asked)
     assert np.array_equal(found >= 0, distance < 0.9)
     assert np.array_equal(grid.order[found[found >= 0]], nearest[found >= 0])
+
+
+def test_the_nearest_few_are_those_of_a_tree_nearest_first() -> None:
+    points = street(3000, seed=5)
+    points[-1] = 75.0  # so far off that cells are looked at until there are no more
+    asked = np.ascontiguousarray(points[::-7])
+    distance, nearest = cKDTree(points).query(asked, k=8)
+    grid = build_grid(points, np.zeros(3))
+    found = nearest_few(grid, asked, 8)
+    away = np.linalg.norm(grid.points_m[found].astype(np.float64) - asked[:, None], axis=2)
+    assert np.allclose(away, distance, atol=1e-6)
+    assert np.array_equal(grid.order[found[:, 0]], nearest[:, 0])
+    assert np.array_equal(nearest_rows(grid, asked + np.float64(1e-4), 0.5), found[:, 0])
 
 
 def test_only_points_within_reach_of_few_are_given_one() -> None:

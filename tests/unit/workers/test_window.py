@@ -7,6 +7,7 @@ from scipy import ndimage
 
 from workers.geometry.window import (
     commonest,
+    likeliest,
     look_up,
     mean_of,
     mixed_windows,
@@ -88,3 +89,8 @@ def test_windows_are_mixed_where_filters_say_so(wrap: bool) -> None:
     assert expected.any()
     assert not expected.all()
     np.testing.assert_array_equal(mixed_windows(codes, index, 2, wrap), expected)
+
+
+def test_the_likeliest_is_the_first_of_the_greatest() -> None:
+    values = np.random.default_rng(5).integers(0, 4, (7, 300)).astype(np.float32) / np.float32(4)
+    assert np.array_equal(likeliest(values), values.argmax(axis=0) + 1)

@@ -4,19 +4,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
-from workers.selfsupervised.point_grid import (
+from workers.visibility.compiled import compiled, inlined
+from workers.visibility.point_grid import (
     CELL_M,
     LAYERS,
     PointGrid,
     build_grid,
     cell_along,
 )
-from workers.visibility.compiled import compiled
 
-__all__ = ["PointGrid", "build_grid", "nearer", "nearest_distances", "nearest_indices"]
+__all__ = [
+    "PointGrid",
+    "build_grid",
+    "nearer",
+    "nearest_distances",
+    "nearest_few",
+    "nearest_indices",
+    "nearest_rows",
+]
+
+_FIRST_REACH_M = 0.5
+"""Within which a few neighbours are looked for first; twice as far where there are too few."""
 
 
-@compiled
+@inlined
 def nearer(
     grid: PointGrid, x: float, y: float, z: float, best: float, found: int
 ) -> tuple[float, int]:
@@ -103,6 +114,69 @@ def nearest_distances(grid: PointGrid, points: Points, reach: float) -> NDArray[
         squared, _ = nearer(grid, points[i, 0], points[i, 1], points[i, 2], reach * reach, -1)
         distance[i] = np.sqrt(squared)
     return distance
+
+
+@compiled
+def nearest_rows(grid: PointGrid, points: NDArray[np.floating], reach: float) -> NDArray[np.int32]:
+    """Row in `grid.points_m` of each point's nearest neighbour, -1 when none is nearer; (N,)."""
+    rows = np.empty(len(points), np.int32)
+    for i in range(len(points)):
+        _, rows[i] = nearer(grid, points[i, 0], points[i, 1], points[i, 2], reach * reach, -1)
+    return rows
+
+
+@compiled
+def nearest_few(grid: PointGrid, points: Points, few: int) -> NDArray[np.int32]:
+    """Rows in `grid.points_m` of each point's nearest neighbours, nearest first; (N, few).
+
+    The grid must hold as many points.
+    """
+    rows = np.full((len(points), few), -1, np.int32)
+    squared = np.empty(few, np.float64)
+    for i in range(len(points)):
+        reach = _FIRST_REACH_M
+        squared[:] = np.inf
+        while not _few_within(grid, points[i], reach, squared, rows[i]):
+            reach *= 2.0
+            squared[:] = np.inf
+    return rows
+
+
+@compiled
+def _few_within(
+    grid: PointGrid,
+    place: NDArray[np.float32],
+    reach: float,
+    squared: NDArray[np.float64],
+    rows: NDArray[np.int32],
+) -> bool:
+    """Sort the nearest points of all cells within reach into a list; whether no other is nearer."""
+    points, column, start, origin = grid.points_m, grid.column, grid.start, grid.origin_m
+    count_x, count_y = column.shape
+    x, y, z = np.float64(place[0]), np.float64(place[1]), np.float64(place[2])
+    first_x = cell_along(x - reach, origin[0], count_x)
+    last_x = cell_along(x + reach, origin[0], count_x)
+    first_y = cell_along(y - reach, origin[1], count_y)
+    last_y = cell_along(y + reach, origin[1], count_y)
+    low, high = cell_along(z - reach, origin[2], LAYERS), cell_along(z + reach, origin[2], LAYERS)
+    last = len(squared) - 1
+    for cx in range(first_x, last_x + 1):
+        for cy in range(first_y, last_y + 1):
+            first = column[cx, cy] * LAYERS
+            if first < 0:
+                continue
+            for j in range(start[first + low], start[first + high + 1]):
+                dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
+                away = dx * dx + dy * dy + dz * dz
+                if away >= squared[last]:
+                    continue
+                at = last
+                while at > 0 and squared[at - 1] > away:
+                    squared[at], rows[at] = squared[at - 1], rows[at - 1]
+                    at -= 1
+                squared[at], rows[at] = away, j
+    wide = first_x == 0 and last_x == count_x - 1 and first_y == 0 and last_y == count_y - 1
+    return squared[last] <= reach * reach or (wide and low == 0 and high == LAYERS - 1)
 
 
 @compiled
