@@ -98,10 +98,10 @@ def run_demo(
         logs = make_demo_fleet(
             bucket, processes=settings.workers, progress=lambda: bar.advance(task)
         )
-    planted = sum(len(log.planted.failures) for log in logs)
+    planted = [each.kind.value.replace("_", " ") for log in logs for each in log.planted.failures]
     remark(
-        f"{len(logs)} simulated logs; the model on these cars was made to err {planted} times: it "
-        "misses movers and calls parked cars moving. Mining them takes a few minutes."
+        f"{len(logs)} simulated logs; the model on these cars was made to err {len(planted)} times "
+        f"({', '.join(sorted(set(planted)))}). Mining them takes a few minutes."
     )
     with progress() as bar:
         task = bar.add_task("mining", total=None)

@@ -24,6 +24,14 @@ svg { margin: .5em 1em .5em 0 } .title { font-weight: 600; font-size: 14px }
 .grid { stroke: #e9ecef } .diagonal { stroke: #868e96; stroke-dasharray: 4 4 }
 """
 
+COLUMNS_MEAN: Final = (
+    "AP: average precision; 95 %: where it would lie, had other logs been recorded; precision, "
+    "recall and lift (precision over a random order's) of the first so many percent; found a "
+    "minute: distinct failures for each minute of recording that is looked at; found area: under "
+    "the share of failures found, 0.5 for a random order; median rank: 0 is first, 1 is last"
+)
+"""What stands above the columns of a ranking, on the page and in the terminal."""
+
 _DOES: Final = "what the model on the car does"
 _BUDGETS: Final = ("0.5", "1", "2", "5", "10")
 
@@ -59,7 +67,8 @@ def _planted(found: "PlantedTable") -> list[str]:
     disturbances = {kind.value: means for kind, means in DISTURBANCE_MEANS.items()}
     return [
         f"<h2>Planted</h2><p>{found.failures} failures in {found.failing_scenes} of {found.scenes} "
-        f"scenes. {found.unseen} of {found.planted} planted ones are not in the labels.</p>",
+        f"scenes; {found.planted - found.unseen} of {found.planted} that were planted show in the "
+        f"labels.</p><p>{escape(COLUMNS_MEAN)}.</p>",
         _ranking({"score": found, **found.baselines}),
         f"<p>Gain over the best baseline, {escape(found.best_baseline)}: {found.gain} "
         f"{found.gain_interval or ''}.</p>",
@@ -76,7 +85,8 @@ def _planted(found: "PlantedTable") -> list[str]:
                 for kind, row in found.kinds.items()
             ],
         ),
-        "<h3>Scenes without failure above the score of the undisturbed 5 % budget</h3>",
+        "<h3>False alarms: scenes without failure above the score that ends the first 5 % of the "
+        "undisturbed</h3>",
         html_table(
             ("disturbed by", "scenes", "above", "share", "what is wrong with the recording"),
             [
@@ -84,9 +94,10 @@ def _planted(found: "PlantedTable") -> list[str]:
                 for name, row in shares.items()
             ],
         ),
-        f"<p>Common mode: both streams wrong on {shared.both_wrong} of {shared.planted}; "
-        f"{shared.surfaced} surfaced, {shared.witnessed} witnessed, {shared.in_budget} in the best "
-        "10 %.</p>",
+        f"<p>Common mode, failures chosen to escape both streams: both wrong on "
+        f"{shared.both_wrong} of {shared.planted}; the witness contradicts both on "
+        f"{shared.witnessed}, {shared.in_budget} are in the first 10 %, {shared.surfaced} are "
+        "both.</p>",
         *_who(found.attribution),
     ]
 
@@ -94,7 +105,7 @@ def _planted(found: "PlantedTable") -> list[str]:
 def _natural(found: "NaturalTable") -> list[str]:
     return [
         f"<h2>Natural</h2><p>The stream fails on {found.failing_things} of {found.things} things, "
-        f"in {found.failing_scenes} of {found.scenes} scenes.</p>",
+        f"in {found.failing_scenes} of {found.scenes} scenes.</p><p>{escape(COLUMNS_MEAN)}.</p>",
         _ranking({"strength": found, **found.baselines}),
         _curves({"strength": found, **found.baselines}, "things"),
         _reliability("strength: share of things that fail", found.calibration),

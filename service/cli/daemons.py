@@ -25,7 +25,7 @@ from service.cli.options import (
     Weights,
     settings_for,
 )
-from service.cli.output import progress, remark
+from service.cli.output import command, progress, remark
 from service.cli.report import say_what_was_found
 from service.config import DEFAULT_ENDPOINT, Settings
 from service.errors import UsageError
@@ -120,6 +120,7 @@ def run(
         )
     if once:
         say_what_was_found(status)
+        remark(f"next: {command()} top --state {settings.state}")
 
 
 def service(

@@ -1,7 +1,5 @@
 """The verb `demo`: a small simulated fleet, mined, ranked, drawn, and held against its truth."""
 
-import shutil
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,12 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from service.cli.options import LogFormat, LogLevel, log_as
-from service.cli.output import counted, progress, remark, table
+from service.cli.output import command, counted, progress, remark, table
 
 if TYPE_CHECKING:
     from service.demo_planted import DemoScene
 
-COMMAND: Final = "counterpoint"
 DEMO_ROWS: Final = 12
 
 
@@ -65,16 +62,10 @@ def demo(
     for path in result.pictures:
         remark(f"picture: {path}")
     state = out / "state"
-    command = _command()
-    remark(f"more: {command} top --state {state}")
-    remark(f"any scene by its rank: {command} show 1 --state {state} --out scene.png")
-
-
-def _command() -> str:
-    """How this command is typed: as it was, where a shell does not find it by its name."""
-    typed = Path(sys.argv[0])
-    unknown = typed.name == COMMAND and shutil.which(COMMAND) is None
-    return str(typed) if unknown else COMMAND
+    remark(f"more: {command()} top --state {state}")
+    remark(f"any scene by its rank: {command()} show 1 --state {state} --out scene.png")
+    remark(f"the best for the labellers: {command()} select --budget 4 --state {state}")
+    remark(f"your own logs: {command()} run --bucket FOLDER --once")
 
 
 def say_demo_ranking(scenes: "Sequence[DemoScene]", *, most: int = DEMO_ROWS) -> None:

@@ -17,6 +17,7 @@ from service.cli.options import (
 )
 from service.cli.output import counted, json_line, progress, remark, table
 from service.errors import UsageError
+from service.failure_report import COLUMNS_MEAN, write_report
 
 if TYPE_CHECKING:
     from workers.evaluation.failures.bench import FailureBench
@@ -108,18 +109,17 @@ def failures(
     if json:
         json_line(bench.as_json())
     else:
+        _say_what_it_is_too_small_for(bench)
         if bench.planted is not None:
             _say_planted(bench.planted)
         if bench.natural is not None:
             _say_natural(bench.natural)
-        _say_what_columns_mean(bench)
+        remark(COLUMNS_MEAN)
     for judged_in, stream in bench.judged.items():
         remark(f"judged in {judged_in}: supervised stream {stream}")
     if report is None:
         remark("a page with plots, and with what each kind means: --report FILE.html")
     else:
-        from service.failure_report import write_report
-
         write_report(report, bench)
         remark(f"report: {report}")
 
@@ -161,17 +161,17 @@ def _say_planted(found: "PlantedTable") -> None:
     )
     shares = dict(found.disturbances) | ({"slips": found.slips} if found.slips else {})
     table(
-        "scenes without failure above the score of the undisturbed 5 % budget",
+        "false alarms: scenes without failure above the 5 % mark of the undisturbed",
         ("disturbed by", "scenes", "above", "share"),
         ((name, row.scenes, row.above, row.share) for name, row in shares.items()),
     )
     _say_who(found)
     shared = found.common_mode
     remark(
-        f"gain over {found.best_baseline}: {found.gain} {found.gain_interval or ''}; both streams "
-        f"wrong on {shared.both_wrong} of {shared.planted} common-mode failures, {shared.surfaced} "
-        f"surfaced, {shared.in_budget} in the best 10 %; {found.unseen} of {found.planted} planted "
-        "failures are not in the labels"
+        f"gain over {found.best_baseline}: {found.gain} {found.gain_interval or ''}; "
+        f"{found.planted - found.unseen} of {found.planted} planted failures show in the labels; "
+        f"of {shared.planted} chosen to escape both streams {shared.both_wrong} did, of these the "
+        f"witness and the first 10 % show {shared.surfaced}"
     )
 
 
@@ -202,17 +202,11 @@ def _say_who(found: "PlantedTable | NaturalTable") -> None:
     )
 
 
-def _say_what_columns_mean(bench: "FailureBench") -> None:
-    """Explain the words of the tables, and say what a fleet is too small for."""
+def _say_what_it_is_too_small_for(bench: "FailureBench") -> None:
+    """Say what a fleet is too small for, before figures are read that mean little."""
     from workers.evaluation.failures.intervals import FEWEST_LOGS
     from workers.evaluation.failures.retrieval import looked_at
 
-    remark(
-        "AP: average precision; 95 %: where it would lie, had other logs been recorded; precision, "
-        "recall and lift (precision over a random order's) of the first so many percent; found a "
-        "minute: distinct failures for each minute of recording that is looked at; found area: "
-        "under the share of failures found, 0.5 for a random order"
-    )
     if bench.logs < FEWEST_LOGS:
         remark(f"no intervals: {counted(bench.logs, 'log')} cannot say what others would give")
     for ranked, what in ((bench.planted, "scene"), (bench.natural, "thing")):

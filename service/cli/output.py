@@ -1,8 +1,10 @@
 """Where results and remarks go: JSON lines and tables to stdout, everything else to stderr."""
 
 import json
+import shutil
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from shutil import get_terminal_size
 from threading import Event
 from time import monotonic
@@ -22,6 +24,7 @@ from rich.progress import (
 )
 from rich.table import Table
 
+COMMAND: Final = "counterpoint"
 WIDE: Final = 120
 """Characters of a table that goes into a pipe or a file, if COLUMNS does not say another width."""
 
@@ -61,6 +64,13 @@ def remark(text: str, *, level: Literal["info", "warning", "error"] = "info") ->
         getattr(log, level)(text)
     else:
         remarks.print(text, markup=False, soft_wrap=True)
+
+
+def command() -> str:
+    """How this command is typed: as it was, where a shell does not find it by its name."""
+    typed = Path(sys.argv[0])
+    unknown = typed.name == COMMAND and shutil.which(COMMAND) is None
+    return str(typed) if unknown else COMMAND
 
 
 def counted(number: int, what: str) -> str:

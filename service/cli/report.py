@@ -83,8 +83,8 @@ def say_what_was_found(status: Status) -> None:
     remark(
         f"{counted(status.scenes, 'scene')}, {counted(status.frames, 'frame')}; "
         f"{_percent(contradicting, compared)} of {compared:,} compared points contradict "
-        f"({_percent(points.only_semantic_dynamic, compared)} only semantic, "
-        f"{_percent(points.only_predictive_dynamic, compared)} only predictive dynamic)"
+        f"({_percent(points.only_semantic_dynamic, compared)} where the supervised stream alone "
+        f"says dynamic, {_percent(points.only_predictive_dynamic, compared)} where the other does)"
     )
 
 
