@@ -18,6 +18,11 @@ class Selection(BaseModel):
     budget: int = Field(ge=1, description="Scenes that were asked for.")
     scenes: tuple[RankedScene, ...] = Field(description="Best first, with the rank they had.")
 
+    @property
+    def last_rank(self) -> int | None:
+        """Down to which rank it looked; None: to the end, its budget was not used up."""
+        return self.scenes[-1].rank if len(self.scenes) == self.budget else None
+
 
 def select(ranking: Iterable[RankedScene], *, budget: int) -> list[RankedScene]:
     """Choose the best distinct scenes.
@@ -59,12 +64,10 @@ def left_out(ranking: Sequence[RankedScene], selection: Selection) -> LeftOut:
     """Count what a selection passed over.
 
     Args:
-        ranking: All of it, best first.
+        ranking: Best first, at least as far as the selection looked.
         selection: Of this ranking.
     """
-    used_up = len(selection.scenes) == selection.budget
-    last = selection.scenes[-1].rank if used_up else len(ranking)
-    passed = [scene for scene in ranking if scene.rank <= last]
+    passed = ranking[: selection.last_rank]
     without = sum(scene.score <= 0 for scene in passed)
     twins = sum(scene.twin_of is not None and scene.score > 0 for scene in passed)
     return LeftOut(twins, without)

@@ -135,7 +135,7 @@ def select(
         for row in selection.scenes:
             json_line({"selection": selection.name} | row.model_dump(mode="json"))
         return
-    ranking = source.top()
+    ranking = source.top(selection.last_rank)
     name_of = short_names(ranking)
     table(
         f"selection {selection.name!r}: {len(selection.scenes)} of at most "
