@@ -54,6 +54,11 @@ class Attribution(BaseModel):
     )
 
     @property
+    def chance(self) -> float:
+        """Of the likeliest of the four."""
+        return float(getattr(self, self.wrong.value))
+
+    @property
     def supervised_wrong(self) -> float:
         """Chance that the supervised stream is wrong, alone or not."""
         return min(1.0, self.supervised + self.both)

@@ -73,7 +73,7 @@ class DemoScene:
     def wrong(self) -> str:
         """Who probably errs about the track that is told, and how probably; else a dash."""
         said = self.record.tracks[0].attribution if self.told else None
-        return f"{_WORDS[said.wrong]} {getattr(said, said.wrong.value):.0%}" if said else "-"
+        return f"{_WORDS[said.wrong]} {said.chance:.0%}" if said else "-"
 
     @property
     def why(self) -> str:
@@ -110,8 +110,8 @@ def beside_truth(
         known, record = planted[row.log_id], records[row.scene_id]
         failures = _within(known.failures, row) if known else ()
         named = False if failures else None
-        strongest = max((track.strength for track in record.tracks[:1]), default=0.0)
-        told = record.score > 0 and strongest >= WORTH_SAYING
+        worth = bool(record.tracks) and record.tracks[0].strength >= WORTH_SAYING
+        told = record.score > 0 and worth
         if known and failures and told:
             points = PlantedPoints(truth / row.log_id)
             named = points.first_reason_names(overlay_of(row.scene_id), known.failures)

@@ -136,14 +136,13 @@ def _blame(attribution: Attribution | None) -> str:
     """Who probably errs, how sure that is, and what speaks for and against it."""
     if attribution is None:
         return ""
-    chance = getattr(attribution, attribution.wrong.value)
     known = (
         ("for", attribution.because),
         ("against", attribution.against),
         ("also", attribution.also),
     )
     why = "".join(f"; {how}: {', '.join(words)}" for how, words in known if words)
-    return f"; {_PROBABLY[attribution.wrong]} ({chance:.0%}{why})"
+    return f"; {_PROBABLY[attribution.wrong]} ({attribution.chance:.0%}{why})"
 
 
 def bearing(x_m: float, y_m: float) -> str:

@@ -134,7 +134,12 @@ class RangeImage:
     @property
     def seen_mask(self) -> Mask:
         """(H, W) true where a network sees a point; in the paper's form the first is not seen."""
-        return self.index > 0 if self.form is Form.PAPER else self.index >= 0
+        return self.index >= self.least_seen
+
+    @property
+    def least_seen(self) -> int:
+        """Pixels of a lower index are empty to a network."""
+        return 1 if self.form is Form.PAPER else 0
 
     @property
     def projected_mask(self) -> Mask:
@@ -245,7 +250,7 @@ def image_channels(
     """
     return normalised(
         image.index,
-        1 if image.form is Form.PAPER else 0,
+        image.least_seen,
         image.point_range_m,
         points_m,
         intensity,
