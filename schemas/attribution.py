@@ -5,13 +5,15 @@ from typing import Annotated, Final
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from schemas.bounds import Text
+
 Chance = Annotated[float, Field(ge=0, le=1)]
 """A probability."""
 
 MOST_WORDS: Final = 6
 """Of a track, for, against and beside together: a record has to fit the bus."""
 
-Words = tuple[str, ...]
+Words = tuple[Text, ...]
 
 
 class Wrong(StrEnum):

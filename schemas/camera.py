@@ -6,9 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-_Four = tuple[float, float, float, float]
+from schemas.bounds import Finite
+
+_Four = tuple[Finite, Finite, Finite, Finite]
 Matrix34 = tuple[_Four, _Four, _Four]
 Matrix44 = tuple[_Four, _Four, _Four, _Four]
+
+MAX_PIXELS: Final = 1_000_000
+"""Width and height of an image."""
 
 RECORDED: Final = "recorded"
 """Setting `camera`: the calibration stands in the log."""
@@ -23,8 +28,8 @@ class CameraCalibration(BaseModel):
     camera_from_lidar: Matrix44 = Field(
         description="Sensor space of the lidar to the camera's: x right, y down, z ahead; metres."
     )
-    width: int = Field(gt=0, description="Of the image, pixels.")
-    height: int = Field(gt=0, description="Of the image, pixels.")
+    width: int = Field(gt=0, le=MAX_PIXELS, description="Of the image, pixels.")
+    height: int = Field(gt=0, le=MAX_PIXELS, description="Of the image, pixels.")
     rectified_from_camera: Matrix44 | None = Field(
         default=None,
         description="Rotation that the projection expects, KITTI's `R0_rect`; the published code "

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.arrays import Agreements, check_array, freeze
 from schemas.attribution import Attribution
+from schemas.bounds import MAX_NAME, Finite, Positive, Said, StampNs, Tally
 from schemas.frame import PosedFrame
 from schemas.labels import FrameLabels
 from schemas.task import MOTION, Outcome, Task
@@ -149,6 +150,7 @@ class Instance:
 KindName = Annotated[
     str,
     Field(
+        max_length=MAX_NAME,
         pattern=r"^[a-z0-9_]+$",
         description="How the streams contradict each other: for motion, which alone says that it "
         "moves, `only_semantic_dynamic` or `only_predictive_dynamic`.",
@@ -161,12 +163,12 @@ class InstanceRecord(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    stamp_ns: int = Field(ge=0, description="Frame it was found in, nanoseconds since the epoch.")
-    points: int = Field(ge=1, description="Contradicting points in it.")
-    centre_m: tuple[float, float, float] = Field(description="Box centre, sensor space, metres.")
-    size_m: tuple[float, float, float] = Field(description="Length, width, height, metres.")
-    yaw_rad: float = Field(description="Heading of the length axis about z, sensor space.")
-    range_m: float = Field(ge=0, description="Horizontal distance from the sensor, metres.")
+    stamp_ns: StampNs = Field(description="Frame it was found in, nanoseconds since the epoch.")
+    points: Positive = Field(description="Contradicting points in it.")
+    centre_m: tuple[Finite, Finite, Finite] = Field(description="Box centre, sensor space, metres.")
+    size_m: tuple[Finite, Finite, Finite] = Field(description="Length, width, height, metres.")
+    yaw_rad: Finite = Field(description="Heading of the length axis about z, sensor space.")
+    range_m: Finite = Field(ge=0, description="Horizontal distance from the sensor, metres.")
     semantic_confidence: float = Field(ge=0, le=1, description="Mean over its points.")
     predictive_confidence: float = Field(ge=0, le=1, description="Mean over its points.")
 
@@ -176,15 +178,15 @@ class TrackRecord(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    track_id: int = Field(ge=0, description="Counts within the scene, strongest first.")
+    track_id: Tally = Field(description="Counts within the scene, strongest first.")
     kind: KindName
-    class_name: str = Field(default="", description="Commonest semantic class; may be empty.")
+    class_name: Said = Field(default="", description="Commonest semantic class; may be empty.")
     strength: float = Field(ge=0, le=1, description="What this track adds to the scene score.")
-    first_ns: int = Field(ge=0, description="First frame it was seen in.")
-    last_ns: int = Field(ge=0, description="Last frame it was seen in.")
-    frames: int = Field(ge=1, description="Frames of the scene in which it contradicts.")
-    points: int = Field(ge=1, description="Contradicting points over all those frames.")
-    speed_m_per_s: float = Field(ge=0, description="Median speed over the ground; 0 unmeasured.")
+    first_ns: StampNs = Field(description="First frame it was seen in.")
+    last_ns: StampNs = Field(description="Last frame it was seen in.")
+    frames: Positive = Field(description="Frames of the scene in which it contradicts.")
+    points: Positive = Field(description="Contradicting points over all those frames.")
+    speed_m_per_s: Finite = Field(ge=0, description="Median speed over the ground; 0 unmeasured.")
     confirmed_share: float | None = Field(
         default=None,
         ge=0,

@@ -6,13 +6,15 @@ which they were committed.
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from schemas.bounds import MAX_LISTED, Count, Kept, StampNs
+
 
 class SceneNumber(BaseModel):
     """Attachment of every put and delete of a scene, live or from the history."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
 
-    seq: int = Field(ge=0, description="Rises by one per event over the whole ledger.")
+    seq: Count = Field(description="Rises by one per event over the whole ledger.")
 
 
 class RankedScene(BaseModel):
@@ -20,12 +22,14 @@ class RankedScene(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    rank: int = Field(ge=1, description="Place in the ranking, 1 first.")
-    scene_id: str = Field(description="`<log_id>/<lidar>/<start_ns>`.")
-    log_id: str = Field(description="Bucket-relative key of the recording.")
-    start_ns: int = Field(ge=0, description="First frame, nanoseconds since the Unix epoch.")
-    end_ns: int = Field(ge=0, description="Last frame, nanoseconds since the Unix epoch.")
+    rank: int = Field(ge=1, le=MAX_LISTED, description="Place in the ranking, 1 first.")
+    scene_id: Kept = Field(description="`<log_id>/<lidar>/<start_ns>`.")
+    log_id: Kept = Field(description="Bucket-relative key of the recording.")
+    start_ns: StampNs = Field(description="First frame, nanoseconds since the Unix epoch.")
+    end_ns: StampNs = Field(description="Last frame, nanoseconds since the Unix epoch.")
     score: float = Field(ge=0, le=1, description="As in the record.")
-    reasons: tuple[str, ...] = Field(default=(), description="As in the record.")
-    twin_of: str | None = Field(default=None, description="A better scene right beside it.")
-    sha256: str = Field(description="Digest of the record as published.")
+    reasons: tuple[Kept, ...] = Field(
+        default=(), max_length=MAX_LISTED, description="As in the record."
+    )
+    twin_of: Kept | None = Field(default=None, description="A better scene right beside it.")
+    sha256: Kept = Field(description="Digest of the record as published.")

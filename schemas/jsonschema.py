@@ -11,8 +11,8 @@ from typing import Any, Final
 
 from pydantic import BaseModel
 
-from schemas.ask import Problem
 from schemas.events import RankedScene, SceneNumber
+from schemas.problem import Problem
 from schemas.score import SceneScore
 
 PUBLISHED: Final[Mapping[str, type[BaseModel]]] = {

@@ -5,6 +5,8 @@ from typing import Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from schemas.bounds import MAX_SCENES_OF_A_SHARD, Blob, Finite, Name, Url
+
 LOOKAHEAD: Final = ":lookahead-"
 """In the name of a stream: the seconds that follow are how long it waits for later frames."""
 
@@ -25,6 +27,11 @@ class Grid(BaseModel):
     @model_validator(mode="after")
     def _shards_hold_whole_scenes(self) -> "Grid":
         cells = self.shard_s / self.scene_s
+        if cells > MAX_SCENES_OF_A_SHARD:
+            raise ValueError(
+                f"shard_s ({self.shard_s:g}) must be at most {MAX_SCENES_OF_A_SHARD} times "
+                f"scene_s ({self.scene_s:g})"
+            )
         if cells < 1 or abs(cells - round(cells)) > 1e-9:
             raise ValueError(
                 f"shard_s ({self.shard_s:g}) must be a whole multiple of scene_s ({self.scene_s:g})"
@@ -40,36 +47,36 @@ class MiningSettings(BaseModel):
 
     model_config = _STRICT
 
-    bucket: str = Field(description="URL of the log bucket.")
-    artifacts: str = Field(description="URL of the folder or bucket for point-level overlays.")
+    bucket: Url = Field(description="URL of the log bucket.")
+    artifacts: Url = Field(description="URL of the folder or bucket for point-level overlays.")
     grid: Grid = Field(default_factory=Grid, description="Scene and shard lengths, warm-up.")
-    supervised: str = Field(
+    supervised: Name = Field(
         default="salsanext-lmnet",
         description="Supervised stream, by name: salsanext-lmnet, recorded (what the model on the "
         "car said), own (your model), salsanext-lmnet:published (image and votes bug for bug); "
         "for `score` of the task ground "
         "salsanext:ground, recorded:ground.",
     )
-    model: str = Field(
+    model: Url = Field(
         default="",
         description="Your own model: the adapter's TOML file. Every worker reads it there; what is "
         "in it counts, not where it lies.",
     )
-    weights: str = Field(
+    weights: Url = Field(
         default="",
         description="Folder of imported weights, for every network that is chosen; empty: what "
         "ships. Every worker reads it there.",
     )
-    selfsupervised: str = Field(
+    selfsupervised: Name = Field(
         default="registration",
         description="Self-supervised stream, by name: registration, two-stage (on any flow), or "
         "paper (the published chain); registration:lookahead-0.5 and :lookahead-1.0 wait so many "
         "seconds for later frames; ground is of another task.",
     )
-    odometry: str = Field(
+    odometry: Name = Field(
         default="kiss-icp", description="Odometry, by name: kiss-icp, or delora (the paper's)."
     )
-    witness: str = Field(
+    witness: Name = Field(
         default="free-space",
         description="Third witness, by name: free-space (what was seen through a second before or "
         "after is not static), or none.",
@@ -78,18 +85,18 @@ class MiningSettings(BaseModel):
         default="default",
         description="How contradicting points become instances; paper: the published numbers.",
     )
-    lidar_topic: str = Field(default="", description="Mine this topic only; empty: by evidence.")
-    odometry_topic: str = Field(
+    lidar_topic: Url = Field(default="", description="Mine this topic only; empty: by evidence.")
+    odometry_topic: Url = Field(
         default="",
         description="What the car recorded of its own motion, held against the odometry: this "
         "topic, in logs that have it; empty: by evidence; none: not looked for.",
     )
-    camera: str = Field(
+    camera: Blob = Field(
         default="",
         description="For streams that compare only what a camera sees: `recorded` takes the "
         "calibration of the log's front camera, a JSON file states one for all logs; empty: none.",
     )
-    path_template: str = Field(
+    path_template: Url = Field(
         default="{vehicle}/{date}/{name}",
         description="Vehicle and date of a log, matched from the right of its key, where the log "
         "itself does not say.",
@@ -97,7 +104,7 @@ class MiningSettings(BaseModel):
     stamp_at: Literal["start", "middle", "end"] = Field(
         default="start", description="Which instant of the revolution a header stamp names."
     )
-    intensity_scale: float = Field(
+    intensity_scale: Finite = Field(
         default=0.0, ge=0, description="Recorded value that means 1; 0: by evidence."
     )
 

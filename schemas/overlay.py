@@ -4,6 +4,8 @@ The record says how much two streams contradict each other, the overlay shows wh
 page and `counterpoint show` draw from it alone, without the log and without the workers.
 """
 
+import hashlib
+import re
 from dataclasses import dataclass
 from typing import Any, Final
 from urllib.parse import quote
@@ -11,15 +13,23 @@ from urllib.parse import quote
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.array_pack import PackUnreadableError, pack, unpack
 from schemas.arrays import Agreements, Mask, Points, check_array, freeze
-from schemas.task import MOTION, Task, UnknownTaskError, task_named
-
-OVERLAY_MAGIC: Final = b"CPOVL1\n\0"
-"""First bytes; the digit is the version."""
+from schemas.task import MOTION, Task
 
 NO_POSITION_CM: Final = -32768
 """All three coordinates of a point without a return, or farther than 327 m."""
+
+MAX_NAME_BYTES: Final = 255
+"""Bytes of one name in the file systems of Linux, macOS and Windows."""
+
+MAX_FILE_BYTES: Final = 250
+"""Bytes of an overlay's name; obstore writes it under a name that is some bytes longer first."""
+
+MAX_KEY_BYTES: Final = 1024
+"""Bytes of a key in S3, Google's and Azure's stores."""
+
+_DIGEST_DIGITS: Final = 32
+_PARTLY_ENCODED: Final = re.compile("%[0-9A-F]?$")
 
 _PER_POINT: Final = {
     "agreements": np.uint8,
@@ -139,51 +149,6 @@ _ARRAYS: Final = (
 )
 
 
-def encode_overlay(overlay: Overlay) -> bytes:
-    """Encode an overlay; equal overlays give equal bytes.
-
-    Few points belong to an instance: only those are listed.
-    """
-    arrays = overlay._arrays()
-    arrays["points_cm"] = _to_planes(overlay.points_cm)
-    arrays["ground_mask"] = np.packbits(overlay.ground_mask)
-    at = np.flatnonzero(overlay.instance_index >= 0)
-    arrays["instance_index"] = overlay.instance_index[at]
-    arrays["instance_points"] = at
-    meta: dict[str, Any] = {
-        "scene_id": overlay.scene_id,
-        "class_names": list(overlay.class_names),
-    }
-    if overlay.task is not MOTION:  # which older overlays never name
-        meta["task"] = overlay.task.name
-    return pack(OVERLAY_MAGIC, meta, arrays)
-
-
-def decode_overlay(payload: bytes) -> Overlay:
-    """Decode an overlay.
-
-    Raises:
-        PackUnreadableError: If the bytes are no overlay, damaged, or larger than any overlay.
-    """
-    meta, arrays = unpack(OVERLAY_MAGIC, payload)
-    try:
-        arrays["points_cm"] = _from_planes(arrays["points_cm"])
-        points = len(arrays["points_cm"])
-        bits = np.unpackbits(arrays["ground_mask"], count=points)
-        arrays["ground_mask"] = bits.view(np.bool_)
-        index = np.full(points, -1, dtype=np.int32)
-        index[arrays.pop("instance_points")] = arrays["instance_index"]
-        arrays["instance_index"] = index
-        return Overlay(
-            scene_id=str(meta["scene_id"]),
-            class_names=tuple(str(name) for name in meta["class_names"]),
-            task=task_named(str(meta.get("task", MOTION.name))),
-            **arrays,
-        )
-    except (KeyError, TypeError, ValueError, IndexError, UnknownTaskError) as error:
-        raise PackUnreadableError(f"not a well-formed overlay: {error}") from error
-
-
 def overlay_key(*, log_id: str, scene_id: str, pipeline_version: str, sha256: str) -> str:
     """Object key of a scene's overlay in the artifacts bucket.
 
@@ -192,35 +157,38 @@ def overlay_key(*, log_id: str, scene_id: str, pipeline_version: str, sha256: st
 
     Folders follow the log's key, each percent-encoded: one file name of a long key would exceed
     what file systems take. `@` is always encoded in a part, so no log can lie in another's folder.
+    A part that is itself too long for a file name is cut, with a digest of it at the end; so are
+    the log's folders together where the whole would be too long for a key.
     """
-    log = "/".join(_part(part) for part in log_id.split("/"))
-    scene = "/".join(_part(part) for part in scene_id.removeprefix(f"{log_id}/").split("/"))
-    return f"overlays/{_part(pipeline_version)}/{log}/@/{scene}-{sha256[:16]}.overlay"
-
-
-def _to_planes(points_cm: NDArray[np.int16]) -> NDArray[np.uint8]:
-    """Turn (P, 3) coordinates into what zstd packs best: (3, 2, P) bytes.
-
-    Neighbours in a cloud are neighbours in space: differences along the cloud are small, and with
-    the sign in the lowest bit their high bytes are nearly all zero. Twenty frames of 106,000 points
-    take 5.9 MB so, 10.3 MB plain.
-    """
-    steps = np.diff(points_cm.T, axis=1, prepend=np.int16(0))
-    folded = ((steps << 1) ^ (steps >> 15)).astype("<i2", order="C")
-    return np.ascontiguousarray(folded.view(np.uint8).reshape(3, -1, 2).transpose(0, 2, 1))
-
-
-def _from_planes(planes: NDArray[np.uint8]) -> NDArray[np.int16]:
-    if planes.ndim != 3 or planes.shape[:2] != (3, 2):
-        raise ValueError(f"coordinates must be (3, 2, P) bytes, got {planes.shape}")
-    folded = np.ascontiguousarray(planes.transpose(0, 2, 1)).view("<u2")[..., 0]
-    steps = (folded >> 1).view(np.int16) ^ -(folded & 1).view(np.int16)
-    return np.ascontiguousarray(np.cumsum(steps, axis=1, dtype=np.int16).T)
+    end = f"-{sha256[:16]}.overlay"
+    *folders, last = (_part(part) for part in scene_id.removeprefix(f"{log_id}/").split("/"))
+    scene = [_fitting(folder, MAX_NAME_BYTES) for folder in folders]
+    scene.append(_fitting(last, MAX_FILE_BYTES - len(end)) + end)
+    log = [_part(part) for part in log_id.split("/")]
+    begin, fitting = (
+        f"overlays/{_part(pipeline_version)}",
+        [_fitting(p, MAX_NAME_BYTES) for p in log],
+    )
+    key = "/".join((begin, *fitting, "@", *scene))
+    if len(key) <= MAX_KEY_BYTES:
+        return key
+    return "/".join((begin, _cut("~".join(log), MAX_NAME_BYTES), "@", *scene))
 
 
 def _part(text: str) -> str:
     quoted = quote(text, safe="-_.")
     return quoted if quoted.strip(".") else quoted.replace(".", "%2E") or "%"
+
+
+def _fitting(quoted: str, limit: int) -> str:
+    return quoted if len(quoted) <= limit else _cut(quoted, limit)
+
+
+def _cut(quoted: str, limit: int) -> str:
+    """Keep the beginning, and a digest of all of it behind an `@`, which no part holds itself."""
+    digest = hashlib.sha256(quoted.encode()).hexdigest()[:_DIGEST_DIGITS]
+    begin = _PARTLY_ENCODED.sub("", quoted[: limit - 1 - _DIGEST_DIGITS])
+    return f"{begin}@{digest}"
 
 
 def _check_range(name: str, values: NDArray[Any], low: int, high: int) -> None:

@@ -1,6 +1,6 @@
 """The parts that settings can name, each in a line: what `--help` and `counterpoint parts` say.
 
-`workers.registry` builds them; a test holds its names against these.
+`workers.parts.registry` builds them; a test holds its names against these.
 """
 
 from collections.abc import Mapping

@@ -4,9 +4,10 @@ from typing import Annotated, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from schemas.bounds import Finite, LogId, Name, Positive, Said, SceneId, StampNs, Tally, Text, Topic
 from schemas.contradiction import KindName, SceneState, TrackRecord
 from schemas.frame import OdometryState
-from schemas.task import MOTION, UnknownTaskError, task_named
+from schemas.task import MAX_CLASSES, MOTION, UnknownTaskError, task_named
 
 Share = Annotated[float, Field(ge=0, le=1)]
 """A fraction, 0 to 1."""
@@ -43,9 +44,9 @@ class KindTotal(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     kind: KindName
-    instances: int = Field(ge=0, description="Instances over all frames.")
-    tracks: int = Field(ge=0, description="Tracks over the scene.")
-    points: int = Field(ge=0, description="Points over all instances.")
+    instances: Tally = Field(description="Instances over all frames.")
+    tracks: Tally = Field(description="Tracks over the scene.")
+    points: Tally = Field(description="Points over all instances.")
 
 
 class OdometryHealth(BaseModel):
@@ -55,8 +56,8 @@ class OdometryHealth(BaseModel):
 
     state: OdometryState = Field(description="The worst of the scene's frames.")
     healthy_share: Share = Field(description="Share of frames with a healthy pose.")
-    static_residual_m: float = Field(ge=0, description="Median over the frames, metres.")
-    distance_m: float = Field(ge=0, description="Path of the sensor over the scene, metres.")
+    static_residual_m: Finite = Field(ge=0, description="Median over the frames, metres.")
+    distance_m: Finite = Field(ge=0, description="Path of the sensor over the scene, metres.")
     reason: str = Field(default="", max_length=200, description="Why not healthy, if so.")
 
 
@@ -71,7 +72,7 @@ class StreamHealth(BaseModel):
         "earlier frame saw or saw through; null if it was never asked."
     )
     blind_share: Share = Field(description="Share of frames in which it judged nothing.")
-    pose_jumps: int = Field(ge=0, description="Frames whose pose went where no car goes.")
+    pose_jumps: Tally = Field(description="Frames whose pose went where no car goes.")
     reason: str = Field(default="", max_length=200, description="Why it was blind, if it was.")
 
 
@@ -80,43 +81,47 @@ class Producers(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    supervised: str = Field(description="`name@version`; the version is a digest of its weights.")
-    selfsupervised: str = Field(description="`name@version`.")
-    pipeline_version: str = Field(description="Digest of grid, warm-up, weights and settings.")
+    supervised: Said = Field(description="`name@version`; the version is a digest of its weights.")
+    selfsupervised: Said = Field(description="`name@version`.")
+    pipeline_version: Name = Field(description="Digest of grid, warm-up, weights and settings.")
 
 
 class SceneScore(BaseModel):
     """How much the two streams contradict each other in one scene.
 
     No times of processing, worker or attempt are inside, and floats are rounded: the same shard
-    plan, weights and settings give the same bytes (`schemas.wire.encode_scene_score`).
+    plan, weights and settings give the same bytes (`schemas.transport.wire.encode_scene_score`).
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     schema_version: Literal[1] = 1
-    task: str = Field(
+    task: Name = Field(
         default=MOTION.name,
         exclude_if=lambda value: value == MOTION.name,
         description="What both streams were asked about each point; absent: motion.",
     )
-    scene_id: str = Field(min_length=1, description="`<log_id>/<lidar>/<start_ns>`, unique.")
-    log_id: str = Field(min_length=1, description="Bucket-relative key of the recording.")
-    lidar_topic: str = Field(min_length=1, description="MCAP topic of the lidar.")
-    vehicle: str = Field(description="From the log's metadata or path, else `unknown`.")
-    date: str = Field(description="From the log's metadata or path, else `unknown`.")
-    software_version: str = Field(description="From the log's metadata or path, else `unknown`.")
-    start_ns: int = Field(ge=0, description="First frame, nanoseconds since the Unix epoch.")
-    end_ns: int = Field(ge=0, description="Last frame, nanoseconds since the Unix epoch.")
-    frames: int = Field(ge=1, description="Frames of the scene.")
+    scene_id: SceneId = Field(description="`<log_id>/<lidar>/<start_ns>`, unique.")
+    log_id: LogId = Field(description="Bucket-relative key of the recording.")
+    lidar_topic: Topic = Field(description="MCAP topic of the lidar.")
+    vehicle: Said = Field(description="From the log's metadata or path, else `unknown`.")
+    date: Said = Field(description="From the log's metadata or path, else `unknown`.")
+    software_version: Said = Field(description="From the log's metadata or path, else `unknown`.")
+    start_ns: StampNs = Field(description="First frame, nanoseconds since the Unix epoch.")
+    end_ns: StampNs = Field(description="Last frame, nanoseconds since the Unix epoch.")
+    frames: Positive = Field(description="Frames of the scene.")
     state: SceneState = Field(description="`too_short` and `odometry_lost` have score 0.")
     score: Share = Field(description="0: no contradiction worth a look; towards 1: many strong.")
-    reasons: tuple[str, ...] = Field(description="What made the score, in words; strongest first.")
-    points: int = Field(ge=0, description="Points of all frames, invalid ones included.")
+    reasons: tuple[Text, ...] = Field(
+        max_length=MAX_TRACKS, description="What made the score, in words; strongest first."
+    )
+    points: Tally = Field(description="Points of all frames, invalid ones included.")
     compared_share: Share = Field(description="Share of points that both streams labelled.")
     all_points: AgreementShares = Field(description="Over all compared points.")
     nonground_points: AgreementShares = Field(description="Over compared points off the ground.")
-    totals: tuple[KindTotal, ...] = Field(description="One row per kind, all counted.")
+    totals: tuple[KindTotal, ...] = Field(
+        max_length=MAX_CLASSES**2, description="One row per kind, all counted."
+    )
     tracks: tuple[TrackRecord, ...] = Field(
         max_length=MAX_TRACKS, description="The strongest tracks, strongest first."
     )

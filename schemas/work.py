@@ -1,18 +1,53 @@
 """What service and workers say to each other: leases, plans, commits.
 
-All of it is asked by the worker and answered by the service (`schemas.keys.control`), one message
-each way. An answer to `commit` comes after the database transaction, never before.
+All of it is asked by the worker and answered by the service (`schemas.transport.keys.control`),
+one message each way. An answer to `commit` comes after the database transaction, never before.
 """
 
 import hashlib
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
+from schemas.bounds import (
+    MAX_CHUNKS,
+    MAX_INTEGER,
+    MAX_PARTS,
+    MAX_SCENES_OF_A_SHARD,
+    MAX_SHARDS_OF_A_PLAN,
+    Blob,
+    Count,
+    Digest,
+    Finite,
+    LogId,
+    Name,
+    Said,
+    SceneId,
+    Seconds,
+    StampNs,
+    Tally,
+    Text,
+    Topic,
+    Url,
+)
 from schemas.camera import CameraCalibration
-from schemas.wire import canonical_json
+from schemas.canonical import canonical_json
+from schemas.score import MAX_RECORD_BYTES
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
+
+MAX_TOPICS: Final = 256
+"""Lidars of one log."""
+
+
+def _fits_the_bus(record: str) -> str:
+    if len(record.encode()) > MAX_RECORD_BYTES:
+        raise ValueError(f"a record has at most {MAX_RECORD_BYTES} bytes")
+    return record
+
+
+RecordText = Annotated[str, Field(max_length=MAX_RECORD_BYTES), AfterValidator(_fits_the_bus)]
+"""A scored record as text, no larger than one on the bus."""
 
 
 class Part(BaseModel):
@@ -20,9 +55,9 @@ class Part(BaseModel):
 
     model_config = _STRICT
 
-    key: str = Field(min_length=1)
-    size: int = Field(ge=0)
-    etag: str
+    key: Url = Field(min_length=1)
+    size: Count
+    etag: Url
 
 
 class Recording(BaseModel):
@@ -30,8 +65,13 @@ class Recording(BaseModel):
 
     model_config = _STRICT
 
-    log_id: str = Field(min_length=1, description="Key without extension and split number.")
-    parts: tuple[Part, ...] = Field(min_length=1, description="In the order of their numbers.")
+    log_id: LogId = Field(description="Key without extension and split number.")
+    parts: tuple[Part, ...] = Field(
+        fail_fast=True,
+        min_length=1,
+        max_length=MAX_PARTS,
+        description="In the order of their numbers.",
+    )
 
     @property
     def revision(self) -> str:
@@ -47,11 +87,11 @@ class ChunkRef(BaseModel):
     model_config = _STRICT
 
     kind: Literal["chunk", "records"] = "chunk"
-    part: int = Field(ge=0, description="Index into the recording's parts.")
-    offset: int = Field(ge=0, description="First byte of the record(s) in that part.")
-    length: int = Field(gt=0, description="Bytes to read.")
-    start_ns: int = Field(ge=0, description="Earliest log time inside.")
-    end_ns: int = Field(ge=0, description="Latest log time inside.")
+    part: int = Field(ge=0, lt=MAX_PARTS, description="Index into the recording's parts.")
+    offset: Count = Field(description="First byte of the record(s) in that part.")
+    length: int = Field(gt=0, le=MAX_INTEGER, description="Bytes to read.")
+    start_ns: StampNs = Field(description="Earliest log time inside.")
+    end_ns: StampNs = Field(description="Latest log time inside.")
 
 
 class Channel(BaseModel):
@@ -59,12 +99,14 @@ class Channel(BaseModel):
 
     model_config = _STRICT
 
-    topic: str
-    message_encoding: str
-    schema_name: str
-    schema_encoding: str
-    schema_base64: str = Field(description="Bytes of the schema record, base64.")
-    ids: tuple[tuple[int, int], ...] = Field(description="(part, channel id) pairs it goes by.")
+    topic: Topic
+    message_encoding: Said
+    schema_name: Said
+    schema_encoding: Said
+    schema_base64: Blob = Field(description="Bytes of the schema record, base64.")
+    ids: tuple[tuple[Count, Count], ...] = Field(
+        fail_fast=True, max_length=MAX_PARTS, description="(part, channel id) pairs it goes by."
+    )
 
 
 class RecordedSource(BaseModel):
@@ -75,7 +117,7 @@ class RecordedSource(BaseModel):
     channel: Channel | None = Field(
         default=None, description="A topic of its own; None: fields of the cloud itself."
     )
-    classes_json: str = Field(description="MCAP metadata `counterpoint.classes`, as one JSON map.")
+    classes_json: Blob = Field(description="MCAP metadata `counterpoint.classes`, as one JSON map.")
 
 
 class Shard(BaseModel):
@@ -88,34 +130,34 @@ class Shard(BaseModel):
 
     model_config = _STRICT
 
-    log_id: str
-    index: int = Field(ge=0)
+    log_id: LogId
+    index: int = Field(ge=0, lt=MAX_SHARDS_OF_A_PLAN)
     lidar: Channel
     recorded: RecordedSource | None = None
     motion: Channel | None = Field(
         default=None, description="What the car recorded of its own motion, if it did."
     )
     camera: CameraCalibration | None = None
-    anchor_ns: int = Field(ge=0, description="First frame of the log: origin of the grid.")
-    warmup_start_ns: int = Field(ge=0)
-    start_ns: int = Field(ge=0)
-    end_ns: int = Field(ge=0, description="First instant after the window.")
-    lookahead_end_ns: int = Field(ge=0, description="Equal to end_ns where none is needed.")
-    before_lookahead_end_ns: int = Field(
-        default=0, ge=0, description="`lookahead_end_ns` of the shard before; 0 where none is."
+    anchor_ns: StampNs = Field(description="First frame of the log: origin of the grid.")
+    warmup_start_ns: StampNs
+    start_ns: StampNs
+    end_ns: StampNs = Field(description="First instant after the window.")
+    lookahead_end_ns: StampNs = Field(description="Equal to end_ns where none is needed.")
+    before_lookahead_end_ns: StampNs = Field(
+        default=0, description="`lookahead_end_ns` of the shard before; 0 where none is."
     )
-    scene_s: float = Field(default=2.0, gt=0, description="Length of a scene's cell.")
+    scene_s: float = Field(default=2.0, gt=0, le=3600, description="Length of a scene's cell.")
     first_of_log: bool = False
     last_of_log: bool = False
-    chunks: tuple[ChunkRef, ...]
-    needed_bytes: int = Field(ge=0, description="Stored bytes of chunks with scored messages.")
+    chunks: tuple[ChunkRef, ...] = Field(fail_fast=True, max_length=MAX_CHUNKS)
+    needed_bytes: Tally = Field(description="Stored bytes of chunks with scored messages.")
     by_log_time: bool = Field(
         default=False, description="Frame time is the log time: the sensor's clock jumped."
     )
-    intensity_scale: float = Field(default=1.0, gt=0, description="Recorded value that means 1.")
-    vehicle: str = "unknown"
-    date: str = "unknown"
-    software_version: str = "unknown"
+    intensity_scale: Finite = Field(default=1.0, gt=0, description="Recorded value that means 1.")
+    vehicle: Said = "unknown"
+    date: Said = "unknown"
+    software_version: Said = "unknown"
 
     @property
     def lidar_name(self) -> str:
@@ -133,10 +175,10 @@ class Damage(BaseModel):
 
     model_config = _STRICT
 
-    key: str = Field(default="", description="Object it lies in.")
-    offset: int = Field(ge=0)
-    bytes: int = Field(ge=0)
-    what: str
+    key: Text = Field(default="", description="Object it lies in.")
+    offset: Count
+    bytes: Count
+    what: Text
 
 
 class LogPlan(BaseModel):
@@ -144,19 +186,19 @@ class LogPlan(BaseModel):
 
     model_config = _STRICT
 
-    log_id: str
-    vehicle: str = "unknown"
-    date: str = "unknown"
-    software_version: str = "unknown"
-    lidar_topics: tuple[str, ...] = ()
-    shards: tuple[Shard, ...] = ()
-    damage: tuple[Damage, ...] = ()
-    truncated_parts: int = Field(
-        default=0, ge=0, description="Objects that were never closed: used as far as they go."
+    log_id: LogId
+    vehicle: Said = "unknown"
+    date: Said = "unknown"
+    software_version: Said = "unknown"
+    lidar_topics: tuple[Topic, ...] = Field(fail_fast=True, default=(), max_length=MAX_TOPICS)
+    shards: tuple[Shard, ...] = Field(fail_fast=True, default=(), max_length=MAX_SHARDS_OF_A_PLAN)
+    damage: tuple[Damage, ...] = Field(fail_fast=True, default=(), max_length=MAX_CHUNKS)
+    truncated_parts: Tally = Field(
+        default=0, description="Objects that were never closed: used as far as they go."
     )
-    refused: str = Field(default="", description="Why the log cannot be mined; empty when it can.")
-    range_reads: int = Field(default=0, ge=0)
-    bytes_read: int = Field(default=0, ge=0)
+    refused: Text = Field(default="", description="Why the log cannot be mined; empty when it can.")
+    range_reads: Tally = 0
+    bytes_read: Tally = 0
 
 
 class ClaimRequest(BaseModel):
@@ -164,8 +206,8 @@ class ClaimRequest(BaseModel):
 
     model_config = _STRICT
 
-    worker_id: str = Field(min_length=1)
-    pipeline_version: str = Field(min_length=1)
+    worker_id: Name
+    pipeline_version: Name
 
 
 class PlanLease(BaseModel):
@@ -174,8 +216,8 @@ class PlanLease(BaseModel):
     model_config = _STRICT
 
     kind: Literal["plan"] = "plan"
-    lease_id: str
-    expires_s: float
+    lease_id: Name
+    expires_s: Seconds
     recording: Recording
     settled: bool = Field(
         default=True,
@@ -190,8 +232,8 @@ class MineLease(BaseModel):
     model_config = _STRICT
 
     kind: Literal["mine"] = "mine"
-    lease_id: str
-    expires_s: float
+    lease_id: Name
+    expires_s: Seconds
     recording: Recording
     shard: Shard
 
@@ -202,7 +244,7 @@ class NothingToDo(BaseModel):
     model_config = _STRICT
 
     kind: Literal["nothing"] = "nothing"
-    retry_after_s: float = 1.0
+    retry_after_s: Seconds = 1.0
 
 
 class ClaimReply(BaseModel):
@@ -218,8 +260,8 @@ class RenewRequest(BaseModel):
 
     model_config = _STRICT
 
-    worker_id: str
-    lease_id: str
+    worker_id: Name
+    lease_id: Name
 
 
 class ManifestEntry(BaseModel):
@@ -227,8 +269,8 @@ class ManifestEntry(BaseModel):
 
     model_config = _STRICT
 
-    scene_id: str
-    sha256: str
+    scene_id: SceneId
+    sha256: Digest
 
 
 class MiningStats(BaseModel):
@@ -236,13 +278,13 @@ class MiningStats(BaseModel):
 
     model_config = _STRICT
 
-    frames: int = Field(default=0, ge=0, description="Frames scored, warm-up excluded.")
-    points: int = Field(default=0, ge=0)
-    bytes_read: int = Field(default=0, ge=0)
-    bytes_needed: int = Field(default=0, ge=0)
-    range_reads: int = Field(default=0, ge=0)
-    stage_s: dict[str, float] = Field(default_factory=dict)
-    peak_memory_bytes: int = Field(default=0, ge=0)
+    frames: Tally = Field(default=0, description="Frames scored, warm-up excluded.")
+    points: Tally = 0
+    bytes_read: Tally = 0
+    bytes_needed: Tally = 0
+    range_reads: Tally = 0
+    stage_s: dict[Name, Seconds] = Field(default_factory=dict, max_length=256)
+    peak_memory_bytes: Tally = 0
 
 
 class CommitRequest(BaseModel):
@@ -253,12 +295,16 @@ class CommitRequest(BaseModel):
 
     model_config = _STRICT
 
-    worker_id: str
-    lease_id: str
+    worker_id: Name
+    lease_id: Name
     plan: LogPlan | None = None
-    manifest: tuple[ManifestEntry, ...] = ()
-    records: tuple[str, ...] = ()
-    damage: tuple[Damage, ...] = ()
+    manifest: tuple[ManifestEntry, ...] = Field(
+        fail_fast=True, default=(), max_length=MAX_SCENES_OF_A_SHARD
+    )
+    records: tuple[RecordText, ...] = Field(
+        fail_fast=True, default=(), max_length=MAX_SCENES_OF_A_SHARD
+    )
+    damage: tuple[Damage, ...] = Field(fail_fast=True, default=(), max_length=MAX_CHUNKS)
     stats: MiningStats = Field(default_factory=MiningStats)
 
 
@@ -267,9 +313,9 @@ class FailRequest(BaseModel):
 
     model_config = _STRICT
 
-    worker_id: str
-    lease_id: str
-    error: str
+    worker_id: Name
+    lease_id: Name
+    error: Text
     permanent: bool = Field(description="Trying again would fail the same way.")
     replaced: bool = Field(
         default=False, description="An object changed under the reader: plan the log anew."
@@ -292,5 +338,7 @@ class Answer(BaseModel):
     model_config = _STRICT
 
     ok: bool
-    missing: tuple[str, ...] = Field(default=(), description="Scene ids to send again.")
-    problem: str = ""
+    missing: tuple[SceneId, ...] = Field(
+        default=(), max_length=MAX_SCENES_OF_A_SHARD, description="Scene ids to send again."
+    )
+    problem: Text = ""

@@ -21,27 +21,27 @@ from typing import Final, Self
 import structlog
 import zenoh
 
-from schemas import keys
-from schemas.bucket import Bucket, open_bucket
-from schemas.bus import is_connected, recoverable_subscriber
 from schemas.errors import BucketRefusedError, TransientError
 from schemas.mining import MiningSettings
-from schemas.router_watch import RouterWatch
-from service.bucket_watch import BucketWatch
-from service.clock_watch import ClockWatch
-from service.control import Control
-from service.errors import StateInUseError
-from service.gauges import Sources
-from service.heartbeat import Heartbeat, Standing, service_standing
-from service.history import History
-from service.ledger import Ledger
-from service.metrics import ServiceMetrics
-from service.outbox import Outbox
-from service.questions import Questions
-from service.readiness import not_ready
-from service.staging import Staging
-from service.sweeping import OverlaySweep
-from service.ticking import tick
+from schemas.transport import keys
+from schemas.transport.bucket import Bucket, open_bucket
+from schemas.transport.bus import is_connected, recoverable_subscriber
+from schemas.transport.router_watch import RouterWatch
+from service.api.control import Control
+from service.api.history import History
+from service.api.outbox import Outbox
+from service.api.questions import Questions
+from service.api.staging import Staging
+from service.background.bucket_watch import BucketWatch
+from service.background.clock_watch import ClockWatch
+from service.background.heartbeat import Heartbeat, Standing, service_standing
+from service.background.sweeping import OverlaySweep
+from service.background.ticking import tick
+from service.errors import StateInUseError, StatementFailedError
+from service.monitoring.gauges import Sources
+from service.monitoring.metrics import ServiceMetrics
+from service.monitoring.readiness import not_ready
+from service.store.ledger import Ledger
 
 log = structlog.get_logger(__name__)
 
@@ -63,6 +63,10 @@ EXPIRY_RETRY_S: Final = 5.0
 HOLD_INTERVAL_S: Final = 1.0
 OUTBOX_INTERVAL_S: Final = 0.5
 """How often to publish without an alarm, since a router may have come back."""
+
+
+_PASSING: Final = (TransientError, StatementFailedError)
+"""What the database refuses once for all is a fault of what was asked, not of the service."""
 
 
 class Service:
@@ -124,9 +128,7 @@ class Service:
         )
         self._heartbeat = Heartbeat(self._standing, heartbeat_s=heartbeat_s)
         self._staging = Staging()
-        self._outbox = Outbox(session, ledger, root=root)
         self._clock = ClockWatch()
-        self._history = History(session, ledger, root=root)
         self._sweep = None
         if keep_withdrawn_s:
             artifacts = open_bucket(settings.artifacts, create=True)
@@ -135,7 +137,15 @@ class Service:
             )
         self.metrics = metrics or ServiceMetrics()
         ledger.observe(self.metrics)
-        self._questions = Questions(session, on_outcome=self.metrics.asked)
+        self._outbox = Outbox(
+            session, ledger, root=root, on_fault=partial(self.metrics.faulted, "event")
+        )
+        self._history = History(session, ledger, root=root)
+        self._questions = Questions(
+            session,
+            on_outcome=self.metrics.asked,
+            on_fault=partial(self.metrics.faulted, "question"),
+        )
         self._control = Control(
             settings=settings,
             ledger=ledger,
@@ -216,7 +226,9 @@ class Service:
     def check(self) -> None:
         """Raise what ended a thread of the service, if one has ended."""
         for thread in wait(self._threads, timeout=0, return_when=FIRST_EXCEPTION).done:
-            thread.result()
+            if (error := thread.exception()) is not None:
+                log.error("the service ends", problem=str(error))  # before workers are waited for
+                raise error
 
     def run(self, stop: Event) -> None:
         """Keep going until told to stop, or until a thread ends, whose error is raised."""
@@ -246,7 +258,12 @@ class Service:
         )
 
     def _start(self, pool: ThreadPoolExecutor) -> None:
-        every = partial(tick, stop=self._stop)
+        every = partial(
+            tick,
+            stop=self._stop,
+            passing=_PASSING,
+            on_fault=partial(self.metrics.faulted, "tick"),
+        )
         self._threads = [
             pool.submit(self._questions.serve, self._stop, writes=number < WRITING_THREADS)
             for number in range(WRITING_THREADS + READING_THREADS)
@@ -274,7 +291,7 @@ class Service:
                 what="listing of the bucket",
                 interval_s=self._list_interval_s,
                 # Credentials expire and are renewed, policies are changed and mended.
-                passing=(TransientError, BucketRefusedError),
+                passing=(*_PASSING, BucketRefusedError),
             )
         )
 
@@ -293,7 +310,7 @@ class Service:
                     partial(self._sweep.sweep, self._stop),
                     what="deletion of overlays",
                     interval_s=self._sweep.interval_s,
-                    passing=(TransientError, BucketRefusedError),
+                    passing=(*_PASSING, BucketRefusedError),
                 )
             )
         if self._hold is not None:

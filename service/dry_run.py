@@ -10,15 +10,16 @@ from typing import Final
 import structlog
 from pydantic import BaseModel, ConfigDict, Field
 
-from schemas.bucket import Bucket, open_bucket
 from schemas.errors import PermanentError
 from schemas.mining import LOOKAHEAD
-from schemas.recordings import group_recordings
+from schemas.transport.bucket import Bucket, open_bucket
+from schemas.transport.recordings import group_recordings
 from schemas.work import Recording
-from service.bucket_watch import is_wanted
-from service.config import Settings
-from service.doctor_machine import NEEDED
-from service.errors import NothingFoundError, StateUnusableError
+from service.background.bucket_watch import is_wanted
+from service.doctor.machine import NEEDED
+from service.errors import NothingFoundError, StateOutdatedError
+from service.settings.config import Settings
+from service.store.engine import has_database
 from service.store.opening import open_ledger_store_to_read
 from service.store.overview import newest_pipeline
 from service.store.pace import Pace, pace
@@ -240,9 +241,11 @@ class _Known:
 
 
 def _known(settings: Settings, url: str, recordings: Sequence[Recording]) -> _Known:
+    if not settings.database and not has_database(settings.state):
+        return _Known()
     try:
         store = open_ledger_store_to_read(settings)
-    except StateUnusableError as error:
+    except StateOutdatedError as error:
         log.debug("no state to compare with", problem=str(error))
         return _Known()
     with closing(store), store.reading() as connection:

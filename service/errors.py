@@ -19,6 +19,14 @@ class OtherBucketError(PermanentError):
     """The state belongs to another bucket."""
 
 
+class StatementFailedError(PermanentError):
+    """The database refuses what it was asked, and would again: only that question fails."""
+
+
+class RecordDamagedError(PermanentError):
+    """A stored record is not what its digest says; it is not shown."""
+
+
 class StateInUseError(TransientError):
     """Another service holds this state folder."""
 

@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import zenoh
 
-from schemas.bus import router_session
-from schemas.process import stop_on_signals
-from service.heartbeat import Heartbeat, Standing
+from schemas.runtime.process import stop_on_signals
+from schemas.transport.bus import router_session
+from service.background.heartbeat import Heartbeat, Standing
 
 
 def run_router(

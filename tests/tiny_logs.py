@@ -9,9 +9,9 @@ import numpy as np
 from mcap.writer import CompressionType, IndexType, Writer
 
 from schemas.arrays import NS_PER_S
-from schemas.bucket import Bucket
 from schemas.mining import Grid, MiningSettings
-from schemas.recordings import group_recordings
+from schemas.transport.bucket import Bucket
+from schemas.transport.recordings import group_recordings
 from schemas.work import Recording
 from workers.ingest.ros_definitions import ROS2_DEFINITIONS
 

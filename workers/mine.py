@@ -6,20 +6,22 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from schemas.bucket import Bucket
+from schemas.canonical import sha256
 from schemas.contradiction import LabelledFrame
 from schemas.frame import LidarFrame, OdometryState
 from schemas.labels import Blindness
 from schemas.mining import MiningSettings
-from schemas.overlay import encode_overlay, overlay_key
+from schemas.overlay import overlay_key
 from schemas.score import SceneScore
-from schemas.wire import encode_scene_score, sha256
+from schemas.transport.bucket import Bucket
+from schemas.transport.overlay_codec import encode_overlay
+from schemas.transport.wire import encode_scene_score
 from schemas.work import Damage, MiningStats, Recording, Shard
 from workers.contradiction.overlay import overlay_of
 from workers.ingest.read import read_shard
 from workers.memory import peak_memory_bytes
+from workers.parts.protocols import Parts
 from workers.pipeline import MinedScene, mine_shard
-from workers.protocols import Parts
 from workers.stages import StageClock, timed
 
 

@@ -13,7 +13,7 @@ from workers.contradiction.instances import find_instances
 from workers.contradiction.score import score_scene
 from workers.contradiction.strength import RankedTrack, rank_tracks
 from workers.ingest.scenes import cut_scenes
-from workers.protocols import Parts
+from workers.parts.protocols import Parts
 
 
 @dataclass(frozen=True, slots=True, eq=False)

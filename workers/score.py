@@ -2,9 +2,9 @@
 
 from collections.abc import Callable, Iterator
 
-from schemas.bucket import Bucket
 from schemas.mining import MiningSettings
 from schemas.score import SceneScore
+from schemas.transport.bucket import Bucket
 from schemas.work import Damage, Recording
 from workers.errors import LogUnusableError
 from workers.ingest.plan import plan_recording

@@ -1,16 +1,196 @@
-"""A digest of source files: what a part's version says of the code its answers come from."""
+"""Digests of source code: what a version says of the code its results come from."""
 
+import ast
 import hashlib
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import cache
 from importlib import resources
+from importlib.resources.abc import Traversable
+from typing import Final
+
+OURS: Final = ("schemas", "workers")
+"""Top-level packages whose imports are followed."""
+
+SHAPE_NO_RECORD: Final = frozenset(
+    {
+        "schemas.transport.bucket",  # fetches bytes, whose digests the log's plan names
+        "schemas.transport.bucket_errors",
+        "workers.warmup.compiling",  # compiles loops ahead of time; what they compute is theirs
+        "workers.memory",  # measures
+        "workers.stages",  # measures
+    }
+)
+"""Modules that mining imports and no record depends on: they are in no version, with what they
+alone import."""
 
 
 @cache
-def source_digest(*packages: str) -> str:
-    """Digest every Python file of these packages, names and contents, in the order of names."""
+def source_digest(*roots: str) -> str:
+    """Digest the files of some modules, byte for byte.
+
+    A changed comment changes it: it is the key of compiled code, which costs little to make again.
+
+    Args:
+        roots: Modules; a package names every module in it, in packages within it, too.
+
+    Returns:
+        Hexadecimal digits of a sha256.
+
+    Raises:
+        ModuleNotFoundError: If a root is no module of ours.
+    """
     digest = hashlib.sha256()
-    for package in packages:
-        for file in sorted(resources.files(package).iterdir(), key=lambda file: file.name):
-            if file.name.endswith(".py"):
-                digest.update(file.name.encode() + b"\0" + file.read_bytes() + b"\0")
+    for module in sorted(_named(roots)):
+        digest.update(module.encode() + b"\0" + _modules()[module].read_bytes() + b"\0")
     return digest.hexdigest()
+
+
+@cache
+def syntax_digest(*roots: str) -> str:
+    """Digest the syntax of some modules and of all modules of ours that they import.
+
+    Comments, layout, docstrings and the descriptions of fields do not count. A module that is
+    moved or renamed does: its name is part of the syntax of those that import it.
+
+    Args:
+        roots: Modules; a package names every module in it.
+
+    Returns:
+        Hexadecimal digits of a sha256.
+
+    Raises:
+        ModuleNotFoundError: If a root is no module of ours.
+    """
+    digest = hashlib.sha256()
+    for module in sorted(sources(*roots)):
+        digest.update(module.encode() + b"\0" + _read(module).digest)
+    return digest.hexdigest()
+
+
+def sources(*roots: str) -> frozenset[str]:
+    """Return the modules whose syntax `syntax_digest` digests, imports in functions included.
+
+    Raises:
+        ModuleNotFoundError: If a root is no module of ours.
+    """
+    found, waiting = set[str](), _named(roots)
+    while waiting:
+        module = waiting.pop()
+        if any(_lies_in(module, each) for each in SHAPE_NO_RECORD):
+            continue
+        found.add(module)
+        waiting |= _read(module).imports - found
+    return frozenset(found)
+
+
+@dataclass(frozen=True, slots=True)
+class _Module:
+    """The digest of a module's syntax, and the modules of ours that it imports."""
+
+    digest: bytes
+    imports: frozenset[str]
+
+
+@cache
+def _modules() -> Mapping[str, Traversable]:
+    """Return the file of every module of ours, by the module's dotted name."""
+    return {name: file for root in OURS for name, file in _below(root, resources.files(root))}
+
+
+def _below(package: str, folder: Traversable) -> Iterator[tuple[str, Traversable]]:
+    for entry in folder.iterdir():
+        stem = entry.name.removesuffix(".py")
+        if entry.is_dir():
+            yield from _below(f"{package}.{entry.name}", entry)
+        elif stem != entry.name:
+            yield package if stem == "__init__" else f"{package}.{stem}", entry
+
+
+def _named(roots: Iterable[str]) -> set[str]:
+    named = set[str]()
+    for root in roots:
+        within = {module for module in _modules() if _lies_in(module, root)}
+        if not within:
+            raise ModuleNotFoundError(f"no module {root} to digest")
+        named |= within
+    return named
+
+
+def _lies_in(module: str, package: str) -> bool:
+    return module == package or module.startswith(f"{package}.")
+
+
+@cache
+def _read(module: str) -> _Module:
+    syntax = _Syntax()
+    syntax.take(ast.parse(_modules()[module].read_bytes()))
+    digest = hashlib.sha256("\0".join(syntax.words).encode("utf-8", "surrogatepass")).digest()
+    with_packages = {
+        ".".join(parts[: count + 1])
+        for parts in (name.split(".") for name in syntax.imported)
+        for count in range(len(parts))
+    }
+    return _Module(digest, frozenset(with_packages & _modules().keys()) - {module})
+
+
+class _Syntax:
+    """A syntax tree as words, and the names that it imports.
+
+    `ast.dump` would differ from one release of Python to the next, which names new, empty fields.
+    """
+
+    def __init__(self) -> None:
+        self.words: list[str] = []
+        self.imported: set[str] = set()
+
+    def take(self, node: ast.AST) -> None:
+        """Add a node and what is below it."""
+        words = self.words
+        if isinstance(node, ast.Import):
+            self.imported.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            self.imported.add(node.module)
+            self.imported.update(f"{node.module}.{alias.name}" for alias in node.names)
+        words.append(type(node).__name__)
+        for name in node._fields:
+            if name == "ctx":  # follows from where the node is
+                continue
+            value = getattr(node, name, None)
+            if value is None or value == []:
+                continue
+            words.append(name)
+            if isinstance(value, ast.AST):
+                self.take(value)
+            elif isinstance(value, list):
+                self._take_all(node, value)
+            else:
+                words.append(repr(value))
+        words.append(")")
+
+    def _take_all(self, node: ast.AST, values: list[object]) -> None:
+        for value in values:
+            if not isinstance(value, ast.AST):
+                self.words.append(repr(value))
+            elif not (_is_docstring(value) or _is_description(node, value)):
+                self.take(value)
+        self.words.append("]")
+
+
+def _is_docstring(node: ast.AST) -> bool:
+    return isinstance(node, ast.Expr) and _is_text(node.value)
+
+
+def _is_description(call: ast.AST, node: ast.AST) -> bool:
+    return (
+        isinstance(node, ast.keyword)
+        and node.arg == "description"
+        and _is_text(node.value)
+        and isinstance(call, ast.Call)
+        and isinstance(call.func, ast.Name)
+        and call.func.id == "Field"
+    )
+
+
+def _is_text(node: ast.AST) -> bool:
+    return isinstance(node, ast.Constant) and isinstance(node.value, str)

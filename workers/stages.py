@@ -11,7 +11,7 @@ from schemas.contradiction import LabelledFrame
 from schemas.frame import LidarFrame, PosedFrame
 from schemas.labels import FrameLabels
 from schemas.task import Task
-from workers.protocols import Odometry, Parts, Stream, Witness
+from workers.parts.protocols import Odometry, Parts, Stream, Witness
 
 Stage = Literal[
     "ingest",

@@ -1,22 +1,41 @@
 """The pipeline version: a digest of everything that may change a scored record."""
 
 import hashlib
-from importlib.metadata import version
 from typing import Final
 
+from schemas.canonical import canonical_json
 from schemas.mining import MiningSettings
-from schemas.wire import canonical_json
 from workers.contradiction.version import contradiction_version
-from workers.part_files import PartFiles
-from workers.protocols import Parts
-from workers.registry import build_parts
+from workers.part_version import release
+from workers.parts.files import PartFiles
+from workers.parts.protocols import Parts
+from workers.parts.registry import build_parts
+from workers.sources import syntax_digest
 
 NOT_IN_VERSION: Final = frozenset({"bucket", "artifacts", "model", "weights"})
 """Where logs and models lie and overlays go changes no record; every other setting may."""
 
+ROOTS: Final = ("workers.ingest.plan", "workers.mine", "workers.parts.registry")
+"""Modules that plan and mine a log. With all that they import they are the code of a record."""
+
+LIBRARIES: Final = (
+    "kiss-icp",
+    "mcap",
+    "mcap-protobuf-support",
+    "mcap-ros1-support",
+    "mcap-ros2-support",
+    "numba",
+    "numpy",
+    "pypatchworkpp",
+    "scikit-learn",
+    "scipy",
+    "torch",
+)
+"""Distributions that the values of a record may depend on."""
+
 
 def pipeline_version(settings: MiningSettings, parts: Parts) -> str:
-    """Digest grid, settings, parts and the package: equal versions promise equal bytes.
+    """Digest settings, parts, sources and libraries: equal versions promise equal records.
 
     Args:
         settings: What the service says every worker must do alike.
@@ -32,7 +51,8 @@ def pipeline_version(settings: MiningSettings, parts: Parts) -> str:
         "selfsupervised": parts.selfsupervised.version,
         "witness": parts.witness.version,
         "contradiction": contradiction_version(),
-        "package": version("counterpoint"),
+        "sources": syntax_digest(*ROOTS),
+        "libraries": {name: release(name) for name in LIBRARIES},
     }
     return hashlib.sha256(canonical_json(facts)).hexdigest()[:12]
 

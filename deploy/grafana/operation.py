@@ -146,10 +146,13 @@ PROGRESS: Final = Row(
         ),
         Panel(
             title="Bucket",
-            description="Objects in the bucket at the last listing. A fall that nobody asked for "
-            "is a bucket that loses logs.",
+            description="Objects in the bucket at the last listing, and entries that were skipped. "
+            "A fall of the first that no one asked for is a bucket that loses logs.",
             unit="short",
-            queries=(Query("sum (counterpoint_bucket_objects)", "objects"),),
+            queries=(
+                Query("sum (counterpoint_bucket_objects)", "objects"),
+                Query("sum (counterpoint_bucket_skipped_entries)", "skipped entries"),
+            ),
         ),
         Panel(
             title="Size of the bucket",
@@ -279,8 +282,8 @@ TROUBLE: Final = Row(
     (
         Panel(
             title="Leases ended, per hour",
-            description="`expired`, `failed` and `worker_died` are attempts lost; the fifth parks "
-            "the work.",
+            description="`expired`, `failed` and `worker_died` may each be an attempt lost; the "
+            "last one parks the work.",
             unit="short",
             queries=(
                 Query(

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.options import Config, Json, settings_for
+from service.cli.options import MOST, Config, Force, Json, settings_for
 from service.cli.output import json_line, progress, table
+from service.output_files import need_writable, save_picture
 
 if TYPE_CHECKING:
-    from workers.evaluation.bench_simulation import Look
+    from workers.lab.evaluation.benchmarks.bench_simulation import Look
 
 
 def simulation(
@@ -21,24 +22,29 @@ def simulation(
     sensor: Annotated[
         str, typer.Option("--sensor", help="Which simulated lidar: pandar64, hdl64, …")
     ] = "pandar64",
-    frames: Annotated[int, typer.Option("--frames", min=1, help="How many frames to time.")] = 20,
+    frames: Annotated[
+        int, typer.Option("--frames", min=1, max=MOST, help="How many frames to time.")
+    ] = 20,
     picture: Annotated[
         Path | None, typer.Option("--picture", help="PNG of a real frame beside simulated ones.")
     ] = None,
     json: Json = False,
     config: Config = None,
+    force: Force = False,
 ) -> None:
     """Time the simulator on one core; with a log, say how like it simulated frames are."""
     from service.cli.logs import locate
-    from workers.evaluation.bench_simulation import bench_rates, simulated_looks
-    from workers.evaluation.real_frames import real_look
-    from workers.simulation.sensors import SENSORS
+    from workers.lab.evaluation.benchmarks.bench_simulation import bench_rates, simulated_looks
+    from workers.lab.evaluation.benchmarks.real_frames import real_look
+    from workers.lab.simulation.sensor.sensors import SENSORS
 
     chosen = next((name for name in SENSORS if name == sensor), None)
     if chosen is None:
         raise typer.BadParameter(f"{sensor!r} is none of {', '.join(SENSORS)}")
     if picture is not None and url is None:
         raise typer.BadParameter("--picture needs a log to draw a frame of")
+    if picture is not None:
+        need_writable(picture, option="--picture", force=force, endings=(".png",))
     looks = []
     with progress() as bar:
         task = bar.add_task("timing", total=None)
@@ -53,9 +59,10 @@ def simulation(
             simulated, others = simulated_looks(chosen)
             looks = [real_one, *others]
             if picture is not None:
-                from workers.evaluation.picture_beside import draw_beside
+                from workers.lab.evaluation.benchmarks.picture_beside import draw_beside
 
-                draw_beside([(real_one.name, real), *simulated[:2]]).save(picture)
+                beside = draw_beside([(real_one.name, real), *simulated[:2]])
+                save_picture(beside, picture, option="--picture", force=force)
     if json:
         for rate in rates:
             json_line(asdict(rate))
@@ -72,7 +79,7 @@ def simulation(
 
 
 def _say_looks(looks: "Sequence[Look]") -> None:
-    from workers.evaluation.bench_simulation import RANGES_M
+    from workers.lab.evaluation.benchmarks.bench_simulation import RANGES_M
 
     table(
         "share of the points by range, percent",

@@ -5,9 +5,9 @@ from typing import Annotated, Final
 
 import typer
 
-from service.cli.options import Config, Json, settings_for
+from service.cli.options import MOST, Config, Force, Json, settings_for
 from service.cli.output import json_line, progress, remark
-from service.errors import UsageError
+from service.output_files import need_writable, save_text
 
 _FEW_FRAMES: Final = 5
 """Of fewer frames, means and deviations are those of one place."""
@@ -29,36 +29,36 @@ def sensor(
     name: Annotated[
         str | None, typer.Option("--name", help="What the profile is called; the file's name.")
     ] = None,
-    frames: Annotated[int, typer.Option("--frames", min=1, help="At most, of each log.")] = 20,
-    every: Annotated[int, typer.Option("--every", min=1, help="One of so many frames.")] = 10,
+    frames: Annotated[
+        int, typer.Option("--frames", min=1, max=MOST, help="At most, of each log.")
+    ] = 20,
+    every: Annotated[
+        int, typer.Option("--every", min=1, max=MOST, help="One of so many frames.")
+    ] = 10,
     rows: Annotated[
-        int | None, typer.Option("--rows", min=1, help="Evenly spaced, not one for each beam.")
+        int | None,
+        typer.Option("--rows", min=1, max=MOST, help="Evenly spaced, not one for each beam."),
     ] = None,
     columns: Annotated[
-        int | None, typer.Option("--columns", min=1, help="Instead of those measured.")
+        int | None, typer.Option("--columns", min=1, max=MOST, help="Instead of those measured.")
     ] = None,
     topic: Annotated[
         str | None, typer.Option("--topic", help="Lidar topic, where a log has several.")
     ] = None,
     json: Json = False,
     config: Config = None,
+    force: Force = False,
 ) -> None:
     """Fit rows, field of view, beams, means and deviations of a range image to a lidar."""
     from service.cli.logs import locate
-    from workers.calibration.sensor_profile import (
+    from workers.lab.calibration.sensor_profile import (
         different_lidars,
         fit_profile,
+        profile_text,
         sample_frames,
-        write_profile,
     )
 
-    if out.suffix not in (".json", ".toml"):
-        raise UsageError(f"--out {out}: a profile is a .json or .toml file")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.touch()
-    except OSError as error:
-        raise UsageError(f"--out {out}: cannot be written: {error.strerror}") from error
+    need_writable(out, option="--out", force=force, endings=(".json", ".toml"))
     settings = settings_for(config)
     mining = settings.mining()
     if topic:
@@ -75,7 +75,7 @@ def sensor(
         remark(mixed)
     taken = [frame for found in sampled.values() for frame in found]
     fit = fit_profile(taken, name=name or out.stem, rows=rows, columns=columns)
-    write_profile(out, fit.profile)
+    save_text(profile_text(fit.profile, out.suffix.lower()), out, option="--out", force=force)
     if json:
         json_line(fit)
         return

@@ -26,9 +26,10 @@ from service.cli.options import (
     settings_for,
 )
 from service.cli.output import command, progress, remark
+from service.cli.parked import EX_PARKED, parked_line
 from service.cli.report import say_what_was_found
-from service.config import DEFAULT_ENDPOINT, Settings
 from service.errors import UsageError
+from service.settings.config import DEFAULT_ENDPOINT, Settings
 
 Once = Annotated[bool, typer.Option("--once", help="Mine what is there, then stop.")]
 DryRun = Annotated[
@@ -44,13 +45,32 @@ Listen = Annotated[
 Workers = Annotated[int | None, typer.Option("--workers", help="Worker processes; 2.")]
 
 
+AcceptedBucket = Annotated[
+    str | None,
+    typer.Option("--bucket", help="Read only here, where the router is on another machine."),
+]
+AcceptedArtifacts = Annotated[
+    str | None,
+    typer.Option("--artifacts", help="Write overlays only here, where it is."),
+]
+AcceptedModel = Annotated[
+    str | None, typer.Option("--model", help="Load only this adapter, or one in this folder.")
+]
+AcceptedWeights = Annotated[
+    str | None, typer.Option("--weights", help="Load weights only from this folder.")
+]
+
+
 def add_to(app: typer.Typer) -> None:
     """Add the verbs of this file to the command."""
     app.command(epilog="counterpoint run --bucket s3://fleet --state /var/lib/counterpoint")(run)
     app.command(epilog="counterpoint service --bucket s3://fleet --connect tcp/router:7447")(
         service
     )
-    app.command(epilog="counterpoint worker --connect tcp/router:7447 --workers 8")(worker)
+    app.command(
+        epilog="counterpoint worker --connect tcp/router:7447 --bucket s3://fleet "
+        "--artifacts s3://fleet-overlays --workers 8"
+    )(worker)
     app.command(epilog="counterpoint router --listen tcp/127.0.0.1:7447")(router)
 
 
@@ -78,7 +98,10 @@ def run(
     log_level: LogLevel = None,
     json: Annotated[bool, typer.Option("--json", help="With --dry-run: JSON on stdout.")] = False,
 ) -> None:
-    """Run router, service and workers on this machine; watch the bucket, or mine it --once."""
+    """Run router, service and workers on this machine; watch the bucket, or mine it --once.
+
+    With --once it ends with 3 when work is parked: all else is mined, but its scenes are missing.
+    """
     settings = settings_for(
         config,
         bucket=bucket,
@@ -106,7 +129,7 @@ def run(
         return
     if json:
         raise UsageError("--json is for --dry-run; a run logs: --log-format json")
-    from service.embedded import run_embedded
+    from service.processes import run_embedded
 
     with progress() as bar:
         task = bar.add_task("mining", total=None)
@@ -121,6 +144,9 @@ def run(
     if once:
         say_what_was_found(status)
         remark(f"next: {command()} top --state {settings.state}")
+        if parked := parked_line(status, settings):
+            remark(parked, level="error")
+            raise typer.Exit(EX_PARKED)
 
 
 def service(
@@ -144,7 +170,7 @@ def service(
     log_level: LogLevel = None,
 ) -> None:
     """Run the service alone: bucket watch, ledger, ranking. Needs a router and workers."""
-    from service.embedded import run_service
+    from service.processes import run_service
 
     settings = settings_for(
         config,
@@ -173,15 +199,30 @@ def service(
 def worker(
     connect: Connect = None,
     workers: Workers = None,
+    bucket: AcceptedBucket = None,
+    artifacts: AcceptedArtifacts = None,
+    model: AcceptedModel = None,
+    weights: AcceptedWeights = None,
     config: Config = None,
     log_format: LogFormat = None,
     log_level: LogLevel = None,
 ) -> None:
-    """Run workers for a service elsewhere; they learn bucket and mining settings from it."""
-    from service.embedded import run_workers
+    """Run workers for a service elsewhere; they learn bucket and mining settings from it.
+
+    Where the router is on another machine they accept only what their own settings name, too.
+    """
+    from service.processes import run_workers
 
     settings = settings_for(
-        config, connect=connect, workers=workers, log_format=log_format, log_level=log_level
+        config,
+        connect=connect,
+        workers=workers,
+        bucket=bucket,
+        artifacts=artifacts,
+        model=model,
+        weights=weights,
+        log_format=log_format,
+        log_level=log_level,
     )
     run_workers(settings, on_ready=remark)
 

@@ -11,7 +11,7 @@ from service.cli.options import LogFormat, LogLevel, log_as
 from service.cli.output import command, counted, progress, remark, table
 
 if TYPE_CHECKING:
-    from service.demo_planted import DemoScene
+    from service.demo.planted import DemoScene
 
 DEMO_ROWS: Final = 12
 
@@ -28,10 +28,14 @@ def demo(
     workers: Annotated[int, typer.Option("--workers", help="Worker processes.")] = 2,
     log_format: LogFormat = None,
     log_level: LogLevel = None,
+    force: Annotated[
+        bool,
+        typer.Option("--force", help="Replace fleet/, state/ and pictures/ of no earlier demo."),
+    ] = False,
 ) -> None:
     """Simulate street logs, mine them, rank the scenes, draw the best ones."""
     from service.cli.report import say_what_was_found
-    from service.demo import demo_settings, run_demo
+    from service.demo.run import demo_settings, run_demo
 
     settings = demo_settings(out, workers=workers, log_format=log_format, log_level=log_level)
     log_as(settings, is_daemon=True)
@@ -41,6 +45,7 @@ def demo(
         remark=remark,
         progress=progress,
         now_s=time.clock_gettime(time.CLOCK_REALTIME),
+        force=force,
     )
     say_what_was_found(result.status)
     say_demo_ranking(result.scenes)

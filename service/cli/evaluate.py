@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.options import BucketOfLogs, Config, Json, Weights, settings_for
+from service.cli.options import MOST, BucketOfLogs, Config, Force, Json, Weights, settings_for
 from service.cli.output import json_line, progress, remark, table
 from service.cli.shards import shards
 from service.errors import UsageError
+from service.output_files import need_folder, need_writable, save_picture
 
 if TYPE_CHECKING:
-    from workers.evaluation.table import LogEvaluation
+    from workers.lab.evaluation.motion.table import LogEvaluation
 
 WORST_FRAMES = 10
 
@@ -56,9 +57,14 @@ def motion(
     rows: Annotated[
         str, typer.Option("--rows", help="Beams to keep, a slice from the lowest up: 0::2.")
     ] = "",
-    every: Annotated[int, typer.Option("--every", min=1, help="Keep one frame in so many.")] = 1,
+    every: Annotated[
+        int, typer.Option("--every", min=1, max=MOST, help="Keep one frame in so many.")
+    ] = 1,
     yaw_noise_deg: Annotated[
-        float, typer.Option("--yaw-noise-deg", min=0.0, help="Turn each pose at random, degrees.")
+        float,
+        typer.Option(
+            "--yaw-noise-deg", min=0.0, max=360.0, help="Turn each pose at random, degrees."
+        ),
     ] = 0.0,
     labels: Annotated[
         Path | None, typer.Option("--labels", help="Write what was judged to DIR/x/y/NNNNNN.npz.")
@@ -72,17 +78,29 @@ def motion(
     json: Json = False,
     weights: Weights = None,
     config: Config = None,
+    force: Force = False,
 ) -> None:
     """Judge motion labels point by point, of one stream or of several side by side."""
     streams = tuple(dict.fromkeys(stream or ["selfsupervised"]))
     bounds, beams = parse_frames(frames), parse_rows(rows)
     settings = settings_for(config, bucket=bucket, weights=weights)
-    from service.picture_judged import draw_worst
-    from service.picture_table import draw_table
-    from workers.evaluation.disturbance import Disturbance
-    from workers.evaluation.motion import JudgedFrame, evaluate_motion
-    from workers.evaluation.worst import WorstFrames
-    from workers.evaluation.written_labels import write_labels
+    if plot is not None:
+        need_writable(plot, option="--plot", force=force, endings=(".png",))
+    if pictures is not None:
+        need_folder(pictures, option="--pictures")
+    if labels is not None:
+        need_folder(labels, option="--labels")
+        if not force and any(labels.iterdir()):  # truth has files of the same names
+            raise UsageError(
+                f"--labels: this folder is not empty: name another, or write into it with --force "
+                f"({labels})"
+            )
+    from service.pictures.judged import draw_worst
+    from service.pictures.table import draw_table
+    from workers.lab.evaluation.motion.disturbance import Disturbance
+    from workers.lab.evaluation.motion.motion import JudgedFrame, evaluate_motion
+    from workers.lab.evaluation.motion.worst import WorstFrames
+    from workers.lab.evaluation.motion.written_labels import write_labels
 
     worst = {name: WorstFrames(WORST_FRAMES) for name in streams}
 
@@ -117,12 +135,11 @@ def motion(
             if name in ("supervised", "selfsupervised"):
                 remark(f"{name}: {getattr(settings, name)}")
     if plot is not None:
-        plot.parent.mkdir(parents=True, exist_ok=True)
-        draw_table(evaluated).save(plot)
+        save_picture(draw_table(evaluated), plot, option="--plot", force=force)
         remark(f"plot: {plot}")
     if pictures is not None:
         for name, frames_of_stream in worst.items():
-            for path in draw_worst(of_stream(pictures, name), frames_of_stream.frames):
+            for path in draw_worst(of_stream(pictures, name), frames_of_stream.frames, force=force):
                 remark(f"picture: {path}")
 
 
@@ -139,7 +156,7 @@ def semantics(
     """Judge the supervised stream's classes point by point, in eleven coarse ones."""
     first, last = parse_frames(frames)
     settings = settings_for(config, bucket=bucket)
-    from workers.evaluation.semantics import evaluate_semantics
+    from workers.lab.evaluation.semantics.semantics import evaluate_semantics
 
     with progress() as bar:
         task = bar.add_task("evaluating", total=None)

@@ -7,7 +7,9 @@ from urllib.parse import unquote, urlsplit
 import typer
 
 from service.cli.options import (
+    MOST,
     Config,
+    Force,
     Json,
     Model,
     SelfSupervised,
@@ -17,13 +19,14 @@ from service.cli.options import (
 )
 from service.cli.output import counted, json_line, progress, remark, table
 from service.errors import UsageError
-from service.failure_report import COLUMNS_MEAN, write_report
+from service.output_files import need_folder, need_writable
+from service.reports.failure_report import COLUMNS_MEAN, write_report
 
 if TYPE_CHECKING:
-    from workers.evaluation.failures.bench import FailureBench
-    from workers.evaluation.failures.natural import NaturalTable
-    from workers.evaluation.failures.planted import PlantedTable
-    from workers.evaluation.failures.ranking import RankingRow
+    from workers.lab.evaluation.failures.bench import FailureBench
+    from workers.lab.evaluation.failures.natural import NaturalTable
+    from workers.lab.evaluation.failures.planted import PlantedTable
+    from workers.lab.evaluation.failures.ranking import RankingRow
 
 TABLES = ("planted", "natural")
 
@@ -43,7 +46,9 @@ def failures(
     report: Annotated[
         Path | None, typer.Option("--report", help="Write a page with plots to this file.")
     ] = None,
-    workers: Annotated[int, typer.Option("--workers", min=1, help="Worker processes.")] = 2,
+    workers: Annotated[
+        int, typer.Option("--workers", min=1, max=MOST, help="Worker processes.")
+    ] = 2,
     kept: Annotated[
         Path | None,
         typer.Option("--kept", help="Folder of what was mined before; bench in the state folder."),
@@ -51,7 +56,10 @@ def failures(
     slip_logs: Annotated[
         int,
         typer.Option(
-            "--slip-logs", min=0, help="Logs that are mined again, a slip in every scene (planted)."
+            "--slip-logs",
+            min=0,
+            max=MOST,
+            help="Logs that are mined again, a slip in every scene (planted).",
         ),
     ] = 0,
     second: Annotated[
@@ -60,10 +68,12 @@ def failures(
     ] = None,
     probe_every: Annotated[
         int,
-        typer.Option("--dropout-every", min=0, help="MC-dropout on one frame in so many; 0: none."),
+        typer.Option(
+            "--dropout-every", min=0, max=MOST, help="MC-dropout on one frame in so many; 0: none."
+        ),
     ] = 10,
     draws: Annotated[
-        int, typer.Option("--draws", min=0, help="Of the bootstrap; 0: no intervals.")
+        int, typer.Option("--draws", min=0, max=MOST, help="Of the bootstrap; 0: no intervals.")
     ] = 1000,
     supervised: Supervised = None,
     model: Model = None,
@@ -71,10 +81,15 @@ def failures(
     selfsupervised: SelfSupervised = None,
     json: Json = False,
     config: Config = None,
+    force: Force = False,
 ) -> None:
     """Measure how well contradictions find failures, beside other ways to look for them."""
     if only not in (None, *TABLES):
         raise UsageError(f"--table must be planted or natural, got {only!r}")
+    if report is not None:
+        need_writable(report, option="--report", force=force)
+    if kept is not None:
+        need_folder(kept, option="--kept")
     logs_url = url if truth is not None else f"{url.rstrip('/')}/logs"
     where = _beside(url) if truth is None else truth
     if truth is None and not where.is_dir():
@@ -89,8 +104,8 @@ def failures(
         weights=weights,
         selfsupervised=selfsupervised,
     )
-    from workers.evaluation.failures.bench import bench_failures
-    from workers.evaluation.failures.probes import Probing
+    from workers.lab.evaluation.failures.bench import bench_failures
+    from workers.lab.evaluation.failures.probes import Probing
 
     with progress() as bar:
         task = bar.add_task("mining", total=None)
@@ -120,7 +135,7 @@ def failures(
     if report is None:
         remark("a page with plots, and with what each kind means: --report FILE.html")
     else:
-        write_report(report, bench)
+        write_report(report, bench, force=force)
         remark(f"report: {report}")
 
 
@@ -204,8 +219,8 @@ def _say_who(found: "PlantedTable | NaturalTable") -> None:
 
 def _say_what_it_is_too_small_for(bench: "FailureBench") -> None:
     """Say what a fleet is too small for, before figures are read that mean little."""
-    from workers.evaluation.failures.intervals import FEWEST_LOGS
-    from workers.evaluation.failures.retrieval import looked_at
+    from workers.lab.evaluation.failures.intervals import FEWEST_LOGS
+    from workers.lab.evaluation.failures.retrieval import looked_at
 
     if bench.logs < FEWEST_LOGS:
         remark(f"no intervals: {counted(bench.logs, 'log')} cannot say what others would give")

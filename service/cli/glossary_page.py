@@ -2,12 +2,12 @@
 
 import inspect
 import re
-import sys
 from collections.abc import Iterator, Mapping
 
+from service.cli.output import page
 from workers.contradiction.because import TOLD
 from workers.contradiction.evidence import Evidence
-from workers.simulation.plan import DISTURBANCE_MEANS, FAILURE_MEANS
+from workers.lab.simulation.faults.plan import DISTURBANCE_MEANS, FAILURE_MEANS
 
 _HEAD = """\
 # What reasons and reports name
@@ -73,4 +73,4 @@ def _section(
 
 
 if __name__ == "__main__":
-    sys.stdout.write(glossary_page())
+    page(glossary_page())

@@ -7,12 +7,13 @@ from urllib.parse import unquote
 
 import typer
 
-from schemas.bucket import Bucket, open_bucket, open_object
-from schemas.recordings import recording_of
+from schemas.transport.bucket import Bucket, open_bucket, open_object
+from schemas.transport.recordings import recording_of
 from schemas.work import Recording
 from service.cli.options import (
     Camera,
     Config,
+    Force,
     Json,
     Model,
     Odometry,
@@ -26,6 +27,7 @@ from service.cli.options import (
 from service.cli.output import json_line, progress, remark, table
 from service.cli.report import first_of, say_inspected, say_judged
 from service.errors import NothingFoundError
+from service.output_files import need_folder, save_picture
 
 if TYPE_CHECKING:
     from workers.mine import MinedRecord
@@ -86,10 +88,13 @@ def score(
         Path | None, typer.Option("--pictures", help="Folder for a picture of each scene.")
     ] = None,
     config: Config = None,
+    force: Force = False,
 ) -> None:
     """Mine one log on this machine, without a bus: one scene after the other."""
     from workers.score import score_recording
 
+    if pictures is not None:
+        need_folder(pictures, option="--pictures")
     settings = settings_for(
         config,
         bucket=bucket,
@@ -114,7 +119,9 @@ def score(
             on_damage=lambda damage: remark(
                 f"damaged: {damage.what} ({damage.key} at byte {damage.offset})"
             ),
-            on_scene=partial(_draw, folder=pictures) if pictures else lambda mined: None,
+            on_scene=partial(_draw, folder=pictures, force=force)
+            if pictures
+            else lambda mined: None,
             on_unread_labels=lambda topic: remark(
                 f"this log holds recorded labels on {topic}; judge them by --supervised recorded"
             ),
@@ -131,15 +138,15 @@ def score(
     say_judged(scored)
 
 
-def _draw(mined: "MinedRecord", *, folder: Path) -> None:
-    from schemas.overlay import decode_overlay
-    from service.picture import draw_scene
+def _draw(mined: "MinedRecord", *, folder: Path, force: bool) -> None:
+    from schemas.transport.overlay_codec import decode_overlay
+    from service.pictures.scene import draw_scene
 
     score = mined.score
-    folder.mkdir(parents=True, exist_ok=True)
     name = score.scene_id.removeprefix(f"{score.log_id}/").replace("/", "-")
     path = folder / f"{name}.png"
-    draw_scene(score, decode_overlay(mined.overlay)).save(path)
+    picture = draw_scene(score, decode_overlay(mined.overlay))
+    save_picture(picture, path, option="--pictures", force=force)
     remark(f"picture: {path}")
 
 

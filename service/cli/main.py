@@ -1,14 +1,22 @@
 """The command `counterpoint`: assembles the verbs, and turns every error into one sentence."""
 
+import errno
+import os
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from importlib.metadata import version
+from types import FrameType
+from typing import Annotated, Final
 
 import structlog
 import typer
 from typer.exceptions import Abort, Exit, TyperException
 
 from schemas.errors import PermanentError, TransientError
-from schemas.process import log_to_stderr
+from schemas.runtime.process import log_to_stderr
 from service.cli import (
     calibrate,
     daemons,
@@ -24,10 +32,18 @@ from service.cli import (
     simulate,
     weights,
 )
-from service.cli.output import remark, remark_as_events
+from service.cli.output import page, remark, remark_as_events, usage
+from service.errors import UsageError
 
 EX_SOFTWARE = 70
 EX_TEMPFAIL = 75
+
+_MAY_PASS: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE})
+_OF_THE_MACHINE: Final = _MAY_PASS | {
+    *(errno.EACCES, errno.EPERM, errno.EROFS, errno.EIO, errno.ENOENT, errno.ENOTDIR),
+    *(errno.EISDIR, errno.ENAMETOOLONG, errno.ELOOP, errno.EFBIG, errno.ENXIO, errno.ESTALE),
+}
+"""What a disk or its permissions answer: where no verb has said it better, it is said here."""
 
 log = structlog.get_logger(__name__)
 
@@ -47,19 +63,61 @@ for measuring in (demo, simulate, evaluate, measure, calibrate, parts, settings,
     measuring.add_to(app)
 
 
+class _Terminated(BaseException):
+    """SIGTERM came: what a verb has made for the time being goes with it."""
+
+
+@contextmanager
+def _unwound_by_sigterm() -> Iterator[None]:
+    """Let SIGTERM unwind a verb, as Ctrl-C does; daemons take signals in a way of their own."""
+
+    def on_signal(number: int, _frame: FrameType | None) -> None:
+        signal.signal(number, signal.SIG_DFL)
+        raise _Terminated
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, on_signal)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _say_version(wanted: bool) -> None:
+    if wanted:
+        page(f"counterpoint {version('counterpoint')}\n")
+        raise Exit
+
+
+@app.callback()
+def _of_every_verb(
+    _version: Annotated[
+        bool,
+        typer.Option("--version", is_eager=True, callback=_say_version, help="Print the version."),
+    ] = False,
+) -> None:
+    """Take the options that stand before any verb."""
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; return 0 when done, 1 for bad input or arguments, 75 to try again.
 
+    `run --once` returns 3 when work is parked: all else is mined, but its scenes are missing.
     What nobody foresaw is our fault: 70, with the trace; who keeps daemons alive may try again.
     """
     log_to_stderr()  # until a verb has read its settings
     remark_as_events(False)
     try:
-        ended = typer.main.get_command(app).main(
-            args=list(sys.argv[1:] if argv is None else argv),
-            prog_name="counterpoint",
-            standalone_mode=False,
-        )
+        arguments = _need_text(sys.argv[1:] if argv is None else argv)
+        with _unwound_by_sigterm():
+            ended = typer.main.get_command(app).main(
+                args=arguments,
+                prog_name="counterpoint",
+                standalone_mode=False,
+            )
+        sys.stdout.flush()  # a full disk is said here, and not by the interpreter as it ends
     except TransientError as error:
         remark(f"try again later: {error}", level="error")
         return EX_TEMPFAIL
@@ -67,19 +125,54 @@ def main(argv: Sequence[str] | None = None) -> int:
         remark(f"error: {error}", level="error")
         return 1
     except TyperException as error:
+        if type(error).__name__ == "NoArgsIsHelpError":  # Typer does not export it
+            usage(error.format_message())
+            return 1
         remark(f"error: {error.format_message()} (--help after the command lists its options)")
         return 1
     except Exit as stop:
         return stop.exit_code
     except (Abort, KeyboardInterrupt):
         return 130
+    except _Terminated:
+        return 143
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our pipe has left; nothing is wrong
         return 0
-    except Exception:
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno in _OF_THE_MACHINE:
+            log.debug("the machine refused", exc_info=True)
+            return _say_refused(error)
         log.exception("this is a fault of the program; please report it with these lines")
         return EX_SOFTWARE
     return ended if isinstance(ended, int) else 0
+
+
+def _say_refused(error: OSError) -> int:
+    """Say what a disk or its permissions answered, where no verb has said it better."""
+    where = f" ({os.fsdecode(error.filename)})" if error.filename else ""
+    if not where:  # results, most likely, which the interpreter would write again as it ends
+        _let_go_of_stdout()
+    remark(f"error: this machine refuses: {error.strerror}{where}", level="error")
+    return EX_TEMPFAIL if error.errno in _MAY_PASS else 1
+
+
+def _need_text(argv: Sequence[str]) -> list[str]:
+    """Refuse arguments that are no text: neither stores nor databases take them.
+
+    Raises:
+        UsageError: If one is not UTF-8 or has a NUL character.
+    """
+    for argument in argv:
+        if "\0" in argument or any("\ud800" <= char <= "\udfff" for char in argument):
+            raise UsageError(f"this argument is not UTF-8 text: {argument}; rename what it names")
+    return list(argv)
+
+
+def _let_go_of_stdout() -> None:
+    """Drop what cannot be written, so that the interpreter does not try again as it ends."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def console() -> None:

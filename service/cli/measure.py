@@ -9,9 +9,11 @@ import typer
 
 from service.cli.bench_simulation import simulation
 from service.cli.failures import failures
-from service.cli.options import Config, Json, settings_for
+from service.cli.options import MOST, Config, Json, settings_for
 from service.cli.output import json_line, progress, remark, table
 from service.cli.report import said_of
+from service.errors import UsageError
+from service.output_files import need_folder
 
 
 def add_to(app: typer.Typer) -> None:
@@ -30,13 +32,15 @@ def pipeline(
     url: Annotated[
         str | None, typer.Argument(help="URL or path of one .mcap file; none: a simulated street.")
     ] = None,
-    frames: Annotated[int, typer.Option("--frames", min=1, help="How many frames to time.")] = 30,
+    frames: Annotated[
+        int, typer.Option("--frames", min=1, max=MOST, help="How many frames to time.")
+    ] = 30,
     json: Json = False,
     config: Config = None,
 ) -> None:
     """Say where the time of `score` goes, beside its parts alone."""
     from service.cli.logs import locate
-    from workers.evaluation.bench import bench_pipeline
+    from workers.lab.evaluation.benchmarks.bench import bench_pipeline
 
     settings = settings_for(config)
     with TemporaryDirectory() as folder, progress() as bar:
@@ -79,7 +83,7 @@ def motion(
     """Say where the time of the self-supervised stream goes, beside KISS-ICP and Patchwork++."""
     from service.cli.evaluate import parse_frames
     from service.cli.logs import locate
-    from workers.evaluation.bench_motion import bench_motion
+    from workers.lab.evaluation.benchmarks.bench_motion import bench_motion
 
     bounds = (10, 10 + int(frames)) if frames.isdecimal() else parse_frames(frames)
     settings = settings_for(config)
@@ -117,15 +121,18 @@ def networks(
         str | None, typer.Argument(help="URL or path of one .mcap file; none: a simulated street.")
     ] = None,
     frames: Annotated[
-        int, typer.Option("--frames", min=1, help="How many frames, after ten that warm up.")
+        int,
+        typer.Option("--frames", min=1, max=MOST, help="How many frames, after ten that warm up."),
     ] = 5,
-    rounds: Annotated[int, typer.Option("--rounds", min=1, help="How often each is run.")] = 3,
+    rounds: Annotated[
+        int, typer.Option("--rounds", min=1, max=MOST, help="How often each is run.")
+    ] = 3,
     only: Annotated[
         str | None, typer.Option("--only", help="images (SalsaNext, LMNet) or flowstep3d.")
     ] = None,
     points: Annotated[
         list[int] | None,
-        typer.Option("--points", min=64, help="Size of FlowStep3D's clouds. Repeatable."),
+        typer.Option("--points", min=64, max=MOST, help="Size of FlowStep3D's clouds. Repeatable."),
     ] = None,
     processor: Annotated[
         bool, typer.Option("--processor", help="Seconds of the processor, not of the wall.")
@@ -135,9 +142,9 @@ def networks(
 ) -> None:
     """Time the networks beside a plain transcription of their published forward pass."""
     from service.cli.logs import locate
-    from workers.evaluation.bench_flow import FLOW_POINTS, bench_flow
-    from workers.evaluation.bench_networks import bench_images
-    from workers.evaluation.network_time import NetworkTime
+    from workers.lab.evaluation.benchmarks.bench_flow import FLOW_POINTS, bench_flow
+    from workers.lab.evaluation.benchmarks.bench_networks import bench_images
+    from workers.lab.evaluation.benchmarks.network_time import NetworkTime
 
     if only not in (None, "images", "flowstep3d"):
         raise typer.BadParameter(f"{only!r} is neither images nor flowstep3d")
@@ -188,17 +195,25 @@ def ledger(
         Path, typer.Option("--folder", help="On the disk that will hold the state.")
     ] = Path(),
     scenes_per_shard: Annotated[
-        int, typer.Option("--scenes-per-shard", min=1, help="Records in one commit.")
+        int, typer.Option("--scenes-per-shard", min=1, max=MOST, help="Records in one commit.")
     ] = 10,
-    shards: Annotated[int, typer.Option("--shards", min=100, help="Timed for each row.")] = 1000,
+    shards: Annotated[
+        int, typer.Option("--shards", min=100, max=MOST, help="Timed for each row.")
+    ] = 1000,
     filled: Annotated[
-        int, typer.Option("--filled", min=0, help="Then once more, on so many scenes; 0: not.")
+        int,
+        typer.Option(
+            "--filled", min=0, max=MOST, help="Then once more, on so many scenes; 0: not."
+        ),
     ] = 100_000,
     json: Json = False,
 ) -> None:
     """Count the durable commits of a second, beside what disk and SQLite alone allow."""
-    from service.bench_ledger import bench_ledger
+    from service.store.bench_ledger import bench_ledger
 
+    if not folder.is_dir():
+        raise UsageError(f"--folder: no such folder: {folder}")
+    need_folder(folder, option="--folder")
     with TemporaryDirectory(dir=folder, prefix="bench-ledger-") as state, progress() as bar:
         task = bar.add_task("timing", total=None)
         rows = bench_ledger(
@@ -221,9 +236,9 @@ def ledger(
 
 def _simulated(folder: Path, *, frames: int) -> str:
     """Write a street that is long enough, for those who have no log at hand."""
-    from workers.evaluation.bench import WARMING_FRAMES
-    from workers.simulation.worlds import build_street
-    from workers.simulation.write import write_log
+    from workers.lab.evaluation.benchmarks.bench import WARMING_FRAMES
+    from workers.lab.simulation.output.write import write_log
+    from workers.lab.simulation.world.worlds import build_street
 
     log = folder / "sim-01" / "2026-03-02" / "street.mcap"
     seconds = (frames + WARMING_FRAMES) / 10 + 4.0

@@ -1,14 +1,14 @@
 """Writes `deploy/METRICS.md`: `python -m service.cli.metrics_page > deploy/METRICS.md`."""
 
-import sys
 from collections.abc import Iterable, Iterator
 from typing import Final
 
 from prometheus_client import CollectorRegistry, Metric
 
-from service.gauges import Sources
-from service.metrics import ServiceMetrics
-from service.rates import RateRow
+from service.cli.output import page
+from service.curation.rates import RateRow
+from service.monitoring.gauges import Sources
+from service.monitoring.metrics import ServiceMetrics
 
 _HEAD: Final = """# Metrics
 
@@ -53,7 +53,7 @@ _MOST_VALUES: Final = 12
 
 def metrics_page() -> str:
     """Write the page: both lists, in the order in which they are served."""
-    from workers.metrics import PoolMetrics, WorkerMetrics
+    from workers.worker.metrics import PoolMetrics, WorkerMetrics
 
     service = ServiceMetrics()
     service.read_from(Sources())
@@ -105,4 +105,4 @@ def _label(label: str, values: list[str]) -> str:
 
 
 if __name__ == "__main__":
-    sys.stdout.write(metrics_page())
+    page(metrics_page())

@@ -7,9 +7,12 @@ from typing import Annotated, Any, Final
 import typer
 
 from schemas.parts import PART_LINES, PartSetting
-from schemas.process import log_to_stderr
+from schemas.runtime.process import log_to_stderr
 from service.cli.output import remark_as_events
-from service.config import Settings, load_settings
+from service.settings.config import Settings, load_settings
+
+MOST: Final = 1_000_000_000
+"""Of anything that an option counts: more than any fleet has, and less than a database takes."""
 
 _HELP_WIDTH: Final = 50
 """What is left beside the names of options on a terminal of 80 columns."""
@@ -104,6 +107,10 @@ LogLevel = Annotated[
     str | None,
     typer.Option("--log-level", help="Least level that is logged: debug, info, warning, error."),
 ]
+Force = Annotated[
+    bool,
+    typer.Option("--force", help="Replace a file there even if counterpoint did not write it."),
+]
 Json = Annotated[bool, typer.Option("--json", help="JSON lines on stdout.")]
 
 
@@ -112,7 +119,8 @@ def settings_for(config: Path | None, **flags: Any) -> Settings:
 
     Args:
         config: What `--config` named.
-        flags: As `service.config.read_settings` takes them; a list that is empty was not given.
+        flags: As `service.settings.config.read_settings` takes them; a list that is empty was not
+            given.
 
     Raises:
         UsageError: If a name is unknown or a value impossible.

@@ -1,4 +1,8 @@
-"""Where results and remarks go: JSON lines and tables to stdout, everything else to stderr."""
+"""Where results and remarks go: JSON lines and tables to stdout, everything else to stderr.
+
+Nothing else in the package prints. What others wrote, such as names of vehicles and reasons, is
+made `visible` here: it can neither steer the terminal nor be taken for markup.
+"""
 
 import json
 import shutil
@@ -23,6 +27,9 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.table import Table
+from rich.text import Text
+
+from schemas.visible import visible
 
 COMMAND: Final = "counterpoint"
 WIDE: Final = 120
@@ -36,10 +43,12 @@ _COPIED: Final = ("scene", "log", "name")
 
 LINE_EVERY_S: Final = 30.0
 
-remarks = Console(stderr=True, highlight=False)
+remarks = Console(stderr=True, highlight=False, emoji=False)
 log = structlog.get_logger(__name__)
 results = Console(
-    highlight=False, width=None if sys.stdout.isatty() else get_terminal_size((WIDE, 25)).columns
+    highlight=False,
+    emoji=False,
+    width=None if sys.stdout.isatty() else get_terminal_size((WIDE, 25)).columns,
 )
 
 
@@ -48,6 +57,21 @@ def json_line(row: BaseModel | Mapping[str, Any]) -> None:
     data = row.model_dump(mode="json") if isinstance(row, BaseModel) else row
     sys.stdout.write(json.dumps(data) + "\n")
     sys.stdout.flush()
+
+
+def result_line(text: str) -> None:
+    """Write one result as one line to stdout, for a person."""
+    results.print(visible(text), markup=False, soft_wrap=True)
+
+
+def page(text: str) -> None:
+    """Write a page of our own to stdout, as it is."""
+    sys.stdout.write(text)
+
+
+def usage(text: str) -> None:
+    """Write a help of our own to stderr, as it is, for who asked for nothing."""
+    sys.stderr.write(text.rstrip() + "\n")
 
 
 _as_events = Event()
@@ -63,7 +87,7 @@ def remark(text: str, *, level: Literal["info", "warning", "error"] = "info") ->
     if _as_events.is_set():
         getattr(log, level)(text)
     else:
-        remarks.print(text, markup=False, soft_wrap=True)
+        remarks.print(visible(text), markup=False, soft_wrap=True)
 
 
 def command() -> str:
@@ -80,9 +104,10 @@ def counted(number: int, what: str) -> str:
 
 def table(title: str, columns: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
     """Print a table of results; numbers to the right."""
-    out = Table(title=title, title_justify="left", header_style="bold")
+    heading = Text(visible(title), style="table.title")
+    out = Table(title=heading, title_justify="left", header_style="bold")
     materialised = [[_cell(value) for value in row] for row in rows]
-    names = tuple(columns)
+    names = tuple(visible(column) for column in columns)
     crowded = _natural_width(names, materialised) > results.width
     for index, column in enumerate(names):
         numeric = bool(materialised) and all(
@@ -91,14 +116,14 @@ def table(title: str, columns: Iterable[str], rows: Iterable[Iterable[object]]) 
             if row[index]
         )
         out.add_column(
-            column,
+            Text(column),
             justify="right" if numeric else "left",
             overflow="fold",
             no_wrap=_is_copied(column),
             max_width=_folded_width(column, materialised, index) if crowded else None,
         )
     for row in materialised:
-        out.add_row(*row)
+        out.add_row(*map(Text, row))  # as text: a name may look like markup
     if results.is_terminal:
         results.print(out)
         return
@@ -140,6 +165,20 @@ def _least_width(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> int:
     return width
 
 
+class _Bar(Progress):
+    """Draws bars whose descriptions may name what others named."""
+
+    def add_task(self, description: str, *arguments: Any, **fields: Any) -> TaskID:
+        """Add a task, its description made visible."""
+        return super().add_task(visible(description), *arguments, **fields)
+
+    def update(self, task_id: TaskID, **fields: Any) -> None:
+        """Take in how far a task is."""
+        if isinstance(fields.get("description"), str):
+            fields["description"] = visible(fields["description"])
+        super().update(task_id, **fields)
+
+
 class _Lines(Progress):
     """Says how far the work is every half a minute, where no bar can be drawn."""
 
@@ -168,8 +207,8 @@ def progress() -> Progress:
     """Make a progress bar on stderr; a line now and then where stderr is no terminal."""
     if not remarks.is_terminal or _as_events.is_set():
         return _Lines()
-    return Progress(
-        TextColumn("{task.description}"),
+    return _Bar(
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
@@ -181,6 +220,4 @@ def progress() -> Progress:
 def _cell(value: object) -> str:
     if value is None:
         return ""
-    if isinstance(value, float):
-        return f"{value:.3f}"
-    return str(value)
+    return f"{value:.3f}" if isinstance(value, float) else visible(str(value))

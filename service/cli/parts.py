@@ -6,10 +6,10 @@ import typer
 
 from service.cli.options import Json
 from service.cli.output import json_line, remark, table
-from service.presets import PRESETS
+from service.settings.presets import PRESETS
 
 if TYPE_CHECKING:
-    from workers.parts import PartCard
+    from workers.parts.catalogue import PartCard
 
 
 def add_to(app: typer.Typer) -> None:
@@ -19,7 +19,7 @@ def add_to(app: typer.Typer) -> None:
 
 def parts(json: Json = False) -> None:
     """List the replaceable parts: source, licence, weights; which are the default."""
-    from workers.parts import part_cards
+    from workers.parts.catalogue import part_cards
 
     cards = part_cards()
     if json:

@@ -9,7 +9,7 @@ import typer
 from service.cli.options import Config, Connect, Database, Json
 from service.cli.output import json_line, remark, table
 from service.cli.scenes import StateDir, reader
-from service.rates import RateRow, RatesRequest, rates_request
+from service.curation.rates import RateRow, RatesRequest, rates_request
 
 BAR_CHARACTERS: Final = 20
 """Length of the bar of the worst row; the others in proportion."""

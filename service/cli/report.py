@@ -6,10 +6,10 @@ from typing import Any, Final
 
 from schemas.score import SceneScore
 from service.cli.output import counted, remark, table
+from service.curation.ranking import RankedScene
+from service.curation.scene_names import short_names
+from service.curation.status import Status
 from service.dry_run import DryLog, DryRun
-from service.ranking import RankedScene
-from service.scene_names import short_names
-from service.status import Status
 
 REASONS: Final = 2
 """Of a scene in a table."""

@@ -6,16 +6,27 @@ from typing import Annotated, Any
 
 import typer
 
+from schemas.bounds import MAX_NAME, MAX_NEWEST, MAX_SCENES_ASKED
 from schemas.errors import PermanentError
-from service.cli.options import Artifacts, Config, Connect, Database, Json, settings_for
-from service.cli.output import counted, json_line, remark, results, table
+from service.api.reading import Reader, StateReader, choose_endpoint, overlay_of
+from service.cli.options import (
+    MOST,
+    Artifacts,
+    Config,
+    Connect,
+    Database,
+    Force,
+    Json,
+    settings_for,
+)
+from service.cli.output import counted, json_line, remark, result_line, table
 from service.cli.report import first_of, said_of, say_judged, say_ranking, say_what_was_found
-from service.config import Settings
+from service.client.merging import SceneEvent
+from service.curation.scene_names import is_short_name, named, short_names
+from service.curation.selection import left_out
 from service.errors import NothingFoundError, UsageError
-from service.merging import SceneEvent
-from service.reading import Reader, StateReader, choose_endpoint
-from service.scene_names import is_short_name, named, short_names
-from service.selection import left_out
+from service.output_files import need_writable, save_picture
+from service.settings.config import Settings
 
 StateDir = Annotated[
     Path | None, typer.Option("--state", help="Folder of a run; no daemon is needed then.")
@@ -34,10 +45,13 @@ def add_to(app: typer.Typer) -> None:
 def watch(
     connect: Connect = None,
     history: Annotated[
-        int | None, typer.Option("--history", min=0, help="Newest scenes first; all by default.")
+        int | None,
+        typer.Option(
+            "--history", min=0, max=MAX_NEWEST, help="Newest scenes first; all by default."
+        ),
     ] = None,
     since: Annotated[
-        int | None, typer.Option("--since", min=0, help="Only events after this number.")
+        int | None, typer.Option("--since", min=0, max=MOST, help="Only events after this number.")
     ] = None,
     log: Annotated[
         str, typer.Option("--log", help="Only logs whose id matches; * also crosses /.")
@@ -52,13 +66,15 @@ def watch(
     config: Config = None,
 ) -> None:
     """Subscribe to scored scenes: the history first, then each as it is committed."""
-    from schemas.process import stop_on_signals
+    from schemas.runtime.process import stop_on_signals
+    from schemas.transport.bus import check_endpoints
     from service.client import watch_scenes
 
     if history is not None and since is not None:
         raise UsageError("give --history or --since, not both")
     settings = settings_for(config, connect=connect)
     endpoint = choose_endpoint(settings)
+    check_endpoints(endpoint.split(","))
     remark(f"watching {endpoint}; end with Ctrl-C")
     with stop_on_signals() as stop:
         for event in watch_scenes(
@@ -76,12 +92,10 @@ def watch(
             if json:
                 json_line(_watched(event))
             elif (score := event.score) is None:
-                results.print(f"[{event.seq}] withdrawn  {event.scene_id}", markup=False)
+                result_line(f"[{event.seq}] withdrawn  {event.scene_id}")
             else:
                 reason = score.reasons[0] if score.reasons else score.state.value
-                results.print(
-                    f"[{event.seq}] {score.score:.3f}  {score.scene_id}  {reason}", markup=False
-                )
+                result_line(f"[{event.seq}] {score.score:.3f}  {score.scene_id}  {reason}")
 
 
 def _say_service(there: bool) -> None:
@@ -89,7 +103,9 @@ def _say_service(there: bool) -> None:
 
 
 def top(
-    n: Annotated[int | None, typer.Option("-n", min=1, help="Rows; all by default.")] = None,
+    n: Annotated[
+        int | None, typer.Option("-n", min=1, max=MAX_SCENES_ASKED, help="Rows; all by default.")
+    ] = None,
     connect: Connect = None,
     state: StateDir = None,
     database: Database = None,
@@ -120,7 +136,12 @@ def _say_judged_in_best(source: Reader, scene_id: str) -> None:
 
 
 def select(
-    budget: Annotated[int, typer.Option("--budget", min=1, help="Scenes the labellers can take.")],
+    budget: Annotated[
+        int,
+        typer.Option(
+            "--budget", min=1, max=MAX_SCENES_ASKED, help="Scenes the labellers can take."
+        ),
+    ],
     name: Annotated[str | None, typer.Option("--name", help="Name of the selection.")] = None,
     connect: Connect = None,
     state: StateDir = None,
@@ -129,6 +150,8 @@ def select(
     config: Config = None,
 ) -> None:
     """Store the best distinct scenes under a name, and publish them."""
+    if name is not None and not (0 < len(name) <= MAX_NAME and name.isprintable()):
+        raise UsageError(f"--name must have 1 to {MAX_NAME} printing characters, got {name!r}")
     source = reader(config, connect=connect, state=state, database=database)
     selection = source.select(budget=budget, name=name)
     if json:
@@ -171,25 +194,22 @@ def show(
     artifacts: Artifacts = None,
     database: Database = None,
     config: Config = None,
+    force: Force = False,
 ) -> None:
     """Draw a scene from above in the paper's four colours, with its instances."""
-    from schemas.overlay import decode_overlay
-    from service.picture import draw_scene
+    from service.pictures.scene import draw_scene
 
+    need_writable(out, option="--out", force=force, endings=(".png",))
     source = reader(config, connect=connect, state=state, artifacts=artifacts, database=database)
     scene_id = _scene_id(source, scene)
-    score, overlay = source.scene(scene_id), decode_overlay(source.overlay(scene_id))
-    if out.suffix.lower() != ".png":
-        raise UsageError(f"--out must name a .png file, got {out}")
-    if not out.absolute().parent.is_dir():
-        raise UsageError(f"no such folder: {out.absolute().parent}")
+    score, overlay = source.scene(scene_id), overlay_of(source, scene_id)
     if on_image:
-        from service.camera import draw_on_camera
+        from service.pictures.strongest_frame import draw_on_camera
 
         picture = draw_on_camera(score, overlay, settings_for(config, bucket=bucket))
     else:
         picture = draw_scene(score, overlay)
-    picture.save(out)
+    save_picture(picture, out, option="--out", force=force)
     remark(f"{out}: {score.scene_id}, score {score.score:.3f}")
     say_judged([score])
 
@@ -202,10 +222,10 @@ def _scene_id(source: Reader, said: str) -> str:
         UsageError: If several have the name.
     """
     if said.isdecimal():
-        rank = int(said)
+        rank = int(said) if len(said) < len(str(MOST)) else 0
         rows = source.top(rank) if rank else []
         if not rows or len(rows) < rank:
-            raise NothingFoundError(f"no scene of rank {rank}; `counterpoint top` lists them")
+            raise NothingFoundError(f"no scene of rank {said}; `counterpoint top` lists them")
         return rows[-1].scene_id
     if is_short_name(said):
         return named(said, source.top()).scene_id
@@ -252,6 +272,10 @@ def reader(
     if state is None and database is None and settings.connect:
         return _remote(settings)
     if not settings.database and not settings.state.is_dir():
+        if settings.state.exists():
+            raise NothingFoundError(
+                f"this is a file, not a state folder: {settings.state}; name a folder with --state"
+            )
         raise NothingFoundError(
             f"no state folder {settings.state}: name one with --state, or a service with --connect"
         )

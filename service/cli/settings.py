@@ -1,6 +1,5 @@
 """Verbs on the installation itself: `config` says what holds, `doctor` what to mend."""
 
-import sys
 from typing import Annotated
 
 import typer
@@ -22,10 +21,10 @@ from service.cli.options import (
     Weights,
     log_as,
 )
-from service.cli.output import json_line, progress, remark, table
-from service.config import read_settings
-from service.settings_table import setting_rows, settings_page
-from service.settings_text import shown
+from service.cli.output import json_line, page, progress, remark, table
+from service.settings.config import read_settings
+from service.settings.messages import shown
+from service.settings.table import setting_rows, settings_page
 
 
 def add_to(app: typer.Typer) -> None:
@@ -51,7 +50,7 @@ def print_settings(
 ) -> None:
     """Print every setting: what holds, and where each value came from."""
     if markdown:
-        sys.stdout.write(settings_page(flags_of(context.find_root().command)))
+        page(settings_page(flags_of(context.find_root().command)))
         return
     read = read_settings(
         config=config,
@@ -107,7 +106,7 @@ def doctor(
     json: Json = False,
 ) -> None:
     """Check settings, bucket, artifacts, state, bus and workers; say what to mend."""
-    from service.doctor import examine
+    from service.doctor.examine import examine
 
     read = read_settings(
         config=config,

@@ -5,8 +5,10 @@ from typing import Annotated, Any
 
 import typer
 
-from service.cli.options import Json
+from schemas.transport.bucket import open_bucket
+from service.cli.options import MOST, Json
 from service.cli.output import counted, json_line, progress, remark
+from service.errors import UsageError
 
 
 def add_to(app: typer.Typer) -> None:
@@ -21,27 +23,39 @@ def simulate(
         str, typer.Option("--out", help="Folder or bucket URL; gets logs/ and truth/ within.")
     ],
     scenes: Annotated[
-        int, typer.Option("--scenes", min=1, help="Scenes of 2 s; ten make a log of 20 s.")
+        int,
+        typer.Option("--scenes", min=1, max=MOST, help="Scenes of 2 s; ten make a log of 20 s."),
     ] = 100,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Same seed, same bytes.")] = 1,
+    seed: Annotated[
+        int, typer.Option("--seed", min=0, max=MOST, help="Same seed, same bytes.")
+    ] = 1,
     failures: Annotated[
         float,
         typer.Option("--failures", min=0.0, max=1.0, help="Share of scenes with a failure."),
     ] = 0.05,
     columns: Annotated[
         int | None,
-        typer.Option("--columns", min=64, help="Firings per turn of every lidar; its own if none."),
+        typer.Option(
+            "--columns", min=64, max=MOST, help="Firings per turn of every lidar; its own if none."
+        ),
     ] = None,
     odometry: Annotated[
         bool,
         typer.Option("--odometry", help="The cars record wheel speed and yaw rate, too."),
     ] = False,
-    workers: Annotated[int, typer.Option("--workers", min=1, help="Processes at once.")] = 1,
+    workers: Annotated[
+        int, typer.Option("--workers", min=1, max=MOST, help="Processes at once.")
+    ] = 1,
     json: Json = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Write beside logs that were not simulated.")
+    ] = False,
 ) -> None:
     """Simulate a fleet's logs with truth beside them, failures planted in the labels."""
-    from workers.simulation.fleet import FleetOptions, simulate_to
-    from workers.simulation.plan import plan_fleet
+    if not force:
+        _need_no_other_logs(out)
+    from workers.lab.simulation.faults.plan import plan_fleet
+    from workers.lab.simulation.output.fleet import FleetOptions, simulate_to
 
     plans = plan_fleet(scenes=scenes, seed=seed, share=failures)
     began_s, frames, planted, disturbed = time.monotonic(), 0, 0, 0
@@ -73,3 +87,18 @@ def simulate(
         f"{counted(planted, 'planted failure')}, {counted(disturbed, 'disturbance')} in {out}: "
         f"{frames / took_s / workers:.1f} frames a second and process"
     )
+
+
+def _need_no_other_logs(url: str) -> None:
+    """Refuse a place with logs and no truth beside: no fleet of ours, and it would be mixed up.
+
+    Raises:
+        UsageError: If there is such a log.
+    """
+    bucket = open_bucket(url, create=True)
+    first = next(bucket.list("logs"), None)
+    if first is not None and next(bucket.list("truth"), None) is None:
+        raise UsageError(
+            f"--out: this place has logs that were not simulated, such as {first.key}: name "
+            f"another, or write beside them with --force ({bucket.url})"
+        )

@@ -5,9 +5,10 @@ from typing import Annotated
 
 import typer
 
-from service.cli.options import Json
+from service.cli.options import Force, Json
 from service.cli.output import json_line, remark
 from service.errors import UsageError
+from service.output_files import need_folder
 
 
 def add_to(app: typer.Typer) -> None:
@@ -37,9 +38,15 @@ def import_(
         ),
     ] = None,
     json: Json = False,
+    force: Force = False,
 ) -> None:
     """Turn a checkpoint into weights that parts load; code in it is refused and never run."""
-    from workers.networks import import_weights, known_configs, read_known
+    from workers.parts.networks import (
+        import_weights,
+        known_configs,
+        need_no_other_weights,
+        read_known,
+    )
 
     if config is None:
         fitting = [name for name in known_configs() if read_known(name).network == network]
@@ -47,6 +54,9 @@ def import_(
             f"--config is missing: what {network} needs beside its parameters, as a JSON file or a "
             f"name that `counterpoint weights configs` lists ({', '.join(fitting) or 'none fits'})"
         )
+    need_folder(out, option="--out")
+    if not force:
+        need_no_other_weights(out / f"{network}.safetensors", checkpoint)
     imported = import_weights(checkpoint, network=network, config=config, out=out)
     if json:
         json_line(
@@ -70,7 +80,7 @@ def import_(
 def configs(json: Json = False) -> None:
     """List the configurations of published checkpoints that come with the package."""
     from service.cli.output import table
-    from workers.networks import known_configs, read_known
+    from workers.parts.networks import known_configs, read_known
 
     cards = [(name, read_known(name)) for name in known_configs()]
     if json:

@@ -16,10 +16,14 @@ from sqlalchemy import (
 )
 
 from schemas.work import ClaimRequest, MineLease, NothingToDo, PlanLease, Recording, Shard
+from service.store.blame import History
 from service.store.leases import LeasePolicy
 from service.store.statements import Statement
 from service.store.tables import LEASES, PLANS, RECORDINGS, SHARDS
 from service.store.work import Work, WorkState, change
+
+WITHHELD_S: Final = 5.0
+"""How long a worker stays away from work that is left to another: to find that out reads leases."""
 
 
 def claim(
@@ -33,6 +37,7 @@ def claim(
     """Lease the next work of this pipeline version.
 
     Shards go in the order of log, lidar and time, so that logs are finished one after the other.
+    Work that ended badly before is left to a worker that is known to finish some (`blame`).
     """
     version = request.pipeline_version
     here = {
@@ -44,8 +49,15 @@ def claim(
     }
     waiting = _WAITING.one(connection, here).waiting
     in_turn = (_PLAN, _SHARD) if waiting < policy.plan_ahead else (_SHARD, _PLAN)
+    withheld = False
     for query in in_turn:
         row = query.first(connection, here)
+        if row is not None and row.error:
+            history = History.read(
+                connection, version, from_s=now_s - policy.heard_s, to_s=now_s + policy.lease_s
+            )
+            if history.is_to_wait(request.worker_id, is_shard=query is _SHARD):
+                row, withheld = _UNTRIED[query].first(connection, here), True
         if row is not None:
             work = Work(row.log_id, row.revision, version, row.name if query is _SHARD else "")
             _lease(connection, work, request, lease_id=lease_id, until_s=now_s + policy.lease_s)
@@ -63,6 +75,8 @@ def claim(
                 recording=recording,
                 shard=Shard.model_validate_json(row.shard),
             )
+    if withheld:
+        return NothingToDo(retry_after_s=WITHHELD_S)
     # Soon, while a log is being planned, for its shards are about to come.
     planning = _PLANNING.first(connection, here)
     return NothingToDo(retry_after_s=1.0 if planning is None else 0.2)
@@ -101,7 +115,7 @@ def _ready(table: Table) -> ColumnElement[bool]:
 
 def _next(table: Table, *columns: Any) -> Select[Any]:
     return (
-        select(table.c.log_id, table.c.revision, RECORDINGS.c.recording, *columns)
+        select(table.c.log_id, table.c.revision, table.c.error, RECORDINGS.c.recording, *columns)
         .join(
             RECORDINGS,
             and_(RECORDINGS.c.log_id == table.c.log_id, RECORDINGS.c.revision == table.c.revision),
@@ -112,13 +126,18 @@ def _next(table: Table, *columns: Any) -> Select[Any]:
     )
 
 
-# Built once: to build a statement costs more than to run it.
-_PLAN: Final = Statement(_next(PLANS, RECORDINGS.c.listed_s).order_by(PLANS.c.log_id))
-_SHARD: Final = Statement(
-    _next(SHARDS, SHARDS.c.name, SHARDS.c.shard).order_by(
-        SHARDS.c.log_id, SHARDS.c.lidar_topic, SHARDS.c.shard_index
-    )
+_NEXT_PLAN: Final = _next(PLANS, RECORDINGS.c.listed_s).order_by(PLANS.c.log_id)
+_NEXT_SHARD: Final = _next(SHARDS, SHARDS.c.name, SHARDS.c.shard).order_by(
+    SHARDS.c.log_id, SHARDS.c.lidar_topic, SHARDS.c.shard_index
 )
+
+# Built once: to build a statement costs more than to run it.
+_PLAN: Final = Statement(_NEXT_PLAN)
+_SHARD: Final = Statement(_NEXT_SHARD)
+_UNTRIED: Final = {
+    _PLAN: Statement(_NEXT_PLAN.where(PLANS.c.error == "")),
+    _SHARD: Statement(_NEXT_SHARD.where(SHARDS.c.error == "")),
+}
 _INSERT_LEASE: Final = Statement(insert(LEASES))
 _WAITING: Final = Statement(
     select(func.count().label("waiting")).select_from(

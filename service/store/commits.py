@@ -6,8 +6,8 @@ from typing import Any, Final
 
 from sqlalchemy import Connection, Row, bindparam, insert, select, update
 
+from schemas.canonical import canonical_json
 from schemas.score import SceneScore
-from schemas.wire import canonical_json
 from schemas.work import Answer, CommitRequest, Damage, LogPlan, Shard
 from service.store.adoption import enter_plan
 from service.store.effects import effects_of, kind_of
@@ -20,6 +20,9 @@ from service.store.tables import DAMAGE, SCENES, SHARDS
 from service.store.work import TAKEN_AND_GIVEN, Work, WorkState, change, row_of
 
 _END_OF_TIME_NS: Final = 2**63 - 1
+
+_SCENES_AT_ONCE: Final = 500
+"""Parameters of one statement have a bound, on SQLite 32,766 and on PostgreSQL 65,535."""
 
 
 def commit(
@@ -171,17 +174,17 @@ def _problem_of_scenes(
         leased = (work.log_id, row.lidar_topic, work.pipeline_version)
         if of != leased:
             return f"scene {score.scene_id} is of {of}, but the lease is for {leased}"
-    taken = _taken(len(scores)).first(
-        connection,
-        {
-            "log": work.log_id,
-            "revision": work.revision,
-            "pipeline": work.pipeline_version,
-            **{f"scene_{i}": score.scene_id for i, score in enumerate(scores)},
-        },
-    )
-    if taken is not None:
-        return f"scene {taken.scene_id} was stored before, from shard {taken.shard}"
+    at = {
+        "log": work.log_id,
+        "revision": work.revision,
+        "pipeline": work.pipeline_version,
+    }
+    for begin in range(0, len(scores), _SCENES_AT_ONCE):
+        some = scores[begin : begin + _SCENES_AT_ONCE]
+        ids = {f"scene_{i}": score.scene_id for i, score in enumerate(some)}
+        taken = _taken(len(ids)).first(connection, at | ids)
+        if taken is not None:
+            return f"scene {taken.scene_id} was stored before, from shard {taken.shard}"
     return ""
 
 
@@ -254,7 +257,11 @@ _FINISH_SHARD: Final = Statement(
 
 @lru_cache(maxsize=256)
 def _taken(scenes: int) -> Statement:
-    """Find one of so many scenes; shards of one grid hold the same number, but for a log's last."""
+    """Find one of so many scenes; shards of one grid hold the same number, but for a log's last.
+
+    Args:
+        scenes: At least 1: a list of nothing is no SQL.
+    """
     return Statement(
         select(SCENES.c.scene_id, SCENES.c.shard)
         .where(

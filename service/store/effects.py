@@ -55,6 +55,10 @@ class StoreObserver(Protocol):
         """Note that a transaction could not be finished."""
         ...
 
+    def on_damaged_record(self) -> None:
+        """Note that a stored record is not what its digest says."""
+        ...
+
 
 def effects_of(connection: Connection) -> Effects:
     """Return what the transaction of this connection has noted so far, to note more."""

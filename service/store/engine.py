@@ -3,23 +3,48 @@
 import os
 import sqlite3
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
-from sqlalchemy import Connection, Engine, create_engine, event, update
-from sqlalchemy.exc import DBAPIError
-from sqlalchemy.exc import TimeoutError as PoolTimeoutError
+import structlog
+from sqlalchemy import Connection, Engine, create_engine, event, inspect
 from sqlalchemy.pool import QueuePool
 
-from schemas.errors import TransientError
-from service.errors import StateUnusableError
+from schemas.errors import CounterpointError
+from schemas.runtime.real_path import real_path
+from service.errors import StatementFailedError, StateUnusableError
 from service.store.effects import StoreObserver, begin_effects
+from service.store.faults import RAISED, StoreUnavailableError, fault_of, names_no_database
+from service.store.file_check import check_pages, require_whole, traces_of_loss
+from service.store.file_watch import FileWatch
 from service.store.grouping import GroupedWrites, Result
+from service.store.lineage import (
+    RESTORED,
+    Lineage,
+    changes,
+    count_write,
+    give_incarnation,
+    read_lineage,
+)
 from service.store.migrations import migrate, require_current
-from service.store.tables import WRITE_PROOF
+from service.store.tables import METADATA
+
+__all__ = [
+    "DATABASE_NAME",
+    "Store",
+    "StoreUnavailableError",
+    "open_store",
+    "open_store_at",
+    "open_store_to_read",
+    "postgres_engine",
+]
+
+log = structlog.get_logger(__name__)
 
 DATABASE_NAME: Final = "counterpoint.sqlite"
 BUSY_TIMEOUT_MS: Final = 10_000
@@ -30,38 +55,53 @@ CACHE_KIB: Final = 512
 
 _READS: Final = "counterpoint_reads"
 
-_PROVE: Final = update(WRITE_PROOF).values(writes=WRITE_PROOF.c.writes + 1)
-"""Another value each time: SQLite writes no page that stays the same."""
+_text: Final = partial(str, encoding="utf-8", errors="replace")
+"""Text with a damaged byte is read all the same: the digest of its record tells, and names it."""
 
 
-class StoreUnavailableError(TransientError):
-    """The database could not finish a transaction: disk full, locked, or its server is away."""
+_GONE_PATIENCE_S: Final = 10.0
+"""A server that says for so long that it has no such database will not find it again."""
 
 
 class Store:
     """One open database.
 
     Writers wait for each other here, so that a process never competes with itself for SQLite's one
-    write lock; readers take part in no lock and see the last commit.
+    write lock; readers take part in no lock and see the last commit. Both make sure that it is
+    still the database that was opened, and that it has not gone back to an earlier state.
 
     Attributes:
         name: Which one, for errors; without a password.
     """
 
-    def __init__(self, engine: Engine, *, name: str, reader: Mapping[str, object]) -> None:
+    def __init__(
+        self,
+        engine: Engine,
+        *,
+        name: str,
+        reader: Mapping[str, object],
+        watch: FileWatch | None = None,
+    ) -> None:
         """Take an engine on a database.
 
         Args:
             engine: On the database.
             name: Which one, for errors.
             reader: Execution options of transactions that only read.
+            watch: Over its files; None: it has none here.
         """
         self._engine, self._reader = engine, engine.execution_options(**reader)
         self.name = name
+        self._watch = watch
         self._writer = threading.Lock()
         self._observer: StoreObserver | None = None
         self._groups = GroupedWrites(self.writing)
         self._cannot_write = ""
+        self._lineage: Lineage | None = None
+        self._lost = ""
+        """Why this is no longer the database that was opened; empty: it is."""
+        self._missing_since_s: float | None = None
+        self._damaged: set[str] = set()
 
     @property
     def cannot_write(self) -> str:
@@ -82,18 +122,24 @@ class Store:
 
         Raises:
             StoreUnavailableError: If the database cannot take it now.
+            StatementFailedError: If it can never take what the block asks for.
+            StateUnusableError: If it is damaged, or not the one that was opened.
         """
         with self._writer:
             try:
-                with self._said(), self._engine.begin() as connection:
+                with self._said(), self._watched(), self._engine.begin() as connection:
                     effects = begin_effects(connection)
+                    before = changes(connection)
                     yield connection
-                    if proves or self._cannot_write:
-                        connection.execute(_PROVE)
+                    always = proves or bool(self._cannot_write)
+                    lineage = count_write(connection, changed_before=before, always=always)
+                    if lineage is not None:
+                        lineage.require_not_before(self._lineage, name=self.name)
             except (StoreUnavailableError, StateUnusableError) as error:
                 self._cannot_write = str(error)
                 raise
             self._cannot_write = ""
+            self._lineage = lineage or self._lineage
         if self._observer is not None:
             self._observer.on_effects(effects)
 
@@ -105,6 +151,8 @@ class Store:
 
         Raises:
             StoreUnavailableError: If the database cannot take it now.
+            StatementFailedError: If it can never take what the work asks for.
+            StateUnusableError: If it is damaged, or not the one that was opened.
         """
         return self._groups.do(work)
 
@@ -114,54 +162,146 @@ class Store:
 
         Raises:
             StoreUnavailableError: If the database does not answer now.
+            StatementFailedError: If it can never answer what the block asks for.
+            StateUnusableError: If it is damaged, or not the one that was opened.
         """
-        with self._said(), self._reader.begin() as connection:
-            yield connection
+        with self._said():
+            if self._watch is not None:
+                self._watch.look()
+            known = self._lineage  # before the view begins: it must not be older
+            with self._reader.begin() as connection:
+                if known is not None:
+                    read_lineage(connection).require_not_before(known, name=self.name)
+                yield connection
+
+    def bring_up_to_date(self) -> None:
+        """Run the steps that the database has not seen, and watch it from now on.
+
+        Raises:
+            StateUnusableError: If a newer version wrote it, or it is damaged.
+            StoreUnavailableError: If it cannot take it now.
+        """
+        with self._writer, self._said(), self._engine.begin() as connection:
+            migrate(connection, name=self.name)
+            give_incarnation(connection)
+            if self._watch is not None:
+                self._watch.begin(connection)
+            lineage = read_lineage(connection)
+        if self._watch is not None:
+            self._watch.after_write()
+        self._lineage = lineage
+
+    def note_damaged(self, scene_id: str, problem: str) -> None:
+        """Say that a stored record is damaged, and count it: once, however often it is read."""
+        if scene_id not in self._damaged:
+            self._damaged.add(scene_id)
+            log.error("stored record is damaged, not shown", scene_id=scene_id, problem=problem)
+            if self._observer is not None:
+                self._observer.on_damaged_record()
 
     def close(self) -> None:
         """Close every connection."""
         self._engine.dispose()
+        if self._watch is not None:
+            self._watch.close()
+
+    @contextmanager
+    def _watched(self) -> Iterator[None]:
+        """Look at the files before a transaction, and after its commit."""
+        if self._watch is None:
+            yield
+            return
+        self._watch.before_write()
+        try:
+            yield
+        except BaseException:
+            self._watch.after_failure()
+            raise
+        self._watch.after_write()
 
     @contextmanager
     def _said(self) -> Iterator[None]:
         """Say what an error of the database means, and whether it may pass."""
+        if self._lost:
+            raise StateUnusableError(self._lost)
         driver = self._engine.dialect.loaded_dbapi
         try:
             yield
-        except (DBAPIError, PoolTimeoutError, driver.Error) as error:
-            cause = error.orig if isinstance(error, DBAPIError) else error
-            if self._observer is not None:
+        except (*RAISED, driver.Error) as error:
+            fault = fault_of(error, driver, name=self.name)
+            if isinstance(fault, StoreUnavailableError) and names_no_database(error):
+                fault = self._missing(fault)
+            elif isinstance(fault, StatementFailedError) and not self._is_ours():
+                what = "its tables are gone"
+                fault = StateUnusableError(RESTORED.format(name=self.name, what=what))
+            if self._observer is not None and not isinstance(fault, StatementFailedError):
                 self._observer.on_database_error()
-            if isinstance(cause, (driver.OperationalError, PoolTimeoutError)) or _may_pass(cause):
-                raise StoreUnavailableError(
-                    f"cannot use the database: {cause} ({self.name}); "
-                    "nothing acknowledged is lost, try again when that is mended"
-                ) from error
-            if type(cause) is driver.DatabaseError:
-                raise StateUnusableError(
-                    f"not a database, or a damaged one: {cause} ({self.name}); "
-                    "restore it from a copy, or name another folder with --state"
-                ) from error
-            raise  # the other kinds are wrong queries: ours, not the user's
+            self._note(fault)
+            raise fault from error
+        except StateUnusableError as error:
+            self._note(error)
+            raise
+        self._missing_since_s = None
+
+    def _note(self, fault: CounterpointError) -> None:
+        """Once lost, it stays lost: whatever lies there later, a restart has to look at it."""
+        if isinstance(fault, StateUnusableError) and self._lineage is not None:
+            self._lost = str(fault)
+
+    def _missing(self, fault: StoreUnavailableError) -> CounterpointError:
+        now_s = time.monotonic()
+        self._missing_since_s = self._missing_since_s or now_s
+        if self._lineage is None or now_s - self._missing_since_s < _GONE_PATIENCE_S:
+            return fault
+        return StateUnusableError(
+            f"the database was dropped while the service ran ({self.name}); nothing is "
+            "acknowledged any more: restore it from a copy, and start the service again"
+        )
+
+    def _is_ours(self) -> bool:
+        """Whether all tables of this program are there, in a transaction of its own."""
+        if self._lineage is None:
+            return True
+        try:
+            with self._reader.begin() as connection:
+                return METADATA.tables.keys() <= set(inspect(connection).get_table_names())
+        except (*RAISED, self._engine.dialect.loaded_dbapi.Error) as error:
+            fault = fault_of(error, self._engine.dialect.loaded_dbapi, name=self.name)
+            return not isinstance(fault, StatementFailedError)
 
 
-def _may_pass(cause: object) -> bool:
-    """Whether PostgreSQL calls an error internal that is none: the standby took over, or will."""
-    return getattr(cause, "sqlstate", None) == _READ_ONLY_SERVER
+def has_database(folder: Path) -> bool:
+    """Return whether a state folder has a database.
 
-
-_READ_ONLY_SERVER: Final = "25006"
+    Raises:
+        StateUnusableError: If the state is no folder, or its database is no file.
+    """
+    path = folder / DATABASE_NAME
+    try:
+        if folder.exists() and not folder.is_dir():
+            raise StateUnusableError(f"the state is a file, not a folder: {folder}")
+        if path.exists() and not path.is_file():
+            raise StateUnusableError(f"the database is no regular file: {path}")
+        return path.exists()
+    except (OSError, RuntimeError) as error:  # a loop of links, or a folder that may not be read
+        raise StateUnusableError(f"the state folder cannot be read: {error}") from error
 
 
 def open_store(folder: Path) -> Store:
     """Open the database of a state folder for writing; made, or brought up to date, as needed.
 
     Raises:
-        StateUnusableError: If a newer version wrote it, or it is no database.
+        StateUnusableError: If a newer version wrote it, it is no database, or a damaged one.
         StoreUnavailableError: If it is locked or the disk is full.
     """
     path = folder / DATABASE_NAME
-    return _opened(_sqlite(path), name=str(path))
+    require_whole(path)
+    if loss := traces_of_loss(path):
+        log.warning("the state begins with an empty database", problem=loss, state=str(folder))
+    if path.exists():
+        with closing(_sqlite(path, read_only=True)) as store, store.reading() as connection:
+            check_pages(connection, path)
+    return _opened(_sqlite(path, watch=FileWatch(path)), name=str(path))
 
 
 def open_store_to_read(folder: Path) -> Store:
@@ -171,10 +311,10 @@ def open_store_to_read(folder: Path) -> Store:
         StateUnusableError: If there is none, or its version is not this program's.
     """
     path = folder / DATABASE_NAME
-    if not path.is_file():
-        raise StateUnusableError(
-            f"no state to read: {path} does not exist; name the folder of a run with --state"
-        )
+    if not has_database(folder):
+        advice = traces_of_loss(path) or "name the folder of a run with --state"
+        raise StateUnusableError(f"no state to read: {path} does not exist; {advice}")
+    require_whole(path)
     return _opened(_sqlite(path, read_only=True), name=str(path), read_only=True)
 
 
@@ -216,17 +356,16 @@ def _opened(store: Store, *, name: str, read_only: bool = False) -> Store:
             with store.reading() as connection:
                 require_current(connection, name=name)
         else:
-            with store.writing() as connection:
-                migrate(connection, name=name)
+            store.bring_up_to_date()
     except BaseException:
         store.close()
         raise
     return store
 
 
-def _sqlite(path: Path, *, read_only: bool = False) -> Store:
+def _sqlite(path: Path, *, read_only: bool = False, watch: FileWatch | None = None) -> Store:
     # A URI, since only that can say read-only; percent-encoded, since a folder may hold `?` or `#`.
-    uri = f"file:{quote(str(path.resolve()))}?mode={'ro' if read_only else 'rwc'}"
+    uri = f"file:{quote(str(real_path(path)))}?mode={'ro' if read_only else 'rwc'}"
     journal = path.with_name(f"{path.name}-wal")
     if read_only and not os.access(path.parent, os.W_OK) and not journal.exists():
         uri += "&immutable=1"  # nobody writes, and SQLite may not make the files it guards WAL with
@@ -238,6 +377,7 @@ def _sqlite(path: Path, *, read_only: bool = False) -> Store:
         try:
             connection.execute(f"PRAGMA busy_timeout={BUSY_TIMEOUT_MS}")
             connection.execute("PRAGMA foreign_keys=ON")
+            connection.text_factory = _text
             connection.execute(f"PRAGMA cache_size=-{CACHE_KIB}")
             if not read_only:
                 connection.execute("PRAGMA journal_mode=WAL")
@@ -256,4 +396,4 @@ def _sqlite(path: Path, *, read_only: bool = False) -> Store:
         reads = read_only or connection.get_execution_options().get(_READS, False)
         connection.exec_driver_sql("BEGIN" if reads else "BEGIN IMMEDIATE")
 
-    return Store(engine, name=str(path), reader={_READS: True})
+    return Store(engine, name=str(path), reader={_READS: True}, watch=watch)

@@ -5,9 +5,9 @@ from typing import Any, Final
 
 from sqlalchemy import ColumnElement, Connection, Row, and_, bindparam, insert, select, update
 
+from schemas.canonical import canonical_json
 from schemas.score import SceneScore
 from schemas.task import MOTION
-from schemas.wire import canonical_json
 from service.store.statements import Statement
 from service.store.tables import COUNTERS, SCENES
 from service.store.work import Work

@@ -10,6 +10,7 @@ from typing import Any, Final, Generic, TypeVar
 from sqlalchemy import Connection
 
 from schemas.errors import CounterpointError
+from service.errors import StatementFailedError
 
 Result = TypeVar("Result")
 
@@ -79,7 +80,7 @@ class GroupedWrites:
         try:
             with self._transaction() as connection:
                 results = [write.begin(connection) for write in group]
-        except _UndoneError:
+        except (_UndoneError, StatementFailedError):
             return
         except CounterpointError as error:
             for write in group:

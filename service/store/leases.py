@@ -7,6 +7,7 @@ from typing import Any, Final
 from sqlalchemy import Connection, Row, and_, bindparam, delete, select, update
 
 from schemas.work import Answer, FailRequest, RenewRequest
+from service.store.blame import History
 from service.store.effects import effects_of, kind_of
 from service.store.revisions import take_over
 from service.store.statements import Statement
@@ -16,6 +17,9 @@ from service.store.work import Work, WorkState, change, row_of
 LEASES_KEPT_S: Final = 7 * 86_400.0
 """Longer than any worker goes on with a result that it cannot get rid of."""
 
+DEATHS_PER_ATTEMPT: Final = 2
+"""So many times as many deaths as attempts end the work on which workers die, at the latest."""
+
 
 @dataclass(frozen=True, slots=True)
 class LeasePolicy:
@@ -23,8 +27,9 @@ class LeasePolicy:
 
     Attributes:
         lease_s: A lease lives this long unrenewed.
-        max_attempts: Leases of one plan or shard that may end badly; then it is parked.
-        backoff_s: Pause after the first failure; doubles with each.
+        max_attempts: Leases of one plan or shard that may end badly; then it is parked. Deaths that
+            are likelier the fault of the worker are not among them, but for the first.
+        backoff_s: Pause after the first failure or death; doubles with each.
         max_backoff_s: Longest pause.
         plan_ahead: Logs are planned before shards are mined while fewer shards than this wait.
             Mining starts early, yet no worker idles while there is a log to open; and a plan is
@@ -39,6 +44,16 @@ class LeasePolicy:
     max_backoff_s: float = 60.0
     plan_ahead: int = 16
     settle_s: float = 0.0
+
+    @property
+    def max_deaths(self) -> int:
+        """So many workers may die on one plan or shard, whoever is to blame; then it is parked."""
+        return DEATHS_PER_ATTEMPT * self.max_attempts
+
+    @property
+    def heard_s(self) -> float:
+        """A worker that finished something so long ago is still here: no rest takes longer."""
+        return self.max_backoff_s + self.lease_s
 
     def is_settled(self, listed_s: float, *, now_s: float) -> bool:
         """Whether a revision has not changed for long enough; one listed in the future has not."""
@@ -100,13 +115,17 @@ def expire(connection: Connection, *, now_s: float, policy: LeasePolicy) -> int:
     over = connection.execute(
         select(LEASES).where(LEASES.c.is_held, LEASES.c.expires_s <= now_s)
     ).all()
-    return _worker_died(connection, over, by="expired", policy=policy)
+    return _worker_died(connection, over, by="expired", now_s=now_s, policy=policy)
 
 
-def worker_died(connection: Connection, worker_id: str, *, policy: LeasePolicy) -> int:
-    """Take back the leases of one worker, which counts as an attempt: the work may be to blame."""
+def worker_died(
+    connection: Connection, worker_id: str, *, now_s: float, policy: LeasePolicy
+) -> int:
+    """Take back the leases of one worker: an attempt, unless the worker is to blame (`blame`)."""
     its = select(LEASES).where(LEASES.c.is_held, LEASES.c.worker_id == worker_id)
-    return _worker_died(connection, connection.execute(its), by="worker died", policy=policy)
+    return _worker_died(
+        connection, connection.execute(its), by="worker died", now_s=now_s, policy=policy
+    )
 
 
 def free_leases(connection: Connection, worker_prefix: str) -> int:
@@ -201,18 +220,32 @@ def _let_settle(
 
 
 def _worker_died(
-    connection: Connection, leases: Iterable[Row[Any]], *, by: str, policy: LeasePolicy
+    connection: Connection,
+    leases: Iterable[Row[Any]],
+    *,
+    by: str,
+    now_s: float,
+    policy: LeasePolicy,
 ) -> int:
     ended = list(leases)
     for lease in ended:
         end_lease(connection, lease.lease_id, by=by)
+    histories = {
+        version: History.read(connection, version, from_s=now_s, to_s=now_s)
+        for version in {lease.pipeline_version for lease in ended}
+    }
+    for lease in ended:
+        history, work = histories[lease.pipeline_version], work_of(lease)
         _give_back(
             connection,
-            work_of(lease),
+            work,
             lease_id=lease.lease_id,
             error="",
             policy=policy,
-            ready_at_s=0.0,
+            ready_at_s=now_s,
+            pauses=True,
+            deaths=history.deaths_on(work),
+            counts=not history.blames_worker(lease.worker_id, work),
         )
     return len(ended)
 
@@ -228,6 +261,8 @@ def _give_back(
     pauses: bool = False,
     parks: bool = False,
     stale: bool = False,
+    deaths: int = 0,
+    counts: bool = True,
 ) -> None:
     """Count an attempt, and park the work or make it ready again.
 
@@ -241,19 +276,22 @@ def _give_back(
         pauses: Whether it rests, longer with each attempt.
         parks: Whether it is parked at once.
         stale: Whether it waits for the next listing instead.
+        deaths: How many workers have died on it, this one among them.
+        counts: Whether the work is to blame; where it is not, only its first attempt is counted.
     """
     row = row_of(connection, work)
     if row.lease_id != lease_id:
         return
-    attempts = row.attempts + 1
+    attempts = row.attempts + 1 if counts else max(1, row.attempts)
     if not error:
-        error = _died(attempts, verb="mining" if work.shard else "planning", before=row.error)
-    if parks or attempts >= policy.max_attempts:
+        error = _died(deaths, verb="mining" if work.shard else "planning", before=row.error)
+    worn_out = counts and attempts >= policy.max_attempts
+    if parks or worn_out or deaths >= policy.max_deaths:
         state = WorkState.PARKED
         effects_of(connection).parked[kind_of(work.shard)] += 1
     else:
         state = WorkState.STALE if stale else WorkState.READY
-    rest_s = policy.pause_s(attempts) if pauses else 0.0
+    rest_s = policy.pause_s(max(attempts, deaths)) if pauses else 0.0
     change(
         connection,
         work,
@@ -267,8 +305,8 @@ def _give_back(
         take_over(connection, log_id=work.log_id, revision=work.revision)
 
 
-def _died(attempts: int, *, verb: str, before: str) -> str:
+def _died(deaths: int, *, verb: str, before: str) -> str:
     if before and not before.startswith("worker died"):
         return f"worker died while {verb} it; before that: {before}"
-    times = "once" if attempts == 1 else f"{attempts} times"
+    times = "once" if deaths == 1 else f"{deaths} times"
     return f"worker died {times} while {verb} it"

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 from pydantic import ValidationError
 
+from schemas.canonical import sha256
 from schemas.score import SceneScore
 from schemas.task import MOTION
-from schemas.wire import decode, sha256
+from schemas.transport.wire import decode
 from schemas.work import CommitRequest
 
 

@@ -19,7 +19,7 @@ from sqlalchemy import (
 )
 
 from schemas.work import Damage
-from service.status import LogStatus, ParkedWork, PointTotals, Status
+from service.curation.status import LogStatus, ParkedWork, PointTotals, Status
 from service.store.judged import judged
 from service.store.tables import COUNTERS, DAMAGE, PIPELINES, PLANS, RECORDINGS, SCENES, SHARDS
 from service.store.work import OPEN, WorkState

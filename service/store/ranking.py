@@ -6,7 +6,8 @@ from typing import Any, Final
 
 from sqlalchemy import ColumnElement, Connection, bindparam, literal_column, select
 
-from service.ranking import RankedInput, RankedScene, twin_of
+from service.curation.ranking import RankedInput, RankedScene, twin_of
+from service.store.soundness import OnDamaged, problem_of
 from service.store.statements import Statement
 from service.store.tables import SCENES
 
@@ -15,22 +16,28 @@ _AT_ONCE: Final = 500
 
 
 def ranked(
-    connection: Connection, *, most: int | None = None
+    connection: Connection, *, most: int | None = None, on_damaged: OnDamaged
 ) -> Generator[RankedScene, None, None]:
-    """Rank current scenes, best first, ranks from 1; no record is decoded.
+    """Rank current scenes, best first, ranks from 1; each is compared with its record.
 
     Args:
         connection: In the transaction that shall be seen; it is read as long as this is iterated.
         most: Only the first so many; None: all.
+        on_damaged: Takes what is damaged, and is left out.
     """
     query = (
-        select(*_READ, _C.lidar_topic, _C.reasons, _C.sha256)
+        select(*_READ, _C.lidar_topic, _C.reasons, _C.sha256, _C.record)
         .where(_C.is_current)
         .order_by(_UNJUDGED, _C.score.desc(), _bytewise(connection), _C.start_ns, _C.scene_id)
         .limit(most)
     )
     with connection.execute(query, execution_options={"yield_per": _AT_ONCE}) as rows:
-        for rank, row in enumerate(rows, start=1):
+        rank = 0
+        for row in rows:
+            if problem := problem_of(row):
+                on_damaged(row.scene_id, problem)
+                continue
+            rank += 1
             yield RankedScene(
                 rank=rank,
                 scene_id=row.scene_id,

@@ -5,7 +5,7 @@ from typing import Any, Final
 from sqlalchemy import ColumnElement, Connection, case, func, literal, select
 
 from schemas.contradiction import SceneState
-from service.rates import HOUR_NS, RatesBy, RatesRequest, RateSums
+from service.curation.rates import HOUR_NS, RatesBy, RatesRequest, RateSums
 from service.store.tables import SCENES
 
 

@@ -5,8 +5,9 @@ from typing import Any
 
 from sqlalchemy import Connection, Table, and_, select
 
+from service.curation.status import ParkedWork
 from service.errors import NothingFoundError
-from service.status import ParkedWork
+from service.store.blame import pardon
 from service.store.effects import effects_of, kind_of
 from service.store.overview import newest_pipeline
 from service.store.tables import PLANS, RECORDINGS, SHARDS
@@ -42,6 +43,7 @@ def retry(connection: Connection, log_ids: Sequence[str] | None) -> list[ParkedW
             shard = row.name if table is SHARDS else ""
             work = Work(row.log_id, row.revision, version, shard)
             change(connection, work, state=WorkState.READY, attempts=0, ready_at_s=0.0)
+            pardon(connection, work)
             effects_of(connection).retried[kind_of(shard)] += 1
             retried.append(
                 ParkedWork(log_id=row.log_id, shard=shard, attempts=row.attempts, error=row.error)

@@ -1,13 +1,19 @@
-"""Scenes as readers get them: the outbox, the history, and one by one."""
+"""Scenes as readers get them: the outbox, the history, and one by one.
 
+Each record is compared with its digest before anyone gets it; a damaged one is left out, and said.
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
 from sqlalchemy import ColumnElement, Connection, LargeBinary, Row, Select, and_, literal, select
 
 from schemas.score import SceneScore
-from schemas.wire import decode
+from schemas.transport.wire import decode
+from service.errors import RecordDamagedError
 from service.store.events import counter
+from service.store.soundness import OnDamaged, problem_of
 from service.store.tables import SCENES
 
 _LAST: Final = 2**63 - 1
@@ -43,13 +49,19 @@ class StoredScene:
         return decode(SceneScore, self.record)
 
 
-def unpublished(connection: Connection, *, limit: int) -> list[StoredScene]:
+def unpublished(connection: Connection, *, limit: int, on_damaged: OnDamaged) -> list[StoredScene]:
     """Read the events after the outbox's cursor, in order: scenes stored, scenes withdrawn."""
-    seq = counter(connection, "published")
-    return _events(connection, SCENES.c.seq > seq, after=seq, limit=limit)
+    return _sound_events(
+        lambda after: _events(connection, SCENES.c.seq > after, after=after, limit=limit),
+        after=counter(connection, "published"),
+        limit=limit,
+        on_damaged=on_damaged,
+    )
 
 
-def events_since(connection: Connection, *, after: int, limit: int) -> list[StoredScene]:
+def events_since(
+    connection: Connection, *, after: int, limit: int, on_damaged: OnDamaged
+) -> list[StoredScene]:
     """Read, in order, what leads from the scenes that were current then to those that are now.
 
     Those are the current scenes with a greater number, and every withdrawal with one. A scene that
@@ -60,15 +72,21 @@ def events_since(connection: Connection, *, after: int, limit: int) -> list[Stor
         connection: To read from.
         after: Only greater numbers.
         limit: At most so many, the first ones.
+        on_damaged: Takes what is damaged, and is left out.
     """
-    return _events(
-        connection, and_(SCENES.c.is_current, SCENES.c.seq > after), after=after, limit=limit
+    return _sound_events(
+        lambda after: _events(
+            connection, and_(SCENES.c.is_current, SCENES.c.seq > after), after=after, limit=limit
+        ),
+        after=after,
+        limit=limit,
+        on_damaged=on_damaged,
     )
 
 
 def _events(
     connection: Connection, puts: ColumnElement[bool], *, after: int, limit: int
-) -> list[StoredScene]:
+) -> list[Row[Any]]:
     # Both walk the index of their number, and stop at the limit.
     came = connection.execute(_stored().where(puts).order_by(SCENES.c.seq).limit(limit)).all()
     until = came[-1].number if len(came) == limit else _LAST
@@ -77,13 +95,29 @@ def _events(
         .where(SCENES.c.withdrawn_seq > after, SCENES.c.withdrawn_seq < until)
         .order_by(SCENES.c.withdrawn_seq)
         .limit(limit)
-    )
-    events = [_scene(row) for row in came] + [_scene(row, withdrawn=True) for row in went]
-    return sorted(events, key=lambda event: event.seq)[:limit]
+    ).all()
+    return sorted((*came, *went), key=lambda row: row.number)[:limit]
+
+
+def _sound_events(
+    read: Callable[[int], list[Row[Any]]], *, after: int, limit: int | None, on_damaged: OnDamaged
+) -> list[StoredScene]:
+    """Read on where all of a page are damaged: an empty list means the end."""
+    while True:
+        rows = read(after)
+        events = [_scene(row) for row in rows if _is_sound(row, on_damaged)]
+        if events or limit is None or len(rows) < limit:
+            return events
+        after = rows[-1].number
 
 
 def current_scenes(
-    connection: Connection, *, after: int = 0, limit: int | None = None, newest: bool = False
+    connection: Connection,
+    *,
+    after: int = 0,
+    limit: int | None = None,
+    newest: bool = False,
+    on_damaged: OnDamaged,
 ) -> list[StoredScene]:
     """Read current scenes in the order of their numbers.
 
@@ -92,26 +126,54 @@ def current_scenes(
         after: Only greater numbers.
         limit: At most so many: the first ones, or the last ones with `newest`.
         newest: Which end `limit` keeps.
+        on_damaged: Takes what is damaged, and is left out.
     """
     order = SCENES.c.seq.desc() if newest else SCENES.c.seq
-    rows = connection.execute(
-        _stored().where(SCENES.c.is_current, SCENES.c.seq > after).order_by(order).limit(limit)
+    query = _stored().where(SCENES.c.is_current).order_by(order).limit(limit)
+    scenes = _sound_events(
+        lambda after: list(connection.execute(query.where(SCENES.c.seq > after)).all()),
+        after=after,
+        limit=None if newest else limit,
+        on_damaged=on_damaged,
     )
-    scenes = [_scene(row) for row in rows]
     return scenes[::-1] if newest else scenes
 
 
-def current_scene(connection: Connection, scene_id: str) -> StoredScene | None:
-    """Read one current scene."""
+def current_scene(
+    connection: Connection, scene_id: str, *, on_damaged: OnDamaged
+) -> StoredScene | None:
+    """Read one current scene.
+
+    Raises:
+        RecordDamagedError: If its record is damaged.
+    """
     row = connection.execute(
         _stored().where(SCENES.c.is_current, SCENES.c.scene_id == scene_id)
     ).one_or_none()
-    return None if row is None else _scene(row)
+    if row is None:
+        return None
+    if problem := problem_of(row):
+        on_damaged(scene_id, problem)
+        raise RecordDamagedError(
+            f"the stored record of {scene_id} is damaged: {problem}; it is not shown, restore the "
+            "database from a copy, or mine its log again into another --state"
+        )
+    return _scene(row)
+
+
+def _is_sound(row: Row[Any], on_damaged: OnDamaged) -> bool:
+    if row.withdrawn:  # has no record to compare
+        return True
+    problem = problem_of(row)
+    if problem:
+        on_damaged(row.scene_id, problem)
+    return not problem
 
 
 def _stored(
-    seq: ColumnElement[int] = SCENES.c.seq, record: ColumnElement[bytes] = SCENES.c.record
+    seq: ColumnElement[int] = SCENES.c.seq, *, record: ColumnElement[bytes] | None = None
 ) -> Select[Any]:
+    """Select scenes as they were put; given another record, as they were withdrawn."""
     c = SCENES.c
     return select(
         seq.label("number"),
@@ -119,12 +181,13 @@ def _stored(
         c.scene_id,
         c.pipeline_version,
         c.score,
-        record.label("record"),
+        (c.record if record is None else record).label("record"),
         c.sha256,
+        literal(record is not None).label("withdrawn"),
     )
 
 
-def _scene(row: Row[Any], *, withdrawn: bool = False) -> StoredScene:
+def _scene(row: Row[Any]) -> StoredScene:
     return StoredScene(
         seq=row.number,
         log_id=row.log_id,
@@ -133,5 +196,5 @@ def _scene(row: Row[Any], *, withdrawn: bool = False) -> StoredScene:
         score=row.score,
         record=bytes(row.record),
         sha256=row.sha256,
-        withdrawn=withdrawn,
+        withdrawn=bool(row.withdrawn),
     )

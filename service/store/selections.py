@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 from sqlalchemy import Connection, insert, select, update
 
+from service.curation.ranking import RankedScene
+from service.curation.selection import Selection
 from service.errors import UsageError
-from service.ranking import RankedScene
-from service.selection import Selection
 from service.store.tables import COUNTERS, SELECTION_SCENES, SELECTIONS
 
 

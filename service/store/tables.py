@@ -29,7 +29,7 @@ COUNTERS: Final = Table("counters", METADATA, _text("name", key=True), _number("
 
 SERVED_BUCKET: Final = Table("served_bucket", METADATA, _text("url"))
 
-WRITE_PROOF: Final = Table("write_proof", METADATA, _number("writes"))
+WRITE_PROOF: Final = Table("write_proof", METADATA, _number("writes"), _text("incarnation"))
 
 PIPELINES: Final = Table(
     "pipelines", METADATA, _text("pipeline_version", key=True), _number("ordinal")

@@ -12,9 +12,11 @@ import typer
 import yaml
 
 from service.cli.main import EX_TEMPFAIL, app
-from service.config import Settings
+from service.processes import accepted_by
+from service.settings.config import Settings
 from workers.pool.slot import KILL_MARGIN_S
-from workers.worker_config import DRAIN_S
+from workers.worker.acceptance import is_loopback, refusal
+from workers.worker.config import DRAIN_S, WorkerConfig
 
 ROOT = Path(__file__).resolve().parents[2]
 DEPLOY = ROOT / "deploy"
@@ -156,6 +158,28 @@ def test_every_service_waits_for_others_that_can_be_healthy() -> None:
             waited = COMPOSE["services"][other]
             built = waited.get("build", {}).get("target")
             assert "healthcheck" in waited or built in images_with_health
+
+
+def test_a_worker_accepts_the_places_that_the_service_beside_it_names() -> None:
+    given = {"BUCKET": "s3://fleet", "ARTIFACTS": "s3://overlays"}
+
+    def settings_of(name: str, env: dict[str, str]) -> Settings:
+        stated: dict[str, str] = COMPOSE["services"][name]["environment"]
+        words = {
+            setting: re.sub(
+                r"\$\{(\w+)(?::[-?]([^}]*))?\}", lambda at: env.get(at[1], at[2] or ""), value
+            )
+            for setting, value in stated.items()
+        }
+        values = {key.removeprefix("COUNTERPOINT_").lower(): text for key, text in words.items()}
+        return Settings.model_validate(values)
+
+    for env in (given, {"BUCKET": "file:///logs"}):
+        service, worker = settings_of("service", env), settings_of("worker", env)
+        assert service.bucket == env["BUCKET"]
+        config = WorkerConfig("w1", (worker.connect,), accepts=accepted_by(worker))
+        assert not is_loopback(worker.connect)
+        assert refusal(service.mining(), config) == ""
 
 
 def test_the_examples_name_every_variable_that_must_be_set() -> None:

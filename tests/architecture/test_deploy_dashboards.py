@@ -15,10 +15,10 @@ from prometheus_client.core import Metric
 from deploy.grafana.make_dashboards import made
 from deploy.grafana.panels import COLUMNS, PROMETHEUS, RATES
 from deploy.grafana.reading import ReadPanel, metrics_in, read_dashboard
-from service.gauges import ServiceGauges, Sources
-from service.metrics import ServiceMetrics
-from service.rates import RateRow, rates_request
-from workers.metrics import PoolMetrics, WorkerMetrics
+from service.curation.rates import RateRow, rates_request
+from service.monitoring.gauges import ServiceGauges, Sources
+from service.monitoring.metrics import ServiceMetrics
+from workers.worker.metrics import PoolMetrics, WorkerMetrics
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 DASHBOARDS = sorted((DEPLOY / "grafana" / "dashboards").glob("*.json"))

@@ -8,7 +8,7 @@ from schemas.contradiction import ContradictionKind
 from service.cli.glossary_page import evidence_means, glossary_page
 from workers.contradiction.because import AS_MOST, LIKELIEST, TOLD, remarks_on
 from workers.contradiction.evidence import NAMES, Evidence
-from workers.simulation.plan import (
+from workers.lab.simulation.faults.plan import (
     DISTURBANCE_MEANS,
     FAILURE_MEANS,
     DisturbanceKind,

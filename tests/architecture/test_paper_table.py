@@ -14,7 +14,7 @@ def test_every_part_with_two_forms_is_in_the_table() -> None:
         for path in WORKERS.rglob("*.py")
         if FORM_PARAMETER.search(path.read_text(encoding="utf-8"))
     }
-    assert "geometry/range_image.py" in parts
+    assert "lidar/range_image.py" in parts
     assert parts - LINKED == set()
 
 

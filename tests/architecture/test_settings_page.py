@@ -6,8 +6,8 @@ import typer
 
 from service.cli.main import app
 from service.cli.settings import flags_of
-from service.config import NOT_IN_VERSION, ReadSettings, Settings
-from service.settings_table import setting_rows, settings_page
+from service.settings.config import NOT_IN_VERSION, ReadSettings, Settings
+from service.settings.table import setting_rows, settings_page
 from workers import version
 
 PAGE = Path(__file__).resolve().parents[2] / "deploy" / "SETTINGS.md"

@@ -25,9 +25,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from schemas.bus import free_endpoint
 from schemas.errors import TransientError
-from schemas.keys import DEFAULT_ROOT
+from schemas.transport.bus import free_endpoint
+from schemas.transport.keys import DEFAULT_ROOT
 from service.client import ControlClient
 from service.store.engine import DATABASE_NAME
 from tests.benchmark.day_miner import SCENES_PER_SHARD, SHARDS_PER_LOG

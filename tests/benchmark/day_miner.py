@@ -12,12 +12,13 @@ from typing import TextIO
 
 import zenoh
 
-from schemas import keys
-from schemas.bus import client_session, recoverable_publisher
+from schemas.canonical import sha256
 from schemas.contradiction import ContradictionKind, InstanceRecord, TrackRecord
-from schemas.process import stop_on_signals
-from schemas.retry import StoppedError
-from schemas.wire import encode_scene_score, sha256
+from schemas.runtime.process import stop_on_signals
+from schemas.runtime.retry import StoppedError
+from schemas.transport import keys
+from schemas.transport.bus import client_session, recoverable_publisher
+from schemas.transport.wire import encode_scene_score
 from schemas.work import (
     CommitRequest,
     ManifestEntry,
@@ -28,7 +29,7 @@ from schemas.work import (
     Shard,
 )
 from tests.contracts.ledger_world import plan_of, score_of
-from workers.lease import LeaseKeeper, Leases
+from workers.worker.lease import LeaseKeeper, Leases
 
 SHARDS_PER_LOG = 10
 SCENES_PER_SHARD = 10

@@ -4,8 +4,8 @@ import sys
 import time
 from pathlib import Path
 
-from schemas.process import stop_on_signals
-from schemas.retry import StoppedError
+from schemas.runtime.process import stop_on_signals
+from schemas.runtime.retry import StoppedError
 from service.client import watch_scenes
 
 

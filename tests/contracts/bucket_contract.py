@@ -5,8 +5,8 @@ from threading import Thread
 
 import pytest
 
-from schemas.bucket import Bucket
 from schemas.errors import BucketRefusedError, ObjectChangedError
+from schemas.transport.bucket import Bucket
 
 
 class BucketContract:

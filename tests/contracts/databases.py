@@ -11,9 +11,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from sqlalchemy import create_engine, text
+from sqlalchemy import Engine, create_engine, text
 
-from service.store.engine import Store, open_store, open_store_at
+from service.store.engine import DATABASE_NAME, Store, open_store, open_store_at
 
 
 class OnSqlite:
@@ -25,6 +25,9 @@ class OnSqlite:
 
     def make_store(self) -> Store:
         return open_store(self.folder)
+
+    def make_engine(self) -> Engine:
+        return create_engine(f"sqlite:///{self.folder / DATABASE_NAME}")
 
 
 class OnPostgres:
@@ -44,6 +47,9 @@ class OnPostgres:
 
     def make_store(self) -> Store:
         return open_store_at(self.url)
+
+    def make_engine(self) -> Engine:
+        return create_engine(self.url)
 
 
 @contextmanager

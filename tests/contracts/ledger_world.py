@@ -5,10 +5,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from schemas.arrays import NS_PER_S
+from schemas.canonical import sha256
 from schemas.contradiction import SceneState
 from schemas.frame import OdometryState
 from schemas.score import AgreementShares, OdometryHealth, Producers, SceneScore
-from schemas.wire import encode_scene_score, sha256
+from schemas.transport.wire import encode_scene_score
 from schemas.work import (
     Answer,
     Channel,
@@ -27,8 +28,8 @@ from schemas.work import (
     Recording,
     Shard,
 )
-from service.ledger import LeasePolicy, Ledger
 from service.store.engine import Store
+from service.store.ledger import LeasePolicy, Ledger
 
 SCENES_PER_SHARD = 3
 START_NS = 1_700_000_000 * NS_PER_S

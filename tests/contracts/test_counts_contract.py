@@ -6,14 +6,15 @@ from typing import Any
 import pytest
 
 from schemas.arrays import NS_PER_S
+from schemas.canonical import sha256
 from schemas.contradiction import SceneState
 from schemas.score import AgreementShares, SceneScore
-from schemas.wire import encode_scene_score, sha256
+from schemas.transport.wire import encode_scene_score
 from schemas.work import Damage, FailRequest, LogPlan, MineLease, PlanLease
-from service.ledger import Ledger
-from service.rates import RateRow, RatesBy, RatesRequest, rates
+from service.curation.rates import RateRow, RatesBy, RatesRequest, rates
 from service.store.backlog import LogDamage
 from service.store.effects import Effects
+from service.store.ledger import Ledger
 from tests.contracts.databases import OnPostgres, OnSqlite
 from tests.contracts.ledger_world import (
     START_NS,
@@ -34,13 +35,16 @@ class Noted:
 
     def __init__(self) -> None:
         self.effects: list[Effects] = []
-        self.database_errors = 0
+        self.database_errors = self.damaged_records = 0
 
     def on_effects(self, effects: Effects) -> None:
         self.effects.append(effects)
 
     def on_database_error(self) -> None:
         self.database_errors += 1
+
+    def on_damaged_record(self) -> None:
+        self.damaged_records += 1
 
     def leases_ended(self) -> dict[str, int]:
         return {

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.ledger import StoredScene
+from service.store.ledger import StoredScene
 from tests.contracts.databases import OnPostgres, OnSqlite
 from tests.contracts.ledger_world import World, recording
 from tests.contracts.store_contract import StoreContract

@@ -2,9 +2,10 @@
 
 import pytest
 
+from schemas.canonical import sha256
 from schemas.score import SceneScore
-from schemas.wire import decode, encode_scene_score, sha256
-from service.status import Judged
+from schemas.transport.wire import decode, encode_scene_score
+from service.curation.status import Judged
 from tests.contracts.databases import OnPostgres, OnSqlite
 from tests.contracts.ledger_world import World, mined, shard_commit
 from tests.contracts.store_contract import StoreContract

@@ -9,7 +9,7 @@ from sqlalchemy import inspect, text
 from structlog.testing import capture_logs
 
 from schemas.score import SceneScore
-from schemas.wire import encode_scene_score
+from schemas.transport.wire import encode_scene_score
 from schemas.work import (
     ClaimRequest,
     CommitRequest,
@@ -21,7 +21,8 @@ from schemas.work import (
     RenewRequest,
 )
 from service.errors import StateUnusableError
-from service.ledger import LeasePolicy, Ledger, SelectionExistsError
+from service.store.ledger import LeasePolicy, Ledger
+from service.store.selections import SelectionExistsError
 from service.store.tables import METADATA
 from tests.contracts.databases import OnPostgres, OnSqlite
 from tests.contracts.ledger_world import (
@@ -220,6 +221,7 @@ class LedgerContract(StoreContract):
             assert world.mine_lease().shard.index == 0
             world.clock.now_s += 31
             assert world.ledger.expire() == 1
+            world.clock.now_s += 16  # its longest rest
         assert world.mine_lease().shard.index == 1
         (parked,) = world.ledger.status().parked
         assert (parked.log_id, parked.shard, parked.attempts) == ("a", "lidar-00000", 5)
@@ -284,6 +286,8 @@ class LedgerContract(StoreContract):
         world.plan_lease("w1")
         assert world.ledger.worker_died("w2") == 0
         assert world.ledger.worker_died("w1") == 1
+        assert isinstance(world.claim("w2"), NothingToDo)
+        world.clock.now_s += 2
         assert isinstance(world.claim("w2"), PlanLease)
 
     def test_leases_live_on_when_the_service_was_away(self, world: World) -> None:
@@ -369,6 +373,7 @@ class LedgerContract(StoreContract):
         slow = world.mine_lease("slow")
         world.clock.now_s += 31
         world.ledger.expire()
+        world.clock.now_s += 2
         fast = world.mine_lease("fast")
         assert world.commit_shard(slow, "slow").ok
         assert world.commit_shard(fast, "fast").ok
@@ -383,6 +388,7 @@ class LedgerContract(StoreContract):
         for _ in range(4):
             world.clock.now_s += 31
             world.ledger.expire()
+            world.clock.now_s += 16
             world.mine_lease("slower")
         world.clock.now_s += 31
         world.ledger.expire()

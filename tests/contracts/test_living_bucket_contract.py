@@ -9,9 +9,9 @@ import pytest
 from sqlalchemy import Table, func, select
 
 from schemas.work import FailRequest, MineLease, NothingToDo, PlanLease, Recording, RenewRequest
-from service.ledger import Ledger
 from service.store.engine import Store, open_store
 from service.store.leases import LEASES_KEPT_S
+from service.store.ledger import Ledger
 from service.store.tables import LEASES, RECORDINGS, SHARDS
 from tests.contracts.databases import OnPostgres, OnSqlite
 from tests.contracts.ledger_world import World, plan_of, plan_of_parts, split

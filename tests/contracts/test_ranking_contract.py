@@ -5,10 +5,11 @@ import random
 import pytest
 
 from schemas.arrays import NS_PER_S
+from schemas.canonical import sha256
 from schemas.contradiction import SceneState
 from schemas.score import SceneScore
-from schemas.wire import encode_scene_score, sha256
-from service.ranking import RankedScene
+from schemas.transport.wire import encode_scene_score
+from service.curation.ranking import RankedScene
 from tests.contracts.databases import OnPostgres, OnSqlite
 from tests.contracts.ledger_world import (
     START_NS,

@@ -158,7 +158,7 @@ class RetirementContract(StoreContract):
     def test_many_are_noted_in_portions(
         self, world: World, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("service.retired_overlays.AT_ONCE", 4)
+        monkeypatch.setattr("service.store.retired_overlays.AT_ONCE", 4)
         world.listed("a", "b")
         world.mine_all()
         world.listed("b")

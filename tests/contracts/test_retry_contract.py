@@ -6,8 +6,8 @@ from collections.abc import Iterator
 import pytest
 
 from schemas.work import MineLease, PlanLease
+from service.curation.status import ParkedWork
 from service.errors import NothingFoundError
-from service.status import ParkedWork
 from service.store.engine import Store
 from tests.contracts.databases import OnPostgres, OnSqlite
 from tests.contracts.ledger_world import World, expected_scenes, recording

@@ -12,19 +12,20 @@ from PIL import Image
 from schemas.contradiction import LabelledFrame, Scene
 from schemas.frame import LidarFrame, PosedFrame
 from schemas.labels import FrameLabels, MotionLabel
-from schemas.overlay import Overlay, decode_overlay, encode_overlay
+from schemas.overlay import Overlay
 from schemas.score import SceneScore
 from schemas.task import GROUND, MOTION, TASKS, Outcome, Task
-from schemas.wire import decode, encode_scene_score
-from service.picture import draw_camera, draw_scene
-from service.picture_style import colours_of, meaning
+from schemas.transport.overlay_codec import decode_overlay, encode_overlay
+from schemas.transport.wire import decode, encode_scene_score
+from service.pictures.scene import draw_camera, draw_scene
+from service.pictures.style import colours_of, meaning
 from tests.labelled_worlds import CLASS_NAMES, Thing, labelled_scene, shard_of
 from workers.contradiction.compare import compare
 from workers.contradiction.overlay import overlay_of
 from workers.errors import TasksDifferError
 from workers.mine import Account
+from workers.parts.protocols import NoWitness, Parts, Witness
 from workers.pipeline import MinedScene, mine_shard
-from workers.protocols import NoWitness, Parts, Witness
 
 USERS = Task("users", ("rest", "car", "person"), moving="person")
 SURFACE = Task("surface", ("road", "grass", "wall", "water"), of_things=False)

@@ -6,11 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from schemas.bucket import open_bucket
-from schemas.recordings import group_recordings
+from schemas.transport.bucket import open_bucket
+from schemas.transport.recordings import group_recordings
 from tests.factories import frame
-from workers.evaluation.class_table import COARSE, SEMANTIC_KITTI, coarse_of_ids, coarse_of_names
-from workers.evaluation.truth import LogTruth
+from workers.lab.evaluation.truth.class_table import (
+    COARSE,
+    SEMANTIC_KITTI,
+    coarse_of_ids,
+    coarse_of_names,
+)
+from workers.lab.evaluation.truth.truth import LogTruth
 
 PAGE = Path(__file__).resolve().parents[2] / "deploy" / "TRUTH.md"
 KEY = "car-7/2026-11-20/drive"

@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from tests.golden.checks import Checked, check_folder, files_in
@@ -40,7 +41,7 @@ def main(arguments: list[str]) -> int:
 
 def _add(table: Table, checked: Checked) -> None:
     """Lay one file out, a row for each comparison."""
-    part, _, file = checked.name.rpartition("/")
+    part, _, file = map(escape, checked.name.rpartition("/"))
     if not checked.differences:
         verdict = "FAILS" if checked.fails else "not checked"
         table.add_row(part, file, checked.problem, "", "", verdict)

@@ -16,6 +16,10 @@ class AbsentError(Exception):
     """A check needs a file that the folder has not."""
 
 
+class UnknownNameError(Exception):
+    """A file's name says not which frame it is of, so no part can be held against it."""
+
+
 def present(path: Path) -> Path:
     """Return the path.
 
@@ -31,10 +35,18 @@ def arrays(path: Path) -> Arrays:
     """Read all arrays of a file.
 
     Raises:
-        AbsentError: If there is no such file.
+        AbsentError: If there is no such file, and later if an array is asked for that it has not.
     """
     with present(path).open("rb") as file, np.load(file, allow_pickle=False) as stored:
-        return {name: stored[name] for name in stored.files}
+        return _Arrays({name: stored[name] for name in stored.files})
+
+
+class _Arrays(dict[str, NDArray[Any]]):
+    """Arrays of a file; one of another form lacks some."""
+
+    def __missing__(self, name: str) -> NDArray[Any]:
+        """Say that the file is of a form that no check knows."""
+        raise AbsentError(f"the array {name}")
 
 
 def document(path: Path) -> Any:
@@ -64,5 +76,12 @@ def parameters(folder: Path, network: str) -> Arrays:
 
 
 def number_of(file: Path) -> int:
-    """Frame number at the end of a file's name."""
-    return int(file.stem.rsplit("_", 1)[-1])
+    """Return the frame number at the end of a file's name.
+
+    Raises:
+        UnknownNameError: If it does not end in a number.
+    """
+    number = file.stem.rpartition("_")[2]
+    if not (number.isascii() and number.isdigit()):
+        raise UnknownNameError(f"a name that ends in a frame number, not {file.name}")
+    return int(number)

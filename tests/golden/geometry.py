@@ -14,19 +14,19 @@ from schemas.arrays import Points, Transform
 from schemas.camera import CameraCalibration
 from tests.golden.difference import Difference, near, same
 from tests.golden.files import AbsentError, Arrays, arrays, document, number_of, parameters, present
-from workers.geometry.camera_filter import (
+from workers.lidar.form import Form
+from workers.lidar.range_image import SensorProfile, image_channels, project
+from workers.paper.camera_filter import (
     camera_filter,
     from_flow_space,
     is_ahead_within,
     to_flow_space,
 )
-from workers.geometry.form import Form
-from workers.geometry.ground_rule import ground_labels
-from workers.geometry.pillars import Pillars, pillars
-from workers.geometry.range_image import SensorProfile, image_channels, project
-from workers.geometry.se3 import conjugate, inverse
-from workers.networks import read_known
-from workers.selfsupervised.gndnet import GndNet, decorate
+from workers.paper.gndnet import GndNet, decorate
+from workers.paper.ground_rule import ground_labels
+from workers.paper.pillars import Pillars, pillars
+from workers.parts.networks import read_known
+from workers.points.se3 import conjugate, inverse
 from workers.supervised.paper_residuals import PaperResiduals
 from workers.supervised.postprocess import KnnSettings, find_voters
 from workers.supervised.residual_image import ResidualSettings, with_residuals

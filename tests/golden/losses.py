@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from tests.golden.difference import Difference, relative, same, to_scale
 from tests.golden.files import arrays, document
-from workers.training.elevation_loss import (
+from workers.lab.training.elevation_loss import (
     DATA_WEIGHT,
     SMOOTHNESS_WEIGHT,
     elevation_loss,
     second_order_smoothness,
 )
-from workers.training.flow_loss import (
+from workers.lab.training.flow_loss import (
     FINE_TUNING,
     PRE_TRAINING,
     FlowLossSettings,
@@ -24,7 +24,7 @@ from workers.training.flow_loss import (
     flow_loss,
     nearest_neighbours,
 )
-from workers.training.loss import lovasz_softmax, segmentation_loss
+from workers.lab.training.loss import lovasz_softmax, segmentation_loss
 
 VALUE: Final = 1e-5
 """Relative tolerance of a loss."""

@@ -8,9 +8,14 @@ import numpy as np
 
 from tests.golden.difference import Difference, near, same
 from tests.golden.files import arrays, document
-from workers.evaluation.paper_measures import Averaging, Measures, PointSet, paper_measures
-from workers.evaluation.point_matching import COLUMNS, match_points, sums_of
-from workers.geometry.form import Form
+from workers.lab.evaluation.motion.paper_measures import (
+    Averaging,
+    Measures,
+    PointSet,
+    paper_measures,
+)
+from workers.lab.evaluation.motion.point_matching import COLUMNS, match_points, sums_of
+from workers.lidar.form import Form
 
 TOLERANCE: Final = 1e-12
 

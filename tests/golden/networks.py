@@ -12,11 +12,11 @@ from tests.golden.difference import Difference, near, quantile, same
 from tests.golden.files import Arrays, arrays, document, number_of, parameters, present
 from workers.checkpoints.fitting import load_into
 from workers.checkpoints.published import read_checkpoint
-from workers.geometry.form import Form
-from workers.geometry.pillars import Pillars, pillars
-from workers.selfsupervised.delora import DeLORA
-from workers.selfsupervised.flowstep3d import FlowStep3D
-from workers.selfsupervised.gndnet import GndNet
+from workers.lidar.form import Form
+from workers.paper.delora import DeLORA
+from workers.paper.flowstep3d import FlowStep3D
+from workers.paper.gndnet import GndNet
+from workers.paper.pillars import Pillars, pillars
 from workers.supervised.lmnet import LMNet
 from workers.supervised.salsanext import SalsaNext
 

@@ -75,6 +75,20 @@ def test_a_damaged_file_fails_and_the_others_are_still_compared(
     assert "2 files: 1 hold, 1 fail, 0 not checked" in capsys.readouterr().out
 
 
+def test_a_file_of_an_unknown_name_or_form_is_listed_as_not_checked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "fusion").mkdir()
+    (tmp_path / "geometry").mkdir()
+    np.savez(tmp_path / "geometry" / "knn_backprojection_first.npz", argmax_image=np.zeros((4, 4)))
+    np.savez(tmp_path / "fusion" / "kitti360_000009.npz", other=np.zeros(3))
+    assert main([str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "2 files: 0 hold, 0 fail, 2 not checked" in said
+    assert "a name that ends in a frame number" in said
+    assert "needs the array semantic" in said
+
+
 def test_a_folder_without_reference_outputs_is_refused(tmp_path: Path) -> None:
     """As `make golden` runs it, so that the exit code is the command's."""
     ran = subprocess.run(

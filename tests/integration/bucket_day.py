@@ -6,7 +6,8 @@ through, while what watches and mines is killed, is in `day_system.py`.
 
 import io
 import random
-from collections.abc import Iterator
+import struct
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import count
 from typing import Any, Final, Literal
@@ -14,14 +15,21 @@ from typing import Any, Final, Literal
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
+from schemas.arrays import NS_PER_S
 from tests.factories import SMALL_LIDAR, missed_and_phantom
-from workers.simulation.worlds import build_street
-from workers.simulation.write import Identity, write_log
+from workers.lab.simulation.output.write import Identity, write_log
+from workers.lab.simulation.world.worlds import build_street
 
 SECONDS: Final = 3
 """Of every log: so many scenes, each a shard of its own, so that a log is several leases."""
 
 CHUNK_BYTES: Final = 1 << 17
+
+PAUSE_NS: Final = 4 * NS_PER_S
+"""Silence within a log: some shards hold no frame."""
+
+TOO_LATE_NS: Final = 2**63 + 5
+"""A log time that no signed number of 64 bits holds."""
 
 Kind = Literal[
     "appears", "grows", "is whole", "gets a part", "is truncated", "is replaced", "is deleted",
@@ -82,7 +90,7 @@ def stories(seed: int) -> list[Story]:
 
     whole, grown, cut, first, second = (drive(vehicle) for vehicle in (0, 1, 3, 4, 4))
     gone, back, late, old, new = (drive(vehicle) for vehicle in (6, 7, 8, 9, 9))
-    hasty, hastier = drive(5), drive(5)
+    hasty, hastier, paused, far = drive(5), drive(5), drive(10), drive(11)
     return [
         story("car-0/am/whole", ("appears", whole, "nothing")),
         story(
@@ -132,6 +140,8 @@ def stories(seed: int) -> list[Story]:
             ("is replaced", new, "mined"),
             ("is back", old, "mined"),
         ),
+        story("car-10/am/paused", ("appears", _with_a_pause(paused, rng), "nothing")),
+        story("car-11/am/far", ("appears", _with_one_too_late(far), "nothing")),
     ]
 
 
@@ -159,7 +169,35 @@ def _in_parts_story(log_id: str, log: bytes) -> Story:
     return Story(log_id, tuple(changes))
 
 
-def _in_parts(log: bytes, parts: int) -> Iterator[bytes]:
+def _with_a_pause(log: bytes, rng: random.Random) -> bytes:
+    """Let a log be silent in its middle; it is recorded 20 to 90 ms after the stamps."""
+
+    def later(index: int, log_time_ns: int, data: bytes) -> tuple[int, bytes]:
+        stamp_ns = log_time_ns + (PAUSE_NS if index >= 10 * SECONDS // 2 else 0)
+        stamp = struct.pack("<iI", *divmod(stamp_ns, NS_PER_S))
+        return stamp_ns + rng.randint(20, 90) * 1_000_000, data[:4] + stamp + data[12:]
+
+    return _rewritten(log, later)
+
+
+def _with_one_too_late(log: bytes) -> bytes:
+    """Let the recorder's clock be wrong for one message."""
+    return _rewritten(
+        log, lambda index, log_time_ns, data: (TOO_LATE_NS if index == 7 else log_time_ns, data)
+    )
+
+
+def _rewritten(log: bytes, change: Callable[[int, int, bytes], tuple[int, bytes]]) -> bytes:
+    """Write a log once more, each message with another log time and other bytes."""
+    (written,) = _in_parts(log, 1, change)
+    return written
+
+
+def _in_parts(
+    log: bytes,
+    parts: int,
+    change: Callable[[int, int, bytes], tuple[int, bytes]] = lambda _, at_ns, data: (at_ns, data),
+) -> Iterator[bytes]:
     """Split a log as a recorder does: each part a file of its own with all that belongs in it."""
     reader = make_reader(io.BytesIO(log))
     metadata = list(reader.iter_metadata())
@@ -175,13 +213,10 @@ def _in_parts(log: bytes, parts: int) -> Iterator[bytes]:
         assert schema is not None
         schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
         channel_id = writer.register_channel(channel.topic, channel.message_encoding, schema_id)
-        for _, _, message in messages[begin : begin + each]:
+        for index, (_, _, message) in enumerate(messages[begin : begin + each], start=begin):
+            log_time_ns, data = change(index, message.log_time, message.data)
             writer.add_message(
-                channel_id,
-                message.log_time,
-                message.data,
-                message.publish_time,
-                sequence=message.sequence,
+                channel_id, log_time_ns, data, message.publish_time, sequence=message.sequence
             )
         writer.finish()  # type: ignore[no-untyped-call]  # upstream lacks the return type
         yield out.getvalue()

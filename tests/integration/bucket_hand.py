@@ -1,5 +1,6 @@
 """Whoever drops logs in a bucket, a folder or on S3, and takes the store behind it away."""
 
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import Protocol
 import obstore
 from obstore.store import ObjectStore
 
-from schemas.bucket import Bucket, open_bucket
+from schemas.transport.bucket import Bucket, open_bucket
 from tests.integration.object_store import Ceph
 
 AWAY_S = 1.5
@@ -20,9 +21,11 @@ class Hand(Protocol):
 
     Attributes:
         url: Of the bucket.
+        can_litter: Whether something other than objects can lie in it.
     """
 
     url: str
+    can_litter: bool
 
     def open(self) -> Bucket:
         """Open the bucket as the product does."""
@@ -36,6 +39,10 @@ class Hand(Protocol):
         """Remove it."""
         ...
 
+    def litter(self) -> None:
+        """Leave entries in it that are no logs, and that nobody can read."""
+        ...
+
     def take_store_away(self, say: Callable[[str], None]) -> None:
         """Take the store away, say how, and bring it back after a while."""
         ...
@@ -43,6 +50,8 @@ class Hand(Protocol):
 
 class FolderHand:
     """Writes files as a recorder does: in place, piece by piece."""
+
+    can_litter = True
 
     def __init__(self, folder: Path) -> None:
         self._folder, self.url = folder, str(folder)
@@ -70,6 +79,21 @@ class FolderHand:
     def delete(self, key: str) -> None:
         (self._folder / key).unlink()
 
+    def litter(self) -> None:
+        """Leave names that are no text, links that lead nowhere, a pipe and a closed folder."""
+        folder = self._folder / "car-3" / "odd"
+        (folder / "closed").mkdir(parents=True)
+        for name in (b"not\xffutf8.mcap", b"new\nline.mcap", b"tab\t.mcap", b"esc\x1b[31m.mcap"):
+            Path(os.fsdecode(os.fsencode(folder) + b"/" + name)).write_bytes(b"no recording")
+        (folder / "again").symlink_to("..")
+        (folder / "one.mcap").symlink_to("other.mcap")
+        (folder / "other.mcap").symlink_to("one.mcap")
+        (folder / "dangling.mcap").symlink_to("nowhere.mcap")
+        os.mkfifo(folder / "pipe.mcap")
+        (folder / "folder.mcap").mkdir()
+        (folder / "closed" / "drive.mcap").write_bytes(b"no recording")
+        (folder / "closed").chmod(0)
+
     def take_store_away(self, say: Callable[[str], None]) -> None:
         """Every other time leave an empty folder, as a disk does that is not mounted."""
         say("the disk" + (", whose mount point lies empty now" if self._leaves_folder else ""))
@@ -87,6 +111,8 @@ class FolderHand:
 class S3Hand:
     """Uploads objects, whole each time, as S3 wants it."""
 
+    can_litter = False
+
     def __init__(self, ceph: Ceph) -> None:
         self._ceph, self._name = ceph, ceph.make_bucket()
         self._store: ObjectStore = ceph.store(self._name)
@@ -100,6 +126,9 @@ class S3Hand:
 
     def delete(self, key: str) -> None:
         obstore.delete(self._store, key)
+
+    def litter(self) -> None:
+        raise AssertionError("a bucket on S3 holds nothing but objects")
 
     def take_store_away(self, say: Callable[[str], None]) -> None:
         say("the gateway")

@@ -9,10 +9,11 @@ from typing import Final
 
 import pytest
 
-from schemas.bucket import open_bucket
-from schemas.recordings import group_recordings
-from schemas.wire import encode_scene_score, sha256
-from service.config import load_settings
+from schemas.canonical import sha256
+from schemas.transport.bucket import open_bucket
+from schemas.transport.recordings import group_recordings
+from schemas.transport.wire import encode_scene_score
+from service.settings.config import load_settings
 from tests.factories import street_log
 from tests.integration.object_store import PACKAGES, Ceph, missing_programs
 from workers.score import score_recording

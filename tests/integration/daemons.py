@@ -1,6 +1,7 @@
 """Router, service and pool as processes of their own: started, killed, and what they said."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,11 +12,11 @@ from typing import Final
 
 import pytest
 
-from schemas.bus import free_endpoint
 from schemas.errors import TransientError
-from schemas.keys import DEFAULT_ROOT
+from schemas.transport.bus import free_endpoint
+from schemas.transport.keys import DEFAULT_ROOT
 from service.client import ControlClient
-from service.status import Status
+from service.curation.status import Status
 
 DEADLINE_S: Final = 300.0
 """For any one thing to happen; generous, since machines that run tests are busy."""
@@ -30,6 +31,14 @@ QUICK: Final = {
 """Settings under which a killed process costs seconds, and none fights for a port."""
 
 
+def command(*arguments: str) -> list[str]:
+    """Return how to run the program as one whom the permissions of files bind, root or not."""
+    program = [sys.executable, "-m", "service.cli.main", *arguments]
+    if os.geteuid() == 0 and shutil.which("setpriv"):
+        return ["setpriv", "--bounding-set=-dac_override,-dac_read_search", *program]
+    return program
+
+
 class Daemon:
     """One process of the system, under a name; killed and started again at will."""
 
@@ -40,11 +49,13 @@ class Daemon:
         self._arguments, self._env = arguments, dict(env or {})
         self._log = folder / f"{name}.log"
         self._process: subprocess.Popen[bytes] | None = None
+        self.started_s = 0.0
 
     def start(self) -> None:
+        self.started_s = time.monotonic()
         with self._log.open("ab") as log:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "service.cli.main", *self._arguments],
+                command(*self._arguments),
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,

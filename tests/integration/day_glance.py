@@ -5,7 +5,7 @@ from pathlib import Path
 
 from sqlalchemy import select
 
-from service.status import LogStatus
+from service.curation.status import LogStatus
 from service.store import overview
 from service.store.engine import Store, open_store_to_read
 from service.store.tables import RECORDINGS

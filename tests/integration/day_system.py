@@ -3,15 +3,16 @@
 import random
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from schemas.recordings import group_recordings
+from schemas.transport.bus import free_endpoint
+from schemas.transport.recordings import group_recordings
 from tests.integration.bucket_day import Change, stories
 from tests.integration.bucket_hand import Hand
 from tests.integration.daemons import System
-from tests.integration.day_blows import KILLS, OF_MINERS, Blows, Kill
+from tests.integration.day_blows import OF_MINERS, Blow, Blows, blows
 from tests.integration.day_glance import Glance
 from tests.integration.day_watchers import Watcher, history, stock_subscriber
 from tests.integration.evening import Evening, Tally, count_up, found_in, mined_afresh
@@ -40,6 +41,7 @@ def play(
     seed: int,
     env: Mapping[str, str] | None = None,
     say: Callable[[str], None] = lambda _: None,
+    struck: Sequence[Blow] | None = None,
 ) -> Evening:
     """Live through a day, and mine what it leaves once more from nothing.
 
@@ -49,8 +51,11 @@ def play(
         seed: Makes up the day.
         env: How the processes reach the bucket.
         say: Told what happens.
+        struck: The blows of the day; None: all of them.
     """
-    day = Day(folder, hand, seed=seed, env={**LIVELY, **(env or {})}, say=say)
+    blows_of_day = blows(hand) if struck is None else struck
+    env = {**LIVELY, **(env or {})}
+    day = Day(folder, hand, seed=seed, env=env, say=say, struck=blows_of_day)
     try:
         return day.live()
     finally:
@@ -68,17 +73,22 @@ class Day:
         seed: int,
         env: Mapping[str, str],
         say: Callable[[str], None],
+        struck: Sequence[Blow],
     ) -> None:
         self._folder, self._hand, self._env, self._tell = folder, hand, env, say
+        self._struck = tuple(struck)
         self._rng = random.Random(f"day {seed}")  # noqa: S311  # the same seed, the same day
         self._stories = stories(seed)
-        self._system = System(folder, hand.url, env=env)
+        http = free_endpoint().removeprefix("tcp/")
+        self._system = System(folder, hand.url, env={**env, "COUNTERPOINT_HTTP_LISTEN": http})
         self._tally = Tally()
         self._listed: dict[str, str] = {}
         """Log id to revision, of what lies in the bucket."""
         self._begun_s = time.monotonic()
         self._glance = Glance(self._system.state)
-        self._blows = Blows(self._system, hand, self._tally, say=self._say)
+        self._blows = Blows(
+            self._system, hand, self._tally, http=http, rng=self._rng, say=self._say
+        )
         self._all_day = Watcher(
             self._system.endpoint,
             on_scene=lambda text: self._say("scene", text),
@@ -114,7 +124,7 @@ class Day:
     def _let_all_happen(self) -> None:
         changes = sum(len(story.changes) for story in self._stories)
         going = {story.log_id: deque(story.changes) for story in self._stories}
-        kills = deque(self._rng.sample(KILLS, len(KILLS)))
+        kills = deque(self._rng.sample(self._struck, len(self._struck)))
         while going:
             log_id = self._next_of(going)
             self._make(log_id, going[log_id].popleft())
@@ -122,7 +132,7 @@ class Day:
                 del going[log_id]
             made = self._tally.changes.total()
             self._take_noon_off(made / changes)
-            if len(kills) > len(KILLS) * (1 - made / changes):
+            if len(kills) > len(self._struck) * (1 - made / changes):
                 self._kill_next(kills)
         while kills:  # of miners, while there was nothing to lose
             self._blows.until(
@@ -154,13 +164,15 @@ class Day:
         else:
             self._hand.put(change.key, change.data)
         self._tally.changes[change.kind] += 1
-        self._listed = {
-            recording.log_id: recording.revision
-            for recording in group_recordings(self._hand.open().list())
-        }
+        self._listed = self._of_stories(
+            {
+                recording.log_id: recording.revision
+                for recording in group_recordings(self._hand.open().list())
+            }
+        )
         time.sleep(self._rng.uniform(*PAUSES_S))
 
-    def _kill_next(self, kills: deque[Kill], *, anyway: bool = False) -> None:
+    def _kill_next(self, kills: deque[Blow], *, anyway: bool = False) -> None:
         if kills[0] in OF_MINERS and not anyway and not self._glance.sees_mining():
             kills.rotate(-1)  # its turn comes when there is something to lose
         else:
@@ -170,7 +182,17 @@ class Day:
         ends = {story.log_id: story.ends for story in self._stories if story.ends is not None}
         seen = self._glance.look()
         states = {log_id: log.state for log_id, log in seen.logs.items()}
-        return seen.revisions == self._listed and states == ends
+        others = {state for log_id, state in states.items() if log_id not in ends}
+        return (
+            self._of_stories(seen.revisions) == self._listed
+            and self._of_stories(states) == ends
+            and others <= {"done", "refused"}
+        )
+
+    def _of_stories(self, by_log: Mapping[str, str]) -> dict[str, str]:
+        """Leave out what lies in the bucket besides: the service may list or pass over that."""
+        known = {story.log_id for story in self._stories}
+        return {log_id: value for log_id, value in by_log.items() if log_id in known}
 
     def _take_noon_off(self, share: float) -> None:
         """Let one subscriber be away while half of the day happens."""
@@ -208,6 +230,7 @@ class Day:
         )
         ended = self._system.stop()
         assert ended == [0, 0, 0], f"processes told to stop end with {ended}"
+        assert not (faults := self._blows.faults()), "\n".join(faults)
         count_up(self._tally, state)
         self._say("day", "over; a fresh run mines the bucket as it lies there")
         fresh = mined_afresh(self._folder / "fresh", self._hand.url, env=self._env)

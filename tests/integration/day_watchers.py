@@ -10,9 +10,9 @@ from typing import Final
 
 import zenoh
 
-from schemas import keys
-from schemas.bus import client_session
-from schemas.keys import DEFAULT_ROOT
+from schemas.transport import keys
+from schemas.transport.bus import client_session
+from schemas.transport.keys import DEFAULT_ROOT
 from service.client import watch_scenes
 
 Records = dict[str, bytes]

@@ -3,7 +3,6 @@
 import json
 import os
 import subprocess
-import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
@@ -13,12 +12,12 @@ from typing import Any, get_args
 
 from sqlalchemy import func, select
 
-from service.ledger import Ledger
-from service.rates import RatesBy, RatesRequest, rates
-from service.reading import read_overlay
+from service.api.reading import read_overlay
+from service.curation.rates import RatesBy, RatesRequest, rates
 from service.store.engine import open_store_to_read
+from service.store.ledger import Ledger
 from service.store.tables import LEASES, PLANS, RECORDINGS, SCENES, SHARDS
-from tests.integration.daemons import QUICK
+from tests.integration.daemons import QUICK, command
 from tests.integration.day_watchers import Records
 
 NOT_THE_SAME = {
@@ -187,7 +186,7 @@ def counterpoint(*arguments: str, env: Mapping[str, str]) -> str:
         AssertionError: If it fails; with its own words.
     """
     ended = subprocess.run(
-        [sys.executable, "-m", "service.cli.main", *arguments],
+        command(*arguments),
         env=os.environ | QUICK | dict(env),
         capture_output=True,
         text=True,

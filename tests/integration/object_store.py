@@ -19,7 +19,7 @@ from typing import Final
 
 import obstore.store
 
-from schemas.bucket import Bucket, open_bucket
+from schemas.transport.bucket import Bucket, open_bucket
 
 PROGRAMS: Final = ("radosgw", "radosgw-admin", "ceph-mon", "ceph-osd", "curl")
 PACKAGES: Final = "radosgw ceph-mon ceph-osd curl"

@@ -10,8 +10,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from schemas.process import log_to_stderr
+from schemas.runtime.process import log_to_stderr
 from tests.integration.bucket_hand import FolderHand, Hand, S3Hand
+from tests.integration.day_blows import BLOWS
 from tests.integration.day_system import play
 from tests.integration.object_store import Ceph
 
@@ -21,6 +22,7 @@ def main() -> int:
     asked = argparse.ArgumentParser(prog="python -m tests.integration.play_day")
     asked.add_argument("--seed", type=int, default=1, help="makes up the day")
     asked.add_argument("--s3", type=Path, help="folder of ceph-up.sh; a local folder without")
+    asked.add_argument("--blows", help="only these, with commas: " + ", ".join(BLOWS))
     asked.add_argument("--keep", type=Path, help="folder for states and logs, else thrown away")
     how = asked.parse_args()
     log_to_stderr(level="error")
@@ -29,7 +31,8 @@ def main() -> int:
         folder.mkdir(parents=True, exist_ok=True)
         with _bucket(folder, how.s3) as (hand, env):
             _say(f"seed {how.seed}, bucket {hand.url}, state and logs in {folder}")
-            evening = play(folder, hand, seed=how.seed, env=env, say=_say)
+            struck = [blow for blow in BLOWS if blow in how.blows.split(",")] if how.blows else None
+            evening = play(folder, hand, seed=how.seed, env=env, say=_say, struck=struck)
     _say("")
     for line in evening.tally.lines():
         _say(line)

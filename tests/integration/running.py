@@ -7,13 +7,13 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-from schemas import keys
-from schemas.bucket import open_bucket
-from schemas.bus import client_session, free_endpoint, router_session
 from schemas.mining import MiningSettings
+from schemas.transport import keys
+from schemas.transport.bucket import open_bucket
+from schemas.transport.bus import client_session, free_endpoint, router_session
 from service.app import Service
 from service.client import watch_scenes
-from service.merging import SceneEvent
+from service.client.merging import SceneEvent
 from service.store.engine import open_store
 from tests.contracts.ledger_world import World
 

@@ -6,8 +6,8 @@ from time import monotonic
 
 import pytest
 
-from schemas.bucket import open_bucket
 from schemas.errors import BucketUnreachableError
+from schemas.transport.bucket import open_bucket
 
 pytestmark = pytest.mark.integration
 

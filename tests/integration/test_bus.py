@@ -14,10 +14,12 @@ import structlog.testing
 import zenoh
 import zenoh.ext
 
-from schemas import keys
-from schemas.ask import UnansweredError, ask, ask_until, reply_problem
-from schemas.bucket import open_bucket
-from schemas.bus import (
+from schemas.errors import PermanentError, TransientError
+from schemas.runtime.retry import StoppedError
+from schemas.transport import keys
+from schemas.transport.ask import UnansweredError, ask, ask_until, reply_problem
+from schemas.transport.bucket import open_bucket
+from schemas.transport.bus import (
     client_session,
     free_endpoint,
     is_connected,
@@ -25,9 +27,7 @@ from schemas.bus import (
     recoverable_subscriber,
     router_session,
 )
-from schemas.errors import PermanentError, TransientError
-from schemas.retry import StoppedError
-from schemas.wire import decode, encode
+from schemas.transport.wire import decode, encode
 from schemas.work import Answer, CommitRequest, MineLease, PlanLease
 from service.app import Service
 from service.client import ControlClient

@@ -5,18 +5,19 @@ from pathlib import Path
 
 import pytest
 
-from schemas.bucket import open_bucket
-from schemas.keys import DEFAULT_ROOT
-from schemas.recordings import group_recordings
-from schemas.wire import encode_scene_score, sha256
+from schemas.canonical import sha256
+from schemas.transport.bucket import open_bucket
+from schemas.transport.keys import DEFAULT_ROOT
+from schemas.transport.recordings import group_recordings
+from schemas.transport.wire import encode_scene_score
 from service.client import watch_scenes
-from service.config import load_settings
+from service.settings.config import load_settings
 from tests.factories import missed_and_phantom
 from tests.integration.daemons import System
+from workers.lab.simulation.output.write import Identity, write_log
+from workers.lab.simulation.sensor.lidar import UNEVEN_64, Lidar
+from workers.lab.simulation.world.worlds import build_street
 from workers.score import score_recording
-from workers.simulation.lidar import UNEVEN_64, Lidar
-from workers.simulation.worlds import build_street
-from workers.simulation.write import Identity, write_log
 
 pytestmark = [pytest.mark.integration, pytest.mark.timeout(900)]
 

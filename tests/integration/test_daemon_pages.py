@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from schemas.bus import free_endpoint, router_session
-from schemas.http_endpoint import HttpEndpoint
+from schemas.runtime.http_endpoint import HttpEndpoint
+from schemas.transport.bus import free_endpoint, router_session
 from service.cli import main as command
 from tests.integration.daemons import DEADLINE_S, Daemon
 

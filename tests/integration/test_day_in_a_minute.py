@@ -8,8 +8,8 @@ from typing import get_args
 import pytest
 
 from tests.integration.bucket_day import Kind
-from tests.integration.bucket_hand import FolderHand, S3Hand
-from tests.integration.day_blows import KILLS
+from tests.integration.bucket_hand import FolderHand, Hand, S3Hand
+from tests.integration.day_blows import blows
 from tests.integration.day_system import play
 from tests.integration.evening import Evening
 from tests.integration.object_store import Ceph
@@ -24,10 +24,10 @@ def _say(text: str) -> None:
     sys.stderr.write(text + "\n")
 
 
-def _has_really_happened(evening: Evening) -> None:
+def _has_really_happened(evening: Evening, hand: Hand) -> None:
     tally = evening.tally
     assert tally.changes.keys() == set(get_args(Kind))
-    assert tally.kills.keys() == {*KILLS, "subscriber"}
+    assert tally.kills.keys() == {*blows(hand), "subscriber"}
     assert tally.leases["expired"] > 0, "no kill has hit a miner at work"
     assert tally.superseded >= 6
     assert tally.adopted > 0
@@ -40,12 +40,14 @@ def _has_really_happened(evening: Evening) -> None:
 
 
 def test_a_day_on_a_folder_ends_as_a_fresh_run_would(tmp_path: Path) -> None:
-    evening = play(tmp_path, FolderHand(tmp_path / "logs"), seed=SEED, say=_say)
+    hand = FolderHand(tmp_path / "logs")
+    evening = play(tmp_path, hand, seed=SEED, say=_say)
     assert evening.differences() == []
-    _has_really_happened(evening)
+    _has_really_happened(evening, hand)
 
 
 def test_a_day_on_s3_ends_as_a_fresh_run_would(tmp_path: Path, ceph: Ceph) -> None:
-    evening = play(tmp_path, S3Hand(ceph), seed=SEED, env=ceph.environment(), say=_say)
+    hand = S3Hand(ceph)
+    evening = play(tmp_path, hand, seed=SEED, env=ceph.environment(), say=_say)
     assert evening.differences() == []
-    _has_really_happened(evening)
+    _has_really_happened(evening, hand)

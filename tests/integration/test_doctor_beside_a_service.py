@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from service import doctor_network
-from service.config import load_settings
+from service.doctor import network as doctor_network
+from service.settings.config import load_settings
 from tests.integration.daemons import System
 from tests.integration.running import two_logs
 

@@ -4,8 +4,8 @@ from pathlib import Path
 import pytest
 
 from service.cli.main import main
-from workers.simulation.fleet import FleetOptions, write_planned
-from workers.simulation.plan import FailureKind, LogPlan, PlannedFailure
+from workers.lab.simulation.faults.plan import FailureKind, LogPlan, PlannedFailure
+from workers.lab.simulation.output.fleet import FleetOptions, write_planned
 
 pytestmark = [pytest.mark.integration, pytest.mark.timeout(900)]
 

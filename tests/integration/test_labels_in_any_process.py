@@ -10,12 +10,12 @@ import pytest
 SAYS_ITS_LABELS = """
 import hashlib, sys
 from itertools import islice, tee
-from schemas.bucket import open_bucket
-from schemas.recordings import group_recordings
+from schemas.transport.bucket import open_bucket
+from schemas.transport.recordings import group_recordings
 from schemas.mining import MiningSettings
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard
-from workers.selfsupervised.odometry import KissOdometry
+from workers.odometry.odometry import KissOdometry
 from workers.selfsupervised.stream import Registration
 
 url, prefix = sys.argv[1:]

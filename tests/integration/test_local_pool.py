@@ -19,12 +19,12 @@ from typing import Any
 import pytest
 from structlog.testing import capture_logs
 
-from schemas.bucket import open_bucket
-from schemas.bus import client_session, free_endpoint, router_session
 from schemas.errors import PermanentError, TransientError
-from schemas.http_endpoint import HttpEndpoint
-from schemas.keys import DEFAULT_ROOT
 from schemas.mining import MiningSettings
+from schemas.runtime.http_endpoint import HttpEndpoint
+from schemas.transport.bucket import open_bucket
+from schemas.transport.bus import client_session, free_endpoint, router_session
+from schemas.transport.keys import DEFAULT_ROOT
 from service.app import Service
 from service.store.engine import open_store
 from tests.contracts.ledger_world import World
@@ -301,6 +301,29 @@ def test_a_worker_stuck_on_one_lease_is_killed_and_replaced(
     assert told == [f"{pool.prefix}0"]
     assert counted(pool, "restarts_total", cause="stuck") == 1
     assert served.world.ledger.worker_died(told[0]) == 1, "its lease is taken back at once"
+
+
+def test_a_place_whose_workers_die_in_each_lease_is_filled_later_each_time_and_says_so(
+    tmp_path: Path, opened: ExitStack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dig_hole(opened, monkeypatch)
+    served = Served(tmp_path, opened, bucket="s3://hole")
+    with capture_logs() as said:
+        pool = opened.enter_context(
+            pool_of(served, on_death=lambda worker_id: served.world.ledger.worker_died(worker_id))
+        )
+        for deaths in range(1, 4):
+            served.world.clock.now_s += 100.0  # the plan has rested
+            until(lambda: served.world.ledger.backlog().leases_held == 1, "a lease")
+            until(lambda: len(pool.pids()) == 1, "a worker")
+            os.kill(pool.pids()[0], signal.SIGKILL)
+            until(lambda: served.world.ledger.backlog().leases_held == 0, "its lease taken back")
+            assert counted(pool, "restarts_total", cause="crashed") == deaths
+    rests = [each["restart_s"] for each in said if each["event"] == "worker died"]
+    assert rests[2] >= 1.0 > 0.5 >= rests[0]
+    (line,) = [each for each in said if each["event"].startswith("every worker here dies")]
+    assert (line["deaths"], line["worker_id"]) == (3, f"{pool.prefix}0")
+    assert served.world.ledger.status().parked == ()
 
 
 def test_signals_that_come_twice_do_not_cut_a_workers_drain_short(

@@ -10,8 +10,8 @@ import pytest
 MINE = """
 import gc, sys
 from numba.core.dispatcher import Dispatcher
-from schemas.bucket import open_bucket
-from schemas.recordings import group_recordings
+from schemas.transport.bucket import open_bucket
+from schemas.transport.recordings import group_recordings
 from schemas.mining import MiningSettings
 from workers.score import score_recording
 

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from schemas.bucket import open_bucket
 from schemas.mining import MiningSettings
-from schemas.recordings import group_recordings
+from schemas.transport.bucket import open_bucket
+from schemas.transport.recordings import group_recordings
 from tests.factories import street_log
 from workers.errors import LogUnusableError
-from workers.evaluation.bench_motion import KISS, PATCHWORK, STREAM, bench_motion
-from workers.simulation.lidar import Lidar
+from workers.lab.evaluation.benchmarks.bench_motion import KISS, PATCHWORK, STREAM, bench_motion
+from workers.lab.simulation.sensor.lidar import Lidar
 
 
 @pytest.mark.integration

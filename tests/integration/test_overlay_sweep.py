@@ -7,12 +7,12 @@ from threading import Event
 
 import pytest
 
-from schemas.bucket import Bucket
 from schemas.errors import BucketRefusedError
 from schemas.overlay import overlay_key
-from service.ledger import StoredScene
+from schemas.transport.bucket import Bucket
+from service.background.sweeping import OverlaySweep
 from service.store.engine import open_store
-from service.sweeping import OverlaySweep
+from service.store.ledger import StoredScene
 from tests.contracts.ledger_world import World
 from tests.factories import street_log
 from tests.integration.daemons import System

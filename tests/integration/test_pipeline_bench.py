@@ -2,12 +2,12 @@ from pathlib import Path
 
 import pytest
 
-from schemas.bucket import open_bucket
 from schemas.mining import Grid, MiningSettings
-from schemas.recordings import group_recordings
+from schemas.transport.bucket import open_bucket
+from schemas.transport.recordings import group_recordings
 from tests.factories import street_log
-from workers.evaluation.bench import WARMING_FRAMES, bench_pipeline
-from workers.simulation.lidar import Lidar
+from workers.lab.evaluation.benchmarks.bench import WARMING_FRAMES, bench_pipeline
+from workers.lab.simulation.sensor.lidar import Lidar
 
 
 @pytest.mark.integration

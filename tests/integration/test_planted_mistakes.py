@@ -2,13 +2,13 @@ from pathlib import Path
 
 import pytest
 
-from schemas.bucket import open_bucket
 from schemas.mining import MiningSettings
-from schemas.recordings import group_recordings
+from schemas.transport.bucket import open_bucket
+from schemas.transport.recordings import group_recordings
+from workers.lab.simulation.faults.plan import FailureKind, LogPlan, PlannedFailure
+from workers.lab.simulation.output.fleet import FleetOptions, write_planned
+from workers.lab.simulation.sensor.lidar import Lidar
 from workers.score import score_recording
-from workers.simulation.fleet import FleetOptions, write_planned
-from workers.simulation.lidar import Lidar
-from workers.simulation.plan import FailureKind, LogPlan, PlannedFailure
 
 
 @pytest.mark.integration

@@ -15,11 +15,11 @@ from pathlib import Path
 import pytest
 from sqlalchemy import create_engine, text
 
-from schemas.bus import free_endpoint, router_session
+from schemas.transport.bus import free_endpoint, router_session
+from service.api.reading import StateReader
 from service.cli.main import main
-from service.config import load_settings
 from service.errors import StateInUseError, StateUnusableError, UsageError
-from service.reading import StateReader
+from service.settings.config import load_settings
 from service.store.engine import StoreUnavailableError
 from service.store.opening import open_ledger_store, open_ledger_store_to_read, sole_service
 from service.store.sole import DatabaseTakenError, SoleService

@@ -26,8 +26,8 @@ from tests.integration.prometheus_server import (
     rules_at_once,
     until,
 )
-from workers.simulation.plan import FailureKind
-from workers.simulation.planted import PlantedFailure
+from workers.lab.simulation.faults.plan import FailureKind
+from workers.lab.simulation.faults.planted import PlantedFailure
 
 pytestmark = [pytest.mark.integration, pytest.mark.timeout(900)]
 
@@ -260,6 +260,10 @@ def test_workers_that_die_over_a_shard_are_told_and_so_is_the_shard_that_is_park
     until("a shard is mined", lambda: shards_leased(mined) > 0)  # not the plan: it ends at once
     mined.system.pool.kill()
     mined.prometheus.until_firing("CounterpointWorkerDown")
+    until("the leases of the dead end", lambda: shards_leased(mined) == 0)
+    mined.system.pool.start()  # where all workers die, the second death parks, of one attempt
+    until("a shard is mined again", lambda: shards_leased(mined) > 0)
+    mined.system.pool.kill()
     mined.prometheus.until_firing("CounterpointWorkParked")
 
 

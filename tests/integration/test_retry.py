@@ -10,16 +10,16 @@ from typing import Any
 import pytest
 import structlog.testing
 
-from schemas.bus import client_session
 from schemas.errors import PermanentError
-from schemas.keys import DEFAULT_ROOT
+from schemas.transport.bus import client_session
+from schemas.transport.keys import DEFAULT_ROOT
 from schemas.work import FailRequest, PlanLease
 from service.client import ControlClient
 from tests.integration.daemons import System
 from tests.integration.evening import counterpoint
 from tests.integration.quick_miner import SHARDS_PER_LOG
 from tests.integration.running import Running, two_logs
-from workers.lease import Leases
+from workers.worker.lease import Leases
 
 pytestmark = pytest.mark.integration
 

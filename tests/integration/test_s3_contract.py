@@ -3,8 +3,8 @@
 import obstore
 import pytest
 
-from schemas.bucket import Bucket, open_bucket
 from schemas.errors import ObjectChangedError
+from schemas.transport.bucket import Bucket, open_bucket
 from tests.contracts.bucket_contract import BucketContract
 from tests.integration.faulty_proxy import FaultyProxy
 from tests.integration.object_store import Ceph

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from schemas.bus import free_endpoint, router_session
+from schemas.transport.bus import free_endpoint, router_session
 from service.cli.main import main
 from tests.integration.object_store import Ceph, Identity
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from schemas.bucket import Bucket, open_bucket
-from schemas.bus import client_session, free_endpoint, router_session
-from schemas.keys import DEFAULT_ROOT
 from schemas.mining import MiningSettings
+from schemas.transport.bucket import Bucket, open_bucket
+from schemas.transport.bus import client_session, free_endpoint, router_session
+from schemas.transport.keys import DEFAULT_ROOT
 from service.app import Service
 from service.client import ControlClient
 from service.store.engine import open_store

@@ -13,7 +13,7 @@ import obstore
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from service.status import LogStatus
+from service.curation.status import LogStatus
 from tests.integration.conftest import SHARD_S, SHARDS, Undisturbed, key_of
 from tests.integration.credential_server import CredentialServer
 from tests.integration.daemons import Daemon, System

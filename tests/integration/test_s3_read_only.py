@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from schemas.errors import BucketRefusedError
-from schemas.overlay import decode_overlay
+from schemas.transport.overlay_codec import decode_overlay
 from tests.integration.conftest import SHARD_S, SHARDS, Undisturbed, key_of
 from tests.integration.daemons import QUICK
 from tests.integration.object_store import OVERLAYS, READ, Ceph

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from schemas.bus import free_endpoint, router_session
+from schemas.transport.bus import free_endpoint, router_session
 from tests.integration.daemons import DEADLINE_S, QUICK
 from tests.integration.object_store import Ceph
 

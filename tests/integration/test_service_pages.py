@@ -1,22 +1,23 @@
 """What a running service answers over HTTP, and the rates over the bus."""
 
 import json
+import sqlite3
 import subprocess
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from schemas.http_endpoint import HttpEndpoint
+from schemas.runtime.http_endpoint import HttpEndpoint
 from schemas.work import MineLease, PlanLease
 from service.cli import main as command
 from service.client import ControlClient
-from service.pages import pages
-from service.rates import RatesRequest
+from service.curation.rates import RatesRequest
+from service.monitoring.pages import pages
 from tests.contracts.ledger_world import plan_of
 from tests.integration.running import ROOT, Running, until
 
@@ -138,12 +139,11 @@ def test_readiness_names_a_bucket_that_was_not_seen_for_long(served: Pages) -> N
 
 
 def test_readiness_names_a_database_that_does_not_answer(served: Pages) -> None:
-    with served.running.world.store.writing() as connection:
-        connection.exec_driver_sql("ALTER TABLE counters RENAME TO gone")
-    assert set(served.problems()) == {"database"}
-    assert "counterpoint_database_errors_total 0.0" not in served.get("/metrics")[1]
-    with served.running.world.store.writing() as connection:
-        connection.exec_driver_sql("ALTER TABLE gone RENAME TO counters")
+    with closing(sqlite3.connect(served.running.world.store.name, isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")  # a lock that outlasts the patience of every writer
+        until(lambda: set(served.problems()) == {"database"}, "the database is missed")
+        assert "counterpoint_database_errors_total 0.0" not in served.get("/metrics")[1]
+        other.execute("ROLLBACK")
     until(lambda: served.problems() == {}, "the database is back")
 
 

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from schemas.bucket import open_bucket
-from schemas.recordings import group_recordings
+from schemas.transport.bucket import open_bucket
+from schemas.transport.recordings import group_recordings
 from service.cli.main import main
 from tests.integration.object_store import Ceph
-from workers.evaluation.truth import LogTruth
-from workers.simulation.fleet import FleetOptions, simulate_to
-from workers.simulation.plan import FailureKind, LogPlan, PlannedFailure
+from workers.lab.evaluation.truth.truth import LogTruth
+from workers.lab.simulation.faults.plan import FailureKind, LogPlan, PlannedFailure
+from workers.lab.simulation.output.fleet import FleetOptions, simulate_to
 
 pytestmark = pytest.mark.integration
 FEW = ["--scenes", "2", "--seed", "5", "--failures", "0.5", "--columns", "64"]

@@ -20,11 +20,11 @@ from typing import NoReturn
 
 import pytest
 
-from schemas.bus import free_endpoint
 from schemas.errors import TransientError
-from schemas.keys import DEFAULT_ROOT
+from schemas.transport.bus import free_endpoint
+from schemas.transport.keys import DEFAULT_ROOT
 from service.client import ControlClient
-from service.status import Status
+from service.curation.status import Status
 from service.store.engine import DATABASE_NAME
 from tests.contracts.ledger_world import expected_scenes
 from tests.integration.daemons import Daemon

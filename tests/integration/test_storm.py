@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from schemas.bus import free_endpoint
 from schemas.errors import TransientError
-from schemas.keys import DEFAULT_ROOT
+from schemas.transport.bus import free_endpoint
+from schemas.transport.keys import DEFAULT_ROOT
 from service.client import ControlClient, watch_scenes
-from service.merging import SceneEvent
+from service.client.merging import SceneEvent
 from tests.contracts.ledger_world import expected_scenes
 from tests.integration.quick_miner import SHARDS_PER_LOG
 

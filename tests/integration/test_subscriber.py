@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from schemas.bus import free_endpoint
 from schemas.errors import PermanentError, TransientError
-from schemas.keys import DEFAULT_ROOT
+from schemas.transport.bus import free_endpoint
+from schemas.transport.keys import DEFAULT_ROOT
 from service.client import ControlClient, watch_scenes
-from service.subscription import RING
+from service.client.subscription import RING
 from tests.contracts.ledger_world import SCENES_PER_SHARD, expected_scenes
 from tests.integration.quick_miner import SHARDS_PER_LOG
 from tests.integration.running import Running, two_logs, until

@@ -13,8 +13,8 @@ import pytest
 import zenoh
 import zenoh.ext
 
-from schemas.ask import PROBLEM
-from schemas.bus import RANKED, RECORD, client_session
+from schemas.transport.ask import PROBLEM
+from schemas.transport.bus import RANKED, RECORD, client_session
 from service.client import ControlClient
 from tests.contracts.ledger_world import expected_scenes
 from tests.integration.running import ROOT, Running, two_logs, until

@@ -10,24 +10,24 @@ import pytest
 import zenoh
 from structlog.testing import capture_logs
 
-from schemas.bucket import open_bucket
-from schemas.bus import client_session, free_endpoint, router_session
-from schemas.keys import DEFAULT_ROOT
 from schemas.mining import Grid, MiningSettings
-from schemas.retry import StoppedError
-from schemas.router_watch import RouterWatch
+from schemas.runtime.retry import StoppedError
+from schemas.transport.bucket import open_bucket
+from schemas.transport.bus import client_session, free_endpoint, router_session
+from schemas.transport.keys import DEFAULT_ROOT
+from schemas.transport.router_watch import RouterWatch
 from schemas.work import PlanLease
 from service.app import Service
 from service.store.engine import open_store
 from tests.contracts.ledger_world import World
 from tests.integration.small_s3 import SmallS3
-from workers.lease import LeaseKeeper, LeaseLostError, Leases
-from workers.metrics import WorkerMetrics
-from workers.simulation.lidar import UNEVEN_64, Lidar
-from workers.simulation.worlds import build_street
-from workers.simulation.write import write_log
-from workers.worker import Worker
-from workers.worker_config import WorkerConfig, WorkerObserver
+from workers.lab.simulation.output.write import write_log
+from workers.lab.simulation.sensor.lidar import UNEVEN_64, Lidar
+from workers.lab.simulation.world.worlds import build_street
+from workers.worker.config import WorkerConfig, WorkerObserver
+from workers.worker.lease import LeaseKeeper, LeaseLostError, Leases
+from workers.worker.loop import Worker
+from workers.worker.metrics import WorkerMetrics
 
 pytestmark = pytest.mark.integration
 
@@ -195,7 +195,7 @@ def test_a_bug_is_told_to_the_ledger_and_then_ends_the_worker(
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr("workers.attempt.plan_recording", broken)
+    monkeypatch.setattr("workers.worker.attempt.plan_recording", broken)
     with pytest.raises(ZeroDivisionError):
         Worker(place.session, place.config, stop=threading.Event()).run()
     place.world.clock.now_s += 3600.0

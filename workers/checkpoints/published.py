@@ -1,10 +1,12 @@
 """Reads checkpoints as their authors published them; no code in one is ever run.
 
-Everything goes through torch's unpickler that builds nothing but tensors, containers and numbers
-(`weights_only=True`). Older training scripts also stored their scheduler or numpy numbers; the
-converter knows these by name and puts something inert in their place. Any other name is refused.
+Names and sizes are looked through first. Then everything goes through torch's unpickler that builds
+nothing but tensors, containers and numbers (`weights_only=True`). Older training scripts also
+stored their scheduler or numpy numbers; the converter knows these by name and puts something inert
+in their place. Any other name is refused.
 """
 
+import io
 import pickle
 import re
 import struct
@@ -19,7 +21,10 @@ import safetensors.torch
 import torch
 from torch import Tensor
 
+from workers.checkpoints.archives import check_archive
 from workers.checkpoints.errors import WeightsUnusableError
+from workers.checkpoints.model_files import read_regular
+from workers.checkpoints.pickles import check_legacy, check_pickle, refused_name
 from workers.checkpoints.training_state import STAND_INS
 
 PREFIXES: Final = ("module.", "model.")
@@ -36,6 +41,7 @@ _DAMAGED: Final = (
     EOFError,
     IndexError,
     KeyError,
+    MemoryError,
     OverflowError,
     RuntimeError,
     TypeError,
@@ -46,6 +52,12 @@ _DAMAGED: Final = (
     zipfile.BadZipFile,
 )
 """What torch raises, beside its own, on bytes that are no checkpoint."""
+
+MAX_HEADER_BYTES: Final = 4 << 20
+"""Names and shapes of a safetensors file; those that ship have 30 KiB."""
+
+_ARCHIVE: Final = b"PK\3\4"
+_PICKLE: Final = b"\x80"
 
 
 def read_checkpoint(path: Path, *, convert: bool = False) -> dict[str, Tensor]:
@@ -61,58 +73,63 @@ def read_checkpoint(path: Path, *, convert: bool = False) -> dict[str, Tensor]:
     Raises:
         WeightsUnusableError: If the file cannot be read, is damaged, holds code, or no parameters.
     """
-    try:
-        with path.open("rb") as file:
-            start = file.read(8)
-    except OSError as error:
-        raise WeightsUnusableError(
-            f"cannot read the checkpoint: {error.strerror or error} ({path})"
-        ) from error
+    data = read_regular(path, what="the checkpoint")
     if path.suffix == ".safetensors":
-        return without_prefix(_read_safetensors(path))
-    if not start.startswith((b"PK", b"\x80")):
+        return without_prefix(read_safetensors(data, what="the checkpoint is", path=path))
+    if not data.startswith((_ARCHIVE, _PICKLE)):
         raise WeightsUnusableError(f"this is no checkpoint that torch has written ({path})")
-    return without_prefix(_parameters(_load(path, convert=convert), path))
+    return without_prefix(_parameters(_load(data, path, convert=convert), path))
 
 
-def _read_safetensors(path: Path) -> dict[str, Tensor]:
+def read_safetensors(data: bytes, *, what: str, path: Path) -> dict[str, Tensor]:
+    """Read tensors from the bytes of a safetensors file, whatever its header says.
+
+    Args:
+        data: The whole file.
+        what: What messages call it, with its verb: "weights are".
+        path: Where it lies, for messages.
+
+    Raises:
+        WeightsUnusableError: If it is damaged, or its header is none.
+    """
+    length = int.from_bytes(data[:8], "little")
+    if length > MAX_HEADER_BYTES:
+        raise WeightsUnusableError(
+            f"{what} damaged: a header of {length:,} bytes, and at most {MAX_HEADER_BYTES:,} are "
+            f"read ({path})"
+        )
     try:
-        tensors: dict[str, Tensor] = safetensors.torch.load(path.read_bytes())
-    except safetensors.SafetensorError as error:
-        raise WeightsUnusableError(f"the checkpoint is damaged: {error} ({path})") from error
+        tensors: dict[str, Tensor] = safetensors.torch.load(data)
+    except (safetensors.SafetensorError, *_DAMAGED) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
+        raise WeightsUnusableError(f"{what} damaged: {reason} ({path})") from error
     return tensors
 
 
-def _load(path: Path, *, convert: bool) -> Any:
-    try:
-        if zipfile.is_zipfile(path) and _is_program(path):
+def _load(data: bytes, path: Path, *, convert: bool) -> Any:
+    if data.startswith(_ARCHIVE):
+        members = check_archive(io.BytesIO(data), source=path)
+        if any(member.name == "constants.pkl" for member in members):
             raise WeightsUnusableError(f"this is a TorchScript program, not a checkpoint ({path})")
+        for member in members:
+            if member.name == "data.pkl":
+                check_pickle(member.read(), convert=convert, source=path)
+    else:
+        check_legacy(data, convert=convert, source=path)
+    try:
         with (
             torch.serialization.safe_globals(list(STAND_INS) if convert else []),
             warnings.catch_warnings(action="ignore"),
         ):
-            return torch.load(path, map_location="cpu", weights_only=True)
+            # From memory: what was checked is what is read, and no archive of tar is looked for.
+            return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
     except _DAMAGED as error:
         named = _NAMED_GLOBAL.search(str(error))
-        if named is None:
-            raise WeightsUnusableError(
-                f"the checkpoint is damaged or no checkpoint: {_first_sentence(error)} ({path})"
-            ) from error
-        name = named[1] or named[2]
-        known = any(name == full.removeprefix("builtins.") for _, full in STAND_INS)
-        advice = (
-            "convert it with counterpoint weights import"
-            if known
-            else "only parameters, and the training state of known scripts, are taken"
-        )
+        if named is not None:
+            raise refused_name(named[1] or named[2], is_known=False, source=path) from error
         raise WeightsUnusableError(
-            f"the checkpoint wants to run {name}, which was refused and not run; {advice} ({path})"
+            f"the checkpoint is damaged or no checkpoint: {_first_sentence(error)} ({path})"
         ) from error
-
-
-def _is_program(path: Path) -> bool:
-    with zipfile.ZipFile(path) as archive:
-        return any(name.endswith("/constants.pkl") for name in archive.namelist())
 
 
 def _first_sentence(error: BaseException) -> str:

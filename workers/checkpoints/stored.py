@@ -8,19 +8,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Generic, Literal, TypeVar
 
-import safetensors
 import safetensors.torch
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from torch import Tensor, nn
 
 from workers.checkpoints.errors import WeightsUnusableError
 from workers.checkpoints.fitting import load_into
+from workers.checkpoints.model_files import MAX_TEXT_BYTES, read_regular
+from workers.checkpoints.published import read_safetensors
 
 
 class Card(BaseModel, ABC):
     """What every network's card says; those of the networks add what theirs needs."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     format_version: Literal[1] = 1
     network: str
@@ -107,19 +108,12 @@ def load(
         WeightsUnusableError: If a file is missing or damaged, or names, shapes or numbers do not
             fit; the message names the file and what differs.
     """
-    try:
-        said = path.with_suffix(".json").read_bytes()
-        packed = path.read_bytes()
-    except OSError as error:
-        raise WeightsUnusableError(
-            f"cannot read weights: {error.strerror or error}; a .safetensors and a .json file "
-            f"of one name are needed ({error.filename or path})"
-        ) from error
-    card = read_card(said, card_type, source=path.with_suffix(".json"))
-    try:
-        tensors = safetensors.torch.load(packed)
-    except safetensors.SafetensorError as error:
-        raise WeightsUnusableError(f"weights are damaged: {error} ({path})") from error
+    what = "the weights' .safetensors or .json"
+    card_path = path.with_suffix(".json")
+    said = read_regular(card_path, what=what, most=MAX_TEXT_BYTES)
+    packed = read_regular(path, what=what)
+    card = read_card(said, card_type, source=card_path)
+    tensors = read_safetensors(packed, what="weights are", path=path)
     net = build(card)
     load_into(net, tensors, source=path)
     return Stored(net.eval(), card, hashlib.sha256(said + packed).hexdigest())

@@ -4,8 +4,9 @@
 
 One multinomial logistic regression for each kind of contradiction, over the numbers of
 `evidence.py`, all of them between 0 and 1, so that a weight says what its evidence is worth. Fitted
-by `python -m workers.training.attribution` on logs with truth and written to `attribution.json`,
-with a card that says on what, and how well. An answer without a row has no chance.
+by `python -m workers.lab.training.attribution` on logs with truth and written to
+`attribution.json`, with a card that says on what, and how well. An answer without a row has no
+chance.
 """
 
 import json

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from schemas.arrays import NS_PER_S
 from schemas.contradiction import BESIDE_S, Instance, LabelledFrame, Scene
-from workers.visibility.in_boxes import counts_in_boxes, rows_said
+from workers.contradiction.in_boxes import counts_in_boxes, rows_said
 
 MARGIN_M: Final = 0.5
 """Boxes of half-seen things end short."""

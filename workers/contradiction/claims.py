@@ -7,7 +7,7 @@ import numpy as np
 
 from schemas.arrays import Labels, Points
 from schemas.labels import MotionLabel
-from workers.visibility.in_boxes import answers_around
+from workers.contradiction.in_boxes import answers_around
 
 AROUND_M: Final = 1.0
 """Rims lie within a metre of what they are rims of, and other road users seldom do."""

@@ -13,12 +13,12 @@ from schemas.labels import MotionLabel
 from workers.contradiction.before_after import at_other_times
 from workers.contradiction.evidence import Evidence
 from workers.contradiction.paths import path_of
+from workers.contradiction.rising_ground import RisingGround, share_of
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
 from workers.contradiction.surroundings import Surroundings
 from workers.contradiction.tracks import Track
 from workers.contradiction.unit import clip
 from workers.contradiction.whereabouts import Whereabouts, whereabouts_of
-from workers.visibility.rising_ground import RisingGround, share_of
 
 _FAR_M: Final = 80.0
 _TURN_RAD_PER_S: Final = 0.3

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S, Points, Transform
 from schemas.contradiction import LabelledFrame, Scene
 from workers.contradiction.before_after import moments
-from workers.geometry.se3 import inverse
-from workers.visibility.hiding import Shades, hidden_share, shades_of
-from workers.visibility.laid_over import Cells, Tiles, cells_in_box, tiled
-from workers.visibility.passes import moved_rows, returns_within
+from workers.contradiction.hiding import Shades, hidden_share, shades_of
+from workers.contradiction.laid_over import Cells, Tiles, cells_in_box, tiled
+from workers.points.passes import moved_rows, returns_within
+from workers.points.se3 import inverse
 
 EVERY_S: Final = 0.45
 """Between the frames that are asked: half a second at 10 Hz, jitter or not."""

@@ -10,7 +10,7 @@ from schemas.contradiction import Instance, LabelledFrame, Scene
 from schemas.labels import FrameLabels
 from schemas.overlay import NO_POSITION_CM, Overlay
 from workers.contradiction.strength import RankedTrack
-from workers.visibility.passes import in_centimetres
+from workers.points.passes import in_centimetres
 
 _REACH_M: Final = np.float32(327.0)
 

@@ -29,7 +29,7 @@ from schemas.contradiction import (
 )
 from schemas.score import MAX_RECORD_BYTES, MAX_TRACKS, KindTotal, Producers, SceneScore
 from schemas.task import Outcome
-from schemas.wire import encode
+from schemas.transport.wire import encode
 from schemas.work import Shard
 from workers.contradiction.reasons import WORTH_SAYING, class_word, reasons_of
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
@@ -47,7 +47,7 @@ class Versioned(Protocol):
 
 
 class Streams(Protocol):
-    """What of `workers.protocols.Parts` a record names."""
+    """What of `workers.parts.protocols.Parts` a record names."""
 
     @property
     def supervised(self) -> Versioned:

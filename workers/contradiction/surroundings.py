@@ -12,8 +12,8 @@ from schemas.contradiction import Instance, Scene
 from schemas.frame import OdometryState
 from workers.contradiction.before_after import CalledMoving, called_moving
 from workers.contradiction.glances import Glances
+from workers.contradiction.rising_ground import RisingGround
 from workers.contradiction.tracks import frame_period_s
-from workers.visibility.rising_ground import RisingGround
 
 
 @dataclass(frozen=True, slots=True, eq=False)

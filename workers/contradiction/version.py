@@ -6,7 +6,7 @@ from importlib import metadata, resources
 from typing import Final
 
 from workers.contradiction.attribution import FILE
-from workers.sources import source_digest
+from workers.sources import syntax_digest
 
 LIBRARIES: Final = ("numpy", "scikit-learn", "scipy")
 
@@ -18,7 +18,7 @@ def contradiction_version() -> str:
     Returns:
         `contradiction@` and twelve hexadecimal digits.
     """
-    digest = hashlib.sha256(source_digest("workers.contradiction", "workers.visibility").encode())
+    digest = hashlib.sha256(syntax_digest("workers.contradiction").encode())
     digest.update(resources.files("workers.contradiction").joinpath(FILE).read_bytes())
     for library in LIBRARIES:
         digest.update(f"{library}=={metadata.version(library)}\n".encode())

@@ -19,8 +19,8 @@ from schemas.arrays import NS_PER_S
 from schemas.contradiction import Instance, Scene
 from workers.contradiction.before_after import MOST
 from workers.contradiction.glances import Glances
+from workers.contradiction.laid_over import Cells, misfits
 from workers.contradiction.unit import clip
-from workers.visibility.laid_over import Cells, misfits
 
 NEAREST_S: Final = 0.4
 """Sooner, who walks is where he was."""

@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 
 from schemas.arrays import NS_PER_S, Transform
-from schemas.bucket import Bucket
 from schemas.errors import PermanentError
+from schemas.transport.bucket import Bucket
 from schemas.work import Recording
 from workers.ingest.camera_calibration import NoViewError, calibrations_in, camera_from_lidar
 from workers.ingest.camera_messages import (

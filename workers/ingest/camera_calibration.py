@@ -107,4 +107,7 @@ def _combined(stated: Calibration, placed: Transform) -> CameraCalibration:
         raise NoViewError("has a calibration without focal lengths")
     if not (stated.width > 0 and stated.height > 0):
         raise NoViewError("does not say how large its images are")
-    return CameraCalibration.of(projection, placed, width=stated.width, height=stated.height)
+    try:
+        return CameraCalibration.of(projection, placed, width=stated.width, height=stated.height)
+    except (ValueError, OverflowError) as error:
+        raise NoViewError("has a calibration with numbers that no camera has") from error

@@ -13,7 +13,14 @@ from workers.ingest.decoding import MessageUnreadableError, can_decode, decode_m
 from workers.ingest.messages import RawMessage
 from workers.ingest.transforms import member
 
-_NOT_AS_TYPED: Final = (KeyError, AttributeError, TypeError, ValueError, IndexError)
+_NOT_AS_TYPED: Final = (
+    KeyError,
+    AttributeError,
+    TypeError,
+    ValueError,
+    IndexError,
+    OverflowError,  # numbers in JSON that no float holds
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,7 +3,6 @@
 import zlib
 from collections.abc import Container, Iterator
 from dataclasses import dataclass
-from typing import Final
 
 import lz4.frame
 import zstandard
@@ -11,8 +10,10 @@ from mcap.opcode import Opcode
 
 from schemas.work import ChunkRef
 from workers.errors import ChunkUnreadableError
+from workers.ingest.limits import MAX_CHUNK_BYTES, MAX_CHUNK_RECORDS
 from workers.ingest.records import (
     HEADER_BYTES,
+    MESSAGE_FIELDS_BYTES,
     ChunkHeader,
     RecordMalformedError,
     chunk_header,
@@ -20,9 +21,6 @@ from workers.ingest.records import (
     record_header,
     walk,
 )
-
-MAX_CHUNK_BYTES: Final = 256 * 1024 * 1024
-"""A chunk that says it grows larger is refused; writers make them of 0.75 to 8 MiB."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,11 +31,13 @@ class StoredMessage:
         channel_id: Its channel, in the numbers of its part.
         log_time_ns: When it was recorded.
         data: Its payload, a view into the opened chunk.
+        offset: Where that begins in the opened chunk.
     """
 
     channel_id: int
     log_time_ns: int
     data: memoryview
+    offset: int
 
 
 def open_chunk(data: bytes | memoryview, ref: ChunkRef, *, key: str) -> memoryview:
@@ -66,6 +66,25 @@ def open_chunk(data: bytes | memoryview, ref: ChunkRef, *, key: str) -> memoryvi
     raise ChunkUnreadableError(key=key, offset=ref.offset, length=ref.length, problem=problem)
 
 
+def opened_bytes(data: bytes | memoryview, ref: ChunkRef) -> int:
+    """Read how many bytes a chunk says that it grows to; its own where it does not say."""
+    body = memoryview(data)[HEADER_BYTES:]
+    if ref.kind == "records":
+        return len(data)
+    try:
+        return chunk_header(body).uncompressed_bytes
+    except RecordMalformedError:
+        return len(data)
+
+
+def too_large(ref: ChunkRef, *, key: str) -> ChunkUnreadableError | None:
+    """Return the error of a reference to more bytes than any chunk has, which is not read."""
+    if ref.length <= MAX_CHUNK_BYTES:
+        return None
+    problem = f"it takes {ref.length} bytes, more than the {MAX_CHUNK_BYTES} allowed"
+    return ChunkUnreadableError(key=key, offset=ref.offset, length=ref.length, problem=problem)
+
+
 def messages_in(
     records: memoryview, channel_ids: Container[int] | None = None
 ) -> Iterator[StoredMessage]:
@@ -78,7 +97,12 @@ def messages_in(
     Raises:
         RecordMalformedError: At the first record that is none; those before it are good.
     """
-    for record in walk(records):
+    for number, record in enumerate(walk(records)):
+        if number == MAX_CHUNK_RECORDS:
+            raise RecordMalformedError(
+                f"it holds more than {MAX_CHUNK_RECORDS} records, and the rest is not read",
+                offset=record.offset,
+            )
         if record.opcode != Opcode.MESSAGE:
             continue
         try:
@@ -86,7 +110,8 @@ def messages_in(
         except RecordMalformedError as error:
             raise RecordMalformedError(error.problem, offset=record.offset) from None
         if channel_ids is None or channel_id in channel_ids:
-            yield StoredMessage(channel_id, log_time_ns, record.body[22:])
+            at = record.offset + HEADER_BYTES + MESSAGE_FIELDS_BYTES
+            yield StoredMessage(channel_id, log_time_ns, records[at : record.end], at)
 
 
 def _open(view: memoryview) -> memoryview:

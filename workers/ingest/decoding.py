@@ -20,6 +20,7 @@ from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
 
 from schemas.errors import PermanentError
 from schemas.work import Channel
+from workers.ingest.message_size import too_much_to_decode
 from workers.ingest.messages import RawMessage
 from workers.ingest.ros_definitions import ROS1_DEFINITIONS, ROS2_DEFINITIONS
 
@@ -34,6 +35,7 @@ NOT_DECODED: Final = (
     TypeError,
     LookupError,
     NotImplementedError,
+    ArithmeticError,  # numbers in JSON that no float holds
     RecursionError,  # JSON nested without end
 )
 """What the libraries raise on bytes that are not what the schema says."""
@@ -63,6 +65,10 @@ def decode_message(message: RawMessage) -> Any:
             are not what the schema says.
     """
     channel = message.channel
+    if problem := too_much_to_decode(channel, message.data):
+        raise MessageUnreadableError(
+            f"cannot decode message: {problem} ({channel.topic}, logged at {message.log_time_ns})"
+        )
     try:
         decode = _decoder(
             channel.message_encoding,

@@ -7,18 +7,19 @@ from typing import Final
 import numpy as np
 
 from schemas.work import ChunkRef, Damage
-from workers.errors import ChunkUnreadableError, CloudUnreadableError
+from workers.errors import ChunkUnreadableError
 from workers.ingest.chunk import messages_in
+from workers.ingest.damage import damaged_chunk
+from workers.ingest.earliest import EarliestClouds
 from workers.ingest.frames import frame_stamp_ns
+from workers.ingest.limits import MAX_SAMPLE_BYTES
 from workers.ingest.log_index import LogIndex
-from workers.ingest.messages import MAX_TIME_NS, RawMessage
-from workers.ingest.pointcloud import DecodedCloud, decode_cloud
+from workers.ingest.messages import MAX_TIME_NS
+from workers.ingest.pointcloud import DecodedCloud
 from workers.ingest.records import RecordMalformedError
-from workers.ingest.topics import Topic, chunks_of, ids_in
+from workers.ingest.scanned import ScannedChunks
+from workers.ingest.topics import Topic, chunks_of
 from workers.ingest.windows import StampBounds
-
-MAX_CLOUDS: Final = 16
-"""Clouds of one topic that are looked at; a chunk of small messages may hold hundreds."""
 
 _CLOCK_MARGIN_NS: Final = 50_000_000
 """What delays are allowed to vary beyond those seen, in logs where stamp and log time differ."""
@@ -125,17 +126,15 @@ def sample_topics(
         A sample for each topic of which a well-formed cloud was found, by topic.
     """
     samples: dict[str, Sample] = {}
-    opened: dict[tuple[int, int], list[RawMessage]] = {}
+    opened = ScannedChunks(index, candidates, damage)
+    share_bytes = MAX_SAMPLE_BYTES // max(len(candidates), 1)
     for topic in candidates:
-        found: list[RawMessage] = []
+        found = EarliestClouds(topic.channel, share_bytes)
         for chunk in chunks_of(topic.channel, index.parts):
             # Chunks may overlap: one that begins later may still hold an earlier message.
-            if found and chunk.ref.start_ns >= min(message.log_time_ns for message in found):
+            if found.first_ns is not None and chunk.ref.start_ns >= found.first_ns:
                 break
-            where = (chunk.ref.part, chunk.ref.offset)
-            if where not in opened:
-                opened[where] = _messages(index, chunk.ref, candidates, damage)
-            found += [each for each in opened[where] if each.channel is topic.channel]
+            found.add(opened.scan(chunk.ref))
         sample = _sample(topic, found)
         if sample.clouds:
             samples[topic.channel.topic] = sample
@@ -166,20 +165,23 @@ def true_times(
         index: Where to read it.
         ref: The chunk.
         apart_ns: A longer silence parts two stretches.
-        damage: What cannot be read is added here.
+        damage: What cannot be read, or was logged at no possible time, is added here.
 
     Returns:
         First and last log time of each stretch; none where that cannot be known.
     """
+    key = index.readers[ref.part].key
     times_ns: list[int] = []
+    impossible_ns: list[int] = []
     try:
-        times_ns.extend(
-            message.log_time_ns
-            for message in messages_in(index.open(ref))
-            if message.log_time_ns <= MAX_TIME_NS
-        )
+        for message in messages_in(index.open(ref)):
+            possible = message.log_time_ns <= MAX_TIME_NS
+            (times_ns if possible else impossible_ns).append(message.log_time_ns)
     except (ChunkUnreadableError, RecordMalformedError) as error:
-        damage.append(_damage(index, ref, error.problem))
+        damage.append(damaged_chunk(key, ref, error.problem))
+    if impossible_ns and not times_ns:  # else its shard reads it, and says so
+        what = f"all its messages say that they were logged at {impossible_ns[0]} ns or the like"
+        damage.append(damaged_chunk(key, ref, what))
     stretches: list[tuple[int, int]] = []
     for time_ns in sorted(times_ns):
         if stretches and time_ns - stretches[-1][1] <= apart_ns:
@@ -190,54 +192,26 @@ def true_times(
 
 
 def _add_later(index: LogIndex, sample: Sample, ref: ChunkRef) -> None:
-    later = _sample(sample.topic, _messages(index, ref, [sample.topic], []))
+    found = EarliestClouds(sample.topic.channel, MAX_SAMPLE_BYTES // 4)
+    found.add(ScannedChunks(index, [sample.topic], []).scan(ref))
+    later = _sample(sample.topic, found)
     sample.later_clouds += later.clouds
     sample.later_delays_ns += [
         log_time_ns - cloud.stamp_ns
         for cloud, log_time_ns in zip(later.clouds, later.log_times_ns, strict=True)
-        if cloud.stamp_ns
+        if 0 < cloud.stamp_ns <= MAX_TIME_NS
     ]
 
 
-def _messages(
-    index: LogIndex, ref: ChunkRef, topics: Sequence[Topic], damage: list[Damage]
-) -> list[RawMessage]:
-    channels = {
-        channel_id: topic.channel
-        for topic in topics
-        for channel_id in ids_in(topic.channel, ref.part)
-    }
-    found: list[RawMessage] = []
-    try:
-        for message in messages_in(index.open(ref), channels.keys()):
-            if message.log_time_ns <= MAX_TIME_NS:
-                channel = channels[message.channel_id]
-                found.append(RawMessage(channel, message.log_time_ns, message.data))
-    except (ChunkUnreadableError, RecordMalformedError) as error:
-        damage.append(_damage(index, ref, error.problem))
-    return found
-
-
-def _damage(index: LogIndex, ref: ChunkRef, what: str) -> Damage:
-    key = index.readers[ref.part].key
-    return Damage(key=key, offset=ref.offset, bytes=ref.length, what=what)
-
-
-def _sample(topic: Topic, messages: Sequence[RawMessage]) -> Sample:
+def _sample(topic: Topic, found: EarliestClouds) -> Sample:
     sample = Sample(topic)
     previous_ns: int | None = None
-    for message in sorted(messages, key=lambda each: each.log_time_ns):
-        if len(sample.clouds) == MAX_CLOUDS:
-            break
-        try:
-            cloud = decode_cloud(message)
-        except CloudUnreadableError:
-            continue  # mining reads it again and records the damage
+    for log_time_ns, cloud in found.clouds:
         header_ns = cloud.stamp_ns if cloud.stamp_ns <= MAX_TIME_NS else 0
         previous_ns = frame_stamp_ns(
-            header_ns, log_time_ns=message.log_time_ns, previous_stamp_ns=previous_ns
+            header_ns, log_time_ns=log_time_ns, previous_stamp_ns=previous_ns
         )
         sample.clouds.append(cloud)
-        sample.log_times_ns.append(message.log_time_ns)
+        sample.log_times_ns.append(log_time_ns)
         sample.stamps_ns.append(previous_ns)
     return sample

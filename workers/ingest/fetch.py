@@ -8,7 +8,8 @@ from typing import Final
 
 from schemas.work import ChunkRef
 from workers.errors import ChunkUnreadableError
-from workers.ingest.chunk import open_chunk
+from workers.ingest.chunk import open_chunk, opened_bytes, too_large
+from workers.ingest.limits import MAX_AHEAD_BYTES
 from workers.ingest.part import PartReader
 
 MAX_READ_BYTES: Final = 8 * 1024 * 1024
@@ -31,8 +32,18 @@ class OpenedChunk:
     error: ChunkUnreadableError | None = None
 
 
+@dataclass(slots=True, eq=False)
+class _Fetched:
+    """A chunk on its way: opened already, unless it is so large that it waits for its turn."""
+
+    opened: OpenedChunk | None = None
+    stored: memoryview | None = None
+
+
 def fetch_chunks(readers: Sequence[PartReader], refs: Sequence[ChunkRef]) -> Iterator[OpenedChunk]:
     """Yield the chunks in the order given; one thread fetches and opens those that come next.
+
+    Large ones are not fetched, or not opened, before all those before them are used up.
 
     Args:
         readers: One for each part of the recording; not to be used by others meanwhile.
@@ -43,16 +54,19 @@ def fetch_chunks(readers: Sequence[PartReader], refs: Sequence[ChunkRef]) -> Ite
         BucketUnreachableError: If the bucket does not answer.
     """
     fetcher = _Fetcher(readers)
-    coming: deque[Future[OpenedChunk]] = deque()
+    coming: deque[tuple[ChunkRef, Future[_Fetched]]] = deque()
     pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="fetch")
     try:
         for group in neighbours(refs):
             for ref in group:
-                coming.append(pool.submit(fetcher.open, ref, group))
-                if len(coming) > AHEAD:
-                    yield coming.popleft().result()
+                ahead = AHEAD if ref.length <= MAX_AHEAD_BYTES else 0
+                while coming and len(coming) > ahead:
+                    yield fetcher.take(*coming.popleft())
+                coming.append((ref, pool.submit(fetcher.fetch, ref, group)))
+                if len(coming) > ahead:
+                    yield fetcher.take(*coming.popleft())
         while coming:
-            yield coming.popleft().result()
+            yield fetcher.take(*coming.popleft())
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
 
@@ -79,13 +93,31 @@ class _Fetcher:
     readers: Sequence[PartReader]
     data: memoryview = field(default_factory=lambda: memoryview(b""))
 
-    def open(self, ref: ChunkRef, group: Sequence[ChunkRef]) -> OpenedChunk:
+    def fetch(self, ref: ChunkRef, group: Sequence[ChunkRef]) -> _Fetched:
+        """Read a chunk, and open it unless it is large."""
         reader, start = self.readers[ref.part], group[0].offset
+        if error := too_large(ref, key=reader.key):
+            return _Fetched(OpenedChunk(ref, memoryview(b""), error))
         if ref is group[0]:
             self.data = memoryview(b"")  # what the last group leaves is free before this one comes
             self.data = reader.fetch(start, group[-1].offset + group[-1].length - start)
         data = self.data[ref.offset - start :][: ref.length]
+        if ref.length > MAX_AHEAD_BYTES:
+            self.data = memoryview(b"")
+        if opened_bytes(data, ref) > MAX_AHEAD_BYTES:
+            return _Fetched(stored=data)
+        return _Fetched(self._open(ref, data))
+
+    def take(self, ref: ChunkRef, coming: Future[_Fetched]) -> OpenedChunk:
+        """Wait for a chunk, and open it now if that was put off."""
+        fetched = coming.result()
+        if fetched.opened is not None:
+            return fetched.opened
+        stored = memoryview(b"") if fetched.stored is None else fetched.stored
+        return self._open(ref, stored)
+
+    def _open(self, ref: ChunkRef, data: memoryview) -> OpenedChunk:
         try:
-            return OpenedChunk(ref, open_chunk(data, ref, key=reader.key))
+            return OpenedChunk(ref, open_chunk(data, ref, key=self.readers[ref.part].key))
         except ChunkUnreadableError as error:
             return OpenedChunk(ref, memoryview(b""), error)

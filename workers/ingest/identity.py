@@ -5,6 +5,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
+from schemas.bounds import MAX_NAME
+from schemas.printable import printable
 from workers.errors import LogUnusableError
 
 UNKNOWN: Final = "unknown"
@@ -15,11 +17,19 @@ _PLACEHOLDER: Final = re.compile(r"\{(\w+)\}")
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What travels in every scene score of a log."""
+    """What travels in every scene score of a log.
+
+    Attributes:
+        vehicle: Name of the car.
+        date: As it is written.
+        software_version: As it is written.
+        remarks: A sentence for each of them that was escaped or cut.
+    """
 
     vehicle: str = UNKNOWN
     date: str = UNKNOWN
     software_version: str = UNKNOWN
+    remarks: tuple[str, ...] = ()
 
 
 def identify(log_id: str, metadata: Iterable[Mapping[str, str]], *, path_template: str) -> Identity:
@@ -41,10 +51,17 @@ def identify(log_id: str, metadata: Iterable[Mapping[str, str]], *, path_templat
         )
     from_path = match_path(log_id, path_template)
     found: dict[str, str] = {}
+    remarks: list[str] = []
     for field in _FIELDS:
         recorded = [value for each in records if (value := each.get(field, "").strip())]
-        found[field] = recorded[0] if recorded else from_path.get(field, UNKNOWN)
-    return Identity(**found)
+        said = recorded[0] if recorded else from_path.get(field, UNKNOWN)
+        found[field] = printable(said, limit=MAX_NAME)
+        if found[field] != said:
+            remarks.append(
+                f"the {field.replace('_', ' ')} has {len(said)} characters, of which at most "
+                f"{MAX_NAME} are kept, and control characters only escaped"
+            )
+    return Identity(**found, remarks=tuple(remarks))
 
 
 def match_path(log_id: str, path_template: str) -> dict[str, str]:

@@ -1,7 +1,6 @@
 """What a part of a log holds and where, from its summary: one or two range reads, at most three."""
 
 import zlib
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, TypeVar
 
@@ -16,20 +15,35 @@ from mcap.records import (
     Statistics,
 )
 
-from schemas.work import ChunkRef, Damage
-from workers.errors import NotMcapError
+from schemas.bounds import MAX_INTEGER
+from schemas.work import ChunkRef
+from workers.errors import LogUnusableError, NotMcapError
+from workers.ingest.damage import DamageList, damaged
 from workers.ingest.footer import footer_of, read_tail
+from workers.ingest.limits import (
+    MAX_CHANNELS_BYTES,
+    MAX_CHUNKS,
+    MAX_COUNTED,
+    MAX_METADATA_BYTES,
+    MAX_SCHEMA_BYTES,
+    MAX_SCHEMAS_BYTES,
+    MAX_SMALL_BYTES,
+    MAX_SUMMARY_RECORDS,
+)
 from workers.ingest.part import PartReader
 from workers.ingest.records import (
     FOOTER_BYTES,
     HEADER_BYTES,
     MAGIC,
+    Record,
     RecordMalformedError,
     parse,
     walk,
 )
 
 MAX_SUMMARY_BYTES: Final = 128 * 1024 * 1024
+"""A longer summary is not believed."""
+
 MAX_METADATA_SPAN_BYTES: Final = 4 * 1024 * 1024
 METADATA_NAMES: Final = ("counterpoint.log", "counterpoint.classes")
 """The metadata records that mean something here."""
@@ -48,7 +62,7 @@ class IndexedChunk:
     """
 
     ref: ChunkRef
-    counts: Mapping[int, int] | None
+    counts: dict[int, int] | None
 
     def may_hold(self, channel_ids: frozenset[int]) -> bool:
         """Whether messages of these channels may lie inside."""
@@ -77,9 +91,68 @@ class PartIndex:
     chunks: list[IndexedChunk] = field(default_factory=list)
     metadata: list[Metadata] = field(default_factory=list)
     message_counts: dict[int, int] = field(default_factory=dict)
-    damage: list[Damage] = field(default_factory=list)
+    damage: DamageList = field(default_factory=DamageList)
     recovered: bool = False
     closed: bool = True
+    _channels_bytes: int = 0
+    _schemas_bytes: int = 0
+    _metadata_bytes: int = 0
+
+    def add_chunk(self, chunk: IndexedChunk) -> None:
+        """Add a chunk.
+
+        Raises:
+            LogUnusableError: If there are more than any recording has.
+        """
+        if len(self.chunks) >= MAX_CHUNKS:
+            raise too_many_chunks()
+        self.chunks.append(chunk)
+
+    def add_record(self, record: Record) -> None:
+        """Add a schema or a channel that is not known yet; what else it is does not matter.
+
+        Raises:
+            RecordMalformedError: If it is none, or if there are more than any log has.
+        """
+        if record.opcode == Opcode.SCHEMA:
+            check_size(record.opcode, len(record.body))
+            schema = parse(Schema, record.body)
+            if schema.id not in self.schemas:
+                self._schemas_bytes += len(record.body)
+                if self._schemas_bytes > MAX_SCHEMAS_BYTES:
+                    raise RecordMalformedError(f"its schemas take over {MAX_SCHEMAS_BYTES} bytes")
+                self.schemas[schema.id] = schema
+        elif record.opcode == Opcode.CHANNEL:
+            check_size(record.opcode, len(record.body))
+            channel = parse(Channel, record.body)
+            if channel.id not in self.channels:
+                self._channels_bytes += len(record.body)
+                if self._channels_bytes > MAX_CHANNELS_BYTES:
+                    raise RecordMalformedError(f"its channels take over {MAX_CHANNELS_BYTES} bytes")
+                self.channels[channel.id] = channel
+
+    def add_metadata(self, metadata: Metadata, length: int) -> None:
+        """Add a metadata record that means something here.
+
+        Raises:
+            RecordMalformedError: If they take more bytes than those of any log.
+        """
+        self._metadata_bytes += length
+        if self._metadata_bytes > MAX_METADATA_BYTES:
+            raise RecordMalformedError(f"they take over {MAX_METADATA_BYTES} bytes together")
+        self.metadata.append(metadata)
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkEntry:
+    """A chunk as the summary names it; times are not more than a database keeps."""
+
+    offset: int
+    length: int
+    index_bytes: int
+    start_ns: int
+    end_ns: int
+    counts: dict[int, int] | None
 
 
 @dataclass(slots=True, eq=False)
@@ -87,9 +160,9 @@ class Summary:
     """The records of a summary section, and where the data section before it ends."""
 
     start: int
-    schemas: list[Schema] = field(default_factory=list)
-    channels: list[Channel] = field(default_factory=list)
-    chunk_indexes: list[ChunkIndex] = field(default_factory=list)
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    chunk_indexes: list[ChunkEntry] = field(default_factory=list)
     attachment_indexes: list[AttachmentIndex] = field(default_factory=list)
     metadata_indexes: list[MetadataIndex] = field(default_factory=list)
     statistics: Statistics | None = None
@@ -104,6 +177,7 @@ def read_summary(reader: PartReader) -> Summary | None:
     Raises:
         NotMcapError: If the object neither begins nor ends as an MCAP file does.
         RecordMalformedError: If there is a summary and it is damaged; the offset is the part's.
+        LogUnusableError: If it names more than any recording has.
     """
     tail = read_tail(reader)
     if bytes(tail[-len(MAGIC) :]) != MAGIC:
@@ -132,27 +206,31 @@ def read_summary(reader: PartReader) -> Summary | None:
 def index_of(summary: Summary, reader: PartReader) -> PartIndex:
     """Make a part's index from its summary; metadata may cost a read more."""
     index = PartIndex(number=reader.number)
-    for schema in summary.schemas:
-        index.schemas.setdefault(schema.id, schema)
-    for channel in summary.channels:
-        index.channels.setdefault(channel.id, channel)
+    index.schemas, index.channels = summary.schemas, summary.channels
     seen: set[int] = set()
-    for entry in sorted(summary.chunk_indexes, key=lambda each: each.chunk_start_offset):
-        offset, length = entry.chunk_start_offset, entry.chunk_length
+    for entry in sorted(summary.chunk_indexes, key=lambda each: each.offset):
+        offset, length = entry.offset, entry.length
         if offset in seen:
             continue
         seen.add(offset)
         if offset < len(MAGIC) or length <= HEADER_BYTES or offset + length > summary.start:
             index.damage.append(
-                Damage(
+                damaged(
                     key=reader.key,
                     offset=min(offset, reader.size),
-                    bytes=0,
+                    length=0,
                     what="the index names a chunk outside the data of the file",
                 )
             )
             continue
-        index.chunks.append(_indexed_chunk(entry, reader.number))
+        ref = ChunkRef(
+            part=reader.number,
+            offset=offset,
+            length=length,
+            start_ns=entry.start_ns,
+            end_ns=entry.end_ns,
+        )
+        index.add_chunk(IndexedChunk(ref=ref, counts=entry.counts))
     if summary.statistics is not None:
         index.message_counts = dict(summary.statistics.channel_message_counts)
     read_metadata(summary, reader, index)
@@ -161,42 +239,73 @@ def index_of(summary: Summary, reader: PartReader) -> PartIndex:
 
 def read_metadata(summary: Summary, reader: PartReader, index: PartIndex) -> None:
     """Read the metadata records that mean something here, those that lie together in one read."""
-    wanted = sorted(
-        (each for each in summary.metadata_indexes if each.name in METADATA_NAMES),
-        key=lambda each: each.offset,
-    )
+    by_offset = {
+        each.offset: each for each in summary.metadata_indexes if each.name in METADATA_NAMES
+    }
+    wanted = [by_offset[offset] for offset in sorted(by_offset)]
     if not wanted:
         return
     first, last = wanted[0].offset, max(each.offset + each.length for each in wanted)
     if last <= reader.size and last - first <= MAX_METADATA_SPAN_BYTES:
         reader.read(first, last - first)
+    left_bytes = MAX_METADATA_BYTES
     for each in wanted:
+        left_bytes -= each.length
         try:
+            if left_bytes < 0:
+                raise RecordMalformedError(f"they take over {MAX_METADATA_BYTES} bytes together")
             if each.length > MAX_METADATA_SPAN_BYTES:
                 raise RecordMalformedError("a metadata record is too large to be one")
             record = _single(reader.read(each.offset, each.length), Opcode.METADATA)
-            index.metadata.append(parse(Metadata, record))
+            index.add_metadata(parse(Metadata, record), each.length)
         except RecordMalformedError as error:
             index.damage.append(
-                Damage(
+                damaged(
                     key=reader.key,
                     offset=min(each.offset, reader.size),
-                    bytes=0,
+                    length=0,
                     what=f"metadata record {each.name!r} cannot be read: {error.problem}",
                 )
             )
 
 
+def too_many_chunks() -> LogUnusableError:
+    """Make the error of a recording with more chunks than planning can hold."""
+    return LogUnusableError(
+        f"the recording has more than {MAX_CHUNKS} chunks: write larger chunks, or split it"
+    )
+
+
+def check_size(opcode: int, length: int) -> None:
+    """Refuse a record that is larger than any of its kind.
+
+    Raises:
+        RecordMalformedError: If it is; parsing it could take a hundred times its bytes.
+    """
+    large = opcode in (Opcode.SCHEMA, Opcode.METADATA)
+    if length > (MAX_SCHEMA_BYTES if large else MAX_SMALL_BYTES):
+        raise RecordMalformedError("a record of this kind is never so large")
+
+
 def _summary(start: int, section: memoryview) -> Summary:
     summary = Summary(start=start)
-    for record in walk(section):
+    described = PartIndex(number=0)
+    counted = 0
+    for number, record in enumerate(walk(section)):
+        if number == MAX_SUMMARY_RECORDS:
+            raise LogUnusableError(
+                f"the summary has more than {MAX_SUMMARY_RECORDS} records: split the recording"
+            )
+        check_size(record.opcode, len(record.body))
         match record.opcode:
-            case Opcode.SCHEMA:
-                summary.schemas.append(parse(Schema, record.body))
-            case Opcode.CHANNEL:
-                summary.channels.append(parse(Channel, record.body))
+            case Opcode.SCHEMA | Opcode.CHANNEL:
+                described.add_record(record)
             case Opcode.CHUNK_INDEX:
-                summary.chunk_indexes.append(parse(ChunkIndex, record.body))
+                entry = _chunk_entry(parse(ChunkIndex, record.body))
+                counted += len(entry.counts or ())
+                if len(summary.chunk_indexes) >= MAX_CHUNKS or counted > MAX_COUNTED:
+                    raise too_many_chunks()
+                summary.chunk_indexes.append(entry)
             case Opcode.ATTACHMENT_INDEX:
                 summary.attachment_indexes.append(parse(AttachmentIndex, record.body))
             case Opcode.METADATA_INDEX:
@@ -205,19 +314,18 @@ def _summary(start: int, section: memoryview) -> Summary:
                 summary.statistics = parse(Statistics, record.body)
             case _:
                 pass
+    summary.schemas, summary.channels = described.schemas, described.channels
     return summary
 
 
-def _indexed_chunk(entry: ChunkIndex, part: int) -> IndexedChunk:
+def _chunk_entry(entry: ChunkIndex) -> ChunkEntry:
     start, end = sorted((entry.message_start_time, entry.message_end_time))
-    return IndexedChunk(
-        ref=ChunkRef(
-            part=part,
-            offset=entry.chunk_start_offset,
-            length=entry.chunk_length,
-            start_ns=start,
-            end_ns=end,
-        ),
+    return ChunkEntry(
+        offset=entry.chunk_start_offset,
+        length=entry.chunk_length,
+        index_bytes=entry.message_index_length,
+        start_ns=min(start, MAX_INTEGER),
+        end_ns=min(end, MAX_INTEGER),
         counts=_counts(entry),
     )
 

@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.arrays import NS_PER_S
-from schemas.bucket import Bucket
 from schemas.mining import MiningSettings
+from schemas.transport.bucket import Bucket
 from schemas.work import Channel, ChunkRef, Damage, LogPlan, Recording
 from workers.errors import CloudUnreadableError
 from workers.ingest.chunk import messages_in
+from workers.ingest.damage import DamageList, damaged, damaged_chunk
 from workers.ingest.fetch import OpenedChunk, fetch_chunks
 from workers.ingest.log_index import LogIndex, index_recording
 from workers.ingest.messages import RawMessage
@@ -167,7 +168,7 @@ class _Found:
 
     counts: Counter[tuple[int, int]] = field(default_factory=Counter)
     clouds: int = 0
-    damage: list[Damage] = field(default_factory=list)
+    damage: DamageList = field(default_factory=DamageList)
 
 
 def _verify(
@@ -201,7 +202,7 @@ def _verify_chunk(
 ) -> None:
     ref = opened.ref
     if opened.error is not None:
-        found.damage.append(_damage(key, ref, opened.error.problem))
+        found.damage.append(damaged_chunk(key, ref, opened.error.problem))
         return
     nameless = 0
     try:
@@ -213,10 +214,10 @@ def _verify_chunk(
                 message = RawMessage(lidars[where], stored.log_time_ns, stored.data)
                 found.clouds += _is_well_formed(message, key, ref, found.damage)
     except RecordMalformedError as error:
-        found.damage.append(_damage(key, ref, error.problem))
+        found.damage.append(damaged_chunk(key, ref, error.problem))
     if nameless:
         problem = f"{nameless} messages of channels whose records are lost"
-        found.damage.append(_damage(key, ref, problem))
+        found.damage.append(damaged_chunk(key, ref, problem))
 
 
 def _is_well_formed(message: RawMessage, key: str, ref: ChunkRef, damage: list[Damage]) -> bool:
@@ -224,13 +225,9 @@ def _is_well_formed(message: RawMessage, key: str, ref: ChunkRef, damage: list[D
         decode_cloud(message)
     except CloudUnreadableError as error:
         what = str(error)
-        damage.append(Damage(key=key, offset=ref.offset, bytes=len(message.data), what=what))
+        damage.append(damaged(key=key, offset=ref.offset, length=len(message.data), what=what))
         return False
     return True
-
-
-def _damage(key: str, ref: ChunkRef, what: str) -> Damage:
-    return Damage(key=key, offset=ref.offset, bytes=ref.length, what=what)
 
 
 def _is_mined(topic: Topic, plan: LogPlan) -> bool:

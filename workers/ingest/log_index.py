@@ -1,17 +1,18 @@
 """The index of a whole recording: each part's summary where it can be believed, else rebuilt."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
-from mcap.opcode import Opcode
-from mcap.records import Channel, Schema
+from mcap.records import Channel
 
 from schemas.arrays import NS_PER_S
-from schemas.bucket import Bucket
+from schemas.transport.bucket import Bucket
 from schemas.work import ChunkRef, Damage, Recording
 from workers.errors import ChunkUnreadableError, NotMcapError
-from workers.ingest.chunk import messages_in, open_chunk
+from workers.ingest.chunk import messages_in, open_chunk, opened_bytes, too_large
+from workers.ingest.damage import DamageList, damaged
+from workers.ingest.effort import Effort
 from workers.ingest.footer import (
     StillGrowingError,
     TruncatedPart,
@@ -19,9 +20,17 @@ from workers.ingest.footer import (
     is_closed,
     read_tail,
 )
-from workers.ingest.index import IndexedChunk, PartIndex, Summary, index_of, read_summary
+from workers.ingest.index import (
+    IndexedChunk,
+    PartIndex,
+    Summary,
+    index_of,
+    read_summary,
+    too_many_chunks,
+)
+from workers.ingest.limits import MAX_CHUNK_RECORDS, MAX_CHUNKS
 from workers.ingest.part import PartReader
-from workers.ingest.records import MAGIC, RecordMalformedError, parse, walk
+from workers.ingest.records import MAGIC, RecordMalformedError, count_records, walk
 from workers.ingest.recover import hop, recover
 
 UNEXPLAINED_BYTES: Final = 64 * 1024
@@ -42,11 +51,13 @@ class LogIndex:
         recording: Its objects.
         readers: One for each part.
         parts: One for each part.
+        effort: What planning may still open.
     """
 
     recording: Recording
     readers: tuple[PartReader, ...]
     parts: tuple[PartIndex, ...]
+    effort: Effort = field(default_factory=Effort)
 
     @property
     def range_reads(self) -> int:
@@ -86,9 +97,10 @@ class LogIndex:
         """Read and open a chunk.
 
         Raises:
-            ChunkUnreadableError: If its bytes are not what they should be.
+            ChunkUnreadableError: If its bytes are not what they should be, or if planning has
+                opened as much as it may.
         """
-        return open_from(self.readers[ref.part], ref)
+        return open_from(self.readers[ref.part], ref, self.effort)
 
 
 def index_recording(bucket: Bucket, recording: Recording, *, settled: bool = True) -> LogIndex:
@@ -101,9 +113,11 @@ def index_recording(bucket: Bucket, recording: Recording, *, settled: bool = Tru
 
     Raises:
         NotMcapError: If no part is an MCAP file.
+        LogUnusableError: If it has more chunks than planning can hold.
         StillGrowingError: If a part has no valid footer, and the recording is not settled.
         ObjectChangedError: If a part is no longer what was listed.
     """
+    effort = Effort()
     readers = tuple(PartReader(bucket, part, number) for number, part in enumerate(recording.parts))
     for reader in () if settled else readers:
         if not is_closed(reader):
@@ -112,54 +126,67 @@ def index_recording(bucket: Bucket, recording: Recording, *, settled: bool = Tru
     refused: list[NotMcapError] = []
     for reader in readers:
         try:
-            parts.append(_index_part(reader))
+            parts.append(_index_part(reader, effort))
         except NotMcapError as error:
             refused.append(error)
-            damage = Damage(key=reader.key, offset=0, bytes=reader.size, what=str(error))
-            parts.append(PartIndex(number=reader.number, damage=[damage]))
+            damage = damaged(key=reader.key, offset=0, length=reader.size, what=str(error))
+            parts.append(PartIndex(number=reader.number, damage=DamageList([damage])))
+        if sum(len(part.chunks) for part in parts) > MAX_CHUNKS:
+            raise too_many_chunks()
     if len(refused) == len(readers):
         raise refused[0]
-    return LogIndex(recording, readers, tuple(parts))
+    return LogIndex(recording, readers, tuple(parts), effort)
 
 
-def open_from(reader: PartReader, ref: ChunkRef) -> memoryview:
+def open_from(reader: PartReader, ref: ChunkRef, effort: Effort) -> memoryview:
     """Read and open a chunk of one part.
 
     Raises:
-        ChunkUnreadableError: If its bytes are not what they should be.
+        ChunkUnreadableError: If its bytes are not what they should be, or if the effort is spent.
     """
-    return open_chunk(reader.read(ref.offset, ref.length), ref, key=reader.key)
+    if error := too_large(ref, key=reader.key):
+        raise error
+    if problem := effort.spent:
+        raise ChunkUnreadableError(
+            key=reader.key, offset=ref.offset, length=ref.length, problem=problem
+        )
+    data = reader.read(ref.offset, ref.length)
+    effort.stored_bytes -= ref.length
+    effort.opened_bytes -= opened_bytes(data, ref)
+    records = open_chunk(data, ref, key=reader.key)
+    effort.records -= count_records(records, most=MAX_CHUNK_RECORDS)
+    return records
 
 
-def _index_part(reader: PartReader) -> PartIndex:
+def _index_part(reader: PartReader, effort: Effort) -> PartIndex:
     try:
         summary = read_summary(reader)
     except RecordMalformedError as error:
-        index = recover(reader)
+        index = recover(reader, effort)
         index.damage.append(
-            Damage(
+            damaged(
                 key=reader.key,
                 offset=min(error.offset, reader.size),
-                bytes=0,
+                length=0,
                 what=f"{error.problem}: the file was looked through instead",
             )
         )
     else:
         if summary is None:
-            index = recover(reader)
+            index = recover(reader, effort)
         else:
             index = index_of(summary, reader)
             indexed, counted = _messages_indexed(index), _messages_counted(summary)
             if indexed is None or indexed != counted:
                 certain = not index.chunks or (indexed is not None and counted is not None)
-                _look_through_gaps(reader, index, summary, thoroughly=certain)
+                _look_through_gaps(reader, index, summary, effort, thoroughly=certain)
     index.closed = not index.recovered or footer_of(read_tail(reader)) is not None
     # Of a chunk that is both indexed and found, the index comes first and stays.
     by_offset: dict[int, IndexedChunk] = {}
     for chunk in index.chunks:
         by_offset.setdefault(chunk.ref.offset, chunk)
     index.chunks = [by_offset[offset] for offset in sorted(by_offset)]
-    _learn_channels(reader, index)
+    _learn_channels(reader, index, effort)
     return index
 
 
@@ -179,21 +206,21 @@ def _messages_indexed(index: PartIndex) -> int | None:
 
 
 def _look_through_gaps(
-    reader: PartReader, index: PartIndex, summary: Summary, *, thoroughly: bool
+    reader: PartReader, index: PartIndex, summary: Summary, effort: Effort, *, thoroughly: bool
 ) -> None:
     """Look for messages where no index explains the bytes; short stretches only if thoroughly."""
     believed = {chunk.ref.offset for chunk in index.chunks}
     known = [(each.offset, each.offset + each.length) for each in summary.attachment_indexes]
     known += [
-        (entry.chunk_start_offset, entry.chunk_start_offset + entry.chunk_length + after)
+        (entry.offset, entry.offset + entry.length + after)
         for entry in summary.chunk_indexes
-        for after in [min(entry.message_index_length, MAX_MESSAGE_INDEX_BYTES)]
-        if entry.chunk_start_offset in believed
+        for after in [min(entry.index_bytes, MAX_MESSAGE_INDEX_BYTES)]
+        if entry.offset in believed
     ]
     for start, end in _gaps(known, start=len(MAGIC), end=summary.start):
         worth = thoroughly or end - start > UNEXPLAINED_BYTES
         if worth or reader.held(start, end - start) is not None:
-            hop(reader, index, start=start, end=end)
+            hop(reader, index, effort, start=start, end=end)
 
 
 def _gaps(known: Iterable[tuple[int, int]], *, start: int, end: int) -> Iterator[tuple[int, int]]:
@@ -205,7 +232,7 @@ def _gaps(known: Iterable[tuple[int, int]], *, start: int, end: int) -> Iterator
         yield start, end
 
 
-def _learn_channels(reader: PartReader, index: PartIndex) -> None:
+def _learn_channels(reader: PartReader, index: PartIndex, effort: Effort) -> None:
     """Open chunks whose channels are named nowhere else, until all that can be known is."""
     opened_bytes = 0
     for number, chunk in enumerate(index.chunks):
@@ -215,7 +242,7 @@ def _learn_channels(reader: PartReader, index: PartIndex) -> None:
             continue
         opened_bytes += chunk.ref.length
         try:
-            records = open_from(reader, chunk.ref)
+            records = open_from(reader, chunk.ref, effort)
         except ChunkUnreadableError:
             continue  # whoever needs its messages reads it again and records the damage
         counts: dict[int, int] = {}
@@ -243,10 +270,7 @@ def _lacks_schema(index: PartIndex, channel: Channel) -> bool:
 
 
 def _learn(records: memoryview, index: PartIndex) -> None:
-    for record in walk(records):
-        if record.opcode == Opcode.SCHEMA:
-            schema = parse(Schema, record.body)
-            index.schemas.setdefault(schema.id, schema)
-        elif record.opcode == Opcode.CHANNEL:
-            channel = parse(Channel, record.body)
-            index.channels.setdefault(channel.id, channel)
+    for number, record in enumerate(walk(records)):
+        if number == MAX_CHUNK_RECORDS:
+            return  # whoever reads the messages records that as damage
+        index.add_record(record)

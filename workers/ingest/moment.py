@@ -2,18 +2,22 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import Final, TypeVar
 
 from workers.errors import ChunkUnreadableError
 from workers.ingest.chunk import messages_in
 from workers.ingest.decoding import MessageUnreadableError
 from workers.ingest.index import IndexedChunk
+from workers.ingest.limits import MAX_MOMENT_BYTES
 from workers.ingest.log_index import LogIndex
 from workers.ingest.messages import RawMessage
 from workers.ingest.records import RecordMalformedError
 from workers.ingest.topics import Topic, chunks_of, ids_in
 
 Decoded = TypeVar("Decoded")
+
+_OVERHEAD_BYTES: Final = 300
+"""Memory of a message beside its payload."""
 
 
 @dataclass(slots=True, eq=False)
@@ -32,6 +36,7 @@ class Moment:
     log_time_ns: int
     reach_ns: int
     _opened: dict[tuple[int, int], list[RawMessage]] = field(default_factory=dict)
+    _left_bytes: int = MAX_MOMENT_BYTES
 
     def near(self, topic: Topic) -> list[RawMessage]:
         """Messages in the chunks within reach, else in the nearest one; nearest first."""
@@ -65,6 +70,9 @@ class Moment:
         try:
             for stored in messages_in(self.index.open(chunk.ref), channels.keys()):
                 channel = channels[stored.channel_id]
+                self._left_bytes -= len(stored.data) + _OVERHEAD_BYTES
+                if self._left_bytes < 0:
+                    return found
                 found.append(RawMessage(channel, stored.log_time_ns, bytes(stored.data)))
         except (ChunkUnreadableError, RecordMalformedError):
             return found  # mining has recorded the damage; what was read before it is good

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Final
 
-from schemas.bucket import Bucket
+from schemas.transport.bucket import Bucket
 from schemas.work import Part
 
 MAX_HELD_BYTES: Final = 16 * 1024 * 1024

@@ -4,33 +4,33 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from schemas.arrays import NS_PER_S
-from schemas.bucket import Bucket
+from schemas.bounds import MAX_PLAN_BYTES, MAX_TEXT
 from schemas.camera import RECORDED, CameraCalibration
 from schemas.mining import MiningSettings
+from schemas.printable import printable
+from schemas.transport.bucket import Bucket
 from schemas.work import Channel, ChunkRef, Damage, LogPlan, RecordedSource, Recording, Shard
 from workers.errors import LogUnusableError, NotMcapError
 from workers.ingest.camera_calibration import find_calibration
-from workers.ingest.evidence import Sample, sample_end, sample_middle, sample_topics, true_times
+from workers.ingest.damage import DamageList, damaged
+from workers.ingest.evidence import Sample, sample_end, sample_middle, sample_topics
 from workers.ingest.footer import TruncatedPart
 from workers.ingest.frames import intensity_scale_of
 from workers.ingest.identity import METADATA_RECORD, Identity, identify
 from workers.ingest.lidar import choose_lidars, lidar_evidence
+from workers.ingest.limits import MAX_CLOUD_TOPICS
 from workers.ingest.log_index import LogIndex, index_recording
-from workers.ingest.messages import MAX_TIME_NS
 from workers.ingest.pointcloud import is_cloud, unsupported_reason
 from workers.ingest.recorded_labels import CLASSES_RECORD, find_labels, find_recorded_source
 from workers.ingest.recorded_motion import find_motion
-from workers.ingest.topics import Topic, chunks_of, count_in, topics_of
+from workers.ingest.spans import motion_spans, spans_of, spans_within_reach
+from workers.ingest.topics import Topic, topics_of
 from workers.ingest.windows import Span, Spans, cut_windows
 
 MAX_INDEX_READS: Final = 3
 """Of each part; where fewer were enough, a look at the end of the log is affordable."""
 
 MAX_NAMED_TOPICS: Final = 20
-
-DOUBTFUL_CHUNK_NS: Final = 10 * NS_PER_S
-"""A chunk that spans longer, and stands out by it, is opened to see its times."""
 
 MOST_FOR_MOTION: Final = 0.1
 """Of the bytes that a shard reads anyway: chunks that hold recorded motion but no clouds are read
@@ -66,8 +66,8 @@ def plan_recording(
     """
     try:
         index = index_recording(bucket, recording, settled=settled)
-    except NotMcapError as error:
-        return LogPlan(log_id=recording.log_id, refused=str(error))
+    except (NotMcapError, LogUnusableError) as error:
+        return LogPlan(log_id=recording.log_id, refused=printable(str(error), limit=MAX_TEXT))
     for part in index.truncated:
         on_truncated(part)
     return plan_index(index, settings, on_unread_labels=on_unread_labels)
@@ -80,18 +80,27 @@ def plan_index(
     on_unread_labels: Callable[[str], None] = lambda topic: None,
 ) -> LogPlan:
     """Plan a recording whose index is known; the arguments are those of `plan_recording`."""
-    topics = topics_of(index.parts)
-    damage: list[Damage] = []
+    damage = DamageList()
+    left_out: list[str] = []
+
+    def leave_out(channel: Channel, why: str) -> None:
+        if is_cloud(channel):
+            left_out.append(f"the topic {channel.topic} {why}: it is not mined")
+
+    topics = topics_of(index.parts, on_left_out=leave_out)
     identity = Identity()
     chosen: list[Sample] = []
     shards: list[Shard] = []
     refused = ""
+    plan_bytes = 0
     try:
         identity = identify(
             index.recording.log_id,
             index.metadata(METADATA_RECORD),
             path_template=settings.path_template,
         )
+        for remark in (*left_out, *identity.remarks):
+            damage.append(damaged(key=index.readers[0].key, offset=0, length=0, what=remark))
         samples = sample_topics(index, _candidates(topics, settings), damage)
         chosen = _choose(index, samples, topics, settings, damage)
         for sample in chosen:
@@ -109,9 +118,16 @@ def plan_index(
             camera = _camera(index, topics, sample, settings)
             motion = find_motion(topics, settings.odometry_topic)
             lidar = _Lidar(channel, anchor_ns, recorded, motion, camera, identity)
-            shards += _shards(index, lidar, sample, samples, settings, damage)
+            for shard in _shards(index, lidar, sample, samples, settings, damage):
+                plan_bytes += len(shard.model_dump_json())
+                if plan_bytes > MAX_PLAN_BYTES:
+                    raise LogUnusableError(
+                        f"its plan would take more than {MAX_PLAN_BYTES} bytes: its chunks are too "
+                        "many, or their times lie; split the recording, or repair its index"
+                    )
+                shards.append(shard)
     except LogUnusableError as error:
-        refused, shards = str(error), []
+        refused, shards = printable(str(error), limit=MAX_TEXT), []
     return LogPlan(
         log_id=index.recording.log_id,
         vehicle=identity.vehicle,
@@ -119,7 +135,7 @@ def plan_index(
         software_version=identity.software_version,
         lidar_topics=tuple(sample.topic.channel.topic for sample in chosen),
         shards=tuple(shards),
-        damage=(*index.damage, *_not_in_shards(damage, shards, index)),
+        damage=tuple(DamageList((*index.damage, *_not_in_shards(damage, shards, index)))),
         truncated_parts=sum(1 for _ in index.truncated),
         refused=refused,
         range_reads=index.range_reads,
@@ -150,6 +166,13 @@ def _candidates(topics: Sequence[Topic], settings: MiningSettings) -> list[Topic
     by_name = {
         topic.channel.topic: topic for topic in sorted(clouds, key=lambda topic: topic.messages)
     }
+    if len(by_name) > MAX_CLOUD_TOPICS and not settings.lidar_topic:
+        raise LogUnusableError(
+            f"{len(by_name)} topics hold point clouds, more than {MAX_CLOUD_TOPICS}: set "
+            "lidar_topic to the one to be mined"
+        )
+    for name in sorted(by_name.keys() - {wanted})[MAX_CLOUD_TOPICS:]:
+        del by_name[name]
     return [by_name[name] for name in sorted(by_name)]
 
 
@@ -251,17 +274,19 @@ def _shards(
     settings: MiningSettings,
     damage: list[Damage],
 ) -> Iterator[Shard]:
-    spans = _spans(index, sample, damage)
+    spans, anchor_ns = spans_within_reach(
+        index, sample, anchor_ns=lidar.anchor_ns, grid=settings.grid, damage=damage
+    )
     labels: list[Span] = []
     if lidar.recorded is not None and lidar.recorded.channel is not None:
-        labels = _spans(index, samples[lidar.recorded.channel.topic], damage)
+        labels = spans_of(index, samples[lidar.recorded.channel.topic], damage)
     scale = settings.intensity_scale or intensity_scale_of([*sample.clouds, *sample.later_clouds])
     chunks = Spans([*spans, *labels])
-    wider = Spans([*spans, *labels, *_motion_spans(index, lidar.motion, sample, spans)])
+    wider = Spans([*spans, *labels, *motion_spans(index, lidar.motion, sample, spans)])
     for window in cut_windows(
         spans,
         grid=settings.grid,
-        anchor_ns=lidar.anchor_ns,
+        anchor_ns=anchor_ns,
         least_step_ns=sample.least_step_ns,
         ahead_ns=settings.ahead_ns,
     ):
@@ -275,7 +300,7 @@ def _shards(
             recorded=lidar.recorded,
             motion=None if lidar.motion is None else _without_schema(lidar.motion),
             camera=lidar.camera,
-            anchor_ns=lidar.anchor_ns,
+            anchor_ns=anchor_ns,
             warmup_start_ns=window.warmup_start_ns,
             start_ns=window.start_ns,
             end_ns=window.end_ns,
@@ -294,61 +319,8 @@ def _shards(
         )
 
 
-def _spans(index: LogIndex, sample: Sample, damage: list[Damage]) -> list[Span]:
-    chunks = chunks_of(sample.topic.channel, index.parts)
-    lengths_ns = sorted(chunk.ref.end_ns - chunk.ref.start_ns for chunk in chunks)
-    usual_ns = lengths_ns[len(lengths_ns) // 2]
-    spans: list[Span] = []
-    for chunk in chunks:
-        messages = count_in(chunk, sample.topic.channel)
-        if _is_doubtful(chunk.ref, messages=messages, usual_ns=usual_ns):
-            stretches = true_times(index, chunk.ref, apart_ns=DOUBTFUL_CHUNK_NS, damage=damage)
-            messages = -1
-        else:
-            stretches = [(chunk.ref.start_ns, chunk.ref.end_ns)]
-        for start_ns, end_ns in stretches:
-            spans.append(
-                Span(
-                    chunk.ref,
-                    earliest_ns=start_ns - sample.bounds.most_ns,
-                    latest_ns=end_ns - sample.bounds.least_ns,
-                    messages=messages,
-                )
-            )
-    if not spans:
-        raise LogUnusableError(f"no chunk with clouds of {sample.topic.channel.topic} can be read")
-    return spans
-
-
-def _motion_spans(
-    index: LogIndex, motion: Channel | None, sample: Sample, lidar: Iterable[Span]
-) -> list[Span]:
-    """Chunks with recorded motion alone, by the lidar's delays: its own are not known yet."""
-    if motion is None:
-        return []
-    known = {(span.ref.part, span.ref.offset) for span in lidar}
-    return [
-        Span(
-            chunk.ref,
-            earliest_ns=chunk.ref.start_ns - sample.bounds.most_ns,
-            latest_ns=chunk.ref.end_ns - sample.bounds.least_ns,
-            messages=count_in(chunk, motion),
-        )
-        for chunk in chunks_of(motion, index.parts)
-        if (chunk.ref.part, chunk.ref.offset) not in known
-    ]
-
-
 def _length(refs: Iterable[ChunkRef]) -> int:
     return sum(ref.length for ref in refs)
-
-
-def _is_doubtful(ref: ChunkRef, *, messages: int, usual_ns: int) -> bool:
-    """Whether the index gives a chunk times that hardly can be: nothing guards them."""
-    length_ns = ref.end_ns - ref.start_ns
-    most_ns = messages * DOUBTFUL_CHUNK_NS if messages > 0 else 360 * DOUBTFUL_CHUNK_NS
-    unusual = length_ns > DOUBTFUL_CHUNK_NS and length_ns > min(10 * usual_ns, most_ns)
-    return unusual or ref.end_ns > MAX_TIME_NS
 
 
 def _without_schema(channel: Channel) -> Channel:

@@ -13,6 +13,7 @@ from schemas.arrays import NS_PER_S, Transform
 from workers.errors import CloudUnreadableError
 from workers.ingest.cloud_kinds import is_cloud, unsupported_reason
 from workers.ingest.decoding import MessageUnreadableError, decode_message
+from workers.ingest.limits import MAX_POINTS
 from workers.ingest.messages import RawMessage
 from workers.ingest.pointcloud_fields import (
     FOXGLOVE_TYPES,
@@ -85,6 +86,11 @@ def decode_cloud(message: RawMessage) -> DecodedCloud:
             f"cannot read cloud: {channel.schema_name} without what the type needs: "
             f"{type(error).__name__}: {error} ({channel.topic}, logged at {message.log_time_ns})"
         ) from error
+    if len(cloud) > MAX_POINTS:
+        raise CloudUnreadableError(
+            f"cannot read cloud: it has {len(cloud)} points, more than {MAX_POINTS} "
+            f"({channel.topic}, logged at {message.log_time_ns})"
+        )
     missing = [name for name in "xyz" if name not in cloud.fields]
     if missing and len(cloud) and LABEL_FIELD not in cloud.fields:
         raise CloudUnreadableError(

@@ -7,25 +7,25 @@ from dataclasses import dataclass, field, replace
 from itertools import chain, repeat
 from typing import Final
 
-from schemas.bucket import Bucket
 from schemas.frame import LidarFrame, RecordedLabels, RecordedMotion
 from schemas.mining import MiningSettings
-from schemas.work import Channel, ChunkRef, Damage, Recording, Shard
+from schemas.transport.bucket import Bucket
+from schemas.work import Channel, ChunkRef, Recording, Shard
 from workers.errors import CloudUnreadableError
 from workers.ingest.chunk import messages_in
+from workers.ingest.damage import DamageList, damaged
 from workers.ingest.decoding import MessageUnreadableError
 from workers.ingest.fetch import OpenedChunk, fetch_chunks
 from workers.ingest.frames import frame_from_cloud
+from workers.ingest.limits import MAX_WAITING, MAX_WAITING_BYTES
 from workers.ingest.messages import MAX_TIME_NS, RawMessage
+from workers.ingest.pace import Pace
 from workers.ingest.part import PartReader
 from workers.ingest.pointcloud import DecodedCloud, decode_cloud
 from workers.ingest.recorded_labels import LabelPairing, recorded_labels
 from workers.ingest.recorded_motion import MotionLog, middle_ns
 from workers.ingest.records import RecordMalformedError
 from workers.ingest.topics import ids_in
-
-MAX_WAITING_BYTES: Final = 256 * 1024 * 1024
-"""Messages are held back until none earlier can come; beyond this they leave as they are."""
 
 FRAMES_HELD: Final = 2
 """Frames that wait for what the car recorded of its motion, where a log has that."""
@@ -62,7 +62,7 @@ class ShardReader:
     shard: Shard
     settings: MiningSettings
     readers: tuple[PartReader, ...]
-    damage: list[Damage] = field(default_factory=list)
+    damage: DamageList = field(default_factory=DamageList)
     _motion: MotionLog = field(default_factory=MotionLog)
     _motion_damaged: bool = False
 
@@ -170,14 +170,23 @@ class ShardReader:
             yield paired, log_time_ns, labels
 
     def _clouds(self) -> Iterator[tuple[SourcedMessage, DecodedCloud]]:
+        pace = Pace(by_log_time=self.shard.by_log_time)
         for sourced in self._in_order():
             if sourced.message.channel is self.shard.motion:
                 self._add_motion(sourced)
                 continue
+            message = sourced.message
+            is_lidar = message.channel is self.shard.lidar
             try:
-                yield sourced, decode_cloud(sourced.message)
+                if is_lidar:
+                    pace.check_logged(message)
+                cloud = decode_cloud(message)
+                if is_lidar:
+                    pace.check_taken(cloud, message)
             except CloudUnreadableError as error:
-                self._record(sourced.ref, str(error), length=len(sourced.message.data))
+                self._record(sourced.ref, str(error), length=len(message.data))
+                continue
+            yield sourced, cloud
 
     def _add_motion(self, sourced: SourcedMessage) -> None:
         """Take a message of recorded motion; of those that say nothing the first is told."""
@@ -198,15 +207,16 @@ class ShardReader:
                 heapq.heappush(waiting, (sourced.message.log_time_ns, arrived, sourced))
                 arrived += 1
                 waiting_bytes += len(sourced.message.data)
+                while waiting_bytes > MAX_WAITING_BYTES or len(waiting) > MAX_WAITING:
+                    _, _, early = heapq.heappop(waiting)
+                    waiting_bytes -= len(early.message.data)
+                    yield early
+            del opened  # its messages are copies: it need not stay while they are used
             none_earlier_ns = refs[number + 1].start_ns if number + 1 < len(refs) else None
-            while waiting and (
-                none_earlier_ns is None
-                or waiting[0][0] <= none_earlier_ns
-                or waiting_bytes > MAX_WAITING_BYTES
-            ):
-                _, _, sourced = heapq.heappop(waiting)
-                waiting_bytes -= len(sourced.message.data)
-                yield sourced
+            while waiting and (none_earlier_ns is None or waiting[0][0] <= none_earlier_ns):
+                _, _, early = heapq.heappop(waiting)
+                waiting_bytes -= len(early.message.data)
+                yield early
 
     def _messages(self, opened: OpenedChunk) -> Iterator[SourcedMessage]:
         if opened.error is not None:
@@ -220,7 +230,8 @@ class ShardReader:
                     self._record(opened.ref, what, length=len(stored.data))
                     continue
                 channel = channels[stored.channel_id]
-                message = RawMessage(channel, stored.log_time_ns, stored.data)
+                # A copy, which decoding needs anyway: a view would keep the whole chunk.
+                message = RawMessage(channel, stored.log_time_ns, bytes(stored.data))
                 yield SourcedMessage(message, opened.ref)
         except RecordMalformedError as error:
             self._record(opened.ref, error.problem)
@@ -235,10 +246,10 @@ class ShardReader:
 
     def _record(self, ref: ChunkRef, what: str, *, length: int | None = None) -> None:
         self.damage.append(
-            Damage(
+            damaged(
                 key=self.readers[ref.part].key,
                 offset=ref.offset,
-                bytes=ref.length if length is None else length,
+                length=ref.length if length is None else length,
                 what=what,
             )
         )

@@ -9,10 +9,13 @@ from typing import Any, Final, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.bounds import MAX_NAME
+from schemas.canonical import canonical_json
 from schemas.frame import RecordedClass, RecordedLabels
-from schemas.wire import canonical_json
+from schemas.printable import printable
 from schemas.work import Channel, RecordedSource
 from workers.errors import CloudUnreadableError, LogUnusableError
+from workers.ingest.limits import MAX_SCHEMA_TEXT, MAX_WAITING_POINTS
 from workers.ingest.pointcloud import LABEL_FIELD, DecodedCloud, is_cloud
 
 CLASSES_RECORD: Final = "counterpoint.classes"
@@ -50,6 +53,11 @@ def find_recorded_source(
     """
     record = metadata.get(CLASSES_RECORD)
     classes_json = canonical_json(dict(record or {})).decode()
+    if len(classes_json) > MAX_SCHEMA_TEXT:
+        raise LogUnusableError(
+            f"the classes of metadata {CLASSES_RECORD} take {len(classes_json)} characters, more "
+            f"than {MAX_SCHEMA_TEXT}"
+        )
     recorded_classes(classes_json)
     found = find_labels(channels, has_classes=record is not None, lidar=lidar, clouds=clouds)
     if found is None:
@@ -106,7 +114,7 @@ def recorded_classes(classes_json: str) -> Mapping[int, RecordedClass]:
             entry = json.loads(text)
             name, movable, moving = entry["name"], entry["movable"], entry["moving"]
             class_id = int(key)
-        except (ValueError, TypeError, LookupError) as error:
+        except (ValueError, TypeError, LookupError, RecursionError) as error:
             raise LogUnusableError(
                 f"cannot read class {key!r} of metadata {CLASSES_RECORD}: {text!r} must be JSON "
                 f"with name, movable and moving, its key a number ({type(error).__name__}: {error})"
@@ -116,6 +124,7 @@ def recorded_classes(classes_json: str) -> Mapping[int, RecordedClass]:
                 f"cannot read class {key!r} of metadata {CLASSES_RECORD}: name must be text, "
                 f"movable and moving true or false, got {text!r}"
             )
+        name = printable(name, limit=MAX_NAME)
         classes[class_id] = RecordedClass(name=name, movable=movable, moving=moving)
     return classes
 
@@ -167,7 +176,9 @@ class LabelPairing(Generic[Item]):
             CloudUnreadableError: If it holds no labels.
         """
         self._labels[cloud.stamp_ns, len(cloud)] = recorded_labels(cloud, self._source)
-        while len(self._labels) > 2 * MAX_WAITING:
+        while len(self._labels) > 2 * MAX_WAITING or (
+            len(self._labels) > 1 and sum(key[1] for key in self._labels) > 2 * MAX_WAITING_POINTS
+        ):
             del self._labels[next(iter(self._labels))]
         yield from self._complete()
 
@@ -180,7 +191,8 @@ class LabelPairing(Generic[Item]):
     def _complete(self) -> Iterator[tuple[Item, RecordedLabels | None]]:
         while self._waiting:
             key, item = self._waiting[0]
-            if key not in self._labels and len(self._waiting) <= MAX_WAITING:
+            few = sum(waiting[1] for waiting, _ in self._waiting) <= MAX_WAITING_POINTS
+            if key not in self._labels and few and len(self._waiting) <= MAX_WAITING:
                 return
             self._waiting.popleft()
             yield item, self._labels.get(key)

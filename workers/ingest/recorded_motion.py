@@ -164,7 +164,7 @@ class MotionLog:
                 return moved
             speed = float(np.linalg.norm(_vector(member(twist, "linear"))))
             turn = abs(float(member(member(twist, "angular"), "z")))
-        except (KeyError, AttributeError, TypeError, ValueError) as error:
+        except (KeyError, AttributeError, TypeError, ValueError, OverflowError) as error:
             raise MessageUnreadableError(
                 f"cannot read {message.channel.schema_name}: {type(error).__name__}: {error} "
                 f"({message.channel.topic}, logged at {message.log_time_ns})"

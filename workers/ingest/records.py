@@ -49,6 +49,11 @@ class Record:
     offset: int
     body: memoryview
 
+    @property
+    def end(self) -> int:
+        """Return where it ends in the walked view."""
+        return self.offset + HEADER_BYTES + len(self.body)
+
 
 @dataclass(frozen=True, slots=True)
 class ChunkHeader:
@@ -103,6 +108,15 @@ def walk(view: memoryview) -> Iterator[Record]:
             raise RecordMalformedError("a record reaches beyond the end", offset=offset)
         yield Record(opcode, offset, view[body : body + length])
         offset = body + length
+
+
+def count_records(view: memoryview, *, most: int) -> int:
+    """Count the records that lie one after the other in these bytes, up to a number of them."""
+    offset, end, number = 0, len(view) - HEADER_BYTES, 0
+    while offset <= end and number < most:
+        offset += HEADER_BYTES + _HEADER.unpack_from(view, offset)[1]
+        number += 1
+    return number
 
 
 def parse(kind: type[Small], body: memoryview) -> Small:

@@ -9,16 +9,21 @@ from typing import Final
 
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import Channel, Metadata, Schema
+from mcap.records import Metadata
 
-from schemas.work import ChunkRef, Damage
-from workers.ingest.index import METADATA_NAMES, IndexedChunk, PartIndex
+from schemas.bounds import MAX_INTEGER
+from schemas.work import ChunkRef
+from workers.ingest.damage import damaged
+from workers.ingest.effort import Effort
+from workers.ingest.index import METADATA_NAMES, IndexedChunk, PartIndex, check_size
+from workers.ingest.limits import MAX_RECORDS_HOPPED
 from workers.ingest.part import PartReader
 from workers.ingest.records import (
     CHUNK_FIELDS_BYTES,
     HEADER_BYTES,
     MAGIC,
     MESSAGE_FIELDS_BYTES,
+    Record,
     RecordMalformedError,
     chunk_header,
     message_fields,
@@ -31,47 +36,60 @@ MIN_STEP_BYTES: Final = 128 * 1024
 MAX_STEP_BYTES: Final = 4 * 1024 * 1024
 MAX_RUN_BYTES: Final = 4 * 1024 * 1024
 """A run of messages outside chunks is cut here, so that it is read like a chunk."""
-MAX_SMALL_BYTES: Final = 16 * 1024 * 1024
-"""A schema, channel or metadata record that says it is larger is damage."""
+_HOPS_OF_A_SEARCH: Final = 3
+"""Trying one place where a record may begin takes as long as so many hops."""
 _CHUNK_PEEK_BYTES: Final = CHUNK_FIELDS_BYTES + 64
 _MAX_APART_NS: Final = 86_400 * 1_000_000_000
 
 
-def recover(reader: PartReader) -> PartIndex:
-    """Rebuild the index of a whole part."""
+def recover(reader: PartReader, effort: Effort) -> PartIndex:
+    """Rebuild the index of a whole part, as far as the effort lasts.
+
+    Raises:
+        LogUnusableError: If it has more chunks than any recording.
+    """
     index = PartIndex(number=reader.number, recovered=True)
-    ended = hop(reader, index, start=len(MAGIC), end=reader.size)
+    ended = hop(reader, index, effort, start=len(MAGIC), end=reader.size)
     closed = bytes(reader.read(reader.size - len(MAGIC), len(MAGIC))) == MAGIC
     if not (ended and closed):
         index.damage.append(
-            Damage(
+            damaged(
                 key=reader.key,
                 offset=reader.size,
-                bytes=0,
+                length=0,
                 what="the file was never closed: it has no end mark",
             )
         )
     return index
 
 
-def hop(reader: PartReader, index: PartIndex, *, start: int, end: int) -> bool:
+def hop(reader: PartReader, index: PartIndex, effort: Effort, *, start: int, end: int) -> bool:
     """Go over the records between two offsets, and add what is found to an index.
+
+    Where the effort does not last until the end, the rest is damage.
 
     Returns:
         Whether the end of the data section was seen.
     """
-    window = _Window(reader, end)
+    window = _Window(reader, end, effort)
     run = _Run(index, reader.number, first_own=len(index.chunks))
     offset = start
     while offset < end:
         opcode, length = window.header(offset)
+        if effort.hops < 0:
+            run.close()
+            what = f"more than {MAX_RECORDS_HOPPED} records without an index: the rest is not read"
+            index.damage.append(
+                damaged(key=reader.key, offset=offset, length=end - offset, what=what)
+            )
+            return False
         if not _plausible(opcode, length, end - offset):
             run.close()
             resumed = _search(window, index, offset + 1, end)
             cut = resumed == end and opcode != 0
             what = "the file ends inside a record" if cut else "bytes that are no record"
             index.damage.append(
-                Damage(key=reader.key, offset=offset, bytes=resumed - offset, what=what)
+                damaged(key=reader.key, offset=offset, length=resumed - offset, what=what)
             )
             offset = resumed
             continue
@@ -83,7 +101,7 @@ def hop(reader: PartReader, index: PartIndex, *, start: int, end: int) -> bool:
             _take(window, index, run, offset, opcode, length)
         except RecordMalformedError as error:
             index.damage.append(
-                Damage(key=reader.key, offset=offset, bytes=total, what=error.problem)
+                damaged(key=reader.key, offset=offset, length=total, what=error.problem)
             )
         offset += total
     run.close()
@@ -115,15 +133,15 @@ class _Run:
     def close(self) -> None:
         if not self.times:
             return
-        self.index.chunks.append(
+        self.index.add_chunk(
             IndexedChunk(
                 ref=ChunkRef(
                     kind="records",
                     part=self.part,
                     offset=self.offset,
                     length=self.length,
-                    start_ns=min(self.times),
-                    end_ns=max(self.times),
+                    start_ns=min(min(self.times), MAX_INTEGER),
+                    end_ns=min(max(self.times), MAX_INTEGER),
                 ),
                 counts=self.counts,
             )
@@ -137,6 +155,7 @@ class _Window:
 
     reader: PartReader
     end: int
+    effort: Effort
     step: int = MIN_STEP_BYTES
     start: int = 0
     data: memoryview = field(default_factory=lambda: memoryview(b""))
@@ -153,6 +172,7 @@ class _Window:
         return self.data[offset - self.start : offset - self.start + length]
 
     def header(self, offset: int) -> tuple[int, int]:
+        self.effort.hops -= 1
         view = self.at(offset, HEADER_BYTES)
         return record_header(view, 0) if len(view) == HEADER_BYTES else (0, 0)
 
@@ -169,14 +189,14 @@ def _take(
         run.close()
         header = chunk_header(window.at(body, min(length, _CHUNK_PEEK_BYTES)))
         first, last = sorted((header.start_ns, header.end_ns))
-        index.chunks.append(
+        index.add_chunk(
             IndexedChunk(
                 ref=ChunkRef(
                     part=index.number,
                     offset=offset,
                     length=HEADER_BYTES + length,
-                    start_ns=first,
-                    end_ns=last,
+                    start_ns=min(first, MAX_INTEGER),
+                    end_ns=min(last, MAX_INTEGER),
                 ),
                 counts=None,
             )
@@ -189,19 +209,14 @@ def _take(
         return
     if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
         return
-    if length > MAX_SMALL_BYTES:
-        raise RecordMalformedError("a record of this kind is never so large")
+    check_size(opcode, length)
     view = window.at(body, length)
-    if opcode == Opcode.SCHEMA:
-        schema = parse(Schema, view)
-        index.schemas.setdefault(schema.id, schema)
-    elif opcode == Opcode.CHANNEL:
-        channel = parse(Channel, view)
-        index.channels.setdefault(channel.id, channel)
-    else:
-        metadata = parse(Metadata, view)
-        if metadata.name in METADATA_NAMES:
-            index.metadata.append(metadata)
+    if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+        index.add_record(Record(opcode, offset, view))
+        return
+    metadata = parse(Metadata, view)
+    if metadata.name in METADATA_NAMES:
+        index.add_metadata(metadata, length)
 
 
 def _count_in_chunk(index: PartIndex, channel_id: int, messages: int) -> None:
@@ -209,9 +224,10 @@ def _count_in_chunk(index: PartIndex, channel_id: int, messages: int) -> None:
     chunk = index.chunks[-1]
     if chunk.ref.kind != "chunk":
         return
-    counts = dict(chunk.counts or {})
+    counts = {} if chunk.counts is None else chunk.counts
     counts[channel_id] = counts.get(channel_id, 0) + messages
-    index.chunks[-1] = IndexedChunk(ref=chunk.ref, counts=counts)
+    if chunk.counts is None:
+        index.chunks[-1] = IndexedChunk(ref=chunk.ref, counts=counts)
 
 
 def _plausible(opcode: int, length: int, remaining: int) -> bool:
@@ -224,6 +240,9 @@ def _search(window: _Window, index: PartIndex, start: int, end: int) -> int:
     while offset < end:
         view = window.at(offset, min(MAX_STEP_BYTES, end - offset))
         for candidate in _candidates(view):
+            window.effort.hops -= _HOPS_OF_A_SEARCH
+            if window.effort.hops < 0:
+                return end
             if _fits(window, index, offset + candidate, end):
                 return offset + candidate
             if window.start != offset:

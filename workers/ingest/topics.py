@@ -1,11 +1,15 @@
 """The topics of a recording, put together from the channels of its parts."""
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from schemas.bounds import MAX_NAME, MAX_TOPIC
+from schemas.printable import has_controls, printable
 from schemas.work import Channel
 from workers.ingest.index import IndexedChunk, PartIndex
+from workers.ingest.limits import MAX_IDS, MAX_SCHEMA_TEXT
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,14 +25,24 @@ class Topic:
     messages: int
 
 
-def topics_of(indexes: Sequence[PartIndex]) -> tuple[Topic, ...]:
+def topics_of(
+    indexes: Sequence[PartIndex],
+    *,
+    on_left_out: Callable[[Channel, str], None] = lambda channel, why: None,
+) -> tuple[Topic, ...]:
     """Put the channels of all parts together, in the order of their names.
 
     The same topic recorded with another encoding or type is a topic of its own here.
+
+    Args:
+        indexes: Of all parts.
+        on_left_out: Told each topic whose name cannot be that of a mined one, and why: the channel
+            has that name escaped and cut.
     """
     ids: dict[tuple[str, str, str, str], list[tuple[int, int]]] = {}
     schemas: dict[tuple[str, str, str, str], str] = {}
     messages: dict[tuple[str, str, str, str], int] = {}
+    encoded: dict[tuple[int, int], str] = {}
     for index in indexes:
         counts = channel_counts(index)
         for channel_id in sorted(index.channels):
@@ -42,37 +56,59 @@ def topics_of(indexes: Sequence[PartIndex]) -> tuple[Topic, ...]:
             )
             ids.setdefault(kind, []).append((index.number, channel_id))
             if schema is not None:
-                schemas.setdefault(kind, base64.b64encode(schema.data).decode("ascii"))
+                known_as = (index.number, schema.id)  # many channels may have one schema
+                if known_as not in encoded:
+                    encoded[known_as] = base64.b64encode(schema.data).decode("ascii")
+                schemas.setdefault(kind, encoded[known_as])
             known, count = messages.get(kind, 0), counts.get(channel_id, -1)
             messages[kind] = -1 if -1 in (known, count) else known + count
-    return tuple(
-        Topic(
-            channel=Channel(
-                topic=topic,
-                message_encoding=message_encoding,
-                schema_name=schema_name,
-                schema_encoding=schema_encoding,
-                schema_base64=schemas.get(kind, ""),
-                ids=tuple(ids[kind]),
-            ),
-            messages=messages[kind],
+    found: list[Topic] = []
+    for kind in sorted(ids):
+        topic, message_encoding, schema_name, schema_encoding = kind
+        text = schemas.get(kind, "")
+        why = _unusable(topic, len(ids[kind]))
+        if message_encoding == "protobuf" and len(text) > MAX_SCHEMA_TEXT:
+            why = why or f"has a schema of more than {MAX_SCHEMA_TEXT} characters in base64"
+        described = Channel(
+            topic=printable(topic, limit=MAX_TOPIC) or "-",
+            message_encoding=printable(message_encoding, limit=MAX_NAME),
+            schema_name=printable(schema_name, limit=MAX_NAME),
+            schema_encoding=printable(schema_encoding, limit=MAX_NAME),
+            schema_base64=text if len(text) <= MAX_SCHEMA_TEXT else "",
+            ids=tuple(ids[kind][:MAX_IDS]),
         )
-        for kind in sorted(ids)
-        for topic, message_encoding, schema_name, schema_encoding in [kind]
-    )
+        if why:
+            on_left_out(described, why)
+        else:
+            found.append(Topic(channel=described, messages=messages[kind]))
+    return tuple(found)
+
+
+def _unusable(topic: str, channels: int) -> str:
+    """Return why a topic of this name is not mined; empty if it is."""
+    if not topic.strip("/"):
+        return "has no name"
+    if len(topic) > MAX_TOPIC:
+        return f"has a name of {len(topic)} characters, more than {MAX_TOPIC}"
+    if channels > MAX_IDS:
+        return f"goes by {channels} channels, more than {MAX_IDS}"
+    return "has control characters in its name" if has_controls(topic) else ""
 
 
 def channel_counts(index: PartIndex) -> Mapping[int, int]:
     """Messages by channel id of one part; -1 where the index does not say."""
     if index.message_counts:
         return {each: index.message_counts.get(each, 0) for each in index.channels}
-    counts = dict.fromkeys(index.channels, 0)
+    counts: Counter[int] = Counter()
+    unknown: set[int] = set()
     for chunk in index.chunks:
-        for channel_id in counts:
-            found = -1 if chunk.counts is None else chunk.counts.get(channel_id, 0)
-            known = counts[channel_id]
-            counts[channel_id] = -1 if -1 in (known, found) else known + found
-    return counts
+        if chunk.counts is None:
+            return dict.fromkeys(index.channels, -1)
+        for channel_id, found in chunk.counts.items():
+            counts[channel_id] += found
+            if found == -1:
+                unknown.add(channel_id)
+    return {each: -1 if each in unknown else counts[each] for each in index.channels}
 
 
 def ids_in(channel: Channel, part: int) -> frozenset[int]:

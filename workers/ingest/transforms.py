@@ -9,9 +9,9 @@ import numpy as np
 
 from schemas.arrays import Transform
 from schemas.work import Channel
-from workers.geometry.se3 import inverse
 from workers.ingest.decoding import MessageUnreadableError, can_decode, decode_message, ros_type
 from workers.ingest.messages import RawMessage
+from workers.points.se3 import inverse
 
 ROS_TRANSFORMS: Final = "tf2_msgs/TFMessage"
 FOXGLOVE_TRANSFORMS: Final = "foxglove.FrameTransforms"
@@ -113,7 +113,7 @@ def stated_transforms(message: RawMessage) -> list[StatedTransform]:
     decoded = decode_message(message)
     try:
         return list(_stated(message.channel, decoded))
-    except (KeyError, AttributeError, TypeError, ValueError) as error:
+    except (KeyError, AttributeError, TypeError, ValueError, OverflowError) as error:
         raise MessageUnreadableError(
             f"cannot read {message.channel.schema_name}: {type(error).__name__}: {error} "
             f"({message.channel.topic}, logged at {message.log_time_ns})"

@@ -6,13 +6,17 @@ many messages it holds; `StampBounds` says how far stamps and log times may lie 
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
+from typing import Final
 
 import numpy as np
 
 from schemas.mining import Grid
 from schemas.work import ChunkRef
+from workers.ingest.messages import MAX_TIME_NS
 from workers.ingest.scenes import CutRule
+
+FARTHEST_NS: Final = MAX_TIME_NS + MAX_TIME_NS // 2
+"""Instants are kept within this, before and after 1970: with any length added they fit an int64."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +42,19 @@ class Span:
     earliest_ns: int
     latest_ns: int
     messages: int
+
+    @classmethod
+    def of(
+        cls, ref: ChunkRef, stretch_ns: tuple[int, int], bounds: StampBounds, messages: int
+    ) -> "Span":
+        """Make the span of a chunk, or of a part of it, whose first and last log time are known."""
+        start_ns, end_ns = stretch_ns
+        return cls(
+            ref,
+            earliest_ns=_within(start_ns - bounds.most_ns),
+            latest_ns=_within(end_ns - bounds.least_ns),
+            messages=messages,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,8 +126,7 @@ def cut_windows(
         ahead_ns: How much later than a frame those are that its labels may wait for.
     """
     rule = CutRule.of(grid.scene_s)
-    # Whole cells, so that every scene's cell lies in one shard, whatever the length's fraction.
-    shard_ns = round(grid.shard_s / grid.scene_s) * rule.cell_ns
+    shard_ns = shard_length_ns(grid)
     warmup_ns = max(round(grid.warmup_s * 1e9), rule.lookbehind_ns)
     latest_ns = max(span.latest_ns for span in spans)
     occupied = _occupied(spans, anchor_ns=anchor_ns, shard_ns=shard_ns)
@@ -126,7 +142,7 @@ def cut_windows(
         end_ns = start_ns + shard_ns
         around = int(np.argmax(latest >= end_ns - rule.max_gap_ns))
         looks_ahead = index + 1 in present and not is_continuous(
-            islice(ordered, around, None),
+            (ordered[number] for number in range(around, len(ordered))),
             start_ns=end_ns,
             end_ns=end_ns + rule.max_gap_ns + rule.min_scene_ns,
             max_gap_ns=rule.max_gap_ns,
@@ -149,6 +165,25 @@ def cut_windows(
         windows[-1], last_of_log=True, end_ns=last_end_ns, lookahead_end_ns=last_end_ns
     )
     return windows
+
+
+def shard_length_ns(grid: Grid) -> int:
+    """Return the length of a shard: whole cells, whatever the length's fraction.
+
+    So every scene's cell lies in one shard.
+    """
+    return round(grid.shard_s / grid.scene_s) * CutRule.of(grid.scene_s).cell_ns
+
+
+def cells_of(spans: Iterable[Span], *, anchor_ns: int, shard_ns: int) -> list[tuple[int, int]]:
+    """Return the numbers of the first and the last window that each span lies in."""
+    return [
+        (
+            max((span.earliest_ns - anchor_ns) // shard_ns, 0),
+            max((span.latest_ns - anchor_ns) // shard_ns, 0),
+        )
+        for span in spans
+    ]
 
 
 def is_continuous(
@@ -194,11 +229,13 @@ def is_continuous(
 
 def _occupied(spans: Sequence[Span], *, anchor_ns: int, shard_ns: int) -> list[int]:
     numbers: set[int] = set()
-    for span in spans:
-        first = max((span.earliest_ns - anchor_ns) // shard_ns, 0)
-        last = max((span.latest_ns - anchor_ns) // shard_ns, 0)
+    for first, last in cells_of(spans, anchor_ns=anchor_ns, shard_ns=shard_ns):
         numbers.update(range(first, last + 1))
     return sorted(numbers)
+
+
+def _within(instant_ns: int) -> int:
+    return min(max(instant_ns, -FARTHEST_NS), FARTHEST_NS)
 
 
 def _place(ref: ChunkRef) -> tuple[int, int, int]:

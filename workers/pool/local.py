@@ -1,5 +1,7 @@
 """Worker processes on this machine, kept alive."""
 
+import re
+import socket
 import time
 import uuid
 from collections.abc import Callable, Sequence
@@ -15,7 +17,7 @@ from schemas.errors import PermanentError, TransientError
 from workers.pool.process import LogStyle, Place
 from workers.pool.shared_metrics import SharedMetrics
 from workers.pool.slot import KILL_MARGIN_S, Slot
-from workers.worker_config import DRAIN_S, WorkerConfig
+from workers.worker.config import DRAIN_S, Accepted, WorkerConfig
 
 log = structlog.get_logger(__name__)
 
@@ -33,7 +35,9 @@ class LocalPool:
     The workers end with this process, however it ends.
 
     Attributes:
-        prefix: What the ids of its workers begin with: leases of a dead pool are found by it.
+        prefix: What the ids of its workers begin with: leases of a dead pool are found by it. It is
+            name, machine and a number of its own; with the place it is an id, which outlives the
+            processes in that place, so that the service knows who dies again and again.
         registry: What its workers count, summed up, and the pool's own metrics.
     """
 
@@ -49,6 +53,7 @@ class LocalPool:
         lease_deadline_s: float = LEASE_DEADLINE_S,
         style: LogStyle | None = None,
         on_death: Callable[[str], None] = lambda _: None,
+        accepts: Accepted | None = None,
     ) -> None:
         """Prepare; `start` starts.
 
@@ -63,17 +68,24 @@ class LocalPool:
             lease_deadline_s: A worker longer than this on one lease is killed.
             style: How the workers log.
             on_death: Told the id of every worker that died, so that its lease need not expire.
+            accepts: Which places a service may name, where a router is on another machine.
 
         Raises:
             TransientError: If there is no room for the files in which the workers count.
         """
-        self.prefix = f"{name}-{uuid.uuid4().hex[:12]}-"
+        self.prefix = f"{name}-{_machine()}-{uuid.uuid4().hex[:12]}-"
         self._on_death, self._drain_s = on_death, drain_s
         self._metrics = SharedMetrics(home, places=size)
         self.registry: CollectorRegistry = self._metrics.registry
         self._slots = [
             Slot(
-                WorkerConfig(f"{self.prefix}{number}", tuple(connect), root, drain_s),
+                WorkerConfig(
+                    f"{self.prefix}{number}",
+                    tuple(connect),
+                    root,
+                    drain_s,
+                    accepts or Accepted(),
+                ),
                 style or LogStyle(),
                 Place(number, self._metrics.folder),
                 deadline_s=lease_deadline_s,
@@ -141,7 +153,10 @@ class LocalPool:
         if not any(each.connected.value for each in signs):
             raise TransientError("no worker is connected to a router")
         if not any(each.connected.value and each.version.value for each in signs):
-            raise TransientError("no worker is equipped yet: no service has said what to mine")
+            raise TransientError(
+                "no worker is equipped: no service has said what to mine, or what it says is not "
+                "accepted here (the log says why)"
+            )
 
     def stop(self) -> None:
         """Tell the workers to finish what is soon done, and wait; kill those that do not listen."""
@@ -195,3 +210,8 @@ class LocalPool:
             self._on_death(worker_id)
         except TransientError as error:  # its lease will expire instead
             log.warning("death not told", worker_id=worker_id, problem=str(error))
+
+
+def _machine() -> str:
+    """Name this machine, or container, as a part of a key: it may be known by it in the ledger."""
+    return re.sub(r"[^A-Za-z0-9_-]", "_", socket.gethostname())[:64] or "machine"

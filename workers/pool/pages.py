@@ -2,7 +2,13 @@
 
 from collections.abc import Callable, Mapping
 
-from schemas.http_endpoint import Handler, HttpRequest, HttpResponse, metrics_route, text_response
+from schemas.runtime.http_endpoint import (
+    Handler,
+    HttpRequest,
+    HttpResponse,
+    metrics_route,
+    text_response,
+)
 from workers.pool.local import LocalPool
 
 

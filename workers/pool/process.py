@@ -17,10 +17,10 @@ from typing import Final, NoReturn
 import structlog
 
 from schemas.errors import PermanentError, TransientError
-from schemas.process import log_to_stderr
-from workers.metrics import WorkerMetrics
+from schemas.runtime.process import log_to_stderr
 from workers.pool.shared_metrics import count_in
-from workers.worker_config import WorkerConfig, WorkerObserver
+from workers.worker.config import WorkerConfig, WorkerObserver
+from workers.worker.metrics import WorkerMetrics
 
 log = structlog.get_logger(__name__)
 
@@ -56,17 +56,19 @@ class Signs:
     Attributes:
         since_s: When work on the current lease began, monotonic seconds, or one of `NO_LEASE_YET`
             and `BETWEEN_LEASES`.
+        finished: Leases that ended before it did.
         connected: Whether it has a router.
         version: As what it mines what the service asks for; empty until it can.
     """
 
     since_s: "Synchronized[float]"
+    finished: "Synchronized[int]"
     connected: "Synchronized[int]"
     version: "SynchronizedString"
 
     def clear(self) -> None:
         """Nothing is known of the worker that comes next."""
-        self.since_s.value = NO_LEASE_YET
+        self.since_s.value, self.finished.value = NO_LEASE_YET, 0
         self.connected.value, self.version.value = 0, b""
 
 
@@ -95,6 +97,7 @@ class _Showing(WorkerObserver):
 
     def working(self, working: bool) -> None:
         self._signs.since_s.value = time.monotonic() if working else BETWEEN_LEASES
+        self._signs.finished.value += not working
 
 
 def worker_process(
@@ -113,7 +116,7 @@ def worker_process(
         signs: What it shows of itself.
         problem: Takes why it gives up for good.
     """
-    from workers.worker import run_worker  # the pool, which never mines, does without numba
+    from workers.worker.loop import run_worker  # the pool, which never mines, does without numba
 
     stop = _stop_on_signals()
     log_to_stderr(level=style.level, as_json=style.as_json)

@@ -14,8 +14,8 @@ from prometheus_client import CollectorRegistry, values
 from prometheus_client.multiprocess import MultiProcessCollector
 
 from schemas.errors import TransientError
-from workers.metrics import PoolMetrics
 from workers.pool.metrics_folder import MetricsFolder
+from workers.worker.metrics import PoolMetrics
 
 log = structlog.get_logger(__name__)
 

@@ -9,8 +9,7 @@ from typing import Final
 
 import structlog
 
-from schemas.retry import backoff_s
-from workers.metrics import Death
+from schemas.runtime.retry import backoff_s
 from workers.pool.process import (
     BETWEEN_LEASES,
     EX_CONFIG,
@@ -23,12 +22,13 @@ from workers.pool.process import (
     Signs,
     worker_process,
 )
-from workers.worker_config import WorkerConfig
+from workers.worker.config import WorkerConfig
+from workers.worker.metrics import Death
 
 log = structlog.get_logger(__name__)
 
 FIRST_RESTART_S: Final = 0.5
-MOST_RESTART_S: Final = 30.0
+MOST_RESTART_S: Final = 60.0
 
 MOST_IDLE_DEATHS: Final = 6
 """So many deaths in a row without a lease, over about half a minute, and a place that never saw a
@@ -36,7 +36,11 @@ worker at work is given up. One that did is filled again for ever: what is wrong
 by somebody, and then nobody should have to start the pool again."""
 
 STEADY_S: Final = 60.0
-"""A worker that lived this long was not ended by how it starts: its next restart is quick again."""
+"""A worker that lived this long was not ended by how it starts: its next restart is quick again,
+unless it died in a lease and had finished none."""
+
+DEATHS_WORTH_SAYING: Final = 3
+"""So many workers in a row died in their first lease: it is not always the work that kills."""
 
 KILL_MARGIN_S: Final = 8.0
 """After the drain: saying that a lease is given back, closing the session. With it a pool of the
@@ -69,6 +73,7 @@ class Slot:
         self._context = multiprocessing.get_context("spawn")
         self.signs = Signs(
             since_s=self._context.Value("d", NO_LEASE_YET, lock=False),
+            finished=self._context.Value("L", 0, lock=False),
             connected=self._context.Value("b", 0, lock=False),
             version=self._context.Array("c", VERSION_BYTES, lock=False),
         )
@@ -77,7 +82,7 @@ class Slot:
         self._last_words: Connection[str, str] | None = None
         self._started_s = self._restart_at_s = 0.0
         self._waits = _restarts()
-        self._idle_deaths = 0
+        self._idle_deaths = self._lease_deaths = 0
 
     @property
     def pid(self) -> int | None:
@@ -166,12 +171,17 @@ class Slot:
     def _bury(self, process: SpawnProcess) -> Death:
         code, lived_s = process.exitcode, time.monotonic() - self._started_s
         worked = self.signs.since_s.value != NO_LEASE_YET
+        in_lease = self._stuck or self.signs.since_s.value > 0
+        has_finished = self.signs.finished.value > 0
         self._process = None
         self.signs.clear()
         self._was_at_work = self._was_at_work or worked
+        if has_finished or (lived_s > STEADY_S and not in_lease):
+            self._waits, self._lease_deaths = _restarts(), 0
         if lived_s > STEADY_S or worked:
-            self._waits, self._idle_deaths = _restarts(), 0
+            self._idle_deaths = 0
         self._idle_deaths += code != EX_DONE
+        self._lease_deaths += in_lease and code != EX_DONE
         cause = _cause(code, stuck=self._stuck)
         if not self._was_at_work:
             self.gave_up = self._hopeless(code)
@@ -186,6 +196,14 @@ class Slot:
                 cause=cause,
                 exit_code=code,
                 restart_s=None if self.gave_up else round(wait_s, 1),
+            )
+        if in_lease and self._lease_deaths == DEATHS_WORTH_SAYING:
+            log.error(
+                "every worker here dies in its first lease: look at memory and GPU of this "
+                "machine; each next one waits longer",
+                worker_id=self.worker_id,
+                deaths=self._lease_deaths,
+                most_wait_s=MOST_RESTART_S,
             )
         return cause
 

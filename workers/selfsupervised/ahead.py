@@ -8,9 +8,9 @@ from typing import Final
 from schemas.arrays import NS_PER_S
 from schemas.frame import LidarFrame
 from schemas.labels import FrameHealth, FrameLabels
+from workers.lidar.beam_table import BeamTable
+from workers.lidar.prepare import Prepared
 from workers.selfsupervised.history import PastFrame
-from workers.selfsupervised.prepare import Prepared
-from workers.visibility.beam_table import BeamTable
 
 LOOKAHEADS_S: Final = (0.0, 0.5, 1.0)
 """None, what slow cars need, and what people on foot need to leave their place."""

@@ -6,6 +6,11 @@ import numpy as np
 
 from schemas.frame import LidarFrame
 from schemas.labels import FrameHealth, FrameLabels, MotionLabel
+from workers.free_space import Votes
+from workers.lidar.beam_table import MIN_RANGE_M
+from workers.lidar.prepare import MAX_RANGE_M, Prepared
+from workers.points.passes import within
+from workers.points.steps import step
 from workers.selfsupervised.motion import ClusterMotions
 from workers.selfsupervised.point_answers import (
     answer_ground,
@@ -13,13 +18,8 @@ from workers.selfsupervised.point_answers import (
     nothing_said,
     spread,
 )
-from workers.selfsupervised.prepare import MAX_RANGE_M, Prepared
 from workers.selfsupervised.reattach import SeenThrough, ground_of_movers
 from workers.selfsupervised.tracker import Tracked
-from workers.visibility.beam_table import MIN_RANGE_M
-from workers.visibility.free_space import Votes
-from workers.visibility.passes import within
-from workers.visibility.steps import step
 
 AGREED: Final = 0.95
 """Registration and free space say the same: measured point precision .999 and .965 to .99."""

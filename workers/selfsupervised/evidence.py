@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Transform
-from workers.visibility.beam_table import BeamTable
-from workers.visibility.free_space import Votes
+from workers.free_space import Votes
+from workers.lidar.beam_table import BeamTable
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
-from workers.geometry.second_registration import misfit_between, structure_of
-from workers.selfsupervised.health import MAX_ACCELERATION_M_PER_S2, POSE_NOISE_M
+from workers.lidar.motion_limits import MAX_ACCELERATION_M_PER_S2, POSE_NOISE_M
+from workers.lidar.second_registration import misfit_between, structure_of
+from workers.points.neighbours import nearest_distances
+from workers.points.passes import within
 from workers.selfsupervised.registration import Reference
-from workers.visibility.neighbours import nearest_distances
-from workers.visibility.passes import within
 
 SHARE: Final = 0.75
 """Of what is near, how much must fit. A side that slides along itself fits whatever the error, so

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
+from workers.points.neighbours import build_grid, nearest_indices
+from workers.points.steps import step
 from workers.selfsupervised.evidence import Evidence
 from workers.selfsupervised.motion import ClusterMotions
 from workers.selfsupervised.strips import are_strips
 from workers.selfsupervised.tracker import Tracked
-from workers.visibility.neighbours import build_grid, nearest_indices
-from workers.visibility.steps import step
 
 MAX_VOXELS: Final = 60
 MAX_EXTENT_M: Final = 3.0

@@ -5,11 +5,11 @@ from typing import Final
 import numpy as np
 
 from schemas.arrays import Mask, Points
+from workers.points.clusters import Clusters, connected, from_labels
+from workers.points.neighbours import nearest_distances
+from workers.points.steps import step
 from workers.selfsupervised.evidence import Evidence
 from workers.selfsupervised.registration import Reference, Registered
-from workers.visibility.clusters import Clusters, connected, from_labels
-from workers.visibility.neighbours import nearest_distances
-from workers.visibility.steps import step
 
 REACH_M: Final = 0.5
 """Between beams of 0.3 degrees up to 80 m away; .4 to .7 give the same answers."""

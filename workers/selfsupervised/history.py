@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import NS_PER_S, Transform
-from workers.geometry.se3 import inverse, transform
-from workers.visibility.neighbours import build_grid
-from workers.visibility.point_grid import PointGrid
+from workers.points.neighbours import build_grid
+from workers.points.point_grid import PointGrid
+from workers.points.se3 import inverse, transform
 
 LOOKBACK_S: Final = 1.0
 VOTE_AGES_S: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
-from workers.visibility.compiled import compiled
+from workers.points.compiled import compiled
 
 CELL_M = 0.3
 REACH_M = 82.0

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Mask
 from schemas.labels import MotionLabel
-from workers.visibility.compiled import compiled
+from workers.points.compiled import compiled
 
 UNSURE, ALONE, GROUND, AGREED = 0, 1, 2, 3
 """How sure a label is: of nothing, one witness, ground removal, two witnesses."""

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
-from workers.visibility.beam_table import BeamTable
-from workers.visibility.clusters import Clusters
-from workers.visibility.free_space import Votes
-from workers.visibility.range_image import COLUMNS
-from workers.visibility.voxels import VOXEL_M
+from workers.free_space import Votes
+from workers.lidar.beam_image import COLUMNS
+from workers.lidar.beam_table import BeamTable
+from workers.points.clusters import Clusters
+from workers.points.voxels import VOXEL_M
 
 SMALL_M2: Final = 0.36
 """As much as a wheel shows, 0.6 by 0.6 m: all that takes part in traffic has more than one."""

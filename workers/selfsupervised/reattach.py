@@ -10,10 +10,10 @@ from typing import Final
 import numpy as np
 
 from schemas.arrays import Mask, Points
-from workers.selfsupervised.prepare import Prepared
-from workers.visibility.neighbours import build_grid, nearest_indices
-from workers.visibility.passes import moved_rows
-from workers.visibility.steps import step
+from workers.lidar.prepare import Prepared
+from workers.points.neighbours import build_grid, nearest_indices
+from workers.points.passes import moved_rows
+from workers.points.steps import step
 
 TOUCHING_M: Final = 0.2
 """From the mean of a voxel's points to those in the next one: the lowest hand's breadth."""

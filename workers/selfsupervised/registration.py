@@ -7,6 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
+from workers.points.clusters import Clusters
+from workers.points.compiled import compiled
+from workers.points.steps import step
 from workers.selfsupervised.shift_search import (
     Reference,
     build_reference,
@@ -14,9 +17,6 @@ from workers.selfsupervised.shift_search import (
     reference_to,
     search,
 )
-from workers.visibility.clusters import Clusters
-from workers.visibility.compiled import compiled
-from workers.visibility.steps import step
 
 __all__ = ["Reference", "Registered", "build_reference", "reference_to", "register"]
 

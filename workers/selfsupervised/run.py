@@ -10,7 +10,11 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S, Mask, Points, Transform
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.labels import Blindness, FrameHealth, FrameLabels
-from workers.geometry.se3 import inverse
+from workers.free_space import HIDDEN, count_votes, visibility
+from workers.lidar.deskew import Twist, twist
+from workers.lidar.prepare import Preparation
+from workers.points.neighbours import build_grid
+from workers.points.se3 import inverse
 from workers.selfsupervised.ahead import Ready, Waiting
 from workers.selfsupervised.answer import nothing_known, to_labels
 from workers.selfsupervised.evidence import Evidence
@@ -26,13 +30,9 @@ from workers.selfsupervised.history import (
     voters,
 )
 from workers.selfsupervised.motion import find_motions
-from workers.selfsupervised.prepare import Preparation
 from workers.selfsupervised.registration import Reference, reference_to
 from workers.selfsupervised.specks import specks_of_movers
 from workers.selfsupervised.tracker import Tracker
-from workers.visibility.deskew import Twist, twist
-from workers.visibility.free_space import HIDDEN, count_votes, visibility
-from workers.visibility.neighbours import build_grid
 
 _NEAR_AGES_S: Final = (0.04, 0.45)
 _FAR_AGES_S: Final = (0.38, 0.75)

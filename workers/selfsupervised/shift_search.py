@@ -6,6 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
+from workers.points.compiled import compiled, inlined
+from workers.points.neighbours import PointGrid, build_grid, nearer
+from workers.points.steps import step
 from workers.selfsupervised.occupancy import (
     CELL_M,
     Occupancy,
@@ -13,9 +16,6 @@ from workers.selfsupervised.occupancy import (
     cells_of,
     scores_around,
 )
-from workers.visibility.compiled import compiled, inlined
-from workers.visibility.neighbours import PointGrid, build_grid, nearer
-from workers.visibility.steps import step
 
 ENERGY_REACH_M: Final = 0.5
 _COARSE_SAMPLES: Final = 50

@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
+from workers.free_space import Votes
+from workers.points.clusters import from_labels
+from workers.points.neighbours import build_grid, nearest_indices
+from workers.points.steps import step
 from workers.selfsupervised.fragments import REACH_M, WAS_THERE_VOTES
 from workers.selfsupervised.grouping import REACH_M as BODY_REACH_M
 from workers.selfsupervised.motion import ClusterMotions
-from workers.visibility.clusters import from_labels
-from workers.visibility.free_space import Votes
-from workers.visibility.neighbours import build_grid, nearest_indices
-from workers.visibility.steps import step
 
 
 @step("specks")

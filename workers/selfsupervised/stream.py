@@ -6,9 +6,9 @@ from typing import ClassVar
 from schemas.frame import PosedFrame
 from schemas.labels import FrameLabels
 from schemas.task import MOTION, Task
+from workers.part_version import version_of
 from workers.selfsupervised.ahead import LOOKAHEADS_S, Ahead
 from workers.selfsupervised.run import Run
-from workers.selfsupervised.versions import version_of
 
 
 class Registration:

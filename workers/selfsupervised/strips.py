@@ -4,9 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points, Transform
-from workers.visibility.clusters import Clusters
-from workers.visibility.compiled import compiled
-from workers.visibility.steps import step
+from workers.points.clusters import Clusters
+from workers.points.compiled import compiled
+from workers.points.steps import step
 
 FLAT_M = 0.25
 ROAD_M = 0.4

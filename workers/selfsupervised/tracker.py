@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import NS_PER_S, Mask, Points, Transform
-from workers.geometry.se3 import transform
+from workers.free_space import Votes
+from workers.lidar.beam_table import BeamTable
+from workers.points.neighbours import build_grid, nearest_indices
+from workers.points.se3 import transform
+from workers.points.steps import step
 from workers.selfsupervised.motion import ClusterMotions
 from workers.selfsupervised.proof import proves_whole
-from workers.visibility.beam_table import BeamTable
-from workers.visibility.free_space import Votes
-from workers.visibility.neighbours import build_grid, nearest_indices
-from workers.visibility.steps import step
 
 DYNAMIC_SCORE: Final = 0.6
 """The proof of one frame is worth 1, and still counts two tenths of a second later."""

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
+from workers.free_space import FREE, Votes, visibility
+from workers.points.clusters import Clusters
+from workers.points.steps import step
 from workers.selfsupervised.candidates import far_candidates, near_candidates
 from workers.selfsupervised.evidence import Evidence
 from workers.selfsupervised.registration import Registered
-from workers.visibility.clusters import Clusters
-from workers.visibility.free_space import FREE, Votes, visibility
-from workers.visibility.steps import step
 
 MIN_FREE_SHARE: Final = 0.25
 """Share of a cluster that free space must confirm; .15 doubles false clusters, .40 loses movers."""

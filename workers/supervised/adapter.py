@@ -5,14 +5,21 @@ It lies beside the exported networks that it names; `deploy/OWN_MODEL.md` explai
 
 import tomllib
 from pathlib import Path
-from typing import Final, Literal, Self
+from typing import Any, Final, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from workers.checkpoints.errors import WeightsUnusableError
-from workers.geometry.range_image import CHANNELS, Channel, SensorProfile
+from workers.checkpoints.model_files import MAX_TEXT_BYTES, read_regular
+from workers.lidar.range_image import CHANNELS, Channel, SensorProfile
 from workers.supervised.classes import ClassMeaning
 from workers.supervised.residual_image import ResidualSettings
+
+MAX_CHANNELS: Final = 16
+"""Channels of measurements; there are five."""
+
+MAX_SCORES: Final = 1 << 26
+"""Scores of one image: 254 classes on the largest lidars, 128 x 2048, are 256 MiB of float32."""
 
 _STRICT: Final = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -22,16 +29,23 @@ class NetworkEntry(BaseModel):
 
     model_config = _STRICT
 
-    file: str = Field(min_length=1, description="Beside the adapter: .onnx, .pt or .pt2.")
+    file: str = Field(
+        min_length=1, max_length=1024, description="Beside the adapter: .onnx, .pt or .pt2."
+    )
     input: Literal["range-image", "points"] = Field(
         default="range-image",
         description="What it is given: (1, C, H, W), normalised, or (1, N, C) of the valid points "
         "in metres.",
     )
     channels: tuple[Channel, ...] = Field(
-        default=CHANNELS, min_length=1, description="What it sees, in this order."
+        default=CHANNELS,
+        min_length=1,
+        max_length=MAX_CHANNELS,
+        description="What it sees, in this order.",
     )
-    output: str = Field(default="", description="Name of the output, where there are several.")
+    output: str = Field(
+        default="", max_length=256, description="Name of the output, where there are several."
+    )
     answer: Literal["logits", "probabilities", "labels"] = Field(
         default="logits",
         description="What it gives: (1, K, H, W) scores or (1, H, W) class numbers; of points "
@@ -60,7 +74,9 @@ class Adapter(BaseModel):
 
     model_config = _STRICT
 
-    name: str = Field(pattern=r"^[A-Za-z0-9._-]+$", description="What the stream's version says.")
+    name: str = Field(
+        pattern=r"^[A-Za-z0-9._-]+$", max_length=64, description="What the stream's version says."
+    )
     profile: SensorProfile | None = Field(
         default=None, description="Layout and normalisation of the range image."
     )
@@ -76,6 +92,14 @@ class Adapter(BaseModel):
             raise ValueError("both networks take range images, or both take points")
         if entries[0].input == "range-image" and self.profile is None:
             raise ValueError("networks over range images need a [profile]")
+        if self.image is not None:
+            pixels = self.image.rows * self.image.columns
+            scores = max(len(entry.classes) for entry in entries) * pixels
+            if scores > MAX_SCORES:
+                raise ValueError(
+                    f"an image has at most {MAX_SCORES:,} scores, rows times columns times "
+                    f"classes; these are {scores:,}"
+                )
         return self
 
     @property
@@ -93,23 +117,25 @@ class Adapter(BaseModel):
                 names file and entry.
         """
         try:
-            said = tomllib.loads(path.read_text(encoding="utf-8"))
+            said = _toml(path, what="the adapter of your own model")
             if isinstance(said.get("profile"), str):
                 path = path.parent / said["profile"]
-                said |= {"profile": tomllib.loads(path.read_text(encoding="utf-8"))["profile"]}
+                said |= {"profile": _toml(path, what="the adapter's profile")["profile"]}
             return cls.model_validate(said)
-        except OSError as error:
-            raise WeightsUnusableError(
-                f"cannot read the adapter of your own model: {error.strerror} ({path})"
-            ) from error
         except KeyError:
             raise WeightsUnusableError(
                 f"profile: a file that `counterpoint calibrate sensor` wrote is needed ({path})"
             ) from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise WeightsUnusableError(f"the adapter is no TOML: {error} ({path})") from error
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(map(str, first["loc"])) or "the adapter"
             what = first["msg"].removeprefix("Value error, ")
             raise WeightsUnusableError(f"{where}: {what} ({path})") from error
+
+
+def _toml(path: Path, *, what: str) -> dict[str, Any]:
+    text = read_regular(path, what=what, most=MAX_TEXT_BYTES)
+    try:
+        return tomllib.loads(text.decode("utf-8"))
+    except (ValueError, RecursionError) as error:  # numbers of thousands of digits, deep nesting
+        raise WeightsUnusableError(f"{what} is no TOML: {error} ({path})") from error

@@ -6,7 +6,7 @@ Exploiting Sequential Data" (LiDAR-MOS), RA-L 2021, SalsaNext variant.
 
 from typing import Final
 
-from workers.geometry.range_image import CHANNELS
+from workers.lidar.range_image import CHANNELS
 from workers.supervised.salsanext import SalsaNext
 
 MOTION_CLASSES: Final = ("unlabeled", "static", "moving")

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from workers.geometry.range_image import SensorProfile
+from workers.lidar.range_image import SensorProfile
 from workers.supervised.classes import ClassMeaning
 from workers.supervised.residual_image import ResidualSettings
 
@@ -17,7 +17,7 @@ class RangeImageNetwork(Protocol):
 
     Attributes:
         profile: Layout and normalisation of the image.
-        channels: Which of `workers.geometry.range_image.CHANNELS` it sees, in which order.
+        channels: Which of `workers.lidar.range_image.CHANNELS` it sees, in which order.
         residual: The past frames whose residuals follow these channels; None for none.
         classes: Meaning of each output.
         digest: Hex digest of everything that changes its answers.

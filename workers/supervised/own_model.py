@@ -1,6 +1,5 @@
 """Your own model as the supervised stream: exported networks, and what their adapter says."""
 
-import hashlib
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.checkpoints.errors import WeightsUnusableError
-from workers.geometry.range_image import SensorProfile
+from workers.lidar.range_image import SensorProfile
 from workers.supervised.adapter import Adapter, NetworkEntry
 from workers.supervised.classes import ClassMeaning
 from workers.supervised.point_stream import PointStream
@@ -33,8 +32,9 @@ class OwnNetwork:
         self._entry, self._profile = entry, profile
         self._path = folder / entry.file
         self._run, stored = open_network(self._path, output=entry.output)
-        said = stored + entry.model_dump_json().encode()
-        self.digest = hashlib.sha256(said + repr(profile).encode()).hexdigest()
+        stored.update(entry.model_dump_json().encode())
+        stored.update(repr(profile).encode())
+        self.digest = stored.hexdigest()
         count = len(entry.channels) + (len(entry.residual.ages_s) if entry.residual else 0)
         trial = (17, count) if profile is None else (count, profile.rows, profile.columns)
         self.probabilities(np.zeros(trial, dtype=np.float32))
@@ -75,6 +75,7 @@ class OwnNetwork:
             WeightsUnusableError: If it fails, or answers otherwise than its adapter says.
         """
         answer = self._run(array[None])
+        self._check_kind(answer)
         classes, places = len(self._entry.classes), array.shape[1:]
         is_image = self._profile is not None
         if not is_image:
@@ -90,7 +91,8 @@ class OwnNetwork:
             )
         if self._entry.answer == "labels":
             return self._certain(answer[0])
-        scores = answer[0].astype(np.float32)
+        with np.errstate(over="ignore"):  # it becomes infinite, which is refused
+            scores = answer[0].astype(np.float32)
         if not np.isfinite(scores).all():
             raise WeightsUnusableError(f"the network gives NaN or infinite scores ({self._path})")
         scores = scores if is_image else np.ascontiguousarray(scores.T)
@@ -102,11 +104,28 @@ class OwnNetwork:
             )
         return _softmax(scores) if self._entry.answer == "logits" else scores
 
+    def _check_kind(self, answer: object) -> None:
+        """Check that the answer is an array of the numbers that its adapter says; cast nothing."""
+        wanted, name = (
+            (np.integer, "integers") if self._entry.answer == "labels" else (np.floating, "floats")
+        )
+        if not isinstance(answer, np.ndarray):
+            given = type(answer).__name__
+        elif not np.issubdtype(answer.dtype, wanted):
+            given = str(answer.dtype)
+        else:
+            return
+        raise WeightsUnusableError(
+            f"the network gives {given}; {self._entry.answer} are an array of {name}: see answer "
+            f"of the adapter, or export the network with another output ({self._path})"
+        )
+
     def _certain(self, numbers: NDArray[Any]) -> NDArray[np.float32]:
         classes = len(self._entry.classes)
-        if numbers.size and not (numbers.min() >= 0 and numbers.max() < classes):
+        odd = numbers[(numbers < 0) | (numbers >= classes)]
+        if odd.size:
             raise WeightsUnusableError(
-                f"the network gives class {numbers.max()}, its adapter names {classes} "
+                f"the network gives class {odd[0]}, its adapter names {classes}, counted from 0 "
                 f"({self._path})"
             )
         return np.stack([(numbers == number).astype(np.float32) for number in range(classes)])

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Points, Transform
 from schemas.frame import PosedFrame
-from workers.geometry.form import Form
-from workers.geometry.range_image import RangeImage, SensorProfile, project
-from workers.geometry.se3 import inverse, transform
+from workers.lidar.form import Form
+from workers.lidar.range_image import RangeImage, SensorProfile, project
+from workers.points.se3 import inverse, transform
 from workers.supervised.residual_image import ResidualSettings, residual_image
 
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.geometry.form import Form
-from workers.geometry.range_image import RangeImage
-from workers.geometry.window import (
+from workers.lidar.form import Form
+from workers.lidar.range_image import RangeImage
+from workers.lidar.window import (
     commonest,
     look_up,
     mean_of,

@@ -2,16 +2,22 @@
 
 from collections import deque
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import NS_PER_S, Points, Transform
 from schemas.frame import PosedFrame
-from workers.geometry.range_image import RangeImage, SensorProfile, project
-from workers.geometry.se3 import inverse
-from workers.visibility.passes import moved
+from workers.lidar.range_image import RangeImage, SensorProfile, project
+from workers.points.passes import moved
+from workers.points.se3 import inverse
+
+MAX_AGES: Final = 16
+"""Past frames that a frame is compared with; published networks take eight."""
+
+MAX_AGE_S: Final = 10.0
+"""Frames so old are kept: a hundred at 10 Hz."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,12 +29,26 @@ class ResidualSettings:
         tolerance_s: How far a frame's age may be from the wanted one.
         min_range_m: Nearer returns have no residual: the own car.
         max_range_m: Farther returns have no residual: too sparse to compare.
+
+    Raises:
+        ValueError: If the numbers cannot be meant.
     """
 
     ages_s: tuple[float, ...] = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
     tolerance_s: float = 0.05
     min_range_m: float = 2.0
     max_range_m: float = 50.0
+
+    def __post_init__(self) -> None:
+        """Refuse what no network was trained with, or would keep too many frames."""
+        if not 1 <= len(self.ages_s) <= MAX_AGES or not all(
+            0 < age_s <= MAX_AGE_S for age_s in self.ages_s
+        ):
+            raise ValueError(
+                f"residuals have 1 to {MAX_AGES} ages, each above 0 and up to {MAX_AGE_S:g} s"
+            )
+        if not (0 <= self.tolerance_s <= MAX_AGE_S and 0 <= self.min_range_m < self.max_range_m):
+            raise ValueError("residuals need a tolerance_s, and min_range_m below max_range_m")
 
 
 def residual_image(

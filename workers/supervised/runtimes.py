@@ -1,8 +1,7 @@
 """Networks that their owner exported, ONNX, TorchScript or torch.export, run on one core."""
 
-import re
+import hashlib
 import warnings
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
@@ -11,14 +10,18 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from workers.checkpoints.archives import check_archive
 from workers.checkpoints.errors import WeightsUnusableError
+from workers.checkpoints.model_files import open_regular
+from workers.supervised.exported_files import check_exported, pickles_hold_tensors_alone
+from workers.supervised.onnx_files import check_onnx
 
 Run = Callable[[NDArray[np.float32]], NDArray[Any]]
 """A network: one array in, one array out."""
 
 
-def open_network(path: Path, *, output: str = "") -> tuple[Run, bytes]:
-    """Open an exported network.
+def open_network(path: Path, *, output: str = "") -> tuple[Run, "hashlib._Hash"]:
+    """Open an exported network, once its files were checked.
 
     Args:
         path: `.onnx`, `.pt` (TorchScript) or `.pt2` (torch.export). The last two are programs: open
@@ -27,46 +30,30 @@ def open_network(path: Path, *, output: str = "") -> tuple[Run, bytes]:
             network returns; empty if there is only one.
 
     Returns:
-        The network, and all bytes that it is stored in.
+        The network, and the sha256 of all files that it is stored in.
 
     Raises:
-        WeightsUnusableError: If the file cannot be read, is of another kind than its suffix says,
-            or has not one input and the named output.
+        WeightsUnusableError: If a file cannot be read, is not regular, too large, of another kind
+            than its suffix says, or outside the network's folder, or if the network has not one
+            input and the named output.
     """
     try:
-        opens = _OPENERS[path.suffix]
+        checks, opens = _KINDS[path.suffix]
     except KeyError:
-        known = ", ".join(_OPENERS)
+        known = ", ".join(_KINDS)
         raise WeightsUnusableError(
             f"a network's file ends in one of {known}, not in {path.suffix!r} ({path})"
         ) from None
-    if not path.is_file():
-        raise WeightsUnusableError(f"no such file: the adapter's network must lie there ({path})")
-    stored = _stored_bytes(path)
+    beside = checks(path)
+    stored = hashlib.sha256()
+    for one in (path, *beside):
+        with open_regular(one, what="the network") as file:
+            while chunk := file.read(_CHUNK):
+                stored.update(chunk)
     return opens(path, output), stored
 
 
-def _stored_bytes(path: Path) -> bytes:
-    """Return the file's bytes, and those that an ONNX file keeps in files beside it."""
-    stored = path.read_bytes()
-    if path.suffix != ".onnx":
-        return stored
-    names = {
-        stored[found.end() : found.end() + found[1][0]].decode(errors="replace")
-        for found in _EXTERNAL.finditer(stored)
-    }
-    for name in sorted(names):
-        try:
-            stored += (path.parent / name).read_bytes()
-        except OSError as error:
-            raise WeightsUnusableError(
-                f"the network keeps its weights in {name}: that file must lie beside it ({path})"
-            ) from error
-    return stored
-
-
-_EXTERNAL: Final = re.compile(rb"\x0a\x08location\x12([\x01-\x7f])")
-"""Before the name of a file in ONNX's protobuf: the key `location`, then the length of the name."""
+_CHUNK: Final = 1 << 20
 
 
 def _open_onnx(path: Path, output: str) -> Run:
@@ -98,13 +85,19 @@ def _open_onnx(path: Path, output: str) -> Run:
     return _explained(run, path)
 
 
-def _open_torchscript(path: Path, output: str) -> Run:
-    if _is_state_dict(path):
+def _check_torchscript(path: Path) -> tuple[Path, ...]:
+    with open_regular(path, what="the network") as file:
+        names = {member.name for member in check_archive(file, source=path)}
+    if "data.pkl" in names and "constants.pkl" not in names:
         raise WeightsUnusableError(
             "the file holds parameters alone (a state dict, as torch.save writes it) and not the "
             "network: save torch.jit.trace(network, example) or torch.onnx.export it; a published "
             f"checkpoint is taken by `counterpoint weights import` ({path})"
         )
+    return ()
+
+
+def _open_torchscript(path: Path, output: str) -> Run:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # users still have such files
@@ -117,32 +110,29 @@ def _open_torchscript(path: Path, output: str) -> Run:
     return _explained(_run_torch(module, output, path), path)
 
 
-def _is_state_dict(path: Path) -> bool:
-    """Whether torch saved an object there, but no program that runs it; nothing is unpickled."""
-    if not zipfile.is_zipfile(path):
-        return False
-    with zipfile.ZipFile(path) as archive:
-        names = {name.rpartition("/")[2] for name in archive.namelist()}
-    return "data.pkl" in names and "constants.pkl" not in names
+def _check_exported(path: Path) -> tuple[Path, ...]:
+    with open_regular(path, what="the network") as file:
+        check_exported(check_archive(file, source=path), source=path)
+    return ()
 
 
 def _open_exported(path: Path, output: str) -> Run:
-    if not zipfile.is_zipfile(path):
-        raise WeightsUnusableError(f"not a network of torch.export: no archive ({path})")
     try:
-        module = torch.export.load(path).module()
-    except (RuntimeError, ValueError, OSError, KeyError) as error:
+        with pickles_hold_tensors_alone():
+            module = torch.export.load(path).module()
+    except Exception as error:  # any of its many readers may find it damaged
         raise WeightsUnusableError(
             f"not a network of torch.export: {_first_line(error)} ({path})"
         ) from error
     return _explained(_run_torch(module, output, path), path)
 
 
-_OPENERS: Final[dict[str, Callable[[Path, str], Run]]] = {
-    ".onnx": _open_onnx,
-    ".pt": _open_torchscript,
-    ".pt2": _open_exported,
+_KINDS: Final[dict[str, tuple[Callable[[Path], tuple[Path, ...]], Callable[[Path, str], Run]]]] = {
+    ".onnx": (check_onnx, _open_onnx),
+    ".pt": (_check_torchscript, _open_torchscript),
+    ".pt2": (_check_exported, _open_exported),
 }
+"""How a file is checked, which gives the files beside it that count, and how it is opened."""
 
 
 def _run_torch(module: torch.nn.Module, output: str, path: Path) -> Run:

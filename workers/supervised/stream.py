@@ -14,15 +14,9 @@ from schemas.frame import OdometryState, PosedFrame
 from schemas.labels import FrameLabels
 from schemas.task import GROUND, MOTION, Task
 from workers.checkpoints.errors import WeightsUnusableError
-from workers.geometry.form import Form
-from workers.geometry.range_image import (
-    CHANNELS,
-    RangeImage,
-    SensorProfile,
-    image_channels,
-    project,
-)
-from workers.geometry.sensor_rows import lay_out
+from workers.lidar.form import Form
+from workers.lidar.range_image import CHANNELS, RangeImage, SensorProfile, image_channels, project
+from workers.lidar.sensor_rows import lay_out
 from workers.supervised.classes import ClassSet
 from workers.supervised.fusion import Fusion, MotionFusion
 from workers.supervised.ground_classes import GroundFusion

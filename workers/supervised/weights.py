@@ -1,7 +1,7 @@
 """Weights of the supervised stream: what their card says, how they are kept and loaded."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 import torch
@@ -11,7 +11,8 @@ from pydantic import Field
 from workers.checkpoints import stored
 from workers.checkpoints.errors import WeightsUnusableError
 from workers.checkpoints.stored import Card
-from workers.geometry.range_image import CHANNELS, Channel, SensorProfile
+from workers.lidar.range_image import CHANNELS, Channel, SensorProfile
+from workers.supervised.adapter import MAX_CHANNELS
 from workers.supervised.classes import ClassMeaning
 from workers.supervised.folded import FoldedSalsaNext
 from workers.supervised.lmnet import MOVING, LMNet
@@ -19,17 +20,25 @@ from workers.supervised.networks import run_eagerly
 from workers.supervised.residual_image import ResidualSettings
 from workers.supervised.salsanext import SalsaNext
 
+MAX_WIDTH: Final = 128
+"""Four times the published networks: sixteen times their parameters, 430 MB."""
+
 
 class WeightsCard(Card):
     """Everything beside the numbers that changes what a network says, and whom to thank."""
 
     network: Literal["salsanext", "lmnet"]
-    classes: tuple[ClassMeaning, ...] = Field(min_length=2, description="In the order of outputs.")
-    width: int = Field(ge=4, multiple_of=4, description="Channels of the first stage.")
+    classes: tuple[ClassMeaning, ...] = Field(
+        min_length=2, max_length=254, description="In the order of outputs."
+    )
+    width: int = Field(
+        ge=4, le=MAX_WIDTH, multiple_of=4, description="Channels of the first stage."
+    )
     profile: SensorProfile = Field(description="Layout and normalisation of the range image.")
     channels: tuple[Channel, ...] = Field(
         default=CHANNELS,
         min_length=1,
+        max_length=MAX_CHANNELS,
         description="Which measurements the network sees, in this order.",
     )
     residual: ResidualSettings | None = Field(default=None, description="LMNet's past frames.")

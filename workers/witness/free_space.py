@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S, Mask, Points
 from schemas.contradiction import LabelledFrame
 from schemas.labels import FrameHealth, FrameLabels, MotionLabel
-from workers.sources import source_digest
-from workers.visibility.clusters import Clusters, connected
-from workers.visibility.free_space import visibility
+from workers.free_space import visibility
+from workers.points.clusters import Clusters, connected
+from workers.sources import syntax_digest
 from workers.witness.doubt import Doubt
 from workers.witness.opinions import Opinions, opinions_of
 from workers.witness.sight import Sight, Sights
@@ -28,8 +28,6 @@ _TOLERANCE_NS: Final = NS_PER_S // 16
 MAX_FRAMES: Final = 64
 """Kept at most, however fast the sensor: two seconds at 30 Hz."""
 
-_SOURCES: Final = ("workers.geometry", "workers.visibility", "workers.witness")
-
 
 class TwoSidedFreeSpace:
     """Free space a second before and after: the future included, which no live stream has seen.
@@ -41,7 +39,7 @@ class TwoSidedFreeSpace:
     @property
     def version(self) -> str:
         """`free-space@digest` of code."""
-        return f"free-space@{source_digest(*_SOURCES)[:12]}"
+        return f"free-space@{syntax_digest('workers.witness')[:12]}"
 
     def __call__(self, frames: Iterable[LabelledFrame]) -> Iterator[LabelledFrame]:
         """Yield each frame with what the witness says of it, in order, a second later."""

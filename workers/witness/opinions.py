@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask
-from workers.visibility.compiled import compiled
-from workers.visibility.free_space import FREE, OCCUPIED
+from workers.free_space import FREE, OCCUPIED
+from workers.points.compiled import compiled
 
 MIN_FREE: Final = 2
 """One frame may err by a mixed pixel."""

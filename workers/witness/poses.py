@@ -12,8 +12,8 @@ from typing import Final
 import numpy as np
 
 from schemas.arrays import NS_PER_S, Points, Transform
-from workers.geometry.se3 import transform
-from workers.geometry.second_registration import Misfit, Structure, misfit_between, structure_of
+from workers.lidar.second_registration import Misfit, Structure, misfit_between, structure_of
+from workers.points.se3 import transform
 
 STEP_M: Final = 0.10
 STEP_RAD: Final = float(np.radians(0.25))

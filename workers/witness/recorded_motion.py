@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from schemas.frame import RecordedMotion
-from workers.visibility.deskew import Twist
+from workers.lidar.deskew import Twist
 
 NOISE_M: Final = 0.12
 NOISE_RAD: Final = float(np.radians(0.4))

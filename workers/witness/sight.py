@@ -10,13 +10,13 @@ from schemas.arrays import NS_PER_S, Mask, Transform
 from schemas.contradiction import LabelledFrame
 from schemas.frame import OdometryState, PosedFrame
 from schemas.labels import MotionLabel
-from workers.geometry.se3 import inverse, transform
-from workers.visibility.beam_table import MIN_RANGE_M, BeamTable
-from workers.visibility.deskew import Twist, deskew, time_from_middle_s, twist
-from workers.visibility.learning import BeamLearner
-from workers.visibility.passes import judged_rows, moved_rows, returns_within, rows_about
-from workers.visibility.range_image import range_image
-from workers.visibility.voxels import Voxels, voxelize
+from workers.lidar.beam_image import range_image
+from workers.lidar.beam_table import MIN_RANGE_M, BeamTable
+from workers.lidar.deskew import Twist, deskew, time_from_middle_s, twist
+from workers.lidar.learning import BeamLearner
+from workers.points.passes import judged_rows, moved_rows, returns_within, rows_about
+from workers.points.se3 import inverse, transform
+from workers.points.voxels import Voxels, voxelize
 from workers.witness.poses import PoseCheck
 from workers.witness.recorded_motion import MotionCheck, Verdict
 

@@ -15,6 +15,7 @@ STEPS: Final[tuple[str, ...]] = (
     "0005_write_proof.sql",
     "0006_retired_overlays.sql",
     "0007_served_bucket.sql",
+    "0008_incarnation.sql",
 )
 """Step i leads from version i to i + 1. A step that has been released is never edited."""
 

@@ -8,8 +8,8 @@ from threading import Thread
 
 import pytest
 
-from schemas.bucket import Bucket, open_bucket, open_object
 from schemas.errors import BucketRefusedError, BucketUnreachableError, ObjectChangedError
+from schemas.transport.bucket import Bucket, open_bucket, open_object
 from tests.contracts.bucket_contract import BucketContract
 
 KEY_ID, SECRET = "AKIAPUBLICID", "s3cr3t/of+the/car"
@@ -168,6 +168,19 @@ def test_a_store_whose_object_was_replaced_says_so() -> None:
         bucket = open_bucket("s3://logs", options={**OPTIONS, "endpoint": endpoint})
         with pytest.raises(ObjectChangedError):
             bucket.read_range("a.mcap", 0, 10, '"old"')
+
+
+def test_a_key_that_no_log_may_have_is_named_escaped() -> None:
+    contents = (
+        "<ListBucketResult><IsTruncated>false</IsTruncated><Contents><Key>car/a\x1b[31m.mcap</Key>"
+        "<Size>7</Size><ETag>e</ETag><LastModified>2026-01-01T00:00:00Z</LastModified></Contents>"
+        "</ListBucketResult>"
+    )
+    with store_that_answers(200, contents) as endpoint:
+        bucket = open_bucket("s3://logs", options={**OPTIONS, "endpoint": endpoint})
+        with pytest.raises(BucketRefusedError, match=r"'car/a\\x1b\[31m.mcap': rename") as caught:
+            list(bucket.list())
+    assert "\x1b" not in str(caught.value)
 
 
 def test_opening_a_bucket_asks_nothing_of_the_store() -> None:

@@ -9,10 +9,10 @@ import pytest
 from prometheus_client import CollectorRegistry, Counter
 from structlog.testing import capture_logs
 
-from schemas import http_endpoint
 from schemas.errors import PermanentError, TransientError
-from schemas.http_endpoint import (
-    MOST_CONNECTIONS,
+from schemas.runtime import http_endpoint
+from schemas.runtime.http_clients import MOST_OF_AN_ADDRESS
+from schemas.runtime.http_endpoint import (
     Handler,
     HttpEndpoint,
     HttpRequest,
@@ -50,15 +50,15 @@ def test_a_handler_gets_the_parameters_decoded_and_its_answer_arrives_whole() ->
         return json_response(dict(request.query))
 
     with serving(echo=echo) as endpoint:
-        status, kind, body = asked(endpoint, "/echo?by=hour&since=a%20b%2Bc&since=last")
+        status, kind, body = asked(endpoint, "/echo?by=hour&since=a%20b%2Bc&until=")
     assert (status, kind) == (200, "application/json")
-    assert json.loads(body) == {"by": "hour", "since": "last"}
+    assert json.loads(body) == {"by": "hour", "since": "a b+c", "until": ""}
 
 
 def test_head_answers_without_a_body_and_nothing_else_is_taken() -> None:
     with serving(healthz=lambda _: text_response("alive")) as endpoint:
         assert asked(endpoint, "/healthz", method="HEAD")[::2] == (200, "")
-        assert asked(endpoint, "/healthz", method="POST")[0] == 501
+        assert asked(endpoint, "/healthz", method="POST")[0] == 405
 
 
 def test_an_unknown_path_is_told_which_there_are() -> None:
@@ -150,10 +150,10 @@ def test_clients_that_say_nothing_are_left_and_hold_up_neither_the_others_nor_th
     with serving(healthz=lambda _: text_response("alive")) as endpoint:
         stuck = [
             socket.create_connection(("127.0.0.1", endpoint.port), timeout=10)
-            for _ in range(MOST_CONNECTIONS - 1)
+            for _ in range(MOST_OF_AN_ADDRESS - 1)
         ]
         assert asked(endpoint, "/healthz")[0] == 200
-        assert threading.active_count() <= before + 1 + MOST_CONNECTIONS
+        assert threading.active_count() <= before + 1 + MOST_OF_AN_ADDRESS
     assert threading.active_count() == before
     for client in stuck:
         assert client.recv(1) == b""
@@ -161,10 +161,9 @@ def test_clients_that_say_nothing_are_left_and_hold_up_neither_the_others_nor_th
 
 
 def test_a_silent_client_makes_room_when_its_time_is_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(http_endpoint._Request, "timeout", 0.05)
+    monkeypatch.setattr(http_endpoint, "HEAD_DEADLINE_S", 0.05)
     with serving(healthz=lambda _: text_response("alive")) as endpoint:
         with socket.create_connection(("127.0.0.1", endpoint.port), timeout=10) as silent:
-            silent.sendall(b"GET /heal")
             assert silent.recv(1) == b""
         assert asked(endpoint, "/healthz")[0] == 200
 

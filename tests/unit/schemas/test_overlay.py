@@ -1,18 +1,15 @@
 from dataclasses import replace
+from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
 
-from schemas.array_pack import MAX_UNPACKED_BYTES, PackUnreadableError, pack, unpack
 from schemas.labels import Agreement
-from schemas.overlay import (
-    NO_POSITION_CM,
-    OVERLAY_MAGIC,
-    Overlay,
-    decode_overlay,
-    encode_overlay,
-    overlay_key,
-)
+from schemas.overlay import NO_POSITION_CM, Overlay, overlay_key
+from schemas.transport.array_pack import MAX_UNPACKED_BYTES, PackUnreadableError, pack, unpack
+from schemas.transport.bucket import open_bucket
+from schemas.transport.overlay_codec import OVERLAY_MAGIC, decode_overlay, encode_overlay
 
 ARRAYS = (
     "stamps_ns",
@@ -207,3 +204,61 @@ def test_what_a_replaced_log_shows_does_not_overwrite_what_may_return() -> None:
         for digest in "12"
     )
     assert before != after
+
+
+CAR = "车" * 80
+
+
+@pytest.mark.parametrize(
+    ("log_id", "lidar"),
+    [
+        pytest.param(f"car/{CAR}", "lidar", id="file name of 80 Chinese characters"),
+        pytest.param("x" * 255, "lidar", id="longest file name"),
+        pytest.param("car/drive", "t" * 256, id="long topic"),
+        pytest.param("car/drive", "雷" * 256, id="long Chinese topic"),
+        pytest.param("/".join([CAR[:40]] * 20), "lidar", id="deep folders"),
+    ],
+)
+def test_a_long_name_makes_a_key_that_any_store_takes(
+    log_id: str, lidar: str, tmp_path: Path
+) -> None:
+    keys = [
+        overlay_key(
+            log_id=f"{log_id}{other}",
+            scene_id=f"{log_id}{other}/{lidar}{more}/1700000000000000000-2",
+            pipeline_version="abcdef012345",
+            sha256="0123456789abcdef" * 4,
+        )
+        for other in ("", "a", "b")
+        for more in ("", "a", "b")
+    ]
+    assert len(set(keys)) == len(keys)
+    bucket = open_bucket(str(tmp_path))
+    for key in keys:
+        assert len(key) <= 1024
+        bucket.put(key, key.encode())
+    assert [bucket.read_all(found.key).decode() for found in bucket.list()] == sorted(keys)
+
+
+def test_a_cut_name_is_none_that_another_log_may_have() -> None:
+    long = overlay_key(log_id=CAR, scene_id=f"{CAR}/l/1", pipeline_version="v", sha256="0" * 64)
+    cut = unquote(long.split("/")[2])
+    assert "@" in cut
+    assert (
+        overlay_key(log_id=cut, scene_id=f"{cut}/l/1", pipeline_version="v", sha256="0" * 64)
+        != long
+    )
+
+
+@pytest.mark.parametrize("length", [1, 100, 254, 255])
+def test_a_key_of_ordinary_length_is_what_it_always_was(length: int) -> None:
+    """Else an existing state would not find its overlays."""
+    name = "n" * length
+    key = overlay_key(
+        log_id=f"car/{name}",
+        scene_id=f"car/{name}/lidar.top/1700000000000000000",
+        pipeline_version="v",
+        sha256="0123456789abcdef" * 4,
+    )
+    scene = "lidar.top/1700000000000000000-0123456789abcdef.overlay"
+    assert key == f"overlays/v/car/{name}/@/{scene}"

@@ -10,7 +10,7 @@ import pytest
 def said(code: str, *, as_json: bool = True, level: str = "info") -> list[str]:
     """What a process says that logs in this format and then runs the code."""
     script = (
-        "import structlog, threading\nfrom schemas.process import log_to_stderr\n"
+        "import structlog, threading\nfrom schemas.runtime.process import log_to_stderr\n"
         f"log_to_stderr(as_json={as_json}, level={level!r})\nlog = structlog.get_logger()\n{code}"
     )
     ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
@@ -59,3 +59,26 @@ def test_for_people_a_traceback_keeps_its_lines() -> None:
 
 def test_less_than_the_level_is_not_said() -> None:
     assert len(said("log.debug('a')\nlog.info('b')\nlog.warning('c')", level="warning")) == 1
+
+
+STEERING = r"'\x1b]52;c;aGk=\x07\x9b31m\u202ea\nb'"
+LOGGED = {
+    "event": f"log.warning({STEERING})",
+    "text": f"log.warning('x', vehicle={STEERING})",
+    "name": f"log.warning('x', **{{{STEERING}: 1}})",
+    "list": f"log.warning('x', topics=[{STEERING}])",
+    "error": f"log.warning('x', problem=ValueError({STEERING}))",
+    "trace": f"try: raise ValueError({STEERING})\nexcept ValueError: log.exception('oh')",
+    "surprise": f"raise ValueError({STEERING})",
+    "thread": f"def f(): raise ValueError({STEERING})\nthreading.Thread(target=f).start()",
+}
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+@pytest.mark.parametrize("code", LOGGED.values(), ids=LOGGED)
+def test_nothing_that_is_logged_steers_a_terminal(code: str, as_json: bool) -> None:
+    lines = said(code, as_json=as_json)
+    assert lines
+    for line in lines:
+        assert line.isprintable(), line
+    assert "52;c;aGk=" in "".join(lines), "it is shown, not left out"

@@ -1,9 +1,10 @@
 """Split recordings are one log; names that only look split are not."""
 
 import pytest
+import structlog.testing
 
-from schemas.bucket import ObjectMeta
-from schemas.recordings import group_recordings, recording_of
+from schemas.transport.bucket import ObjectMeta
+from schemas.transport.recordings import group_recordings, recording_of
 
 
 def objects(*keys: str) -> list[ObjectMeta]:
@@ -15,6 +16,15 @@ def grouped(*keys: str) -> dict[str, list[str]]:
         recording.log_id: [part.key for part in recording.parts]
         for recording in group_recordings(objects(*keys))
     }
+
+
+def test_a_log_that_no_message_could_name_is_left_out_and_the_others_are_listed() -> None:
+    with structlog.testing.capture_logs() as said:
+        for _ in range(2):
+            assert list(grouped("a.mcap", "x" * 2000 + ".mcap", "b.mcap")) == ["a", "b"]
+    assert [entry["event"] for entry in said] == [
+        "log left out: its name or its parts are too long"
+    ]
 
 
 def test_every_mcap_file_is_a_log_and_nothing_else_is() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from schemas.errors import TransientError
-from schemas.retry import StoppedError, backoff_s, pause
+from schemas.runtime.retry import StoppedError, backoff_s, pause
 
 
 def test_waits_double_up_to_the_longest_and_are_shortened_by_half_at_most() -> None:

@@ -4,10 +4,11 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
+from schemas.canonical import sha256
 from schemas.contradiction import ContradictionKind, SceneState
 from schemas.frame import OdometryState
 from schemas.score import SceneScore
-from schemas.wire import decode, encode_scene_score, sha256
+from schemas.transport.wire import decode, encode_scene_score
 
 GOLDEN_V1 = Path(__file__).with_name("golden_scene_score.v1.json")
 

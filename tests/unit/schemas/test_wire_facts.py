@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from schemas import keys
 from schemas.jsonschema import PUBLISHED, schema_file
 from schemas.score import MAX_RECORD_BYTES
+from schemas.transport import keys
 
-PAGE = Path(keys.__file__).with_name("WIRE.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[3] / "schemas" / "WIRE.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(
     r"^\| `([^`]+)` \| `([^`]+)` \| `(counterpoint/v1/scene/[^`]+)` \|$", PAGE, re.M
 )

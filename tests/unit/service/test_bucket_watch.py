@@ -1,6 +1,6 @@
 """Listings of a bucket that fails, fills, and is suddenly empty."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
@@ -8,10 +8,12 @@ from urllib.parse import parse_qs, urlsplit
 
 import pytest
 import structlog.testing
+from structlog.typing import EventDict
 
-from schemas.bucket import Bucket, open_bucket
 from schemas.errors import BucketRefusedError, BucketUnreachableError
-from service.bucket_watch import RESUME_WITHIN_S, BucketWatch
+from schemas.transport.bucket import Bucket, ObjectMeta, open_bucket
+from schemas.transport.folder import Skipped
+from service.background.bucket_watch import RESUME_WITHIN_S, BucketWatch
 from service.errors import OtherBucketError
 from service.store.engine import open_store
 from tests.contracts.ledger_world import Clock, World
@@ -284,4 +286,92 @@ def test_another_bucket_is_refused_before_it_is_taken_over(
     other = BucketWatch(open_bucket(str(tmp_path / "other")), world.ledger, settle_s=settle_s)
     with pytest.raises(OtherBucketError, match=r"/one: of its 1 logs .*/other holds 0"):
         other.list_once()
+    assert log_ids(world) == ["a"]
+
+
+def entries_named(said: list[EventDict]) -> list[str]:
+    return [each["entry"] for each in said if each["event"] == "entry of the bucket is left out"]
+
+
+def test_an_odd_entry_costs_itself_and_is_logged_once(world: World, tmp_path: Path) -> None:
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    (folder / "a.mcap").write_bytes(b"x")
+    (folder / "b\x1b[31m.mcap").write_bytes(b"x")
+    (folder / "c.mcap").symlink_to("c.mcap")
+    (folder / "skip\n.tmp").write_bytes(b"x")
+    watch = BucketWatch(open_bucket(str(folder)), world.ledger, exclude=("skip*",))
+    with structlog.testing.capture_logs() as said:
+        assert watch.list_once().new == ("a",)
+        watch.list_once()
+    assert sorted(entries_named(said)) == [r"b\x1b[31m.mcap", "c.mcap"]
+    assert watch.seen.skipped == 2
+    (folder / "c.mcap").unlink()
+    watch.list_once()
+    assert watch.seen.skipped == 1
+    (folder / "c.mcap").symlink_to("c.mcap")
+    with structlog.testing.capture_logs() as said:
+        watch.list_once()
+    assert entries_named(said) == ["c.mcap"]
+
+
+def test_a_key_that_is_too_long_for_a_log_id_is_left_out(world: World) -> None:
+    deep = "/".join(["中" * 80] * 14)
+    watch = BucketWatch(memory("a.mcap", f"{deep}.mcap"), world.ledger)
+    assert watch.list_once().new == ("a",)
+    assert watch.seen.skipped == 1
+
+
+class HidingBucket(Bucket):
+    """A folder of which a subfolder may not be read."""
+
+    def __init__(self, folder: Path) -> None:
+        opened = open_bucket(str(folder))
+        super().__init__(opened._store, url=opened.url, folder=folder)
+        self.hidden = ""
+
+    def list(
+        self,
+        prefix: str = "",
+        start_after: str | None = None,
+        *,
+        on_skipped: Callable[[Skipped], None] = lambda skipped: None,
+    ) -> Iterator[ObjectMeta]:
+        if self.hidden:
+            on_skipped(Skipped.of(self.hidden, "may not be read", hides=self.hidden))
+        for found in super().list(prefix, start_after, on_skipped=on_skipped):
+            if not self.hidden or not found.key.startswith(f"{self.hidden}/"):
+                yield found
+
+
+def test_logs_in_a_folder_that_may_not_be_read_any_more_do_not_count_as_deleted(
+    world: World, tmp_path: Path
+) -> None:
+    for key in ("car/a.mcap", "car-2/b.mcap"):
+        (tmp_path / "logs" / key).parent.mkdir(parents=True)
+        (tmp_path / "logs" / key).write_bytes(b"x")
+    bucket = HidingBucket(tmp_path / "logs")
+    watch = BucketWatch(bucket, world.ledger)
+    watch.list_once()
+    bucket.hidden = "car"
+    (tmp_path / "logs" / "new.mcap").write_bytes(b"x")
+    result = watch.list_once()
+    assert (result.new, result.deleted) == (("new",), ())
+    started_meanwhile = BucketWatch(bucket, world.ledger)
+    with pytest.raises(BucketRefusedError, match=r"logs of the folder car/ are recorded"):
+        started_meanwhile.list_once()
+    assert "permit it" in started_meanwhile.seen.problem
+    excluding = BucketWatch(bucket, world.ledger, exclude=("car/*",))
+    assert excluding.list_once().deleted == ("car/a",)
+
+
+def test_a_folder_that_never_could_be_read_is_left_out(world: World, tmp_path: Path) -> None:
+    (tmp_path / "logs" / "lost+found").mkdir(parents=True)
+    (tmp_path / "logs" / "a.mcap").write_bytes(b"x")
+    bucket = HidingBucket(tmp_path / "logs")
+    bucket.hidden = "lost+found"
+    for _ in range(2):
+        watch = BucketWatch(bucket, world.ledger)
+        watch.list_once()
+        assert watch.seen.skipped == 1
     assert log_ids(world) == ["a"]

@@ -6,15 +6,15 @@ from threading import Event
 
 import pytest
 
-from schemas.bus import free_endpoint
 from schemas.errors import TransientError
+from schemas.transport.bus import free_endpoint
 from service.client import watch_scenes
 
 
 def test_the_client_needs_the_base_install_only() -> None:
     script = """
 import sys
-import service.client
+import service.client.client
 assert not {"torch", "workers", "mcap", "sqlalchemy", "typer"} & set(sys.modules)
 """
     subprocess.run([sys.executable, "-c", script], check=True, timeout=60)

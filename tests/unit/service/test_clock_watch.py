@@ -2,7 +2,7 @@
 
 from structlog.testing import capture_logs
 
-from service.clock_watch import GLANCE_S, STEP_S, ClockWatch
+from service.background.clock_watch import GLANCE_S, STEP_S, ClockWatch
 
 
 class Clocks:

@@ -7,13 +7,18 @@ from schemas.attribution import Attribution, Wrong
 from schemas.score import SceneScore
 from service.cli.demo import say_demo_ranking
 from service.cli.output import results
-from service.demo_planted import DemoScene, beside_truth
-from service.demo_retrieval import found_in
-from service.ranking import RankedScene
+from service.curation.ranking import RankedScene
+from service.demo.planted import DemoScene, beside_truth
+from service.demo.retrieval import found_in
 from tests.demo_truth import one_thing, write_truth
 from tests.factories import BEGIN_NS, LOG_ID, scene_score, track_record
-from workers.simulation.plan import DisturbanceKind, FailureKind
-from workers.simulation.planted_truth import FILE, DisturbanceRow, FailureRow, PlantedTruth
+from workers.lab.simulation.faults.plan import DisturbanceKind, FailureKind
+from workers.lab.simulation.faults.planted_truth import (
+    FILE,
+    DisturbanceRow,
+    FailureRow,
+    PlantedTruth,
+)
 
 STREET = LOG_ID.rpartition("/")[2]
 ERRS = Attribution(

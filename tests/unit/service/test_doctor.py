@@ -12,15 +12,18 @@ from typing import Any
 
 import pytest
 
-from schemas import keys
-from schemas.bus import client_session, free_endpoint, router_session
-from service import doctor_machine, doctor_network, doctor_stores
+from schemas.transport import keys
+from schemas.transport.bus import client_session, free_endpoint, router_session
 from service.cli.main import main
-from service.config import Settings, load_settings, read_settings
-from service.doctor import Finding, examine
-from service.state import StateLock
+from service.doctor import machine as doctor_machine
+from service.doctor import network as doctor_network
+from service.doctor import stores as doctor_stores
+from service.doctor.examine import examine
+from service.doctor.finding import Finding
+from service.settings.config import Settings, load_settings, read_settings
 from service.store.engine import DATABASE_NAME, open_store
 from service.store.served_bucket import note_served
+from service.store.state import StateLock
 from tests.contracts.ledger_world import World
 from tests.tiny_logs import Recorder, drive
 

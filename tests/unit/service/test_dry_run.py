@@ -10,11 +10,10 @@ from typing import Any
 
 import pytest
 
-from schemas.bucket import open_bucket
-from schemas.recordings import group_recordings
+from schemas.transport.bucket import open_bucket
+from schemas.transport.recordings import group_recordings
 from schemas.work import MineLease, MiningStats, PlanLease, Recording
 from service.cli.main import main
-from service.config import load_settings
 from service.dry_run import (
     DEFAULT_SECONDS_PER_FRAME,
     MOST_LOOKED_INTO,
@@ -22,7 +21,8 @@ from service.dry_run import (
     DryRun,
     plan_dry_run,
 )
-from service.errors import NothingFoundError, OtherBucketError
+from service.errors import NothingFoundError, OtherBucketError, StateUnusableError
+from service.settings.config import load_settings
 from service.store.engine import open_store
 from service.store.served_bucket import note_served
 from tests.contracts.ledger_world import World, mined, plan_of, shard_commit
@@ -281,3 +281,18 @@ def test_the_verb_prints_a_table_or_json(
     assert "car-0/today/drive" in told.out
     assert "about 10 frames" in told.err
     assert main(["run", "--bucket", "logs", "--json"]) == 1
+
+
+def test_a_damaged_state_is_refused_and_not_taken_for_an_empty_one(tmp_path: Path) -> None:
+    logs_of(tmp_path, "a")
+    (tmp_path / "state").mkdir()
+    (tmp_path / "state" / "counterpoint.sqlite").write_bytes(b"not a database" * 400)
+    with pytest.raises(StateUnusableError, match="damaged"):
+        dry_run(tmp_path)
+
+
+def test_a_state_that_is_a_file_is_refused(tmp_path: Path) -> None:
+    logs_of(tmp_path, "a")
+    (tmp_path / "state").write_text("notes")
+    with pytest.raises(StateUnusableError, match="a file, not a folder"):
+        dry_run(tmp_path)

@@ -6,7 +6,7 @@ import pytest
 import structlog
 from structlog.testing import capture_logs
 
-from service.heartbeat import Heartbeat, Standing
+from service.background.heartbeat import Heartbeat, Standing
 
 
 class Daemon:

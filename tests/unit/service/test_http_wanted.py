@@ -1,7 +1,7 @@
 import pytest
 
-from service.config import load_settings
-from service.embedded import _wants_http
+from service.processes import _wants_http
+from service.settings.config import load_settings
 
 
 def test_a_daemon_serves_its_pages_unless_told_not_to(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from service.cli.main import main
 from service.cli.report import say_judged, say_what_was_found
-from service.status import Judged, Status
+from service.curation.status import Judged, Status
 from service.store.engine import open_store
 from tests.contracts.ledger_world import World
 from tests.factories import scene_score

@@ -7,11 +7,11 @@ from PIL import Image
 from schemas.labels import MotionLabel
 from service.cli.evaluate import parse_rows
 from service.errors import UsageError
-from service.picture_judged import SIZE_PX, draw_worst
-from service.picture_table import draw_table
-from workers.evaluation.counts import LogCounts, RangeCounts, StreamCounts
-from workers.evaluation.motion import JudgedFrame
-from workers.evaluation.table import LogEvaluation, evaluation_of
+from service.pictures.judged import SIZE_PX, draw_worst
+from service.pictures.table import draw_table
+from workers.lab.evaluation.motion.counts import LogCounts, RangeCounts, StreamCounts
+from workers.lab.evaluation.motion.motion import JudgedFrame
+from workers.lab.evaluation.motion.table import LogEvaluation, evaluation_of
 
 MISSED, FALSE = (250, 210, 40), (255, 70, 70)
 

@@ -5,8 +5,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pytest
 
-from schemas.wire import encode_scene_score, sha256
-from service.merging import Holding, SceneEvent, SceneMerge, Wanted
+from schemas.canonical import sha256
+from schemas.transport.wire import encode_scene_score
+from service.client.merging import Holding, SceneEvent, SceneMerge, Wanted
 from tests.contracts.ledger_world import START_NS, score_of
 
 PAGE = 3
@@ -80,14 +81,19 @@ def test_only_the_newest_few_come_when_only_they_are_wanted() -> None:
     merge = SceneMerge(past, page=PAGE)
     assert merge.begin(2) == past.events[-2:]
     assert list(merge.catch_up()) == []
-    assert not merge.take(scene(4)), "an old scene put again by a restarted service"
+    merge.hear(4)
+    assert not merge.is_behind, "an old scene put again by a restarted service"
 
 
 def test_no_past_at_all_means_none_and_still_what_is_new() -> None:
-    merge = SceneMerge(Past(scene(1), scene(2)), page=PAGE)
+    past = Past(scene(1), scene(2))
+    merge = SceneMerge(past, page=PAGE)
     assert merge.begin(0) == []
-    assert not merge.take(scene(2))
-    assert merge.take(scene(3))
+    merge.hear(2)
+    assert not merge.is_behind
+    past.add(scene(3))
+    merge.hear(3)
+    assert list(merge.catch_up()) == [scene(3)]
 
 
 def test_an_empty_answer_is_told_from_none_wanted() -> None:
@@ -95,11 +101,15 @@ def test_an_empty_answer_is_told_from_none_wanted() -> None:
 
 
 def test_a_scene_that_comes_both_ways_is_given_once() -> None:
-    merge = SceneMerge(Past(scene(1), scene(2)), page=PAGE)
+    past = Past(scene(1), scene(2))
+    merge = SceneMerge(past, page=PAGE)
     list(merge.catch_up())
-    assert not merge.take(scene(2))
-    assert merge.take(scene(3))
-    assert not merge.take(scene(3))
+    past.add(scene(3))
+    merge.hear(3)
+    assert list(merge.catch_up()) == [scene(3)]
+    merge.hear(3)
+    assert not merge.is_behind
+    assert list(merge.catch_up()) == []
 
 
 def test_what_comes_beyond_a_gap_waits_for_what_is_missing() -> None:
@@ -109,9 +119,10 @@ def test_what_comes_beyond_a_gap_waits_for_what_is_missing() -> None:
     for seq in (2, 3, 4):
         past.add(scene(seq))
     past.cut_after = 0
-    assert not merge.take(scene(4)), "who is killed now must not resume after 4"
+    merge.hear(4)
     assert merge.is_behind
     assert list(merge.catch_up()) == []
+    assert merge.complete_to == 1, "who is killed now must not resume after 4"
     past.cut_after = None
     assert list(merge.catch_up()) == [scene(2), scene(3), scene(4)]
     assert not merge.is_behind
@@ -119,9 +130,26 @@ def test_what_comes_beyond_a_gap_waits_for_what_is_missing() -> None:
 
 def test_numbers_of_events_that_others_made_void_are_no_gap_for_ever() -> None:
     merge = SceneMerge(Past(scene(1), scene(9)), page=PAGE)
+    merge.hear(9)
     assert list(merge.catch_up()) == [scene(1), scene(9)]
-    assert merge.take(scene(10))
     assert not merge.is_behind
+
+
+def test_a_made_up_number_is_forgotten_and_never_gone_on_from() -> None:
+    past = Past(scene(1))
+    merge = SceneMerge(past, page=PAGE)
+    merge.hear(2**63 - 1)
+    assert list(merge.catch_up()) == [scene(1)]
+    assert not merge.is_behind
+    past.add(scene(2))
+    merge.hear(2)
+    assert list(merge.catch_up()) == [scene(2)]
+
+
+def test_a_record_that_cannot_be_read_is_passed_over_by_its_number() -> None:
+    past = Past(scene(1), SceneEvent(2, "log/lidar/s2", b"?", unreadable=True), scene(3))
+    merge = SceneMerge(past, page=1)
+    assert list(merge.catch_up()) == [scene(1), scene(3)]
 
 
 @pytest.mark.parametrize("seed", range(50))
@@ -170,8 +198,8 @@ class _Life:
         self._merge = SceneMerge(past, page=PAGE, since=since)
 
     def send(self, event: SceneEvent | None) -> list[SceneEvent]:
-        if event is not None and self._merge.take(event):
-            return [event]
+        if event is not None:
+            self._merge.hear(event.seq)
         if event is None or self._merge.is_behind:
             return list(self._merge.catch_up())
         return []

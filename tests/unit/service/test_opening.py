@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from service.cli.main import main
-from service.config import Settings
 from service.errors import StateUnusableError
+from service.settings.config import Settings
 from service.store.engine import DATABASE_NAME, StoreUnavailableError
 from service.store.opening import open_ledger_store, open_ledger_store_to_read, sole_service
 

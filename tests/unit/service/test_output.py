@@ -1,8 +1,12 @@
+import json
 import subprocess
 import sys
+from io import StringIO
 from pathlib import Path
 
 import pytest
+from rich.console import Console
+from rich.progress import TextColumn
 
 from service.cli import output
 from service.cli.report import first_of
@@ -65,3 +69,39 @@ def test_a_table_tells_two_reasons_and_how_many_it_leaves_out() -> None:
     assert first_of(()) == ""
     assert first_of(("one", "two")) == "one; two"
     assert first_of(("one", "two", "three", "four")) == "one; two; and 2 more"
+
+
+STEERING = "\x1b]52;c;aGk=\x07\x1b[2J\x9b31m\u202e\n\udcff[red][/][link=x]:smile:"
+SHOWN = r"\x1b]52;c;aGk=\x07\x1b[2J\x9b31m\u202e\n\udcff[red][/][link=x]:smile:"
+
+
+def test_what_steers_a_terminal_is_shown_and_markup_is_not_read(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(output.results, "width", 400)
+    output.table(f"title {STEERING}", (f"name {STEERING}", "2"), [(STEERING, 1), ("b", STEERING)])
+    output.result_line(STEERING)
+    output.remark(STEERING)
+    with output.progress() as bar:
+        bar.add_task(STEERING)
+    written = capsys.readouterr()
+    for text in (written.out, written.err):
+        assert all(char.isprintable() or char == "\n" for char in text)
+    assert written.out.count(SHOWN) == 5
+    assert written.err == SHOWN + "\n"
+
+
+def test_json_keeps_what_steers_a_terminal_escaped(capsys: pytest.CaptureFixture[str]) -> None:
+    output.json_line({"vehicle": STEERING})
+    (line,) = capsys.readouterr().out.splitlines()
+    assert line.isascii()
+    assert line.isprintable()
+    assert json.loads(line)["vehicle"] == STEERING
+
+
+def test_a_bar_on_a_terminal_shows_what_would_steer_it() -> None:
+    shown = Console(file=StringIO(), force_terminal=True, width=300)
+    with output._Bar(TextColumn("{task.description}", markup=False), console=shown) as bar:
+        task = bar.add_task(STEERING)
+        bar.update(task, description=f"mining {STEERING}")
+        assert bar.tasks[0].description == f"mining {SHOWN}"

@@ -8,10 +8,10 @@ import pytest
 
 from schemas.work import Recording
 from service.cli.main import main
-from service.ledger import LeasePolicy, Ledger
-from service.metrics import ServiceMetrics
-from service.state import StateLock
+from service.monitoring.metrics import ServiceMetrics
 from service.store.engine import open_store
+from service.store.ledger import LeasePolicy, Ledger
+from service.store.state import StateLock
 from tests.contracts.ledger_world import World, recording
 
 

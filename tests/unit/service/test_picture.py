@@ -12,11 +12,11 @@ from schemas.labels import Agreement, MotionLabel
 from schemas.overlay import NO_POSITION_CM, Overlay
 from schemas.score import SceneScore
 from schemas.task import MOTION
-from service.picture import draw_camera, draw_scene, strongest_frame
-from service.picture_above import draw_above
-from service.picture_camera import ImageUnreadableError
-from service.picture_style import colours_of, font, inks_of, shorten, wrap
-from service.picture_view import View
+from service.pictures.above import draw_above
+from service.pictures.camera import ImageUnreadableError
+from service.pictures.scene import draw_camera, draw_scene, strongest_frame
+from service.pictures.style import colours_of, font, inks_of, shorten, wrap
+from service.pictures.view import View
 from tests.labelled_worlds import CLASS_NAMES, Thing, labelled_scene, shard_of
 from workers.contradiction.instances import find_instances
 from workers.contradiction.overlay import overlay_of

@@ -5,9 +5,9 @@ import pytest
 
 from schemas.overlay import Overlay
 from schemas.score import SceneScore
-from service.picture import draw_scene
-from service.picture_reasons import lines_of
-from service.picture_style import font, wrap
+from service.pictures.reasons import lines_of
+from service.pictures.scene import draw_scene
+from service.pictures.style import font, wrap
 from tests.labelled_worlds import Thing, labelled_scene
 from tests.unit.service.test_picture import DYNAMIC, PHANTOM, STATIC, WALL, mined_scene
 

@@ -4,8 +4,8 @@ import pytest
 
 from schemas.arrays import NS_PER_S
 from service.cli import rates as verb
+from service.curation.rates import RateRow, RatesRequest, RateSums, rates, rates_request
 from service.errors import UsageError
-from service.rates import RateRow, RatesRequest, RateSums, rates, rates_request
 
 NOW_S = datetime(2026, 11, 21, 12, tzinfo=UTC).timestamp()
 
@@ -100,3 +100,12 @@ def test_a_row_travels_and_comes_back() -> None:
     assert RateRow.model_validate_json(row.model_dump_json()) == row
     request = RatesRequest(by="hour", since_ns=5)
     assert RatesRequest.model_validate_json(request.model_dump_json()) == request
+
+
+@pytest.mark.parametrize("late", ["2300-01-01", "9999999999999", "9999-12-31T23:59:59-23:00"])
+@pytest.mark.parametrize("side", ["since", "until"])
+def test_a_time_beyond_the_range_of_nanoseconds_is_refused_in_a_sentence(
+    late: str, side: str
+) -> None:
+    with pytest.raises(UsageError, match=f"{side} is too late: '{late}'; the last .* April 2262"):
+        rates_request("hour", now_s=1e9, **{side: late})

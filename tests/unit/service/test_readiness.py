@@ -3,7 +3,7 @@
 import pytest
 
 from schemas.errors import TransientError
-from service.readiness import Daemon
+from service.monitoring.readiness import Daemon
 
 
 class Part:

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from service.cli.main import main
+from service.curation.ranking import RankedScene
+from service.curation.scene_names import is_short_name, named, short_names
 from service.errors import NothingFoundError, UsageError
-from service.ranking import RankedScene
-from service.scene_names import is_short_name, named, short_names
 from service.store.engine import open_store
 from tests.contracts.ledger_world import World
 

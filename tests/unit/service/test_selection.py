@@ -2,8 +2,8 @@
 
 import pytest
 
-from service.ranking import RankedScene
-from service.selection import LeftOut, Selection, left_out, select
+from service.curation.ranking import RankedScene
+from service.curation.selection import LeftOut, Selection, left_out, select
 
 
 def row(rank: int, score: float, *, twin_of: str | None = None) -> RankedScene:

@@ -8,14 +8,15 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from schemas.contradiction import ContradictionKind, SceneState
 from schemas.score import KindTotal
-from service import gauges
-from service.bucket_watch import BucketSeen
-from service.gauges import Sources
-from service.ledger import StoreUnavailableError
-from service.metrics import MOST_VEHICLES, ServiceMetrics
+from service.background.bucket_watch import BucketSeen
+from service.errors import StatementFailedError, StateUnusableError
+from service.monitoring import gauges
+from service.monitoring.gauges import Sources
+from service.monitoring.metrics import MOST_VEHICLES, ServiceMetrics
 from service.store.backlog import Backlog
 from service.store.effects import Effects
 from service.store.engine import open_store
+from service.store.faults import StoreUnavailableError
 from tests.contracts.ledger_world import START_NS, World, plan_of, score_of
 
 COMPARED = {"both_static", "both_dynamic", "only_semantic_dynamic", "only_predictive_dynamic"}
@@ -166,9 +167,12 @@ def test_the_ledger_is_counted_once_for_many_scrapes(monkeypatch: pytest.MonkeyP
 def test_a_failed_transaction_counts_as_a_database_error(world: World) -> None:
     metrics = ServiceMetrics()
     world.ledger.observe(metrics)
+    with pytest.raises(StatementFailedError), world.store.writing() as connection:
+        connection.exec_driver_sql("SELECT FROM WHERE")
+    assert value(metrics, "database_errors_total") == 0, "the database is not to blame"
     with world.store.writing() as connection:
         connection.exec_driver_sql("DROP TABLE leases")
-    with pytest.raises(StoreUnavailableError):
+    with pytest.raises(StateUnusableError, match="its tables are gone"):
         world.ledger.expire()
     assert value(metrics, "database_errors_total") == 1
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from service.errors import StateInUseError, StateUnusableError
-from service.state import LOCK_NAME, StateLock, endpoint_of_running, prepare_state
+from service.store.state import LOCK_NAME, StateLock, endpoint_of_running, prepare_state
 
 
 def test_a_folder_is_made_when_it_is_missing(tmp_path: Path) -> None:
@@ -62,7 +62,8 @@ def test_what_a_dead_service_wrote_into_the_lock_does_not_count(tmp_path: Path) 
 
 def test_looking_at_the_lock_does_not_keep_a_service_from_starting(tmp_path: Path) -> None:
     script = (
-        "import sys; from pathlib import Path; from service.state import endpoint_of_running\n"
+        "import sys; from pathlib import Path\n"
+        "from service.store.state import endpoint_of_running\n"
         "print(flush=True)\n"
         "while True: endpoint_of_running(Path(sys.argv[1]))\n"
     )

@@ -7,12 +7,12 @@ from threading import Event
 import pytest
 import structlog.testing
 
-from schemas.bucket import Bucket, open_bucket
 from schemas.errors import BucketUnreachableError
 from schemas.overlay import overlay_key
+from schemas.transport.bucket import Bucket, open_bucket
+from service.background.sweeping import DAY_S, OverlaySweep
 from service.errors import UsageError
 from service.store.engine import open_store
-from service.sweeping import DAY_S, OverlaySweep
 from tests.contracts.ledger_world import World
 
 KEEP_DAYS = 7

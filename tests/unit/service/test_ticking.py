@@ -11,8 +11,9 @@ from schemas.errors import (
     PermanentError,
     TransientError,
 )
-from service import ticking
-from service.ticking import tick
+from service.background import ticking
+from service.background.ticking import tick
+from service.errors import StateUnusableError
 
 
 @pytest.fixture(autouse=True)
@@ -40,10 +41,39 @@ def test_trouble_that_passes_is_said_once_and_so_is_its_end() -> None:
 
 def test_trouble_that_will_not_pass_ends_the_loop() -> None:
     def work() -> None:
-        raise PermanentError("access denied")
+        raise StateUnusableError("not a database")
 
-    with pytest.raises(PermanentError, match="access denied"):
+    with pytest.raises(StateUnusableError, match="not a database"):
         tick(work, what="listing", interval_s=0.001, stop=Event())
+
+
+class Panic(BaseException):
+    """What the binding of Zenoh raises is no `Exception` either."""
+
+
+@pytest.mark.parametrize("error", [ValueError("no such thing"), PermanentError("no"), Panic("!")])
+def test_what_nobody_foresaw_is_logged_and_counted_and_the_work_goes_on(
+    error: BaseException,
+) -> None:
+    stop, times, faults = Event(), 0, 0
+
+    def work() -> None:
+        nonlocal times
+        times += 1
+        if times == 4:
+            stop.set()
+        elif times > 1:
+            raise error
+
+    def count() -> None:
+        nonlocal faults
+        faults += 1
+
+    with structlog.testing.capture_logs() as said:
+        tick(work, what="publishing", interval_s=0.001, stop=stop, on_fault=count)
+    assert faults == 2
+    assert [entry["log_level"] for entry in said] == ["error", "error", "info"]
+    assert said[0]["exc_info"] is error
 
 
 def test_a_refusal_is_waited_out_where_it_may_pass_and_said_with_its_sentence() -> None:

@@ -1,14 +1,14 @@
 import pytest
 
-from schemas.bucket import open_bucket
 from schemas.errors import CounterpointError
 from schemas.labels import FrameHealth
 from schemas.mining import MiningSettings
+from schemas.transport.bucket import open_bucket
 from tests.factories import frame
 from tests.tiny_logs import Recorder, drive, only_recording, settings
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard
-from workers.registry import build_parts
+from workers.parts.registry import build_parts
 from workers.selfsupervised.ahead import Ahead, Waiting
 from workers.selfsupervised.answer import nothing_known
 

@@ -17,10 +17,10 @@ from workers.contradiction.instances import find_instances
 from workers.contradiction.score import score_scene
 from workers.contradiction.strength import rank_tracks
 from workers.contradiction.version import contradiction_version
-from workers.evaluation.failures.rows import MinedLog, SceneRow, ThingRow, TrackRow
-from workers.training.attribution import fit, fit_kind
-from workers.training.attribution_prior import PRIOR
-from workers.training.attribution_scores import left_out
+from workers.lab.evaluation.failures.rows import MinedLog, SceneRow, ThingRow, TrackRow
+from workers.lab.training.attribution import fit, fit_kind
+from workers.lab.training.attribution_prior import PRIOR
+from workers.lab.training.attribution_scores import left_out
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
 PARKED = Thing((12, -4, 0), DYNAMIC, STATIC)

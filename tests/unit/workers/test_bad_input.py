@@ -14,12 +14,12 @@ from schemas.labels import Agreement, Blindness, MotionLabel
 from schemas.score import SceneScore
 from tests.factories import frame, pose, recorded
 from tests.labelled_worlds import START_NS, shard_of
+from workers.lab.simulation.sensor.lidar import UNIFORM_64, Lidar, sweep
+from workers.lab.simulation.world.worlds import build_street
+from workers.odometry.odometry import KissOdometry
+from workers.parts.protocols import Odometry, Parts
 from workers.pipeline import mine_shard
-from workers.protocols import Odometry, Parts
-from workers.selfsupervised.odometry import KissOdometry
 from workers.selfsupervised.stream import Registration
-from workers.simulation.lidar import UNIFORM_64, Lidar, sweep
-from workers.simulation.worlds import build_street
 from workers.supervised.recorded import Recorded
 
 LIDAR = Lidar(elevation_deg=UNIFORM_64[::2], columns=400)

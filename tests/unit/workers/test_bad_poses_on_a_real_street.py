@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from schemas.bucket import open_bucket
 from schemas.frame import LidarFrame, PosedFrame
 from schemas.labels import Blindness, MotionLabel
 from schemas.mining import MiningSettings
-from schemas.recordings import group_recordings
+from schemas.transport.bucket import open_bucket
+from schemas.transport.recordings import group_recordings
 from tests.factories import pose
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard
-from workers.selfsupervised.odometry import KissOdometry
+from workers.odometry.odometry import KissOdometry
 from workers.selfsupervised.stream import Registration
 
 LOG = "pandaset/panda-01/2019-05-11/pandaset-002"

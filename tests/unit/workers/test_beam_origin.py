@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from schemas.bucket import open_bucket
 from schemas.labels import Blindness, MotionLabel
 from schemas.mining import MiningSettings
-from schemas.recordings import group_recordings
+from schemas.transport.bucket import open_bucket
+from schemas.transport.recordings import group_recordings
 from tests.factories import frame
-from workers.evaluation.whole_log import shards_of_log
 from workers.ingest.read import read_shard
-from workers.selfsupervised.odometry import KissOdometry
+from workers.lab.evaluation.truth.whole_log import shards_of_log
+from workers.lab.simulation.sensor.lidar import UNEVEN_64, UNIFORM_64, Lidar, SimulatedFrame, sweep
+from workers.lab.simulation.world.worlds import build_street
+from workers.lidar.beam_origin import MAX_BEHIND_SHARE, behind_share
+from workers.lidar.beam_table import estimate_beam_table
+from workers.odometry.odometry import KissOdometry
 from workers.selfsupervised.stream import Registration
-from workers.simulation.lidar import UNEVEN_64, UNIFORM_64, Lidar, SimulatedFrame, sweep
-from workers.simulation.worlds import build_street
-from workers.visibility.beam_origin import MAX_BEHIND_SHARE, behind_share
-from workers.visibility.beam_table import estimate_beam_table
 
 EVEN_16 = tuple(np.linspace(15.0, -15.0, 16).tolist())
 EVEN_32 = tuple(np.linspace(10.67, -30.67, 32).tolist())

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from schemas.frame import LidarFrame, OdometryState
 from tests import factories
-from workers.selfsupervised.beginning import contradicted_share, likely_velocities
-from workers.selfsupervised.odometry import KissOdometry
-from workers.simulation.lidar import Lidar, sensor_poses, sweep
-from workers.simulation.street_plan import StreetPlan
-from workers.simulation.worlds import build_street
+from workers.lab.simulation.sensor.lidar import Lidar, sensor_poses, sweep
+from workers.lab.simulation.world.street_plan import StreetPlan
+from workers.lab.simulation.world.worlds import build_street
+from workers.odometry.beginning import contradicted_share, likely_velocities
+from workers.odometry.odometry import KissOdometry
 
 RAIL_Y_M = 9.0
 SPEED_M_PER_S = 25.0

@@ -10,11 +10,11 @@ from pydantic import TypeAdapter
 from schemas.frame import LidarFrame
 from service.cli.main import main
 from tests import factories
-from workers.calibration.sensor_layout import measure_layout
-from workers.calibration.sensor_profile import different_lidars, fit_profile, write_profile
 from workers.errors import LogUnusableError
-from workers.geometry.range_image import SensorProfile
-from workers.simulation.lidar import UNEVEN_64, Lidar
+from workers.lab.calibration.sensor_layout import measure_layout
+from workers.lab.calibration.sensor_profile import different_lidars, fit_profile, profile_text
+from workers.lab.simulation.sensor.lidar import UNEVEN_64, Lidar
+from workers.lidar.range_image import SensorProfile
 from workers.supervised.adapter import Adapter
 
 BEAMS_DEG = np.array([8.0, 3.0, 1.0, 0.0, -1.0, -2.5, -4.0, -7.0, -11.0, -16.0, -22.0, -25.0])
@@ -131,11 +131,11 @@ def test_a_frame_without_a_return_changes_nothing() -> None:
 
 def test_a_profile_is_read_back_from_json_and_by_an_adapter(tmp_path: Path) -> None:
     profile = fit_profile([_frame()], name="hall").profile
-    write_profile(tmp_path / "hall.json", profile)
+    (tmp_path / "hall.json").write_text(profile_text(profile, ".json"))
     assert (
         TypeAdapter(SensorProfile).validate_json((tmp_path / "hall.json").read_bytes()) == profile
     )
-    write_profile(tmp_path / "hall.toml", profile)
+    (tmp_path / "hall.toml").write_text(profile_text(profile, ".toml"))
     written = (tmp_path / "hall.toml").read_text()
     assert tomllib.loads(written)["profile"]["rows"] == 16
     classes = '[{ name = "car", movable = true }]'
@@ -170,7 +170,9 @@ def test_a_log_of_two_lidars_needs_a_topic_and_a_short_one_says_how_to_take_more
     out = ["--out", str(tmp_path / "p.toml")]
     assert main(["calibrate", "sensor", str(log), *out]) == 0
     assert "frames taken: 1, one of 10; --every 1 takes more" in capsys.readouterr().err
-    assert main(["calibrate", "sensor", str(log), *out, "--every", "1"]) == 0
+    assert main(["calibrate", "sensor", str(log), *out, "--every", "1"]) == 1
+    assert "--force" in capsys.readouterr().err, "a profile may have been edited by hand"
+    assert main(["calibrate", "sensor", str(log), *out, "--every", "1", "--force"]) == 0
     assert "--every" not in capsys.readouterr().err
 
 

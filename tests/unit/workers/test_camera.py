@@ -15,8 +15,8 @@ from mcap_ros2._dynamic import serialize_dynamic
 from PIL import Image
 
 from schemas.arrays import NS_PER_S
-from schemas.bucket import Bucket, open_bucket
-from schemas.recordings import group_recordings
+from schemas.transport.bucket import Bucket, open_bucket
+from schemas.transport.recordings import group_recordings
 from schemas.work import Recording
 from workers.ingest.camera import CameraUnavailableError, read_camera
 from workers.ingest.camera_model import CameraView, distort

@@ -175,9 +175,15 @@ def test_a_file_without_parameters_says_what_it_holds(
 def test_no_file_a_text_and_a_program_are_told_apart(tmp_path: Path) -> None:
     with pytest.raises(WeightsUnusableError, match="No such file"):
         read_checkpoint(tmp_path / "none.pth")
-    (tmp_path / "text.pth").write_text("version https://git-lfs.github.com/spec/v1\n")
-    with pytest.raises(WeightsUnusableError, match="no checkpoint that torch has written"):
-        read_checkpoint(tmp_path / "text.pth")
+    for text, says in (
+        ("a note", "no checkpoint that torch has written"),
+        ("version https://git-lfs.github.com/spec/v1\n", "a pointer of Git LFS"),
+        ("<!DOCTYPE html><html>not found</html>", "a web page"),
+        ("", "is empty"),
+    ):
+        (tmp_path / "text.pth").write_text(text)
+        with pytest.raises(WeightsUnusableError, match=says):
+            read_checkpoint(tmp_path / "text.pth")
     with zipfile.ZipFile(tmp_path / "program.pt", "w") as archive:
         archive.writestr("program/constants.pkl", b"")
         archive.writestr("program/data.pkl", b"")

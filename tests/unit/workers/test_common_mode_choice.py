@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
-from workers.simulation.candidates import candidates_of, look_at
-from workers.simulation.lidar import UNEVEN_64, Lidar, SimulatedFrame, sweep
-from workers.simulation.plan import FailureKind, LogPlan, PlannedFailure
-from workers.simulation.planting import plant
-from workers.simulation.street import Street
-from workers.simulation.street_plan import StreetPlan
-from workers.simulation.worlds import build_street
+from workers.lab.simulation.faults.candidates import candidates_of, look_at
+from workers.lab.simulation.faults.plan import FailureKind, LogPlan, PlannedFailure
+from workers.lab.simulation.faults.planting import plant
+from workers.lab.simulation.sensor.lidar import UNEVEN_64, Lidar, SimulatedFrame, sweep
+from workers.lab.simulation.world.street import Street
+from workers.lab.simulation.world.street_plan import StreetPlan
+from workers.lab.simulation.world.worlds import build_street
 
 LIDAR = Lidar(elevation_deg=UNEVEN_64[::2], columns=512)
 

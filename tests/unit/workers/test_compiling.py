@@ -1,25 +1,43 @@
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
+from tests.conftest import ROOT
+from workers.points.compiled import COMPILED
+
 RUN_ONE_LOOP = """
 import numpy as np
-from workers.compiling import compile_apart
-from workers.visibility.passes import within
+from workers.warmup.compiling import compile_apart
+from workers.points.passes import within
 
 compile_apart()
 print(within(np.ones((1, 3), np.float32), 0.0, 2.0).tolist())
 """
 COMPILED_BEFORE = """
 from pathlib import Path
-from workers import compiling
-from workers.visibility.compiled import cache_folder
-from workers.visibility.passes import within
+from workers.warmup import compiling
+from workers.points.compiled import cache_folder
+from workers.points.passes import within
 
 Path(cache_folder(within), compiling._marker()).touch()
 compiling.compile_apart()
 """
+
+
+DECORATED = re.compile(r"^@(compiled|inlined)$", re.MULTILINE)
+
+
+def test_every_module_with_compiled_loops_is_in_the_key_of_their_cache() -> None:
+    packages = tuple(f"{each}." for each in COMPILED)
+    with_loops = {
+        ".".join(file.relative_to(ROOT).with_suffix("").parts)
+        for file in (ROOT / "workers").rglob("*.py")
+        if DECORATED.search(file.read_text(encoding="utf-8"))
+    }
+    assert len(with_loops) > 20
+    assert [each for each in sorted(with_loops) if not f"{each}.".startswith(packages)] == []
 
 
 def run(code: str, cache: Path) -> str:

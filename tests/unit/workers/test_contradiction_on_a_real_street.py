@@ -3,13 +3,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from schemas.bucket import open_bucket
 from schemas.contradiction import ContradictionKind, LabelledFrame, Scene
 from schemas.frame import PosedFrame
 from schemas.labels import FrameLabels, MotionLabel
 from schemas.mining import MiningSettings
-from schemas.recordings import group_recordings
 from schemas.task import MOTION
+from schemas.transport.bucket import open_bucket
+from schemas.transport.recordings import group_recordings
 from tests.labelled_worlds import shard_of
 from workers.contradiction.compare import compare
 from workers.contradiction.instances import find_instances
@@ -18,7 +18,7 @@ from workers.contradiction.strength import rank_tracks
 from workers.contradiction.version import contradiction_version
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard
-from workers.protocols import Parts
+from workers.parts.protocols import Parts
 
 LOG = "pandaset/panda-01/2019-05-11/pandaset-002"
 HIDDEN_MOVER, PARKED_CAR = 67, 1

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from mcap.writer import CompressionType, IndexType
 
-from schemas.bucket import open_bucket
 from schemas.errors import PermanentError
+from schemas.transport.bucket import open_bucket
 from tests.tiny_logs import Recorder, drive, only_recording, settings
 from workers.ingest.inspect import inspect_recording
 from workers.ingest.plan import plan_recording

@@ -2,8 +2,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from workers.geometry.form import Form
-from workers.selfsupervised.delora import DeLORA, matrix
+from workers.lidar.form import Form
+from workers.paper.delora import DeLORA, matrix
 
 
 def _images(*, batch: int = 2) -> tuple[Tensor, Tensor]:

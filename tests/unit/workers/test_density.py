@@ -5,8 +5,8 @@ import pytest
 from numpy.typing import NDArray
 from sklearn.cluster import DBSCAN
 
-from workers.visibility.around import counts_around
-from workers.visibility.density import density_clusters, weighted_places
+from workers.contradiction.around import counts_around
+from workers.points.density import density_clusters, weighted_places
 
 VOXEL_M = np.float32(0.1)
 

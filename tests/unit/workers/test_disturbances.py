@@ -4,20 +4,20 @@ import numpy as np
 import pytest
 
 from tests.factories import SMALL_LIDAR
-from workers.simulation.confidence import draw_confidence
-from workers.simulation.disturbances import (
+from workers.lab.simulation.faults.confidence import draw_confidence
+from workers.lab.simulation.faults.disturbances import (
     Disturbance,
     delay_ns,
     disturb,
     draw_disturbance,
     only_points,
 )
-from workers.simulation.kinds import StreetClass
-from workers.simulation.lidar import SimulatedFrame, sweep
-from workers.simulation.plan import SCENE_S, DisturbanceKind, PlannedDisturbance
-from workers.simulation.recorded import record
-from workers.simulation.street import Street
-from workers.simulation.worlds import build_street
+from workers.lab.simulation.faults.plan import SCENE_S, DisturbanceKind, PlannedDisturbance
+from workers.lab.simulation.faults.recorded import record
+from workers.lab.simulation.models.kinds import StreetClass
+from workers.lab.simulation.sensor.lidar import SimulatedFrame, sweep
+from workers.lab.simulation.world.street import Street
+from workers.lab.simulation.world.worlds import build_street
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,16 @@ from schemas.labels import MotionLabel
 from schemas.mining import MiningSettings
 from tests.factories import frame, posed, street_log
 from workers.errors import LogUnusableError
-from workers.evaluation.beam_rows import BeamRows
-from workers.evaluation.disturbance import Disturbance, Numbered, with_yaw_noise, without_beams
-from workers.evaluation.motion import JudgedFrame, evaluate_motion
-from workers.evaluation.worst import WorstFrames
-from workers.evaluation.written_labels import write_labels
+from workers.lab.evaluation.motion.beam_rows import BeamRows
+from workers.lab.evaluation.motion.disturbance import (
+    Disturbance,
+    Numbered,
+    with_yaw_noise,
+    without_beams,
+)
+from workers.lab.evaluation.motion.motion import JudgedFrame, evaluate_motion
+from workers.lab.evaluation.motion.worst import WorstFrames
+from workers.lab.evaluation.motion.written_labels import write_labels
 
 KEY = "car-7/2026-03-02/drive"
 FRAMES = 8

@@ -5,11 +5,11 @@ import pytest
 from numpy.typing import NDArray
 
 from schemas.labels import FrameLabels, MotionLabel
-from workers.evaluation.counting import count_frame
-from workers.evaluation.counts import LogCounts, StreamCounts, total_of
-from workers.evaluation.objects import TrueObject, objects_in, rotations_in
-from workers.evaluation.table import LogEvaluation, evaluation_of
-from workers.evaluation.truth import FrameTruth
+from workers.lab.evaluation.motion.counting import count_frame
+from workers.lab.evaluation.motion.counts import LogCounts, StreamCounts, total_of
+from workers.lab.evaluation.motion.table import LogEvaluation, evaluation_of
+from workers.lab.evaluation.truth.objects import TrueObject, objects_in, rotations_in
+from workers.lab.evaluation.truth.truth import FrameTruth
 
 TURNED = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 TRUE_DYNAMIC, TRUE_STATIC = 2, 1

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from workers.evaluation.failures.calibration import calibrate
-from workers.evaluation.failures.intervals import bootstrap
-from workers.evaluation.failures.ranking import Items, random_row, row_of
-from workers.evaluation.failures.retrieval import (
+from workers.lab.evaluation.failures.calibration import calibrate
+from workers.lab.evaluation.failures.intervals import bootstrap
+from workers.lab.evaluation.failures.ranking import Items, random_row, row_of
+from workers.lab.evaluation.failures.retrieval import (
     area_under,
     found_curve,
     found_within,

@@ -6,18 +6,23 @@ import pytest
 from schemas.attribution import Attribution, Wrong
 from schemas.mining import MiningSettings
 from schemas.work import Part, Recording
-from service.failure_report import write_report
-from workers.evaluation.failures.attribution import attribute
-from workers.evaluation.failures.bench import FailureBench, with_slips
-from workers.evaluation.failures.common_mode import WITNESS_ALONE, common_mode
-from workers.evaluation.failures.kept import keep_log, kept_log
-from workers.evaluation.failures.mine_log import LogJob
-from workers.evaluation.failures.natural import natural_table
-from workers.evaluation.failures.planted import planted_table
-from workers.evaluation.failures.probes import Probing
-from workers.evaluation.failures.rows import MinedLog, SceneRow, ThingRow, TrackRow
-from workers.evaluation.failures.undisturbed import by_disturbance, slipped, threshold_of
-from workers.simulation.plan import DISTURBANCE_MEANS, FAILURE_MEANS, DisturbanceKind, FailureKind
+from service.reports.failure_report import write_report
+from workers.lab.evaluation.failures.attribution import attribute
+from workers.lab.evaluation.failures.bench import FailureBench, with_slips
+from workers.lab.evaluation.failures.common_mode import WITNESS_ALONE, common_mode
+from workers.lab.evaluation.failures.kept import keep_log, kept_log
+from workers.lab.evaluation.failures.mine_log import LogJob
+from workers.lab.evaluation.failures.natural import natural_table
+from workers.lab.evaluation.failures.planted import planted_table
+from workers.lab.evaluation.failures.probes import Probing
+from workers.lab.evaluation.failures.rows import MinedLog, SceneRow, ThingRow, TrackRow
+from workers.lab.evaluation.failures.undisturbed import by_disturbance, slipped, threshold_of
+from workers.lab.simulation.faults.plan import (
+    DISTURBANCE_MEANS,
+    FAILURE_MEANS,
+    DisturbanceKind,
+    FailureKind,
+)
 
 SCENES = 10
 
@@ -244,3 +249,44 @@ def test_the_report_holds_its_tables_and_plots(tmp_path: Path) -> None:
     assert FAILURE_MEANS[FailureKind.UNSEEN_CLASS] in page
     assert DISTURBANCE_MEANS[DisturbanceKind.ODOMETRY_SLIP] in page
     assert "point_share" in page
+
+
+def test_no_name_becomes_markup_of_the_report(tmp_path: Path) -> None:
+    script = "<script>alert('x')</script>\x1b[2J\x9b"
+    planted = planted_table(fleet(), draws=20)
+    natural = natural_table(fleet(), draws=20)
+    named = planted.model_copy(
+        update={
+            "best_baseline": script,
+            "baselines": {script: next(iter(planted.baselines.values()))},
+            "kinds": {script: next(iter(planted.kinds.values()))},
+            "disturbances": {script: next(iter(planted.disturbances.values()), None)}
+            if planted.disturbances
+            else {},
+        }
+    )
+    who = natural.attribution.model_copy(
+        update={
+            "cases": {script: 1},
+            "recall": {script: 1.0},
+            "confusion": {script: {script: 1}},
+        }
+    )
+    bench = FailureBench(
+        bucket=script,
+        logs=6,
+        judged={script: script},
+        planted=named,
+        natural=natural.model_copy(
+            update={
+                "attribution": who,
+                "classes": {script: next(iter(natural.classes.values()))},
+                "baselines": {script: next(iter(natural.baselines.values()))},
+            }
+        ),
+    )
+    write_report(tmp_path / "report.html", bench)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "<script" not in page
+    assert page.count("&lt;script&gt;") >= 8
+    assert all(char.isprintable() or char == "\n" for char in page)

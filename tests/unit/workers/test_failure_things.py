@@ -11,13 +11,13 @@ from schemas.labels import MotionLabel
 from tests.factories import labelled, scene
 from workers.contradiction.instances import find_instances
 from workers.contradiction.strength import rank_tracks
-from workers.evaluation.failures.seen import SeenFrame
-from workers.evaluation.failures.thing_views import thing_views
-from workers.evaluation.failures.things import find_things
-from workers.evaluation.failures.verdicts import thing_under, verdict_of
-from workers.evaluation.failures.views import flicker_share, views_of
-from workers.evaluation.objects import TrueObject
-from workers.evaluation.truth import FrameTruth
+from workers.lab.evaluation.failures.seen import SeenFrame
+from workers.lab.evaluation.failures.thing_views import thing_views
+from workers.lab.evaluation.failures.things import find_things
+from workers.lab.evaluation.failures.verdicts import thing_under, verdict_of
+from workers.lab.evaluation.failures.views import flicker_share, views_of
+from workers.lab.evaluation.truth.objects import TrueObject
+from workers.lab.evaluation.truth.truth import FrameTruth
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
 SIZE = 40

@@ -2,7 +2,7 @@ from collections import Counter
 
 import pytest
 
-from workers.simulation.plan import (
+from workers.lab.simulation.faults.plan import (
     DRAWN_KINDS,
     REGRESSED_VERSION,
     DisturbanceKind,

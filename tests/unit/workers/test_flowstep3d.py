@@ -2,8 +2,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from workers.geometry.form import Form
-from workers.selfsupervised.flowstep3d import FlowStep3D
+from workers.lidar.form import Form
+from workers.paper.flowstep3d import FlowStep3D
 
 
 def _cloud(*, count: int, seed: int = 1, batch: int = 1) -> Tensor:

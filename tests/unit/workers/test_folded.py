@@ -2,8 +2,8 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from workers.geometry.form import Form
-from workers.registry import build_supervised
+from workers.lidar.form import Form
+from workers.parts.registry import build_supervised
 from workers.supervised.folded import FoldedSalsaNext
 from workers.supervised.lmnet import LMNet
 from workers.supervised.salsanext import SalsaNext

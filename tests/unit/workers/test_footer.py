@@ -2,7 +2,7 @@
 
 import pytest
 
-from schemas.bucket import Bucket, open_bucket
+from schemas.transport.bucket import Bucket, open_bucket
 from tests.tiny_logs import Recorder, drive, only_recording, settings
 from workers.ingest import footer as footer_module
 from workers.ingest.footer import StillGrowingError, TruncatedPart, is_closed

@@ -2,17 +2,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from workers.visibility.beam_table import BeamTable, estimate_beam_table
-from workers.visibility.free_space import (
-    FREE,
-    FREE_IF_TALL,
-    HIDDEN,
-    OCCUPIED,
-    Votes,
-    count_votes,
-    visibility,
-)
-from workers.visibility.range_image import COLUMNS, range_image
+from workers.free_space import FREE, FREE_IF_TALL, HIDDEN, OCCUPIED, Votes, count_votes, visibility
+from workers.lidar.beam_image import COLUMNS, range_image
+from workers.lidar.beam_table import BeamTable, estimate_beam_table
 
 ELEVATIONS_DEG = np.arange(-10.0, 5.0, 0.5)
 TABLE = BeamTable(

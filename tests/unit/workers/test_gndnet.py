@@ -1,8 +1,8 @@
 import torch
 from torch import Tensor
 
-from workers.geometry.form import Form
-from workers.selfsupervised.gndnet import GndNet, decorate
+from workers.lidar.form import Form
+from workers.paper.gndnet import GndNet, decorate
 
 
 def _pillars(*, count: int, shift_m: float = 0.0) -> tuple[Tensor, Tensor, Tensor]:

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from workers.selfsupervised.ground import ground_mask
-from workers.visibility.sensor_height import estimate_sensor_height
+from workers.lidar.ground import ground_mask
+from workers.lidar.sensor_height import estimate_sensor_height
 
 HEIGHT_M = 1.8
 

@@ -7,26 +7,27 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from schemas.canonical import sha256
 from schemas.frame import RecordedClass
 from schemas.mining import MiningSettings
 from schemas.score import AgreementShares, SceneScore
 from schemas.task import GROUND, MOTION
-from schemas.wire import encode_scene_score, sha256
+from schemas.transport.wire import encode_scene_score
 from schemas.work import CommitRequest, ManifestEntry
 from service.cli.main import main
 from service.store.manifest import verify
 from tests import factories
 from workers.checkpoints.errors import WeightsUnusableError
-from workers.equipment import equip
 from workers.errors import TasksDifferError, UnknownPartError
-from workers.evaluation.alternatives import build_streams
-from workers.part_files import PartFiles
-from workers.registry import SELFSUPERVISED, SUPERVISED, build_parts
+from workers.lab.evaluation.motion.alternatives import build_streams
+from workers.parts.files import PartFiles
+from workers.parts.registry import SELFSUPERVISED, SUPERVISED, build_parts
 from workers.selfsupervised.ground_stream import GroundStream
 from workers.supervised.classes import ClassMeaning, ClassSet
 from workers.supervised.ground_classes import GroundFusion, ground_labels_of
 from workers.supervised.recorded import Recorded
 from workers.supervised.stream import SHIPPED, RangeImageStream
+from workers.worker.equipment import equip
 
 OTHER, ON_GROUND, UNKNOWN = 0, 1, 2
 NAMES = ("unlabeled", "Road", "other-ground", "lane marking", "vegetation", "car")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from schemas.frame import OdometryState
-from workers.selfsupervised.health import HealthMonitor, Judgement, Residual
+from workers.odometry.health import HealthMonitor, Judgement, Residual
 
 DRIVES = np.array([0.0, 0.0, 0.0, 25.0, 0.0, 0.0])
 

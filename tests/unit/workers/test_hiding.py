@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from workers.visibility.hiding import Shades, hidden_share, shades_of
+from workers.contradiction.hiding import Shades, hidden_share, shades_of
 
 
 def _wall(x_m: float, *, side_m: float = 4.0) -> NDArray[np.float32]:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from workers.visibility.in_boxes import answers_around, areas_of, counts_in_boxes, rows_said
+from workers.contradiction.in_boxes import answers_around, areas_of, counts_in_boxes, rows_said
 
 RNG = np.random.default_rng(5)
 

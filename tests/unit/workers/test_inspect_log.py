@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from schemas.bucket import Bucket, open_bucket
-from schemas.recordings import recording_of
+from schemas.transport.bucket import Bucket, open_bucket
+from schemas.transport.recordings import recording_of
 from tests.tiny_logs import BEGIN_NS, LIDAR, Recorder, Said, drive, only_recording, settings
 from workers.errors import NotMcapError
 from workers.ingest.inspect import LogReport, inspect_recording

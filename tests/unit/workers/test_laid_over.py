@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from workers.visibility.laid_over import Cells, cells_in_box, misfits, tiled
+from workers.contradiction.laid_over import Cells, cells_in_box, misfits, tiled
 
 LOW_M, HIGH_M = np.array([-7.0, 2.0, 0.0]), np.array([9.0, 11.0, 2.0])
 

@@ -9,12 +9,12 @@ import torch
 from tests import factories
 from workers.checkpoints import stored
 from workers.errors import UnknownPartError
-from workers.geometry.se3 import transform
-from workers.networks import read_config
-from workers.part_files import PartFiles
-from workers.registry import build_selfsupervised
-from workers.selfsupervised.learned_flow import REACH_M, FlowStep3DFlow
-from workers.selfsupervised.weights import load_flowstep3d
+from workers.paper.learned_flow import REACH_M, FlowStep3DFlow
+from workers.paper.weights import load_flowstep3d
+from workers.parts.files import PartFiles
+from workers.parts.networks import read_config
+from workers.parts.registry import build_selfsupervised
+from workers.points.se3 import transform
 
 EGO = factories.pose(1.5, 0.2, 0.05)
 

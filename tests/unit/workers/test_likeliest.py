@@ -6,10 +6,10 @@ import pytest
 
 from schemas.frame import OdometryState, PosedFrame
 from tests.unit.workers.test_odometry import drive
-from workers.selfsupervised import likeliest
-from workers.selfsupervised.likeliest import Likeliest, Unsure
-from workers.selfsupervised.odometry_run import Run
-from workers.visibility.deskew import Twist
+from workers.lidar.deskew import Twist
+from workers.odometry import likeliest
+from workers.odometry.likeliest import Likeliest, Unsure
+from workers.odometry.odometry_run import Run
 
 HEALTHY, DOUBTED, LOST = OdometryState.HEALTHY, OdometryState.DEGRADED, OdometryState.LOST
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 from mcap.writer import CompressionType, IndexType
 
-from schemas.bucket import Bucket, open_bucket
 from schemas.errors import ObjectChangedError
+from schemas.transport.bucket import Bucket, open_bucket
 from tests.tiny_logs import BEGIN_NS, LIDAR, Recorder, Said, drive, only_recording, ring
 from workers.errors import NotMcapError
 from workers.ingest import footer as footer_module

@@ -6,9 +6,9 @@ from numpy.typing import NDArray
 
 from schemas.frame import PosedFrame
 from tests.unit.workers.test_odometry import drive
-from workers.geometry.se3 import inverse
-from workers.selfsupervised.maps_by_clock import EVERY_NS, LEAD_NS
-from workers.selfsupervised.odometry import KissOdometry
+from workers.odometry.maps_by_clock import EVERY_NS, LEAD_NS
+from workers.odometry.odometry import KissOdometry
+from workers.points.se3 import inverse
 
 FAR = 5
 """Half a second of frames."""

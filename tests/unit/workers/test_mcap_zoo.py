@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from schemas.bucket import Bucket, open_bucket
 from schemas.mining import MiningSettings
+from schemas.transport.bucket import Bucket, open_bucket
 from schemas.work import Part, Recording
 from workers.errors import NotMcapError
 from workers.ingest.inspect import LogReport, inspect_recording
@@ -26,7 +26,7 @@ TOPICS_IN_MANIFEST = 12
 
 INSPECT_ALL = """
 import sys
-from schemas.bucket import open_bucket
+from schemas.transport.bucket import open_bucket
 from schemas.errors import PermanentError
 from schemas.work import Part, Recording
 from schemas.mining import MiningSettings

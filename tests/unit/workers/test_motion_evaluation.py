@@ -7,21 +7,21 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from schemas.bucket import open_bucket
 from schemas.labels import FrameLabels, MotionLabel
 from schemas.mining import MiningSettings
-from schemas.recordings import group_recordings
+from schemas.transport.bucket import open_bucket
+from schemas.transport.recordings import group_recordings
 from tests.factories import SMALL_LIDAR, frame, street_log
-from workers.evaluation.counting import count_frame
-from workers.evaluation.counts import LogCounts, total_of
-from workers.evaluation.motion import evaluate_motion
-from workers.evaluation.table import LogEvaluation, evaluation_of
-from workers.evaluation.truth import FrameTruth, LogTruth, TruthUnusableError
-from workers.simulation.lidar import sweep
-from workers.simulation.plan import FailureKind
-from workers.simulation.planted import PlantedFailure
-from workers.simulation.recorded import record
-from workers.simulation.worlds import build_street
+from workers.lab.evaluation.motion.counting import count_frame
+from workers.lab.evaluation.motion.counts import LogCounts, total_of
+from workers.lab.evaluation.motion.motion import evaluate_motion
+from workers.lab.evaluation.motion.table import LogEvaluation, evaluation_of
+from workers.lab.evaluation.truth.truth import FrameTruth, LogTruth, TruthUnusableError
+from workers.lab.simulation.faults.plan import FailureKind
+from workers.lab.simulation.faults.planted import PlantedFailure
+from workers.lab.simulation.faults.recorded import record
+from workers.lab.simulation.sensor.lidar import sweep
+from workers.lab.simulation.world.worlds import build_street
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
 KEY = "car-7/2026-03-02/drive"

@@ -1,6 +1,6 @@
 import pytest
 
-from workers.evaluation.network_time import times_as_fast
+from workers.lab.evaluation.benchmarks.network_time import times_as_fast
 
 
 def test_a_ratio_is_that_of_pairs() -> None:

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from schemas.arrays import Transform
-from workers.geometry.se3 import transform
-from workers.selfsupervised.object_flow import object_flow
-from workers.selfsupervised.scene_flow import nearest_neighbour_flow, scene_flow_source
+from workers.paper.object_flow import object_flow
+from workers.paper.scene_flow import nearest_neighbour_flow, scene_flow_source
+from workers.points.se3 import transform
 
 POINTS = np.random.default_rng(0).uniform(-30, 30, (200, 3)).astype(np.float32)
 

@@ -6,7 +6,7 @@ import pytest
 from numpy.typing import NDArray
 
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
-from workers.selfsupervised.odometry import KissOdometry
+from workers.odometry.odometry import KissOdometry
 
 PERIOD_NS = 100_000_000
 START_NS = 1_700_000_000_000_000_000

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from workers.selfsupervised.kiss_map import chosen
-from workers.selfsupervised.odometry_run import structure, usable
+from workers.odometry.kiss_map import chosen
+from workers.odometry.odometry_run import structure, usable
 
 
 def cloud(n: int) -> NDArray[np.float32]:

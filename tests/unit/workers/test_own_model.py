@@ -14,13 +14,14 @@ from torch import nn
 from schemas.frame import PosedFrame
 from schemas.labels import FrameLabels, MotionLabel
 from tests.factories import scattered
-from workers.calibration.sensor_profile import write_profile
 from workers.checkpoints.errors import WeightsUnusableError
 from workers.errors import UnknownPartError
-from workers.geometry.range_image import SensorProfile, project
-from workers.geometry.sensor_rows import lay_out
-from workers.part_files import PartFiles
-from workers.registry import build_parts
+from workers.lab.calibration.sensor_profile import profile_text
+from workers.lab.datasets.pandaset import read_clouds
+from workers.lidar.range_image import SensorProfile, project
+from workers.lidar.sensor_rows import lay_out
+from workers.parts.files import PartFiles
+from workers.parts.registry import build_parts
 from workers.supervised.networks import RangeImageNetwork
 from workers.supervised.own_model import open_own_model
 from workers.supervised.residual_image import ResidualSettings
@@ -28,7 +29,6 @@ from workers.supervised.runtimes import open_network
 from workers.supervised.salsanext import SalsaNext
 from workers.supervised.stream import SHIPPED, RangeImageStream
 from workers.supervised.weights import LoadedWeights, load_weights
-from workers.training.pandaset import read_clouds
 
 SMALL = SensorProfile(
     name="small",
@@ -279,7 +279,7 @@ def test_weights_that_onnx_keeps_in_a_file_of_their_own_count(tmp_path: Path) ->
 
 def test_a_profile_may_be_the_file_that_was_measured(tmp_path: Path) -> None:
     adapter = _small(tmp_path, _Fixed(0.0, 3.0))
-    write_profile(tmp_path / "lidar.toml", SMALL)
+    (tmp_path / "lidar.toml").write_text(profile_text(SMALL, ".toml"))
     before = open_own_model(adapter).version
     lines = adapter.read_text().splitlines()
     lines = ['profile = "lidar.toml"' if line.startswith("profile") else line for line in lines]
@@ -307,7 +307,7 @@ def test_a_model_that_nobody_would_run_is_refused(tmp_path: Path) -> None:
         (_Fixed(0.0, 1.0), {"classes": [{"name": "a"}, {"name": "b"}]}, "nothing could ever"),
         (SalsaNext(in_channels=5, classes=2, width=4), {"channels": ["x"]}, "fails on an input"),
         (_Fixed(0.0, 1.0), {"output": "other"}, "no output 'other': name one of scores"),
-        (_Fixed(0.0, 1.0), {"file": "absent.onnx"}, "no such file"),
+        (_Fixed(0.0, 1.0), {"file": "absent.onnx"}, "No such file"),
         (_Fixed(0.0, 1.0), {"file": "net.pkl"}, "ends in one of"),
         (_Fixed(0.0, 1.0), {"channels": ["depth"]}, r"semantic.channels.0: Input should be"),
         (_Fixed(0.0, 1.0), {"classes": []}, "semantic.classes: .*at least 1"),

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from workers.evaluation.paper_measures import Averaging, PointSet, paper_measures
-from workers.evaluation.point_matching import COLUMNS, match_points, sums_of
-from workers.geometry.form import Form
+from workers.lab.evaluation.motion.paper_measures import Averaging, PointSet, paper_measures
+from workers.lab.evaluation.motion.point_matching import COLUMNS, match_points, sums_of
+from workers.lidar.form import Form
 
 PAPER = Form.PAPER
 INDIVIDUAL, AGGREGATED = Averaging

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 import torch
 
-from schemas.bucket import open_bucket
 from schemas.camera import CameraCalibration
 from schemas.frame import LidarFrame
 from schemas.labels import Blindness, MotionLabel
 from schemas.mining import MiningSettings
-from schemas.recordings import group_recordings
-from service.config import read_settings
+from schemas.transport.bucket import open_bucket
+from schemas.transport.recordings import group_recordings
 from service.errors import UsageError
+from service.settings.config import read_settings
 from workers.checkpoints import stored
 from workers.contradiction.categories import categories
 from workers.contradiction.compare import compare
@@ -23,12 +23,12 @@ from workers.contradiction.settings import PAPER_INSTANCES
 from workers.errors import LogUnusableError, UnknownPartError
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard
-from workers.networks import read_config
-from workers.part_files import PartFiles
-from workers.registry import build_odometry, build_parts, build_selfsupervised
-from workers.selfsupervised.odometry import KissOdometry
-from workers.selfsupervised.paper_chain import PaperChain
-from workers.selfsupervised.paper_view import NoCameraError
+from workers.odometry.odometry import KissOdometry
+from workers.paper.paper_chain import PaperChain
+from workers.paper.paper_view import NoCameraError
+from workers.parts.files import PartFiles
+from workers.parts.networks import read_config
+from workers.parts.registry import build_odometry, build_parts, build_selfsupervised
 from workers.supervised.stream import SHIPPED
 
 CONFIGS = {"gndnet": "gndnet-semantickitti", "flowstep3d": "flowstep3d", "delora": "delora-kitti"}

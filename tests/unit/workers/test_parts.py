@@ -5,9 +5,9 @@ import pytest
 from schemas.mining import MiningSettings
 from schemas.parts import PART_LINES
 from service.cli.main import main
-from workers.networks import NETWORKS, known_configs, read_known
-from workers.parts import part_cards
-from workers.registry import INSTANCES, ODOMETRIES, SELFSUPERVISED, SUPERVISED, WITNESSES
+from workers.parts.catalogue import part_cards
+from workers.parts.networks import NETWORKS, known_configs, read_known
+from workers.parts.registry import INSTANCES, ODOMETRIES, SELFSUPERVISED, SUPERVISED, WITNESSES
 
 
 def test_every_part_that_can_be_chosen_is_described_once() -> None:

@@ -4,18 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.labels import MotionLabel
-from workers.geometry.se3 import transform
-from workers.selfsupervised.point_answers import (
-    AGREED,
-    ALONE,
-    GROUND,
-    UNSURE,
-    answer_ground,
-    answer_voxels,
-    nothing_said,
-    spread,
-)
-from workers.visibility.passes import (
+from workers.points.passes import (
     first_and_last,
     in_centimetres,
     judged_rows,
@@ -25,6 +14,17 @@ from workers.visibility.passes import (
     rows_about,
     within,
     within_box,
+)
+from workers.points.se3 import transform
+from workers.selfsupervised.point_answers import (
+    AGREED,
+    ALONE,
+    GROUND,
+    UNSURE,
+    answer_ground,
+    answer_voxels,
+    nothing_said,
+    spread,
 )
 
 S, D, U = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN

@@ -7,10 +7,10 @@ import pytest
 from mcap.writer import CompressionType
 
 from schemas.arrays import NS_PER_S
-from schemas.bucket import Bucket, open_bucket
 from schemas.errors import ObjectChangedError
 from schemas.mining import MiningSettings
-from schemas.recordings import group_recordings
+from schemas.transport.bucket import Bucket, open_bucket
+from schemas.transport.recordings import group_recordings
 from schemas.work import LogPlan, Shard
 from tests.tiny_logs import (
     BEGIN_NS,

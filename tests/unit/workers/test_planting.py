@@ -2,14 +2,20 @@ import numpy as np
 import pytest
 
 from tests.factories import SMALL_LIDAR
-from workers.simulation.confidence import draw_confidence, quantiles
-from workers.simulation.lidar import UNEVEN_64, Lidar, SimulatedFrame, sweep
-from workers.simulation.plan import DRAWN_KINDS, SCENE_S, FailureKind, LogPlan, PlannedFailure
-from workers.simulation.planted import DYNAMIC, STATIC, PlantedFailure
-from workers.simulation.planting import Redraw, plant
-from workers.simulation.recorded import record
-from workers.simulation.street import Street
-from workers.simulation.worlds import build_street
+from workers.lab.simulation.faults.confidence import draw_confidence, quantiles
+from workers.lab.simulation.faults.plan import (
+    DRAWN_KINDS,
+    SCENE_S,
+    FailureKind,
+    LogPlan,
+    PlannedFailure,
+)
+from workers.lab.simulation.faults.planted import DYNAMIC, STATIC, PlantedFailure
+from workers.lab.simulation.faults.planting import Redraw, plant
+from workers.lab.simulation.faults.recorded import record
+from workers.lab.simulation.sensor.lidar import UNEVEN_64, Lidar, SimulatedFrame, sweep
+from workers.lab.simulation.world.street import Street
+from workers.lab.simulation.world.worlds import build_street
 
 LIDAR = Lidar(elevation_deg=UNEVEN_64[::2], columns=512)
 

@@ -4,8 +4,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from workers.selfsupervised import point_sets
-from workers.selfsupervised.point_sets import (
+from workers.paper import point_sets
+from workers.paper.point_sets import (
     find_nearest,
     gather_features,
     gather_points,

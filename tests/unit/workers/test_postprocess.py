@@ -3,8 +3,8 @@ import pytest
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
-from workers.geometry.form import Form
-from workers.geometry.range_image import RangeImage, SensorProfile, project
+from workers.lidar.form import Form
+from workers.lidar.range_image import RangeImage, SensorProfile, project
 from workers.supervised.postprocess import KnnSettings, find_voters
 
 PROFILE = SensorProfile(name="test", rows=8, columns=64, fov_up_deg=8, fov_down_deg=-8)

@@ -1,7 +1,7 @@
 import torch
 
-from workers.evaluation import published_forward
-from workers.selfsupervised.flowstep3d import FlowStep3D
+from workers.lab.evaluation.benchmarks import published_forward
+from workers.paper.flowstep3d import FlowStep3D
 from workers.supervised.salsanext import SalsaNext
 
 

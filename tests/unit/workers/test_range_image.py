@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from schemas.arrays import Points
-from workers.geometry.range_image import SensorProfile, image_channels, project
+from workers.lidar.range_image import SensorProfile, image_channels, project
 
 EVEN = SensorProfile(name="even", rows=4, columns=8, fov_up_deg=10, fov_down_deg=-10)
 BEAMS = replace(EVEN, name="beams", elevations_deg=(9.0, 1.0, 0.0, -9.0))

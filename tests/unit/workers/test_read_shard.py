@@ -9,9 +9,9 @@ import pytest
 from mcap.writer import CompressionType
 
 from schemas.arrays import NS_PER_S
-from schemas.bucket import Bucket, open_bucket
 from schemas.errors import ObjectChangedError
 from schemas.mining import MiningSettings
+from schemas.transport.bucket import Bucket, open_bucket
 from schemas.work import ChunkRef, LogPlan, Recording
 from tests.tiny_logs import (
     BEGIN_NS,

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from schemas.bucket import open_bucket
 from schemas.mining import Grid, MiningSettings
-from schemas.recordings import group_recordings
+from schemas.transport.bucket import open_bucket
+from schemas.transport.recordings import group_recordings
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard
 

@@ -3,10 +3,10 @@ import pytest
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
-from workers.geometry.se3 import inverse
-from workers.selfsupervised.prepare import Prepared
+from workers.lidar.prepare import Prepared
+from workers.points.se3 import inverse
+from workers.points.voxels import Voxels
 from workers.selfsupervised.reattach import ground_of_movers
-from workers.visibility.voxels import Voxels
 
 MOVER_M = np.array([[10.0, 0.0, -1.0], [10.5, 0.0, -1.0]], np.float32)
 CONFIRMED = np.array([False, True])

@@ -6,16 +6,16 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from schemas.bucket import open_bucket
 from schemas.mining import Grid, MiningSettings
-from schemas.recordings import group_recordings
+from schemas.transport.bucket import open_bucket
+from schemas.transport.recordings import group_recordings
 from tests.factories import SMALL_LIDAR
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard
-from workers.simulation.lidar import sweep
-from workers.simulation.recorded import record
-from workers.simulation.worlds import build_street
-from workers.simulation.write import write_log
+from workers.lab.simulation.faults.recorded import record
+from workers.lab.simulation.output.write import write_log
+from workers.lab.simulation.sensor.lidar import sweep
+from workers.lab.simulation.world.worlds import build_street
 
 
 @pytest.mark.parametrize("recorded", ["fields", "topic"])

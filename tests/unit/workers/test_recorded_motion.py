@@ -14,9 +14,9 @@ from mcap_ros1._vendor.genpy.dynamic import generate_dynamic
 from mcap_ros2._dynamic import serialize_dynamic
 
 from schemas.arrays import NS_PER_S
-from schemas.bucket import open_bucket
 from schemas.frame import LidarFrame, RecordedMotion
 from schemas.mining import MiningSettings
+from schemas.transport.bucket import open_bucket
 from schemas.work import Damage, LogPlan
 from tests.tiny_logs import BEGIN_NS, CLOUD_TYPE, LIDAR, Said, drive, only_recording, settings
 from workers.ingest.plan import plan_recording

@@ -3,10 +3,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from workers.points.clusters import connected
+from workers.points.neighbours import build_grid, nearest_distances
+from workers.points.voxels import voxelize
 from workers.selfsupervised.registration import STILL_M, Registered, build_reference, register
-from workers.visibility.clusters import connected
-from workers.visibility.neighbours import build_grid, nearest_distances
-from workers.visibility.voxels import voxelize
 
 
 def car(x: float, y: float, *, seed: int) -> NDArray[np.float32]:

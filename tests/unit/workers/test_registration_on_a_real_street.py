@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from schemas.bucket import open_bucket
 from schemas.frame import LidarFrame, OdometryState
 from schemas.labels import MotionLabel
 from schemas.mining import MiningSettings
-from schemas.recordings import group_recordings
+from schemas.transport.bucket import open_bucket
+from schemas.transport.recordings import group_recordings
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard
-from workers.selfsupervised.odometry import KissOdometry
+from workers.odometry.odometry import KissOdometry
 from workers.selfsupervised.stream import Registration
 
 TRUE_STATIC, TRUE_DYNAMIC = 1, 2

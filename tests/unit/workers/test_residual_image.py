@@ -3,7 +3,7 @@ import pytest
 from numpy.typing import NDArray
 
 from schemas.arrays import NS_PER_S, Points, Transform
-from workers.geometry.range_image import SensorProfile, project
+from workers.lidar.range_image import SensorProfile, project
 from workers.supervised.residual_image import ResidualHistory, ResidualSettings
 
 PROFILE = SensorProfile(name="test", rows=16, columns=128, fov_up_deg=10, fov_down_deg=-10)

@@ -3,9 +3,9 @@ import pytest
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
-from workers.geometry.se3 import transform
-from workers.selfsupervised.object_flow import object_flow
-from workers.selfsupervised.scene_flow import nearest_neighbour_flow, scene_flow_source
+from workers.paper.object_flow import object_flow
+from workers.paper.scene_flow import nearest_neighbour_flow, scene_flow_source
+from workers.points.se3 import transform
 
 EGO = np.eye(4)
 EGO[:3, 3] = (-1.2, 0.1, 0.0)

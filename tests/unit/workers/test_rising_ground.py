@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from schemas.frame import PosedFrame
 from tests.factories import frame, pose, posed
-from workers.visibility.rising_ground import RisingGround, share_of
+from workers.contradiction.rising_ground import RisingGround, share_of
 
 HEIGHT_M = 1.8
 FRAMES = 12

@@ -10,7 +10,7 @@ from schemas.contradiction import ContradictionKind, LabelledFrame, Scene, Scene
 from schemas.frame import OdometryState
 from schemas.labels import Blindness, FrameHealth, MotionLabel
 from schemas.score import MAX_RECORD_BYTES, MAX_TRACKS, SceneScore
-from schemas.wire import decode, encode_scene_score
+from schemas.transport.wire import decode, encode_scene_score
 from tests.labelled_worlds import CLASS_NAMES, START_NS, Thing, labelled_scene, shard_of
 from workers.contradiction.compare import compare
 from workers.contradiction.instances import find_instances

@@ -1,7 +1,7 @@
 import numpy as np
 from numpy.testing import assert_allclose
 
-from workers.geometry.se3 import inverse, transform
+from workers.points.se3 import inverse, transform
 
 
 def _turned_left_at(x_m: float, y_m: float) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:

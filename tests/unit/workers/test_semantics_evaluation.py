@@ -8,9 +8,9 @@ from schemas.mining import Grid, MiningSettings
 from service.cli.main import main
 from tests.factories import street_log
 from workers.errors import UnknownPartError
-from workers.evaluation.class_table import COARSE, coarse_of_ids, coarse_of_names
-from workers.evaluation.semantics import evaluate_semantics
-from workers.evaluation.truth import TruthUnusableError
+from workers.lab.evaluation.semantics.semantics import evaluate_semantics
+from workers.lab.evaluation.truth.class_table import COARSE, coarse_of_ids, coarse_of_names
+from workers.lab.evaluation.truth.truth import TruthUnusableError
 
 
 def test_classes_of_data_sets_and_networks_meet_in_coarse_ones() -> None:

@@ -6,8 +6,8 @@ import torch
 
 from schemas.frame import LidarFrame, PosedFrame
 from schemas.labels import MotionLabel
-from workers.geometry.range_image import SensorProfile, project
-from workers.geometry.sensor_rows import lay_out
+from workers.lidar.range_image import SensorProfile, project
+from workers.lidar.sensor_rows import lay_out
 from workers.supervised.classes import ClassMeaning
 from workers.supervised.networks import run_eagerly
 from workers.supervised.salsanext import SalsaNext

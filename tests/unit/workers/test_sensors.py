@@ -8,12 +8,12 @@ import pytest
 from schemas.frame import LidarFrame
 from schemas.labels import Blindness, FrameLabels, MotionLabel
 from tests.factories import frame
-from workers.selfsupervised.odometry import KissOdometry
+from workers.lab.simulation.sensor.lidar import UNEVEN_64, UNIFORM_64, Lidar, SimulatedFrame, sweep
+from workers.lab.simulation.world.worlds import build_street
+from workers.lidar.beam_table import estimate_beam_table
+from workers.lidar.sensor_height import estimate_sensor_height
+from workers.odometry.odometry import KissOdometry
 from workers.selfsupervised.stream import Registration
-from workers.simulation.lidar import UNEVEN_64, UNIFORM_64, Lidar, SimulatedFrame, sweep
-from workers.simulation.worlds import build_street
-from workers.visibility.beam_table import estimate_beam_table
-from workers.visibility.sensor_height import estimate_sensor_height
 
 EVEN_16 = tuple(np.linspace(15.0, -15.0, 16).tolist())
 EVEN_32 = tuple(np.linspace(10.67, -30.67, 32).tolist())

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from schemas.arrays import NS_PER_S
-from schemas.bucket import open_bucket
 from schemas.contradiction import LabelledFrame
 from schemas.frame import LidarFrame, PosedFrame
 from schemas.labels import FrameLabels
+from schemas.transport.bucket import open_bucket
 from tests.tiny_logs import BEGIN_NS, LIDAR, Recorder, Said, cloud, only_recording, ring, settings
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard

@@ -9,15 +9,15 @@ from schemas.labels import MotionLabel
 from schemas.mining import MiningSettings
 from tests.factories import SMALL_LIDAR, street_log
 from workers.errors import UnknownPartError
-from workers.evaluation.counts import LogCounts, StreamCounts, total_of
-from workers.evaluation.motion import JudgedFrame, evaluate_motion
-from workers.evaluation.table import LogEvaluation, evaluation_of
-from workers.registry import SELFSUPERVISED, build_selfsupervised
-from workers.selfsupervised.scene_flow import SCENE_FLOWS
-from workers.selfsupervised.two_stage import TwoStage
-from workers.selfsupervised.two_stage_clustering import PAPER, PER_SECOND
-from workers.selfsupervised.two_stage_tracked import TrackedTwoStage
-from workers.simulation.lidar import Lidar
+from workers.lab.evaluation.motion.counts import LogCounts, StreamCounts, total_of
+from workers.lab.evaluation.motion.motion import JudgedFrame, evaluate_motion
+from workers.lab.evaluation.motion.table import LogEvaluation, evaluation_of
+from workers.lab.simulation.sensor.lidar import Lidar
+from workers.paper.scene_flow import SCENE_FLOWS
+from workers.paper.two_stage import TwoStage
+from workers.paper.two_stage_clustering import PAPER, PER_SECOND
+from workers.paper.two_stage_tracked import TrackedTwoStage
+from workers.parts.registry import SELFSUPERVISED, build_selfsupervised
 
 KEY = "car-7/2026-03-02/drive"
 FRAMES = 4

@@ -2,14 +2,14 @@ from pathlib import Path
 
 import pytest
 
-from schemas.bucket import open_bucket
 from schemas.mining import MiningSettings
-from schemas.recordings import group_recordings
+from schemas.transport.bucket import open_bucket
+from schemas.transport.recordings import group_recordings
 from tests.factories import SMALL_LIDAR
 from workers.ingest.plan import plan_recording
-from workers.simulation.fleet import FleetOptions, SimulatedLog, simulate_to
-from workers.simulation.plan import plan_fleet
-from workers.simulation.planted_truth import PlantedTruth
+from workers.lab.simulation.faults.plan import plan_fleet
+from workers.lab.simulation.faults.planted_truth import PlantedTruth
+from workers.lab.simulation.output.fleet import FleetOptions, SimulatedLog, simulate_to
 
 SCENES = 12
 

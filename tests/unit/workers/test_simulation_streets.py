@@ -6,15 +6,15 @@ from functools import cache
 import numpy as np
 import pytest
 
-from workers.simulation.kinds import MOVABLE, StreetClass
-from workers.simulation.lidar import Lidar, sweep
-from workers.simulation.models import models_of
-from workers.simulation.places import PLACES, PlaceName
-from workers.simulation.samples import street_samples
-from workers.simulation.sensors import SENSORS, SensorName, mounted
-from workers.simulation.street import Street
-from workers.simulation.street_plan import HARDSHIPS, StreetPlan, draw_plan
-from workers.simulation.worlds import build_street
+from workers.lab.simulation.models.kinds import MOVABLE, StreetClass
+from workers.lab.simulation.models.models import models_of
+from workers.lab.simulation.output.samples import street_samples
+from workers.lab.simulation.sensor.lidar import Lidar, sweep
+from workers.lab.simulation.sensor.sensors import SENSORS, SensorName, mounted
+from workers.lab.simulation.world.places import PLACES, PlaceName
+from workers.lab.simulation.world.street import Street
+from workers.lab.simulation.world.street_plan import HARDSHIPS, StreetPlan, draw_plan
+from workers.lab.simulation.world.worlds import build_street
 
 LIDAR = Lidar(columns=300)
 SIZES_M = {

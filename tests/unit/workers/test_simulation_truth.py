@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from workers.simulation.drive import Road, drive_along, stand
-from workers.simulation.flow import flow_of
-from workers.simulation.kinds import Material, StreetClass
-from workers.simulation.lidar import Lidar, sensor_poses, sweep
-from workers.simulation.meshes import Mesh, box
-from workers.simulation.scenery import bump_meshes
-from workers.simulation.street import Actor, Street
-from workers.simulation.terrain import Terrain
-from workers.simulation.weather import Weather
+from workers.lab.simulation.models.kinds import Material, StreetClass
+from workers.lab.simulation.models.meshes import Mesh, box
+from workers.lab.simulation.sensor.flow import flow_of
+from workers.lab.simulation.sensor.lidar import Lidar, sensor_poses, sweep
+from workers.lab.simulation.world.drive import Road, drive_along, stand
+from workers.lab.simulation.world.scenery import bump_meshes
+from workers.lab.simulation.world.street import Actor, Street
+from workers.lab.simulation.world.terrain import Terrain
+from workers.lab.simulation.world.weather import Weather
 
 SECONDS = 4.0
 STRAIGHT = Road.bending(from_m=-300.0, to_m=300.0, swing_rad=0.0, wave_m=100.0)

@@ -5,7 +5,7 @@ import pytest
 
 from schemas.frame import LidarFrame, PosedFrame
 from tests.factories import BEGIN_NS, FRAME_STEP_NS, frame, pose, posed
-from workers.evaluation.failures.slips import Slip, SlippingOdometry
+from workers.lab.evaluation.failures.slips import Slip, SlippingOdometry
 
 
 class Driving:

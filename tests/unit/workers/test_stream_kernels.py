@@ -10,11 +10,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from workers.selfsupervised.occupancy import CELL_M, build_occupancy, cells_of, scores_around
-from workers.selfsupervised.strips import are_strips
-from workers.visibility.clusters import connected, from_labels
-from workers.visibility.compiled import compiled
-from workers.visibility.directions import (
+from workers.lidar.directions import (
     BLOCK,
     column_of,
     fill,
@@ -23,8 +19,12 @@ from workers.visibility.directions import (
     row_above,
     rows_of_steps,
 )
-from workers.visibility.neighbours import build_grid, nearest_few, nearest_indices, nearest_rows
-from workers.visibility.steps import step, watched
+from workers.points.clusters import connected, from_labels
+from workers.points.compiled import compiled
+from workers.points.neighbours import build_grid, nearest_few, nearest_indices, nearest_rows
+from workers.points.steps import step, watched
+from workers.selfsupervised.occupancy import CELL_M, build_occupancy, cells_of, scores_around
+from workers.selfsupervised.strips import are_strips
 
 HERE = np.eye(4, dtype=np.float32)[:3]
 TWO_BEAMS = np.array([-0.2, 0.2], np.float32)

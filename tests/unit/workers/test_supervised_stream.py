@@ -8,7 +8,9 @@ from schemas.frame import PosedFrame
 from schemas.labels import FrameLabels, MotionLabel
 from tests.factories import scattered
 from workers.checkpoints.errors import WeightsUnusableError
-from workers.geometry.range_image import SensorProfile
+from workers.lab.datasets.classes import CLASSES
+from workers.lab.datasets.pandaset import read_clouds
+from workers.lidar.range_image import SensorProfile
 from workers.supervised.classes import ClassMeaning
 from workers.supervised.lmnet import MOTION_CLASSES
 from workers.supervised.residual_image import ResidualSettings
@@ -19,8 +21,6 @@ from workers.supervised.weights import (
     load_weights,
     save_weights,
 )
-from workers.training.classes import CLASSES
-from workers.training.pandaset import read_clouds
 
 PROFILE = SensorProfile(name="test", rows=16, columns=64, fov_up_deg=10, fov_down_deg=-20)
 SEMANTIC = WeightsCard(

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from workers.free_space import Votes
+from workers.lidar.beam_table import BeamTable
+from workers.points.clusters import from_labels
 from workers.selfsupervised.evidence import Evidence
 from workers.selfsupervised.fragments import fragments_of_movers
 from workers.selfsupervised.motion import ClusterMotions
 from workers.selfsupervised.specks import specks_of_movers
 from workers.selfsupervised.tracker import Tracked, Tracker
-from workers.visibility.beam_table import BeamTable
-from workers.visibility.clusters import from_labels
-from workers.visibility.free_space import Votes
 
 PERIOD_NS = 100_000_000
 CENTRE_M = np.zeros(3, np.float32)

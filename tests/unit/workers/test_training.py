@@ -5,22 +5,22 @@ import pytest
 import torch
 
 from tests.factories import frame
-from workers.geometry.range_image import SensorProfile
-from workers.simulation.samples import street_samples
+from workers.lab.datasets.classes import CLASSES
+from workers.lab.datasets.dataset import main as make_images
+from workers.lab.datasets.images import Cloud, TrainingImages, build_images
+from workers.lab.datasets.pandaset import read_clouds
+from workers.lab.datasets.simulated import clouds_of
+from workers.lab.datasets.stored_images import join, read_images, write_images
+from workers.lab.simulation.output.samples import street_samples
+from workers.lab.training.augment import Sample, augment, network_input
+from workers.lab.training.fit import Lesson, TrainingSettings, train
+from workers.lab.training.loss import class_weights, lovasz_softmax, segmentation_loss
+from workers.lab.training.train import main
+from workers.lidar.range_image import SensorProfile
 from workers.supervised.classes import ClassMeaning
 from workers.supervised.lmnet import MOTION_CLASSES
 from workers.supervised.residual_image import ResidualSettings
 from workers.supervised.weights import WeightsCard, load_weights
-from workers.training.augment import Sample, augment, network_input
-from workers.training.classes import CLASSES
-from workers.training.dataset import main as make_images
-from workers.training.fit import Lesson, TrainingSettings, train
-from workers.training.images import Cloud, TrainingImages, build_images
-from workers.training.loss import class_weights, lovasz_softmax, segmentation_loss
-from workers.training.pandaset import read_clouds
-from workers.training.simulated import clouds_of
-from workers.training.stored_images import join, read_images, write_images
-from workers.training.train import main
 
 PROFILE = SensorProfile(name="test", rows=16, columns=64, fov_up_deg=20, fov_down_deg=-20)
 RESIDUAL = ResidualSettings(ages_s=(0.1, 0.2), max_range_m=100)

@@ -6,10 +6,10 @@ from schemas.camera import CameraCalibration
 from schemas.frame import OdometryState, PosedFrame
 from schemas.labels import MotionLabel
 from tests.factories import frame, posed
-from workers.geometry.camera_filter import to_flow_space
-from workers.selfsupervised.object_flow import flow_ends
-from workers.selfsupervised.two_stage import TwoStage
-from workers.selfsupervised.two_stage_clustering import PAPER, PER_SECOND, TwoStageRule, two_stage
+from workers.paper.camera_filter import to_flow_space
+from workers.paper.object_flow import flow_ends
+from workers.paper.two_stage import TwoStage
+from workers.paper.two_stage_clustering import PAPER, PER_SECOND, TwoStageRule, two_stage
 
 DT_S = 0.1
 

@@ -4,14 +4,14 @@ from pathlib import Path
 
 import pytest
 
-from schemas.bucket import open_bucket
 from schemas.mining import MiningSettings
-from schemas.recordings import group_recordings
+from schemas.transport.bucket import open_bucket
+from schemas.transport.recordings import group_recordings
 from service.cli.main import main
 from tests.factories import street_log
 from workers.ingest.plan import plan_recording
-from workers.simulation.write import LABEL_TOPIC, LIDAR_TOPIC, RecordedAs
-from workers.telling import tell_unread_labels
+from workers.lab.simulation.output.write import LABEL_TOPIC, LIDAR_TOPIC, RecordedAs
+from workers.worker.telling import tell_unread_labels
 
 
 @pytest.mark.parametrize(

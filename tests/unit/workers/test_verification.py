@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from workers.free_space import FREE, FREE_IF_TALL, HIDDEN, count_votes
+from workers.lidar.beam_table import BeamTable
+from workers.points.clusters import from_labels
 from workers.selfsupervised.evidence import Evidence
 from workers.selfsupervised.registration import Registered
 from workers.selfsupervised.verification import judge
-from workers.visibility.beam_table import BeamTable
-from workers.visibility.clusters import from_labels
-from workers.visibility.free_space import FREE, FREE_IF_TALL, HIDDEN, count_votes
 
 
 def block(x: float, height_m: float) -> NDArray[np.float32]:

@@ -10,7 +10,7 @@ from schemas.frame import LidarFrame, PosedFrame
 from schemas.labels import FrameLabels
 from schemas.mining import Grid, MiningSettings
 from schemas.task import MOTION, Task
-from workers.protocols import Parts
+from workers.parts.protocols import Parts
 from workers.version import NOT_IN_VERSION, parts_of, pipeline_version
 
 

@@ -7,15 +7,15 @@ import torch
 
 from tests.unit.workers.test_training import images_of_a_wall
 from workers.checkpoints.errors import WeightsUnusableError
-from workers.geometry.range_image import CHANNELS, Channel, SensorProfile
+from workers.lab.datasets.dataset import RESIDUAL
+from workers.lab.datasets.stored_images import write_images
+from workers.lab.training.train import main
+from workers.lab.training.warm_start import started
+from workers.lidar.range_image import CHANNELS, Channel, SensorProfile
 from workers.supervised.classes import ClassMeaning
 from workers.supervised.lmnet import MOTION_CLASSES
 from workers.supervised.residual_image import ResidualSettings
 from workers.supervised.weights import LoadedWeights, WeightsCard, load_weights, save_weights
-from workers.training.dataset import RESIDUAL
-from workers.training.stored_images import write_images
-from workers.training.train import main
-from workers.training.warm_start import started
 
 FEWER: tuple[Channel, ...] = ("range", "x", "y", "z")
 CARD = WeightsCard(

@@ -8,7 +8,7 @@ import torch
 
 from schemas.errors import PermanentError
 from workers.checkpoints.errors import WeightsUnusableError
-from workers.geometry.range_image import SensorProfile
+from workers.lidar.range_image import SensorProfile
 from workers.supervised.classes import ClassMeaning
 from workers.supervised.residual_image import ResidualSettings
 from workers.supervised.weights import (

@@ -11,9 +11,9 @@ from torch import Tensor, nn
 from service.cli.main import main
 from workers.checkpoints.errors import UnfitWeightsError, WeightsUnusableError
 from workers.errors import UnknownPartError
-from workers.geometry.range_image import SensorProfile
-from workers.networks import NETWORKS, import_weights, known_configs, read_config, read_known
-from workers.selfsupervised.weights import load_delora, load_flowstep3d, load_gndnet
+from workers.lidar.range_image import SensorProfile
+from workers.paper.weights import load_delora, load_flowstep3d, load_gndnet
+from workers.parts.networks import NETWORKS, import_weights, known_configs, read_config, read_known
 from workers.supervised.stream import RangeImageStream
 from workers.supervised.weights import WeightsCard, load_weights
 
@@ -179,14 +179,15 @@ def test_the_verb_imports_and_says_so_and_refuses_code_with_one_sentence(
 ) -> None:
     parameters = _published(tmp_path / "net.ckpt", "flowstep3d")
     command = ["weights", "import", "--network", "flowstep3d", "--config", "flowstep3d", "--json"]
-    command += ["--out", str(tmp_path / "out")]
-    assert main([*command, str(tmp_path / "net.ckpt")]) == 0
+    good = [*command, "--out", str(tmp_path / "out"), str(tmp_path / "net.ckpt")]
+    assert main(good) == 0
     row = json.loads(capsys.readouterr().out)
     assert row["parameters"] == 281
     assert Path(row["path"]).is_file()
 
     torch.save({"state_dict": parameters, "x": _Harmful(tmp_path / "run")}, tmp_path / "bad.ckpt")
-    assert main([*command, str(tmp_path / "bad.ckpt")]) == 1
+    bad = [*command, "--out", str(tmp_path / "other"), str(tmp_path / "bad.ckpt")]
+    assert main(bad) == 1
     said = capsys.readouterr()
     assert said.out == ""
     assert "error: the checkpoint wants to run exec, which was refused and not run" in said.err

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from workers.geometry.window import (
+from workers.lidar.window import (
     commonest,
     likeliest,
     look_up,

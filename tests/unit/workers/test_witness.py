@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from workers.geometry.se3 import transform
-from workers.geometry.second_registration import misfit_between, structure_of
-from workers.visibility.free_space import FREE, HIDDEN, OCCUPIED
+from workers.free_space import FREE, HIDDEN, OCCUPIED
+from workers.lidar.second_registration import misfit_between, structure_of
+from workers.points.se3 import transform
 from workers.witness.opinions import opinions_of
 from workers.witness.poses import PoseCheck
 

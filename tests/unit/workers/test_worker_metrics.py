@@ -14,9 +14,9 @@ from schemas.labels import Blindness
 from schemas.score import StreamHealth
 from schemas.work import LogPlan, MiningStats
 from tests.factories import scene_score
-from workers.metrics import PoolMetrics, WorkerMetrics
 from workers.pool.metrics_folder import MetricsFolder
 from workers.pool.shared_metrics import FILE_BYTES, SharedMetrics, count_in
+from workers.worker.metrics import PoolMetrics, WorkerMetrics
 
 MOST_SERIES = 300
 

@@ -5,13 +5,13 @@ import pytest
 
 EQUIPPED = """
 import sys
-import workers.worker
+import workers.worker.loop
 from schemas.mining import MiningSettings
-from workers.equipment import equip
+from workers.worker.equipment import equip
 
 settings = MiningSettings(bucket="memory://", artifacts="memory://", supervised=sys.argv[1])
 equip(settings)
-workers.worker.one_thread_only()
+workers.worker.loop.one_thread_only()
 if "torch" in sys.modules:
     import torch
 

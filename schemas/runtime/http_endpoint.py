@@ -1,0 +1,286 @@
+"""A small HTTP endpoint for watchers of a daemon: a table of paths, each answered by a function."""
+
+import json
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from email.utils import formatdate
+from http import HTTPStatus
+from socketserver import BaseRequestHandler, TCPServer, ThreadingMixIn
+from types import TracebackType
+from typing import Any, Final, Self
+
+import structlog
+from prometheus_client import CollectorRegistry
+from prometheus_client.exposition import choose_encoder
+
+from schemas.errors import PermanentError, TransientError
+from schemas.runtime.http_clients import MOST_CONNECTIONS, Clients
+from schemas.runtime.http_head import (
+    HEAD_DEADLINE_S,
+    METHODS,
+    RefusedRequestError,
+    RequestHead,
+    parse_head,
+    read_head,
+)
+
+log = structlog.get_logger(__name__)
+
+SEND_DEADLINE_S: Final = 10.0
+"""A client has so long to take the whole answer."""
+
+MOST_ANSWERS: Final = 6
+"""Answers of one page that are made at a time; the next client is asked to come again. Four pages
+together stay below the connections of one address, so that a probe always gets one."""
+
+TEXT: Final = "text/plain; charset=utf-8"
+JSON: Final = "application/json"
+
+
+@dataclass(frozen=True, slots=True)
+class HttpRequest:
+    """What a handler may know of the question.
+
+    Attributes:
+        query: Parameters of the URL, decoded; none is given twice.
+        accept: The `Accept` header; empty when there is none.
+    """
+
+    query: Mapping[str, str] = field(default_factory=dict)
+    accept: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class HttpResponse:
+    """An answer: status code, content type and body."""
+
+    status: int
+    content_type: str
+    body: bytes
+
+
+Handler = Callable[[HttpRequest], HttpResponse]
+"""Answers one path. A `PermanentError` of its own becomes 400, a `TransientError` 503, each with
+its sentence; any other error is 500, and is logged."""
+
+
+class HttpEndpoint:
+    """Serves paths on one address, each request in a thread of its own, within a `with` block.
+
+    GET and HEAD only, one request per connection, no access log. The handlers may be called from
+    several threads at once. Slow and silent clients make room for newcomers (`Clients`).
+
+    Attributes:
+        port: The port it listens on, also where the system chose it.
+        url: `http://host:port`.
+    """
+
+    def __init__(
+        self, listen: str, routes: Mapping[str, Handler], *, setting: str = "http_listen"
+    ) -> None:
+        """Open the socket; nothing is answered before the block is entered.
+
+        Args:
+            listen: `host:port`; port 0: one that is free, host in brackets if it is IPv6; no host:
+                every address of the machine.
+            routes: Path to handler.
+            setting: Where the address came from, for errors.
+
+        Raises:
+            PermanentError: If `listen` is no address.
+            TransientError: If it cannot be listened on: in use, not ours, name unknown.
+        """
+        host, port = _address(listen, setting=setting)
+        try:
+            self._server = _Server(host, port, routes)
+        except OSError as error:
+            raise TransientError(
+                f"cannot serve HTTP on {listen}: {error.strerror or error}; "
+                f"free that address, or name another with the setting {setting}"
+            ) from error
+        self.port: int = self._server.server_address[1]
+        self.url = f"http://{f'[{host}]' if ':' in host else host or '127.0.0.1'}:{self.port}"
+        self._thread = threading.Thread(
+            target=self._server.serve_forever, kwargs={"poll_interval": _POLL_S}, name="http"
+        )
+
+    def __enter__(self) -> Self:
+        """Start to answer."""
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close."""
+        self.close()
+
+    def close(self) -> None:
+        """Take no more questions, drop those still open, end every thread; again: do nothing."""
+        if self._thread.is_alive():
+            self._server.shutdown()
+            self._thread.join()
+            self._server.clients.drop_all()
+        self._server.server_close()
+
+
+def metrics_route(*registries: CollectorRegistry) -> Handler:
+    """Make the handler of `/metrics`: these registries, one after the other, in the asked format.
+
+    Two registries must not hold the same metric.
+    """
+
+    def answer(request: HttpRequest) -> HttpResponse:
+        encode, content_type = choose_encoder(request.accept)
+        pages = [encode(registry) for registry in registries]
+        # OpenMetrics ends a page with a mark, which may stand only once, at the very end.
+        joined = b"".join(page.removesuffix(_END) for page in pages)
+        ended = bool(pages) and pages[-1].endswith(_END)
+        return HttpResponse(HTTPStatus.OK, content_type, joined + (_END if ended else b""))
+
+    return answer
+
+
+def json_response(data: Any, *, status: int = HTTPStatus.OK) -> HttpResponse:
+    """Answer with JSON."""
+    return HttpResponse(status, JSON, json.dumps(data).encode() + b"\n")
+
+
+def text_response(text: str, *, status: int = HTTPStatus.OK) -> HttpResponse:
+    """Answer with a line of text."""
+    return HttpResponse(status, TEXT, text.encode() + b"\n")
+
+
+_END: Final = b"# EOF\n"
+
+_POLL_S: Final = 0.1
+"""How soon a closing endpoint notices."""
+
+_HEAR_OUT_S: Final = 1.0
+"""A client that was answered has so long to hang up."""
+
+_HEARD_BYTES: Final = 1 << 16
+
+
+class _Server(ThreadingMixIn, TCPServer):
+    allow_reuse_address = True
+    daemon_threads = False  # so that closing waits for the threads
+    block_on_close = True
+    request_queue_size = 2 * MOST_CONNECTIONS
+
+    def __init__(self, host: str, port: int, routes: Mapping[str, Handler]) -> None:
+        self.routes = dict(routes)
+        self.places = {path: threading.BoundedSemaphore(MOST_ANSWERS) for path in routes}
+        self.clients = Clients()
+        family, _, _, _, address = socket.getaddrinfo(
+            host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
+        self.address_family = family
+        super().__init__((str(address[0]), int(address[1])), _Request)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        if self.clients.admit(request, str(client_address[0])):
+            super().process_request(request, client_address)
+        else:
+            self.shutdown_request(request)
+
+    def shutdown_request(self, request: Any) -> None:
+        self.clients.forget(request)
+        super().shutdown_request(request)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        # Called while an exception ends a request; a client that left or is stuck is none of ours.
+        error = sys.exception()
+        said = log.debug if isinstance(error, OSError) else log.error
+        said("request ended early", client=str(client_address), problem=repr(error))
+
+
+class _Request(BaseRequestHandler):
+    server: _Server
+    request: socket.socket
+
+    def handle(self) -> None:
+        """Answer the one request of a connection."""
+        has_body = True
+        try:
+            deadline_s = time.monotonic() + HEAD_DEADLINE_S
+            head = read_head(self.request, deadline_s=deadline_s)
+            if not head:
+                return
+            has_body = not head.startswith(b"HEAD ")
+            answer = self._answered(parse_head(head))
+        except RefusedRequestError as refused:
+            answer = text_response(str(refused), status=refused.status)
+        self._send(answer, has_body=has_body)
+
+    def _answered(self, asked: RequestHead) -> HttpResponse:
+        handler = self.server.routes.get(asked.path)
+        if handler is None:
+            paths = ", ".join(sorted(self.server.routes))
+            return text_response(f"no such page; there are: {paths}", status=HTTPStatus.NOT_FOUND)
+        place = self.server.places[asked.path]
+        if not place.acquire(blocking=False):
+            return text_response(
+                f"{MOST_ANSWERS} others wait for this page already; ask again",
+                status=HTTPStatus.SERVICE_UNAVAILABLE,
+            )
+        self.server.clients.is_answered(self.request, True)
+        try:
+            return handler(HttpRequest(asked.query, asked.headers.get("accept", "")))
+        except PermanentError as error:
+            return text_response(str(error), status=HTTPStatus.BAD_REQUEST)
+        except TransientError as error:
+            return text_response(str(error), status=HTTPStatus.SERVICE_UNAVAILABLE)
+        except Exception:
+            log.exception("page failed", path=asked.path)
+            return text_response(
+                "this page failed; the log of the daemon says why",
+                status=HTTPStatus.INTERNAL_SERVER_ERROR,
+            )
+        finally:
+            self.server.clients.is_answered(self.request, False)
+            place.release()
+
+    def _send(self, answer: HttpResponse, *, has_body: bool) -> None:
+        allowed = answer.status == HTTPStatus.METHOD_NOT_ALLOWED
+        lines = (
+            f"HTTP/1.1 {answer.status} {HTTPStatus(answer.status).phrase}",
+            "Server: counterpoint",
+            f"Date: {formatdate(usegmt=True)}",
+            f"Content-Type: {answer.content_type}",
+            f"Content-Length: {len(answer.body)}",
+            "Cache-Control: no-store",
+            *((f"Allow: {', '.join(METHODS)}",) if allowed else ()),
+            "Connection: close",
+        )
+        head = "\r\n".join((*lines, "", "")).encode("ascii")
+        self.request.settimeout(SEND_DEADLINE_S)  # of all of it: sendall counts from its begin
+        self.request.sendall(head + answer.body if has_body else head)
+        self._hear_out()
+
+    def _hear_out(self) -> None:
+        """Read what the client still sends: closed before that, it would not see the answer."""
+        deadline_s = time.monotonic() + _HEAR_OUT_S
+        with suppress(OSError):  # it has its answer, or has left
+            self.request.shutdown(socket.SHUT_WR)
+            while (left_s := deadline_s - time.monotonic()) > 0:
+                self.request.settimeout(left_s)
+                if not self.request.recv(_HEARD_BYTES):
+                    return
+
+
+def _address(listen: str, *, setting: str) -> tuple[str, int]:
+    host, colon, port = listen.rpartition(":")
+    if not colon or not port.isdecimal() or int(port) > 65_535:
+        raise PermanentError(
+            f"not an address to serve HTTP on: {listen!r}; the setting {setting} wants host:port"
+        )
+    return host.removeprefix("[").removesuffix("]"), int(port)

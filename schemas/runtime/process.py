@@ -1,0 +1,141 @@
+"""How every process of ours logs and stops: events to stderr, and one orderly way out."""
+
+import logging
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Iterator, MutableMapping
+from contextlib import contextmanager
+from threading import Event
+from types import FrameType, TracebackType
+from typing import Any, TextIO
+
+import structlog
+
+from schemas.visible import NEWLINES, visible
+
+
+def log_to_stderr(*, level: str = "info", as_json: bool = False) -> None:
+    """Send structured events to stderr, one a line; stdout belongs to results.
+
+    Times are UTC. As JSON, what ends the process by surprise is an event as well, its traceback
+    within the line; for people a traceback keeps its lines. No value reaches a terminal with a
+    control character in it.
+
+    Args:
+        level: Least level to show: debug, info, warning, error.
+        as_json: Lines for machines instead of for people.
+    """
+    render: list[structlog.typing.Processor] = (
+        [structlog.processors.format_exc_info, structlog.processors.JSONRenderer()]
+        if as_json
+        else [
+            _on_one_line,
+            structlog.dev.ConsoleRenderer(
+                colors=sys.stderr.isatty(),
+                pad_event_to=0,
+                sort_keys=False,
+                exception_formatter=_say_trace,
+            ),
+        ]
+    )
+    structlog.configure(
+        processors=[
+            structlog.contextvars.merge_contextvars,
+            structlog.processors.add_log_level,
+            structlog.processors.TimeStamper(fmt="iso", utc=True),
+            *render,
+        ],
+        wrapper_class=structlog.make_filtering_bound_logger(
+            logging.getLevelNamesMapping()[level.upper()]
+        ),
+        # Looked up for each line: a progress bar puts its own stderr in place while it is drawn.
+        logger_factory=lambda *_: structlog.WriteLogger(sys.stderr),
+        cache_logger_on_first_use=False,
+    )
+    _log_surprises(as_json)
+
+
+@contextmanager
+def stop_on_signals() -> Iterator[Event]:
+    """Turn the first SIGTERM or SIGINT into a set event; a second one ends the process at once.
+
+    Only the main thread may do this. The former handlers come back at the end.
+    """
+    stop = Event()
+
+    def on_signal(number: int, _frame: FrameType | None) -> None:
+        signal.signal(number, signal.SIG_DFL)
+        stop.set()
+
+    before = {number: signal.signal(number, on_signal) for number in _SIGNALS}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+_SIGNALS = (signal.SIGTERM, signal.SIGINT)
+
+
+def _on_one_line(
+    _logger: object, _method: str, event: MutableMapping[str, Any]
+) -> MutableMapping[str, Any]:
+    """Show what a terminal would obey, and what would break a line: values may hold anything."""
+    for name, value in list(event.items()):
+        if not name.isprintable():
+            event[visible(name)] = event.pop(name)
+        if name != "exc_info" and not isinstance(value, bool | int | float | None):
+            event[visible(name)] = visible(str(value) if isinstance(value, str) else repr(value))
+    return event
+
+
+def _say_trace(out: TextIO, exc_info: structlog.typing.ExcInfo) -> None:
+    lines = traceback.format_exception(*exc_info)
+    out.write("\n" + visible("".join(lines).rstrip("\n"), keep=NEWLINES))
+
+
+_former_hooks: list[tuple[Any, Any]] = []
+"""Those of the interpreter, or of who runs us, while ours are in their place."""
+
+
+def _log_surprises(as_json: bool) -> None:
+    if not _former_hooks:
+        _former_hooks.append((sys.excepthook, threading.excepthook))
+    if as_json:
+        sys.excepthook, threading.excepthook = _log_uncaught, _log_uncaught_in_thread
+        return
+    sys.excepthook, threading.excepthook = _former_hooks[0]
+    if sys.excepthook is sys.__excepthook__:  # who put another in its place wants that one
+        sys.excepthook = _print_uncaught
+    if threading.excepthook is threading.__excepthook__:
+        threading.excepthook = _print_uncaught_in_thread
+
+
+def _log_uncaught(
+    kind: type[BaseException], error: BaseException, trace: TracebackType | None
+) -> None:
+    if issubclass(kind, KeyboardInterrupt):
+        sys.__excepthook__(kind, error, trace)
+        return
+    structlog.get_logger(__name__).critical("unexpected error", exc_info=(kind, error, trace))
+
+
+def _print_uncaught(
+    kind: type[BaseException], error: BaseException, trace: TracebackType | None
+) -> None:
+    lines = traceback.format_exception(kind, error, trace)
+    sys.stderr.write(visible("".join(lines), keep=NEWLINES))
+
+
+def _print_uncaught_in_thread(args: threading.ExceptHookArgs) -> None:
+    error = args.exc_value if args.exc_value is not None else args.exc_type()
+    sys.stderr.write(f"in thread {visible(args.thread.name) if args.thread else 'of none'}:\n")
+    _print_uncaught(args.exc_type, error, args.exc_traceback)
+
+
+def _log_uncaught_in_thread(args: threading.ExceptHookArgs) -> None:
+    error = args.exc_value if args.exc_value is not None else args.exc_type()
+    _log_uncaught(args.exc_type, error, args.exc_traceback)

@@ -1,0 +1,1 @@
+"""Buckets, the bus and the encodings that records travel in."""

@@ -1,0 +1,103 @@
+"""Questions over the bus: asked once or until answered, and answered or refused in one sentence.
+
+Silence and refusal are different: a service that died, is not there yet or lost its router gives an
+empty reply or a timeout, and asking again is right; a problem it names itself is final.
+"""
+
+import time
+from threading import Event
+from typing import Final
+
+import structlog
+import zenoh
+
+from schemas.errors import CounterpointError, PermanentError, TransientError
+from schemas.problem import Problem
+from schemas.runtime.retry import backoff_s, pause
+from schemas.transport.wire import decode, encode
+
+log = structlog.get_logger(__name__)
+
+PROBLEM: Final = zenoh.Encoding("application/json").with_schema("counterpoint.problem.v1")
+"""Encoding of an error reply of ours; Zenoh's own, such as a timeout, has another."""
+
+
+class UnansweredError(TransientError):
+    """Nobody answered: no service yet, it died while answering, or the time was up."""
+
+
+def ask(session: zenoh.Session, key: str, payload: bytes = b"", *, timeout_s: float = 10) -> bytes:
+    """Ask a queryable once.
+
+    Raises:
+        UnansweredError: If there was no answer, or none in time; asking again may help.
+        TransientError: If the answer is a problem that may pass.
+        PermanentError: If the answer is a problem that will not.
+    """
+    for reply in session.get(
+        key,
+        payload=payload,
+        timeout=timeout_s,
+        target=zenoh.QueryTarget.BEST_MATCHING,
+        consolidation=zenoh.ConsolidationMode.NONE,
+    ):
+        if reply.ok is not None:
+            return reply.ok.payload.to_bytes()
+        if reply.err is not None and reply.err.encoding == PROBLEM:
+            raise _as_error(decode(Problem, reply.err.payload.to_bytes()))
+        raise UnansweredError(f"no answer within {timeout_s:g} s from the service ({key})")
+    raise UnansweredError(f"no service answers ({key}); is `counterpoint run` up?")
+
+
+def ask_until(
+    session: zenoh.Session,
+    key: str,
+    payload: bytes = b"",
+    *,
+    stop: Event,
+    patience_s: float = float("inf"),
+    timeout_s: float = 10,
+) -> bytes:
+    """Ask again and again until answered: what every acknowledged step of a worker does.
+
+    A problem that may pass, such as a full disk on the other side, is waited out like silence.
+
+    Args:
+        session: Where to ask.
+        key: What to ask.
+        payload: The question.
+        stop: Give up when this is set.
+        patience_s: Give up after so long, seconds.
+        timeout_s: How long one question may take.
+
+    Raises:
+        UnansweredError: If patience ran out without an answer.
+        TransientError: If patience ran out, and the last answer was a problem that may pass.
+        StoppedError: If `stop` was set.
+        PermanentError: If the answer is a problem that will not.
+    """
+    give_up_s = time.monotonic() + patience_s
+    waits = backoff_s(first_s=0.02, most_s=0.5)
+    said = False
+    while True:
+        try:
+            return ask(session, key, payload, timeout_s=timeout_s)
+        except TransientError as error:
+            if time.monotonic() >= give_up_s:
+                raise
+            if not said:
+                say = log.debug if isinstance(error, UnansweredError) else log.warning
+                say("asking again", key=key, problem=str(error))
+                said = True
+        pause(stop, next(waits))
+
+
+def reply_problem(query: zenoh.Query, error: CounterpointError) -> None:
+    """Answer a question with why it has no answer."""
+    transient = isinstance(error, TransientError)
+    query.reply_err(encode(Problem(problem=str(error), transient=transient)), encoding=PROBLEM)
+
+
+def _as_error(problem: Problem) -> CounterpointError:
+    kind = TransientError if problem.transient else PermanentError
+    return kind(problem.problem)

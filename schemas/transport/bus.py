@@ -1,0 +1,188 @@
+"""Zenoh sessions and publishers, opened the one way that was measured to survive kills.
+
+Clients everywhere with routers in the middle, since peers behind a router do not hear each other;
+no shared memory, which killed processes leave locked; no scouting, so that a test or a neighbour's
+fleet is never joined by accident. What `zenoh.ext` marks unstable is used nowhere else.
+"""
+
+import json
+import socket
+from collections.abc import Callable, Sequence
+from threading import Event
+from typing import Any, Final
+
+import structlog
+import zenoh
+import zenoh.ext
+
+from schemas.errors import PermanentError, TransientError
+from schemas.runtime.retry import backoff_s, pause
+from schemas.transport.wire import RANKED_SCENE_ENCODING, SCENE_SCORE_ENCODING
+
+log = structlog.get_logger(__name__)
+
+DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
+"""Where a router listens, and clients look for it, unless told otherwise."""
+
+HEARTBEAT_S: Final = 0.2
+"""How soon after the last put of a burst a subscriber learns what it missed."""
+
+CACHE_SAMPLES: Final = 128
+"""Records a publisher keeps for a subscriber that missed some; a shard has a dozen or two."""
+
+RECORD: Final = zenoh.Encoding(SCENE_SCORE_ENCODING[0]).with_schema(SCENE_SCORE_ENCODING[1])
+"""Encoding of a scored scene."""
+
+RANKED: Final = zenoh.Encoding(RANKED_SCENE_ENCODING[0]).with_schema(RANKED_SCENE_ENCODING[1])
+"""Encoding of one scene of a selection."""
+
+
+def free_endpoint(host: str = "127.0.0.1") -> str:
+    """Find an endpoint on which nobody listens now; another process may still be faster."""
+    with socket.socket() as probe:
+        probe.bind((host, 0))
+        return f"tcp/{host}:{probe.getsockname()[1]}"
+
+
+def router_session(listen: Sequence[str], *, connect: Sequence[str] = ()) -> zenoh.Session:
+    """Open a Zenoh router in this process; close it, or the process never ends.
+
+    Args:
+        listen: Endpoints to listen on, such as `tcp/127.0.0.1:7447`.
+        connect: Other routers to link to; they may come later.
+
+    Raises:
+        TransientError: If an endpoint is taken.
+        PermanentError: If an endpoint cannot be listened on here at all.
+    """
+    check_endpoints(listen)
+    check_endpoints(connect)
+    try:
+        return zenoh.open(_config("router", listen=listen, connect=connect))
+    except zenoh.ZError as error:
+        where = ", ".join(listen)
+        if "in use" in str(error):
+            raise TransientError(
+                f"cannot listen on {where}: the port is in use; stop what listens there, "
+                "or choose another with --listen"
+            ) from None
+        raise PermanentError(f"cannot listen on {where}: {_reason(error)}") from None
+
+
+def client_session(connect: Sequence[str], *, stop: Event | None = None) -> zenoh.Session:
+    """Open a session through one of these routers; close it, or the process never ends.
+
+    A session outlives its router: Zenoh connects again and declares everything anew.
+
+    Args:
+        connect: Endpoints of routers, any of which will do.
+        stop: Given by daemons: wait for a router until this is set. None: fail at once.
+
+    Raises:
+        TransientError: If no router answers and nobody wants to wait, or `stop` was set.
+        PermanentError: If an endpoint is malformed.
+    """
+    check_endpoints(connect)
+    where = ", ".join(connect)
+    waits = backoff_s(first_s=0.1, most_s=2.0)
+    said = False
+    while True:
+        try:
+            return zenoh.open(_config("client", connect=connect))
+        except zenoh.ZError as error:
+            if stop is None:
+                raise TransientError(
+                    f"no router at {where}: is `counterpoint run` or `counterpoint router` up?"
+                ) from None
+            if not said:
+                log.warning("waiting for a router", connect=where, problem=_reason(error))
+                said = True
+        pause(stop, next(waits))
+
+
+def is_connected(session: zenoh.Session) -> bool:
+    """Whether a router is there now; a put while none is would be lost without a word."""
+    return bool(session.info.routers_zid())
+
+
+def recoverable_publisher(session: zenoh.Session, key: str) -> zenoh.ext.AdvancedPublisher:
+    """Declare a publisher that never stalls, and whose subscribers can fetch what they missed."""
+    return zenoh.ext.declare_advanced_publisher(
+        session,
+        key,
+        encoding=RECORD,
+        congestion_control=zenoh.CongestionControl.DROP,  # BLOCK stalls everyone behind one reader
+        cache=zenoh.ext.CacheConfig(max_samples=CACHE_SAMPLES),
+        sample_miss_detection=zenoh.ext.MissDetectionConfig(
+            heartbeat=None, sporadic_heartbeat=HEARTBEAT_S
+        ),
+        publisher_detection=True,
+    )
+
+
+def recoverable_subscriber(
+    session: zenoh.Session,
+    key: str,
+    callback: Callable[[zenoh.Sample], Any],
+    *,
+    on_miss: Callable[[int], Any] | None = None,
+) -> zenoh.ext.AdvancedSubscriber[None]:
+    """Declare a subscriber that fetches what it missed.
+
+    Args:
+        session: On the bus.
+        key: What to subscribe to.
+        callback: Takes a sample; must only enqueue.
+        on_miss: Told how many samples were missed for good, each time some were.
+    """
+    subscriber = zenoh.ext.declare_advanced_subscriber(
+        session,
+        key,
+        callback,
+        history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
+        recovery=zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+    )
+    if on_miss is not None:
+        subscriber.sample_miss_listener(lambda miss: on_miss(miss.nb))  # lives as long as it does
+    return subscriber
+
+
+def _config(mode: str, *, listen: Sequence[str] = (), connect: Sequence[str] = ()) -> zenoh.Config:
+    config = zenoh.Config()
+    for key, value in {
+        "mode": mode,
+        "listen/endpoints": list(listen),
+        "connect/endpoints": list(connect),
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/shared_memory/enabled": False,
+    }.items():
+        config.insert_json5(key, json.dumps(value))
+    if mode == "router" and connect:
+        config.insert_json5("connect/exit_on_failure", "false")
+        config.insert_json5("connect/timeout_ms", "0")
+    zenoh.init_log_from_env_or("error")
+    return config
+
+
+def check_endpoints(endpoints: Sequence[str]) -> None:
+    """Refuse what cannot be an endpoint, before anything is started for it.
+
+    Raises:
+        PermanentError: If one is malformed.
+    """
+    for endpoint in endpoints:
+        protocol, slash, address = endpoint.partition("/")
+        _, colon, port = address.rpartition(":")
+        number = port.split("#")[0].split("?")[0]
+        is_port = number.isascii() and number.isdigit() and len(number) < 6 and int(number) < 65536
+        if not (protocol and slash and colon and is_port):
+            raise PermanentError(
+                f"not an endpoint: {endpoint!r}; write it as tcp/host:port, for example "
+                f"{DEFAULT_ENDPOINT}"
+            )
+
+
+def _reason(error: zenoh.ZError) -> str:
+    """Keep what Zenoh says, without the source lines of the machine it was built on."""
+    return str(error).split(" at /", maxsplit=1)[0].strip()

@@ -1,0 +1,118 @@
+"""Every Zenoh key of the system. Parts are percent-encoded ASCII; nothing else builds a key."""
+
+from typing import Final, Literal
+from urllib.parse import quote, unquote
+
+from schemas.bounds import MAX_KEY_BYTES
+from schemas.errors import PermanentError
+
+DEFAULT_ROOT: Final = "counterpoint"
+
+Verb = Literal[
+    "about",
+    "hello",
+    "claim",
+    "renew",
+    "commit",
+    "fail",
+    "top",
+    "select",
+    "overlay",
+    "status",
+    "scene",
+    "rates",
+    "retry",
+]
+"""What may be asked of the service."""
+
+
+class KeyTooLongError(PermanentError):
+    """No key of the bus can be made of such long names."""
+
+
+def _part(text: str) -> str:
+    return quote(text, safe="-_.~")
+
+
+def score(*, root: str, worker_id: str) -> str:
+    """Key a worker puts its raw scores to, whatever shard they are of."""
+    return f"{root}/v1/score/{_part(worker_id)}"
+
+
+def all_scores(*, root: str) -> str:
+    """What the service subscribes to."""
+    return f"{root}/v1/score/**"
+
+
+def scene(*, root: str, log_id: str, scene_id: str) -> str:
+    """Key of one durable, numbered scene; one writer, the service.
+
+    Raises:
+        KeyTooLongError: If the names are longer than any that is taken today.
+    """
+    return _whole(f"{root}/v1/scene/{_part(log_id)}/{_part(_within(log_id, scene_id))}")
+
+
+def all_scenes(*, root: str) -> str:
+    """What a subscriber of scored scenes subscribes to, and asks for the history."""
+    return f"{root}/v1/scene/**"
+
+
+def scene_cache(*, root: str) -> str:
+    """Where a stock AdvancedSubscriber on `all_scenes` asks for its history."""
+    return f"{root}/v1/scene/**/@adv/**"
+
+
+def all_selected(*, root: str) -> str:
+    """What a subscriber of selections subscribes to, and asks for those there are."""
+    return f"{root}/v1/selected/**"
+
+
+def selected(*, root: str, selection: str, log_id: str, scene_id: str) -> str:
+    """Key of one scene of a named selection.
+
+    Raises:
+        KeyTooLongError: If the names are longer than any that is taken today.
+    """
+    parts = (selection, log_id, _within(log_id, scene_id))
+    return _whole(f"{root}/v1/selected/{'/'.join(map(_part, parts))}")
+
+
+def control(*, root: str, verb: Verb) -> str:
+    """Key of a question to the service."""
+    return f"{root}/v1/ctl/{verb}"
+
+
+def live(*, root: str, role: str, ident: str) -> str:
+    """Key of a liveliness token."""
+    return f"{root}/v1/live/{_part(role)}/{_part(ident)}"
+
+
+def all_live(*, root: str, role: str) -> str:
+    """Matches the liveliness tokens of everyone in this role."""
+    return f"{root}/v1/live/{_part(role)}/*"
+
+
+def scene_id_of(key: str, *, root: str) -> str:
+    """Read the scene id back from a key that `scene` made.
+
+    Raises:
+        ValueError: If the key is not one of a scene under this root.
+    """
+    prefix = f"{root}/v1/scene/"
+    parts = key.removeprefix(prefix).split("/")
+    if not key.startswith(prefix) or len(parts) != 2:
+        raise ValueError(f"not the key of a scene under {root!r}: {key}")
+    return f"{unquote(parts[0])}/{unquote(parts[1])}"
+
+
+def _whole(key: str) -> str:
+    if len(key) > MAX_KEY_BYTES:  # ASCII, so that its characters are its bytes
+        raise KeyTooLongError(
+            f"a key of {len(key)} bytes, of which the bus takes {MAX_KEY_BYTES}: {key[:80]}..."
+        )
+    return key
+
+
+def _within(log_id: str, scene_id: str) -> str:
+    return scene_id.removeprefix(f"{log_id}/")

@@ -1,0 +1,50 @@
+"""Bytes on the bus: canonical JSON, so that equal records are equal bytes."""
+
+from typing import Final, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from schemas.canonical import canonical_json
+from schemas.score import MAX_RECORD_BYTES, SceneScore
+
+SCENE_SCORE_ENCODING: Final = ("application/json", "counterpoint.scene_score.v1")
+"""Zenoh encoding and schema suffix of a scored scene."""
+
+RANKED_SCENE_ENCODING: Final = ("application/json", "counterpoint.ranked_scene.v1")
+"""The same of one scene of a selection."""
+
+Message = TypeVar("Message", bound=BaseModel)
+
+
+def encode(message: BaseModel) -> bytes:
+    """Encode any message of `schemas` canonically."""
+    return canonical_json(message.model_dump(mode="json"))
+
+
+def decode(kind: type[Message], payload: bytes) -> Message:
+    """Decode and validate a message.
+
+    Raises:
+        pydantic.ValidationError: If it is not a message of this kind.
+    """
+    return kind.model_validate_json(payload)
+
+
+def first_problem(error: ValidationError) -> str:
+    """Say in one line which field of a message is wrong, and why."""
+    first = error.errors(include_url=False, include_input=False)[0]
+    return f"{'.'.join(map(str, first['loc'])) or 'payload'}: {first['msg']}"[:500]
+
+
+def encode_scene_score(score: SceneScore) -> bytes:
+    """Encode a scored scene as it is published, stored and compared.
+
+    Raises:
+        ValueError: If it is larger than the bus should carry.
+    """
+    payload = encode(score)
+    if len(payload) > MAX_RECORD_BYTES:
+        raise ValueError(
+            f"scene record of {len(payload)} bytes exceeds {MAX_RECORD_BYTES} ({score.scene_id})"
+        )
+    return payload

@@ -1,0 +1,1 @@
+"""Messages and handlers of everything that is asked over the bus."""

@@ -1,0 +1,157 @@
+"""The verbs that workers and people may ask of the service, each a payload in and a payload out."""
+
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from importlib.metadata import version
+from itertools import groupby
+from operator import attrgetter
+from typing import Any, Final, get_args
+
+import structlog
+from pydantic import BaseModel, ValidationError
+
+from schemas.mining import MiningSettings
+from schemas.transport import keys
+from schemas.transport.keys import Verb
+from schemas.transport.wire import decode, encode
+from schemas.work import Answer, CommitRequest
+from service.api.messages import (
+    AboutReply,
+    RatesReply,
+    RetryReply,
+    RetryRequest,
+    SceneRequest,
+    SelectRequest,
+    TopReply,
+    TopRequest,
+)
+from service.api.payload_check import require_affordable
+from service.api.questions import Questions, malformed
+from service.api.reading import no_such_scene, read_overlay
+from service.api.staging import Staging
+from service.api.verbs import VERBS
+from service.curation.rates import RatesRequest, rates
+from service.curation.selection import Selection
+from service.store.ledger import Ledger, StoredScene
+
+log = structlog.get_logger(__name__)
+
+STAGING_PATIENCE_S: Final = 0.2
+"""How long a commit waits for records that it may have overtaken, before it names them missing."""
+
+
+class Control:
+    """Answers every verb of `schemas.transport.keys.Verb`; what it acknowledges is on disk."""
+
+    def __init__(
+        self,
+        *,
+        settings: MiningSettings,
+        ledger: Ledger,
+        staging: Staging,
+        on_scenes: Callable[[], None],
+        on_selection: Callable[[Selection], None],
+        on_commit_seconds: Callable[[float], None] = lambda _: None,
+    ) -> None:
+        """Take the parts, and whom to tell about committed scenes and stored selections.
+
+        `on_commit_seconds` is told how long the ledger took for each commit.
+        """
+        self._on_commit_seconds = on_commit_seconds
+        self._settings, self._ledger, self._staging = settings, ledger, staging
+        self._on_scenes, self._on_selection = on_scenes, on_selection
+        about = AboutReply(package=version("counterpoint"))  # now: an upgrade changes the files
+        self._answers: Mapping[Verb, Callable[[Any], BaseModel | bytes]] = {
+            "about": lambda _: about,
+            "hello": lambda _: self._settings,
+            "claim": self._ledger.claim,
+            "renew": self._ledger.renew,
+            "commit": self._commit,
+            "fail": self._ledger.fail,
+            "top": self._top,
+            "select": self._select,
+            "status": lambda _: self._ledger.status(),
+            "rates": self._rates,
+            "scene": lambda request: self._scene(request).record,
+            "overlay": self._overlay,
+            "retry": self._retry,
+        }
+        """What each verb does with the request that `service.api.verbs` says it takes."""
+
+    def declare(self, questions: Questions, *, root: str) -> None:
+        """Take the questions of every verb."""
+        for verb in get_args(Verb):
+            questions.declare(
+                keys.control(root=root, verb=verb), partial(self.answer, verb), asked=verb
+            )
+
+    def answer(self, verb: Verb, payload: bytes) -> bytes:
+        """Answer one question.
+
+        Raises:
+            MalformedError: If the payload is not what the verb takes.
+            CounterpointError: If there is no answer, or none now.
+        """
+        kind, request = VERBS[verb].request, None
+        if kind is not None:
+            try:
+                require_affordable(kind, payload)
+                request = decode(kind, payload)
+            except ValidationError as error:
+                raise malformed(verb, error) from None
+        answer = self._answers[verb](request)
+        return answer if isinstance(answer, bytes) else encode(answer)
+
+    def _commit(self, request: CommitRequest) -> Answer:
+        digests = [entry.sha256 for entry in request.manifest]
+        patience_s = 0.0 if request.records else STAGING_PATIENCE_S
+        staged = self._staging.collect(digests, patience_s=patience_s)
+        began_s = time.monotonic()
+        answer = self._ledger.commit(request, staged)
+        self._on_commit_seconds(time.monotonic() - began_s)
+        if answer.problem:
+            log.warning(
+                "commit refused",
+                worker_id=request.worker_id,
+                lease_id=request.lease_id,
+                problem=answer.problem,
+            )
+        if answer.ok:
+            self._staging.discard(digests)
+            self._on_scenes()
+        return answer
+
+    def _top(self, request: TopRequest) -> TopReply:
+        return TopReply(scenes=tuple(self._ledger.ranking(most=request.most)))
+
+    def _rates(self, request: RatesRequest) -> RatesReply:
+        return RatesReply(rows=tuple(rates(self._ledger.rate_sums(request), request.by)))
+
+    def _select(self, request: SelectRequest) -> Selection:
+        chosen = self._ledger.best_distinct(budget=request.budget)
+        selection = self._ledger.save_selection(request.name, budget=request.budget, scenes=chosen)
+        self._on_selection(selection)
+        return selection
+
+    def _retry(self, request: RetryRequest) -> RetryReply:
+        retried = self._ledger.retry(request.log_ids)
+        for log_id, works in groupby(retried, key=attrgetter("log_id")):
+            parked = list(works)
+            log.info(
+                "parked work is tried again",
+                log_id=log_id,
+                works=len(parked),
+                shard=parked[0].shard or None,
+                before=parked[0].error,
+            )
+        return RetryReply(retried=tuple(retried))
+
+    def _scene(self, request: SceneRequest) -> StoredScene:
+        stored = self._ledger.scene(request.scene_id)
+        if stored is None:
+            raise no_such_scene(request.scene_id)
+        return stored
+
+    def _overlay(self, request: SceneRequest) -> bytes:
+        return read_overlay(self._settings.artifacts, self._scene(request))

@@ -1,0 +1,129 @@
+"""Scenes for those who come late, from the ledger: asked for by number, or by a stock subscriber.
+
+A publisher's cache dies with it, so the history of scenes is the service's to give. Two questions
+are answered: ours, `scene/**?since=N` (`schemas/WIRE.md`), and the one that an AdvancedSubscriber
+with a history asks of publishers' caches by itself, so that a subscriber needs no code of ours.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from itertools import islice
+from typing import Final
+
+import zenoh
+
+from schemas.bounds import MAX_INTEGER, MAX_NEWEST
+from schemas.errors import PermanentError
+from schemas.events import SceneNumber
+from schemas.transport import keys
+from schemas.transport.bus import RANKED, RECORD
+from schemas.transport.wire import encode
+from service.api.outbox import selected_scenes
+from service.api.questions import Questions
+from service.store.ledger import Ledger, StoredScene
+
+PAGE: Final = 512
+"""Scenes read from the ledger at once: bounds memory, not the answer."""
+
+
+class History:
+    """Answers for the scenes of the ledger."""
+
+    def __init__(self, session: zenoh.Session, ledger: Ledger, *, root: str) -> None:
+        self._session, self._ledger, self._root = session, ledger, root
+
+    def declare(self, questions: Questions) -> None:
+        """Take the questions."""
+        questions.declare_history(keys.all_scenes(root=self._root), self.answer)
+        questions.declare_history(keys.scene_cache(root=self._root), self.answer_as_cache)
+        questions.declare_history(keys.all_selected(root=self._root), self.answer_selected)
+
+    def answer(self, query: zenoh.Query) -> None:
+        """Reply scenes in the order of their numbers, as the parameters ask.
+
+        `since=N` gives the current scenes with a greater number, all without it; with
+        `withdrawn=1` also every withdrawal with a greater number, as a delete. `most=M` stops
+        after so many replies. `newest=N` gives the N current scenes with the highest numbers. A
+        key expression that is narrower than all scenes gets those that it matches.
+
+        Raises:
+            PermanentError: If a parameter is no number within its bounds, or `since` is beyond the
+                last one.
+        """
+        newest = _number(query, "newest", most=MAX_NEWEST)
+        most = _number(query, "most")
+        since = _number(query, "since") or 0
+        withdrawn = _number(query, "withdrawn", most=1) or 0
+        if since > (last := self._ledger.last_seq()):
+            raise PermanentError(
+                f"no event {since} here, the last is {last}: these are the scenes of another "
+                "ledger; drop what you have, and begin anew with since=0"
+            )
+        if newest is not None:
+            events: Iterator[StoredScene] = iter(self._ledger.newest_scenes(newest))
+        elif withdrawn:
+            events = self._pages(self._ledger.events_since, since, most)
+        else:
+            events = self._pages(self._ledger.scenes_since, since, most)
+        asked = (
+            (event, key) for event, key in self._with_keys(events) if query.key_expr.intersects(key)
+        )
+        for event, key in islice(asked, most):
+            if event.withdrawn:
+                query.reply_del(key, attachment=_attachment(event))
+            else:
+                query.reply(key, event.record, encoding=RECORD, attachment=_attachment(event))
+
+    def answer_as_cache(self, query: zenoh.Query) -> None:
+        """Reply as the caches of publishers would: every current scene once, with a timestamp.
+
+        The subscriber holds replies back until the answer ends and sorts them by timestamp, which
+        rises with the number here. A key has one current record, so that its limit of samples a
+        key (`_max`) always holds; its limit of age (`_time`) is not kept: all are given.
+        """
+        for scene, key in self._with_keys(self._pages(self._ledger.scenes_since, 0)):
+            query.reply(
+                key,
+                scene.record,
+                encoding=RECORD,
+                attachment=_attachment(scene),
+                timestamp=self._session.new_timestamp(),
+            )
+
+    def answer_selected(self, query: zenoh.Query) -> None:
+        """Reply the scenes of every stored selection that the key expression matches."""
+        for selection in self._ledger.selections():
+            for key, payload in selected_scenes(selection, root=self._root):
+                if query.key_expr.intersects(key):
+                    query.reply(key, payload, encoding=RANKED)
+
+    def _pages(
+        self, read: Callable[[int, int], list[StoredScene]], seq: int, most: int | None = None
+    ) -> Iterator[StoredScene]:
+        limit = PAGE if most is None else max(1, min(PAGE, most))
+        while page := read(seq, limit):
+            yield from page
+            seq = page[-1].seq
+
+    def _with_keys(self, events: Iterable[StoredScene]) -> Iterator[tuple[StoredScene, str]]:
+        """Pair events with their keys; without those that the bus cannot carry."""
+        for event in events:
+            with suppress(keys.KeyTooLongError):  # the outbox has said which
+                yield (
+                    event,
+                    keys.scene(root=self._root, log_id=event.log_id, scene_id=event.scene_id),
+                )
+
+
+def _attachment(scene: StoredScene) -> bytes:
+    return encode(SceneNumber(seq=scene.seq))
+
+
+def _number(query: zenoh.Query, name: str, *, most: int = MAX_INTEGER) -> int | None:
+    text = query.parameters.get(name)
+    if text is None:
+        return None
+    if not text.isdecimal() or len(text) > len(str(MAX_INTEGER)) or int(text) > most:
+        shown = text if len(text) <= 40 else f"{text[:40]}..."
+        raise PermanentError(f"{name} must be a number, 0 to {most}, got {shown!r}")
+    return int(text)

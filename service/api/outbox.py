@@ -1,0 +1,94 @@
+"""Durable, numbered scenes for the world outside: the ledger's events, put in their order."""
+
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from typing import Final
+
+import structlog
+import zenoh
+
+from schemas.events import SceneNumber
+from schemas.transport import keys
+from schemas.transport.bus import RANKED, RECORD, is_connected
+from schemas.transport.wire import encode
+from service.curation.selection import Selection
+from service.store.ledger import Ledger, StoredScene
+
+log = structlog.get_logger(__name__)
+
+BATCH: Final = 256
+"""Events between two moves of the durable cursor; after a kill so many may be put twice."""
+
+
+class Outbox:
+    """Puts every event of the ledger once or, around a kill, again; never out of order.
+
+    A put is no promise: it may be lost on its way, and whoever needs all scenes asks for the
+    history. The cursor only says what need not be put again.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        ledger: Ledger,
+        *,
+        root: str,
+        on_fault: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Take the parts, and whom to tell of each event that the bus cannot carry."""
+        self._session, self._ledger, self._root = session, ledger, root
+        self._on_fault = on_fault
+
+    def publish(self) -> None:
+        """Publish every event there is, or stop when no router is there to take it."""
+        while self.publish_some():
+            pass
+
+    def publish_some(self) -> int:
+        """Publish the next batch of events; return how many, 0 while no router is there."""
+        if not is_connected(self._session):
+            return 0
+        events = self._ledger.unpublished(BATCH)
+        for event in events:
+            self._put_or_skip(event)
+        if events:
+            self._ledger.mark_published(events[-1].seq)
+            log.debug("scenes published", scenes=len(events), seq=events[-1].seq)
+        return len(events)
+
+    def publish_selection(self, selection: Selection) -> None:
+        """Put every scene of a stored selection to its key, best first."""
+        for key, payload in selected_scenes(selection, root=self._root):
+            self._session.put(key, payload, encoding=RANKED)
+
+    def _put_or_skip(self, event: StoredScene) -> None:
+        """Put an event; leave out one that was stored when nothing bounded its names yet."""
+        try:
+            self._put(event)
+        except keys.KeyTooLongError as error:
+            log.error("scene not published, ever", seq=event.seq, problem=str(error))
+            self._on_fault()
+
+    def _put(self, event: StoredScene) -> None:
+        key = keys.scene(root=self._root, log_id=event.log_id, scene_id=event.scene_id)
+        number = encode(SceneNumber(seq=event.seq))
+        drop = zenoh.CongestionControl.DROP
+        if event.withdrawn:
+            self._session.delete(key, attachment=number, congestion_control=drop)
+        else:
+            self._session.put(
+                key, event.record, encoding=RECORD, attachment=number, congestion_control=drop
+            )
+
+
+def selected_scenes(selection: Selection, *, root: str) -> Iterator[tuple[str, bytes]]:
+    """Yield key and payload of every scene of a selection, best first.
+
+    Left out are those that the bus cannot carry, of names that were taken without a bound.
+    """
+    for scene in selection.scenes:
+        with suppress(keys.KeyTooLongError):
+            key = keys.selected(
+                root=root, selection=selection.name, log_id=scene.log_id, scene_id=scene.scene_id
+            )
+            yield key, encode(scene)

@@ -1,0 +1,210 @@
+"""Where the reading verbs look: a running service over the bus, or a state folder without one."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Protocol
+
+from schemas.errors import ObjectChangedError
+from schemas.overlay import Overlay, overlay_key
+from schemas.score import SceneScore
+from schemas.transport.bucket import open_bucket
+from schemas.transport.overlay_codec import MAX_OVERLAY_BYTES, decode_overlay
+from service.api.messages import RetryRequest, SceneRequest, SelectRequest, TopRequest, question
+from service.curation.ranking import RankedScene
+from service.curation.rates import RateRow, RatesRequest, rates
+from service.curation.selection import Selection
+from service.curation.status import ParkedWork, Status
+from service.errors import NothingFoundError, StateInUseError, UsageError
+from service.settings.config import Settings
+from service.settings.messages import shown
+from service.store.ledger import Ledger, StoredScene
+from service.store.opening import open_ledger_store, open_ledger_store_to_read, sole_service
+from service.store.state import StateLock, endpoint_of_running
+
+
+class Reader(Protocol):
+    """Answers what `top`, `select`, `show`, `status` and `retry` ask."""
+
+    def top(self, most: int | None = None) -> list[RankedScene]:
+        """Rank every current scene, best first."""
+        ...
+
+    def select(self, *, budget: int, name: str | None) -> Selection:
+        """Store the best distinct scenes as a named selection."""
+        ...
+
+    def scene(self, scene_id: str) -> SceneScore:
+        """Return the record of a current scene."""
+        ...
+
+    def overlay(self, scene_id: str) -> bytes:
+        """Return the stored points of a current scene, encoded."""
+        ...
+
+    def overlay_place(self, scene_id: str) -> str:
+        """Name where the stored points of a current scene come from, for a message."""
+        ...
+
+    def rates(self, request: RatesRequest) -> list[RateRow]:
+        """Say how often the streams contradict each other, by group."""
+        ...
+
+    def status(self) -> Status:
+        """Say how far everything is."""
+        ...
+
+    def retry(self, log_ids: Sequence[str] | None = None) -> list[ParkedWork]:
+        """Have parked work tried again, of these logs or all; say what was parked."""
+        ...
+
+
+class StateReader:
+    """Reads a state folder directly, beside a running service or without one."""
+
+    def __init__(self, settings: Settings, *, now_s: float) -> None:
+        """Take where the state lies, and the time for rates."""
+        self._settings, self._now_s = settings, now_s
+
+    @contextmanager
+    def _ledger(self) -> Iterator[Ledger]:
+        with closing(open_ledger_store_to_read(self._settings)) as store:
+            yield Ledger(store, now_s=lambda: self._now_s)
+
+    def top(self, most: int | None = None) -> list[RankedScene]:
+        """Rank every current scene, best first, and list so many; None: all."""
+        asked = question(TopRequest, most=most)
+        with self._ledger() as ledger:
+            return ledger.ranking(most=asked.most)
+
+    @contextmanager
+    def _ledger_to_write(self, *, what: str) -> Iterator[Ledger]:
+        """Hold the state for as long as it takes to change something.
+
+        Raises:
+            UsageError: If a service runs on this state: it alone writes.
+        """
+        with self._ledger():
+            pass  # refuses a folder without a state, before anything is made in it
+        try:
+            with (
+                StateLock(self._settings.state),
+                sole_service(self._settings),
+                closing(open_ledger_store(self._settings)) as store,
+            ):
+                yield Ledger(store, now_s=lambda: self._now_s)
+        except StateInUseError:
+            endpoint = endpoint_of_running(self._settings.state) or "its endpoint"
+            raise UsageError(
+                f"a service runs on this state and alone may {what}: use --connect {endpoint}"
+            ) from None
+
+    def select(self, *, budget: int, name: str | None) -> Selection:
+        """Store the best distinct scenes as a named selection.
+
+        Raises:
+            UsageError: If a service runs on this state: it alone writes, and it publishes.
+        """
+        asked = question(SelectRequest, budget=budget, name=name)
+        with self._ledger_to_write(what="select") as ledger:
+            chosen = ledger.best_distinct(budget=asked.budget)
+            return ledger.save_selection(asked.name, budget=asked.budget, scenes=chosen)
+
+    def retry(self, log_ids: Sequence[str] | None = None) -> list[ParkedWork]:
+        """Have parked work tried again by the next run, of these logs or all.
+
+        Raises:
+            UsageError: If a service runs on this state: it alone writes.
+            NothingFoundError: If one of these logs is not in the bucket.
+        """
+        asked = question(RetryRequest, log_ids=log_ids)
+        with self._ledger_to_write(what="retry") as ledger:
+            return ledger.retry(asked.log_ids)
+
+    def scene(self, scene_id: str) -> SceneScore:
+        """Return the record of a current scene."""
+        return self._scene(scene_id).decoded()
+
+    def overlay(self, scene_id: str) -> bytes:
+        """Return the stored points of a current scene, encoded."""
+        return read_overlay(self._settings.mining().artifacts, self._scene(scene_id))
+
+    def overlay_place(self, scene_id: str) -> str:
+        """Name the object that the stored points of a current scene lie in."""
+        key = _key_of(self._scene(scene_id))
+        return f"{shown(self._settings.mining().artifacts)}/{key}"
+
+    def _scene(self, scene_id: str) -> StoredScene:
+        asked = question(SceneRequest, scene_id=scene_id)
+        with self._ledger() as ledger:
+            stored = ledger.scene(asked.scene_id)
+        if stored is None:
+            raise no_such_scene(scene_id)
+        return stored
+
+    def rates(self, request: RatesRequest) -> list[RateRow]:
+        """Say how often the streams contradict each other, by group."""
+        with self._ledger() as ledger:
+            return rates(ledger.rate_sums(request), request.by)
+
+    def status(self) -> Status:
+        """Say how far everything is."""
+        with self._ledger() as ledger:
+            return ledger.status()
+
+
+def overlay_of(source: Reader, scene_id: str) -> Overlay:
+    """Read and decode the points of a current scene.
+
+    Raises:
+        NothingFoundError: If there are none.
+        PackUnreadableError: If they are damaged or of another scene; the message names the place.
+    """
+    payload = source.overlay(scene_id)
+    return decode_overlay(payload, scene_id=scene_id, where=source.overlay_place(scene_id))
+
+
+def read_overlay(artifacts_url: str, scene: StoredScene) -> bytes:
+    """Read the overlay of a scene from where the workers put it.
+
+    Raises:
+        NothingFoundError: If it is not there.
+        BucketRefusedError: If something else lies there, or it is larger than any overlay.
+    """
+    try:
+        return open_bucket(artifacts_url).read_all(_key_of(scene), at_most=MAX_OVERLAY_BYTES)
+    except ObjectChangedError:
+        raise NothingFoundError(
+            f"no overlay of {scene.scene_id} in {shown(artifacts_url)}; name its place with "
+            "--artifacts"
+        ) from None
+
+
+def _key_of(scene: StoredScene) -> str:
+    return overlay_key(
+        log_id=scene.log_id,
+        scene_id=scene.scene_id,
+        pipeline_version=scene.pipeline_version,
+        sha256=scene.sha256,
+    )
+
+
+def no_such_scene(scene_id: str) -> NothingFoundError:
+    """Say that no current scene has this id."""
+    return NothingFoundError(f"no current scene {scene_id!r}; `counterpoint top` lists them")
+
+
+def choose_endpoint(settings: Settings) -> str:
+    """Say where the service is asked: `--connect`, else the one that holds the state folder.
+
+    Raises:
+        NothingFoundError: If no service runs on the state folder.
+    """
+    if settings.connect:
+        return settings.connect
+    endpoint = endpoint_of_running(Path(settings.state))
+    if not endpoint:
+        raise NothingFoundError(
+            f"no service runs on {settings.state}: start `counterpoint run`, or give --connect"
+        )
+    return endpoint

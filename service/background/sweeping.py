@@ -1,0 +1,94 @@
+"""Deletes overlays of scenes that were withdrawn long ago, where the settings ask for that.
+
+Only objects that the ledger can name, one by one: nothing is listed, and nothing else is touched.
+"""
+
+from threading import Event
+from typing import Final
+
+import structlog
+
+from schemas.overlay import overlay_key
+from schemas.transport.bucket import Bucket
+from service.errors import UsageError
+from service.store.ledger import Ledger
+
+log = structlog.get_logger(__name__)
+
+DAY_S: Final = 86_400.0
+BATCH: Final = 100
+"""Overlays between two looks at the ledger: what became needed meanwhile is kept."""
+
+LONGEST_INTERVAL_S: Final = 3600.0
+SHORTEST_INTERVAL_S: Final = 1.0
+
+
+class OverlaySweep:
+    """Deletes what nobody has needed for so long; killed anywhere, it goes on where it was.
+
+    Attributes:
+        interval_s: How often to sweep, seconds.
+        deleted: Overlays deleted by this process.
+    """
+
+    def __init__(
+        self, artifacts: Bucket, ledger: Ledger, *, keep_s: float, log_bucket_url: str
+    ) -> None:
+        """Take where overlays lie, and what knows which are needed.
+
+        Args:
+            artifacts: Where overlays lie.
+            ledger: Knows which scenes are current, and since when others are not.
+            keep_s: An overlay is kept for so long after its scene was withdrawn, seconds; counted
+                from the first sweep that saw it.
+            log_bucket_url: Where logs lie.
+
+        Raises:
+            UsageError: If one of the two places lies in the other: nothing is ever deleted in the
+                log bucket.
+        """
+        places = sorted((f"{artifacts.url.rstrip('/')}/", f"{log_bucket_url.rstrip('/')}/"))
+        if places[1].startswith(places[0]):
+            raise UsageError(
+                f"keep_withdrawn_days deletes overlays, and nothing may be deleted where logs lie: "
+                f"artifacts ({artifacts.url}) and bucket ({log_bucket_url}) lie in each other; "
+                "name another place with --artifacts, or leave the setting out"
+            )
+        self._artifacts, self._ledger, self._keep_s = artifacts, ledger, keep_s
+        self.interval_s = min(LONGEST_INTERVAL_S, max(SHORTEST_INTERVAL_S, keep_s / 10))
+        self.deleted = 0
+
+    def sweep(self, stop: Event) -> None:
+        """Note what is not needed since now, and delete what has not been needed for long.
+
+        Raises:
+            TransientError: If artifacts or database do not answer now.
+            BucketRefusedError: If the artifacts may not be deleted.
+        """
+        self._ledger.retired_overlays.note()
+        before = self.deleted
+        try:
+            while not stop.is_set() and self._delete_some():
+                pass
+        finally:
+            if self.deleted > before:
+                log.info(
+                    "overlays of scenes withdrawn long ago deleted",
+                    overlays=self.deleted - before,
+                    keep_withdrawn_days=self._keep_s / DAY_S,
+                )
+
+    def _delete_some(self) -> int:
+        overlays = self._ledger.retired_overlays.to_delete(keep_s=self._keep_s, limit=BATCH)
+        for each in overlays:
+            self._artifacts.delete(
+                overlay_key(
+                    log_id=each.log_id,
+                    scene_id=each.scene_id,
+                    pipeline_version=each.pipeline_version,
+                    sha256=each.sha256,
+                )
+            )
+            self.deleted += 1
+        self._ledger.retired_overlays.note_deleted(overlays)
+        return len(overlays)

@@ -1,0 +1,257 @@
+"""The service as seen from outside: verbs that are asked, and scenes that are watched."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from threading import Event
+from typing import Final
+
+import structlog
+from pydantic import BaseModel
+
+from schemas.runtime.retry import StoppedError
+from schemas.score import SceneScore
+from schemas.transport import keys
+from schemas.transport.ask import ask_until
+from schemas.transport.bus import client_session
+from schemas.transport.keys import Verb
+from schemas.transport.wire import decode, encode
+from service.api.messages import (
+    RatesReply,
+    RetryReply,
+    RetryRequest,
+    SceneRequest,
+    SelectRequest,
+    TopReply,
+    TopRequest,
+    question,
+)
+from service.client.merging import Holding, SceneEvent, SceneMerge, Wanted
+from service.client.subscription import SceneSubscription
+from service.curation.ranking import RankedScene
+from service.curation.rates import RateRow, RatesRequest
+from service.curation.selection import Selection
+from service.curation.status import ParkedWork, Status
+
+log = structlog.get_logger(__name__)
+
+PATIENCE_S: Final = 3.0
+"""How long a person waits for a service that is just starting."""
+
+PAGE: Final = 500
+"""Events of the history in one question, at most 16 KB each: what is held in memory at once."""
+
+IDLE_S: Final = 2.0
+"""After so long without a scene, ask whether one was lost on its way: the last leaves no gap."""
+
+_LOOK_S: Final = 0.05
+"""How often to look whether something was published, while nothing is."""
+
+_PAUSE_S: Final = 0.1
+"""Shortest time between two questions, however fast scenes are published."""
+
+_AGAIN_S: Final = 0.5
+"""And after a number was heard that the history did not know: it may have been made up."""
+
+
+class ControlClient:
+    """Asks a running service; each question on a session of its own, which opens in milliseconds.
+
+    Every method raises `TransientError` when there is no router or no service, and `PermanentError`
+    when the service refuses.
+    """
+
+    def __init__(self, connect: Sequence[str], *, root: str) -> None:
+        """Take the endpoints of routers, and the first part of every key."""
+        self._connect, self._root = tuple(connect), root
+
+    def top(self, most: int | None = None) -> list[RankedScene]:
+        """Rank every current scene, best first, and list so many; None: all."""
+        return list(decode(TopReply, self._ask("top", question(TopRequest, most=most))).scenes)
+
+    def select(self, *, budget: int, name: str | None = None) -> Selection:
+        """Store the best distinct scenes as a named selection, and publish it."""
+        return decode(
+            Selection, self._ask("select", question(SelectRequest, budget=budget, name=name))
+        )
+
+    def status(self) -> Status:
+        """Say how far everything is."""
+        return decode(Status, self._ask("status"))
+
+    def retry(self, log_ids: Sequence[str] | None = None) -> list[ParkedWork]:
+        """Have parked work tried again, of these logs or all; say what was parked."""
+        wanted = None if log_ids is None else tuple(log_ids)
+        return list(
+            decode(RetryReply, self._ask("retry", question(RetryRequest, log_ids=wanted))).retried
+        )
+
+    def rates(self, request: RatesRequest) -> list[RateRow]:
+        """Say how often the streams contradict each other, by group."""
+        return list(decode(RatesReply, self._ask("rates", request)).rows)
+
+    def scene(self, scene_id: str) -> SceneScore:
+        """Return the record of a current scene."""
+        return decode(SceneScore, self._ask("scene", question(SceneRequest, scene_id=scene_id)))
+
+    def overlay(self, scene_id: str) -> bytes:
+        """Return the stored points of a current scene, encoded."""
+        return self._ask("overlay", question(SceneRequest, scene_id=scene_id))
+
+    def overlay_place(self, scene_id: str) -> str:
+        """Name where the stored points of a current scene come from, for a message."""
+        return f"{scene_id}, from the service at {','.join(self._connect)}"
+
+    def _ask(self, verb: Verb, request: BaseModel | None = None) -> bytes:
+        with client_session(self._connect) as session:
+            return ask_until(
+                session,
+                keys.control(root=self._root, verb=verb),
+                encode(request) if request is not None else b"",
+                stop=Event(),
+                patience_s=PATIENCE_S,
+            )
+
+
+def watch_scenes(
+    connect: Sequence[str],
+    *,
+    root: str = keys.DEFAULT_ROOT,
+    history: int | None = None,
+    since: int | None = None,
+    log: str = "*",
+    vehicle: str | Sequence[str] = (),
+    min_score: float = 0.0,
+    stop: Event | None = None,
+    wait: bool = True,
+    on_service: Callable[[bool], None] | None = None,
+    idle_s: float = IDLE_S,
+) -> Iterator[SceneEvent]:
+    """Yield scored scenes in the order of their numbers: those there are, then each as it comes.
+
+    A scene that went, or does not match any more what was asked for, is yielded as withdrawn. What
+    is published is fetched from the history, which is also asked when it is quiet; so a message
+    that a stranger publishes is never yielded. Router and service may go and come back for ever.
+    Whoever notes the number of the last event he has handled, and gives it as `since` in his next
+    life, misses none and gets none twice.
+
+    What happened while nobody watched arrives summed up, one event per scene: one that went and
+    came back arrives again, with the same digest; one that came and went arrives as withdrawn,
+    although it was never yielded. One that was yielded in an earlier life and whose new record
+    matches no more is not taken back: that life is not known here.
+
+    Memory: one page of the history, and 171 bytes for each scene that was yielded.
+
+    Args:
+        connect: Endpoints of routers.
+        root: First part of every key.
+        history: Only so many scenes of the past, the newest; None: all of them.
+        since: Only events after this number; not together with `history`.
+        log: Pattern that the log id must match whole, `*` matches `/` too.
+        vehicle: Only scenes of this vehicle, or of these.
+        min_score: Only scenes that score at least so much, 0 to 1.
+        stop: Ends the iteration.
+        wait: For a router, if none answers at the start.
+        on_service: Told when the service is gone (False) and back (True), once each; None: it is
+            logged, by structlog.
+        idle_s: How long it must be quiet before asking.
+
+    Raises:
+        ValueError: If the arguments contradict each other.
+        TransientError: If no router answers at the start, without `wait`.
+        PermanentError: If the service refuses: `since` is beyond its last number, so that this is
+            another ledger; or if its records cannot be read.
+    """
+    if not connect:
+        raise ValueError("connect must name a router, such as tcp/127.0.0.1:7447")
+    if history is not None and since is not None:
+        raise ValueError("give history or since, not both: since means all after that number")
+    vehicles = frozenset((vehicle,) if isinstance(vehicle, str) else vehicle)
+    wanted = Wanted(log=log, vehicles=vehicles, min_score=min_score)
+    holding = Holding(wanted, resumed=bool(since))
+    stop = stop or Event()
+
+    def events() -> Iterator[SceneEvent]:
+        try:
+            session = client_session(connect, stop=stop if wait else None)
+        except StoppedError:
+            return
+        with session, SceneSubscription(session, root=root) as subscription:
+            merge = SceneMerge(subscription.history, page=PAGE, since=since or 0)
+            presence = _Presence(on_service or _log_service, subscription)
+            if history is not None:
+                yield from filter(None, map(holding.news, _begin(merge, history, presence, stop)))
+            following = _follow(merge, subscription, presence, stop, idle_s=idle_s)
+            yield from filter(None, map(holding.news, following))
+
+    return events()
+
+
+class _Presence:
+    """Whether the service is there; says so when that changes."""
+
+    def __init__(self, say: Callable[[bool], None], subscription: SceneSubscription) -> None:
+        self._say, self._subscription = say, subscription
+        self._was = True
+
+    def look(self) -> bool:
+        """Return whether the service is there."""
+        there = self._subscription.service_is_there()
+        if there != self._was:
+            self._was = there
+            self._say(there)
+        return there
+
+
+def _begin(
+    merge: SceneMerge, newest: int, presence: _Presence, stop: Event
+) -> Iterator[SceneEvent]:
+    """Begin with the newest scenes; from number 0 if a service that is there knows none."""
+    while not stop.is_set():
+        there = presence.look()
+        found = merge.begin(newest)
+        if found is not None:
+            yield from found
+            return
+        if there:
+            return
+        stop.wait(_AGAIN_S)
+
+
+def _follow(
+    merge: SceneMerge,
+    subscription: SceneSubscription,
+    presence: _Presence,
+    stop: Event,
+    *,
+    idle_s: float,
+) -> Iterator[SceneEvent]:
+    """Yield every event after those that the merge has passed on, for ever."""
+    was_there = presence.look()
+    ask_at_s = time.monotonic()
+    asked_at_s, pause_s = ask_at_s - _AGAIN_S, _PAUSE_S
+    while not stop.is_set():
+        there = presence.look()
+        if there and not was_there:
+            ask_at_s = time.monotonic()
+        was_there = there
+        while (seq := subscription.published()) is not None:
+            merge.hear(seq)
+        heard = merge.is_behind
+        if heard:
+            ask_at_s = min(ask_at_s, asked_at_s + pause_s)
+        if time.monotonic() < ask_at_s:
+            stop.wait(_LOOK_S)
+            continue
+        complete_to = merge.complete_to
+        yield from merge.catch_up()
+        in_vain = heard and merge.complete_to == complete_to
+        pause_s = _AGAIN_S if in_vain else _PAUSE_S
+        asked_at_s = time.monotonic()
+        ask_at_s = asked_at_s + idle_s
+
+
+def _log_service(there: bool) -> None:
+    if there:
+        log.info("the service is back")
+    else:
+        log.warning("the service is gone; waiting for it")

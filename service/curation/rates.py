@@ -1,0 +1,198 @@
+"""How often the streams contradict each other, by vehicle, software version, kind, hour or log."""
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Final, Literal, get_args
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from schemas.arrays import NS_PER_S
+from schemas.bounds import MAX_INTEGER, Count, Finite, Kept, Said, StampNs
+from schemas.contradiction import ContradictionKind
+from service.errors import UsageError
+
+RatesBy = Literal["vehicle", "version", "kind", "hour", "log"]
+"""What scenes are grouped by; `version` is the software version that the car ran."""
+
+HOUR_NS: Final = 3600 * NS_PER_S
+
+
+class RatesRequest(BaseModel):
+    """Which current scenes are counted, and how they are grouped."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    by: RatesBy
+    since_ns: StampNs = Field(default=0, description="Recorded at or after, ns since the epoch.")
+    until_ns: StampNs | None = Field(default=None, description="Recorded before; None: no end.")
+
+
+class RateRow(BaseModel):
+    """One group of current scenes. Rates are shares of the compared points, 0 to 1."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    group: Kept = Field(description="Vehicle, software version, kind, hour (RFC 3339) or log.")
+    time: Said | None = Field(default=None, description="By hour: its begin, RFC 3339, UTC.")
+    time_ms: Count | None = Field(default=None, description="By hour: ms since the Unix epoch.")
+    scenes: Count = Field(description="Current scenes.")
+    frames: Count = Field(description="Their frames.")
+    compared_points: Count = Field(description="Points that both streams labelled.")
+    contradicting_points: Count = Field(
+        description="Of these, called dynamic by exactly one stream; by kind: by that one."
+    )
+    disagreement_rate: Finite = Field(description="Contradicting over compared points.")
+    only_semantic_dynamic_rate: Finite = Field(
+        description="Only the supervised stream says dynamic, over compared points."
+    )
+    only_predictive_dynamic_rate: Finite = Field(
+        description="Only the self-supervised stream says dynamic, over compared points."
+    )
+    scenes_with_contradictions: Count = Field(
+        description="Scenes with a score above 0; by kind: with a point of that kind."
+    )
+    gated_scenes: Count = Field(
+        description="Too short, or odometry lost: their score means nothing."
+    )
+    mean_score: Finite = Field(description="Over the scenes that are not gated; 0 without any.")
+    best_score: Finite = Field(description="Best of the group.")
+
+
+@dataclass(frozen=True, slots=True)
+class RateSums:
+    """Sums over one group of current scenes, as the store makes them.
+
+    Attributes:
+        group: Vehicle, version or log; by hour, hours since the Unix epoch; by kind, one for all.
+        scenes: Current scenes.
+        frames: Their frames.
+        compared: Points that both streams labelled.
+        only_semantic: Points that only the supervised stream calls dynamic.
+        only_predictive: Points that only the self-supervised stream calls dynamic.
+        contradicting_scenes: Scenes with a score above 0.
+        semantic_scenes: Scenes with a point of `only_semantic`.
+        predictive_scenes: Scenes with a point of `only_predictive`.
+        gated_scenes: Scenes that are not scored.
+        score_sum: Sum of the scores of the others.
+        best_score: Best of all.
+    """
+
+    group: str | int
+    scenes: int
+    frames: int
+    compared: int
+    only_semantic: int
+    only_predictive: int
+    contradicting_scenes: int
+    semantic_scenes: int
+    predictive_scenes: int
+    gated_scenes: int
+    score_sum: float
+    best_score: float
+
+
+def rates(sums: Iterable[RateSums], by: RatesBy) -> list[RateRow]:
+    """Make the rows of sums: hours in their order, everything else worst first."""
+    if by == "kind":
+        return [row for one in sums for row in _rows_by_kind(one)]
+    rows = [_row(one, by_hour=by == "hour") for one in sums]
+    if by == "hour":
+        return sorted(rows, key=lambda row: row.time_ms or 0)
+    return sorted(rows, key=lambda row: (-row.disagreement_rate, row.group))
+
+
+def rates_request(by: str, *, since: str = "", until: str = "", now_s: float) -> RatesRequest:
+    """Understand what a person or a dashboard asks.
+
+    Args:
+        by: One of `RatesBy`.
+        since: Time of recording: RFC 3339, a date, so long ago (`90m`, `24h`, `7d`, `2w`), or, as
+            dashboards write it, milliseconds since the Unix epoch (13 digits); empty: from the
+            first.
+        until: As `since`, but excluded; empty: to the last.
+        now_s: Seconds since the Unix epoch, which `7d` counts back from.
+
+    Raises:
+        UsageError: If one of them cannot be meant; the message says what would do.
+    """
+    known = get_args(RatesBy)
+    if by not in known:
+        raise UsageError(f"cannot group by {by!r}; by one of: {', '.join(known)}")
+    since_ns = _instant_ns(since, what="since", now_s=now_s) if since else 0
+    until_ns = _instant_ns(until, what="until", now_s=now_s) if until else None
+    if until_ns is not None and until_ns <= since_ns:
+        raise UsageError(f"until ({until}) must be later than since ({since or 'the first scene'})")
+    return RatesRequest.model_validate({"by": by, "since_ns": since_ns, "until_ns": until_ns})
+
+
+def _row(sums: RateSums, *, by_hour: bool) -> RateRow:
+    hour_s = int(sums.group) * 3600 if by_hour else 0
+    time = datetime.fromtimestamp(hour_s, tz=UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    return RateRow(
+        group=time if by_hour else str(sums.group),
+        time=time if by_hour else None,
+        time_ms=hour_s * 1000 if by_hour else None,
+        scenes=sums.scenes,
+        frames=sums.frames,
+        compared_points=sums.compared,
+        contradicting_points=sums.only_semantic + sums.only_predictive,
+        disagreement_rate=_share(sums.only_semantic + sums.only_predictive, sums.compared),
+        only_semantic_dynamic_rate=_share(sums.only_semantic, sums.compared),
+        only_predictive_dynamic_rate=_share(sums.only_predictive, sums.compared),
+        scenes_with_contradictions=sums.contradicting_scenes,
+        gated_scenes=sums.gated_scenes,
+        mean_score=_share(sums.score_sum, sums.scenes - sums.gated_scenes),
+        best_score=sums.best_score,
+    )
+
+
+def _rows_by_kind(sums: RateSums) -> list[RateRow]:
+    both = _row(sums, by_hour=False)
+    semantic = {
+        "group": ContradictionKind.ONLY_SEMANTIC_DYNAMIC.value,
+        "contradicting_points": sums.only_semantic,
+        "disagreement_rate": both.only_semantic_dynamic_rate,
+        "only_predictive_dynamic_rate": 0.0,
+        "scenes_with_contradictions": sums.semantic_scenes,
+    }
+    predictive = {
+        "group": ContradictionKind.ONLY_PREDICTIVE_DYNAMIC.value,
+        "contradicting_points": sums.only_predictive,
+        "disagreement_rate": both.only_predictive_dynamic_rate,
+        "only_semantic_dynamic_rate": 0.0,
+        "scenes_with_contradictions": sums.predictive_scenes,
+    }
+    return [both.model_copy(update=semantic), both.model_copy(update=predictive)]
+
+
+def _share(part: float, whole: float) -> float:
+    return round(part / whole, 6) if whole else 0.0
+
+
+def _instant_ns(text: str, *, what: str, now_s: float) -> int:
+    ago = re.fullmatch(r"([0-9]{1,6})([mhdw])", text.strip())
+    if ago is not None:
+        return max(0, round((now_s - int(ago[1]) * _UNIT_S[ago[2]]) * NS_PER_S))
+    if re.fullmatch(r"[0-9]{13}", text.strip()):
+        return _within_range(int(text) * 1_000_000, text, what=what)
+    try:
+        instant = datetime.fromisoformat(text.strip())
+    except ValueError:
+        raise UsageError(
+            f"{what} is no time: {text!r}; give one like 2026-11-20, 2026-11-20T08:00:00Z, or 24h "
+            "and 7d for so long ago"
+        ) from None
+    if instant.tzinfo is None:
+        instant = instant.replace(tzinfo=UTC)
+    return _within_range(round(instant.timestamp() * 1e6) * 1000, text, what=what)
+
+
+def _within_range(instant_ns: int, text: str, *, what: str) -> int:
+    if instant_ns > MAX_INTEGER:
+        raise UsageError(f"{what} is too late: {text!r}; the last time there is lies in April 2262")
+    return max(0, instant_ns)
+
+
+_UNIT_S: Final = {"m": 60, "h": 3600, "d": 86_400, "w": 604_800}

@@ -1,0 +1,93 @@
+"""Short names of scenes: the end of their log's id and when they begin. Pure.
+
+`street-001@2026-03-02T09:01:04.0` is a scene of the one log whose id ends so.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from datetime import UTC, datetime
+
+from service.curation.ranking import RankedScene
+from service.errors import NothingFoundError, UsageError
+
+_NAME = re.compile(r"(?P<log>.+)@(?P<begins>\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d)")
+
+
+def short_names(rows: Sequence[RankedScene]) -> dict[str, str]:
+    """Name scenes by as many last parts of their logs' ids as tell these logs apart.
+
+    Where two lidars of a log begin together, theirs are named too.
+
+    Args:
+        rows: Scenes that are listed together.
+
+    Returns:
+        Short name of each, by scene id.
+    """
+    log_ids = {row.log_id for row in rows}
+    ends = {log_id: _end_of(log_id, log_ids) for log_id in log_ids}
+    names = {row.scene_id: f"{ends[row.log_id]}@{begins(row)}" for row in rows}
+    counts = Counter(names.values())
+    return {
+        row.scene_id: name
+        if counts[name := names[row.scene_id]] == 1
+        else f"{ends[row.log_id]}/{_lidar(row)}@{begins(row)}"
+        for row in rows
+    }
+
+
+def is_short_name(text: str) -> bool:
+    """Whether a text has the form of a short name."""
+    return _NAME.fullmatch(text) is not None
+
+
+def named(text: str, rows: Sequence[RankedScene]) -> RankedScene:
+    """Find the scene that a short name means.
+
+    Args:
+        text: As `short_names` makes it.
+        rows: Every scene.
+
+    Raises:
+        NothingFoundError: If no scene has this name.
+        UsageError: If several have it: of another listing, in which it told them apart.
+    """
+    said = _NAME.fullmatch(text)
+    if said is None:
+        raise UsageError(f"{text!r} is no short name of a scene")
+    found = [
+        row
+        for row in rows
+        if begins(row) == said["begins"]
+        and any(
+            f"/{known}".endswith(f"/{said['log']}")
+            for known in (row.log_id, f"{row.log_id}/{_lidar(row)}")
+        )
+    ]
+    found = [row for row in found if row.log_id == said["log"]] or found
+    if not found:
+        raise NothingFoundError(f"no current scene {text!r}; `counterpoint top` lists them")
+    if len(found) > 1:
+        listed = ", ".join(f"{row.rank} ({row.scene_id})" for row in found)
+        raise UsageError(f"{text!r} means several scenes, name one by its rank: {listed}")
+    return found[0]
+
+
+def begins(row: RankedScene) -> str:
+    """When a scene begins, UTC, to the tenth of a second below."""
+    moment = datetime.fromtimestamp(row.start_ns // 10**9, tz=UTC)
+    return f"{moment:%Y-%m-%dT%H:%M:%S}.{row.start_ns // 10**8 % 10}"
+
+
+def _lidar(row: RankedScene) -> str:
+    return row.scene_id.removeprefix(f"{row.log_id}/").rpartition("/")[0]
+
+
+def _end_of(log_id: str, log_ids: set[str]) -> str:
+    parts = log_id.split("/")
+    for count in range(1, len(parts)):
+        end = "/".join(parts[-count:])
+        if sum(f"/{other}".endswith(f"/{end}") for other in log_ids) == 1:
+            return end
+    return log_id

@@ -1,0 +1,76 @@
+"""Which scenes go to the labellers: the best distinct ones under a budget. Pure."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import islice, takewhile
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from schemas.bounds import MAX_INTEGER, MAX_LISTED, Kept
+from service.curation.ranking import RankedScene
+
+
+class Selection(BaseModel):
+    """A named choice of scenes; it never changes once it is stored."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: Kept = Field(min_length=1)
+    budget: int = Field(ge=1, le=MAX_INTEGER, description="Scenes that were asked for.")
+    scenes: tuple[RankedScene, ...] = Field(
+        max_length=MAX_LISTED, description="Best first, with the rank they had."
+    )
+
+    @property
+    def last_rank(self) -> int | None:
+        """Down to which rank it looked; None: to the end, its budget was not used up."""
+        return self.scenes[-1].rank if len(self.scenes) == self.budget else None
+
+
+def select(ranking: Iterable[RankedScene], *, budget: int) -> list[RankedScene]:
+    """Choose the best distinct scenes.
+
+    Twins are left out, because a labeller who sees the better neighbour sees the same street; so
+    are scenes without any contradiction, even when the budget is not used up.
+
+    Args:
+        ranking: Best first; read only as far as needed.
+        budget: Scenes the labellers can take, at least 1.
+
+    Returns:
+        At most `budget` scenes, best first.
+
+    Raises:
+        ValueError: If the budget is below 1.
+    """
+    if budget < 1:
+        raise ValueError(f"budget must be at least 1 scene, got {budget}")
+    contradicting = takewhile(lambda scene: scene.score > 0, ranking)
+    return list(islice((scene for scene in contradicting if scene.twin_of is None), budget))
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """Scenes that a selection passed over, by why.
+
+    Attributes:
+        twins: Right beside a better scene of their log, ranked before the last one selected, or
+            anywhere where the budget was not used up.
+        without: In which nothing contradicts; counted where the budget was not used up.
+    """
+
+    twins: int
+    without: int
+
+
+def left_out(ranking: Sequence[RankedScene], selection: Selection) -> LeftOut:
+    """Count what a selection passed over.
+
+    Args:
+        ranking: Best first, at least as far as the selection looked.
+        selection: Of this ranking.
+    """
+    passed = ranking[: selection.last_rank]
+    without = sum(scene.score <= 0 for scene in passed)
+    twins = sum(scene.twin_of is not None and scene.score > 0 for scene in passed)
+    return LeftOut(twins, without)

@@ -1,0 +1,105 @@
+"""What `counterpoint status` says: how far the logs are, what is damaged, what is parked."""
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from schemas.bounds import MAX_LISTED, Count, Finite, Kept, Positive
+from schemas.work import Damage
+
+_STRICT = ConfigDict(frozen=True, extra="forbid")
+
+
+class LogStatus(BaseModel):
+    """One current recording and how far it is under one pipeline version."""
+
+    model_config = _STRICT
+
+    log_id: Kept
+    state: Kept = Field(
+        description="waiting, settling (it still grows, or is cut short: planned when it has not "
+        "changed for a while), planning, mining, done, refused, parked, or stale (its object "
+        "changed under a reader; the next listing decides)."
+    )
+    vehicle: Kept = "unknown"
+    date: Kept = "unknown"
+    software_version: Kept = "unknown"
+    lidar_topics: tuple[Kept, ...] = Field(default=(), max_length=MAX_LISTED)
+    problem: Kept = Field(default="", description="Why it was refused or parked.")
+    truncated_parts: Count = Field(
+        default=0, description="Objects that were never closed: used as far as they go."
+    )
+    damage: tuple[Damage, ...] = Field(default=(), max_length=MAX_LISTED)
+    shards: dict[Kept, Count] = Field(
+        default_factory=dict, max_length=MAX_LISTED, description="Shards by state."
+    )
+    frames: Count = Field(default=0, description="Frames scored.")
+    plan_range_reads: Count = 0
+    plan_bytes_read: Count = 0
+    mine_range_reads: Count = 0
+    mine_bytes_read: Count = 0
+    bytes_needed: Count = 0
+    peak_memory_bytes: Count = 0
+
+
+class ParkedWork(BaseModel):
+    """A plan or shard that is not tried again, unless a person asks for it."""
+
+    model_config = _STRICT
+
+    log_id: Kept
+    shard: Kept = Field(description="Name of the shard; empty: the planning of the log.")
+    attempts: Count
+    error: Kept
+
+
+class PointTotals(BaseModel):
+    """Points of all current scenes by agreement."""
+
+    model_config = _STRICT
+
+    both_static: Count = 0
+    both_dynamic: Count = 0
+    only_semantic_dynamic: Count = 0
+    only_predictive_dynamic: Count = 0
+    not_compared: Count = 0
+
+
+class Judged(BaseModel):
+    """Two streams whose labels were compared, and how many current scenes tell of that."""
+
+    model_config = _STRICT
+
+    supervised: Kept = Field(description="`name@version` of the stream that was judged.")
+    selfsupervised: Kept = Field(description="`name@version` of the stream beside it.")
+    scenes: Positive
+
+
+class Status(BaseModel):
+    """The ledger at one moment, under one pipeline version."""
+
+    model_config = _STRICT
+
+    pipeline_version: Kept = Field(description="Empty: no worker has asked for work yet.")
+    logs: tuple[LogStatus, ...] = Field(default=(), max_length=MAX_LISTED)
+    logs_by_state: dict[Kept, Count] = Field(default_factory=dict, max_length=MAX_LISTED)
+    shards_by_state: dict[Kept, Count] = Field(default_factory=dict, max_length=MAX_LISTED)
+    parked: tuple[ParkedWork, ...] = Field(default=(), max_length=MAX_LISTED)
+    retried: tuple[ParkedWork, ...] = Field(
+        default=(),
+        max_length=MAX_LISTED,
+        description="Was parked with this error, is tried again, and has not failed since.",
+    )
+    scenes: Count = Field(default=0, description="Current scenes, of any pipeline version.")
+    frames: Count = Field(default=0, description="Frames scored under this pipeline version.")
+    frames_per_s: Finite = Field(default=0.0, description="Over the commits of the last minute.")
+    bytes_read: Count = Field(default=0, description="Bytes that mining read; planning apart.")
+    bytes_needed: Count = Field(default=0, description="Stored bytes of chunks with scored frames.")
+    plan_bytes_read: Count = 0
+    peak_memory_bytes: Count = Field(default=0, description="Most memory that any worker held.")
+    points: PointTotals = Field(default_factory=PointTotals)
+    judged: tuple[Judged, ...] = Field(
+        default=(),
+        max_length=MAX_LISTED,
+        description="Streams that current scenes compare; of most scenes first.",
+    )
+    last_seq: Count = Field(default=0, description="Number of the newest scene event.")
+    published_seq: Count = Field(default=0, description="Number up to which events are published.")

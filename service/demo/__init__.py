@@ -1,0 +1,1 @@
+"""The demo: a small simulated fleet, mined and ranked, with pictures."""

@@ -1,0 +1,164 @@
+"""`counterpoint demo`: a small simulated fleet, mined as any bucket is, then looked at."""
+
+import shutil
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from rich.progress import Progress
+
+from service.api.reading import StateReader, overlay_of
+from service.curation.status import Status
+from service.demo.planted import DemoScene, beside_truth
+from service.demo.retrieval import RankingFound, found_in
+from service.errors import UsageError
+from service.output_files import need_folder, save_picture
+from service.pictures.scene import draw_scene
+from service.processes import run_embedded
+from service.settings.config import Settings, load_settings
+from service.store.engine import DATABASE_NAME
+
+PICTURES: Final = 3
+
+_MARK: Final = ".counterpoint-demo"
+"""File that says that a folder is a demo's, and may be replaced by the next one."""
+
+
+@dataclass(frozen=True, slots=True)
+class DemoResult:
+    """What came of a demo.
+
+    Attributes:
+        status: How mining went.
+        scenes: All of them, best first, each beside what was planted in it.
+        pictures: Of the best ones.
+        found: How well rankings find those in which a failure was planted.
+    """
+
+    status: Status
+    scenes: list[DemoScene]
+    pictures: list[Path]
+    found: list[RankingFound]
+
+
+def demo_settings(
+    out: Path, *, workers: int, log_format: str | None = None, log_level: str | None = None
+) -> Settings:
+    """Settings of a demo in this folder: nothing of the user's fleet is read or written.
+
+    Raises:
+        UsageError: If a value is impossible.
+    """
+    return load_settings(
+        bucket=str(out / "fleet" / "logs"),
+        state=out / "state",
+        artifacts="",
+        database="",
+        include=(),
+        exclude=(),
+        lidar_topic="",
+        workers=workers,
+        supervised="recorded",
+        log_format=log_format,
+        log_level=log_level,
+    )
+
+
+def run_demo(
+    out: Path,
+    *,
+    settings: Settings,
+    remark: Callable[[str], None],
+    progress: Callable[[], AbstractContextManager[Progress]],
+    now_s: float,
+    force: bool = False,
+) -> DemoResult:
+    """Simulate street logs, mine them with `run --once`, rank the scenes, draw the best.
+
+    The model that ran on the simulated cars is right but for a few mistakes that were put in; the
+    self-supervised stream has never seen them.
+
+    Args:
+        out: Folder for everything; what an earlier demo left there is replaced.
+        settings: As `demo_settings` makes them for this folder.
+        remark: Told what happens.
+        progress: Makes a progress bar.
+        now_s: Time, for rates in the status.
+        force: Replace folders there even if no demo made them.
+
+    Returns:
+        What came of it.
+
+    Raises:
+        UsageError: If nothing can be written there, or what would be replaced is of no demo.
+    """
+    from workers.lab.simulation.output.demo import DEMO_FRAMES, make_demo_fleet
+
+    bucket, pictures = _begin_in(out, remark=remark, force=force)
+
+    with progress() as bar:
+        task = bar.add_task("simulating street logs", total=DEMO_FRAMES)
+        logs = make_demo_fleet(
+            bucket, processes=settings.workers, progress=lambda: bar.advance(task)
+        )
+    planted = [each.kind.value.replace("_", " ") for log in logs for each in log.planted.failures]
+    remark(
+        f"{len(logs)} simulated logs; the model on these cars was made to err {len(planted)} times "
+        f"({', '.join(sorted(set(planted)))}). Mining them takes a few minutes."
+    )
+    with progress() as bar:
+        task = bar.add_task("mining", total=None)
+        status = run_embedded(
+            settings,
+            once=True,
+            on_ready=remark,
+            on_progress=lambda what, done, total: bar.update(
+                task, description=what, completed=done, total=total
+            ),
+        )
+    reader = StateReader(settings, now_s=now_s)
+    ranking = reader.top()
+    records = {row.scene_id: reader.scene(row.scene_id) for row in ranking}
+    scenes = beside_truth(
+        ranking,
+        records,
+        bucket / "truth",
+        overlay_of=lambda scene_id: overlay_of(reader, scene_id),
+    )
+    drawn: list[Path] = []
+    worth = [each for each in scenes if each.row.twin_of is None and each.record.score > 0]
+    for scene in worth[:PICTURES]:
+        path = pictures / scene.file_name
+        overlay = overlay_of(reader, scene.row.scene_id)
+        save_picture(draw_scene(scene.record, overlay), path, option="--out", force=force)
+        drawn.append(path)
+    return DemoResult(status, scenes, drawn, found_in(scenes))
+
+
+def _begin_in(out: Path, *, remark: Callable[[str], None], force: bool) -> tuple[Path, Path]:
+    """Empty the folders of a demo, and return those of its fleet and of its pictures.
+
+    Raises:
+        UsageError: If nothing can be written there, or one exists and no demo made it.
+    """
+    folders = bucket, state, pictures = out / "fleet", out / "state", out / "pictures"
+    there = [folder for folder in folders if folder.exists()]
+    # An earlier version left no mark, but a ledger.
+    is_of_a_demo = (out / _MARK).is_file() or (
+        bucket.is_dir() and (state / DATABASE_NAME).is_file()
+    )
+    if there and not is_of_a_demo and not force:
+        raise UsageError(
+            f"--out: {there[0]} exists and is of no demo: name another folder, or replace it with "
+            "--force"
+        )
+    need_folder(out, option="--out")
+    (out / _MARK).touch()
+    if there:
+        remark(f"replacing the earlier demo in {out}")
+    for folder in there:
+        shutil.rmtree(folder, ignore_errors=True)
+    pictures.mkdir(exist_ok=True)
+    return bucket, pictures

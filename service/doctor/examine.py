@@ -1,0 +1,49 @@
+"""`counterpoint doctor`: looks at everything a run needs, one sentence each, and what to mend."""
+
+from collections.abc import Callable, Iterator
+from typing import Final
+
+from schemas.errors import CounterpointError
+from service.doctor.finding import Finding, ok, problem
+from service.settings.config import ReadSettings, Settings
+
+
+def examine(read: ReadSettings) -> Iterator[Finding]:
+    """Look at everything in turn; nothing is written but one small probe into the artifacts.
+
+    Args:
+        read: The settings to check the world against.
+
+    Yields:
+        Findings as they are made; a part may have several. What cannot be checked is said.
+    """
+    from service.doctor import machine as doctor_machine
+    from service.doctor import network as doctor_network
+    from service.doctor import stores as doctor_stores
+
+    settings = read.settings
+    yield _settings(read)
+    checks: Final[tuple[tuple[str, Callable[[Settings], Iterator[Finding]]], ...]] = (
+        ("bucket", doctor_stores.bucket),
+        ("artifacts", doctor_stores.artifacts),
+        ("state", doctor_stores.state),
+        ("database", doctor_stores.database),
+        ("router", doctor_network.router),
+        ("http", doctor_network.http),
+        ("camera", doctor_machine.camera),
+        ("workers", doctor_machine.parts),
+        ("devices", doctor_machine.devices),
+        ("compiled code", doctor_machine.compiled_code),
+        ("clock", doctor_machine.clock),
+    )
+    for what, check in checks:
+        try:
+            yield from check(settings)
+        except CounterpointError as error:  # whatever we raise names what to mend
+            yield problem(what, str(error))
+
+
+def _settings(read: ReadSettings) -> Finding:
+    changed = ", ".join(sorted(read.written)) or "none"
+    file = f"file {read.file}" if read.file else "no file"
+    return ok("settings", f"all possible; given: {changed} ({file})")

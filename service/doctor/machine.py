@@ -1,0 +1,138 @@
+"""What `doctor` looks at on this machine: parts of workers, processors, compiled code, clock."""
+
+import os
+import time
+from collections.abc import Iterator
+from contextlib import closing, suppress
+from datetime import UTC, datetime
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Final
+
+from sqlalchemy import func, select
+
+from service.doctor.finding import Finding, ok, problem, warning
+from service.errors import StateUnusableError, UsageError
+from service.settings.config import Settings
+from service.store.engine import StoreUnavailableError
+from service.store.opening import open_ledger_store_to_read
+from service.store.tables import SHARDS
+
+NEEDED: Final = ("torch", "kiss_icp", "mcap", "numba", "pypatchworkpp", "scipy", "sklearn")
+"""Modules of the extra `workers`."""
+
+WORKER_BYTES: Final = 1_000_000_000
+"""What one worker holds at most, on frames of 100,000 points."""
+
+STEPPED_BACK_S: Final = 60.0
+
+
+def camera(settings: Settings) -> Iterator[Finding]:
+    """Read the calibration of the camera whose view is compared, where a file states it."""
+    if settings.camera:
+        settings.mining()  # what it raises names the file
+        yield ok("camera", f"its view is compared: {settings.camera}")
+
+
+def parts(settings: Settings) -> Iterator[Finding]:
+    """Build odometry and both streams: their weights are loaded and checked."""
+    missing = [name for name in NEEDED if find_spec(name) is None]
+    if missing:
+        yield warning(
+            "workers",
+            f"the extra `workers` is absent ({', '.join(missing)}): this machine can serve, not "
+            "mine; pip install 'counterpoint[workers]'",
+        )
+        return
+    from workers.version import parts_of, pipeline_version
+
+    # its camera has a check of its own, and no part reads it
+    mining = settings.model_copy(update={"camera": ""}).mining()
+    built = parts_of(mining)  # what it raises names the part or the file of weights
+    yield ok("weights", f"loaded: {built.supervised.version}")
+    yield ok("streams", f"{built.selfsupervised.version}, {built.odometry.version}")
+    with suppress(UsageError):  # said under `camera`
+        yield ok("pipeline version", pipeline_version(settings.mining(), built))
+
+
+def devices(settings: Settings) -> Iterator[Finding]:
+    """Count processors and memory against the workers that are asked for."""
+    cores = len(os.sched_getaffinity(0))
+    has = f"{settings.workers} workers on {cores} processors"
+    if settings.workers > cores:
+        yield warning("devices", f"{has}: more workers than processors mine no faster")
+    else:
+        yield ok("devices", has)
+    free = _available_bytes()
+    if free is not None and free < settings.workers * WORKER_BYTES:
+        yield warning(
+            "devices",
+            f"{free / 1e9:.1f} GB of memory are free, {settings.workers} workers may take "
+            f"{settings.workers * WORKER_BYTES / 1e9:.0f}: start fewer",
+        )
+    elif free is not None:
+        yield ok("devices", f"{free / 1e9:.1f} GB of memory are free")
+    if find_spec("torch") is None:
+        return
+    import torch
+
+    if torch.cuda.is_available():
+        name = torch.cuda.get_device_name()
+        yield ok("devices", f"CUDA: {name}; workers use the processor, one thread each")
+    else:
+        yield ok(
+            "devices",
+            f"no CUDA, and none is needed; torch would take {torch.get_num_threads()} threads, a "
+            "worker takes one",
+        )
+
+
+def compiled_code(_settings: Settings) -> Iterator[Finding]:
+    """Ask numba where it keeps compiled loops; without such a place it compiles none."""
+    if find_spec("numba") is None or find_spec("workers") is None:
+        return
+    from numba.core.caching import FunctionCache
+
+    from workers.points.compiled import compiled
+
+    try:
+        place = FunctionCache(compiled).cache_path  # type: ignore[no-untyped-call]
+    except RuntimeError:
+        yield problem(
+            "compiled code",
+            "can be kept nowhere, so no worker can start: set NUMBA_CACHE_DIR to a folder that can "
+            "be written",
+        )
+    else:
+        yield ok("compiled code", f"can be kept ({place})")
+
+
+def clock(settings: Settings) -> Iterator[Finding]:
+    """Compare the clock with the newest commit: leases and rates count by it."""
+    now_s = time.clock_gettime(time.CLOCK_REALTIME)
+    said = datetime.fromtimestamp(now_s, tz=UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+    try:
+        store = open_ledger_store_to_read(settings)
+    except (StateUnusableError, StoreUnavailableError):  # said under `database`
+        yield ok("clock", said)
+        return
+    with closing(store), store.reading() as connection:
+        newest_s = connection.execute(select(func.max(SHARDS.c.committed_s))).scalar_one()
+    if newest_s is not None and newest_s > now_s + STEPPED_BACK_S:
+        yield problem(
+            "clock",
+            f"{said} is {newest_s - now_s:.0f} s before the newest commit: the clock was set back; "
+            "mend it, nothing is lost meanwhile",
+        )
+    else:
+        yield ok("clock", said)
+
+
+def _available_bytes(meminfo: Path = Path("/proc/meminfo")) -> int | None:
+    if not meminfo.is_file():
+        return None
+    for line in meminfo.read_text(encoding="ascii").splitlines():
+        name, _, rest = line.partition(":")
+        if name == "MemAvailable":
+            return int(rest.split()[0]) * 1024
+    return None

@@ -1,0 +1,95 @@
+"""What `doctor` looks at on the network: the router, the service behind it, ports to listen on."""
+
+import socket
+from collections.abc import Iterator
+from importlib.metadata import version
+
+import zenoh
+
+from schemas.transport import keys
+from schemas.transport.ask import UnansweredError, ask
+from schemas.transport.bus import client_session
+from schemas.transport.wire import decode
+from service.api.messages import AboutReply
+from service.background.heartbeat import workers_alive
+from service.doctor.finding import Finding, ok, problem, warning
+from service.settings.config import Settings
+from service.store.state import endpoint_of_running
+
+PATIENCE_S = 3.0
+
+
+def router(settings: Settings) -> Iterator[Finding]:
+    """Connect, ask for a service, count the workers."""
+    endpoint = settings.connect or endpoint_of_running(settings.state)
+    if not endpoint:
+        yield ok("router", "none is named: `run` brings its own; else give --connect tcp/HOST:PORT")
+        return
+    with client_session(endpoint.split(",")) as session:
+        yield ok("router", f"answers at {endpoint}")
+        hello = keys.control(root=settings.root, verb="hello")
+        try:
+            ask(session, hello, timeout_s=PATIENCE_S)
+        except UnansweredError:
+            yield warning(
+                "service",
+                f"none answers under {settings.root!r}: start `counterpoint service`, or check the "
+                "setting root",
+            )
+            return
+        yield _of_which_version(session, root=settings.root)
+        workers = workers_alive(session, root=settings.root)
+        say = ok if workers else warning
+        yield say("service", f"has {workers} workers" + ("" if workers else ": nothing is mined"))
+
+
+def _of_which_version(session: zenoh.Session, *, root: str) -> Finding:
+    answers, ours = f"answers under {root!r}", version("counterpoint")
+    try:
+        about = ask(session, keys.control(root=root, verb="about"), timeout_s=PATIENCE_S)
+    except UnansweredError:
+        theirs = "an older version, which does not say itself,"
+    else:
+        theirs = f"version {decode(AboutReply, about).package}"
+    if theirs == f"version {ours}":
+        return ok("service", f"{answers}, of {theirs}")
+    return warning(
+        "service",
+        f"{answers}, but is of {theirs} and this command of version {ours}: what they "
+        "say to each other may differ; use the command of its version, or upgrade and restart it",
+    )
+
+
+def http(settings: Settings) -> Iterator[Finding]:
+    """Look whether the ports for metrics can be listened on."""
+    held = endpoint_of_running(settings.state) is not None
+    for name, listen in (
+        ("http_listen", settings.http_listen),
+        ("worker_http_listen", settings.worker_http_listen),
+    ):
+        if not listen:
+            yield ok("http", f"{name} is empty: nothing is served")
+            continue
+        why = _why_not(listen)
+        if not why:
+            yield ok("http", f"{listen} is free ({name})")
+        elif held and name == "http_listen":
+            yield ok("http", f"{listen} is taken, by the service on this state it seems ({name})")
+        else:
+            say = problem if name == "http_listen" else warning
+            yield say("http", f"cannot listen on {listen}: {why}; choose another {name}")
+
+
+def _why_not(listen: str) -> str:
+    host, colon, port = listen.rpartition(":")
+    if not colon or not port.isdigit() or int(port) > 65_535:
+        return "it is not HOST:PORT"
+    try:
+        found = socket.getaddrinfo(host.strip("[]") or None, int(port), type=socket.SOCK_STREAM)
+        family, kind, protocol, _, address = found[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+    except OSError as error:
+        return error.strerror or str(error)
+    return ""

@@ -1,0 +1,1 @@
+"""Metrics, gauges, readiness, and the HTTP routes that show them."""

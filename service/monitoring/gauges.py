@@ -1,0 +1,292 @@
+"""Every metric that is read rather than counted: how the service stands at the time of a scrape."""
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from threading import Lock
+from typing import Final, Literal, get_args
+
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
+
+from schemas.errors import CounterpointError
+from service.background.bucket_watch import BucketSeen
+from service.store.backlog import Backlog, LogDamage
+from service.store.effects import WorkKind
+from service.store.work import WorkState
+
+BucketError = Literal["unreachable", "refused"]
+"""How a listing broke off: no answer, an error of the store's own, a folder that is gone, as when
+its disk is not mounted; or the store said no."""
+
+ClockStep = Literal["forward", "back"]
+"""Which way a clock was set."""
+
+NAMESPACE: Final = "counterpoint"
+
+CACHED_S: Final = 5.0
+"""The ledger is counted at most this often, however many scrape."""
+
+RECORDING_STATES: Final = (
+    "waiting",
+    "settling",
+    "planning",
+    "mining",
+    "done",
+    "refused",
+    "parked",
+    "stale",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """Where the gauges are read; each call must be quick.
+
+    Attributes:
+        backlog: The ledger's counts; may raise a `CounterpointError`.
+        bucket_url: Of the log bucket.
+        bucket: What its listings have shown.
+        staging_bytes: Bytes of raw records that wait for their commit.
+        questions_waiting: Questions in the queue.
+        bus_misses: Raw records that were lost on the bus so far.
+        state_free_bytes: Free bytes of the disk that holds the state; None: not known.
+        router_connected: Whether a router is there.
+        clock_steps: How often the clock was set, by direction.
+        overlays_deleted: Overlays deleted since the start.
+        now_s: Seconds since the Unix epoch.
+    """
+
+    backlog: Callable[[], Backlog] = Backlog
+    bucket_url: str = ""
+    bucket: Callable[[], BucketSeen] = BucketSeen
+    staging_bytes: Callable[[], int] = lambda: 0
+    questions_waiting: Callable[[], int] = lambda: 0
+    bus_misses: Callable[[], int] = lambda: 0
+    state_free_bytes: Callable[[], int | None] = lambda: None
+    router_connected: Callable[[], bool] = lambda: False
+    clock_steps: Callable[[], Mapping[str, int]] = lambda: {}
+    overlays_deleted: Callable[[], int] = lambda: 0
+    now_s: Callable[[], float] = lambda: 0.0
+
+
+@dataclass(slots=True)
+class _Kept:
+    """The last count of the ledger, and when it was made on the monotonic clock."""
+
+    at_s: float = float("-inf")
+    backlog: Backlog | None = None
+    lock: Lock = field(default_factory=Lock)
+
+
+class ServiceGauges(Collector):
+    """Reads how the service stands, once per scrape.
+
+    While the database does not answer, the series that come from it are absent;
+    `counterpoint_database_errors_total` says why.
+    """
+
+    def __init__(self, sources: Sources) -> None:
+        """Take where to read; nothing is read before the first scrape."""
+        self._sources, self._kept = sources, _Kept()
+
+    def read_from(self, sources: Sources) -> None:
+        """Read elsewhere from now on."""
+        self._sources = sources
+
+    def describe(self) -> Iterator[Metric]:
+        """Name the metrics without reading any: what a registry asks when this is registered."""
+        yield from _of_ledger(Backlog(), now_s=0.0)
+        yield from _of_parts(Sources())
+
+    def collect(self) -> Iterator[Metric]:
+        """Read everything now, the ledger's counts at most `CACHED_S` old."""
+        backlog = self._backlog()
+        if backlog is not None:
+            yield from _of_ledger(backlog, now_s=self._sources.now_s())
+        yield from _of_parts(self._sources)
+
+    def _backlog(self) -> Backlog | None:
+        with self._kept.lock:
+            now_s = time.monotonic()
+            if now_s - self._kept.at_s >= CACHED_S:
+                try:
+                    self._kept.backlog = self._sources.backlog()
+                except CounterpointError:  # away or damaged; the store's observer has counted it
+                    self._kept.backlog = None
+                self._kept.at_s = now_s
+            return self._kept.backlog
+
+
+def _of_ledger(backlog: Backlog, *, now_s: float) -> Iterator[Metric]:
+    yield _gauge(
+        "work",
+        "Plans and shards under the newest pipeline version, by state; `done` also counts those of "
+        "recordings since replaced. Worry when `ready` only grows: too few workers; and at any "
+        "`parked`, which is not tried again until `counterpoint retry`.",
+        {
+            (work, state.value): backlog.work.get((work, state.value), 0)
+            for work in get_args(WorkKind)
+            for state in WorkState
+        },
+        labels=("work", "state"),
+    )
+    yield _gauge(
+        "recordings",
+        "Recordings in the bucket by state. Worry at any `refused` or `parked`: "
+        "`counterpoint status` names each with its problem.",
+        {(state,): backlog.recordings.get(state, 0) for state in RECORDING_STATES},
+        labels=("state",),
+    )
+    yield _gauge(
+        "damaged_recordings",
+        "Recordings in the bucket that are mined only in part, each once: `truncated` ones have an "
+        "object that was never closed, and are mined as far as it goes; of `unreadable` ones "
+        "stretches cannot be read. Worry when it grows: uploads break off, or a recorder loses "
+        "data; `counterpoint status` names each.",
+        {(damage,): backlog.damaged.get(damage, 0) for damage in get_args(LogDamage)},
+        labels=("damage",),
+    )
+    yield _gauge(
+        "damaged_stretches",
+        "Stretches of the recordings in the bucket, mostly one chunk each, that cannot be read, "
+        "each once, whichever pipeline version found it. Worry when it grows: a recorder or an "
+        "upload loses data; `counterpoint status` names each.",
+        backlog.damaged_stretches,
+    )
+    oldest = backlog.oldest_listed_s
+    yield _gauge(
+        "oldest_work_age_seconds",
+        "Since the oldest recording with work left was first listed; 0 when none is left. Worry "
+        "when it exceeds what mining one recording takes: the workers do not keep up, or are gone.",
+        0.0 if oldest is None else max(0.0, now_s - oldest),
+    )
+    yield _gauge("leases_held", "Leases that are out now.", backlog.leases_held)
+    yield _gauge(
+        "workers_seen",
+        "Workers that hold a lease now. Worry when 0 while work is `ready`.",
+        backlog.workers,
+    )
+    yield _gauge(
+        "current_scenes", "Scenes that are current: what is ranked.", backlog.current_scenes
+    )
+    yield _gauge(
+        "unpublished_events",
+        "Scene events on disk that the outbox has not put yet. Worry when it only grows: no router "
+        "is connected.",
+        backlog.unpublished,
+    )
+
+
+def _of_parts(sources: Sources) -> Iterator[Metric]:
+    seen = sources.bucket()
+    yield _gauge(
+        "bucket_last_listing_timestamp_seconds",
+        "When the bucket was last listed with success, since the Unix epoch; 0: not yet. Worry "
+        "when older than a few list_interval_s: new logs are not seen.",
+        {(sources.bucket_url,): seen.last_success_s or 0.0},
+        labels=("bucket",),
+    )
+    yield _gauge(
+        "bucket_listing_seconds",
+        "Time that the last complete listing took. Worry when it nears list_interval_s.",
+        seen.duration_s,
+    )
+    yield _gauge(
+        "bucket_skipped_entries",
+        "Entries that the last listing left out since they can be no log: a name with control "
+        "characters, a loop of links, a folder that may not be read. Worry when it grows: the "
+        "service's log names each.",
+        seen.skipped,
+    )
+    yield _gauge(
+        "bucket_objects",
+        "Objects of recordings in the bucket at the last listing. Worry when it falls unasked.",
+        seen.objects,
+    )
+    yield _gauge(
+        "bucket_bytes",
+        "Bytes of recordings in the bucket at the last listing. Worry when it falls unasked.",
+        seen.bytes,
+    )
+    yield _counter(
+        "bucket_errors",
+        "Listings that broke off. Worry when it grows for minutes: unreachable is the network, the "
+        "store, or a folder that is gone; refused is credentials, or a bucket that is gone.",
+        {(kind,): seen.errors.get(kind, 0) for kind in get_args(BucketError)},
+        labels=("kind",),
+    )
+    yield _gauge(
+        "staging_bytes",
+        "Raw records that wait for their commit. Worry near 64 MiB: the oldest are dropped then, "
+        "and sent again.",
+        sources.staging_bytes(),
+    )
+    yield _gauge(
+        "questions_waiting",
+        "Questions in the queue. Worry when it stays above some hundred: the disk of the state is "
+        "too slow for so many workers.",
+        sources.questions_waiting(),
+    )
+    yield _counter(
+        "bus_misses",
+        "Raw records lost between a worker and the service; the commit names them, and they are "
+        "sent again. Worry when it grows steadily: the network or the router drops.",
+        {(): sources.bus_misses()},
+    )
+    yield _gauge(
+        "router_connected",
+        "1 while the service has a router, else 0. Worry at 0 for a minute: no worker is answered, "
+        "no scene published; workers keep what they mined.",
+        int(sources.router_connected()),
+    )
+    steps = sources.clock_steps()
+    yield _counter(
+        "clock_steps",
+        "Times that the clock of the service's machine was set by seconds, or the machine was "
+        "suspended. Worry when it grows: leases end early after a step forward.",
+        {(way,): steps.get(way, 0) for way in get_args(ClockStep)},
+        labels=("direction",),
+    )
+    yield _counter(
+        "overlays_deleted",
+        "Overlays deleted from the artifacts, of scenes withdrawn `keep_withdrawn_days` ago; 0 "
+        "without that setting. Worry when it stays 0 with it, and the artifacts only grow: the log "
+        "says why.",
+        {(): sources.overlays_deleted()},
+    )
+    free = sources.state_free_bytes()
+    yield _gauge(
+        "state_free_bytes",
+        "Free bytes on the disk of the state folder. Worry below 1 GB: when it is full no commit "
+        "is taken.",
+        {} if free is None else {(): free},
+    )
+
+
+def _gauge(
+    name: str,
+    help_: str,
+    values: Mapping[tuple[str, ...], float] | float,
+    *,
+    labels: Sequence[str] = (),
+) -> Metric:
+    family = GaugeMetricFamily(f"{NAMESPACE}_{name}", help_, labels=labels)
+    for label_values, value in (
+        {(): values} if isinstance(values, int | float) else values
+    ).items():
+        family.add_metric(label_values, value)
+    return family
+
+
+def _counter(
+    name: str,
+    help_: str,
+    values: Mapping[tuple[str, ...], float],
+    *,
+    labels: Sequence[str] = (),
+) -> Metric:
+    family = CounterMetricFamily(f"{NAMESPACE}_{name}", help_, labels=labels)
+    for label_values, value in values.items():
+        family.add_metric(label_values, value)
+    return family

@@ -1,0 +1,78 @@
+"""What the service answers over HTTP: its metrics, whether it lives and is ready, and the rates."""
+
+from collections.abc import Callable, Mapping
+from http import HTTPStatus
+
+from prometheus_client import CollectorRegistry
+
+from schemas.bounds import MAX_INTEGER
+from schemas.runtime.http_endpoint import (
+    Handler,
+    HttpRequest,
+    HttpResponse,
+    json_response,
+    metrics_route,
+    text_response,
+)
+from service.curation.rates import RatesRequest, rates, rates_request
+from service.errors import UsageError
+from service.monitoring.readiness import Watched
+from service.store.ledger import Ledger
+
+
+def pages(
+    watched: Watched, ledger: Ledger, *registries: CollectorRegistry
+) -> Mapping[str, Handler]:
+    """Make the handlers of a service, running or about to, by path.
+
+    Args:
+        watched: Asked how it is.
+        ledger: What it remembers.
+        registries: What `/metrics` serves.
+    """
+    return {
+        "/metrics": metrics_route(*registries),
+        "/healthz": lambda _: _health(watched.check),
+        "/readyz": lambda _: _readiness(watched.not_ready()),
+        "/rates": lambda request: _rates(ledger, request),
+    }
+
+
+def _health(check: Callable[[], None]) -> HttpResponse:
+    check()  # a bug that ended a thread is answered by 500 and logged, an idle pool by 503
+    return text_response("alive")
+
+
+def _readiness(problems: Mapping[str, str]) -> HttpResponse:
+    status = HTTPStatus.SERVICE_UNAVAILABLE if problems else HTTPStatus.OK
+    return json_response({"ready": not problems, "problems": problems}, status=status)
+
+
+def _rates(ledger: Ledger, request: HttpRequest) -> HttpResponse:
+    """Answer `?by=…&since=…&until=…` with an array of flat rows."""
+    unknown = sorted(request.query.keys() - {"by", "since", "until"})
+    if unknown:
+        raise UsageError(f"unknown parameter {unknown[0]!r}; there are: by, since, until")
+    asked = _asked_rates(request.query, now_s=ledger.now_s())
+    rows = rates(ledger.rate_sums(asked), asked.by)
+    return json_response([row.model_dump(mode="json", exclude_none=True) for row in rows])
+
+
+def _asked_rates(query: Mapping[str, str], *, now_s: float) -> RatesRequest:
+    """Understand the parameters.
+
+    Raises:
+        UsageError: If one of them cannot be meant, or is an instant that no database keeps.
+    """
+    try:
+        asked = rates_request(
+            query.get("by", "hour"),
+            since=query.get("since", ""),
+            until=query.get("until", ""),
+            now_s=now_s,
+        )
+    except (ValueError, OverflowError) as error:
+        raise UsageError(f"since and until are years from 1970 to 2261: {dict(query)}") from error
+    if max(asked.since_ns, asked.until_ns or 0) > MAX_INTEGER:
+        raise UsageError(f"since and until are years from 1970 to 2261: {dict(query)}")
+    return asked

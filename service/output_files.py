@@ -1,0 +1,131 @@
+"""Files that a command writes where a user said: whole or not at all, and over nothing of his.
+
+A picture or a report that we wrote says so within, and is replaced when it is asked for again.
+Anything else is replaced with `--force` alone, and a device, a pipe or a folder never.
+"""
+
+import os
+import tempfile
+from pathlib import Path
+from typing import Final
+
+from PIL import Image, UnidentifiedImageError
+from PIL.PngImagePlugin import PngInfo
+
+from service.errors import UsageError
+
+MARK: Final = "counterpoint"
+"""The software that wrote a file: in the text of a PNG, and as the generator of a page."""
+
+PAGE_MARK: Final = f'<meta name="generator" content="{MARK}">'
+
+_HEAD_BYTES: Final = 4096
+
+
+def need_writable(path: Path, *, option: str, force: bool, endings: tuple[str, ...] = ()) -> None:
+    """Refuse an output path before the work begins whose result would go there.
+
+    The folder is made if it is not there.
+
+    Args:
+        path: What was given.
+        option: Which option gave it, for the message.
+        force: Whether a file of somebody else may be replaced.
+        endings: What the name may end in; any if there are none.
+
+    Raises:
+        UsageError: If nothing can be written there, or a file lies there that we did not write.
+    """
+    if endings and path.suffix.lower() not in endings:
+        raise UsageError(f"{option} must name a {' or '.join(endings)} file, got {path}")
+    try:
+        target = path.resolve()
+        if target.is_dir():
+            raise UsageError(f"{option} must name a file, and this is a folder: {path}")
+        if target.exists() and not target.is_file():
+            raise UsageError(f"{option} must name a file, and this is a pipe or a device: {path}")
+        if target.is_file() and not force and not _is_ours(target):
+            raise UsageError(
+                f"{option}: this file exists, and counterpoint did not write it: name another, or "
+                f"replace it with --force ({path})"
+            )
+    except (OSError, RuntimeError, ValueError) as error:  # RuntimeError: a link to itself
+        raise _cannot_write(path, error, option=option) from error
+    need_folder(target.parent, option=option)
+
+
+def need_folder(path: Path, *, option: str) -> None:
+    """Make a folder unless it is there, and refuse it where nothing can be written in it.
+
+    Raises:
+        UsageError: If it is a file, cannot be made, or cannot be written to.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path):
+            pass
+    except FileExistsError:
+        raise UsageError(f"{option} needs a folder, and this is a file: {path}") from None
+    except (OSError, ValueError) as error:
+        raise _cannot_write(path, error, option=option) from error
+
+
+def save_picture(picture: Image.Image, path: Path, *, option: str, force: bool) -> None:
+    """Write a PNG that says who wrote it.
+
+    Raises:
+        UsageError: If it cannot be written, or a file lies there that we did not write.
+    """
+    need_writable(path, option=option, force=force)
+    mark = PngInfo()
+    mark.add_text("Software", MARK)
+    growing = _growing(path)
+    try:
+        picture.save(growing, format="PNG", pnginfo=mark)
+        growing.replace(path.resolve())
+    except OSError as error:
+        raise _cannot_write(path, error, option=option) from error
+    finally:
+        growing.unlink(missing_ok=True)
+
+
+def save_text(text: str, path: Path, *, option: str, force: bool) -> None:
+    """Write a text as UTF-8.
+
+    Raises:
+        UsageError: If it cannot be written, or a file lies there that we did not write.
+    """
+    need_writable(path, option=option, force=force)
+    growing = _growing(path)
+    try:
+        growing.write_text(text, encoding="utf-8")
+        growing.replace(path.resolve())
+    except OSError as error:
+        raise _cannot_write(path, error, option=option) from error
+    finally:
+        growing.unlink(missing_ok=True)
+
+
+def _growing(path: Path) -> Path:
+    """Name the file beside the target that is renamed when it is whole."""
+    target = path.resolve()
+    return target.with_name(f".{target.name[:200]}.{os.getpid()}.part")
+
+
+def _is_ours(path: Path) -> bool:
+    with path.open("rb") as file:
+        head = file.read(_HEAD_BYTES)
+    if not head:
+        return True  # as `touch` or `mktemp` leaves it: nothing is lost
+    if PAGE_MARK.encode() in head:
+        return True
+    try:
+        with Image.open(path, formats=["PNG"]) as picture:
+            return bool(picture.info.get("Software") == MARK)
+    except (UnidentifiedImageError, OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+        return False
+
+
+def _cannot_write(path: Path, error: Exception, *, option: str) -> UsageError:
+    said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return UsageError(f"{option} cannot be written: {said} ({path})")

@@ -1,0 +1,102 @@
+"""The points of a frame on the camera image, as the paper's reviewers saw them."""
+
+import io
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, UnidentifiedImageError
+
+from schemas.arrays import Mask
+from schemas.errors import PermanentError
+from schemas.overlay import Overlay
+from schemas.task import Task
+from service.pictures.style import (
+    BACKGROUND,
+    TEXT,
+    colours_of,
+    draw_order,
+    font,
+    meaning,
+    stamp_dots,
+)
+
+DOT_PX: Final = 2
+"""Filled circles of this radius: the paper's overlays."""
+
+MIN_WIDTH_PX: Final = 1600
+"""Smaller images are enlarged first: on 960 pixels such circles would hide what they lie on."""
+
+_STRIP_PX: Final = 30
+
+
+class ImageUnreadableError(PermanentError):
+    """The camera message holds no image that can be read."""
+
+
+def draw_camera(
+    image_bytes: bytes,
+    overlay: Overlay,
+    *,
+    frame: int,
+    at_px: NDArray[np.float64],
+    inside_mask: Mask,
+) -> Image.Image:
+    """Draw the points of a frame on the camera image, contradictions on top.
+
+    Args:
+        image_bytes: JPEG or PNG as recorded.
+        overlay: The scene.
+        frame: Which frame of the overlay the image belongs to.
+        at_px: (N, 2) where each point of that frame lies in the image, right and down.
+        inside_mask: (N,) which of them are in the image at all.
+
+    Returns:
+        The image, at least 1600 pixels wide, with its points, above a strip that names the colours.
+
+    Raises:
+        ImageUnreadableError: If the bytes are no image.
+        ValueError: If the scene has no such frame, or the frame another number of points.
+    """
+    if not 0 <= frame < len(overlay):
+        raise ValueError(f"no frame {frame}: scene has frames 0 to {len(overlay) - 1}")
+    agreements = overlay.agreements[overlay.points_of(frame)]
+    if not len(agreements) == len(at_px) == len(inside_mask):
+        raise ValueError(
+            f"frame {frame} has {len(agreements)} points, "
+            f"got {len(at_px)} pixels and {len(inside_mask)} in the mask"
+        )
+    try:
+        image = Image.open(io.BytesIO(image_bytes)).convert("RGB")
+    except (UnidentifiedImageError, OSError, Image.DecompressionBombError) as error:
+        raise ImageUnreadableError(f"cannot read the camera image: {error}") from error
+    scale = max(1.0, MIN_WIDTH_PX / image.width)
+    if scale > 1.0:
+        size = (MIN_WIDTH_PX, round(image.height * scale))
+        image = image.resize(size, Image.Resampling.BICUBIC)
+    pixels = np.array(image)
+    seen = inside_mask & overlay.has_position(frame)
+    colours = colours_of(overlay.task)
+    for outcome in draw_order(overlay.task)[1:]:
+        chosen = at_px[seen & (agreements == outcome.code)]
+        stamp_dots(
+            pixels,
+            np.floor(chosen * scale).astype(np.int64),
+            colours[outcome.code],
+            radius_px=DOT_PX,
+        )
+    return _with_legend(Image.fromarray(pixels), overlay.task)
+
+
+def _with_legend(image: Image.Image, task: Task) -> Image.Image:
+    canvas = Image.new("RGB", (image.width, image.height + _STRIP_PX), BACKGROUND)
+    canvas.paste(image)
+    draw = ImageDraw.Draw(canvas)
+    left, top = 8.0, image.height + 7
+    colours = colours_of(task)
+    for outcome in draw_order(task)[1:]:
+        words = meaning(outcome, task)
+        draw.ellipse((left, top + 3, left + 11, top + 14), fill=colours[outcome.code])
+        draw.text((left + 16, top), words, fill=TEXT, font=font(15))
+        left += 16 + draw.textlength(words, font(15)) + 18
+    return canvas

@@ -1,0 +1,217 @@
+"""Pictures of a scored scene: from above in the colours of the method, and on the camera image."""
+
+from datetime import UTC, datetime
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from schemas.arrays import NS_PER_S
+from schemas.contradiction import SceneState, TrackRecord
+from schemas.overlay import Overlay
+from schemas.score import SceneScore
+from schemas.task import Outcome, task_named
+from service.pictures.above import draw_above
+from service.pictures.camera import draw_camera
+from service.pictures.reasons import draw_reasons
+from service.pictures.style import (
+    BACKGROUND,
+    GRID,
+    PANEL,
+    SOFT_TEXT,
+    TEXT,
+    colours_of,
+    font,
+    inks_of,
+    meaning,
+    shorten,
+)
+from service.pictures.view import View
+
+__all__ = ["draw_camera", "draw_scene"]
+
+WIDTH_PX: Final = 1720
+HEIGHT_PX: Final = 1250
+_ABOVE_PX: Final = 1140
+_MARGIN_PX: Final = 18
+_TOP_PX: Final = 92
+_TILE_PX: Final = 168
+_LABELS: Final = 10
+_ROWS: Final = 3
+_LEGEND_ROWS: Final = 10
+_LEGEND_PX: Final = 24
+
+
+def draw_scene(score: SceneScore, overlay: Overlay, *, frame: int | None = None) -> Image.Image:
+    """Draw a scene from above, with why it scored what it did.
+
+    The large view shows one frame; beside it the strongest tracks, each when it began, when it was
+    strongest and when it ended, the legend with shares, and the reasons.
+
+    Args:
+        score: The scene's record.
+        overlay: Its points.
+        frame: Which frame to show; by default the one with the strongest evidence.
+
+    Raises:
+        ValueError: If the overlay is of another scene, or has no such frame.
+    """
+    if overlay.scene_id != score.scene_id:
+        raise ValueError(f"overlay is of {overlay.scene_id}, the record of {score.scene_id}")
+    if frame is None:
+        frame = strongest_frame(score, overlay)
+    if not 0 <= frame < len(overlay):
+        raise ValueError(f"no frame {frame}: scene has frames 0 to {len(overlay) - 1}")
+    image = Image.new("RGB", (WIDTH_PX, HEIGHT_PX), BACKGROUND)
+    draw = ImageDraw.Draw(image)
+    _draw_header(draw, score, overlay, frame)
+    view = View(frame, (0.0, 0.0), _half_m(score), _ABOVE_PX)
+    labels = [
+        (track.track_id, f"{track.track_id + 1} {track.class_name or 'object'}")
+        for track in score.tracks[:_LABELS]
+    ]
+    image.paste(draw_above(overlay, view, labels=labels), (_MARGIN_PX, _TOP_PX))
+    right, bottom = _MARGIN_PX + _ABOVE_PX, _TOP_PX + _ABOVE_PX
+    draw.rectangle((_MARGIN_PX, _TOP_PX, right, bottom), outline=GRID)
+    _draw_side(image, score, overlay)
+    return image
+
+
+def strongest_frame(score: SceneScore, overlay: Overlay) -> int:
+    """Find the frame of the strongest instance of the strongest track; else the middle one."""
+    return frame_of(score.tracks[0], overlay) if score.tracks else len(overlay) // 2
+
+
+def frame_of(track: TrackRecord, overlay: Overlay) -> int:
+    """Find the frame in which a track has its strongest instance."""
+    return int(np.argmin(np.abs(overlay.stamps_ns - track.strongest.stamp_ns)))
+
+
+def _half_m(score: SceneScore) -> float:
+    """Show the strongest tracks, at least 30 m and at most 80 m around."""
+    reach_m = max((track.strongest.range_m for track in score.tracks[:_ROWS]), default=0.0)
+    return float(np.clip(1.15 * reach_m + 5.0, 30.0, 80.0))
+
+
+def _draw_header(
+    draw: ImageDraw.ImageDraw, score: SceneScore, overlay: Overlay, frame: int
+) -> None:
+    draw.text((_MARGIN_PX, 10), f"{score.score:.3f}", fill=TEXT, font=font(52))
+    draw.text((_MARGIN_PX + 2, 64), "score", fill=SOFT_TEXT, font=font(15))
+    left = _MARGIN_PX + 160
+    width = WIDTH_PX - left - _MARGIN_PX
+    draw.text((left, 18), shorten(score.scene_id, width, 24), fill=TEXT, font=font(24))
+    start = datetime.fromtimestamp(score.start_ns / NS_PER_S, tz=UTC)
+    at_s = (int(overlay.stamps_ns[frame]) - score.start_ns) / NS_PER_S
+    span_s = (score.end_ns - score.start_ns) / NS_PER_S
+    state = "" if score.state is SceneState.SCORED else f"{score.state.value.replace('_', ' ')} | "
+    facts = (
+        f"{state}{score.vehicle} | {start:%Y-%m-%d %H:%M:%S} UTC | {score.frames} frames in "
+        f"{span_s:.1f} s, shown: frame {frame} at {at_s:.1f} s | "
+        f"odometry {score.odometry.state.value}, {score.odometry.distance_m:.1f} m driven"
+    )
+    draw.text((left, 54), shorten(facts, width, 17), fill=SOFT_TEXT, font=font(17))
+
+
+def _draw_side(image: Image.Image, score: SceneScore, overlay: Overlay) -> None:
+    draw = ImageDraw.Draw(image)
+    left = 2 * _MARGIN_PX + _ABOVE_PX
+    width = WIDTH_PX - left - _MARGIN_PX
+    y = _TOP_PX
+    for track in score.tracks[:_ROWS]:
+        y = _draw_track(image, overlay, track, left=left, top=y, width=width)
+    if not score.tracks:
+        draw.text((left, y), "no contradiction in this scene", fill=SOFT_TEXT, font=font(18))
+        y += 40
+    legend = len(_named(score)) + len(_witnessed(score)) + 1
+    bottom = HEIGHT_PX - _MARGIN_PX - _LEGEND_PX * legend
+    draw_reasons(draw, score, left=left, top=y, width=width, bottom=bottom)
+    _draw_legend(draw, score, left=left, width=width)
+
+
+def _draw_track(
+    image: Image.Image, overlay: Overlay, track: TrackRecord, *, left: int, top: int, width: int
+) -> int:
+    """One track three times: when it began, when it was strongest, when it ended."""
+    draw = ImageDraw.Draw(image)
+    ink = inks_of(overlay.task)[overlay.task.kind(track.kind).code]
+    best = track.strongest
+    what = f"{track.track_id + 1} {track.class_name or 'object'}, strength {track.strength:.2f}"
+    sure = (
+        f"supervised {best.semantic_confidence:.0%} sure, "
+        f"self-supervised {best.predictive_confidence:.0%}"
+    )
+    room = width - draw.textlength(sure, font(14)) - 12
+    draw.text((left, top), shorten(what, room, 16), fill=ink, font=font(16))
+    draw.text((left + width, top + 2), sure, fill=SOFT_TEXT, font=font(14), anchor="ra")
+    top += 22
+    members = np.flatnonzero(overlay.instance_track == track.track_id)
+    if not len(members):
+        return top
+    stamps_ns = overlay.stamps_ns[overlay.instance_frame[members]]
+    strongest = members[int(np.argmin(np.abs(stamps_ns - track.strongest.stamp_ns)))]
+    half_m = float(np.clip(1.6 * track.strongest.size_m[0], 4.0, 16.0))
+    gap = (width - 3 * _TILE_PX) // 2
+    for column, instance in enumerate(_moments(members, strongest)):
+        frame = int(overlay.instance_frame[instance])
+        x, y = (float(value) for value in overlay.instance_boxes[instance, :2])
+        tile = draw_above(
+            overlay,
+            View(frame, (x, y), half_m, _TILE_PX),
+            dot_px=2,
+            background=False,
+            rings=False,
+        )
+        at = (left + column * (_TILE_PX + gap), top)
+        image.paste(tile, at)
+        draw.rectangle((*at, at[0] + _TILE_PX, at[1] + _TILE_PX), outline=GRID)
+        seconds = (int(overlay.stamps_ns[frame]) - int(overlay.stamps_ns[0])) / NS_PER_S
+        draw.rectangle((at[0] + 1, at[1] + 1, at[0] + 42, at[1] + 20), fill=PANEL)
+        draw.text((at[0] + 5, at[1] + 3), f"{seconds:.1f} s", fill=TEXT, font=font(14))
+    return top + _TILE_PX + 12
+
+
+def _moments(members: NDArray[np.intp], strongest: int) -> list[int]:
+    """Begin, strongest, end; three different ones where the track has as many."""
+    first, last = int(members[0]), int(members[-1])
+    between = strongest if strongest not in (first, last) else int(members[len(members) // 2])
+    return sorted({first, between, last})
+
+
+def _draw_legend(draw: ImageDraw.ImageDraw, score: SceneScore, *, left: int, width: int) -> None:
+    """Name the colours, each with its share of the compared points off the ground."""
+    task = task_named(score.task)
+    colours = colours_of(task)
+    named, witnessed = _named(score), _witnessed(score)
+    top = HEIGHT_PX - _MARGIN_PX - (len(named) + len(witnessed)) * _LEGEND_PX - 14
+    draw.rectangle((left, top, left + width, HEIGHT_PX - _MARGIN_PX), fill=PANEL)
+    of_which = "off ground" if task.of_things else "of compared"
+    for row, outcome in enumerate(named):
+        y = top + 8 + _LEGEND_PX * row
+        draw.rectangle((left + 10, y + 3, left + 26, y + 17), fill=colours[outcome.code])
+        share = (
+            f"{1 - score.compared_share:.1%} of all"
+            if outcome.code == task.not_compared
+            else f"{score.nonground_points[outcome.name]:.2%} {of_which}"
+        )
+        draw.text((left + 36, y), meaning(outcome, task), fill=TEXT, font=font(15))
+        draw.text((left + width - 10, y), share, fill=SOFT_TEXT, font=font(15), anchor="ra")
+    for row, kind in enumerate(witnessed, start=len(named)):
+        y = top + 8 + _LEGEND_PX * row
+        draw.rectangle((left + 10, y + 3, left + 26, y + 17), outline=inks_of(task)[kind.code])
+        draw.text((left + 36, y), "boxes: the witness alone sees it move", fill=TEXT, font=font(15))
+
+
+def _witnessed(score: SceneScore) -> list[Outcome]:
+    """The kind of what the witness alone sees, where a track is of it."""
+    kinds = {track.kind for track in score.tracks[:_LABELS]}
+    return [kind for kind in task_named(score.task).kinds if kind.of_witness and kind.name in kinds]
+
+
+def _named(score: SceneScore) -> list[Outcome]:
+    """Outcomes that the legend has room for, by code: of many classes the commonest."""
+    task, shares = task_named(score.task), score.nonground_points
+    common = sorted(task.compared(), key=lambda outcome: (-shares[outcome.name], outcome.code))
+    shown = sorted(common[: _LEGEND_ROWS - 1], key=lambda outcome: outcome.code)
+    return [*shown, task.outcomes[task.not_compared]]

@@ -1,0 +1,1 @@
+"""Every setting, its default, and where the value that holds comes from."""

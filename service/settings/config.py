@@ -1,0 +1,305 @@
+"""Every setting of the command, with its default; a file, variables and flags say otherwise.
+
+Read from the bottom to the top: flags win over `COUNTERPOINT_*` variables, which win over the file
+that `--config` or COUNTERPOINT_CONFIG names. The same table stands in `deploy/SETTINGS.md`.
+"""
+
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+from urllib.parse import urlsplit
+
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+)
+from pydantic_core import from_json
+
+from schemas.bounds import Url
+from schemas.camera import RECORDED, CameraCalibration
+from schemas.mining import MiningSettings
+from schemas.parts import PART_LINES
+from schemas.runtime.named_file import read_named_file
+from schemas.runtime.real_path import real_path
+from schemas.transport.keys import DEFAULT_ROOT
+from service.errors import UsageError
+from service.settings.layers import CONFIG_VARIABLE, Written, lay, leaves, nested
+from service.settings.messages import allowed, impossible
+from service.settings.presets import PRESETS, Preset
+
+DEFAULT_STATE = Path("counterpoint-state")
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+
+MAX_WAIT_S: Final = 1e9
+"""Seconds of any interval, 31 years: a lock cannot wait for more than nine times as many."""
+
+MAX_DAYS: Final = 1e6
+
+NOT_IN_VERSION: Final = frozenset({"bucket", "artifacts", "model", "weights"})
+"""Of the settings that workers share, those that no pipeline version depends on."""
+
+
+def _listed(value: object) -> object:
+    """Take `a,b`, or JSON, for a list: a variable has no other way to write one."""
+    if isinstance(value, str):
+        with suppress(ValueError):  # `[ab]*` is a pattern, no JSON
+            return from_json(value)
+        return tuple(part.strip() for part in value.split(",") if part.strip())
+    return value
+
+
+def _postgres(url: str) -> str:
+    """Take any of PostgreSQL's own spellings, and none of another database."""
+    scheme, separator, rest = url.partition("://")
+    if url and (not separator or scheme not in _POSTGRES):
+        raise ValueError("empty or a URL like postgresql://user@host:5432/name")
+    parts = urlsplit(url)
+    if parts.netloc.count("@") > 1 or "password" in parts.query:
+        raise ValueError("a URL with its password before the @ only, percent-encoded")
+    return f"{_POSTGRES[-1]}://{rest}" if url else url
+
+
+_POSTGRES: Final = ("postgres", "postgresql", "postgresql+psycopg")
+
+Names = Annotated[tuple[str, ...], BeforeValidator(_listed)]
+PostgresUrl = Annotated[str, AfterValidator(_postgres)]
+
+
+class Settings(MiningSettings):
+    """What one command runs with. Credentials of buckets are not here: obstore reads its own.
+
+    What every worker must do alike is inherited, and part of the pipeline version but for
+    `NOT_IN_VERSION`: where one of those changes, everything is mined anew.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    preset: Preset = Field(
+        default="default",
+        description="Settings that belong together; whatever is written otherwise wins. `paper`: "
+        "the published chain, which needs `weights` and a camera's calibration.",
+    )
+    bucket: Url = Field(default="", description="URL or path of the log bucket; only read.")
+    artifacts: Url = Field(
+        default="", description="URL for overlays; empty: the folder `artifacts` in the state."
+    )
+    state: Path = Field(
+        default=DEFAULT_STATE, description="Folder of lock, ledger and overlays; a local disk."
+    )
+    root: str = Field(
+        default=DEFAULT_ROOT,
+        pattern=r"^[A-Za-z0-9_-]+$",
+        description="First part of every Zenoh key; two systems on one router need two.",
+    )
+    connect: str = Field(
+        default="", description="Endpoint of a router, `tcp/host:port`; commas for several."
+    )
+    listen: str = Field(
+        default="",
+        description="Endpoint a router listens on; empty: a free one for `run`, "
+        f"{DEFAULT_ENDPOINT} for `router`.",
+    )
+    workers: int = Field(
+        default=2, ge=1, le=256, description="Worker processes of `run` and `worker`."
+    )
+    include: Names = Field(
+        default=(),
+        description="Only keys that match one of these patterns (`*` also crosses `/`).",
+    )
+    exclude: Names = Field(default=(), description="No key that matches one of these.")
+    list_interval_s: float = Field(
+        default=10.0, gt=0, le=MAX_WAIT_S, description="Between listings of the bucket."
+    )
+    settle_s: float = Field(
+        default=30.0,
+        ge=0,
+        le=MAX_WAIT_S,
+        description="An object without a valid footer is planned when it has not changed for so "
+        "long.",
+    )
+    keep_withdrawn_days: float = Field(
+        default=0.0,
+        ge=0,
+        le=MAX_DAYS,
+        description="Overlays of scenes withdrawn so many days ago are deleted from the artifacts; "
+        "0: none ever is.",
+    )
+    database: PostgresUrl = Field(
+        default="",
+        repr=False,  # may hold a password
+        description="URL of a PostgreSQL, `postgresql://user@host/name`; empty: a SQLite file in "
+        "the state folder.",
+    )
+    http_listen: str = Field(
+        default="127.0.0.1:9464",
+        description="Where `run` and `service` serve /metrics, /healthz, /readyz and /rates; "
+        "empty: nowhere. Not with --once.",
+    )
+    worker_http_listen: str = Field(
+        default="127.0.0.1:9465",
+        description="Where `worker` serves /metrics, /healthz and /readyz; empty: nowhere.",
+    )
+    vehicles: Names = Field(
+        default=(),
+        max_length=50,
+        description="Vehicles that have a series of their own in the metrics; others are `other`.",
+    )
+    heartbeat_s: float = Field(
+        default=300.0,
+        gt=0,
+        le=MAX_WAIT_S,
+        description="A quiet daemon says how it stands this often.",
+    )
+    log_format: Literal["console", "json"] = Field(
+        default="console", description="Lines of the log for people, or for machines."
+    )
+    log_level: Literal["debug", "info", "warning", "error"] = Field(
+        default="info", description="Least level that is logged."
+    )
+    lease_s: float = Field(
+        default=30.0, gt=1, le=MAX_WAIT_S, description="A lease lives this long unrenewed."
+    )
+    max_attempts: int = Field(
+        default=5,
+        ge=1,
+        le=1_000_000,
+        description="Then a shard is parked; after twice as many deaths of workers on it, whatever "
+        "is to blame for them.",
+    )
+    shard_deadline_s: float = Field(
+        default=1800.0,
+        gt=0,
+        le=MAX_WAIT_S,
+        description="A worker longer than this on one lease is killed.",
+    )
+
+    @field_validator("odometry", "supervised", "selfsupervised", "witness")
+    @classmethod
+    def _is_a_part(cls, name: str, setting: ValidationInfo) -> str:
+        known = next(lines for kind, lines in PART_LINES.items() if kind == setting.field_name)
+        if name not in known:
+            raise ValueError(f"one of {', '.join(known)}")
+        return name
+
+    @property
+    def artifacts_url(self) -> str:
+        """Where overlays go."""
+        return self.artifacts or (real_path(self.state) / "artifacts").as_uri()
+
+    def mining(self) -> MiningSettings:
+        """Return what every worker must do alike.
+
+        Raises:
+            UsageError: If a path is too long for a message once it is written whole.
+        """
+        shared = {name: getattr(self, name) for name in MiningSettings.model_fields}
+        model, weights = (
+            str(real_path(Path(path))) if path else "" for path in (self.model, self.weights)
+        )
+        files = {"artifacts": self.artifacts_url, "model": model, "weights": weights}
+        try:
+            return MiningSettings(**shared | files | {"camera": _camera(self.camera)})
+        except ValidationError as error:
+            first = error.errors()[0]
+            raise UsageError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+
+
+def _camera(said: str) -> str:
+    """Read the calibration that a file states: its content, not its path, goes to the workers."""
+    if said in ("", RECORDED):
+        return said
+    try:
+        stated = CameraCalibration.model_validate_json(read_named_file(Path(said)))
+    except OSError as error:
+        raise UsageError(
+            f"camera: `{RECORDED}` or a JSON file of a calibration: {error.strerror} ({said})"
+        ) from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "the file"
+        raise UsageError(f"camera: {where}: {first['msg']} ({said})") from error
+    return stated.model_dump_json(exclude_none=True)
+
+
+def cache_folder() -> Path:
+    """Return where this machine keeps what can be made again, beside the compiled loops.
+
+    No place that is cleaned while a daemon lives, as `/tmp` is: `NUMBA_CACHE_DIR`, else the user's
+    cache folder.
+
+    Raises:
+        UsageError: If there is neither.
+    """
+    if kept := os.environ.get("NUMBA_CACHE_DIR"):
+        return Path(kept)
+    if cache := os.environ.get("XDG_CACHE_HOME"):
+        return Path(cache) / "counterpoint"
+    try:
+        return Path.home() / ".cache" / "counterpoint"
+    except RuntimeError:
+        raise UsageError("no home folder to keep files in: set NUMBA_CACHE_DIR") from None
+
+
+@dataclass(frozen=True, slots=True)
+class ReadSettings:
+    """Settings, and where each value comes from.
+
+    Attributes:
+        settings: What holds.
+        written: By dotted name, of each setting that is not at its default: the value that won.
+        file: The file that was read, if any.
+    """
+
+    settings: Settings
+    written: Mapping[str, Written]
+    file: Path | None
+
+
+def _preset(laid: Mapping[str, Written]) -> dict[str, Written]:
+    """Lay out what the preset that was written says; an unknown one is refused with the rest."""
+    written = laid.get("preset")
+    said = PRESETS.get(str(written.value), {}) if written is not None else {}
+    return {
+        name: Written("preset", f"preset {written.value}", name, value)
+        for name, value in said.items()
+        if written is not None
+    }
+
+
+def load_settings(*, config: Path | None = None, **flags: Any) -> Settings:
+    """Read the settings; `read_settings` says where each comes from, too."""
+    return read_settings(config=config, **flags).settings
+
+
+def read_settings(*, config: Path | None = None, **flags: Any) -> ReadSettings:
+    """Read the settings: flags that were given (not None) over variables over the file.
+
+    Args:
+        config: A TOML file; None: the one that COUNTERPOINT_CONFIG names, if any.
+        flags: By the name of the setting, or of the flag with underscores for dashes.
+
+    Raises:
+        UsageError: If a name is unknown or a value impossible; the message names them all, as they
+            were written, and shows no password.
+    """
+    named = os.environ.get(CONFIG_VARIABLE, "")
+    file = config or (Path(named) if named else None)
+    known = leaves(Settings)
+    laid, problems = lay(known, file=file, environ=os.environ, flags=flags)
+    laid = _preset(laid) | laid
+    try:
+        settings = Settings.model_validate(nested(laid))
+    except ValidationError as error:
+        problems += impossible(error, laid, allowed(Settings))
+    else:
+        if not problems:
+            return ReadSettings(settings, laid, file)
+    raise UsageError("; ".join(problems)) from None

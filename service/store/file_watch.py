@@ -1,0 +1,159 @@
+"""Watch over the files of an open SQLite database, so that no write to a lost one is acknowledged.
+
+SQLite goes on writing to a file that has been deleted or moved away, and calls it durable. What was
+acknowledged so would be gone at the next start.
+"""
+
+import os
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from sqlalchemy import Connection
+
+from service.errors import StateUnusableError
+from service.store.faults import StoreUnavailableError
+
+_WRITTEN_BY_US: Final = ("-wal", "-shm")
+"""SQLite makes them beside the database, and keeps them while any connection is open."""
+
+_STAMP: Final = "SELECT rootpage FROM sqlite_schema WHERE name = 'write_proof'"
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """One file as it was last.
+
+    Attributes:
+        identity: Device and inode.
+        size: Bytes. None of the files ever shrinks while we have them open.
+        written_ns: When its content was last changed.
+    """
+
+    identity: tuple[int, int]
+    size: int
+    written_ns: int
+
+
+class FileWatch:
+    """The files of one database, as they were when a transaction of ours last ended.
+
+    Called under the writer's lock, except `look`. The main file is written by nothing but the
+    checkpoints within our own transactions.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Take the path of the database; nothing is watched before `begin`."""
+        self._path = path
+        self._others = tuple(path.with_name(path.name + suffix) for suffix in _WRITTEN_BY_US)
+        self._seen: dict[Path, _Seen] = {}
+        self._file = -1
+        self._page_bytes = 0
+        self._pages: tuple[int, ...] = ()
+        self._stamp = b""
+
+    def begin(self, connection: Connection) -> None:
+        """Take the files as they are for those of this connection, and watch them from now on.
+
+        Args:
+            connection: In a transaction, so that all of its files are there.
+        """
+        self._page_bytes = connection.exec_driver_sql("PRAGMA page_size").scalar_one()
+        self._pages = (1, connection.exec_driver_sql(_STAMP).scalar_one())
+        self._file = os.open(self._path, os.O_RDONLY | os.O_CLOEXEC)
+        self._seen = {path: _seen(path) for path in (self._path, *self._others)}
+        self._stamp = self._read_stamp()
+
+    def look(self) -> None:
+        """Check that the files are still those that we have open, and none was cut.
+
+        Raises:
+            StateUnusableError: If one was deleted, replaced or cut.
+            StoreUnavailableError: If the file system does not answer now.
+        """
+        for path, before in tuple(self._seen.items()):
+            self._require_same(path, before, _seen(path))
+
+    def before_write(self) -> None:
+        """Check this at the beginning of a transaction, and that no one else wrote the main file.
+
+        Raises:
+            StateUnusableError: If a file was deleted, replaced, cut or overwritten.
+            StoreUnavailableError: If the file system does not answer now.
+        """
+        self.look()
+        if not self._seen:
+            return
+        now, before = _seen(self._path), self._seen[self._path]
+        if now != before:
+            if self._read_stamp() != self._stamp:
+                raise _unusable(self._path, "was overwritten by another program")
+            self._seen[self._path] = now  # only touched: another time, the same content
+
+    def after_write(self) -> None:
+        """Check it again after the commit, and note how the files are now.
+
+        Raises:
+            StateUnusableError: If a file was deleted, replaced or cut meanwhile.
+            StoreUnavailableError: If the file system does not answer now.
+        """
+        for path, before in tuple(self._seen.items()):
+            now = _seen(path)
+            self._require_same(path, before, now)
+            if now != before:
+                self._seen[path] = now
+                if path == self._path:
+                    self._stamp = self._read_stamp()
+
+    def after_failure(self) -> None:
+        """Note how the main file is after a transaction that was undone."""
+        if self._seen:
+            with suppress(StoreUnavailableError, StateUnusableError):
+                now = _seen(self._path)
+                if now.identity == self._seen[self._path].identity:
+                    self._seen[self._path] = now
+                    self._stamp = self._read_stamp()
+
+    def close(self) -> None:
+        """Watch no more; call it after the last connection is closed.
+
+        The kernel takes all locks of a process from a file of which it closes any descriptor, those
+        of SQLite among them: so this one is opened once.
+        """
+        self._seen = {}
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+
+    def _require_same(self, path: Path, before: _Seen, now: _Seen) -> None:
+        if now.identity != before.identity:
+            raise _unusable(path, "was replaced by another file")
+        if now.size < before.size:
+            raise _unusable(path, f"was cut from {before.size} to {now.size} bytes")
+
+    def _read_stamp(self) -> bytes:
+        """Read the pages that differ between any two copies: the header, and the write count."""
+        size = self._page_bytes
+        return b"".join(os.pread(self._file, size, (page - 1) * size) for page in self._pages)
+
+
+def _seen(path: Path) -> _Seen:
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        raise _unusable(path, "was deleted or moved away") from None
+    except OSError as error:
+        raise StoreUnavailableError(
+            f"cannot use the database: {error.strerror} ({path}); "
+            "nothing acknowledged is lost, try again when that is mended"
+        ) from error
+    return _Seen((found.st_dev, found.st_ino), found.st_size, found.st_mtime_ns)
+
+
+def _unusable(path: Path, what: str) -> StateUnusableError:
+    return StateUnusableError(
+        f"the database {what} while the service ran: {path}; nothing is acknowledged any more: end "
+        "whatever did that, restore the database from a copy, without its -wal and -shm, and start "
+        "the service again"
+    )

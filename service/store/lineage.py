@@ -1,0 +1,108 @@
+"""Lineage of a database: an id of its own and a count of its writes, which never goes back.
+
+A database that is dropped, replaced, or restored from an older copy under a running service would
+give numbers out a second time. It is recognized by the one row that every write counts up.
+"""
+
+import uuid
+from dataclasses import dataclass
+from typing import Any, Final
+
+from sqlalchemy import Connection, bindparam, select, text, update
+
+from service.errors import StateUnusableError
+from service.store.statements import Statement
+from service.store.tables import WRITE_PROOF
+
+RESTORED: Final = (
+    "{name} is no longer the database that this service wrote: {what}; nothing is acknowledged any "
+    "more: when it is restored, start the service again on it; what was written since that copy is "
+    "mined again, and subscribers begin with 0"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Lineage:
+    """Which database it is, and how far.
+
+    Attributes:
+        incarnation: Random id, given when its tables were made.
+        writes: Transactions that changed something.
+    """
+
+    incarnation: str
+    writes: int
+
+    def require_not_before(self, known: "Lineage | None", *, name: str) -> "Lineage":
+        """Check that this comes after what was known of the same database.
+
+        Args:
+            known: As it was seen last; None: never.
+            name: Which database, for the message.
+
+        Returns:
+            This.
+
+        Raises:
+            StateUnusableError: If it is another database, or an earlier state of it.
+        """
+        if known is None:
+            return self
+        if self.incarnation != known.incarnation:
+            what = "another one has taken its place"
+        elif self.writes < known.writes:
+            what = f"it has gone back from write {known.writes} to write {self.writes}"
+        else:
+            return self
+        raise StateUnusableError(RESTORED.format(name=name, what=what))
+
+
+def give_incarnation(connection: Connection) -> None:
+    """Name a database that has no id yet: a new one, or one of an earlier version."""
+    _NAME.rows(connection, {"new": uuid.uuid4().hex})
+
+
+def read_lineage(connection: Connection) -> Lineage:
+    """Read how far the database is."""
+    row = _READ.one(connection, {})
+    return Lineage(row.incarnation, row.writes)
+
+
+def count_write(connection: Connection, *, changed_before: int, always: bool) -> Lineage | None:
+    """Count the transaction of this connection, if it changed anything.
+
+    Args:
+        connection: At the end of a transaction that writes.
+        changed_before: What `changes` gave at its beginning.
+        always: Count it in any case.
+
+    Returns:
+        How far the database is with it; None if it was not counted.
+    """
+    if connection.dialect.name == "sqlite":
+        counts = always or changes(connection) != changed_before
+        row = _COUNT.one(connection, {}) if counts else None
+    else:
+        row = (_COUNT if always else _COUNT_IF_CHANGED).first(connection, {})
+    return None if row is None else Lineage(row.incarnation, row.writes)
+
+
+def changes(connection: Connection) -> int:
+    """Rows that this connection of SQLite has changed since it was opened; 0 elsewhere."""
+    driver: Any = connection.connection.driver_connection
+    return int(getattr(driver, "total_changes", 0))
+
+
+_C: Final = WRITE_PROOF.c
+_READ: Final = Statement(select(_C.incarnation, _C.writes))
+_NAME: Final = Statement(
+    update(WRITE_PROOF).where(_C.incarnation == "").values(incarnation=bindparam("new"))
+)
+_COUNTING: Final = (
+    update(WRITE_PROOF).values(writes=_C.writes + 1).returning(_C.incarnation, _C.writes)
+)
+_COUNT: Final = Statement(_COUNTING)
+_COUNT_IF_CHANGED: Final = Statement(
+    _COUNTING.where(text("txid_current_if_assigned() IS NOT NULL"))
+)
+"""A transaction of PostgreSQL gets its number with the first row that it changes or locks."""

@@ -1,0 +1,64 @@
+"""Asks a real service thousands of questions: `python -m tests.fuzz.ask --examples 2000`.
+
+The questions are the same in every run: made by hypothesis, derandomized.
+"""
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+
+from hypothesis import HealthCheck, Phase, given, settings
+
+from tests.fuzz.asked_service import AskedService, Report, asked_service
+from tests.fuzz.questions import Question, questions
+
+MOST_MB = 300
+"""Memory of a service, whatever is asked of it."""
+
+
+def main() -> int:
+    """Ask, and say how it went; 1 if a question was neither answered nor refused."""
+    asked = argparse.ArgumentParser(prog="python -m tests.fuzz.ask")
+    asked.add_argument("--examples", type=int, default=2000, help="how many questions")
+    how = asked.parse_args()
+    with tempfile.TemporaryDirectory(prefix="asked-") as folder:
+        report = ask_many(Path(folder), examples=how.examples)
+    for line in report.lines():
+        sys.stdout.write(line + "\n")
+    return int(bool(report.failures) or report.peak_mb > MOST_MB)
+
+
+def ask_many(folder: Path, *, examples: int) -> Report:
+    """Ask so many questions of a service.
+
+    Args:
+        folder: For its state and logs.
+        examples: How many.
+    """
+    with asked_service(folder) as service:
+        _ask(service, examples)
+        return service.report
+
+
+def _ask(service: AskedService, examples: int) -> None:
+    @settings(
+        max_examples=examples,
+        derandomize=True,
+        database=None,
+        deadline=None,
+        phases=[Phase.generate],
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(questions())
+    def each(question: Question) -> None:
+        service.ask(question)
+
+    each()
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main())
+    except KeyboardInterrupt:
+        sys.exit(130)

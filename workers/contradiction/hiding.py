@@ -1,0 +1,108 @@
+"""What hides what: how near and how far a frame saw in each direction, whatever its beams."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import Mask, Points, Transform
+from workers.points.compiled import compiled
+
+_COLUMNS, _ROWS = 900, 150
+"""Steps of 0.25 to 0.5 degrees round, and of 1.1 up and down, from 55 degrees to 55: with the ones
+beside it, each direction has a beam of a sensor of 32 rows."""
+
+_PER_TANGENT = 50.0
+"""Rows for a rise of one in one."""
+
+_TINY_M = 1e-9
+_NEAREST_M = 1.0
+"""Nearer, it is the car itself."""
+
+
+class Shades(NamedTuple):
+    """What a frame saw about each direction, that is in its step and those beside it.
+
+    Attributes:
+        nearest_m: (150, 900) of what stands off the ground; infinite where nothing does.
+        farthest_m: (150, 900) of all; 0 where nothing came back.
+    """
+
+    nearest_m: NDArray[np.float32]
+    farthest_m: NDArray[np.float32]
+
+
+@compiled
+def shades_of(points: Points, index: NDArray[np.int64], ground: Mask) -> Shades:
+    """Sort chosen rows of a cloud (N, 3), the sensor's space, by direction; ground is (N,)."""
+    near = np.full((_ROWS, _COLUMNS), np.float32(np.inf))
+    far = np.zeros((_ROWS, _COLUMNS), np.float32)
+    for i in index:
+        row, column, distance = _seen(points[i, 0], points[i, 1], points[i, 2])
+        if distance < _NEAREST_M:
+            continue
+        far[row, column] = max(far[row, column], np.float32(distance))
+        if not ground[i]:
+            near[row, column] = min(near[row, column], np.float32(distance))
+    return Shades(_beside(near, True), _beside(far, False))
+
+
+@compiled
+def hidden_share(
+    places: NDArray[np.float64], sensor_from_places: Transform, shades: Shades, margin_m: float
+) -> float:
+    """Share of places (P, 3) before which something stands, and about which nothing is seen.
+
+    Args:
+        places: Any space, P >= 1.
+        sensor_from_places: To that of the frame.
+        shades: Of the frame.
+        margin_m: So much nearer than a place is before it.
+    """
+    hidden = 0
+    to = sensor_from_places
+    for p in range(len(places)):
+        x, y, z = places[p, 0], places[p, 1], places[p, 2]
+        row, column, distance = _seen(
+            to[0, 0] * x + to[0, 1] * y + to[0, 2] * z + to[0, 3],
+            to[1, 0] * x + to[1, 1] * y + to[1, 2] * z + to[1, 3],
+            to[2, 0] * x + to[2, 1] * y + to[2, 2] * z + to[2, 3],
+        )
+        before_m = distance - margin_m
+        if shades.nearest_m[row, column] < before_m and shades.farthest_m[row, column] < before_m:
+            hidden += 1
+    return hidden / len(places)
+
+
+@compiled
+def _seen(x: float, y: float, z: float) -> tuple[int, int, float]:
+    """Row and column of a direction, and the distance.
+
+    Tangents and, round about, the share of the way from one axis to the next stand for angles:
+    every point of a cloud is asked, and angles take most of the time.
+    """
+    across = np.sqrt(x * x + y * y)
+    row = z / max(across, _TINY_M) * _PER_TANGENT + _ROWS / 2
+    share = y / max(abs(x) + abs(y), _TINY_M)
+    quarters = share if x >= 0.0 else 2.0 - share
+    column = int((quarters + 1.0) * (_COLUMNS / 4)) % _COLUMNS
+    return int(min(max(row, 0.0), _ROWS - 1.0)), column, np.sqrt(across * across + z * z)
+
+
+@compiled
+def _beside(image: NDArray[np.float32], least: bool) -> NDArray[np.float32]:
+    """Take the least, or the greatest, of each step and the eight beside it; columns go round."""
+    across = image.copy()
+    for row in range(_ROWS):
+        for column in range(_COLUMNS):
+            for side in (column - 1, (column + 1) % _COLUMNS):
+                other, own = image[row, side], across[row, column]
+                across[row, column] = min(own, other) if least else max(own, other)
+    both = across.copy()
+    for row in range(_ROWS):
+        for beside in (row - 1, row + 1):
+            if 0 <= beside < _ROWS:
+                for column in range(_COLUMNS):
+                    other, own = across[beside, column], both[row, column]
+                    both[row, column] = min(own, other) if least else max(own, other)
+    return both

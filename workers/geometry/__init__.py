@@ -1,1 +1,0 @@
-"""Geometry that every stage may use: rigid transforms and spherical range images."""

@@ -1,0 +1,1 @@
+"""What makes and judges the streams; mining never imports it."""

@@ -1,0 +1,131 @@
+"""How a lidar is laid out as an image: rows, columns, field of view, measured from frames."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import Points
+from schemas.frame import LidarFrame
+from workers.lidar.beam_table import MIN_RANGE_M, estimate_beam_table
+from workers.lidar.sensor_rows import (
+    MAX_BEAMS,
+    MULTIPLE,
+    beam_of_points,
+    elevation_of_beams,
+    elevations_deg,
+    evenly_spaced,
+    one_row_each,
+    seen_share,
+)
+
+_WIDTHS: Final = (512, 1024, 2048, 4096)
+_JUDGED_FRAMES: Final = 3
+_STEP_RAD: Final = (np.radians(0.02), np.radians(1.5))
+"""Smaller steps are second returns of one shot, larger ones gaps in what was seen."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensorLayout:
+    """Rows and columns of a sensor.
+
+    Attributes:
+        rows: Of the image, a multiple of 16.
+        columns: Of the image.
+        fov_up_deg: Upper edge of the first row.
+        fov_down_deg: Lower edge of the last.
+        elevations_deg: Each row's beam, falling; None if rows are evenly spaced.
+        beams: How many there are; further rows lie above the topmost.
+        steps_per_turn: Measured steps of azimuth of a whole turn.
+        remarks: What the user should know of how this was found.
+    """
+
+    rows: int
+    columns: int
+    fov_up_deg: float
+    fov_down_deg: float
+    elevations_deg: tuple[float, ...] | None
+    beams: int
+    steps_per_turn: int
+    remarks: tuple[str, ...] = ()
+
+
+def measure_layout(frames: Sequence[LidarFrame]) -> SensorLayout:
+    """Measure rows and columns.
+
+    Beams are told apart by their recorded numbers, else by the order of the cloud where it runs
+    along one beam after the other, else by how elevations are spaced. A row for each beam is taken
+    if more points are seen then than in evenly spaced rows: where beams do not meet in the origin
+    of the cloud, even rows may be better.
+
+    Args:
+        frames: Some frames of one sensor, none without a valid point.
+
+    Raises:
+        ValueError: If they hold too few points to tell.
+    """
+    if not frames:
+        raise ValueError("no frame has a valid point")
+    clouds = [frame.points_m[frame.valid_mask] for frame in frames]
+    rings = [beam_of_points(frame) for frame in frames]
+    told_apart = all(ring is not None for ring in rings)
+    steps = _steps_per_turn(clouds, rings)
+    columns = min(_WIDTHS, key=lambda width: abs(float(np.log(width / steps))))
+    points_m = np.concatenate(clouds)
+    far = np.linalg.norm(points_m, axis=1) > MIN_RANGE_M
+    elevation_deg = elevations_deg(points_m[far])
+    listed: tuple[float, ...] = ()
+    if told_apart:
+        beam = np.concatenate([ring for ring in rings if ring is not None])[far]
+        listed = elevation_of_beams(elevation_deg, beam)
+        beams = len(listed)
+    else:
+        # of a single frame: in two, points would lie closer to each other than beams do
+        table = estimate_beam_table(clouds[0], np.full(len(clouds[0]), -1, np.int16))
+        guessed = min(len(table.tangents), MAX_BEAMS)
+        beams = max(round(guessed / MULTIPLE), 1) * MULTIPLE if guessed > 1 else 0
+    if beams < 2:
+        raise ValueError("no beams can be told apart")
+    even = evenly_spaced(elevation_deg, beams, columns)
+    profiles = [one_row_each(listed, columns), even] if listed else [even]
+    seen = [seen_share(clouds[:_JUDGED_FRAMES], profile) for profile in profiles]
+    chosen = profiles[int(np.argmax(seen))]
+    remarks = []
+    if not told_apart:
+        remarks.append("beams are neither numbered nor in order: rows are as many as gaps suggest")
+    elif chosen is even:
+        remarks.append(
+            f"rows are evenly spaced: {seen[1]:.1%} of the points are seen then, with a row for "
+            f"each beam {seen[0]:.1%}; the beams do not meet in the origin of the cloud"
+        )
+    if chosen.rows != beams:
+        remarks.append(f"{chosen.rows} rows, {beams} beams: networks want a multiple of {MULTIPLE}")
+    return SensorLayout(
+        rows=chosen.rows,
+        columns=columns,
+        fov_up_deg=chosen.fov_up_deg,
+        fov_down_deg=chosen.fov_down_deg,
+        elevations_deg=chosen.elevations_deg,
+        beams=beams,
+        steps_per_turn=steps,
+        remarks=tuple(remarks),
+    )
+
+
+def _steps_per_turn(clouds: Sequence[Points], rings: Sequence[NDArray[np.int64] | None]) -> int:
+    """Median step from a return to the next of its beam, else in the cloud, per turn."""
+    steps = []
+    for cloud, ring in zip(clouds, rings, strict=True):
+        azimuth = np.arctan2(cloud[:, 1], cloud[:, 0])
+        if ring is None:
+            apart = np.abs(np.diff(azimuth))
+        else:
+            order = np.lexsort((azimuth, ring))
+            apart = np.diff(azimuth[order])[np.diff(ring[order]) == 0]
+        steps.append(apart[(apart > _STEP_RAD[0]) & (apart < _STEP_RAD[1])])
+    every = np.concatenate(steps)
+    if not len(every):
+        raise ValueError("no steps of azimuth can be told apart: the clouds are too thin")
+    return round(2 * np.pi / float(np.median(every)))

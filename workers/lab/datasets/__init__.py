@@ -1,0 +1,1 @@
+"""Training images of simulated streets and real logs."""

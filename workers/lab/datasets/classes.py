@@ -1,0 +1,22 @@
+"""What the supervised stream is taught: the classes of its two networks."""
+
+from typing import Final
+
+from workers.lab.evaluation.truth.class_table import COARSE, MOVABLE
+from workers.supervised.classes import ClassMeaning
+from workers.supervised.lmnet import MOTION_CLASSES
+
+CLASSES: Final[tuple[tuple[str, bool], ...]] = (
+    ("unlabeled", False),
+    *((name, name in MOVABLE) for name in COARSE[1:]),
+)
+"""Name and whether it can move by itself: those that semantics are judged in."""
+
+CLASS_NAMES: Final = tuple(name for name, _ in CLASSES)
+
+
+def meanings(network: str) -> tuple[ClassMeaning, ...]:
+    """Meaning of each output of `salsanext` or `lmnet`."""
+    if network == "lmnet":
+        return tuple(ClassMeaning(name=name) for name in MOTION_CLASSES)
+    return tuple(ClassMeaning(name=name, movable=movable) for name, movable in CLASSES)

@@ -1,0 +1,59 @@
+"""Training images on disk: one folder a sensor, read by the slice, shared by whoever trains."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+
+from schemas.errors import PermanentError
+from workers.lab.datasets.images import TrainingImages
+
+_ARRAYS = tuple(field.name for field in fields(TrainingImages))
+
+
+class ImagesUnusableError(PermanentError):
+    """A folder does not hold training images."""
+
+
+def join(parts: Sequence[TrainingImages]) -> TrainingImages:
+    """Put images of one layout into one."""
+    return TrainingImages(
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS}
+    )
+
+
+def write_images(folder: Path, images: TrainingImages, *, source: dict[str, str | int]) -> None:
+    """Write each array as a file.
+
+    Args:
+        folder: Is made.
+        images: What to write; the measurements are kept in half precision.
+        source: How they were made; goes into the model card.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in _ARRAYS:
+        array = getattr(images, name)
+        np.save(folder / f"{name}.npy", array.astype(np.float16) if name == "channels" else array)
+    (folder / "source.json").write_text(json.dumps(source, indent=1) + "\n")
+
+
+def read_images(folder: Path) -> tuple[TrainingImages, dict[str, str | int]]:
+    """Open the images of one sensor; nothing is read before it is asked for.
+
+    Returns:
+        The images, and how they were made.
+
+    Raises:
+        ImagesUnusableError: If a file is missing.
+    """
+    try:
+        arrays = {name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in _ARRAYS}
+        source = json.loads((folder / "source.json").read_text())
+    except FileNotFoundError as error:
+        raise ImagesUnusableError(
+            "no training images: make them with `python -m workers.lab.datasets.dataset` "
+            f"({error.filename})"
+        ) from error
+    return TrainingImages(**arrays), source

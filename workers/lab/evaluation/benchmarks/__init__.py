@@ -1,0 +1,1 @@
+"""Where time goes, and how like real frames simulated ones are."""

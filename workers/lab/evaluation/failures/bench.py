@@ -1,0 +1,149 @@
+"""The benchmark of failures: mines every log of a bucket that has truth, and makes the tables."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from schemas.arrays import NS_PER_S
+from schemas.mining import MiningSettings
+from schemas.transport.bucket import open_bucket
+from workers.lab.evaluation.failures.intervals import DRAWS
+from workers.lab.evaluation.failures.mine_log import LogJob
+from workers.lab.evaluation.failures.mining import Mining, mine_logs
+from workers.lab.evaluation.failures.natural import NaturalTable, natural_table
+from workers.lab.evaluation.failures.planted import PlantedTable, planted_table
+from workers.lab.evaluation.failures.probes import Probing
+from workers.lab.evaluation.failures.rows import MinedLog
+from workers.lab.evaluation.failures.slips import Slip
+from workers.lab.evaluation.truth.truth import TruthUnusableError, logs_with_truth
+from workers.lab.simulation.faults.planted_truth import FILE as PLANTED
+
+_SLIP_SEED: Final = 0x5119
+
+
+class FailureBench(BaseModel):
+    """Both tables of a bucket; null where one was not asked for, or cannot be made."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    bucket: str
+    logs: int
+    judged: dict[str, str] = Field(
+        default_factory=dict, description="Table to the supervised stream that it judges, by name."
+    )
+    planted: PlantedTable | None = None
+    natural: NaturalTable | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """One object: *planted* at the top level, *natural* under its name."""
+        planted = {} if self.planted is None else self.planted.model_dump(mode="json")
+        natural = None if self.natural is None else self.natural.model_dump(mode="json")
+        about = {"bucket": self.bucket, "logs": self.logs, "judged": self.judged}
+        return {**about, **planted, "natural": natural}
+
+
+def bench_failures(
+    bucket_url: str,
+    truth: Path,
+    settings: MiningSettings,
+    *,
+    tables: Sequence[str],
+    processes: int,
+    kept: Path | None,
+    slip_logs: int = 0,
+    probing: Probing,
+    draws: int = DRAWS,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+) -> FailureBench:
+    """Mine what has truth, and make the tables that were asked for.
+
+    Args:
+        bucket_url: URL or path of the bucket of logs.
+        truth: Folder of its truth.
+        settings: How logs are mined; *planted* takes the recorded labels, not the network's.
+        tables: `planted`, `natural`, or both; with both, *planted* is left out where nothing was.
+        processes: How many logs are mined at once.
+        kept: Folder of what was mined before; None keeps nothing.
+        slip_logs: Of *planted*: how many logs are mined again with a slip in every scene.
+        probing: Of *natural*: what is asked of the networks beside their labels.
+        draws: Of the bootstrap; 0 makes no intervals.
+        on_progress: Told how many frames are mined, and of how many.
+
+    Raises:
+        TruthUnusableError: If no log has truth, or *planted* alone is asked for where nothing was.
+        LogUnusableError: If a log cannot be mined.
+    """
+    jobs = jobs_of(bucket_url, truth)
+    sowed = [job for job in jobs if (truth / job.recording.log_id / PLANTED).is_file()]
+    if "planted" in tables and not sowed and len(tables) == 1:
+        raise TruthUnusableError(
+            f"nothing was planted in the logs of {bucket_url}: no {PLANTED} in {truth}; "
+            "--table natural judges a network on any truth"
+        )
+    plant = "planted" in tables and bool(sowed)
+    passes = [sowed, sowed[:slip_logs]] if plant else []
+    passes += [jobs] if "natural" in tables else []
+    total = sum(job.frames for each in passes for job in each)
+    done = 0
+
+    def on_log(log: MinedLog) -> None:
+        nonlocal done
+        done += log.frames
+        on_progress(done, total)
+
+    on_progress(0, total)
+    planted = natural = None
+    judged: dict[str, str] = {}
+    mining = Mining(bucket_url, settings, processes, kept)
+    if plant:
+        recorded = settings.model_copy(update={"supervised": "recorded", "model": ""})
+        of_car = replace(mining, settings=recorded)
+        mined = mine_logs(of_car, sowed, on_log=on_log)
+        again = [
+            with_slips(job, log, scene_s=settings.grid.scene_s)
+            for job, log in list(zip(sowed, mined, strict=True))[:slip_logs]
+        ]
+        slipping = mine_logs(of_car, again, on_log=on_log)
+        judged["planted"] = recorded.supervised
+        planted = planted_table(mined, slipping=slipping, draws=draws)
+    if "natural" in tables:
+        mined = mine_logs(replace(mining, probing=probing), jobs, on_log=on_log)
+        judged["natural"] = settings.supervised
+        natural = natural_table(mined, draws=draws)
+    return FailureBench(
+        bucket=bucket_url, logs=len(jobs), judged=judged, planted=planted, natural=natural
+    )
+
+
+def jobs_of(bucket_url: str, truth: Path) -> list[LogJob]:
+    """List the logs of a bucket that have truth.
+
+    Raises:
+        TruthUnusableError: If there is none.
+    """
+    bucket = open_bucket(bucket_url)
+    return [
+        LogJob(recording, truth, len(found)) for recording, found in logs_with_truth(bucket, truth)
+    ]
+
+
+def with_slips(job: LogJob, log: MinedLog, *, scene_s: float) -> LogJob:
+    """Let the odometry slip once in every scene of a log, each time otherwise."""
+    rng = np.random.default_rng([_SLIP_SEED, *job.recording.log_id.encode()])
+    slips = []
+    for scene in log.scenes:
+        start_s = float(rng.uniform(0.3, 0.7 * scene_s))
+        lasts_s = float(rng.uniform(0.2, 0.5))
+        slips.append(
+            Slip(
+                start_ns=scene.start_ns + round(start_s * NS_PER_S),
+                end_ns=scene.start_ns + round((start_s + lasts_s) * NS_PER_S),
+                yaw_rad=float(rng.choice([-1.0, 1.0]) * np.deg2rad(rng.uniform(0.3, 1.5))),
+                ahead_m=float(rng.uniform(-0.3, 0.3)),
+            )
+        )
+    return replace(job, slips=tuple(slips))

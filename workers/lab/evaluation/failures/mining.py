@@ -1,0 +1,98 @@
+"""Many logs mined in processes of their own; what was mined before is not mined again."""
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from multiprocessing import get_context
+from pathlib import Path
+
+from schemas.mining import MiningSettings
+from schemas.transport.bucket import open_bucket
+from workers.lab.evaluation.failures.kept import keep_log, kept_log
+from workers.lab.evaluation.failures.mine_log import LogJob, mine_log
+from workers.lab.evaluation.failures.probes import NO_PROBING, ProbedStream, Probing
+from workers.lab.evaluation.failures.rows import MinedLog
+from workers.parts.protocols import Parts
+from workers.version import parts_of
+
+
+@dataclass(frozen=True, slots=True)
+class Mining:
+    """How logs are mined.
+
+    Attributes:
+        bucket_url: Where they lie.
+        settings: As a worker would mine them.
+        processes: How many at once; 1 mines in this one.
+        kept: Folder of what was mined; None keeps nothing.
+        probing: What is asked of networks beside their labels.
+    """
+
+    bucket_url: str
+    settings: MiningSettings
+    processes: int = 1
+    kept: Path | None = None
+    probing: Probing = NO_PROBING
+
+
+def mine_logs(
+    mining: Mining, jobs: Sequence[LogJob], *, on_log: Callable[[MinedLog], None]
+) -> list[MinedLog]:
+    """Mine logs, each as it would be mined alone; the order is theirs.
+
+    Args:
+        mining: How.
+        jobs: Which, and what slips in them.
+        on_log: Told of each, as it is done.
+
+    Raises:
+        PermanentError: If a log cannot be mined, or its truth is not its own.
+    """
+    done: dict[int, MinedLog] = {}
+    for number, job in enumerate(jobs):
+        found = kept_log(mining.kept, job, mining.settings, mining.probing)
+        if found is not None:
+            done[number] = found
+            on_log(found)
+    left = [number for number in range(len(jobs)) if number not in done]
+    for number, log in _mined(mining, jobs, left):
+        keep_log(mining.kept, jobs[number], mining.settings, mining.probing, log)
+        done[number] = log
+        on_log(log)
+    return [done[number] for number in range(len(jobs))]
+
+
+def _mined(
+    mining: Mining, jobs: Sequence[LogJob], left: Sequence[int]
+) -> Iterator[tuple[int, MinedLog]]:
+    if mining.processes <= 1 or len(left) <= 1:
+        for number in left:
+            yield number, _mine(mining, jobs[number])
+        return
+    with ProcessPoolExecutor(mining.processes, mp_context=get_context("spawn")) as pool:
+        waiting: dict[Future[MinedLog], int] = {
+            pool.submit(_mine, mining, jobs[number]): number for number in left
+        }
+        try:
+            while waiting:
+                ready, _ = wait(waiting, return_when=FIRST_COMPLETED)
+                for future in sorted(ready, key=lambda each: waiting[each]):
+                    yield waiting.pop(future), future.result()
+        finally:
+            for future in waiting:
+                future.cancel()
+
+
+def _mine(mining: Mining, job: LogJob) -> MinedLog:
+    parts = _parts(mining.settings.model_dump_json(), mining.probing)
+    return mine_log(open_bucket(mining.bucket_url), job, mining.settings, parts)
+
+
+@lru_cache(maxsize=2)
+def _parts(settings_json: str, probing: Probing) -> Parts:
+    """Build the parts; weights are loaded once in each process."""
+    settings = MiningSettings.model_validate_json(settings_json)
+    parts = parts_of(settings)
+    probed = ProbedStream.of(settings, probing)
+    return parts if probed is None else replace(parts, supervised=probed)

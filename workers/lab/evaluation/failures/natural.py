@@ -1,0 +1,125 @@
+"""The table *natural*: the failures of the shipped networks, found thing by thing."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from workers.lab.evaluation.failures.attribution import WhoIsWrong, attribute
+from workers.lab.evaluation.failures.calibration import Calibration, calibrate
+from workers.lab.evaluation.failures.ranking import (
+    MINUTE_S,
+    RANDOM,
+    Items,
+    RankingRow,
+    best_of,
+    random_row,
+    row_of,
+)
+from workers.lab.evaluation.failures.rows import MinedLog, SceneRow, ThingRow
+
+
+class ClassRow(BaseModel):
+    """Failures on things of one class."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    things: int
+    failing: int
+    found: int = Field(description="Of the failing ones, those that contradict at all.")
+
+
+class NaturalTable(RankingRow):
+    """How well contradictions rank the things of a fleet, and what else would have."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    things: int = Field(description="Objects of the truth, phantoms, and what else contradicts.")
+    failing_things: int = Field(description="Things, scene by scene, on which the stream fails.")
+    failing_scenes: int
+    baselines: dict[str, RankingRow] = Field(
+        description="Other ways to rank, by name, each on the things that it says something of."
+    )
+    best_baseline: str
+    attribution_accuracy: float | None
+    attribution: WhoIsWrong
+    calibration: Calibration = Field(description="Of a thing's strength against its failing.")
+    classes: dict[str, ClassRow] = Field(description="By class of the truth and what goes wrong.")
+
+
+def natural_table(logs: Sequence[MinedLog], *, draws: int) -> NaturalTable:
+    """Make the table of logs that were mined with a network; things are ranked, not scenes.
+
+    A thing is as suspicious as the strongest contradicting track on it, 0 without any.
+    """
+    listed = [
+        (number, scene, thing)
+        for number, log in enumerate(logs)
+        for scene in log.scenes
+        for thing in scene.things
+    ]
+    strengths = np.array([strength_of(scene, thing) for _, scene, thing in listed])
+    items = Items(
+        logs=np.array([number for number, _, _ in listed], dtype=np.int64),
+        wanted=np.array([thing.fails for _, _, thing in listed], dtype=np.bool_),
+        failures=[
+            [f"{logs[n].log_id} {_name(scene, thing)}"] if thing.fails else []
+            for n, scene, thing in listed
+        ],
+        minutes=np.array([scene.seconds / MINUTE_S for _, scene, _ in listed]),
+        scenes=sum(len(log.scenes) for log in logs),
+    )
+    baselines = {RANDOM: random_row(items)}
+    for name in sorted({name for _, _, thing in listed for name in thing.views}):
+        told = np.array([name in thing.views for _, _, thing in listed], dtype=np.bool_)
+        view = np.array([thing.views[name] for _, _, thing in listed if name in thing.views])
+        baselines[name] = row_of(view, _only(items, told), draws=draws)
+    scenes = [scene for log in logs for scene in log.scenes]
+    said = attribute(track for scene in scenes for track in scene.tracks)
+    return NaturalTable(
+        **row_of(strengths, items, draws=draws).model_dump(),
+        things=len(listed),
+        failing_things=int(items.wanted.sum()),
+        failing_scenes=sum(scene.fails for scene in scenes),
+        baselines=baselines,
+        best_baseline=best_of(baselines),
+        attribution_accuracy=said.accuracy,
+        attribution=said,
+        calibration=calibrate(strengths, items.wanted),
+        classes=_classes([(scene, thing) for _, scene, thing in listed]),
+    )
+
+
+def strength_of(scene: SceneRow, thing: ThingRow) -> float:
+    """How suspicious a thing is: as the strongest track on it, strength already weighs blame."""
+    return max((each.strength for each in scene.tracks if each.thing == thing.key), default=0.0)
+
+
+def _name(scene: SceneRow, thing: ThingRow) -> str:
+    return thing.key if thing.track >= 0 else f"{scene.scene_id} {thing.key}"
+
+
+def _only(items: Items, told: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Items:
+    return Items(
+        items.logs[told],
+        items.wanted[told],
+        [names for names, kept in zip(items.failures, told.tolist(), strict=True) if kept],
+        items.minutes[told],
+        items.scenes,
+    )
+
+
+def _classes(listed: Sequence[tuple[SceneRow, ThingRow]]) -> dict[str, ClassRow]:
+    groups: dict[str, list[tuple[SceneRow, ThingRow]]] = {}
+    for scene, thing in listed:
+        what = thing.class_name or ("nobody's" if thing.track < 0 else "unknown")
+        state = "moving" if thing.moves else "standing"
+        groups.setdefault(f"{what}, {state}", []).append((scene, thing))
+    return {
+        name: ClassRow(
+            things=len(group),
+            failing=sum(thing.fails for _, thing in group),
+            found=sum(thing.fails and strength_of(scene, thing) > 0.0 for scene, thing in group),
+        )
+        for name, group in sorted(groups.items())
+    }

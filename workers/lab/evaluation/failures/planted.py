@@ -1,0 +1,153 @@
+"""The table *planted*: does the score put scenes in which the model on the car errs first?"""
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field
+
+from workers.lab.evaluation.failures.attribution import WhoIsWrong, attribute
+from workers.lab.evaluation.failures.calibration import Calibration, calibrate
+from workers.lab.evaluation.failures.common_mode import CommonMode, common_mode
+from workers.lab.evaluation.failures.intervals import Interval, bootstrap
+from workers.lab.evaluation.failures.kinds import KindRow, by_kind
+from workers.lab.evaluation.failures.ranking import (
+    MINUTE_S,
+    RANDOM,
+    Items,
+    RankingRow,
+    best_of,
+    random_row,
+    row_of,
+)
+from workers.lab.evaluation.failures.retrieval import retrieve
+from workers.lab.evaluation.failures.rows import MinedLog, SceneRow
+from workers.lab.evaluation.failures.undisturbed import DisturbedShare, by_disturbance, slipped
+
+
+class PlantedTable(RankingRow):
+    """How well the score ranks scenes of a fleet, and what else would have.
+
+    The figures at the top are those of the score.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    failing_scenes: int
+    planted: int = Field(description="Failures that were planted.")
+    unseen: int = Field(description="Of them, those that the labels do not show.")
+    baselines: dict[str, RankingRow] = Field(description="Other ways to rank, by name.")
+    best_baseline: str = Field(description="Of those, the one of the highest average precision.")
+    gain: float | None = Field(
+        description="(AP - b) / (1 - b) against the best baseline's average precision b."
+    )
+    gain_interval: Interval | None = Field(description="95 %, against that baseline.")
+    attribution_accuracy: float | None = Field(
+        description="Mean recall over {supervised, selfsupervised, both, neither} as far as they "
+        "occur ten times; null: records do not say who is wrong."
+    )
+    attribution: WhoIsWrong
+    common_mode_recall: float | None = Field(
+        description="Share of planted failures on which both streams are wrong that surface."
+    )
+    common_mode: CommonMode
+    calibration: Calibration = Field(description="Of the score against the scene's holding one.")
+    kinds: dict[str, KindRow] = Field(description="By kind of failure.")
+    disturbances: dict[str, DisturbedShare] = Field(
+        description="Scenes without failure above the score that marks the 5 % budget of the "
+        "scenes that nothing disturbs, by what disturbs them."
+    )
+    slips: DisturbedShare | None = Field(
+        description="The same for scenes that were mined again with a slip in each; null: not run."
+    )
+
+
+def planted_table(
+    logs: Sequence[MinedLog], *, slipping: Sequence[MinedLog] = (), draws: int
+) -> PlantedTable:
+    """Make the table.
+
+    Args:
+        logs: Of the fleet, mined with its recorded labels.
+        slipping: Some of them, mined again with a slip in every scene.
+        draws: Of the bootstrap; 0 makes no intervals.
+    """
+    scenes = [scene for log in logs for scene in log.scenes]
+    items = items_of(logs)
+    scores = np.array([scene.score for scene in scenes])
+    views = sorted({name for scene in scenes for name in scene.views})
+    others = {name: np.array([scene.views[name] for scene in scenes]) for name in views}
+    baselines = {RANDOM: random_row(items)}
+    baselines |= {name: row_of(view, items, draws=draws) for name, view in others.items()}
+    mine = row_of(scores, items, draws=draws)
+    best = best_of(baselines)
+    said = attribute(track for scene in scenes for track in scene.tracks)
+    shared = common_mode(scenes)
+    return PlantedTable(
+        **mine.model_dump(),
+        failing_scenes=int(items.wanted.sum()),
+        planted=sum(log.planted for log in logs),
+        unseen=sum(log.unseen for log in logs),
+        baselines=baselines,
+        best_baseline=best,
+        gain=_gain(mine.ap, baselines[best].ap),
+        gain_interval=_gain_interval(scores, others.get(best), items, draws),
+        attribution_accuracy=said.accuracy,
+        attribution=said,
+        common_mode_recall=shared.recall,
+        common_mode=shared,
+        calibration=calibrate(scores, items.wanted),
+        kinds=by_kind(scenes, scores),
+        disturbances=by_disturbance(scenes),
+        slips=slipped(scenes, [scene for log in slipping for scene in log.scenes]),
+    )
+
+
+def items_of(logs: Sequence[MinedLog]) -> Items:
+    """Make scenes what is ranked; a failure that goes on over several scenes is one."""
+    scenes = [scene for log in logs for scene in log.scenes]
+    return Items(
+        logs=np.repeat(np.arange(len(logs)), [len(log.scenes) for log in logs]),
+        wanted=np.array([scene.fails for scene in scenes], dtype=np.bool_),
+        failures=[names_of(scene, log.log_id) for log in logs for scene in log.scenes],
+        minutes=np.array([scene.seconds / MINUTE_S for scene in scenes]),
+        scenes=len(scenes),
+    )
+
+
+def names_of(scene: SceneRow, log_id: str) -> list[str]:
+    """Name the failures of a scene: one thing of a log failing in one way is one failure.
+
+    A swap fails on two things, a limit of range on all beyond it: by kind they are one.
+    """
+    names = Counter(
+        f"{log_id} {each.kind} {'' if each.kind in _OF_MANY else each.track} "
+        f"{scene.cell if each.track < 0 or each.kind in _OF_MANY else ''}"
+        for each in scene.failing
+    )
+    return sorted(names)
+
+
+_OF_MANY: Final = ("label_swap", "range_limit")
+
+
+def _gain(ap: float | None, other: float | None) -> float | None:
+    if ap is None or other is None or other >= 1.0:
+        return None
+    return round((ap - other) / (1.0 - other), 4)
+
+
+def _gain_interval(
+    scores: NDArray[np.float64], other: NDArray[np.float64] | None, items: Items, draws: int
+) -> Interval | None:
+    if other is None or not draws:
+        return None
+
+    def gain(drawn: NDArray[np.int64]) -> tuple[float | None]:
+        wanted = items.wanted[drawn]
+        mine, theirs = (retrieve(each[drawn], wanted, ()).ap for each in (scores, other))
+        return (_gain(mine, theirs),)
+
+    return bootstrap(items.logs.tolist(), gain, draws=draws)[0]

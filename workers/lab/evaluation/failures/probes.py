@@ -1,0 +1,190 @@
+"""How unsure the networks are of every point: entropy, margin, MC-dropout, a second network.
+
+What a user without a second stream would rank by; none of it changes a label.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import tee
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final, Self
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from schemas.frame import PosedFrame
+from schemas.labels import FrameLabels, MotionLabel
+from schemas.mining import MiningSettings
+from schemas.task import Task
+from workers.lidar.range_image import RangeImage
+from workers.supervised.networks import RangeImageNetwork
+from workers.supervised.stream import SHIPPED, RangeImageStream
+from workers.supervised.uncertainty import mc_dropout
+from workers.supervised.weights import LoadedWeights
+
+PASSES: Final = 8
+PROBED: Final = "salsanext-lmnet"
+"""The stream that can be."""
+
+Views = Mapping[str, NDArray[np.float32]]
+
+
+@dataclass(frozen=True, slots=True)
+class Probing:
+    """What is asked of the networks beside their labels.
+
+    Attributes:
+        dropout_every: MC-dropout on one frame in so many; 0: none.
+        second: Folder of the weights of a second pair of networks; empty: none.
+    """
+
+    dropout_every: int = 0
+    second: str = ""
+
+
+NO_PROBING: Final = Probing()
+
+
+class ProbedStream:
+    """A stream of two networks that keeps, for a while, how unsure it was of each point.
+
+    Labels, and the version, are those of the stream itself.
+    """
+
+    def __init__(self, inner: "_Noting", second: RangeImageStream | None) -> None:
+        self._inner, self._second = inner, second
+        self._kept: dict[int, Views] = {}
+
+    @classmethod
+    def of(cls, settings: MiningSettings, probing: Probing) -> Self | None:
+        """Probe the stream that the settings name; None where it is none of two networks."""
+        if settings.supervised != PROBED:
+            return None
+        folder = Path(settings.weights) if settings.weights else SHIPPED
+        inner = _Noting.salsanext_lmnet(folder)
+        inner.ask_again(every=probing.dropout_every)
+        other = RangeImageStream.salsanext_lmnet(Path(probing.second)) if probing.second else None
+        return cls(inner, other)
+
+    @property
+    def version(self) -> str:
+        """That of the stream that is probed."""
+        return self._inner.version
+
+    @property
+    def task(self) -> Task:
+        """That of the stream that is probed."""
+        return self._inner.task
+
+    @property
+    def class_names(self) -> tuple[str, ...]:
+        """Those of the stream that is probed."""
+        return self._inner.class_names
+
+    def __call__(self, frames: Iterable[PosedFrame]) -> Iterator[FrameLabels]:
+        """Yield the labels of each frame, in order."""
+        self._kept.clear()
+        self._inner.begin()
+        stamped, mine, others = tee(frames, 3)
+        second = self._second(others) if self._second is not None else None
+        for posed, said in zip(stamped, self._inner(mine), strict=True):
+            unsure = dict(self._inner.noted)
+            if second is not None:
+                unsure["ensemble"] = np.abs(_dynamic(said) - _dynamic(next(second)))
+            self._kept[posed.frame.stamp_ns] = unsure
+            yield said
+
+    def take(self, stamp_ns: int) -> Views:
+        """Hand over what was kept of a frame, and forget it and all earlier ones."""
+        views = self._kept.get(stamp_ns, {})
+        for stamp in [each for each in self._kept if each <= stamp_ns]:
+            del self._kept[stamp]
+        return views
+
+
+class _Noting(RangeImageStream):
+    """The stream itself, which notes of each frame what its networks say pixel by pixel."""
+
+    noted: Views = MappingProxyType({})
+    _asked_again: Sequence["_AskedAgain"] = ()
+
+    def ask_again(self, *, every: int) -> None:
+        """Let the networks drop channels at random on one frame in so many; 0: never."""
+        if every:
+            self._asked_again = [_AskedAgain(each, every) for each in self._networks]
+            self._networks = list(self._asked_again)
+
+    def begin(self) -> None:
+        """Begin a log anew."""
+        for network in self._asked_again:
+            network.frame = 0
+
+    def _fused(
+        self, image: RangeImage, answers: Sequence[NDArray[np.float32]], *, has_past: bool
+    ) -> FrameLabels:
+        entropy = np.mean([_entropy(each) for each in answers], axis=0)
+        margin = np.max([_narrowness(each) for each in answers], axis=0)
+        noted = {"entropy": _at(image, entropy), "margin": _at(image, margin)}
+        spreads = [each.spread for each in self._asked_again if each.spread is not None]
+        if spreads:
+            noted["mc_dropout"] = _at(image, np.max(spreads, axis=0))
+        self.noted = noted
+        return super()._fused(image, answers, has_past=has_past)
+
+
+class _AskedAgain:
+    """A network that is asked eight times more now and then, without some of its channels.
+
+    Attributes:
+        frame: How many frames it has seen.
+        spread: (H, W) how much these answers to the last frame differ; None if it was not asked.
+    """
+
+    def __init__(self, inner: RangeImageNetwork, every: int) -> None:
+        self._inner, self._every = inner, every
+        self.profile, self.channels = inner.profile, inner.channels
+        self.residual, self.classes = inner.residual, inner.classes
+        self.digest = inner.digest
+        self.frame = 0
+        self.spread: NDArray[np.float32] | None = None
+
+    def probabilities(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Answer as the network does, and note how much the other answers spread."""
+        self.spread = None
+        if isinstance(self._inner, LoadedWeights) and self.frame % self._every == 0:
+            asked = torch.from_numpy(image)[None]
+            said = mc_dropout(self._inner.net, asked, passes=PASSES, seed=self.frame)
+            self.spread = said.uncertainty[0].numpy()
+        self.frame += 1
+        return self._inner.probabilities(image)
+
+
+def _dynamic(said: FrameLabels) -> NDArray[np.float32]:
+    """How likely each point is dynamic, from label and confidence; a half where it is unknown."""
+    sure = said.confidence.astype(np.float32)
+    likely = np.where(said.labels == MotionLabel.DYNAMIC, sure, 1.0 - sure)
+    return np.where(said.labels == MotionLabel.UNKNOWN, 0.5, likely).astype(np.float32)
+
+
+def _entropy(answer: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Entropy of (K, H, W) probabilities over that of knowing nothing, 0 to 1."""
+    safe = np.clip(answer, 1e-7, 1.0)
+    entropy: NDArray[np.float32] = -(safe * np.log(safe)).sum(axis=0) / np.log(len(answer))
+    return entropy
+
+
+def _narrowness(answer: NDArray[np.float32]) -> NDArray[np.float32]:
+    """One minus the lead of the best class over the second, (H, W)."""
+    best = np.partition(answer, -2, axis=0)[-2:]
+    narrow: NDArray[np.float32] = 1.0 - (best[1] - best[0])
+    return narrow
+
+
+def _at(image: RangeImage, values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Value of the pixel of each point; NaN where it is in none."""
+    inside = image.row >= 0
+    of_points = np.full(len(image.row), np.nan, np.float32)
+    of_points[inside] = values[image.row[inside], image.column[inside]]
+    return of_points

@@ -1,0 +1,138 @@
+"""The figures of one way to rank, for the tables and the report."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from schemas.arrays import Mask
+from workers.lab.evaluation.failures.intervals import Interval, bootstrap
+from workers.lab.evaluation.failures.retrieval import (
+    BUDGETS,
+    Retrieval,
+    area_under,
+    found_curve,
+    looked_at,
+    name_of,
+    random_retrieval,
+    retrieve,
+)
+
+MAIN_BUDGET: Final = 0.05
+MINUTE_S: Final = 60.0
+RANDOM: Final = "random"
+"""Name of the random order among other ways to rank."""
+
+_CURVE_POINTS: Final = 101
+
+Values = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Items:
+    """What is ranked.
+
+    Attributes:
+        logs: (N,) number of the log of each item.
+        wanted: (N,) which show a failure.
+        failures: Names of the distinct failures that each shows.
+        minutes: (N,) of recording that a look at each takes.
+        scenes: How many scenes they are from.
+    """
+
+    logs: NDArray[np.int64]
+    wanted: Mask
+    failures: Sequence[Sequence[str]]
+    minutes: Values
+    scenes: int
+
+
+class RankingRow(BaseModel):
+    """How well one way to rank finds failures; budgets by percent of what is ranked."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    scenes: int = Field(description="Scenes of the fleet.")
+    failures: int = Field(description="Distinct failures that the labels show.")
+    ranked: int = Field(description="Scenes, or things, that it says something of.")
+    ap: float | None = Field(description="Average precision; null: nothing to be found.")
+    ap_interval: Interval | None = Field(default=None, description="95 %, logs drawn anew.")
+    precision_at: dict[str, float]
+    precision_interval: Interval | None = Field(default=None, description="Of 5 %.")
+    recall_at: dict[str, float | None]
+    lift_at: dict[str, float | None] = Field(description="Precision over that of random order.")
+    lift_interval: Interval | None = Field(default=None, description="Of 5 %.")
+    found_per_minute_at: dict[str, float] = Field(
+        description="Distinct failures found for each minute of recording that is looked at."
+    )
+    found_area: float = Field(description="Under the share of failures found, 0 to 1.")
+    curve: tuple[float, ...] = Field(
+        description="Share of distinct failures found after 0, 1, ... 100 % of what is ranked."
+    )
+
+
+def row_of(scores: Values, items: Items, *, draws: int) -> RankingRow:
+    """Judge one way to rank.
+
+    Args:
+        scores: (N,) of each item; higher is looked at first.
+        items: What is ranked.
+        draws: Of the bootstrap; 0 makes no intervals.
+    """
+    main = name_of(MAIN_BUDGET)
+
+    def figures(drawn: NDArray[np.int64]) -> tuple[float | None, ...]:
+        found = retrieve(scores[drawn], items.wanted[drawn], (MAIN_BUDGET,))
+        return found.ap, found.precision_at[main], found.lift_at[main]
+
+    names = ("ap_interval", "precision_interval", "lift_interval")
+    intervals = bootstrap(items.logs.tolist(), figures, draws=draws) if draws else [None] * 3
+    return _row(
+        retrieve(scores, items.wanted, BUDGETS),
+        found_curve(scores, items.failures),
+        items,
+        **dict(zip(names, intervals, strict=True)),
+    )
+
+
+def random_row(items: Items) -> RankingRow:
+    """What a random order is expected to give; each failure is shown by about one item."""
+    count = len(items.wanted)
+    curve = np.linspace(0.0, 1.0 if items.wanted.any() else 0.0, count + 1)
+    return _row(random_retrieval(items.wanted, BUDGETS), curve, items)
+
+
+def best_of(rows: Mapping[str, RankingRow]) -> str:
+    """Name of the way to rank of the highest average precision."""
+    return max(rows, key=lambda name: (rows[name].ap or 0.0, name))
+
+
+def _row(found: Retrieval, curve: Values, items: Items, **intervals: Interval | None) -> RankingRow:
+    total = len({name for names in items.failures for name in names})
+    minute = float(items.minutes.mean()) if len(items.minutes) else 0.0
+    rates = {}
+    for budget in BUDGETS:
+        looks = looked_at(budget, len(items.wanted))
+        spent = looks * minute
+        rates[name_of(budget)] = round(float(curve[looks]) * total / spent, 4) if spent else 0.0
+    places = np.linspace(0, len(curve) - 1, _CURVE_POINTS).round().astype(np.int64)
+    return RankingRow(
+        scenes=items.scenes,
+        failures=total,
+        ranked=len(items.wanted),
+        ap=_rounded(found.ap),
+        precision_at={name: round(each, 4) for name, each in found.precision_at.items()},
+        recall_at={name: _rounded(each) for name, each in found.recall_at.items()},
+        lift_at={name: _rounded(each) for name, each in found.lift_at.items()},
+        found_per_minute_at=rates,
+        found_area=round(area_under(curve), 4),
+        curve=tuple(round(float(curve[place]), 4) for place in places),
+        **intervals,
+    )
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 4)

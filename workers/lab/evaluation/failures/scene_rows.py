@@ -1,0 +1,153 @@
+"""Rows of one scene: what contradicts in it, the things it holds, and who was wrong about them."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from schemas.arrays import NS_PER_S
+from schemas.attribution import Wrong
+from schemas.contradiction import Instance, Scene, SceneState
+from workers.lab.evaluation.failures.rows import OTHER_KIND, SceneRow, ThingRow, TrackRow
+from workers.lab.evaluation.failures.seen import SeenFrame
+from workers.lab.evaluation.failures.thing_views import thing_views
+from workers.lab.evaluation.failures.things import MIN_POINTS, Thing, find_things
+from workers.lab.evaluation.failures.verdicts import thing_under, verdict_of
+from workers.lab.evaluation.failures.views import views_of
+from workers.lab.simulation.faults.plan import FailureKind
+from workers.lab.simulation.faults.planted_truth import FailureRow, PlantedTruth
+from workers.pipeline import MinedScene
+
+
+def scene_row(
+    mined: MinedScene, seen: Sequence[SeenFrame], planted: PlantedTruth, cell: int
+) -> tuple[SceneRow, set[int]]:
+    """Judge a mined scene.
+
+    Args:
+        mined: The scene with its record.
+        seen: Its frames with their truth.
+        planted: What was planted in its log.
+        cell: Which scene of its log it is.
+
+    Returns:
+        Its row, and which of the planted failures its labels show.
+    """
+    scene = mined.scene
+    things = find_things(scene, seen)
+    rows, shown = [], set[int]()
+    for thing in things:
+        due = _planted_as(thing, scene, planted) if thing.fails else None
+        if due is not None:
+            shown.add(due)
+        rows.append(_thing_row(thing, seen, None if due is None else planted.failures[due]))
+    scored = mined.score.state is SceneState.SCORED
+    tracks, strays = _track_rows(mined, seen, things, counts=1.0 if scored else 0.0)
+    disturbance = next((each.kind for each in planted.disturbances if each.scene == cell), "")
+    row = SceneRow(
+        scene_id=scene.scene_id,
+        start_ns=scene.start_ns,
+        cell=cell,
+        state=mined.score.state.value,
+        score=mined.score.score,
+        seconds=round((scene.end_ns - scene.start_ns) / NS_PER_S, 3),
+        blind_share=0.0 if mined.score.health is None else mined.score.health.blind_share,
+        views=_rounded(views_of(scene)),
+        things=tuple(rows + strays),
+        tracks=tuple(tracks),
+        disturbance=str(disturbance),
+        hard=planted.hard,
+    )
+    return row, shown
+
+
+def _planted_as(thing: Thing, scene: Scene, planted: PlantedTruth) -> int | None:
+    """Which planted failure a failing thing is: its track or partner, or a ghost, at the time."""
+    stamps = [scene.frames[number].stamp_ns for number in thing.failing]
+    for number, each in enumerate(planted.failures):
+        during = sum(each.start_ns <= stamp < each.end_ns for stamp in stamps)
+        mine = thing.track >= 0 and thing.track in (each.track, each.other_track)
+        ghost = each.kind is FailureKind.GHOST_MOVER and thing.track < 0 and not thing.moves
+        limit = each.kind is FailureKind.RANGE_LIMIT and thing.moves
+        if 2 * during > len(stamps) and (mine or ghost or limit):
+            return number
+    return None
+
+
+def _thing_row(thing: Thing, seen: Sequence[SeenFrame], planted: FailureRow | None) -> ThingRow:
+    numbers = thing.failing if thing.fails else tuple(thing.points)
+    wrong = points = 0
+    for number in numbers:
+        mine = thing.points[number]
+        points += len(mine)
+        wrong += int(seen[number].wrong(seen[number].labelled.predictive)[mine].sum())
+    kind = "" if not thing.fails else OTHER_KIND if planted is None else planted.kind.value
+    sizes = [len(mine) for mine in thing.points.values()]
+    return ThingRow(
+        key=thing.key,
+        track=thing.track,
+        class_name=thing.class_name,
+        moves=thing.moves,
+        frames=sum(size >= MIN_POINTS for size in sizes),
+        points=int(np.median(sizes)),
+        fails=thing.fails,
+        kind=kind,
+        common_mode=planted is not None and planted.common_mode and thing.track == planted.track,
+        other_wrong_share=round(wrong / points, 4) if points else 0.0,
+        views=_rounded(thing_views(thing.points, seen)),
+    )
+
+
+def _track_rows(
+    mined: MinedScene, seen: Sequence[SeenFrame], things: Sequence[Thing], *, counts: float
+) -> tuple[list[TrackRow], list[ThingRow]]:
+    """Rows of the contradicting tracks, and of what they lie on where that is no thing yet.
+
+    A stray is what the supervised stream is right about, or too little to be a failure.
+    """
+    rows: list[TrackRow] = []
+    strays: list[ThingRow] = []
+    for each in mined.tracks:
+        members = [mined.instances[member] for member in each.track.members]
+        key, track = thing_under(members, seen, things)
+        verdict = verdict_of(members, seen, track=track)
+        if not key and verdict in (Wrong.SELFSUPERVISED, Wrong.NEITHER):
+            stray = _stray(f"stray {len(strays)}", members, seen, track)
+            strays.append(stray)
+            key = stray.key
+        rows.append(
+            TrackRow(
+                kind=each.track.kind.name,
+                strength=round(counts * each.strength, 4),
+                presence=each.presence,
+                gate=counts * each.gate,
+                frames=len(members),
+                points=each.points,
+                thing=key,
+                true_track=track,
+                verdict=verdict,
+                said=each.attribution,
+                evidence=each.evidence.named(),
+            )
+        )
+    return rows, strays
+
+
+def _stray(
+    key: str, members: Sequence[Instance], seen: Sequence[SeenFrame], track: int
+) -> ThingRow:
+    points = {each.frame_index: each.point_index for each in members}
+    moving = np.concatenate([seen[number].moving[mine] for number, mine in points.items()])
+    thing = Thing(
+        key=key,
+        track=track,
+        class_name=seen[members[0].frame_index].class_of(track) if track >= 0 else "",
+        moves=bool(2 * moving.sum() > len(moving)),
+        points=points,
+        failing=(),
+        fails=False,
+    )
+    return _thing_row(thing, seen, None)
+
+
+def _rounded(views: Mapping[str, float]) -> dict[str, float]:
+    return {name: round(float(value), 6) for name, value in views.items()}

@@ -1,0 +1,74 @@
+"""One frame as it is judged: what was said of its points, and what they really are."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import Mask
+from schemas.contradiction import LabelledFrame
+from schemas.labels import FrameLabels, MotionLabel
+from workers.lab.evaluation.truth.truth import TRUTH_DYNAMIC, TRUTH_UNKNOWN, FrameTruth
+
+
+@runtime_checkable
+class TellsUnsureness(Protocol):
+    """A stream that keeps for a while how unsure it was of each point."""
+
+    def take(self, stamp_ns: int) -> Mapping[str, NDArray[np.float32]]:
+        """Hand over what was kept of the frame of this stamp."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenFrame:
+    """A labelled frame of a scene with its truth.
+
+    Attributes:
+        labelled: What both streams said.
+        truth: What its points are; None where truth does not tell.
+        unsure: How unsure the networks were of each point, (N,) by the name of the measure.
+    """
+
+    labelled: LabelledFrame
+    truth: FrameTruth | None
+    unsure: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
+
+    @property
+    def motion(self) -> NDArray[np.uint8]:
+        """(N,) true motion, in codes of the truth."""
+        if self.truth is None:
+            return np.full(len(self.labelled.agreements), TRUTH_UNKNOWN, np.uint8)
+        return self.truth.motion
+
+    @property
+    def known(self) -> Mask:
+        """(N,) points whose true motion is known."""
+        known: Mask = self.motion != TRUTH_UNKNOWN
+        return known
+
+    @property
+    def moving(self) -> Mask:
+        """(N,) points that truly move."""
+        moving: Mask = self.motion == TRUTH_DYNAMIC
+        return moving
+
+    @property
+    def track(self) -> NDArray[np.int64]:
+        """(N,) true object of each point, -1 none."""
+        if self.truth is None or self.truth.track is None:
+            return np.full(len(self.labelled.agreements), -1, np.int64)
+        return self.truth.track.astype(np.int64)
+
+    def wrong(self, said: FrameLabels) -> Mask:
+        """(N,) points of which a stream says the opposite of the truth; silence is not wrong."""
+        told = self.known & (said.labels != MotionLabel.UNKNOWN)
+        wrong: Mask = told & ((said.labels == MotionLabel.DYNAMIC) != self.moving)
+        return wrong
+
+    def class_of(self, track: int) -> str:
+        """What truth calls an object; empty where it does not say."""
+        known = self.truth.objects.get(track) if self.truth is not None else None
+        return "" if known is None else known.class_name

@@ -1,0 +1,58 @@
+"""Whether disturbances that are no failure of the model rise in the ranking: they must not."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from workers.lab.evaluation.failures.retrieval import looked_at
+from workers.lab.evaluation.failures.rows import SceneRow
+
+BUDGET: Final = 0.05
+NOTHING: Final = "none"
+
+
+class DisturbedShare(BaseModel):
+    """Scenes without failure that a reviewer with a 5 % budget would have been shown."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    scenes: int = Field(description="Without failure.")
+    above: int = Field(description="Of them, above the score that marks the budget.")
+    share: float | None
+    threshold: float = Field(description="That score, of the scenes that nothing disturbs.")
+
+
+def threshold_of(scenes: Sequence[SceneRow]) -> float:
+    """Find the score that marks the 5 % budget of the scenes that nothing disturbs."""
+    scores = np.sort([scene.score for scene in scenes if not scene.disturbance])[::-1]
+    return float(scores[looked_at(BUDGET, len(scores)) - 1]) if len(scores) else 1.0
+
+
+def by_disturbance(scenes: Sequence[SceneRow]) -> dict[str, DisturbedShare]:
+    """Count scenes without failure above that score, by what disturbs them; hard ones apart."""
+    threshold = threshold_of(scenes)
+    quiet = [scene for scene in scenes if not scene.fails]
+    groups: dict[str, list[SceneRow]] = {}
+    for scene in quiet:
+        groups.setdefault(scene.disturbance or NOTHING, []).append(scene)
+    groups["hard log"] = [scene for scene in quiet if scene.hard and not scene.disturbance]
+    return {name: _share(group, threshold) for name, group in sorted(groups.items())}
+
+
+def slipped(scenes: Sequence[SceneRow], again: Sequence[SceneRow]) -> DisturbedShare | None:
+    """Count scenes that were mined again with a slip in each, against the same score."""
+    if not again:
+        return None
+    return _share([scene for scene in again if not scene.fails], threshold_of(scenes))
+
+
+def _share(scenes: Sequence[SceneRow], threshold: float) -> DisturbedShare:
+    above = sum(scene.score > threshold for scene in scenes)
+    return DisturbedShare(
+        scenes=len(scenes),
+        above=above,
+        share=round(above / len(scenes), 4) if scenes else None,
+        threshold=round(threshold, 4),
+    )

@@ -1,0 +1,1 @@
+"""Motion labels against truth, log by log, disturbed or not."""

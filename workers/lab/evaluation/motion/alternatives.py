@@ -1,0 +1,60 @@
+"""The streams that are judged, by name: those of the settings, or parts side by side."""
+
+from collections.abc import Iterable
+from typing import Final
+
+from schemas.mining import MiningSettings
+from schemas.task import MOTION
+from workers.errors import UnknownPartError
+from workers.lab.evaluation.motion.counts import StreamName
+from workers.parts.protocols import Stream
+from workers.parts.registry import (
+    SELFSUPERVISED,
+    SUPERVISED,
+    build_selfsupervised,
+    build_supervised,
+)
+from workers.version import files_of
+
+OF_SETTINGS: Final[tuple[StreamName, ...]] = ("selfsupervised", "supervised")
+"""Whatever parts the settings name for these two."""
+
+
+def is_supervised(name: StreamName) -> bool:
+    """Say whether a stream's labels come of a supervised model."""
+    return name == "supervised" or name in SUPERVISED
+
+
+def build_streams(
+    names: Iterable[StreamName], settings: MiningSettings
+) -> dict[StreamName, Stream]:
+    """Build streams by name, each once, in the order given.
+
+    Args:
+        names: `selfsupervised`, `supervised`, or a part of either kind.
+        settings: What the first two stand for.
+
+    Raises:
+        UnknownPartError: If one does not exist, the message lists those that do; or if it answers
+            another task than motion.
+    """
+    streams = {name: _build(name, settings) for name in dict.fromkeys(names)}
+    for name, stream in streams.items():
+        if stream.task != MOTION:
+            raise UnknownPartError(
+                f"stream {name!r} answers the task {stream.task.name}; motion is judged here"
+            )
+    return streams
+
+
+def _build(name: StreamName, settings: MiningSettings) -> Stream:
+    if name in OF_SETTINGS:
+        if is_supervised(name):
+            return build_supervised(settings.supervised, files_of(settings))
+        return build_selfsupervised(settings.selfsupervised, files_of(settings))
+    if name in SUPERVISED:
+        return build_supervised(name, files_of(settings))
+    if name in SELFSUPERVISED:
+        return build_selfsupervised(name, files_of(settings))
+    known = ", ".join([*OF_SETTINGS, *sorted(SELFSUPERVISED), *sorted(SUPERVISED)])
+    raise UnknownPartError(f"no stream {name!r}; known: {known}")

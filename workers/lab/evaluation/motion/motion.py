@@ -1,0 +1,181 @@
+"""Judges motion labels against truth, on the very path that mining takes."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import Mask, MotionLabels, Points
+from schemas.mining import MiningSettings
+from schemas.task import MOTION
+from schemas.transport.bucket import open_bucket
+from workers.contradiction.compare import compare
+from workers.lab.evaluation.motion.alternatives import OF_SETTINGS, build_streams, is_supervised
+from workers.lab.evaluation.motion.counting import count_frame
+from workers.lab.evaluation.motion.counts import LogCounts, StreamCounts, StreamName, total_of
+from workers.lab.evaluation.motion.disturbance import Disturbance
+from workers.lab.evaluation.motion.judged import Answered, answers_of
+from workers.lab.evaluation.motion.table import LogEvaluation, evaluation_of
+from workers.lab.evaluation.truth.truth import FrameTruth, LogTruth, logs_with_truth
+from workers.parts.registry import build_odometry
+
+UNDISTURBED = Disturbance()
+
+_DIFFERING = [kind.code for kind in MOTION.kinds if not kind.of_witness]
+"""Outcomes in which the two streams differ; where only the witness does, they agree."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JudgedFrame:
+    """One frame that was judged: M points, those of the beams that were kept.
+
+    Attributes:
+        stream: Whose labels they are.
+        log_id: Whose it is.
+        name: As its truth is named, `x/y/NNNNNN`.
+        points_m: (M, 3) sensor space.
+        labels: (M,) of the judged stream.
+        confirmed: (M,) which of them it confirms; None where it does not tell.
+        truth: (M,) true motion, in codes of the truth.
+        kept: (N,) which points of the recorded cloud they are; None for all.
+    """
+
+    stream: StreamName
+    log_id: str
+    name: str
+    points_m: Points
+    labels: MotionLabels
+    confirmed: Mask | None
+    truth: NDArray[np.uint8]
+    kept: Mask | None
+
+
+def evaluate_motion(
+    bucket_url: str,
+    truth: Path,
+    *,
+    frames: tuple[int, int | None] = (0, None),
+    settings: MiningSettings,
+    stream: StreamName | Sequence[StreamName] = "selfsupervised",
+    both: bool = True,
+    disturbance: Disturbance = UNDISTURBED,
+    on_frame: Callable[[JudgedFrame], None] = lambda judged: None,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[LogEvaluation]:
+    """Judge a stream's motion labels on every log of a bucket that has truth.
+
+    Each log is one shard, so that streams keep their state from its first frame on; odometry and
+    streams are those of the settings, read and posed as a worker would.
+
+    Args:
+        bucket_url: URL or path of the bucket.
+        truth: Folder of truth: that of `x/y.mcap` lies in `x/y`.
+        frames: First frame that is judged and the first that is not any more (None: all the rest),
+            counted in each log; earlier ones run through the streams unjudged.
+        settings: Names of the parts and how logs are read.
+        stream: Whose figures stand at the top of each row: `selfsupervised` or `supervised` as the
+            settings name them, or a part by name; several are judged side by side, on the same
+            frames and poses.
+        both: Where one of the first two is judged, run the other too, for its table and for the
+            share of contradicted points.
+        disturbance: What the logs are made worse by before anything sees them.
+        on_frame: Told of each judged frame what each stream at the top said about it.
+        on_progress: Told how many frames are done, and of about how many.
+
+    Returns:
+        One row for each log and stream, and last ones, `all`, of the counts of all logs.
+
+    Raises:
+        TruthUnusableError: If no log has truth, or truth does not fit its log.
+        LogUnusableError: If a log with truth cannot be mined.
+        UnknownPartError: If a stream does not exist.
+    """
+    chosen = (stream,) if isinstance(stream, str) else tuple(dict.fromkeys(stream))
+    alone = chosen[0] if len(chosen) == 1 else ""
+    beside = tuple(name for name in OF_SETTINGS if both and alone in OF_SETTINGS and name != alone)
+    streams = build_streams((*chosen, *beside), settings)
+    bucket = open_bucket(bucket_url)
+    known = logs_with_truth(bucket, truth)
+    odometry = build_odometry(settings.odometry)
+    judged = [_clipped(frames, len(found)) for _, found in known]
+    total = sum(each.stop for each in judged if each)
+    rows, counts, done = [], [], 0
+    for (recording, found), numbers in zip(known, judged, strict=True):
+        counted = LogCounts(streams={name: StreamCounts() for name in streams})
+        run = answers_of(
+            bucket,
+            recording,
+            found,
+            odometry=odometry,
+            streams=streams,
+            settings=settings,
+            disturbance=disturbance,
+        )
+        for answered in run if numbers else ():
+            if answered.number >= numbers.stop:
+                break
+            done += disturbance.every
+            on_progress(done, total)
+            true = found.of(answered.whole, number=answered.number)
+            if answered.number in numbers and true is not None:
+                true = true if answered.kept is None else true.of_points(answered.kept)
+                _count(counted, answered, true, recording.log_id)
+                for each in chosen:
+                    on_frame(_judged(answered, each, true, recording.log_id, found))
+        counts.append(counted)
+        rows.extend(_rows(recording.log_id, counted, chosen, beside))
+    return [*rows, *_rows("all", total_of(counts), chosen, beside)]
+
+
+def _rows(
+    log: str, counts: LogCounts, chosen: Sequence[StreamName], beside: Sequence[StreamName]
+) -> list[LogEvaluation]:
+    return [evaluation_of(log, counts, stream=name, beside=beside) for name in chosen]
+
+
+def _clipped(frames: tuple[int, int | None], length: int) -> range:
+    first, last = frames
+    return range(first, length if last is None else min(last, length))
+
+
+def _judged(
+    answered: Answered, stream: StreamName, true: FrameTruth, log_id: str, truth: LogTruth
+) -> JudgedFrame:
+    said = answered.labels[stream]
+    return JudgedFrame(
+        stream=stream,
+        log_id=log_id,
+        name=truth.name_of(answered.number),
+        points_m=answered.posed.frame.points_m,
+        labels=said.labels,
+        confirmed=said.confirmed,
+        truth=true.motion,
+        kept=answered.kept,
+    )
+
+
+def _count(counts: LogCounts, answered: Answered, true: FrameTruth, log_id: str) -> None:
+    counts.frames += 1
+    for stage, took_ms in answered.stage_ms.items():
+        counts.stage_ms.setdefault(stage, []).append(took_ms)
+    for name, said in answered.labels.items():
+        counts.streams[name].add(
+            count_frame(
+                said,
+                true,
+                answered.posed.frame.points_m,
+                log_id=log_id,
+                odom_from_sensor=answered.posed.odom_from_sensor,
+            )
+        )
+    supervised = [name for name in answered.labels if is_supervised(name)]
+    others = [name for name in answered.labels if not is_supervised(name)]
+    for semantic, predictive in product(supervised, others):
+        agreements = compare(answered.labels[semantic].labels, answered.labels[predictive].labels)
+        differs = np.isin(agreements, _DIFFERING)
+        compared = np.count_nonzero(agreements != MOTION.not_compared)
+        counts.compared[semantic, predictive] += int(compared)
+        counts.contradicted[semantic, predictive] += int(np.count_nonzero(differs))

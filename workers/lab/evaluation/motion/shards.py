@@ -1,0 +1,159 @@
+"""Whether labels hang on where a log was cut: those of shards beside those of the whole log."""
+
+from collections.abc import Callable, Iterator
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from schemas.arrays import NS_PER_S
+from schemas.errors import PermanentError
+from schemas.frame import LidarFrame
+from schemas.mining import MiningSettings
+from schemas.transport.bucket import Bucket, open_bucket
+from schemas.transport.recordings import group_recordings
+from schemas.work import Recording, Shard
+from workers.ingest.plan import plan_recording
+from workers.ingest.read import read_shard
+from workers.lab.evaluation.truth.whole_log import shards_of_log
+from workers.parts.protocols import Odometry, Stream
+from workers.parts.registry import build_odometry, build_selfsupervised
+
+FROM_S: Final = (0, 1, 2, 5, 10)
+"""What is left of a warm-up too short shows in the first seconds of a window."""
+
+Labels = dict[int, NDArray[np.uint8]]
+
+
+class NoShardsError(PermanentError):
+    """No log of a bucket is long enough to be cut."""
+
+
+class ShardsEvaluation(BaseModel):
+    """How labels of shards agree with those of the whole log."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    log: str = Field(description="Log id, or `all`.")
+    shards: int = Field(description="How many the log was cut into.")
+    points: int = Field(description="Points in their windows.")
+    equal_share: float = Field(description="Of those, with the same label as in the whole log.")
+    equal_by_second: dict[str, float] = Field(
+        description="The same of windows that something was read before, from so many seconds on."
+    )
+
+
+class _Counted:
+    """Points in windows, and how many of them have the same label."""
+
+    def __init__(self) -> None:
+        self.shards = self.points = self.equal = 0
+        self.by_second = np.zeros((len(FROM_S), 2), np.int64)
+
+    def add(self, other: "_Counted") -> None:
+        """Take in what was counted elsewhere."""
+        self.shards, self.points = self.shards + other.shards, self.points + other.points
+        self.equal += other.equal
+        self.by_second += other.by_second
+
+    def compare(self, shard: Shard, whole: Labels, part: Labels) -> None:
+        """Count the frames of one window."""
+        self.shards += 1
+        for stamp_ns, labels in part.items():
+            equal = int((labels == whole[stamp_ns]).sum())
+            self.points, self.equal = self.points + len(labels), self.equal + equal
+            if not shard.warmup_start_ns < shard.start_ns:
+                continue
+            since_s = (stamp_ns - shard.start_ns) / NS_PER_S
+            at = int(np.searchsorted(FROM_S, since_s, side="right")) - 1
+            self.by_second[at] += len(labels), equal
+
+    def row(self, log: str) -> ShardsEvaluation:
+        """Sum up."""
+        return ShardsEvaluation(
+            log=log,
+            shards=self.shards,
+            points=self.points,
+            equal_share=round(self.equal / max(self.points, 1), 6),
+            equal_by_second={
+                str(begin): round(int(equal) / int(points), 6)
+                for begin, (points, equal) in zip(FROM_S, self.by_second, strict=True)
+                if points
+            },
+        )
+
+
+def evaluate_shards(
+    bucket_url: str,
+    *,
+    settings: MiningSettings,
+    on_progress: Callable[[int], None] = lambda done: None,
+) -> list[ShardsEvaluation]:
+    """Label every log whole and in shards, of its first lidar, and compare point by point.
+
+    Args:
+        bucket_url: URL or path of the bucket.
+        settings: Odometry, self-supervised stream, and the grid that logs are cut on.
+        on_progress: Told how many frames are done.
+
+    Returns:
+        One row for each log of more than one shard, and a last one, `all`.
+
+    Raises:
+        NoShardsError: If no log has more than one.
+        UnknownPartError: If a part does not exist.
+    """
+    bucket, rows, total, done = open_bucket(bucket_url), list[ShardsEvaluation](), _Counted(), 0
+    odometry = build_odometry(settings.odometry)
+    stream = build_selfsupervised(settings.selfsupervised)
+
+    def labels(recording: Recording, shard: Shard) -> Labels:
+        nonlocal done
+        said = Labels()
+        for stamp_ns, of_frame in _labelled(bucket, recording, shard, settings, odometry, stream):
+            done += 1
+            on_progress(done)
+            if shard.start_ns <= stamp_ns < shard.end_ns:
+                said[stamp_ns] = of_frame
+        return said
+
+    for recording in group_recordings(bucket.list()):
+        plan = plan_recording(bucket, recording, settings)
+        shards = [shard for shard in plan.shards if shard.lidar.topic == plan.lidar_topics[0]]
+        if len(shards) < 2:
+            continue
+        whole = Labels()
+        for shard in shards_of_log(bucket, recording, settings):
+            whole |= labels(recording, shard)
+        counted = _Counted()
+        for shard in shards:
+            counted.compare(shard, whole, labels(recording, shard))
+        rows.append(counted.row(recording.log_id))
+        total.add(counted)
+    if not rows:
+        raise NoShardsError(
+            f"no log of {bucket.url} is longer than a shard of {settings.grid.shard_s:g} s: "
+            "cut them into shorter ones, such as --shard-seconds 2"
+        )
+    return [*rows, total.row("all")]
+
+
+def _labelled(
+    bucket: Bucket,
+    recording: Recording,
+    shard: Shard,
+    settings: MiningSettings,
+    odometry: Odometry,
+    stream: Stream,
+) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+    """Yield the time of each frame of a shard, warm-up included, and the labels of its points."""
+    stamps: list[int] = []
+
+    def read() -> Iterator[LidarFrame]:
+        for frame in read_shard(bucket, recording, shard, settings).frames():
+            stamps.append(frame.stamp_ns)
+            yield frame
+
+    for number, labels in enumerate(stream(odometry(read()))):
+        yield stamps[number], labels.labels

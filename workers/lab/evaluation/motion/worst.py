@@ -1,0 +1,44 @@
+"""Remembers the frames that a stream labelled worst."""
+
+import heapq
+
+import numpy as np
+
+from schemas.labels import MotionLabel
+from workers.lab.evaluation.motion.counts import RANGES_M
+from workers.lab.evaluation.motion.motion import JudgedFrame
+from workers.lab.evaluation.truth.truth import TRUTH_DYNAMIC, TRUTH_STATIC
+
+
+def wrong_points(judged: JudgedFrame) -> int:
+    """Count the points under 80 m that move and were not found, or stand and were called dynamic.
+
+    Points of unknown truth are never wrong.
+    """
+    near = np.hypot(judged.points_m[:, 0], judged.points_m[:, 1]) < RANGES_M[-1]
+    called = judged.labels == MotionLabel.DYNAMIC
+    wrong = (judged.truth == TRUTH_DYNAMIC) & ~called | (judged.truth == TRUTH_STATIC) & called
+    return int((near & wrong).sum())
+
+
+class WorstFrames:
+    """Keeps the frames with most wrong points, and no more of them than asked for."""
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+        self._heap: list[tuple[int, int, JudgedFrame]] = []
+        self._seen = 0
+
+    def add(self, judged: JudgedFrame) -> None:
+        """Look at one more frame; of two that are equally bad, the earlier is kept."""
+        self._seen += 1
+        entry = (wrong_points(judged), -self._seen, judged)
+        if len(self._heap) < self._count:
+            heapq.heappush(self._heap, entry)
+        else:
+            heapq.heappushpop(self._heap, entry)
+
+    @property
+    def frames(self) -> list[JudgedFrame]:
+        """What is kept, worst first."""
+        return [judged for _, _, judged in sorted(self._heap, key=lambda e: e[:2], reverse=True)]

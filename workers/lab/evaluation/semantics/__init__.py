@@ -1,0 +1,1 @@
+"""Classes of the supervised stream against truth."""

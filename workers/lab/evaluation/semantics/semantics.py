@@ -1,0 +1,127 @@
+"""Classes of the supervised stream against truth: intersection over union, class by class."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from schemas.mining import MiningSettings
+from schemas.transport.bucket import open_bucket
+from schemas.transport.recordings import group_recordings
+from workers.errors import UnknownPartError
+from workers.lab.evaluation.motion.alternatives import build_streams
+from workers.lab.evaluation.motion.disturbance import Disturbance
+from workers.lab.evaluation.motion.judged import answers_of
+from workers.lab.evaluation.semantics.confusion import class_iou, joint_iou
+from workers.lab.evaluation.truth.class_table import COARSE, MOVABLE, coarse_of_names
+from workers.lab.evaluation.truth.truth import LogTruth, TruthUnusableError
+from workers.parts.registry import build_odometry
+
+
+class SemanticsEvaluation(BaseModel):
+    """How a stream's classes fit the truth of one log, or of all."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    log: str = Field(description="Log id, or `all`.")
+    frames: int = Field(description="How many were judged.")
+    points: int = Field(description="Points whose class truth tells.")
+    miou: float | None = Field(description="Mean over the classes that truth has.")
+    iou: dict[str, float] = Field(description="Of each coarse class that truth has.")
+    movable_iou: float | None = Field(description="All classes that can move, taken together.")
+    unanswered_share: float | None = Field(description="Of those points, without a class.")
+
+
+def evaluate_semantics(
+    bucket_url: str,
+    truth: Path,
+    *,
+    frames: range | None = None,
+    settings: MiningSettings,
+    stream: str = "supervised",
+    on_progress: Callable[[int], None] = lambda done: None,
+) -> list[SemanticsEvaluation]:
+    """Judge a stream's classes on every log of a bucket whose truth has some.
+
+    Classes are compared in the coarse ones of `class_table`; a point without an answer is a miss of
+    its class. Every log runs from its first frame on.
+
+    Args:
+        bucket_url: URL or path of the bucket.
+        truth: Folder of truth: that of `x/y.mcap` lies in `x/y`.
+        frames: Which frames are judged, counted in each log; None for all.
+        settings: Names of the parts and how logs are read.
+        stream: `supervised`, as the settings name it, or a part by name.
+        on_progress: Told how many frames are done.
+
+    Returns:
+        One row for each log, and a last one, `all`, of the points of all logs.
+
+    Raises:
+        TruthUnusableError: If no log has truth with classes.
+        UnknownPartError: If the stream does not exist or knows no classes.
+    """
+    judged = build_streams([stream], settings)
+    bucket, odometry = open_bucket(bucket_url), build_odometry(settings.odometry)
+    rows, total, done, all_frames = [], _empty(), 0, 0
+    for recording in group_recordings(bucket.list()):
+        found = LogTruth.beside(recording, truth)
+        if found is None:
+            continue
+        confusion, counted = _empty(), 0
+        for answered in answers_of(
+            bucket,
+            recording,
+            found,
+            odometry=odometry,
+            streams=judged,
+            settings=settings,
+            disturbance=Disturbance(),
+        ):
+            if frames is not None and answered.number >= frames.stop:
+                break
+            done += 1
+            on_progress(done)
+            if frames is not None and answered.number not in frames:
+                continue
+            said = answered.labels[stream].class_id
+            if said is None:
+                raise UnknownPartError(f"the stream {stream!r} knows no classes to be judged")
+            true = found.classes_of(answered.whole, number=answered.number)
+            if true is None:
+                continue
+            told = true > 0
+            names = judged[stream].class_names  # of a recorded model, each log tells its own
+            of_class = np.concatenate([coarse_of_names(names), np.zeros(1, np.uint8)])  # -1: none
+            np.add.at(confusion, (true[told], of_class[said[told]]), 1)
+            counted += 1
+        if counted:
+            rows.append(_row(recording.log_id, confusion, counted))
+            total, all_frames = total + confusion, all_frames + counted
+    if not rows:
+        raise TruthUnusableError(
+            f"no log of {bucket.url} has truth of classes in {truth}: arrays semantic19, or "
+            "semantic and a classes.json; their form is on the page deploy/TRUTH.md"
+        )
+    return [*rows, _row("all", total, all_frames)]
+
+
+def _empty() -> NDArray[np.int64]:
+    return np.zeros((len(COARSE), len(COARSE)), dtype=np.int64)
+
+
+def _row(log: str, confusion: NDArray[np.int64], frames: int) -> SemanticsEvaluation:
+    """Sum up: rows of the confusion are truth, columns answers."""
+    iou = class_iou(confusion, COARSE)
+    points = int(confusion.sum())
+    return SemanticsEvaluation(
+        log=log,
+        frames=frames,
+        points=points,
+        miou=round(sum(iou.values()) / len(iou), 4) if iou else None,
+        iou=iou,
+        movable_iou=joint_iou(confusion, np.isin(COARSE, MOVABLE)),
+        unanswered_share=round(float(confusion[:, 0].sum() / points), 4) if points else None,
+    )

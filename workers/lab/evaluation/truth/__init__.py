@@ -1,0 +1,1 @@
+"""Truth beside a log, and the classes that it is counted in."""

@@ -1,0 +1,225 @@
+"""What each point of a log really was, as it lies beside the log, message by message."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import Mask
+from schemas.errors import PermanentError
+from schemas.frame import LidarFrame
+from schemas.transport.bucket import Bucket
+from schemas.transport.recordings import EXTENSION, group_recordings
+from schemas.work import Recording
+from workers.lab.evaluation.truth.class_table import SEMANTIC_KITTI, coarse_of_ids, coarse_of_names
+from workers.lab.evaluation.truth.objects import Objects, TrueObject, objects_in, rotations_in
+
+TRUTH_UNKNOWN: Final = 0
+TRUTH_STATIC: Final = 1
+TRUTH_DYNAMIC: Final = 2
+
+
+class TruthUnusableError(PermanentError):
+    """Truth does not fit the log it lies beside, or there is none."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameTruth:
+    """The truth of one frame, in the order of its points.
+
+    Attributes:
+        number: Of the frame among the lidar messages of its log, from 0.
+        motion: (N,) `TRUTH_UNKNOWN`, `TRUTH_STATIC` or `TRUTH_DYNAMIC`.
+        track: (N,) id of the object a point belongs to, -1 none; None where truth has no tracks.
+        objects: What truth knows of them, by id.
+        world_from_sensor: (3, 3) true attitude of the sensor; None where not known.
+    """
+
+    number: int
+    motion: NDArray[np.uint8]
+    track: NDArray[np.int16] | None
+    objects: Objects = field(default_factory=dict)
+    world_from_sensor: NDArray[np.float64] | None = None
+
+    def of_points(self, kept: Mask) -> "FrameTruth":
+        """The truth of some of the points: where `kept`, (N,), is true."""
+        track = None if self.track is None else self.track[kept]
+        return replace(self, motion=self.motion[kept], track=track)
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    path: Path
+    stamp_ns: int | None
+    log_time_ns: int | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogTruth:
+    """The truth of one log: a folder for each part, `NNNNNN.npz` for each message of the lidar.
+
+    Its form for those who bring their own is told in `deploy/TRUTH.md`.
+    Frames are matched by their stamps where `frames.json` lists them, so that a cloud that could
+    not be read shifts nothing; else by their order.
+
+    Attributes:
+        topic: The lidar topic that the truth is about; empty where it does not say.
+    """
+
+    topic: str
+    _root: Path
+    _entries: tuple[_Entry, ...]
+    _number_of_stamp: Mapping[int, int]
+    _objects: Mapping[Path, Mapping[int, Mapping[int, TrueObject]]]
+    _rotations: Mapping[int, NDArray[np.float64]]
+
+    @classmethod
+    def beside(cls, recording: Recording, truth: Path) -> Self | None:
+        """Find the truth of a log; None where there is none.
+
+        Args:
+            recording: The log; truth of its part `x/y.mcap` lies in `truth/x/y`.
+            truth: Folder of the truth of the whole bucket.
+        """
+        entries: list[_Entry] = []
+        topics: list[str] = []
+        folders = [truth / part.key.removesuffix(EXTENSION) for part in recording.parts]
+        for folder in folders:
+            for entry, topic in _entries_of(folder):
+                entries.append(entry)
+                topics.append(topic)
+        if not any(entry.path.is_file() for entry in entries):
+            return None
+        stamps: dict[int, int] = {}
+        for number, entry in enumerate(entries):
+            for time_ns in (entry.stamp_ns, entry.log_time_ns):
+                if time_ns is not None:
+                    stamps.setdefault(time_ns, number)
+        return cls(
+            topics[0],
+            truth,
+            tuple(entries),
+            stamps,
+            {folder: objects_in(folder) for folder in folders},
+            {stamp: pose for folder in folders for stamp, pose in rotations_in(folder).items()},
+        )
+
+    def __len__(self) -> int:
+        """Count the frames that the truth knows, those without labels included."""
+        return len(self._entries)
+
+    def number_of(self, frame: LidarFrame, *, position: int) -> int:
+        """Say which message a frame is.
+
+        Args:
+            frame: The frame as it was read.
+            position: How many frames of the log were read before it.
+
+        Raises:
+            TruthUnusableError: If the truth lists stamps and this one is not among them.
+        """
+        if not self._number_of_stamp:
+            return position
+        try:
+            return self._number_of_stamp[frame.stamp_ns]
+        except KeyError:
+            raise TruthUnusableError(
+                f"truth knows no frame of stamp {frame.stamp_ns} ({frame.log_id}, frame "
+                f"{position}); is it the truth of another log?"
+            ) from None
+
+    def name_of(self, number: int) -> str:
+        """Name a frame as its truth is named: `x/y/NNNNNN` for a part `x/y.mcap`."""
+        return self._entries[number].path.relative_to(self._root).with_suffix("").as_posix()
+
+    def of(self, frame: LidarFrame, *, number: int) -> FrameTruth | None:
+        """Read the truth of one frame; None where it has no labels of motion.
+
+        Raises:
+            TruthUnusableError: If it labels a different number of points.
+        """
+        path, arrays = self._arrays_of(frame, number, ("motion", "track"))
+        if "motion" not in arrays:
+            return None
+        track = arrays.get("track")
+        return FrameTruth(
+            number,
+            np.asarray(arrays["motion"], dtype=np.uint8),
+            None if track is None else np.asarray(track, dtype=np.int16),
+            self._objects[path.parent].get(int(path.stem), {}),
+            self._rotations.get(frame.stamp_ns),
+        )
+
+    def classes_of(self, frame: LidarFrame, *, number: int) -> NDArray[np.uint8] | None:
+        """Read the coarse class of each point (`class_table`), 0 where truth tells none.
+
+        Returns:
+            (N,) classes; None where the truth of this frame has none, or no table of their ids.
+
+        Raises:
+            TruthUnusableError: If it labels a different number of points.
+        """
+        path, arrays = self._arrays_of(frame, number, ("semantic19", "semantic"))
+        if "semantic19" in arrays:
+            table, ids = coarse_of_names(SEMANTIC_KITTI), arrays["semantic19"]
+        elif "semantic" in arrays and (of_ids := coarse_of_ids(path.parent)) is not None:
+            table, ids = of_ids, arrays["semantic"]
+        else:
+            return None
+        classes: NDArray[np.uint8] = table[ids]
+        return classes
+
+    def _arrays_of(
+        self, frame: LidarFrame, number: int, names: Sequence[str]
+    ) -> tuple[Path, dict[str, NDArray[Any]]]:
+        """Read what the truth of a frame has of some arrays; nothing where it has no truth."""
+        if number >= len(self._entries):
+            return self._root, {}
+        path = self._entries[number].path
+        if not path.is_file():
+            return path, {}
+        with np.load(path) as file:
+            arrays = {name: file[name] for name in names if name in file}
+        for array in arrays.values():
+            if len(array) != len(frame):
+                raise TruthUnusableError(
+                    f"truth labels {len(array)} points, frame {number} has {len(frame)} "
+                    f"({frame.log_id}, {path})"
+                )
+        return path, arrays
+
+
+def logs_with_truth(bucket: Bucket, truth: Path) -> list[tuple[Recording, LogTruth]]:
+    """List the logs of a bucket that have truth, with it.
+
+    Raises:
+        TruthUnusableError: If there is none.
+    """
+    found = [
+        (recording, known)
+        for recording in group_recordings(bucket.list())
+        if (known := LogTruth.beside(recording, truth)) is not None
+    ]
+    if not found:
+        raise TruthUnusableError(
+            f"no log of {bucket.url} has truth in {truth}; its form is on the page deploy/TRUTH.md"
+        )
+    return found
+
+
+def _entries_of(folder: Path) -> Iterator[tuple[_Entry, str]]:
+    listing = folder / "frames.json"
+    if listing.is_file():
+        for row in json.loads(listing.read_text())["frames"]:
+            path = folder / f"{row['index']:06d}.npz"
+            entry = _Entry(path, row.get("header_stamp"), row.get("log_time"))
+            yield entry, row.get("topic", "")
+        return
+    numbered = sorted(path for path in folder.glob("*.npz") if path.stem.isdigit())
+    if numbered:
+        for number in range(int(numbered[-1].stem) + 1):
+            yield _Entry(folder / f"{number:06d}.npz", None, None), ""

@@ -1,0 +1,1 @@
+"""Failures of the model on the car, and disturbances, planted on purpose."""

@@ -1,0 +1,110 @@
+"""A planted failure: one wrong answer of the model on the car about one thing, for a while."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import Mask
+from workers.lab.simulation.faults.plan import FailureKind
+from workers.lab.simulation.models.kinds import StreetClass
+from workers.lab.simulation.sensor.lidar import SimulatedFrame
+
+STATIC: Final = 1
+DYNAMIC: Final = 2
+
+GHOST_RADIUS_M: Final = 1.2
+
+_FLICKER_S: Final = 0.3
+"""Wrong for so long, then right for half of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlantedFailure:
+    """One wrong answer about one track, for a while.
+
+    Attributes:
+        kind: What goes wrong.
+        track: Index into the street's actors; -1 for a ghost, which is a place.
+        start_s: Seconds from the start of the log.
+        end_s: First instant after it.
+        other_track: Whose labels it has in a swap; -1 none.
+        place_m: Where a ghost is, world space.
+        range_m: Beyond it, movers are called static; 0 no limit.
+        cell: Which scene of the log it was planned in; -1 none.
+        common_mode: Whether it was chosen so that the self-supervised stream tends to err too.
+        because: What makes it common-mode; empty else.
+        class_name: What the thing really is.
+    """
+
+    kind: FailureKind
+    track: int
+    start_s: float
+    end_s: float
+    other_track: int = -1
+    place_m: tuple[float, float, float] | None = None
+    range_m: float = 0.0
+    cell: int = -1
+    common_mode: bool = False
+    because: str = ""
+    class_name: str = ""
+
+
+def corrupt(
+    frame: SimulatedFrame,
+    motion: NDArray[np.uint8],
+    label: NDArray[np.uint16],
+    failures: Iterable[PlantedFailure],
+) -> None:
+    """Write the wrong answers that are due in a frame over the right ones.
+
+    Args:
+        frame: What was measured.
+        motion: (N,) what the model says of motion, changed in place.
+        label: (N,) what it says of the class, changed in place.
+        failures: Those of the log.
+    """
+    for each in failures:
+        if each.start_s <= frame.time_s < each.end_s:
+            _corrupt(frame, motion, label, each)
+
+
+def ghost_points(frame: SimulatedFrame, place_m: tuple[float, float, float]) -> Mask:
+    """Which points belong to the thing that stands at a place: nobody's, off the ground."""
+    rotation, origin = frame.world_from_sensor[:3, :3], frame.world_from_sensor[:3, 3]
+    in_sensor = (np.array(place_m) - origin) @ rotation
+    away_m = frame.points_m - in_sensor.astype(np.float32)
+    near = (away_m**2).sum(axis=1) < GHOST_RADIUS_M**2
+    mine: Mask = near & (frame.track < 0) & (frame.ground == 0) & (frame.motion == STATIC)
+    return mine
+
+
+def _corrupt(
+    frame: SimulatedFrame,
+    motion: NDArray[np.uint8],
+    label: NDArray[np.uint16],
+    failure: PlantedFailure,
+) -> None:
+    kind = failure.kind
+    mine = frame.track == failure.track
+    if kind is FailureKind.GHOST_MOVER and failure.place_m is not None:
+        ghost = ghost_points(frame, failure.place_m)
+        motion[ghost], label[ghost] = DYNAMIC, StreetClass.CAR
+    elif kind is FailureKind.PARKED_CALLED_MOVING:
+        motion[mine] = DYNAMIC
+    elif kind is FailureKind.FLICKER:
+        if (frame.time_s - failure.start_s + 1e-6) % (1.5 * _FLICKER_S) < _FLICKER_S:
+            right = frame.motion[mine]
+            motion[mine] = np.where(right == DYNAMIC, STATIC, DYNAMIC)
+    elif kind is FailureKind.LABEL_SWAP:
+        motion[mine] = STATIC
+        motion[frame.track == failure.other_track] = DYNAMIC
+    elif kind is FailureKind.RANGE_LIMIT:
+        far = np.hypot(frame.points_m[:, 0], frame.points_m[:, 1]) > failure.range_m
+        motion[far & (frame.motion == DYNAMIC)] = STATIC
+    else:
+        motion[mine] = STATIC
+    if kind in (FailureKind.UNSEEN_CLASS, FailureKind.MISSED_PEDESTRIAN):
+        label[mine] = StreetClass.OBJECT

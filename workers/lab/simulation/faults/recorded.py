@@ -1,0 +1,64 @@
+"""The model that ran on the simulated car: the truth, but for failures that were planted."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.lab.simulation.faults.confidence import draw_confidence
+from workers.lab.simulation.faults.planted import PlantedFailure, corrupt
+from workers.lab.simulation.models.kinds import MOVABLE, StreetClass
+from workers.lab.simulation.sensor.lidar import SimulatedFrame
+from workers.lab.simulation.world.street import Street
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedPoints:
+    """What the model said about each point of one frame, as it is written to the log.
+
+    Attributes:
+        label: (N,) class id.
+        motion: (N,) 0 unknown, 1 static, 2 dynamic.
+        confidence: (N,) 0 to 1.
+    """
+
+    label: NDArray[np.uint16]
+    motion: NDArray[np.uint8]
+    confidence: NDArray[np.float32]
+
+
+def record(
+    street: Street, frame: SimulatedFrame, failures: Sequence[PlantedFailure]
+) -> RecordedPoints:
+    """Say what the model on the car made of a frame.
+
+    Args:
+        street: Where it drove.
+        frame: What was measured, disturbances included: labels stay right under those.
+        failures: What the model gets wrong in the log.
+    """
+    motion = frame.motion.copy()
+    label = frame.class_id.astype(np.uint16)
+    corrupt(frame, motion, label, failures)
+    wrong = motion != frame.motion
+    thing = np.where(
+        frame.track >= 0, frame.track, len(street.actors) + frame.class_id.astype(np.int64)
+    )
+    right_sure, wrong_sure = draw_confidence(
+        seed=street.seed,
+        things=len(street.actors) + 1 + max(StreetClass),
+        time_s=frame.time_s,
+        index=frame.index,
+    )
+    confidence = np.where(wrong, wrong_sure[thing], right_sure[thing]).round(3)
+    return RecordedPoints(label, motion, confidence.astype(np.float32))
+
+
+def recorded_classes() -> dict[str, str]:
+    """Content of the metadata record `counterpoint.classes`: id to JSON."""
+    return {
+        str(int(c)): f'{{"name": "{c.name.lower()}", "movable": {str(c in MOVABLE).lower()}, '
+        '"moving": false}'
+        for c in StreetClass
+    }

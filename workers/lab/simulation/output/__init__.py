@@ -1,0 +1,1 @@
+"""Logs and truth, as files or in memory."""

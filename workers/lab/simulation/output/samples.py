@@ -1,0 +1,69 @@
+"""Frames of many short random streets, straight from memory: what networks are trained on."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from workers.lab.simulation.sensor.lidar import Lidar, SimulatedFrame, sweep
+from workers.lab.simulation.sensor.sensors import MountingName, SensorName, mounted
+from workers.lab.simulation.world.street import Street
+from workers.lab.simulation.world.street_plan import draw_plan
+from workers.lab.simulation.world.worlds import build_street
+
+MOUNTINGS: Final[tuple[MountingName, ...]] = ("roof", "mast")
+DEFAULT_SENSORS: Final[tuple[SensorName, ...]] = ("pandar64", "hdl64", "hdl32", "vlp32c", "os1-128")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StreetSample:
+    """Some consecutive frames of one street.
+
+    Attributes:
+        street: With its traffic.
+        lidar: That saw them.
+        frames: In order, one period apart.
+    """
+
+    street: Street
+    lidar: Lidar
+    frames: tuple[SimulatedFrame, ...]
+
+
+def street_samples(
+    seed: int,
+    *,
+    streets: int,
+    windows: int = 2,
+    frames: int = 4,
+    sensors: Sequence[SensorName] = DEFAULT_SENSORS,
+    hard_share: float = 0.4,
+    columns: int | None = None,
+) -> Iterator[StreetSample]:
+    """Drive through random streets of all kinds and sensors, a few frames here and there.
+
+    Streets differ from those of any fleet: their seeds are of another stream.
+
+    Args:
+        seed: Of all of it; sample `k` depends on the seed and its street's number alone.
+        streets: How many.
+        windows: Samples of each street, spread over 12 s of it.
+        frames: Consecutive frames of each sample.
+        sensors: Drawn from, with either mounting.
+        hard_share: Of streets that are hard.
+        columns: Of every lidar; each sensor's own when None.
+    """
+    seconds = 12.0
+    for number in range(streets):
+        rng = np.random.default_rng([seed, number, 0x5A3B1E])
+        plan = draw_plan(rng, hard=bool(rng.random() < hard_share))
+        sensor = sensors[int(rng.integers(len(sensors)))]
+        lidar = mounted(sensor, MOUNTINGS[int(rng.integers(2))], columns=columns)
+        street = build_street(int(rng.integers(2**62)), seconds=seconds, plan=plan)
+        last = round(seconds / lidar.period_s) - frames
+        for window in range(windows):
+            low, high = window * last // windows, (window + 1) * last // windows
+            first = int(rng.integers(low, max(high, low + 1)))
+            seen = tuple(sweep(street, lidar, first + k) for k in range(frames))
+            yield StreetSample(street, lidar, seen)

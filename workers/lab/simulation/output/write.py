@@ -1,0 +1,132 @@
+"""Writes a simulated street as an MCAP log, as a recorder on a car would, with truth beside."""
+
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Final, Literal
+
+from mcap_ros2.writer import Writer
+
+from workers.lab.simulation.faults.disturbances import delay_ns, disturb
+from workers.lab.simulation.faults.planted_truth import NOTHING_PLANTED, Planted
+from workers.lab.simulation.faults.recorded import record, recorded_classes
+from workers.lab.simulation.output.cloud import (
+    POINT_CLOUD2,
+    POINT_CLOUD2_DEFINITION,
+    cloud_of,
+    labels_of,
+    message_of,
+)
+from workers.lab.simulation.output.odometry import OdometryWriter
+from workers.lab.simulation.output.truth import TruthWriter
+from workers.lab.simulation.sensor.lidar import Lidar, sweep
+from workers.lab.simulation.world.street import Street
+
+LIDAR_TOPIC: Final = "/lidar/top/points"
+LABEL_TOPIC: Final = "/lidar/top/labels"
+
+LIDAR_SPACE: Final = "lidar_top"
+
+RecordedAs = Literal["fields", "topic", "nothing"]
+"""Where the labels of the model on the car go: into the cloud, to a topic of their own, nowhere."""
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """What a log says about itself (MCAP metadata record `counterpoint.log`)."""
+
+    vehicle: str = "sim-01"
+    date: str = "2026-03-02"
+    software_version: str = "2026.1"
+    start_ns: int = 1_772_445_600_000_000_000
+
+
+def write_log(
+    output: Path | IO[bytes],
+    street: Street,
+    *,
+    lidar: Lidar | None = None,
+    identity: Identity | None = None,
+    recorded: RecordedAs = "fields",
+    odometry: bool = False,
+    planted: Planted = NOTHING_PLANTED,
+    truth: Path | None = None,
+    log_key: str = "",
+    chunk_bytes: int = 4 << 20,
+    frames: int | None = None,
+    progress: Callable[[], None] | None = None,
+) -> int:
+    """Drive through a street and write what its lidar sees.
+
+    Args:
+        output: File to write (it appears whole or not at all), or a stream.
+        street: The street with its traffic.
+        lidar: The lidar on the car; 64 beams and 1024 columns at 10 Hz when None.
+        identity: Vehicle, date, software version and time of the first frame.
+        recorded: Where the labels of the model on the car go.
+        odometry: Whether the car records wheel speed and yaw rate.
+        planted: What that model gets wrong, and what disturbs the sensor.
+        truth: Folder for the truth of this log; None writes none.
+        log_key: What the truth calls the log.
+        chunk_bytes: Uncompressed size at which a chunk is closed; zstd, with CRC and summary.
+        frames: Stop after so many; all the street's seconds when None.
+        progress: Called after each frame.
+
+    Returns:
+        How many frames were written.
+    """
+    lidar, identity = lidar or Lidar(), identity or Identity()
+    count = int(street.seconds / lidar.period_s + 1e-9) if frames is None else frames
+    truth_writer = TruthWriter(truth, street, lidar, log_key, LIDAR_TOPIC) if truth else None
+    with _growing(output) as stream:
+        writer = Writer(stream, chunk_size=chunk_bytes)
+        schema = writer.register_msgdef(POINT_CLOUD2, POINT_CLOUD2_DEFINITION)
+        writer.add_metadata(
+            "counterpoint.log",
+            {
+                "vehicle": identity.vehicle,
+                "date": identity.date,
+                "software_version": identity.software_version,
+            },
+        )
+        if recorded != "nothing":
+            writer.add_metadata("counterpoint.classes", recorded_classes())
+        moved = OdometryWriter(writer, street, start_ns=identity.start_ns) if odometry else None
+        for index in range(count):
+            frame = disturb(sweep(street, lidar, index), planted.disturbances)
+            said = None if recorded == "nothing" else record(street, frame, planted.failures)
+            late_ns = delay_ns(index, frame.time_s, planted.disturbances)
+            stamp_ns = identity.start_ns + index * lidar.period_ns + late_ns
+            if moved is not None:
+                moved.write_until(stamp_ns)
+            rows = cloud_of(frame, said if recorded == "fields" else None)
+            message = message_of(rows, stamp_ns=stamp_ns, space=LIDAR_SPACE)
+            writer.write_message(LIDAR_TOPIC, schema, message, stamp_ns, stamp_ns, index)
+            if recorded == "topic" and said is not None:
+                labels = message_of(labels_of(said), stamp_ns=stamp_ns, space=LIDAR_SPACE)
+                writer.write_message(LABEL_TOPIC, schema, labels, stamp_ns, stamp_ns, index)
+            if truth_writer is not None:
+                truth_writer.add(frame, stamp_ns=stamp_ns, data_crc32=zlib.crc32(message["data"]))
+            if progress is not None:
+                progress()
+        if moved is not None:
+            moved.write_until(identity.start_ns + count * lidar.period_ns)
+        writer.finish()  # type: ignore[no-untyped-call]  # upstream lacks the return type
+    if truth_writer is not None:
+        truth_writer.finish(planted.truth(identity.start_ns))
+    return count
+
+
+@contextmanager
+def _growing(output: Path | IO[bytes]) -> Iterator[IO[bytes]]:
+    """Let a file grow under another name: a watched bucket shows it whole or not at all."""
+    if not isinstance(output, Path):
+        yield output
+        return
+    output.parent.mkdir(parents=True, exist_ok=True)
+    growing = output.with_name(output.name + ".part")
+    with growing.open("wb") as stream:
+        yield stream
+    growing.replace(output)

@@ -1,0 +1,1 @@
+"""Spinning lidars in a street."""

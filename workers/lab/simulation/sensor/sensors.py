@@ -1,0 +1,109 @@
+"""Lidars that are on the market, by their beam tables, and where fleets mount them."""
+
+from dataclasses import replace
+from typing import Final, Literal
+
+import numpy as np
+
+from workers.lab.simulation.sensor.lidar import UNEVEN_64, Lidar
+
+SensorName = Literal["pandar64", "hdl64", "hdl32", "vlp32c", "os1-128"]
+MountingName = Literal["roof", "mast"]
+
+_HDL64: Final = (
+    *np.linspace(2.0, -8.33, 32).round(3).tolist(),
+    *np.linspace(-8.83, -24.33, 32).round(3).tolist(),
+)
+_VLP32C: Final = (
+    *(15.0, 10.333, 7.0, 4.667, 3.333, 2.333, 1.667, 1.333, 1.0, 0.667, 0.333, 0.0),
+    *(-0.333, -0.667, -1.0, -1.333, -1.667, -2.0, -2.333, -2.667, -3.0, -3.333, -3.667, -4.0),
+    *(-4.667, -5.333, -6.148, -7.254, -8.843, -11.31, -15.639, -25.0),
+)
+_PANDAR64_TURNS: Final = (-1.042, 1.042, 3.125, 5.208, -1.042, -3.125, -5.208)
+_VLP32C_TURNS: Final = (1.4, -4.2, 1.4, -1.4, 4.2, -1.4, 1.4, -1.4)
+
+SENSORS: Final[dict[SensorName, Lidar]] = {
+    "pandar64": Lidar(
+        name="pandar64",
+        elevation_deg=UNEVEN_64,
+        azimuth_deg=tuple(
+            _PANDAR64_TURNS[(k - 6) % 6 + 1] if 6 <= k < 54 else _PANDAR64_TURNS[0]
+            for k in range(64)
+        ),
+        columns=1800,
+        max_range_m=200.0,
+        reach_m=200.0,
+        noise_m=0.02,
+        roof_answers=0.5,
+        gain=65.0,
+    ),
+    "hdl64": Lidar(
+        name="hdl64",
+        elevation_deg=_HDL64,
+        columns=1800,
+        max_range_m=120.0,
+        reach_m=110.0,
+        noise_m=0.02,
+        gain=240.0,
+        gamma=0.35,
+        least_range_m=0.9,
+    ),
+    "hdl32": Lidar(
+        name="hdl32",
+        elevation_deg=tuple(np.linspace(10.67, -30.67, 32).round(3).tolist()),
+        columns=1800,
+        max_range_m=100.0,
+        reach_m=90.0,
+        gain=100.0,
+        gamma=0.5,
+        noise_m=0.02,
+        least_range_m=0.9,
+    ),
+    "vlp32c": Lidar(
+        name="vlp32c",
+        elevation_deg=_VLP32C,
+        azimuth_deg=tuple(_VLP32C_TURNS[k % 8] for k in range(32)),
+        columns=1800,
+        max_range_m=200.0,
+        reach_m=180.0,
+        gain=110.0,
+        gamma=0.6,
+        noise_m=0.03,
+        least_range_m=0.9,
+    ),
+    "os1-128": Lidar(
+        name="os1-128",
+        elevation_deg=tuple(np.linspace(22.5, -22.5, 128).round(3).tolist()),
+        columns=1024,
+        max_range_m=120.0,
+        reach_m=110.0,
+        noise_m=0.015,
+        gain=180.0,
+        gamma=0.8,
+        least_range_m=0.5,
+    ),
+}
+"""Beam tables after the makers' manuals; turns of single beams about as large as theirs.
+
+Range of a 64 x 1800 or 32 x 1800 sensor at 10 Hz; the 128 beams turn 1024 columns.
+"""
+
+_MOUNTINGS: Final[dict[MountingName, tuple[float, float, float]]] = {
+    "roof": (1.75, 0.2, 0.4),
+    "mast": (2.25, 0.75, -0.9),
+}
+"""Height, way ahead of the middle of the car, and nose-down tilt in degrees."""
+
+
+def mounted(sensor: SensorName, mounting: MountingName, *, columns: int | None = None) -> Lidar:
+    """Give a sensor on a car; fewer columns make logs small and quick."""
+    lidar, (height, forward, pitch) = SENSORS[sensor], _MOUNTINGS[mounting]
+    return replace(
+        lidar,
+        columns=columns or lidar.columns,
+        height_m=height,
+        forward_m=forward,
+        pitch_deg=pitch,
+        roof=True,
+        name=f"{sensor} on a {mounting}",
+    )

@@ -1,0 +1,1 @@
+"""Streets: roads, ground, scenery, traffic, weather, and the ego's drive."""

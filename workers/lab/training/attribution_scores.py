@@ -1,0 +1,94 @@
+"""Judge tables of who is wrong: each log left out in turn, its tracks and its scenes."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from schemas.attribution import Wrong
+from workers.contradiction.attribution import Table, chances, table_of
+from workers.contradiction.score import combine
+from workers.contradiction.settings import DEFAULT_SCORE
+from workers.lab.evaluation.failures.attribution import is_judged
+from workers.lab.evaluation.failures.retrieval import retrieve
+from workers.lab.evaluation.failures.rows import MinedLog, SceneRow, TrackRow
+
+MIN_FRAMES: Final = 3
+"""Shorter tracks teach nothing about who is wrong."""
+
+Fit = Callable[[Sequence[MinedLog]], Mapping[str, Mapping[str, Any]]]
+"""Makes the rows of all kinds from mined logs."""
+
+
+def usable(logs: Sequence[MinedLog]) -> list[TrackRow]:
+    """List the tracks that are long enough, and of which truth knows who was wrong."""
+    return [
+        track
+        for log in logs
+        for scene in log.scenes
+        for track in scene.tracks
+        if track.frames >= MIN_FRAMES and track.verdict is not None
+    ]
+
+
+def left_out(logs: Sequence[MinedLog], fit: Fit) -> dict[str, Any]:
+    """Judge by leaving one log out in turn.
+
+    Returns:
+        By kind, and for all, the tracks by who was wrong, how many of each were told rightly, and
+        the mean of that; under `scenes` how well scenes would be ranked.
+    """
+    told: list[tuple[TrackRow, Wrong]] = []
+    scores: list[float] = []
+    wanted: list[bool] = []
+    for log in logs:
+        rows = fit([other for other in logs if other.log_id != log.log_id])
+        tables = {kind: table_of(each) for kind, each in rows.items()}
+        told += [
+            (track, _likeliest(tables[track.kind], track))
+            for scene in log.scenes
+            for track in scene.tracks
+            if track.kind in tables and is_judged(track)
+        ]
+        scores += [rescored(scene, tables) for scene in log.scenes]
+        wanted += [scene.fails for scene in log.scenes]
+    found = retrieve(np.array(scores), np.array(wanted, dtype=np.bool_))
+    kinds = sorted({track.kind for track, _ in told})
+    return {
+        **{kind: _recalls(each for each in told if each[0].kind == kind) for kind in kinds},
+        "all": _recalls(told),
+        "scenes": {
+            "scenes": len(scores),
+            "failing": sum(wanted),
+            "ap": None if found.ap is None else round(found.ap, 4),
+            "precision_at": {name: round(each, 4) for name, each in found.precision_at.items()},
+        },
+    }
+
+
+def rescored(scene: SceneRow, tables: Mapping[str, Table]) -> float:
+    """Score a scene as it would be with other tables."""
+    strengths = []
+    for track in scene.tracks:
+        chance = chances(tables[track.kind], track.evidence)
+        worth = chance[Wrong.SUPERVISED] + chance[Wrong.BOTH]
+        strengths.append(track.gate * track.presence * worth)
+    return combine(strengths, decay=DEFAULT_SCORE.decay)
+
+
+def _recalls(told: Iterable[tuple[TrackRow, Wrong]]) -> dict[str, Any]:
+    by_answer: dict[Wrong, list[bool]] = {}
+    for track, said in told:
+        if track.verdict is not None:
+            by_answer.setdefault(track.verdict, []).append(said is track.verdict)
+    recall = {a.value: round(float(np.mean(by_answer[a])), 3) for a in sorted(by_answer)}
+    return {
+        "tracks": {answer.value: len(by_answer[answer]) for answer in sorted(by_answer)},
+        "recall": recall,
+        "balanced_accuracy": round(float(np.mean(list(recall.values()))), 3) if recall else None,
+    }
+
+
+def _likeliest(table: Table, track: TrackRow) -> Wrong:
+    known = chances(table, track.evidence)
+    return max(Wrong, key=lambda wrong: known[wrong])

@@ -1,0 +1,206 @@
+"""The training loop of one network: schedule, batches, scores now and then."""
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from torch import Tensor
+
+from workers.lab.datasets.images import TrainingImages
+from workers.lab.training.augment import Sample, augment, network_input
+from workers.lab.training.loss import IGNORED, class_weights, segmentation_loss
+from workers.lab.training.scores import score_images
+from workers.lab.training.warm_start import started
+from workers.supervised.salsanext import SalsaNext
+from workers.supervised.weights import LoadedWeights, WeightsCard, save_weights
+
+log = logging.getLogger(__name__)
+
+DRIVING_M_PER_S: Final = 0.5
+"""From here on the car drives, and static things no longer look the same in every frame."""
+
+_SCORED_EVERY: Final = 1000
+
+_NORM_MOMENTUM: Final = 0.02
+"""Running means over some fifty batches: those of one batch depend on which sensors it holds."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingSettings:
+    """What a training run depends on, beside its data.
+
+    Attributes:
+        steps: Optimiser steps of the schedule.
+        balance: Exponent of the class weights.
+        batch: Windows per step.
+        driving_weight: How many times more often a frame is drawn in which the car drives.
+        columns: Width of a window.
+        peak_rate: Highest learning rate of the one-cycle schedule.
+        weight_decay: Of AdamW.
+        dropout: Share of channels dropped.
+        fixed_norms: Share of the steps, the last ones, that normalise by the running means and
+            deviations, as in use. Sensors differ so much that those of one batch flatter: a network
+            learns by them first, and is then taught to live with those of all sensors.
+        lovasz_every: Of the labelled pixels, which count for the Lovász loss: each that many-th.
+        bfloat16: Convolve in bfloat16, a third faster on a processor that has it.
+        seed: Of everything random.
+    """
+
+    steps: int = 2400
+    batch: int = 2
+    driving_weight: float = 2.0
+    columns: int = 512
+    balance: float = 0.5
+    peak_rate: float = 4e-3
+    weight_decay: float = 1e-3
+    dropout: float = 0.02
+    fixed_norms: float = 0.0
+    lovasz_every: int = 1
+    bfloat16: bool = False
+    seed: int = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lesson:
+    """Images of one sensor to learn from.
+
+    Attributes:
+        images: Of one layout.
+        weight: How often they are drawn beside those of the other sensors.
+    """
+
+    images: TrainingImages
+    weight: float
+
+
+def train(
+    lessons: Sequence[Lesson],
+    judged: Mapping[str, TrainingImages],
+    card: WeightsCard,
+    settings: TrainingSettings,
+    *,
+    initial: LoadedWeights | None = None,
+    out: Path,
+) -> None:
+    """Run the schedule, writing weights now and then and at the end.
+
+    Args:
+        lessons: What to learn from; a batch is of sensors with as many rows.
+        judged: Images to score by name, never learnt from.
+        card: Sidecar of the weights; the scores are added.
+        settings: The schedule.
+        initial: Weights to go on from; None for random ones.
+        out: The `.safetensors` file.
+    """
+    torch.manual_seed(settings.seed)
+    rng = np.random.default_rng(settings.seed)
+    net = card.build()
+    for module in net.modules():
+        if isinstance(module, torch.nn.Dropout2d):
+            module.p = settings.dropout
+        if isinstance(module, torch.nn.BatchNorm2d):
+            module.momentum = _NORM_MOMENTUM
+    net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # missing in the stub
+    if initial is not None:
+        net.load_state_dict(started(initial, card))
+    weights = class_weights(_drawn_labels(lessons, card), balance=settings.balance)
+    optimiser = torch.optim.AdamW(
+        net.parameters(), lr=settings.peak_rate, weight_decay=settings.weight_decay
+    )
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimiser, max_lr=settings.peak_rate, total_steps=settings.steps, pct_start=0.15
+    )
+    columns = (TextColumn("{task.description}"), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(card.network, total=settings.steps)
+        for step in range(1, settings.steps + 1):
+            net.train()
+            if step > settings.steps * (1 - settings.fixed_norms):
+                _fix_norms(net)
+            x, y = _batch(lessons, card, settings, rng)
+            with torch.autocast("cpu", torch.bfloat16, enabled=settings.bfloat16):
+                logits = net.forward_logits(x)
+            loss = segmentation_loss(logits.float(), y, weights, lovasz_every=settings.lovasz_every)
+            optimiser.zero_grad()
+            torch.autograd.backward(loss)
+            optimiser.step()
+            schedule.step()
+            bar.update(task, advance=1)
+            if step % 50 == 0:
+                log.info("%s step %d loss %.3f", card.network, step, float(loss.detach()))
+            if step % _SCORED_EVERY == 0 or step == settings.steps:
+                scores = _scores(net, judged, card)
+                log.info("%s step %d %s", card.network, step, scores)
+                save_weights(out, net, card.model_copy(update={"scores": scores}))
+
+
+def _fix_norms(net: SalsaNext) -> None:
+    for module in net.modules():
+        if isinstance(module, torch.nn.BatchNorm2d):
+            module.eval()
+
+
+def _scores(
+    net: SalsaNext, judged: Mapping[str, TrainingImages], card: WeightsCard
+) -> dict[str, float]:
+    return {
+        f"{name} {what}": score
+        for name, images in judged.items()
+        for what, score in score_images(net, images, card).items()
+    }
+
+
+def _labels(images: TrainingImages, card: WeightsCard) -> NDArray[np.uint8]:
+    return images.semantic if card.network == "salsanext" else images.motion
+
+
+def _drawn_labels(lessons: Sequence[Lesson], card: WeightsCard) -> NDArray[np.float64]:
+    """How often each class is drawn, as shares of all labelled pixels."""
+    drawn = np.zeros(len(card.classes))
+    for lesson in lessons:
+        counts = np.bincount(_labels(lesson.images, card).ravel(), minlength=len(drawn))
+        counts[IGNORED] = 0
+        drawn += lesson.weight * counts / max(counts.sum(), 1)
+    return drawn
+
+
+def _batch(
+    lessons: Sequence[Lesson],
+    card: WeightsCard,
+    settings: TrainingSettings,
+    rng: np.random.Generator,
+) -> tuple[Tensor, Tensor]:
+    """Draw windows of several sensors with as many rows."""
+    inputs, targets = [], []
+    drawable = list(lessons)
+    for _ in range(settings.batch):
+        weights = np.array([lesson.weight for lesson in drawable])
+        images = drawable[int(rng.choice(len(drawable), p=weights / weights.sum()))].images
+        rows = images.channels.shape[2]
+        drawable = [each for each in lessons if each.images.channels.shape[2] == rows]
+        drives = images.ego_speed_m_per_s > DRIVING_M_PER_S
+        share = np.where(drives, settings.driving_weight, 1.0)
+        labels = _labels(images, card)
+        number = int(rng.choice(len(labels), p=share / share.sum()))
+        sample = Sample(
+            images.channels[number].astype(np.float32),
+            images.residuals[number, int(rng.integers(images.residuals.shape[1]))].astype(
+                np.float32
+            )
+            if card.residual
+            else np.zeros((0, *labels.shape[1:]), dtype=np.float32),
+            images.seen_mask[number],
+            labels[number],
+        )
+        changed = augment(sample, rng, columns=settings.columns)
+        inputs.append(network_input(changed, card.profile, card.channels))
+        targets.append(changed.labels.astype(np.int64))
+    x = torch.from_numpy(np.stack(inputs)).contiguous(memory_format=torch.channels_last)
+    return x, torch.from_numpy(np.stack(targets))

@@ -1,0 +1,46 @@
+"""How well a network labels the pixels of images that it never learnt from."""
+
+import numpy as np
+import torch
+
+from workers.lab.datasets.images import TrainingImages
+from workers.lab.evaluation.semantics.confusion import class_iou, joint_iou
+from workers.lab.training.augment import Sample, network_input
+from workers.supervised.salsanext import SalsaNext
+from workers.supervised.weights import WeightsCard
+
+
+def score_images(net: SalsaNext, images: TrainingImages, card: WeightsCard) -> dict[str, float]:
+    """Intersection over union of each class, over pixels that show a labelled point.
+
+    Args:
+        net: The network; is put into evaluation mode.
+        images: What to score it on.
+        card: Names of the classes and the normalisation.
+
+    Returns:
+        IoU per class present, and of all movable classes taken together for semantics.
+    """
+    net.eval()
+    truth = images.semantic if card.network == "salsanext" else images.motion
+    classes = len(card.classes)
+    confusion = np.zeros((classes, classes), dtype=np.int64)
+    for number, labels in enumerate(truth):
+        residuals = images.residuals[number, 0] if card.residual else images.residuals[0, 0, :0]
+        sample = Sample(
+            images.channels[number].astype(np.float32),
+            residuals.astype(np.float32),
+            images.seen_mask[number],
+            labels,
+        )
+        x = torch.from_numpy(network_input(sample, card.profile, card.channels))[None]
+        with torch.inference_mode():
+            shares = net(x.contiguous(memory_format=torch.channels_last))[0]
+        found = shares[1:].argmax(0).numpy() + 1  # class 0 was never taught and never wins
+        counted = labels > 0
+        np.add.at(confusion, (labels[counted], found[counted]), 1)
+    scores = class_iou(confusion, [meaning.name for meaning in card.classes])
+    movable = np.array([meaning.movable for meaning in card.classes])
+    if movable.any():
+        scores["movable"] = joint_iou(confusion, movable) or 0.0
+    return scores

@@ -1,0 +1,1 @@
+"""Poses of the sensor, and tests whether they can be trusted: KISS-ICP under guard."""

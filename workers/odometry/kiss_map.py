@@ -1,0 +1,171 @@
+"""KISS-ICP's map, begun at some frame: registers what comes to it, in the space of that frame."""
+
+import math
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import Points, Transform
+from workers.lidar.deskew import Twist, motion, twist
+from workers.lidar.sensor_height import estimate_sensor_height
+from workers.points.compiled import compiled
+from workers.points.se3 import inverse
+
+MAX_RANGE_M: Final = 100.0
+VOXEL_M: Final = 1.0
+_CONVERGED: Final = 1e-3
+"""Millimetres, where pose noise is centimetres; a tenth of it takes twice the time."""
+
+STEP_M: Final = 2.0
+"""How far the first step may be off, a third of what is looked for: KISS-ICP's own value."""
+
+_ROAD_M: Final = 0.3
+_GOLDEN: Final = 0.6180339887498949
+_ROAD_THINNING: Final = 20
+
+
+class _Registered(NamedTuple):
+    """A frame that is not in the map yet: its pose, where it was expected, its places, its time."""
+
+    pose: Transform
+    guess: Transform
+    places: NDArray[np.float64]
+    dt_s: float
+
+
+class KissMap:
+    """One map of KISS-ICP (Vizzo et al., RA-L 2023), one thread, without its deskewing.
+
+    Its deskewing applies the previous motion, refers the pose to the end of the sweep and aborts
+    the process when all stamps are equal. Without it the pose is that of the middle of the sweep,
+    whatever the stamp names.
+
+    Attributes:
+        pose: (4, 4) of the last frame, in the space of the first.
+    """
+
+    def __init__(self, velocity: Twist | None, *, step_m: float = STEP_M) -> None:
+        """Begin a map.
+
+        Args:
+            velocity: How the sensor moves, per second; None if that is not known.
+            step_m: How far the first step may be off from it.
+        """
+        self.pose: Transform = np.eye(4)
+        self._velocity = velocity
+        self._begun = False
+        self._road_m = 0.0
+        self._kiss = _new_kiss(step_m)
+        self._registered: _Registered | None = None
+
+    def expected(self, dt_s: float) -> Transform:
+        """(4, 4) where the sensor would be, had it gone on as it went."""
+        if not self._begun or self._velocity is None:
+            return self.pose
+        return self.pose @ motion(self._velocity * dt_s)
+
+    def register(self, points: Points, dt_s: float) -> tuple[Transform | None, NDArray[np.float64]]:
+        """Register a frame; the map is as it was until it is told to take it in.
+
+        Args:
+            points: (N, 3) returns of the frame, about the sensor.
+            dt_s: Time since the frame before.
+
+        Returns:
+            (4, 4) its pose in the space of the first frame, None if registration failed; and
+            (K, 3) its key points, about the sensor.
+        """
+        if not self._begun:
+            self._road_m = _ROAD_M - estimate_sensor_height(points.astype(np.float64))
+        kiss, guess = self._kiss, self.expected(dt_s)
+        places, keypoints = _thinned(kiss, chosen(points, self._road_m))
+        sigma = kiss.adaptive_threshold.get_threshold()
+        pose: Transform = kiss.registration.align_points_to_map(
+            points=keypoints,
+            voxel_map=kiss.local_map,
+            initial_guess=guess,
+            max_correspondance_distance=3 * sigma,
+            kernel=sigma,
+        )
+        self._registered = _Registered(pose, guess, places, dt_s) if _is_pose(pose) else None
+        return (None if self._registered is None else pose), keypoints
+
+    def take_in(self) -> None:
+        """Believe what was registered last, and lay it into the map."""
+        if self._registered is None:
+            return
+        pose, guess, places, dt_s = self._registered
+        self._registered = None
+        self._kiss.adaptive_threshold.update_model_deviation(inverse(guess) @ pose)
+        self._kiss.local_map.update(places, pose)
+        if self._begun:
+            self._velocity = twist(inverse(self.pose) @ pose) / dt_s
+        self._begun, self.pose = True, pose
+
+    def believe(self, pose: Transform) -> None:
+        """Go on from a pose that no registration gave."""
+        self.pose = pose
+
+
+def chosen(points: Points, road_m: float) -> NDArray[np.float64]:
+    """Half of the points, mixed, and of those on the road one in twenty of that.
+
+    KISS-ICP keeps the first point of each voxel. In the order of the scan that is always the same
+    corner of it; and the rings on the road are the same wherever the car is. Both pull towards
+    standing still: a car that sets off was followed with half its speed for a second. A few points
+    of the road still hold height, pitch and roll. Steps of the golden ratio spread evenly and need
+    no random numbers.
+    """
+    n = len(points)
+    step = int(n * _GOLDEN)
+    while math.gcd(step, n) != 1:
+        step += 1
+    return _mixed(points, step, road_m)
+
+
+@compiled
+def _mixed(points: Points, step: int, road_m: float) -> NDArray[np.float64]:
+    """Half of the points, so many steps apart, but few of those on the road; (M, 3)."""
+    n = len(points)
+    taken = np.empty((n // 2, 3), np.float64)
+    count, on_road, i = 0, 0, 0
+    for _ in range(n // 2):
+        keep = points[i, 2] > road_m
+        if not keep:
+            keep = on_road % _ROAD_THINNING == 0
+            on_road += 1
+        if keep:
+            for axis in range(3):
+                taken[count, axis] = points[i, axis]
+            count += 1
+        i += step
+        i -= n if i >= n else 0
+    return taken[:count]
+
+
+def _new_kiss(step_m: float) -> Any:
+    from kiss_icp.config import KISSConfig
+    from kiss_icp.kiss_icp import KissICP
+
+    config = KISSConfig()
+    config.data.max_range = MAX_RANGE_M
+    config.data.min_range = 0.0
+    config.data.deskew = False
+    config.mapping.voxel_size = VOXEL_M
+    config.adaptive_threshold.initial_threshold = step_m
+    config.registration.max_num_threads = 1
+    config.registration.convergence_criterion = _CONVERGED
+    return KissICP(config)
+
+
+def _thinned(kiss: Any, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """What KISS-ICP lays into its map, and its key points, of which it has fewer."""
+    keypoints, places = kiss.voxelize(kiss.preprocessor.preprocess(points, np.empty(0), np.eye(4)))
+    return places, keypoints
+
+
+def _is_pose(pose: Transform) -> bool:
+    return bool(
+        np.isfinite(pose).all() and np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-3)
+    )

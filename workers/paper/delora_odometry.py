@@ -1,0 +1,84 @@
+"""Odometry of the paper: DeLORA says how the sensor moved from one frame to the next."""
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from schemas.frame import LidarFrame, PosedFrame
+from workers.checkpoints.stored import Stored
+from workers.lidar.range_image import SensorProfile, project
+from workers.paper.delora import DeLORA
+from workers.paper.weights import DeLORACard, load_delora
+from workers.part_version import release, version_of
+
+
+class DeLORAOdometry:
+    """Poses by composing what the network says of each pair of frames.
+
+    The published chain projects twice, to an image of 2,250 columns and that to 720; here once. A
+    network does not say how sure it is: every pose is called healthy.
+
+    Args:
+        weights: Of DeLORA.
+    """
+
+    def __init__(self, weights: Stored[DeLORA, DeLORACard]) -> None:
+        self._weights = weights
+        card = weights.card
+        self._profile = SensorProfile(
+            name="delora",
+            rows=card.rows,
+            columns=card.columns,
+            fov_up_deg=card.fov_up_deg,
+            fov_down_deg=card.fov_down_deg,
+        )
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        """Load the network from a folder of imported weights.
+
+        Raises:
+            WeightsUnusableError: If it is missing or damaged.
+        """
+        return cls(load_delora(folder / "delora.safetensors"))
+
+    @property
+    def version(self) -> str:
+        """`delora@digest` of code, libraries and weights."""
+        return version_of("delora", f"{self._weights.digest} torch=={release('torch')}")
+
+    def __call__(self, frames: Iterable[LidarFrame]) -> Iterator[PosedFrame]:
+        """Yield each frame with its pose, in order; the first is the origin."""
+        torch.set_num_threads(1)  # a worker owns one core, and sums keep their order
+        odom_from_sensor = np.eye(4)
+        before: torch.Tensor | None = None
+        for frame in frames:
+            image = torch.from_numpy(self.image(frame))[None]
+            if before is not None:
+                with torch.inference_mode():
+                    motion = self._weights.net(before, image)
+                moved = motion.this_from_next[0].numpy().astype(np.float64)
+                odom_from_sensor = odom_from_sensor @ _rigid(moved)
+            before = image
+            yield PosedFrame(frame, odom_from_sensor.copy())
+
+    def image(self, frame: LidarFrame) -> NDArray[np.float32]:
+        """Lay a frame out as the network sees it: (4, H, W) x, y, z and range, zero where empty."""
+        image = project(frame.points_m, self._profile, valid_mask=frame.valid_mask)
+        shown = image.index[image.seen_mask]
+        channels = np.zeros((4, *image.index.shape), np.float32)
+        channels[:3, image.seen_mask] = frame.points_m[shown].T
+        channels[3, image.seen_mask] = image.point_range_m[shown]
+        return channels
+
+
+def _rigid(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Make single precision's rotation exact again, so that poses of long logs stay rigid."""
+    left, _, right = np.linalg.svd(matrix[:3, :3])
+    rigid = matrix.copy()
+    rigid[:3, :3] = left @ right
+    return rigid

@@ -1,0 +1,79 @@
+"""Scene flow of a network: FlowStep3D on what lies near, after ego-motion."""
+
+from pathlib import Path
+from typing import Final, Self
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from schemas.arrays import Flow, Mask, Points, Transform
+from workers.checkpoints.stored import Stored
+from workers.paper.flowstep3d import FlowStep3D
+from workers.paper.weights import FlowStep3DCard, load_flowstep3d
+from workers.points.se3 import transform
+
+REACH_M: Final = 35.0
+"""To each side and ahead, as in the training of the published weights; nothing farther moves."""
+
+_FLOW_AXES: Final = (1, 2, 0)
+"""x left, y up, z ahead of the network, from x ahead, y left, z up of a sensor."""
+
+_SENSOR_AXES: Final = (2, 0, 1)
+
+
+class FlowStep3DFlow:
+    """A `SceneFlowSource`: how far each point goes beyond what ego-motion explains.
+
+    The published chain hands both clouds over as they were measured, so that the network has to
+    find ego-motion again, which odometry knows to a centimetre. Here the first cloud is moved to
+    where a standing world would be, and the network is asked for the rest.
+
+    Args:
+        stored: The network and what its card says.
+    """
+
+    def __init__(self, stored: Stored[FlowStep3D, FlowStep3DCard]) -> None:
+        self._stored = stored
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        """Load the network from a folder of imported weights.
+
+        Raises:
+            WeightsUnusableError: If it is missing or damaged.
+        """
+        return cls(load_flowstep3d(folder / "flowstep3d.safetensors"))
+
+    @property
+    def version(self) -> str:
+        """Digest of the weights, and the library that runs them."""
+        return f"{self._stored.digest} torch=={torch.__version__.partition('+')[0]}"
+
+    def __call__(
+        self, points_m: Points, other_points_m: Points, other_from_this: Transform
+    ) -> Flow:
+        """Say where each point goes; see `SceneFlowSource`."""
+        torch.set_num_threads(1)  # a worker owns one core, and sums keep their order
+        expected = transform(other_from_this, points_m).astype(np.float32)
+        near, other_near = _is_near(expected), _is_near(other_points_m)
+        beyond_m = np.zeros_like(expected)
+        if near.any() and other_near.any():
+            with torch.inference_mode():
+                answers = self._stored.net(
+                    _cloud(expected[near]),
+                    _cloud(other_points_m[other_near]),
+                    iterates=self._stored.card.iterates,
+                )
+            flow_m: NDArray[np.float32] = answers[-1][0].numpy()
+            beyond_m[near] = flow_m[:, _SENSOR_AXES]
+        flow: Flow = expected + beyond_m - points_m
+        return flow
+
+
+def _is_near(points_m: Points) -> Mask:
+    return np.asarray((np.abs(points_m[:, :2]) < REACH_M).all(axis=1))
+
+
+def _cloud(points_m: Points) -> torch.Tensor:
+    return torch.from_numpy(np.ascontiguousarray(points_m[:, _FLOW_AXES], dtype=np.float32))[None]

@@ -1,0 +1,109 @@
+"""The paper's stream by name: scene flow, ego compensation, two-stage clustering."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from schemas.arrays import NS_PER_S
+from schemas.frame import LidarFrame, OdometryState, PosedFrame
+from schemas.labels import Blindness, FrameHealth, FrameLabels, MotionLabel
+from schemas.task import MOTION, Task
+from workers.lidar.prepare import Preparation, Prepared
+from workers.paper.object_flow import object_flow
+from workers.paper.scene_flow import LearnedFlow, scene_flow_source
+from workers.paper.two_stage_clustering import PER_SECOND, TwoStageRule, two_stage
+from workers.part_version import version_of
+from workers.points.se3 import transform
+from workers.selfsupervised.answer import ALONE, GROUND, nothing_known
+from workers.selfsupervised.history import MAX_GAP_NS
+
+
+@dataclass(frozen=True, slots=True)
+class TwoStage:
+    """Labels each frame by the flow from it to the frame before, so that none has to wait.
+
+    The published chain looks at the next frame instead. With simple flows it finds next to nothing:
+    it needs flow that is good to a centimetre per frame.
+
+    Attributes:
+        flow: Name of the scene flow.
+        rule: Numbers of the clustering.
+        learned: The network of that name; None for a flow that needs none.
+    """
+
+    flow: str = "nearest-neighbour"
+    rule: TwoStageRule = PER_SECOND
+    learned: LearnedFlow | None = None
+    task: ClassVar[Task] = MOTION
+
+    @property
+    def version(self) -> str:
+        """`two-stage@digest` of code, libraries, flow with its weights, and rule."""
+        weights = "" if self.learned is None else f" {self.learned.version}"
+        return version_of("two-stage", f"{self.flow} {self.rule}{weights}")
+
+    @property
+    def class_names(self) -> tuple[str, ...]:
+        """No classes are known."""
+        return ()
+
+    def __call__(self, frames: Iterable[PosedFrame]) -> Iterator[FrameLabels]:
+        """Yield the labels of each frame.
+
+        Raises:
+            LookupError: If there is no scene flow of that name.
+        """
+        source = self.learned or scene_flow_source(self.flow)
+        prepare = Preparation()
+        before: tuple[int, Prepared] | None = None
+        for posed in frames:
+            frame = posed.frame
+            prepared = prepare(frame, posed.odom_from_sensor, None)
+            if prepared is None:
+                before = None
+                yield nothing_known(frame, health=prepare.problem(frame))
+                continue
+            if posed.odometry is OdometryState.LOST:
+                before = None
+                lost = FrameHealth(Blindness.NO_POSE, f"odometry lost: {posed.reason}")
+                yield nothing_known(frame, prepared, health=lost)
+                continue
+            if before is None or not 0 < frame.stamp_ns - before[0] <= MAX_GAP_NS:
+                first = FrameHealth(Blindness.NO_PAST, "no frame before it to compare with")
+                yield nothing_known(frame, prepared, health=first)
+            else:
+                places = _in_beams(prepared)
+                other_from_this = before[1].beams_from_odom @ prepared.odom_from_beams
+                flow = source(places, _in_beams(before[1]), other_from_this)
+                found = two_stage(
+                    places,
+                    object_flow(flow, places, other_from_this),
+                    dt_s=(frame.stamp_ns - before[0]) / NS_PER_S,
+                    rule=self.rule,
+                    weights=np.bincount(prepared.voxels.of_point, minlength=len(places)),
+                )
+                yield _labels(frame, prepared, found.dynamic[prepared.voxels.of_point])
+            before = (frame.stamp_ns, prepared)
+
+
+def _in_beams(prepared: Prepared) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+    return transform(prepared.beams_from_odom, prepared.voxels.centroids_m)
+
+
+def _labels(
+    frame: LidarFrame,
+    prepared: Prepared,
+    dynamic: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
+) -> FrameLabels:
+    labels = np.full(len(frame), MotionLabel.UNKNOWN, np.uint8)
+    confidence = np.zeros(len(frame), np.float16)
+    ground_index = prepared.valid_index[prepared.ground]
+    judged_index = prepared.valid_index[prepared.judged_index]
+    labels[ground_index], confidence[ground_index] = MotionLabel.STATIC, GROUND
+    labels[judged_index] = np.where(dynamic, MotionLabel.DYNAMIC, MotionLabel.STATIC)
+    confidence[judged_index] = ALONE
+    ground_mask = np.zeros(len(frame), np.bool_)
+    ground_mask[ground_index] = True
+    return FrameLabels(labels=labels, confidence=confidence, ground_mask=ground_mask)

@@ -1,0 +1,32 @@
+"""The version of a part: a digest of the code and the libraries that its answers come from."""
+
+import hashlib
+from functools import cache
+from importlib import metadata
+from typing import Final
+
+from workers.sources import syntax_digest
+
+LIBRARIES: Final = ("kiss-icp", "numba", "numpy", "pypatchworkpp", "scikit-learn", "scipy")
+PACKAGES: Final = ("workers.odometry", "workers.paper", "workers.selfsupervised")
+
+
+def release(library: str) -> str:
+    """Version of an installed library, without the `+cpu` of its build."""
+    return metadata.version(library).partition("+")[0]
+
+
+@cache
+def version_of(name: str, settings: str = "") -> str:
+    """Name a part by all that changes its output.
+
+    Args:
+        name: What the part is called in the registry.
+        settings: The settings it was built with, as text.
+
+    Returns:
+        `name@digest`: sources, versions of the libraries, settings.
+    """
+    libraries = [f"{library}=={metadata.version(library)}" for library in LIBRARIES]
+    said = "\n".join([name, settings, syntax_digest(*PACKAGES), *libraries])
+    return f"{name}@{hashlib.sha256(said.encode()).hexdigest()[:12]}"

@@ -1,0 +1,1 @@
+"""Replaceable parts of the pipeline: protocols, registry, catalogue, files, networks."""

@@ -1,0 +1,202 @@
+"""Which networks there are, and how a published checkpoint becomes weights of this project."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+from schemas.runtime.named_file import open_named_file, read_named_file
+from workers.checkpoints import stored
+from workers.checkpoints.errors import WeightsUnusableError
+from workers.checkpoints.fitting import load_into
+from workers.checkpoints.model_files import MAX_TEXT_BYTES, read_regular
+from workers.checkpoints.published import read_checkpoint
+from workers.checkpoints.stored import Card
+from workers.errors import UnknownPartError
+
+NETWORKS: Final = ("salsanext", "lmnet", "gndnet", "flowstep3d", "delora")
+"""Of the paper; the names of their files in a folder of weights, too."""
+
+_CONFIGS: Final = resources.files("workers.checkpoints") / "configs"
+
+
+@cache
+def _card_type(network: str) -> type[Card]:
+    """Find what the card of a network must be; the networks load only when one is wanted."""
+    if network in ("salsanext", "lmnet"):
+        from workers.supervised.weights import WeightsCard
+
+        return WeightsCard
+    from workers.paper import weights
+
+    cards: Mapping[str, type[Card]] = {
+        "gndnet": weights.GndNetCard,
+        "flowstep3d": weights.FlowStep3DCard,
+        "delora": weights.DeLORACard,
+    }
+    try:
+        return cards[network]
+    except KeyError:
+        raise UnknownPartError(f"no network {network!r}; known: {', '.join(NETWORKS)}") from None
+
+
+def known_configs() -> tuple[str, ...]:
+    """Names of the configurations that come with the package: those of published checkpoints."""
+    return tuple(sorted(file.name.removesuffix(".json") for file in _CONFIGS.iterdir()))
+
+
+def read_known(name: str) -> Card:
+    """Read a configuration that comes with the package.
+
+    Raises:
+        WeightsUnusableError: If there is none of that name.
+    """
+    if name not in known_configs():
+        raise WeightsUnusableError(
+            f"no configuration {name!r}; known: {', '.join(known_configs())}"
+        )
+    said = (_CONFIGS / f"{name}.json").read_text("utf-8")
+    return stored.read_card(said, _card_type(json.loads(said)["network"]), source=name)
+
+
+def read_config(config: str, network: str) -> Card:
+    """Read what a network needs beside its parameters.
+
+    Args:
+        config: Name of one that comes with the package, path of a JSON file, or JSON.
+        network: The network it is for.
+
+    Returns:
+        The card that will stand beside the weights.
+
+    Raises:
+        WeightsUnusableError: If it is missing, no JSON, for another network, or incomplete.
+        UnknownPartError: If there is no such network.
+    """
+    card_type = _card_type(network)
+    if config in known_configs():
+        card = read_known(config)
+        if card.network != network:
+            raise WeightsUnusableError(
+                f"configuration {config} is of {card.network}, not {network}"
+            )
+        return card
+    if config.lstrip().startswith("{"):
+        source, said = "configuration", config
+    else:
+        source = config
+        try:
+            said = read_regular(Path(config), what="the configuration", most=MAX_TEXT_BYTES).decode(
+                "utf-8"
+            )
+        except (WeightsUnusableError, UnicodeDecodeError) as error:
+            raise WeightsUnusableError(
+                f"{error}; a JSON file, JSON, or one of {', '.join(known_configs())} is needed"
+            ) from error
+    card = stored.read_card(_named(said, network, source), card_type, source=source)
+    if card.network != network:
+        raise WeightsUnusableError(
+            f"the configuration is of {card.network}, not {network} ({source})"
+        )
+    return card
+
+
+def _named(said: str, network: str, source: str) -> str:
+    """Let a configuration leave out which network it is for: the user has said so."""
+    try:
+        document: Any = json.loads(said)
+    except (ValueError, RecursionError) as error:
+        raise WeightsUnusableError(f"the configuration is no JSON: {error} ({source})") from error
+    return json.dumps({"network": network} | document) if isinstance(document, dict) else said
+
+
+@dataclass(frozen=True, slots=True)
+class Imported:
+    """What an import has written.
+
+    Attributes:
+        path: The `.safetensors` file; its card beside it has the suffix `.json`.
+        network: Which network.
+        parameters: How many tensors.
+        digest: Hex sha256 of both files, as it enters the version of what uses them.
+        converted: Whether the checkpoint held training state that was left out.
+    """
+
+    path: Path
+    network: str
+    parameters: int
+    digest: str
+    converted: bool
+
+
+def import_weights(checkpoint: Path, *, network: str, config: str, out: Path) -> Imported:
+    """Turn a published checkpoint into weights that parts can load: `out/NETWORK.safetensors`.
+
+    Nothing is written unless every parameter fits. The numbers stay as they are.
+
+    Args:
+        checkpoint: As `read_checkpoint` takes it.
+        network: Name in `NETWORKS`.
+        config: As `read_config` takes it.
+        out: Folder, made if need be.
+
+    Returns:
+        What was written.
+
+    Raises:
+        WeightsUnusableError: If anything is missing, damaged, does not fit, or holds code.
+        UnknownPartError: If there is no such network.
+    """
+    card = read_config(config, network)
+    net = card.build()
+    converted = False
+    try:
+        parameters = read_checkpoint(checkpoint)
+    except WeightsUnusableError:
+        parameters = read_checkpoint(checkpoint, convert=True)
+        converted = True
+    load_into(net, parameters, source=checkpoint)
+    origin = {"imported_from": checkpoint.name, _ORIGIN: _digest_of(checkpoint)}
+    card = card.model_copy(update={"training": {**card.training, **origin}})
+    path = out / f"{network}.safetensors"
+    stored.save(path, net.state_dict(), card)
+    digest = stored.load(path, type(card), lambda read: read.build()).digest
+    return Imported(path, network, len(parameters), digest, converted)
+
+
+def need_no_other_weights(path: Path, checkpoint: Path) -> None:
+    """Refuse to replace weights unless they were imported from this very checkpoint.
+
+    Args:
+        path: Where the import would write.
+        checkpoint: What would be imported.
+
+    Raises:
+        WeightsUnusableError: If other weights lie there, or the checkpoint cannot be read.
+    """
+    card = path.with_suffix(".json")
+    there = next((each for each in (path, card) if each.exists()), None)
+    if there is None:
+        return
+    try:
+        training = json.loads(read_named_file(card))["training"]
+        if training[_ORIGIN] == _digest_of(checkpoint):
+            return
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        pass  # what cannot be read was not imported from this checkpoint
+    raise WeightsUnusableError(
+        f"other weights lie there: name another folder, or replace them with --force ({there})"
+    )
+
+
+_ORIGIN: Final = "imported_sha256"
+"""Entry of a card: hex sha256 of the checkpoint."""
+
+
+def _digest_of(checkpoint: Path) -> str:
+    with open_named_file(checkpoint) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,1 @@
+"""Compiled kernels on points: grids, neighbours, voxels, components, rigid transforms."""

@@ -1,0 +1,71 @@
+"""How inner loops are compiled: the one place that touches numba's options."""
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any, Final, TypeVar, cast
+
+import structlog
+from numba import njit
+
+from workers.sources import source_digest
+
+COMPILED: Final = (
+    "workers.contradiction",
+    "workers.free_space",
+    "workers.lidar",
+    "workers.odometry",
+    "workers.paper",
+    "workers.points",
+    "workers.selfsupervised",
+    "workers.witness",
+)
+"""Packages with such loops."""
+
+log = structlog.get_logger(__name__)
+
+Loop = TypeVar("Loop", bound=Callable[..., Any])
+
+
+def compiled(loop: Loop) -> Loop:
+    """Compile a loop over arrays at its first call, and keep the result on disk.
+
+    One thread and no reordering of sums: the same input gives the same bits. The interpreter lock
+    is released while a loop runs, so that a lease can be renewed meanwhile.
+
+    The cache of numba notices changes of a function's own file only, not of the loops and numbers
+    that it takes from others; a digest of all of them in the name makes stale code impossible.
+    Where no cache can be written, that is said once, and every process compiles for itself.
+    """
+    return _compiled(loop, inline=False)
+
+
+def inlined(loop: Loop) -> Loop:
+    """Compile a loop that others call for each point: it is laid into each of them.
+
+    A call hands over arrays word by word, several for each, which takes as long as a short loop.
+    """
+    return _compiled(loop, inline=True)
+
+
+def _compiled(loop: Loop, *, inline: bool) -> Loop:
+    loop.__qualname__ += f"_{source_digest(*COMPILED)[:8]}"
+    compiler = njit(nogil=True, error_model="numpy", forceinline=inline)
+    dispatcher = compiler(loop)
+    try:
+        dispatcher.enable_caching()
+    except RuntimeError:  # numba's word for a cache that cannot be written anywhere
+        _say_uncached()
+    return cast(Loop, dispatcher)
+
+
+def cache_folder(loop: Callable[..., Any]) -> str | None:
+    """Where a loop is kept on disk once it is compiled; None where it cannot be."""
+    return cast(str | None, cast(Any, loop).stats.cache_path)
+
+
+@cache
+def _say_uncached() -> None:
+    log.warning(
+        "no cache for compiled loops: every process compiles them anew, with time and memory",
+        remedy="name a folder that can be written in NUMBA_CACHE_DIR",
+    )

@@ -1,0 +1,206 @@
+"""Nearest-neighbour questions to a grid of points, inside compiled loops."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import Mask, Points
+from workers.points.compiled import compiled, inlined
+from workers.points.point_grid import CELL_M, LAYERS, PointGrid, build_grid, cell_along
+
+__all__ = [
+    "PointGrid",
+    "build_grid",
+    "nearer",
+    "nearest_distances",
+    "nearest_few",
+    "nearest_indices",
+    "nearest_rows",
+]
+
+_FIRST_REACH_M = 0.5
+"""Within which a few neighbours are looked for first; twice as far where there are too few."""
+
+
+@inlined
+def nearer(
+    grid: PointGrid, x: float, y: float, z: float, best: float, found: int
+) -> tuple[float, int]:
+    """Find the nearest point of the grid, if it is nearer than one that is known.
+
+    Args:
+        grid: The points.
+        x: Of the place asked about, as y and z.
+        y: The second coordinate.
+        z: The third.
+        best: Squared distance of the known one, or of the reach.
+        found: Its row in `grid.points_m`, or -1.
+
+    Returns:
+        Squared distance and row of the nearest; as given when none is nearer.
+    """
+    points, column, start, origin = grid.points_m, grid.column, grid.start, grid.origin_m
+    count_x, count_y = column.shape
+    own_x = cell_along(x, origin[0], count_x)
+    own_y = cell_along(y, origin[1], count_y)
+    own_z = cell_along(z, origin[2], LAYERS)
+    # the own cell first: what it holds rules most of the others out
+    first = column[own_x, own_y] * LAYERS
+    if first >= 0:
+        for j in range(start[first + own_z], start[first + own_z + 1]):
+            dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
+            squared = dx * dx + dy * dy + dz * dz
+            if squared < best:
+                best, found = squared, j
+    # how far the six sides of the own cell are; negative outside of the grid
+    left, front = x - (origin[0] + own_x * CELL_M), y - (origin[1] + own_y * CELL_M)
+    right, back = CELL_M - left, CELL_M - front
+    down = z - (origin[2] + own_z * CELL_M)
+    up = CELL_M - down
+    reach = np.sqrt(best)
+    if reach <= min(min(min(left, right), min(front, back)), min(down, up)):
+        return best, found
+    low, high = max(own_z - _cells(reach - down), 0), min(own_z + _cells(reach - up), LAYERS - 1)
+    for cx in range(
+        max(own_x - _cells(reach - left), 0),
+        min(own_x + _cells(reach - right), count_x - 1) + 1,
+    ):
+        ax = _between(cx - own_x, left, right)
+        if ax * ax >= best:
+            continue
+        for cy in range(
+            max(own_y - _cells(reach - front), 0),
+            min(own_y + _cells(reach - back), count_y - 1) + 1,
+        ):
+            ay = _between(cy - own_y, front, back)
+            first = column[cx, cy] * LAYERS
+            if first < 0 or ax * ax + ay * ay >= best:
+                continue
+            # cells of a column follow each other, so one run over z is enough
+            for j in range(start[first + low], start[first + high + 1]):
+                dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
+                squared = dx * dx + dy * dy + dz * dz
+                if squared < best:
+                    best, found = squared, j
+    return best, found
+
+
+@compiled
+def _cells(length: float) -> int:
+    """How many cells a length that leaves the own cell goes through."""
+    return max(int(np.ceil(length * (1.0 / CELL_M))), 0)
+
+
+@compiled
+def _between(step: int, before: float, after: float) -> float:
+    """How far a place is from a cell so many steps on, along one axis."""
+    if step < 0:
+        return before + (-step - 1) * CELL_M
+    if step > 0:
+        return after + (step - 1) * CELL_M
+    return 0.0
+
+
+@compiled
+def nearest_distances(grid: PointGrid, points: Points, reach: float) -> NDArray[np.float32]:
+    """Distance of each point to its nearest neighbour in the grid, at most `reach`; (N,)."""
+    distance = np.empty(len(points), np.float32)
+    for i in range(len(points)):
+        squared, _ = nearer(grid, points[i, 0], points[i, 1], points[i, 2], reach * reach, -1)
+        distance[i] = np.sqrt(squared)
+    return distance
+
+
+@compiled
+def nearest_rows(grid: PointGrid, points: NDArray[np.floating], reach: float) -> NDArray[np.int32]:
+    """Row in `grid.points_m` of each point's nearest neighbour, -1 when none is nearer; (N,)."""
+    rows = np.empty(len(points), np.int32)
+    for i in range(len(points)):
+        _, rows[i] = nearer(grid, points[i, 0], points[i, 1], points[i, 2], reach * reach, -1)
+    return rows
+
+
+@compiled
+def nearest_few(grid: PointGrid, points: Points, few: int) -> NDArray[np.int32]:
+    """Rows in `grid.points_m` of each point's nearest neighbours, nearest first; (N, few).
+
+    The grid must hold as many points.
+    """
+    rows = np.full((len(points), few), -1, np.int32)
+    squared = np.empty(few, np.float64)
+    for i in range(len(points)):
+        reach = _FIRST_REACH_M
+        squared[:] = np.inf
+        while not _few_within(grid, points[i], reach, squared, rows[i]):
+            reach *= 2.0
+            squared[:] = np.inf
+    return rows
+
+
+@compiled
+def _few_within(
+    grid: PointGrid,
+    place: NDArray[np.float32],
+    reach: float,
+    squared: NDArray[np.float64],
+    rows: NDArray[np.int32],
+) -> bool:
+    """Sort the nearest points of all cells within reach into a list; whether no other is nearer."""
+    points, column, start, origin = grid.points_m, grid.column, grid.start, grid.origin_m
+    count_x, count_y = column.shape
+    x, y, z = np.float64(place[0]), np.float64(place[1]), np.float64(place[2])
+    first_x = cell_along(x - reach, origin[0], count_x)
+    last_x = cell_along(x + reach, origin[0], count_x)
+    first_y = cell_along(y - reach, origin[1], count_y)
+    last_y = cell_along(y + reach, origin[1], count_y)
+    low, high = cell_along(z - reach, origin[2], LAYERS), cell_along(z + reach, origin[2], LAYERS)
+    last = len(squared) - 1
+    for cx in range(first_x, last_x + 1):
+        for cy in range(first_y, last_y + 1):
+            first = column[cx, cy] * LAYERS
+            if first < 0:
+                continue
+            for j in range(start[first + low], start[first + high + 1]):
+                dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
+                away = dx * dx + dy * dy + dz * dz
+                if away >= squared[last]:
+                    continue
+                at = last
+                while at > 0 and squared[at - 1] > away:
+                    squared[at], rows[at] = squared[at - 1], rows[at - 1]
+                    at -= 1
+                squared[at], rows[at] = away, j
+    wide = first_x == 0 and last_x == count_x - 1 and first_y == 0 and last_y == count_y - 1
+    return squared[last] <= reach * reach or (wide and low == 0 and high == LAYERS - 1)
+
+
+@compiled
+def nearest_indices(grid: PointGrid, points: Points, reach: float) -> NDArray[np.int32]:
+    """Row in `grid.points_m` of each point's nearest neighbour, -1 when none is nearer; (N,).
+
+    Made for grids of few points: where no column within reach holds one, none is looked at.
+    """
+    index = np.empty(len(points), np.int32)
+    around = _around(grid.column, _cells(reach))
+    count_x, count_y = around.shape
+    for i in range(len(points)):
+        cx = cell_along(points[i, 0], grid.origin_m[0], count_x)
+        cy = cell_along(points[i, 1], grid.origin_m[1], count_y)
+        index[i] = -1
+        if around[cx, cy]:
+            _, index[i] = nearer(grid, points[i, 0], points[i, 1], points[i, 2], reach * reach, -1)
+    return index
+
+
+@compiled
+def _around(column: NDArray[np.int32], reach: int) -> Mask:
+    """(X, Y) whether a column of points is that many columns away or nearer."""
+    count_x, count_y = column.shape
+    around = np.zeros(column.shape, np.bool_)
+    for x in range(count_x):
+        for y in range(count_y):
+            if column[x, y] >= 0:
+                around[
+                    max(x - reach, 0) : min(x + reach + 1, count_x),
+                    max(y - reach, 0) : min(y + reach + 1, count_y),
+                ] = True
+    return around

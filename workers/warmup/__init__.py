@@ -1,0 +1,1 @@
+"""Compilation of loops ahead of time, in a process of its own."""

@@ -1,0 +1,1 @@
+"""The worker: claim, read, mine, publish, commit."""

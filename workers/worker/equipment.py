@@ -1,0 +1,52 @@
+"""What the service's settings come down to in a worker: parts, their version, open buckets."""
+
+from dataclasses import dataclass
+
+from schemas.mining import MiningSettings
+from schemas.task import MOTION
+from schemas.transport.bucket import Bucket, open_bucket
+from workers.errors import UnknownPartError
+from workers.parts.protocols import Parts
+from workers.version import parts_of, pipeline_version
+
+
+@dataclass(frozen=True, slots=True)
+class Equipment:
+    """Everything to mine with, built once and used for many shards.
+
+    Attributes:
+        settings: What every worker must do alike.
+        parts: Odometry and streams.
+        version: Pipeline version of both.
+        bucket: The logs.
+        artifacts: Where overlays go.
+    """
+
+    settings: MiningSettings
+    parts: Parts
+    version: str
+    bucket: Bucket
+    artifacts: Bucket
+
+
+def equip(settings: MiningSettings) -> Equipment:
+    """Build the parts and open the buckets that the service names.
+
+    Raises:
+        PermanentError: If a part does not exist here, or answers another task than motion, or a
+            bucket's URL means nothing.
+        TransientError: If a store does not answer.
+    """
+    parts = parts_of(settings)
+    if parts.task != MOTION:
+        raise UnknownPartError(
+            f"the chosen streams answer the task {parts.task.name}, but a service ranks and counts "
+            "motion alone: mine such logs with `counterpoint score`"
+        )
+    return Equipment(
+        settings=settings,
+        parts=parts,
+        version=pipeline_version(settings, parts),
+        bucket=open_bucket(settings.bucket),
+        artifacts=open_bucket(settings.artifacts, create=True),
+    )

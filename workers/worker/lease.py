@@ -1,0 +1,200 @@
+"""A worker's side of a lease: asked for, kept alive while worked on, finished or given back."""
+
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from threading import Event, Thread
+from types import TracebackType
+from typing import Final, Self, TypeVar
+
+import structlog
+import zenoh
+from pydantic import BaseModel, ValidationError
+
+from schemas.errors import CounterpointError, PermanentError, TransientError
+from schemas.mining import MiningSettings
+from schemas.runtime.retry import StoppedError
+from schemas.transport import keys
+from schemas.transport.ask import ask, ask_until
+from schemas.transport.keys import Verb
+from schemas.transport.wire import decode, encode
+from schemas.work import (
+    Answer,
+    ClaimReply,
+    ClaimRequest,
+    CommitRequest,
+    FailRequest,
+    MineLease,
+    PlanLease,
+    RenewRequest,
+)
+
+log = structlog.get_logger(__name__)
+
+RENEW_SHARE: Final = 1 / 3
+"""Of a lease's term: two renewals may fail before it expires."""
+
+ASK_S: Final = 10.0
+RENEW_ASK_S: Final = 5.0
+"""How long one question may take, seconds; then it is asked again, a renewal at its next time."""
+
+Reply = TypeVar("Reply", bound=BaseModel)
+
+
+class LeaseLostError(CounterpointError):
+    """The lease is another's now: what was done under it is dropped, without a word."""
+
+
+class Leases:
+    """Asks the service, again and again until it answers: it may be restarting."""
+
+    def __init__(self, session: zenoh.Session, *, root: str, worker_id: str) -> None:
+        self._session, self._root, self.worker_id = session, root, worker_id
+
+    def hello(self, *, stop: Event) -> MiningSettings:
+        """Ask what every worker must do alike."""
+        return self._ask("hello", b"", MiningSettings, stop=stop)
+
+    def claim(self, pipeline_version: str, *, stop: Event) -> ClaimReply:
+        """Ask for something to do."""
+        request = ClaimRequest(worker_id=self.worker_id, pipeline_version=pipeline_version)
+        return self._ask("claim", encode(request), ClaimReply, stop=stop)
+
+    def commit(self, request: CommitRequest, *, stop: Event) -> Answer:
+        """Finish a lease; the answer comes after the service's transaction."""
+        return self._ask("commit", encode(request), Answer, stop=stop)
+
+    def fail(self, request: FailRequest, *, patience_s: float) -> None:
+        """Give a lease back with its error; unanswered, it expires by itself."""
+        try:
+            self._ask("fail", encode(request), Answer, stop=Event(), patience_s=patience_s)
+        except TransientError as error:
+            log.warning("lease left to expire", problem=str(error))
+
+    def renew(self, lease_id: str) -> Answer:
+        """Lengthen a lease; asked once.
+
+        Raises:
+            CounterpointError: If nobody answers now, or not as expected.
+        """
+        request = RenewRequest(worker_id=self.worker_id, lease_id=lease_id)
+        answer = ask(self._session, self._key("renew"), encode(request), timeout_s=RENEW_ASK_S)
+        return decode(Answer, answer)
+
+    def _ask(
+        self,
+        verb: Verb,
+        payload: bytes,
+        kind: type[Reply],
+        *,
+        stop: Event,
+        patience_s: float = float("inf"),
+    ) -> Reply:
+        answer = ask_until(
+            self._session,
+            self._key(verb),
+            payload,
+            stop=stop,
+            patience_s=patience_s,
+            timeout_s=min(ASK_S, patience_s),
+        )
+        try:
+            return decode(kind, answer)
+        except ValidationError as error:
+            raise PermanentError(
+                f"the service answers {verb} in words of another version; install the same version "
+                f"on both sides ({error.error_count()} fields differ)"
+            ) from None
+
+    def _key(self, verb: Verb) -> str:
+        return keys.control(root=self._root, verb=verb)
+
+
+class LeaseKeeper(AbstractContextManager["LeaseKeeper"]):
+    """Renews a lease from a thread of its own, and says when working on it makes no more sense.
+
+    Attributes:
+        drained: Set when a worker told to stop has worked on for as long as it may.
+        over: Set then, and when the lease is lost: mining on would be in vain. A commit would not
+            be: the service takes finished work under a lost lease, unless another was faster.
+    """
+
+    def __init__(
+        self,
+        leases: Leases,
+        lease: PlanLease | MineLease,
+        *,
+        stop: Event,
+        drain_s: float,
+        on_unrenewed: Callable[[], None] = lambda: None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Take the lease.
+
+        Args:
+            leases: Where to renew it.
+            lease: Which.
+            stop: Set when the worker should end.
+            drain_s: How long after that the lease may still be worked on, seconds.
+            on_unrenewed: Told of every renewal that got no answer.
+            clock: Monotonic seconds.
+        """
+        self.over, self.drained = Event(), Event()
+        self._leases, self._lease, self._stop = leases, lease, stop
+        self._drain_s, self._on_unrenewed, self._clock = drain_s, on_unrenewed, clock
+        self._renew_s = lease.expires_s * RENEW_SHARE
+        self._lost = ""
+        self._done = Event()
+        self._thread = Thread(target=self._keep, name="lease", daemon=True)
+
+    def check(self) -> None:
+        """Go on only while it makes sense.
+
+        Raises:
+            LeaseLostError: If the lease is another's.
+            StoppedError: If the worker was told to stop, and has drained long enough.
+        """
+        if self.drained.is_set():
+            raise StoppedError(f"stopped after draining for {self._drain_s:g} s")
+        if self.over.is_set():
+            raise LeaseLostError(f"lease lost: {self._lost}")
+
+    def __enter__(self) -> Self:
+        """Begin to renew."""
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Renew no more."""
+        self._done.set()
+        self._thread.join()
+
+    def _keep(self) -> None:
+        renew_at_s = self._clock() + self._renew_s
+        drain_until_s: float | None = None
+        while not self._done.wait(0.1):
+            now_s = self._clock()
+            if self._stop.is_set():
+                drain_until_s = drain_until_s or now_s + self._drain_s
+                if now_s >= drain_until_s:
+                    self.drained.set()
+                    self.over.set()
+            if now_s >= renew_at_s and not self.over.is_set():
+                self._renew()
+                renew_at_s = self._clock() + self._renew_s
+
+    def _renew(self) -> None:
+        try:
+            answer = self._leases.renew(self._lease.lease_id)
+        except CounterpointError as error:
+            log.debug("lease not renewed", lease_id=self._lease.lease_id, problem=str(error))
+            self._on_unrenewed()
+            return
+        if not answer.ok:
+            self._lost = answer.problem or "it expired"
+            self.over.set()

@@ -1,0 +1,295 @@
+"""The worker's loop: claim, read, mine, publish, commit; killed at any point, nothing is lost.
+
+A worker keeps no state. Records go out on the bus as they are mined, overlays to the artifacts, and
+then a commit names them all; the service answers it once everything is on disk. What was done
+without that answer will be done again, byte for byte the same.
+"""
+
+import sys
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+from threading import Event
+from typing import Final, Literal
+
+import structlog
+import zenoh
+
+from schemas.errors import (
+    BucketRefusedError,
+    BucketUnreachableError,
+    CounterpointError,
+    ObjectChangedError,
+    PermanentError,
+)
+from schemas.mining import MiningSettings
+from schemas.runtime.retry import StoppedError, backoff_s, pause
+from schemas.transport import keys
+from schemas.transport.bus import client_session, recoverable_publisher
+from schemas.transport.router_watch import RouterWatch
+from schemas.work import FailRequest, MineLease, NothingToDo, PlanLease
+from workers.ingest.footer import StillGrowingError
+from workers.worker.acceptance import refusal
+from workers.worker.attempt import Attempts, Lease
+from workers.worker.config import WorkerConfig, WorkerObserver
+from workers.worker.equipment import Equipment, equip
+from workers.worker.lease import LeaseKeeper, LeaseLostError, Leases
+from workers.worker.metrics import ShardOutcome, WorkerMetrics
+from workers.worker.stores import StoreTroubleError, cause_of, wait_until_over
+
+log = structlog.get_logger(__name__)
+
+FAIL_PATIENCE_S: Final = 20.0
+LAST_PATIENCE_S: Final = 3.0
+"""How long to try to say that a lease failed, and how long when told to stop; after that it
+expires, which says the same."""
+
+FIRST_REFUSED_S: Final = 2.0
+MOST_REFUSED_S: Final = 60.0
+"""How long until a service that was not accepted is asked again: its settings may be mended."""
+
+
+def run_worker(
+    config: WorkerConfig,
+    *,
+    stop: Event,
+    observer: WorkerObserver | None = None,
+    metrics: WorkerMetrics | None = None,
+) -> None:
+    """Work until told to stop.
+
+    Args:
+        config: Whom to ask.
+        stop: When to end; a lease that is soon done is still finished.
+        observer: Told how the worker is.
+        metrics: Where it counts.
+
+    Raises:
+        TransientError: If bucket or artifacts cannot be opened now.
+        PermanentError: If what the service asks for cannot be done here at all.
+    """
+    observer, metrics = observer or WorkerObserver(), metrics or WorkerMetrics()
+    with (
+        structlog.contextvars.bound_contextvars(worker_id=config.worker_id),
+        client_session(config.connect, stop=stop) as session,
+    ):
+        alive = keys.live(root=config.root, role="worker", ident=config.worker_id)
+
+        def router_seen(connected: bool) -> None:
+            observer.connected(connected)
+            metrics.router_seen(connected)
+
+        with (
+            session.liveliness().declare_token(alive),
+            RouterWatch(session, router_seen),
+        ):
+            Worker(session, config, stop=stop, observer=observer, metrics=metrics).run()
+
+
+class Worker:
+    """One worker on one session."""
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        config: WorkerConfig,
+        *,
+        stop: Event,
+        observer: WorkerObserver | None = None,
+        metrics: WorkerMetrics | None = None,
+    ) -> None:
+        self._session, self._config, self._stop = session, config, stop
+        self._observer = observer or WorkerObserver()
+        self._metrics = metrics or WorkerMetrics()
+        self._leases = Leases(session, root=config.root, worker_id=config.worker_id)
+        self._equipped: Equipment | None = None
+        self._suspect: tuple[str, str] | None = None
+        self._refused = ""
+
+    def run(self) -> None:
+        """Claim and work until told to stop."""
+        key = keys.score(root=self._config.root, worker_id=self._config.worker_id)
+        try:
+            # One publisher for life: a router never forgets a key that was declared.
+            with recoverable_publisher(self._session, key) as publisher:
+                attempts = Attempts(publisher, self._leases, self._metrics)
+                while not self._stop.is_set():
+                    self._claim_and_work(attempts)
+        except StoppedError:
+            pass
+        log.info("worker stops")
+
+    def _claim_and_work(self, attempts: Attempts) -> None:
+        equipment = self._equipment()
+        grant = self._leases.claim(equipment.version, stop=self._stop).grant
+        if isinstance(grant, NothingToDo):
+            self._stop.wait(grant.retry_after_s)
+            return
+        self._observer.working(True)
+        self._metrics.lease_began()
+        trouble = self._work(attempts, grant, equipment)
+        self._metrics.lease_ended()
+        self._observer.working(False)
+        if trouble is not None:
+            wait_until_over(trouble, stop=self._stop, metrics=self._metrics)
+
+    def _equipment(self) -> Equipment:
+        """Ask every time: a service that was restarted may want something else now."""
+        settings = self._asked()
+        if self._equipped is None or self._equipped.settings != settings:
+            self._equipped = equip(settings)
+            one_thread_only()
+            self._observer.equipped(self._equipped.version)
+            log.info("worker ready", pipeline_version=self._equipped.version)
+        return self._equipped
+
+    def _asked(self) -> MiningSettings:
+        """Ask until the service names only what this worker accepts; say once what it does not.
+
+        Raises:
+            StoppedError: If told to stop meanwhile.
+        """
+        waits = backoff_s(first_s=FIRST_REFUSED_S, most_s=MOST_REFUSED_S)
+        settings = self._leases.hello(stop=self._stop)
+        while problem := refusal(settings, self._config):
+            if problem != self._refused:
+                log.error("service not accepted, asking it again now and then", problem=problem)
+                self._observer.equipped("")
+            self._refused = problem
+            pause(self._stop, next(waits))
+            settings = self._leases.hello(stop=self._stop)
+        if self._refused:
+            log.info("service accepted")
+            self._refused = ""
+            if self._equipped is not None:
+                self._observer.equipped(self._equipped.version)
+        return settings
+
+    def _work(
+        self, attempts: Attempts, lease: Lease, equipment: Equipment
+    ) -> StoreTroubleError | None:
+        """Do what a lease asks for, or say why not; only a bug escapes, after it was said too.
+
+        Returns:
+            The trouble with a store that any other lease would meet too.
+        """
+        with (
+            structlog.contextvars.bound_contextvars(**_ids(lease)),
+            LeaseKeeper(
+                self._leases,
+                lease,
+                stop=self._stop,
+                drain_s=self._config.drain_s,
+                on_unrenewed=self._metrics.renewal_failed,
+            ) as keeper,
+        ):
+            log.debug("lease begins", lease_id=lease.lease_id)
+            try:
+                if isinstance(lease, PlanLease):
+                    attempts.plan(lease, equipment, keeper)
+                else:
+                    attempts.mine(lease, equipment, keeper)
+            except LeaseLostError as error:
+                log.warning("work dropped", problem=str(error))
+                self._count(lease, "lost")
+            except (BucketUnreachableError, BucketRefusedError) as error:
+                return self._blame(error, lease, equipment)
+            except CounterpointError as error:
+                return self._fail(lease, error)
+            except Exception as error:
+                self._fail(lease, error)
+                raise
+            self._suspect = None
+        return None
+
+    def _blame(
+        self, error: CounterpointError, lease: Lease, equipment: Equipment
+    ) -> StoreTroubleError | None:
+        """Find out whose fault it is that a log could not be read, and fail accordingly."""
+        if self._stop.is_set():  # whoever starts after us finds out
+            return self._fail(lease, StoppedError(f"told to stop while a store fails: {error}"))
+        target = _target(lease)
+        repeated, self._suspect = target == self._suspect, target
+        cause = cause_of(error, equipment.bucket, lease.recording, repeated=repeated)
+        return self._fail(lease, cause)
+
+    def _fail(self, lease: Lease, error: Exception) -> StoreTroubleError | None:
+        """Tell the service why a lease ended without its work.
+
+        Returns:
+            The error, if it is one that must be waited out.
+        """
+        problem = str(error) if isinstance(error, CounterpointError) else _summary(error)
+        outcome = _outcome(error)
+        is_plan = isinstance(lease, PlanLease)
+        say = log.warning if outcome in ("failed", "replaced") else log.info
+        if outcome in ("store_away", "growing"):
+            say = log.debug  # the wait for the store is said; the service counts what grows
+        say(f"{'plan' if is_plan else 'shard'} {outcome.replace('_', ' ')}", problem=problem)
+        if outcome == "growing":
+            self._metrics.plan_ended("growing")
+        else:
+            self._count(lease, outcome)
+        self._leases.fail(
+            FailRequest(
+                worker_id=self._config.worker_id,
+                lease_id=lease.lease_id,
+                error=problem,
+                permanent=isinstance(error, PermanentError),
+                replaced=outcome == "replaced",
+                growing=outcome == "growing",
+                given_back=outcome in ("given_back", "store_away"),
+            ),
+            patience_s=LAST_PATIENCE_S if self._stop.is_set() else FAIL_PATIENCE_S,
+        )
+        if isinstance(error, StoreTroubleError):
+            self._metrics.store_failed(error.store, error.kind)
+            return error
+        return None
+
+    def _count(self, lease: Lease, outcome: ShardOutcome) -> None:
+        if isinstance(lease, PlanLease):
+            self._metrics.plan_ended(outcome)
+        else:
+            self._metrics.shard_ended(outcome)
+
+
+def _target(lease: Lease) -> tuple[str, str]:
+    return lease.recording.log_id, lease.shard.name if isinstance(lease, MineLease) else ""
+
+
+def _outcome(error: Exception) -> ShardOutcome | Literal["growing"]:
+    match error:
+        case StoppedError():
+            return "given_back"
+        case StoreTroubleError():
+            return "store_away"
+        case ObjectChangedError():
+            return "replaced"
+        case StillGrowingError():
+            return "growing"
+        case _:
+            return "failed"
+
+
+def _ids(lease: Lease) -> dict[str, str]:
+    ids = {"log_id": lease.recording.log_id}
+    return ids | {"shard": lease.shard.name} if isinstance(lease, MineLease) else ids
+
+
+def _summary(error: Exception) -> str:
+    """Say what and where in one line: a ledger is no place for a whole traceback."""
+    frames: Sequence[traceback.FrameSummary] = traceback.extract_tb(error.__traceback__)
+    where = "; ".join(f"{Path(f.filename).name}:{f.lineno} {f.name}" for f in frames[-3:])
+    return f"{type(error).__name__}: {error} ({where})"
+
+
+def one_thread_only() -> None:
+    """More cores are more workers, and results must not hang on how many there are.
+
+    Parts that need torch load it when they are built; without them it would only take 150 MiB.
+    """
+    if "torch" in sys.modules:
+        import torch
+
+        torch.set_num_threads(1)

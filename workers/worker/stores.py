@@ -1,0 +1,169 @@
+"""Whose fault a store's error is: the store's as a whole, which is waited out, or one object's.
+
+An outage or expired credentials would fail every shard there is, one after the other; so a store in
+trouble costs no attempt, and a worker claims nothing until it works again.
+"""
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from threading import Event
+from typing import Final
+
+import structlog
+
+from schemas.errors import (
+    BucketRefusedError,
+    BucketUnreachableError,
+    CounterpointError,
+    ObjectChangedError,
+    PermanentError,
+    TransientError,
+)
+from schemas.runtime.retry import backoff_s, pause
+from schemas.transport.bucket import Bucket
+from schemas.work import Recording
+from workers.worker.metrics import Store, StoreError, WorkerMetrics
+
+log = structlog.get_logger(__name__)
+
+PROBE_KEY: Final = "counterpoint-probe"
+"""Object of the artifacts that is written, and deleted again, to see whether they can be."""
+
+FIRST_WAIT_S: Final = 1.0
+MOST_WAIT_S: Final = 30.0
+
+
+class StoreTroubleError(TransientError):
+    """A store as a whole is away or refuses: no fault of what was being worked on."""
+
+    def __init__(
+        self, error: CounterpointError, *, store: Store, again: Callable[[], None]
+    ) -> None:
+        """Keep how to find out whether it is over.
+
+        Args:
+            error: What the store said.
+            store: Which one.
+            again: Raises a store's error for as long as the trouble lasts.
+        """
+        super().__init__(str(error))
+        self.store: Store = store
+        self.kind: StoreError = kind_of(error)
+        self.again = again
+
+
+def kind_of(error: CounterpointError) -> StoreError:
+    """Say whether a store was away or refused."""
+    return "refused" if isinstance(error, BucketRefusedError) else "unreachable"
+
+
+def cause_of(
+    error: CounterpointError, bucket: Bucket, recording: Recording, *, repeated: bool
+) -> CounterpointError:
+    """Find out what an error while reading a log really means.
+
+    Args:
+        error: What the bucket raised.
+        bucket: The log bucket.
+        recording: What was read.
+        repeated: Whether the same work ended so the last time: a stretch of an object that never
+            comes is the object's fault, though its beginning can be read.
+
+    Returns:
+        A `StoreTroubleError` if the bucket as a whole is in trouble, or was and no longer is; an
+        `ObjectChangedError` if the log is another by now; else the error itself.
+    """
+    trouble = StoreTroubleError(error, store="bucket", again=lambda: _list(bucket))
+    if not _works(trouble.again):
+        return trouble
+    try:
+        # Objects may be refused one by one, or lie on a part of the store that is gone.
+        own = _works(lambda: _read_first_bytes(bucket, recording))
+    except ObjectChangedError as changed:
+        return changed
+    if own:
+        return error if repeated and trouble.kind == "unreachable" else trouble
+    return error if _works(trouble.again) else trouble
+
+
+def put_artifact(artifacts: Bucket, key: str, data: bytes) -> None:
+    """Write an artifact.
+
+    Raises:
+        StoreTroubleError: If nothing of this size can be written there now.
+        TransientError: If only this object cannot be written now.
+        PermanentError: If only this object is refused.
+    """
+
+    def probe() -> None:
+        try:
+            artifacts.put(PROBE_KEY, data)
+        finally:
+            _take_away_probe(artifacts)
+
+    try:
+        artifacts.put(key, data)
+        return
+    except (BucketUnreachableError, BucketRefusedError) as error:
+        if not _works(probe):
+            raise StoreTroubleError(error, store="artifacts", again=probe) from None
+    try:
+        artifacts.put(key, data)  # an outage may have passed meanwhile
+    except BucketUnreachableError as error:
+        raise TransientError(str(error)) from None
+    except BucketRefusedError as error:
+        raise PermanentError(str(error)) from None
+
+
+def _take_away_probe(artifacts: Bucket) -> None:
+    """Delete the probe; where only writing is allowed, it stays and is empty."""
+    try:
+        artifacts.delete(PROBE_KEY)
+    except CounterpointError:
+        with suppress(CounterpointError):  # the probe itself has said what is wrong
+            artifacts.put(PROBE_KEY, b"")
+
+
+def wait_until_over(
+    trouble: StoreTroubleError,
+    *,
+    stop: Event,
+    metrics: WorkerMetrics,
+    clock: Callable[[], float] = time.monotonic,
+) -> None:
+    """Wait until a store works again; say so once at the beginning and once at the end.
+
+    Raises:
+        StoppedError: If told to stop meanwhile.
+    """
+    log.warning("waiting for a store", store=trouble.store, problem=str(trouble))
+    metrics.waiting_for(trouble.store, True)
+    began_s = clock()
+    try:
+        for wait_s in backoff_s(first_s=FIRST_WAIT_S, most_s=MOST_WAIT_S):
+            pause(stop, wait_s)
+            if _works(trouble.again):
+                break
+    finally:
+        metrics.waiting_for(trouble.store, False)
+    log.info("store works again", store=trouble.store, waited_s=round(clock() - began_s, 1))
+
+
+def _works(attempt: Callable[[], None]) -> bool:
+    try:
+        attempt()
+    except (BucketUnreachableError, BucketRefusedError) as error:
+        log.debug("store does not work", problem=str(error))
+        return False
+    return True
+
+
+def _list(bucket: Bucket) -> None:
+    next(bucket.list(), None)
+
+
+def _read_first_bytes(bucket: Bucket, recording: Recording) -> None:
+    for part in recording.parts:
+        if part.size:
+            bucket.read_range(part.key, 0, 1, part.etag)
