@@ -1,28 +1,56 @@
-"""Text that others wrote, made safe to print: a control character is shown, never obeyed.
+"""Escape text that others wrote, so that it can be printed and stored safely.
 
 Names of vehicles, topics and files, reasons of records and answers of stores may hold anything. A
 terminal obeys some of it: it clears the screen, sets the clipboard, or reverses the order of text.
 """
 
+import re
+import unicodedata
 from typing import Final
 
 NEWLINES: Final = "\n"
 """To keep where a text has lines of its own, such as a traceback."""
 
+_CONTROLS: Final = re.compile(
+    "[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]"
+)
+"""Control characters, separators of lines, overrides of the direction of writing, and bytes that
+are no UTF-8, which Python holds as surrogates."""
 
-def visible(text: str, *, keep: str = "") -> str:
+_MARK: Final = "…"
+
+_BYTES: Final = range(0xDC80, 0xDD00)
+"""Surrogates by which Python holds the bytes of a file name that are no UTF-8."""
+
+
+def has_controls(text: str) -> bool:
+    """Return whether a name holds a character that no name has in earnest, or is no UTF-8."""
+    return _CONTROLS.search(text) is not None
+
+
+def visible(text: str, *, keep: str = "", limit: int | None = None) -> str:
     r"""Return the text with each character that does not print written as Python escapes it.
 
     Control characters, C1 among them, direction marks, separators of lines and halves of surrogate
-    pairs do not print: ESC becomes `\x1b`, U+202E becomes `\u202e`. A space prints.
+    pairs do not print: ESC becomes `\x1b`, U+202E becomes `\u202e`, and the byte FF of a file name
+    that is no UTF-8 becomes `\xff`. A space of any script prints.
 
     Args:
         text: What somebody else may have written.
         keep: Characters that stay although they do not print.
+        limit: Characters that remain at most, the mark of the cut included; None: all.
     """
-    if text.isprintable():
-        return text
-    return "".join(
-        char if char.isprintable() or char in keep else char.encode("unicode_escape").decode()
-        for char in text
-    )
+    if limit is not None:
+        text = text[: limit + 1]
+    escaped = text if text.isprintable() else "".join(_visible(char, keep) for char in text)
+    if limit is None or len(escaped) <= limit:
+        return escaped
+    return escaped[: limit - len(_MARK)] + _MARK
+
+
+def _visible(char: str, keep: str) -> str:
+    if char.isprintable() or char in keep or unicodedata.category(char) == "Zs":
+        return char  # Zs: spaces of other scripts
+    if ord(char) in _BYTES:
+        return f"\\x{ord(char) - 0xDC00:02x}"
+    return char.encode("unicode_escape").decode()

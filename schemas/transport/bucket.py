@@ -15,10 +15,10 @@ from obstore.exceptions import BaseError, NotFoundError
 from obstore.store import LocalStore, MemoryStore, ObjectStore, from_url
 
 from schemas.errors import BucketRefusedError, BucketUnreachableError, ObjectChangedError
-from schemas.printable import has_controls
 from schemas.runtime.real_path import real_path
 from schemas.transport.bucket_errors import SUPPORTED_URLS, explain
 from schemas.transport.folder import Skipped, list_folder
+from schemas.visible import has_controls
 
 if TYPE_CHECKING:
     from obstore import GetOptions

@@ -23,7 +23,7 @@ from schemas.errors import (
     CounterpointError,
     ObjectChangedError,
 )
-from schemas.printable import printable
+from schemas.visible import visible
 
 SUPPORTED_URLS: Final = (
     "use file:///folder, a path, s3://bucket/prefix, gs://bucket/prefix or az://container/prefix"
@@ -105,7 +105,7 @@ def explain(
     listed = _UNUSABLE_KEY.search(text)
     if isinstance(error, InvalidPathError) and listed is not None and not key:
         return BucketRefusedError(
-            f"the store lists a key that cannot be used, '{printable(listed.group(1), limit=1024)}'"
+            f"the store lists a key that cannot be used, '{visible(listed.group(1), limit=1024)}'"
             f": rename or delete that object, or name a folder without it {where}"
         )
     if isinstance(error, UnknownConfigurationKeyError | NotSupportedError | InvalidPathError):

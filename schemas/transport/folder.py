@@ -15,7 +15,7 @@ from typing import Final
 
 from schemas.bounds import MAX_TEXT
 from schemas.errors import BucketRefusedError, BucketUnreachableError
-from schemas.printable import has_controls, printable
+from schemas.visible import has_controls, visible
 
 _SKIPPED: Final = {
     errno.ELOOP: "is a link in a loop of links",
@@ -43,7 +43,7 @@ class Skipped:
     @classmethod
     def of(cls, key: str, why: str, *, hides: str = "") -> "Skipped":
         """Make one from the key as it is."""
-        return cls(printable(key, limit=MAX_TEXT // 4), why, hides)
+        return cls(visible(key, limit=MAX_TEXT // 4), why, hides)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ def list_folder(
     """
     inner = prefix.strip("/")
     if inner and (has_controls(inner) or {"", ".", ".."} & set(inner.split("/"))):
-        raise BucketRefusedError(f"no folder of a bucket: {printable(prefix, limit=200)!r}")
+        raise BucketRefusedError(f"no folder of a bucket: {visible(prefix, limit=200)!r}")
     walk = _Walk(root, on_skipped)
     walk.folder(str(root / inner), f"{inner}/" if inner else "")
     return sorted(walk.found, key=lambda entry: entry.key)
@@ -156,7 +156,7 @@ class _Walk:
         self.on_skipped(Skipped.of(key, why, hides=key if hidden else ""))
 
     def _failure(self, error: OSError, key: str) -> BucketRefusedError | BucketUnreachableError:
-        where = f"{self.root.as_uri()}{f', {printable(key, limit=1000)}' if key else ''}"
+        where = f"{self.root.as_uri()}{f', {visible(key, limit=1000)}' if key else ''}"
         if isinstance(error, PermissionError):
             return BucketRefusedError(f"no permission to read ({where})")
         return BucketUnreachableError(

@@ -5,6 +5,7 @@ acknowledged so would be gone at the next start.
 """
 
 import os
+import struct
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,12 @@ from service.store.faults import StoreUnavailableError
 
 _WRITTEN_BY_US: Final = ("-wal", "-shm")
 """SQLite makes them beside the database, and keeps them while any connection is open."""
+
+_CHECKPOINTED: Final = struct.Struct("=8s56xI28xI")
+"""Of the WAL index from byte 32: the salt of the journal, how many of its frames checkpoints have
+copied into the database, and how many they set out to copy (sqlite.org/walformat.html, 2.2)."""
+
+_CHECKPOINTED_AT: Final = 32
 
 _STAMP: Final = "SELECT rootpage FROM sqlite_schema WHERE name = 'write_proof'"
 
@@ -48,10 +55,11 @@ class FileWatch:
         self._path = path
         self._others = tuple(path.with_name(path.name + suffix) for suffix in _WRITTEN_BY_US)
         self._seen: dict[Path, _Seen] = {}
-        self._file = -1
+        self._file = self._index = -1
         self._page_bytes = 0
         self._pages: tuple[int, ...] = ()
         self._stamp = b""
+        self._checkpoint = (b"", 0, 0)
 
     def begin(self, connection: Connection) -> None:
         """Take the files as they are for those of this connection, and watch them from now on.
@@ -62,8 +70,9 @@ class FileWatch:
         self._page_bytes = connection.exec_driver_sql("PRAGMA page_size").scalar_one()
         self._pages = (1, connection.exec_driver_sql(_STAMP).scalar_one())
         self._file = os.open(self._path, os.O_RDONLY | os.O_CLOEXEC)
+        self._index = os.open(self._others[-1], os.O_RDONLY | os.O_CLOEXEC)
         self._seen = {path: _seen(path) for path in (self._path, *self._others)}
-        self._stamp = self._read_stamp()
+        self._stamp, self._checkpoint = self._read_stamp(), self._read_checkpoint()
 
     def look(self) -> None:
         """Check that the files are still those that we have open, and none was cut.
@@ -85,26 +94,30 @@ class FileWatch:
         self.look()
         if not self._seen:
             return
-        now, before = _seen(self._path), self._seen[self._path]
-        if now != before:
-            if self._read_stamp() != self._stamp:
-                raise _unusable(self._path, "was overwritten by another program")
-            self._seen[self._path] = now  # only touched: another time, the same content
+        now = _seen(self._path)
+        if now != self._seen[self._path]:
+            self._require_only_touched()
+            self._seen[self._path] = now
+        self._checkpoint = self._read_checkpoint()
 
     def after_write(self) -> None:
         """Check it again after the commit, and note how the files are now.
 
+        A commit writes to the journal. The main file changes only where a checkpoint came with it,
+        which the WAL index tells: any other change of it is not ours.
+
         Raises:
-            StateUnusableError: If a file was deleted, replaced or cut meanwhile.
+            StateUnusableError: If a file was deleted, replaced, cut or overwritten meanwhile.
             StoreUnavailableError: If the file system does not answer now.
         """
         for path, before in tuple(self._seen.items()):
             now = _seen(path)
             self._require_same(path, before, now)
-            if now != before:
-                self._seen[path] = now
-                if path == self._path:
-                    self._stamp = self._read_stamp()
+            if now == before:
+                continue
+            self._seen[path] = now
+            if path == self._path:
+                self._take_stamp()
 
     def after_failure(self) -> None:
         """Note how the main file is after a transaction that was undone."""
@@ -113,7 +126,7 @@ class FileWatch:
                 now = _seen(self._path)
                 if now.identity == self._seen[self._path].identity:
                     self._seen[self._path] = now
-                    self._stamp = self._read_stamp()
+                    self._take_stamp()
 
     def close(self) -> None:
         """Watch no more; call it after the last connection is closed.
@@ -122,15 +135,35 @@ class FileWatch:
         of SQLite among them: so this one is opened once.
         """
         self._seen = {}
-        if self._file >= 0:
-            os.close(self._file)
-            self._file = -1
+        for opened in (self._file, self._index):
+            if opened >= 0:
+                os.close(opened)
+        self._file = self._index = -1
 
     def _require_same(self, path: Path, before: _Seen, now: _Seen) -> None:
         if now.identity != before.identity:
             raise _unusable(path, "was replaced by another file")
         if now.size < before.size:
             raise _unusable(path, f"was cut from {before.size} to {now.size} bytes")
+
+    def _take_stamp(self) -> None:
+        """Take the main file as it is now, if a checkpoint wrote it since the transaction began."""
+        checkpoint = self._read_checkpoint()
+        if checkpoint == self._checkpoint:
+            self._require_only_touched()
+        self._stamp, self._checkpoint = self._read_stamp(), checkpoint
+
+    def _require_only_touched(self) -> None:
+        if self._read_stamp() != self._stamp:
+            raise _unusable(self._path, "was overwritten by another program")
+
+    def _read_checkpoint(self) -> tuple[bytes, int, int]:
+        """Read how far checkpoints have come; it stays the same where none has written."""
+        found = os.pread(self._index, _CHECKPOINTED.size, _CHECKPOINTED_AT)
+        if len(found) < _CHECKPOINTED.size:
+            raise _unusable(self._others[-1], "was cut")
+        salt, copied, attempted = _CHECKPOINTED.unpack(found)
+        return (salt if attempted else b"", copied, attempted)
 
     def _read_stamp(self) -> bytes:
         """Read the pages that differ between any two copies: the header, and the write count."""

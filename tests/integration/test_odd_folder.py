@@ -64,7 +64,7 @@ def test_a_folder_with_every_odd_entry_is_mined_past_them(tmp_path: Path) -> Non
     said = done.stderr.decode()
     assert done.returncode == 0, said
     for name in (
-        *(r"\xff.mcap", r"line\x0abreak.mcap", r"tab\x09.mcap", r"\x1b]0;title\x07.mcap"),
+        *(r"\xff.mcap", r"line\nbreak.mcap", r"tab\t.mcap", r"\x1b]0;title\x07.mcap"),
         *("car-1/round", "itself.mcap", "nothing.mcap", "pipe.mcap", "socket.mcap", "null.mcap"),
         "lost+found",
     ):

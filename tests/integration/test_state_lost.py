@@ -55,6 +55,16 @@ def cut_the_journal(database: Path) -> None:
     os.truncate(database.with_name(f"{database.name}-wal"), 0)
 
 
+def overwrite(database: Path) -> None:
+    """Write another copy over the file, in place and of the same size, as `cp` does."""
+    copy = database.with_name("copy")
+    with closing(sqlite3.connect(database)) as opened:
+        opened.execute("VACUUM INTO ?", (str(copy),))
+    content = copy.read_bytes()
+    with database.open("r+b") as file:
+        file.write(content.ljust(database.stat().st_size, b"\0"))
+
+
 LOSSES: dict[str, tuple[Loss, str]] = {
     "deleted": (delete, "was deleted or moved away"),
     "deleted with its journal": (delete_with_its_journal, "was deleted or moved away"),
@@ -62,6 +72,7 @@ LOSSES: dict[str, tuple[Loss, str]] = {
     "moved": (move_away, "was deleted or moved away"),
     "replaced": (replace_by_a_copy, "was replaced by another file"),
     "cut": (cut_in_half, "was cut from"),
+    "overwritten": (overwrite, "was overwritten by another program"),
     "its journal cut": (cut_the_journal, "was cut from"),
 }
 

@@ -17,8 +17,8 @@ ROOT = Path(__file__).resolve().parents[2]
 STEERING = "\x1b]52;c;aGk=\x07\x1b[2J\x9b31m\u202e\n[red]"
 """Sets the clipboard, clears the screen, colours (C1), reverses, breaks the line, and is markup."""
 
-IN_A_NAME = "\x9b31m\u202e[red]"
-"""Of a file in a bucket, whose listing takes no C0 control character."""
+IN_A_NAME = "\u200f[red]"
+"""Of a file in a bucket, whose listing skips a name with control characters."""
 
 SHOWN = r"\x1b]52;c;aGk=\x07\x1b[2J\x9b31m\u202e\n[red]"
 
@@ -113,7 +113,7 @@ def test_mining_a_log_passes_on_nothing_that_steers_a_terminal(
     ran = counterpoint(*call, *named, "--supervised", "recorded", cwd=mined)
     assert ran.returncode == 0, ran.stderr.decode()
     assert steers(ran.stdout + ran.stderr) == ""
-    assert rb"\x9b31m\u202e[red]" in ran.stdout + ran.stderr
+    assert rb"\u200f[red]" in ran.stdout + ran.stderr
 
 
 def test_an_error_about_such_a_name_is_one_plain_line(mined: Path) -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 
 from schemas.bounds import MAX_INTEGER, MAX_TEXT
-from schemas.printable import printable
+from schemas.visible import visible
 from schemas.work import ChunkRef, Damage
 from workers.ingest.limits import MAX_DAMAGE
 
@@ -14,7 +14,7 @@ def damaged(*, key: str, offset: int, length: int, what: str) -> Damage:
         key=key,
         offset=min(max(offset, 0), MAX_INTEGER),
         bytes=min(max(length, 0), MAX_INTEGER),
-        what=printable(what, limit=MAX_TEXT),
+        what=visible(what, limit=MAX_TEXT),
     )
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from schemas.bounds import MAX_NAME
-from schemas.printable import printable
+from schemas.visible import visible
 from workers.errors import LogUnusableError
 
 UNKNOWN: Final = "unknown"
@@ -55,7 +55,7 @@ def identify(log_id: str, metadata: Iterable[Mapping[str, str]], *, path_templat
     for field in _FIELDS:
         recorded = [value for each in records if (value := each.get(field, "").strip())]
         said = recorded[0] if recorded else from_path.get(field, UNKNOWN)
-        found[field] = printable(said, limit=MAX_NAME)
+        found[field] = visible(said, limit=MAX_NAME)
         if found[field] != said:
             remarks.append(
                 f"the {field.replace('_', ' ')} has {len(said)} characters, of which at most "

@@ -7,8 +7,8 @@ from typing import Final
 from schemas.bounds import MAX_PLAN_BYTES, MAX_TEXT
 from schemas.camera import RECORDED, CameraCalibration
 from schemas.mining import MiningSettings
-from schemas.printable import printable
 from schemas.transport.bucket import Bucket
+from schemas.visible import visible
 from schemas.work import Channel, ChunkRef, Damage, LogPlan, RecordedSource, Recording, Shard
 from workers.errors import LogUnusableError, NotMcapError
 from workers.ingest.camera_calibration import find_calibration
@@ -67,7 +67,7 @@ def plan_recording(
     try:
         index = index_recording(bucket, recording, settled=settled)
     except (NotMcapError, LogUnusableError) as error:
-        return LogPlan(log_id=recording.log_id, refused=printable(str(error), limit=MAX_TEXT))
+        return LogPlan(log_id=recording.log_id, refused=visible(str(error), limit=MAX_TEXT))
     for part in index.truncated:
         on_truncated(part)
     return plan_index(index, settings, on_unread_labels=on_unread_labels)
@@ -127,7 +127,7 @@ def plan_index(
                     )
                 shards.append(shard)
     except LogUnusableError as error:
-        refused, shards = printable(str(error), limit=MAX_TEXT), []
+        refused, shards = visible(str(error), limit=MAX_TEXT), []
     return LogPlan(
         log_id=index.recording.log_id,
         vehicle=identity.vehicle,

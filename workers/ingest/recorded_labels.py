@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from schemas.bounds import MAX_NAME
 from schemas.canonical import canonical_json
 from schemas.frame import RecordedClass, RecordedLabels
-from schemas.printable import printable
+from schemas.visible import visible
 from schemas.work import Channel, RecordedSource
 from workers.errors import CloudUnreadableError, LogUnusableError
 from workers.ingest.limits import MAX_SCHEMA_TEXT, MAX_WAITING_POINTS
@@ -124,7 +124,7 @@ def recorded_classes(classes_json: str) -> Mapping[int, RecordedClass]:
                 f"cannot read class {key!r} of metadata {CLASSES_RECORD}: name must be text, "
                 f"movable and moving true or false, got {text!r}"
             )
-        name = printable(name, limit=MAX_NAME)
+        name = visible(name, limit=MAX_NAME)
         classes[class_id] = RecordedClass(name=name, movable=movable, moving=moving)
     return classes
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from schemas.bounds import MAX_NAME, MAX_TOPIC
-from schemas.printable import has_controls, printable
+from schemas.visible import has_controls, visible
 from schemas.work import Channel
 from workers.ingest.index import IndexedChunk, PartIndex
 from workers.ingest.limits import MAX_IDS, MAX_SCHEMA_TEXT
@@ -70,10 +70,10 @@ def topics_of(
         if message_encoding == "protobuf" and len(text) > MAX_SCHEMA_TEXT:
             why = why or f"has a schema of more than {MAX_SCHEMA_TEXT} characters in base64"
         described = Channel(
-            topic=printable(topic, limit=MAX_TOPIC) or "-",
-            message_encoding=printable(message_encoding, limit=MAX_NAME),
-            schema_name=printable(schema_name, limit=MAX_NAME),
-            schema_encoding=printable(schema_encoding, limit=MAX_NAME),
+            topic=visible(topic, limit=MAX_TOPIC) or "-",
+            message_encoding=visible(message_encoding, limit=MAX_NAME),
+            schema_name=visible(schema_name, limit=MAX_NAME),
+            schema_encoding=visible(schema_encoding, limit=MAX_NAME),
             schema_base64=text if len(text) <= MAX_SCHEMA_TEXT else "",
             ids=tuple(ids[kind][:MAX_IDS]),
         )

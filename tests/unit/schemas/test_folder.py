@@ -13,9 +13,9 @@ import pytest
 from obstore.store import LocalStore
 
 from schemas.errors import BucketRefusedError, BucketUnreachableError
-from schemas.printable import has_controls, printable
 from schemas.transport.bucket import open_bucket
 from schemas.transport.folder import Skipped, list_folder
+from schemas.visible import has_controls, visible
 
 
 def listed(folder: Path, prefix: str = "") -> tuple[list[str], dict[str, str]]:
@@ -36,8 +36,8 @@ def folder(tmp_path: Path) -> Path:
     ("name", "shown"),
     [
         pytest.param(b"\xff\xfe.mcap", r"car/\xff\xfe.mcap", id="no UTF-8"),
-        pytest.param(b"a\nb.mcap", r"car/a\x0ab.mcap", id="newline"),
-        pytest.param(b"a\tb.mcap", r"car/a\x09b.mcap", id="tab"),
+        pytest.param(b"a\nb.mcap", r"car/a\nb.mcap", id="newline"),
+        pytest.param(b"a\tb.mcap", r"car/a\tb.mcap", id="tab"),
         pytest.param(b"a\x1b[31mb.mcap", r"car/a\x1b[31mb.mcap", id="escape"),
         pytest.param(b"a\x7fb.mcap", r"car/a\x7fb.mcap", id="delete"),
         pytest.param("a\x9b31mb.mcap".encode(), r"car/a\x9b31mb.mcap", id="escape of one byte"),
@@ -61,7 +61,7 @@ def test_a_folder_with_a_control_character_in_its_name_is_skipped_with_all_in_it
     (folder / "day\n1" / "b.mcap").write_bytes(b"x")
     assert listed(folder) == (
         ["car/a.mcap"],
-        {r"day\x0a1": "has a name that holds a control character"},
+        {r"day\n1": "has a name that holds a control character"},
     )
 
 
@@ -215,7 +215,7 @@ def test_a_disk_that_fails_is_no_odd_entry(folder: Path, monkeypatch: pytest.Mon
 
 
 def test_text_is_escaped_and_cut() -> None:
-    assert printable("a\nb\x00\udcff\u2028ü", limit=100) == r"a\x0ab\x00\xff\u2028ü"
-    assert printable("x" * 10, limit=10) == "x" * 10
-    assert printable("x" * 11, limit=10) == "x" * 9 + "…"
-    assert len(printable("\n" * 10_000, limit=10)) == 10
+    assert visible("a\nb\x00\udcff\u2028ü", limit=100) == r"a\nb\x00\xff\u2028ü"
+    assert visible("x" * 10, limit=10) == "x" * 10
+    assert visible("x" * 11, limit=10) == "x" * 9 + "…"
+    assert len(visible("\n" * 10_000, limit=10)) == 10

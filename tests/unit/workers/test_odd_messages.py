@@ -115,7 +115,7 @@ def test_a_vehicle_with_a_name_of_thousands_of_characters_is_shortened(tmp_path:
     RawLog(metadata=metadata).write(tmp_path / "a.mcap", clouds(GOOD))
     plan = plan_of(tmp_path)
     assert len(plan.vehicle) == MAX_NAME
-    assert (plan.date, plan.software_version) == (r"a\x0ab", "1")
+    assert (plan.date, plan.software_version) == (r"a\nb", "1")
     assert plan.shards[0].vehicle == plan.vehicle
     assert [each.what.split(",")[0] for each in plan.damage] == [
         "the vehicle has 5000 characters",
