@@ -30,13 +30,13 @@ from schemas.transport.router_watch import RouterWatch
 from service.api.control import Control
 from service.api.history import History
 from service.api.outbox import Outbox
-from service.api.questions import Questions
+from service.api.request_queue import Questions
 from service.api.staging import Staging
 from service.background.bucket_watch import BucketWatch
 from service.background.clock_watch import ClockWatch
 from service.background.heartbeat import Heartbeat, Standing, service_standing
-from service.background.sweeping import OverlaySweep
-from service.background.ticking import tick
+from service.background.overlay_cleanup import OverlaySweep
+from service.background.periodic import tick
 from service.errors import StateInUseError, StatementFailedError
 from service.monitoring.gauges import Sources
 from service.monitoring.metrics import ServiceMetrics

@@ -22,9 +22,9 @@ from service.settings.config import Settings
 from service.store.engine import has_database
 from service.store.opening import open_ledger_store_to_read
 from service.store.overview import newest_pipeline
-from service.store.pace import Pace, pace
+from service.store.progress import LogStanding, Standings
 from service.store.served_bucket import require_served
-from service.store.standing import LogStanding, Standings
+from service.store.throughput import Pace, pace
 
 log = structlog.get_logger(__name__)
 

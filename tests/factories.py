@@ -19,15 +19,15 @@ from schemas.contradiction import (
 from schemas.frame import LidarFrame, OdometryState, PosedFrame, RecordedLabels
 from schemas.labels import FrameLabels
 from schemas.score import AgreementShares, KindTotal, OdometryHealth, Producers, SceneScore
-from workers.contradiction.compare import compare
+from workers.contradiction.agreement import compare
+from workers.lab.simulation.faults.fault_truth import Planted
+from workers.lab.simulation.faults.faults import PlantedFailure
 from workers.lab.simulation.faults.plan import FailureKind
-from workers.lab.simulation.faults.planted import PlantedFailure
-from workers.lab.simulation.faults.planted_truth import Planted
 from workers.lab.simulation.output.write import Identity, RecordedAs, write_log
 from workers.lab.simulation.sensor.lidar import UNIFORM_64, Lidar
 from workers.lab.simulation.world.street import Street
+from workers.lab.simulation.world.street_builder import build_street
 from workers.lab.simulation.world.street_plan import EgoStyle
-from workers.lab.simulation.world.worlds import build_street
 
 BEGIN_NS = 1_772_445_600 * NS_PER_S
 LOG_ID = "car-7/2026-03-02/drive"

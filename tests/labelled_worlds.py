@@ -12,7 +12,7 @@ from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.labels import FrameLabels
 from schemas.task import MOTION, Task
 from schemas.work import Channel, Shard
-from workers.contradiction.compare import compare
+from workers.contradiction.agreement import compare
 
 START_NS = 1_700_000_000_000_000_000
 CLASS_NAMES = ("building", "car", "pedestrian")

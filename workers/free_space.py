@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points, Transform
 from workers.lidar.beam_table import BeamTable
-from workers.lidar.directions import (
+from workers.lidar.spherical import (
     BLOCK,
     column_of,
     fill,
@@ -19,7 +19,7 @@ from workers.lidar.directions import (
     rows_of_steps,
 )
 from workers.points.compiled import compiled, inlined
-from workers.points.steps import step
+from workers.points.step_names import step
 
 FREE: Final = 1
 OCCUPIED: Final = -1

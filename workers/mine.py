@@ -22,7 +22,7 @@ from workers.ingest.read import read_shard
 from workers.memory import peak_memory_bytes
 from workers.parts.protocols import Parts
 from workers.pipeline import MinedScene, mine_shard
-from workers.stages import StageClock, timed
+from workers.stage_timing import StageClock, timed
 
 
 @dataclass(frozen=True, slots=True)

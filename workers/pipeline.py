@@ -8,10 +8,10 @@ from schemas.contradiction import Instance, LabelledFrame, Scene
 from schemas.frame import LidarFrame
 from schemas.score import SceneScore
 from schemas.work import Shard
-from workers.contradiction.compare import compare
+from workers.contradiction.agreement import compare
 from workers.contradiction.instances import find_instances
 from workers.contradiction.score import score_scene
-from workers.contradiction.strength import RankedTrack, rank_tracks
+from workers.contradiction.track_score import RankedTrack, rank_tracks
 from workers.ingest.scenes import cut_scenes
 from workers.parts.protocols import Parts
 

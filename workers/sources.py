@@ -16,9 +16,9 @@ SHAPE_NO_RECORD: Final = frozenset(
     {
         "schemas.transport.bucket",  # fetches bytes, whose digests the log's plan names
         "schemas.transport.bucket_errors",
-        "workers.warmup.compiling",  # compiles loops ahead of time; what they compute is theirs
+        "workers.warmup.jit_warmup",  # compiles loops ahead of time; what they compute is theirs
         "workers.memory",  # measures
-        "workers.stages",  # measures
+        "workers.stage_timing",  # measures
     }
 )
 """Modules that mining imports and no record depends on: they are in no version, with what they

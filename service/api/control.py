@@ -27,8 +27,8 @@ from service.api.messages import (
     TopRequest,
 )
 from service.api.payload_check import require_affordable
-from service.api.questions import Questions, malformed
-from service.api.reading import no_such_scene, read_overlay
+from service.api.reader import no_such_scene, read_overlay
+from service.api.request_queue import Questions, malformed
 from service.api.staging import Staging
 from service.api.verbs import VERBS
 from service.curation.rates import RatesRequest, rates

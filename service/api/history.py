@@ -19,7 +19,7 @@ from schemas.transport import keys
 from schemas.transport.bus import RANKED, RECORD
 from schemas.transport.wire import encode
 from service.api.outbox import selected_scenes
-from service.api.questions import Questions
+from service.api.request_queue import Questions
 from service.store.ledger import Ledger, StoredScene
 
 PAGE: Final = 512

@@ -9,7 +9,7 @@ import zenoh
 
 from schemas.transport import keys
 from service.store.ledger import Ledger
-from service.store.work import WorkState
+from service.store.work_items import WorkState
 
 log = structlog.get_logger(__name__)
 

@@ -59,7 +59,7 @@ def simulation(
             simulated, others = simulated_looks(chosen)
             looks = [real_one, *others]
             if picture is not None:
-                from workers.lab.evaluation.benchmarks.picture_beside import draw_beside
+                from workers.lab.evaluation.benchmarks.comparison_picture import draw_beside
 
                 beside = draw_beside([(real_one.name, real), *simulated[:2]])
                 save_picture(beside, picture, option="--picture", force=force)

@@ -129,7 +129,7 @@ def run(
         return
     if json:
         raise UsageError("--json is for --dry-run; a run logs: --log-format json")
-    from service.processes import run_embedded
+    from service.embedded import run_embedded
 
     with progress() as bar:
         task = bar.add_task("mining", total=None)
@@ -170,7 +170,7 @@ def service(
     log_level: LogLevel = None,
 ) -> None:
     """Run the service alone: bucket watch, ledger, ranking. Needs a router and workers."""
-    from service.processes import run_service
+    from service.embedded import run_service
 
     settings = settings_for(
         config,
@@ -211,7 +211,7 @@ def worker(
 
     Where the router is on another machine they accept only what their own settings name, too.
     """
-    from service.processes import run_workers
+    from service.embedded import run_workers
 
     settings = settings_for(
         config,

@@ -95,11 +95,11 @@ def motion(
                 f"--labels: this folder is not empty: name another, or write into it with --force "
                 f"({labels})"
             )
-    from service.pictures.judged import draw_worst
+    from service.pictures.evaluation_frames import draw_worst
     from service.pictures.table import draw_table
     from workers.lab.evaluation.motion.disturbance import Disturbance
     from workers.lab.evaluation.motion.motion import JudgedFrame, evaluate_motion
-    from workers.lab.evaluation.motion.worst import WorstFrames
+    from workers.lab.evaluation.motion.worst_frames import WorstFrames
     from workers.lab.evaluation.motion.written_labels import write_labels
 
     worst = {name: WorstFrames(WORST_FRAMES) for name in streams}

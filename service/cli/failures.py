@@ -105,7 +105,7 @@ def failures(
         selfsupervised=selfsupervised,
     )
     from workers.lab.evaluation.failures.bench import bench_failures
-    from workers.lab.evaluation.failures.probes import Probing
+    from workers.lab.evaluation.failures.uncertainty import Probing
 
     with progress() as bar:
         task = bar.add_task("mining", total=None)

@@ -5,8 +5,8 @@ import re
 from collections.abc import Iterator, Mapping
 
 from service.cli.output import page
-from workers.contradiction.because import TOLD
-from workers.contradiction.evidence import Evidence
+from workers.contradiction.explanations import TOLD
+from workers.contradiction.track_features import Evidence
 from workers.lab.simulation.faults.plan import DISTURBANCE_MEANS, FAILURE_MEANS
 
 _HEAD = """\

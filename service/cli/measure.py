@@ -238,7 +238,7 @@ def _simulated(folder: Path, *, frames: int) -> str:
     """Write a street that is long enough, for those who have no log at hand."""
     from workers.lab.evaluation.benchmarks.bench import WARMING_FRAMES
     from workers.lab.simulation.output.write import write_log
-    from workers.lab.simulation.world.worlds import build_street
+    from workers.lab.simulation.world.street_builder import build_street
 
     log = folder / "sim-01" / "2026-03-02" / "street.mcap"
     seconds = (frames + WARMING_FRAMES) / 10 + 4.0

@@ -8,7 +8,7 @@ import typer
 
 from schemas.bounds import MAX_NAME, MAX_NEWEST, MAX_SCENES_ASKED
 from schemas.errors import PermanentError
-from service.api.reading import Reader, StateReader, choose_endpoint, overlay_of
+from service.api.reader import Reader, StateReader, choose_endpoint, overlay_of
 from service.cli.options import (
     MOST,
     Artifacts,
@@ -21,7 +21,7 @@ from service.cli.options import (
 )
 from service.cli.output import counted, json_line, remark, result_line, table
 from service.cli.report import first_of, said_of, say_judged, say_ranking, say_what_was_found
-from service.client.merging import SceneEvent
+from service.client.merge import SceneEvent
 from service.curation.scene_names import is_short_name, named, short_names
 from service.curation.selection import left_out
 from service.errors import NothingFoundError, UsageError

@@ -106,7 +106,7 @@ def doctor(
     json: Json = False,
 ) -> None:
     """Check settings, bucket, artifacts, state, bus and workers; say what to mend."""
-    from service.doctor.examine import examine
+    from service.doctor.examination import examine
 
     read = read_settings(
         config=config,

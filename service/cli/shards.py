@@ -34,7 +34,7 @@ def shards(
         shard_seconds=shard_seconds,
         warmup_seconds=warmup_seconds,
     )
-    from workers.lab.evaluation.motion.shards import FROM_S, evaluate_shards
+    from workers.lab.evaluation.motion.shard_consistency import FROM_S, evaluate_shards
 
     with progress() as bar:
         task = bar.add_task("evaluating", total=None)

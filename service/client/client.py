@@ -25,7 +25,7 @@ from service.api.messages import (
     TopRequest,
     question,
 )
-from service.client.merging import Holding, SceneEvent, SceneMerge, Wanted
+from service.client.merge import Holding, SceneEvent, SceneMerge, Wanted
 from service.client.subscription import SceneSubscription
 from service.curation.ranking import RankedScene
 from service.curation.rates import RateRow, RatesRequest

@@ -23,7 +23,7 @@ from schemas.transport import keys
 from schemas.transport.ask import PROBLEM
 from schemas.transport.bus import is_connected
 from schemas.transport.wire import decode, first_problem
-from service.client.merging import SceneEvent
+from service.client.merge import SceneEvent
 
 log = structlog.get_logger(__name__)
 

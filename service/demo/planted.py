@@ -10,10 +10,10 @@ from schemas.attribution import Wrong
 from schemas.overlay import Overlay
 from schemas.score import SceneScore
 from service.curation.ranking import RankedScene
-from service.demo.named import PlantedPoints
+from service.demo.scored_explanations import PlantedPoints
 
 if TYPE_CHECKING:
-    from workers.lab.simulation.faults.planted_truth import DisturbanceRow, FailureRow
+    from workers.lab.simulation.faults.fault_truth import DisturbanceRow, FailureRow
 
 
 _WORDS: Final = {
@@ -98,7 +98,7 @@ def beside_truth(
         overlay_of: Reads the points of a scene; asked for those with a failure and a reason.
     """
     from workers.contradiction.reasons import WORTH_SAYING
-    from workers.lab.simulation.faults.planted_truth import PlantedTruth
+    from workers.lab.simulation.faults.fault_truth import PlantedTruth
 
     begins_ns = {
         log_id: min(row.start_ns for row in ranking if row.log_id == log_id)

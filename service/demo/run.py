@@ -9,14 +9,14 @@ from typing import Final
 
 from rich.progress import Progress
 
-from service.api.reading import StateReader, overlay_of
+from service.api.reader import StateReader, overlay_of
 from service.curation.status import Status
 from service.demo.planted import DemoScene, beside_truth
 from service.demo.retrieval import RankingFound, found_in
+from service.embedded import run_embedded
 from service.errors import UsageError
 from service.output_files import need_folder, save_picture
 from service.pictures.scene import draw_scene
-from service.processes import run_embedded
 from service.settings.config import Settings, load_settings
 from service.store.engine import DATABASE_NAME
 

@@ -12,8 +12,8 @@ from prometheus_client.registry import Collector
 from schemas.errors import CounterpointError
 from service.background.bucket_watch import BucketSeen
 from service.store.backlog import Backlog, LogDamage
-from service.store.effects import WorkKind
-from service.store.work import WorkState
+from service.store.transaction_effects import WorkKind
+from service.store.work_items import WorkState
 
 BucketError = Literal["unreachable", "refused"]
 """How a listing broke off: no answer, an error of the store's own, a folder that is gone, as when

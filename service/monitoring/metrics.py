@@ -15,10 +15,10 @@ from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, disa
 from schemas.contradiction import ContradictionKind, SceneState
 from schemas.labels import Agreement
 from schemas.score import SceneScore
-from service.api.questions import Asked, Outcome
+from service.api.request_queue import Asked, Outcome
 from service.monitoring.gauges import NAMESPACE, ServiceGauges, Sources
-from service.store.effects import CommitOutcome, Effects, WorkKind
 from service.store.events import point_counts
+from service.store.transaction_effects import CommitOutcome, Effects, WorkKind
 
 LeaseEnd = Literal[
     "committed", "failed", "expired", "worker_died", "given_back", "growing", "replaced", "freed"

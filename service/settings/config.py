@@ -31,9 +31,9 @@ from schemas.runtime.named_file import read_named_file
 from schemas.runtime.real_path import real_path
 from schemas.transport.keys import DEFAULT_ROOT
 from service.errors import UsageError
-from service.settings.layers import CONFIG_VARIABLE, Written, lay, leaves, nested
 from service.settings.messages import allowed, impossible
 from service.settings.presets import PRESETS, Preset
+from service.settings.sources import CONFIG_VARIABLE, Written, lay, leaves, nested
 
 DEFAULT_STATE = Path("counterpoint-state")
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"

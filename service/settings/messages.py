@@ -7,7 +7,7 @@ from typing import Any, Final
 from pydantic import BaseModel, ValidationError
 
 from schemas.bounds import NO_NUL
-from service.settings.layers import Written
+from service.settings.sources import Written
 
 _USER_AND_PASSWORD: Final = re.compile(r"(?<=://)([^/@\s:]*):[^/\s]*@")
 _PASSWORD_PARAMETER: Final = re.compile(r"(?i)((?:password|secret|token)[a-z_]*=)[^&\s;]+")

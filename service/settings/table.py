@@ -7,8 +7,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.mining import MiningSettings
 from service.settings.config import NOT_IN_VERSION, ReadSettings, Settings
-from service.settings.layers import CONFIG_VARIABLE, flag_of, leaves, variable_of
 from service.settings.messages import allowed, shown
+from service.settings.sources import CONFIG_VARIABLE, flag_of, leaves, variable_of
 
 _HEAD: Final = f"""# Settings
 

@@ -5,11 +5,11 @@ from typing import Any, Final, Literal
 
 from sqlalchemy import Connection, Table, and_, distinct, exists, func, or_, select, union
 
-from service.store.effects import WorkKind
 from service.store.events import counter
 from service.store.overview import newest_pipeline
 from service.store.tables import DAMAGE, LEASES, PLANS, RECORDINGS, SCENES, SHARDS
-from service.store.work import OPEN, WorkState
+from service.store.transaction_effects import WorkKind
+from service.store.work_items import OPEN, WorkState
 
 LogDamage = Literal["truncated", "unreadable"]
 """Why a log is mined only in part: an object was never closed, and was used as far as it goes; or,

@@ -16,11 +16,11 @@ from sqlalchemy import (
 )
 
 from schemas.work import ClaimRequest, MineLease, NothingToDo, PlanLease, Recording, Shard
-from service.store.blame import History
 from service.store.leases import LeasePolicy
 from service.store.statements import Statement
 from service.store.tables import LEASES, PLANS, RECORDINGS, SHARDS
-from service.store.work import Work, WorkState, change
+from service.store.work_items import Work, WorkState, change
+from service.store.worker_deaths import History
 
 WITHHELD_S: Final = 5.0
 """How long a worker stays away from work that is left to another: to find that out reads leases."""

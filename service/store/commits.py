@@ -9,15 +9,15 @@ from sqlalchemy import Connection, Row, bindparam, insert, select, update
 from schemas.canonical import canonical_json
 from schemas.score import SceneScore
 from schemas.work import Answer, CommitRequest, Damage, LogPlan, Shard
-from service.store.adoption import enter_plan
-from service.store.effects import effects_of, kind_of
 from service.store.events import insert_scenes
 from service.store.leases import end_lease, lease_of, work_of
 from service.store.manifest import Verified
+from service.store.reused_shards import enter_plan
 from service.store.statements import Statement
-from service.store.succession import give_way
+from service.store.supersede import give_way
 from service.store.tables import DAMAGE, SCENES, SHARDS
-from service.store.work import TAKEN_AND_GIVEN, Work, WorkState, change, row_of
+from service.store.transaction_effects import effects_of, kind_of
+from service.store.work_items import TAKEN_AND_GIVEN, Work, WorkState, change, row_of
 
 _END_OF_TIME_NS: Final = 2**63 - 1
 

@@ -18,11 +18,10 @@ from sqlalchemy.pool import QueuePool
 from schemas.errors import CounterpointError
 from schemas.runtime.real_path import real_path
 from service.errors import StatementFailedError, StateUnusableError
-from service.store.effects import StoreObserver, begin_effects
 from service.store.faults import RAISED, StoreUnavailableError, fault_of, names_no_database
 from service.store.file_check import check_pages, require_whole, traces_of_loss
 from service.store.file_watch import FileWatch
-from service.store.grouping import GroupedWrites, Result
+from service.store.grouped_writes import GroupedWrites, Result
 from service.store.lineage import (
     RESTORED,
     Lineage,
@@ -33,6 +32,7 @@ from service.store.lineage import (
 )
 from service.store.migrations import migrate, require_current
 from service.store.tables import METADATA
+from service.store.transaction_effects import StoreObserver, begin_effects
 
 __all__ = [
     "DATABASE_NAME",

@@ -10,7 +10,7 @@ from schemas.score import SceneScore
 from schemas.task import MOTION
 from service.store.statements import Statement
 from service.store.tables import COUNTERS, SCENES
-from service.store.work import Work
+from service.store.work_items import Work
 
 
 def insert_scenes(

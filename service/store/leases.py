@@ -7,12 +7,12 @@ from typing import Any, Final
 from sqlalchemy import Connection, Row, and_, bindparam, delete, select, update
 
 from schemas.work import Answer, FailRequest, RenewRequest
-from service.store.blame import History
-from service.store.effects import effects_of, kind_of
 from service.store.revisions import take_over
 from service.store.statements import Statement
 from service.store.tables import LEASES, RECORDINGS
-from service.store.work import Work, WorkState, change, row_of
+from service.store.transaction_effects import effects_of, kind_of
+from service.store.work_items import Work, WorkState, change, row_of
+from service.store.worker_deaths import History
 
 LEASES_KEPT_S: Final = 7 * 86_400.0
 """Longer than any worker goes on with a result that it cannot get rid of."""

@@ -42,12 +42,12 @@ from service.store import (
     served_bucket,
 )
 from service.store.backlog import Backlog
-from service.store.effects import StoreObserver
 from service.store.engine import Store
 from service.store.leases import LeasePolicy
 from service.store.recordings import SyncResult
 from service.store.retired_overlays import RetiredOverlays
 from service.store.scenes import StoredScene
+from service.store.transaction_effects import StoreObserver
 
 __all__ = ["LeasePolicy", "Ledger", "StoredScene"]
 

@@ -15,7 +15,7 @@ from service.store.engine import (
     open_store_at,
     open_store_to_read,
 )
-from service.store.sole import SoleService
+from service.store.single_writer_lock import SoleService
 
 _NO: Final = re.compile(
     r"password authentication failed for user \"[^\"]*\"|no password supplied"

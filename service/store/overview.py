@@ -20,9 +20,9 @@ from sqlalchemy import (
 
 from schemas.work import Damage
 from service.curation.status import LogStatus, ParkedWork, PointTotals, Status
-from service.store.judged import judged
+from service.store.compared_streams import judged
 from service.store.tables import COUNTERS, DAMAGE, PIPELINES, PLANS, RECORDINGS, SCENES, SHARDS
-from service.store.work import OPEN, WorkState
+from service.store.work_items import OPEN, WorkState
 
 RATE_WINDOW_S: Final = 60.0
 """Rates are over the commits of the last minute: long against a shard, short against a night."""

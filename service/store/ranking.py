@@ -7,7 +7,7 @@ from typing import Any, Final
 from sqlalchemy import ColumnElement, Connection, bindparam, literal_column, select
 
 from service.curation.ranking import RankedInput, RankedScene, twin_of
-from service.store.soundness import OnDamaged, problem_of
+from service.store.record_digests import OnDamaged, problem_of
 from service.store.statements import Statement
 from service.store.tables import SCENES
 

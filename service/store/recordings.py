@@ -20,11 +20,11 @@ from sqlalchemy import (
 )
 
 from schemas.work import Recording
-from service.store.adoption import enter_again
 from service.store.events import withdraw
 from service.store.leases import end_lease
+from service.store.reused_shards import enter_again
 from service.store.tables import LEASES, PIPELINES, PLANS, RECORDINGS, SCENES, SHARDS
-from service.store.work import OPEN, WorkState
+from service.store.work_items import OPEN, WorkState
 
 
 @dataclass(frozen=True, slots=True)

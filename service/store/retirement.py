@@ -21,7 +21,7 @@ from sqlalchemy import (
 
 from service.store.overview import newest_pipeline
 from service.store.tables import PLANS, RECORDINGS, RETIRED_OVERLAYS, SCENES, SHARDS
-from service.store.work import WorkState
+from service.store.work_items import WorkState
 
 
 @dataclass(frozen=True, slots=True, order=True)

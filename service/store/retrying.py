@@ -7,11 +7,11 @@ from sqlalchemy import Connection, Table, and_, select
 
 from service.curation.status import ParkedWork
 from service.errors import NothingFoundError
-from service.store.blame import pardon
-from service.store.effects import effects_of, kind_of
 from service.store.overview import newest_pipeline
 from service.store.tables import PLANS, RECORDINGS, SHARDS
-from service.store.work import Work, WorkState, change
+from service.store.transaction_effects import effects_of, kind_of
+from service.store.work_items import Work, WorkState, change
+from service.store.worker_deaths import pardon
 
 MOST_NAMED = 5
 """Unknown logs in one sentence."""

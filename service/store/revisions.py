@@ -4,7 +4,7 @@ from sqlalchemy import ColumnElement, Connection, and_, exists, false, func, or_
 
 from service.store.events import restore, withdraw
 from service.store.tables import PIPELINES, SCENES, SHARDS
-from service.store.work import WorkState
+from service.store.work_items import WorkState
 
 
 def take_over(connection: Connection, *, log_id: str, revision: str) -> None:

@@ -13,7 +13,7 @@ from schemas.score import SceneScore
 from schemas.transport.wire import decode
 from service.errors import RecordDamagedError
 from service.store.events import counter
-from service.store.soundness import OnDamaged, problem_of
+from service.store.record_digests import OnDamaged, problem_of
 from service.store.tables import SCENES
 
 _LAST: Final = 2**63 - 1

@@ -8,7 +8,7 @@ import pytest
 HEAVY = ("torch", "kiss_icp", "sklearn", "scipy", "numba", "mcap", "pypatchworkpp", "workers")
 
 
-@pytest.mark.parametrize("module", ["service.cli.main", "service.app", "service.processes"])
+@pytest.mark.parametrize("module", ["service.cli.main", "service.app", "service.embedded"])
 def test_importing_the_service_loads_nothing_of_the_workers(module: str) -> None:
     code = f"import sys, {module}; print(*(m for m in {HEAVY!r} if m in sys.modules))"
     found = subprocess.run(

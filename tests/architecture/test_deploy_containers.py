@@ -12,7 +12,7 @@ import typer
 import yaml
 
 from service.cli.main import EX_TEMPFAIL, app
-from service.processes import accepted_by
+from service.embedded import accepted_by
 from service.settings.config import Settings
 from workers.pool.slot import KILL_MARGIN_S
 from workers.worker.acceptance import is_loopback, refusal

@@ -6,8 +6,8 @@ import numpy as np
 
 from schemas.contradiction import ContradictionKind
 from service.cli.glossary_page import evidence_means, glossary_page
-from workers.contradiction.because import AS_MOST, LIKELIEST, TOLD, remarks_on
-from workers.contradiction.evidence import NAMES, Evidence
+from workers.contradiction.explanations import AS_MOST, LIKELIEST, TOLD, remarks_on
+from workers.contradiction.track_features import NAMES, Evidence
 from workers.lab.simulation.faults.plan import (
     DISTURBANCE_MEANS,
     FAILURE_MEANS,

@@ -13,8 +13,8 @@ from schemas.transport.wire import encode_scene_score
 from schemas.work import Damage, FailRequest, LogPlan, MineLease, PlanLease
 from service.curation.rates import RateRow, RatesBy, RatesRequest, rates
 from service.store.backlog import LogDamage
-from service.store.effects import Effects
 from service.store.ledger import Ledger
+from service.store.transaction_effects import Effects
 from tests.contracts.databases import OnPostgres, OnSqlite
 from tests.contracts.ledger_world import (
     START_NS,

@@ -9,8 +9,8 @@ from sqlalchemy import select, update
 from structlog.testing import capture_logs
 
 from service.errors import RecordDamagedError
-from service.store.effects import Effects
 from service.store.tables import SCENES
+from service.store.transaction_effects import Effects
 from tests.contracts.databases import OnPostgres, OnSqlite
 from tests.contracts.ledger_world import World
 from tests.contracts.store_contract import StoreContract

@@ -20,7 +20,7 @@ from schemas.transport.wire import decode, encode_scene_score
 from service.pictures.scene import draw_camera, draw_scene
 from service.pictures.style import colours_of, meaning
 from tests.labelled_worlds import CLASS_NAMES, Thing, labelled_scene, shard_of
-from workers.contradiction.compare import compare
+from workers.contradiction.agreement import compare
 from workers.contradiction.overlay import overlay_of
 from workers.errors import TasksDifferError
 from workers.mine import Account

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from schemas.arrays import Points
 from tests.golden.difference import Difference, same
 from tests.golden.files import Arrays, arrays
+from workers.contradiction.agreement import compare
 from workers.contradiction.categories import categories
-from workers.contradiction.compare import compare
 from workers.contradiction.instances import cluster_places
 from workers.contradiction.settings import PAPER_INSTANCES
 from workers.supervised.fusion import is_dynamic_label

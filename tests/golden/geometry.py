@@ -14,7 +14,7 @@ from schemas.arrays import Points, Transform
 from schemas.camera import CameraCalibration
 from tests.golden.difference import Difference, near, same
 from tests.golden.files import AbsentError, Arrays, arrays, document, number_of, parameters, present
-from workers.lidar.form import Form
+from workers.lidar.fidelity import Form
 from workers.lidar.range_image import SensorProfile, image_channels, project
 from workers.paper.camera_filter import (
     camera_filter,

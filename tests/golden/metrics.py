@@ -15,7 +15,7 @@ from workers.lab.evaluation.motion.paper_measures import (
     paper_measures,
 )
 from workers.lab.evaluation.motion.point_matching import COLUMNS, match_points, sums_of
-from workers.lidar.form import Form
+from workers.lidar.fidelity import Form
 
 TOLERANCE: Final = 1e-12
 

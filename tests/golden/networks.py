@@ -10,9 +10,9 @@ from torch import Tensor, nn
 
 from tests.golden.difference import Difference, near, quantile, same
 from tests.golden.files import Arrays, arrays, document, number_of, parameters, present
-from workers.checkpoints.fitting import load_into
+from workers.checkpoints.parameter_loading import load_into
 from workers.checkpoints.published import read_checkpoint
-from workers.lidar.form import Form
+from workers.lidar.fidelity import Form
 from workers.paper.delora import DeLORA
 from workers.paper.flowstep3d import FlowStep3D
 from workers.paper.gndnet import GndNet

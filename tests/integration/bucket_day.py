@@ -18,7 +18,7 @@ from mcap.writer import CompressionType, Writer
 from schemas.arrays import NS_PER_S
 from tests.factories import SMALL_LIDAR, missed_and_phantom
 from workers.lab.simulation.output.write import Identity, write_log
-from workers.lab.simulation.world.worlds import build_street
+from workers.lab.simulation.world.street_builder import build_street
 
 SECONDS: Final = 3
 """Of every log: so many scenes, each a shard of its own, so that a log is several leases."""

@@ -13,7 +13,7 @@ from schemas.transport.bucket import open_bucket
 from schemas.transport.bus import client_session, free_endpoint, router_session
 from service.app import Service
 from service.client import watch_scenes
-from service.client.merging import SceneEvent
+from service.client.merge import SceneEvent
 from service.store.engine import open_store
 from tests.contracts.ledger_world import World
 

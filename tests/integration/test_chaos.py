@@ -16,7 +16,7 @@ from tests.factories import missed_and_phantom
 from tests.integration.daemons import System
 from workers.lab.simulation.output.write import Identity, write_log
 from workers.lab.simulation.sensor.lidar import UNEVEN_64, Lidar
-from workers.lab.simulation.world.worlds import build_street
+from workers.lab.simulation.world.street_builder import build_street
 from workers.score import score_recording
 
 pytestmark = [pytest.mark.integration, pytest.mark.timeout(900)]

@@ -13,7 +13,7 @@ import pytest
 from tests.integration.daemons import QUICK
 from workers.lab.simulation.output.write import write_log
 from workers.lab.simulation.sensor.lidar import UNEVEN_64, Lidar
-from workers.lab.simulation.world.worlds import build_street
+from workers.lab.simulation.world.street_builder import build_street
 
 pytestmark = [pytest.mark.integration, pytest.mark.timeout(600)]
 

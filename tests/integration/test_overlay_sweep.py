@@ -10,7 +10,7 @@ import pytest
 from schemas.errors import BucketRefusedError
 from schemas.overlay import overlay_key
 from schemas.transport.bucket import Bucket
-from service.background.sweeping import OverlaySweep
+from service.background.overlay_cleanup import OverlaySweep
 from service.store.engine import open_store
 from service.store.ledger import StoredScene
 from tests.contracts.ledger_world import World

@@ -16,13 +16,13 @@ import pytest
 from sqlalchemy import create_engine, text
 
 from schemas.transport.bus import free_endpoint, router_session
-from service.api.reading import StateReader
+from service.api.reader import StateReader
 from service.cli.main import main
 from service.errors import StateInUseError, StateUnusableError, UsageError
 from service.settings.config import load_settings
 from service.store.engine import StoreUnavailableError
 from service.store.opening import open_ledger_store, open_ledger_store_to_read, sole_service
-from service.store.sole import DatabaseTakenError, SoleService
+from service.store.single_writer_lock import DatabaseTakenError, SoleService
 from tests.contracts.ledger_world import World
 from tests.integration.daemons import Daemon
 

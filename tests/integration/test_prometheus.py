@@ -26,8 +26,8 @@ from tests.integration.prometheus_server import (
     rules_at_once,
     until,
 )
+from workers.lab.simulation.faults.faults import PlantedFailure
 from workers.lab.simulation.faults.plan import FailureKind
-from workers.lab.simulation.faults.planted import PlantedFailure
 
 pytestmark = [pytest.mark.integration, pytest.mark.timeout(900)]
 

@@ -17,7 +17,7 @@ from schemas.work import MineLease, PlanLease
 from service.cli import main as command
 from service.client import ControlClient
 from service.curation.rates import RatesRequest
-from service.monitoring.pages import pages
+from service.monitoring.http_pages import pages
 from tests.contracts.ledger_world import plan_of
 from tests.integration.running import ROOT, Running, until
 

@@ -23,7 +23,7 @@ from tests.contracts.ledger_world import World
 from tests.integration.small_s3 import SmallS3
 from workers.lab.simulation.output.write import write_log
 from workers.lab.simulation.sensor.lidar import UNEVEN_64, Lidar
-from workers.lab.simulation.world.worlds import build_street
+from workers.lab.simulation.world.street_builder import build_street
 from workers.worker.config import WorkerConfig, WorkerObserver
 from workers.worker.lease import LeaseKeeper, LeaseLostError, Leases
 from workers.worker.loop import Worker
@@ -195,7 +195,7 @@ def test_a_bug_is_told_to_the_ledger_and_then_ends_the_worker(
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr("workers.worker.attempt.plan_recording", broken)
+    monkeypatch.setattr("workers.worker.lease_execution.plan_recording", broken)
     with pytest.raises(ZeroDivisionError):
         Worker(place.session, place.config, stop=threading.Event()).run()
     place.world.clock.now_s += 3600.0

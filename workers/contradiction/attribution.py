@@ -3,7 +3,7 @@
     odds of each answer = intercept + sum of weight x evidence;   chance = exp(odds) / sum of exp
 
 One multinomial logistic regression for each kind of contradiction, over the numbers of
-`evidence.py`, all of them between 0 and 1, so that a weight says what its evidence is worth. Fitted
+`track_features.py`, all between 0 and 1, so that a weight says what its evidence is worth. Fitted
 by `python -m workers.lab.training.attribution` on logs with truth and written to
 `attribution.json`, with a card that says on what, and how well. An answer without a row has no
 chance.
@@ -18,8 +18,8 @@ from importlib import resources
 from typing import Any, Final
 
 from schemas.attribution import MOST_WORDS, Attribution, Wrong
-from workers.contradiction.because import AS_MOST, LIKELIEST, Remark
-from workers.contradiction.evidence import NAMES, Evidence
+from workers.contradiction.explanations import AS_MOST, LIKELIEST, Remark
+from workers.contradiction.track_features import NAMES, Evidence
 
 FILE: Final = "attribution.json"
 _DIGITS: Final = 3

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.contradiction.in_boxes import areas_of
+from workers.contradiction.box_queries import areas_of
 
 _HEADINGS_RAD: Final = np.deg2rad(np.arange(0.0, 90.0, 2.0))
 _AXES: Final = np.stack(

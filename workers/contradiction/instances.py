@@ -9,12 +9,12 @@ from schemas.arrays import Mask
 from schemas.contradiction import Instance, LabelledFrame, Scene
 from schemas.labels import MotionLabel
 from schemas.task import Outcome
-from workers.contradiction.around import counts_around
 from workers.contradiction.boxes import fit_box
-from workers.contradiction.claims import Claims
+from workers.contradiction.neighbour_counts import counts_around
+from workers.contradiction.neighbourhood import Claims
 from workers.contradiction.settings import DEFAULT_INSTANCES, InstanceSettings
 from workers.points.density import density_clusters, weighted_places
-from workers.points.passes import within_box
+from workers.points.point_kernels import within_box
 
 
 def find_instances(

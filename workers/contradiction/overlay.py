@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from schemas.contradiction import Instance, LabelledFrame, Scene
 from schemas.labels import FrameLabels
 from schemas.overlay import NO_POSITION_CM, Overlay
-from workers.contradiction.strength import RankedTrack
-from workers.points.passes import in_centimetres
+from workers.contradiction.track_score import RankedTrack
+from workers.points.point_kernels import in_centimetres
 
 _REACH_M: Final = np.float32(327.0)
 

@@ -10,7 +10,7 @@ from schemas.contradiction import Instance, Scene, SceneState
 from schemas.frame import OdometryState
 from schemas.score import OdometryHealth, StreamHealth
 from schemas.task import Outcome, Task
-from workers.contradiction.strength import RankedTrack
+from workers.contradiction.track_score import RankedTrack
 from workers.contradiction.tracks import frame_period_s
 
 MAX_REASONS: Final = 5

@@ -2,7 +2,7 @@
 
     score = 1 - (1 - s1)(1 - s2 / 2)(1 - s3 / 4) ...
 
-s1 >= s2 >= ... are the strengths of the scene's tracks (`strength.py`); poses doubted while a
+s1 >= s2 >= ... are the strengths of the scene's tracks (`track_score.py`); poses doubted while a
 track is seen have taken from it already.
 
 Range: 0 when nothing contradicts, below 1 always, and at least the strength of the strongest track,
@@ -32,9 +32,9 @@ from schemas.task import Outcome
 from schemas.transport.wire import encode
 from schemas.work import Shard
 from workers.contradiction.reasons import WORTH_SAYING, class_word, reasons_of
+from workers.contradiction.scene_statistics import odometry_health, point_shares, stream_health
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
-from workers.contradiction.shares import odometry_health, point_shares, stream_health
-from workers.contradiction.strength import RankedTrack, pose_weights
+from workers.contradiction.track_score import RankedTrack, pose_weights
 
 
 class Versioned(Protocol):

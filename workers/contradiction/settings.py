@@ -64,7 +64,7 @@ class TrackSettings:
 
 @dataclass(frozen=True, slots=True)
 class ScoreSettings:
-    """How a track's strength and a scene's score are made; `strength.py` has the formula.
+    """How a track's strength and a scene's score are made; `track_score.py` has the formula.
 
     Attributes:
         persistence_s: Seen for this long gives 0.63: a flicker of two frames at 10 Hz gives 0.26.

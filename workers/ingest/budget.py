@@ -8,7 +8,7 @@ from schemas.work import Damage
 from workers.ingest.damage import damaged_chunk
 from workers.ingest.limits import FREE_READ_BYTES, MAX_CHUNKS_OF_SHARDS, MAX_READ_TIMES
 from workers.ingest.log_index import LogIndex
-from workers.ingest.windows import Span, cells_of
+from workers.ingest.shard_windows import Span, cells_of
 
 
 def too_much_of(spans: Sequence[Span], anchor_ns: int, shard_ns: int, log_bytes: int) -> str:

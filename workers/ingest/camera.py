@@ -21,11 +21,11 @@ from workers.ingest.camera_messages import (
     holds_images,
 )
 from workers.ingest.camera_model import CameraView
-from workers.ingest.evidence import Sample, sample_topics
 from workers.ingest.frames import sensor_points
 from workers.ingest.log_index import index_recording
-from workers.ingest.moment import Moment, readable
+from workers.ingest.message_lookup import Moment, readable
 from workers.ingest.point_time import point_time
+from workers.ingest.topic_sampling import Sample, sample_topics
 from workers.ingest.topics import Topic, topics_of
 from workers.ingest.transforms import holds_transforms
 

@@ -8,9 +8,9 @@ from schemas.arrays import NS_PER_S, Transform
 from schemas.camera import CameraCalibration
 from workers.errors import LogUnusableError
 from workers.ingest.camera_messages import Calibration, calibration, holds_calibrations
-from workers.ingest.evidence import Sample
 from workers.ingest.log_index import LogIndex
-from workers.ingest.moment import Moment, readable
+from workers.ingest.message_lookup import Moment, readable
+from workers.ingest.topic_sampling import Sample
 from workers.ingest.topics import Topic
 from workers.ingest.transforms import (
     TransformTree,

@@ -10,7 +10,7 @@ from schemas.work import ChunkRef
 from workers.errors import ChunkUnreadableError
 from workers.ingest.chunk import open_chunk, opened_bytes, too_large
 from workers.ingest.limits import MAX_AHEAD_BYTES
-from workers.ingest.part import PartReader
+from workers.ingest.part_reader import PartReader
 
 MAX_READ_BYTES: Final = 8 * 1024 * 1024
 """Chunks that lie next to each other are fetched together up to this size."""

@@ -7,7 +7,7 @@ from mcap.opcode import Opcode
 from mcap.records import Footer
 
 from schemas.errors import TransientError
-from workers.ingest.part import PartReader
+from workers.ingest.part_reader import PartReader
 from workers.ingest.records import (
     FOOTER_BYTES,
     HEADER_BYTES,

@@ -30,7 +30,7 @@ from workers.ingest.limits import (
     MAX_SMALL_BYTES,
     MAX_SUMMARY_RECORDS,
 )
-from workers.ingest.part import PartReader
+from workers.ingest.part_reader import PartReader
 from workers.ingest.records import (
     FOOTER_BYTES,
     HEADER_BYTES,

@@ -12,7 +12,6 @@ from schemas.work import ChunkRef, Damage, Recording
 from workers.errors import ChunkUnreadableError, NotMcapError
 from workers.ingest.chunk import messages_in, open_chunk, opened_bytes, too_large
 from workers.ingest.damage import DamageList, damaged
-from workers.ingest.effort import Effort
 from workers.ingest.footer import (
     StillGrowingError,
     TruncatedPart,
@@ -28,10 +27,11 @@ from workers.ingest.index import (
     read_summary,
     too_many_chunks,
 )
+from workers.ingest.index_recovery import hop, recover
 from workers.ingest.limits import MAX_CHUNK_RECORDS, MAX_CHUNKS
-from workers.ingest.part import PartReader
+from workers.ingest.part_reader import PartReader
+from workers.ingest.planning_budget import Effort
 from workers.ingest.records import MAGIC, RecordMalformedError, count_records, walk
-from workers.ingest.recover import hop, recover
 
 UNEXPLAINED_BYTES: Final = 64 * 1024
 """A longer stretch that no index explains is looked through for messages outside chunks."""

@@ -13,7 +13,6 @@ from schemas.work import Channel, ChunkRef, Damage, LogPlan, RecordedSource, Rec
 from workers.errors import LogUnusableError, NotMcapError
 from workers.ingest.camera_calibration import find_calibration
 from workers.ingest.damage import DamageList, damaged
-from workers.ingest.evidence import Sample, sample_end, sample_middle, sample_topics
 from workers.ingest.footer import TruncatedPart
 from workers.ingest.frames import intensity_scale_of
 from workers.ingest.identity import METADATA_RECORD, Identity, identify
@@ -23,9 +22,10 @@ from workers.ingest.log_index import LogIndex, index_recording
 from workers.ingest.pointcloud import is_cloud, unsupported_reason
 from workers.ingest.recorded_labels import CLASSES_RECORD, find_labels, find_recorded_source
 from workers.ingest.recorded_motion import find_motion
-from workers.ingest.spans import motion_spans, spans_of, spans_within_reach
+from workers.ingest.shard_windows import Span, Spans, cut_windows
+from workers.ingest.topic_sampling import Sample, sample_end, sample_middle, sample_topics
+from workers.ingest.topic_spans import motion_spans, spans_of, spans_within_reach
 from workers.ingest.topics import Topic, topics_of
-from workers.ingest.windows import Span, Spans, cut_windows
 
 MAX_INDEX_READS: Final = 3
 """Of each part; where fewer were enough, a look at the end of the log is affordable."""

@@ -18,9 +18,9 @@ from workers.ingest.decoding import MessageUnreadableError
 from workers.ingest.fetch import OpenedChunk, fetch_chunks
 from workers.ingest.frames import frame_from_cloud
 from workers.ingest.limits import MAX_WAITING, MAX_WAITING_BYTES
+from workers.ingest.message_rate import Pace
 from workers.ingest.messages import MAX_TIME_NS, RawMessage
-from workers.ingest.pace import Pace
-from workers.ingest.part import PartReader
+from workers.ingest.part_reader import PartReader
 from workers.ingest.pointcloud import DecodedCloud, decode_cloud
 from workers.ingest.recorded_labels import LabelPairing, recorded_labels
 from workers.ingest.recorded_motion import MotionLog, middle_ns

@@ -5,9 +5,9 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Points
 from workers.lidar.beam_table import BeamTable
-from workers.lidar.directions import BLOCK, column_of, look, new_block, row_above, rows_of_steps
+from workers.lidar.spherical import BLOCK, column_of, look, new_block, row_above, rows_of_steps
 from workers.points.compiled import compiled
-from workers.points.steps import step
+from workers.points.step_names import step
 
 COLUMNS = 1800
 """0.2 degrees: the azimuth step of spinning sensors at 10 Hz; finer steps would leave gaps."""

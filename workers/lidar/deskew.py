@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 from schemas.arrays import Points, Transform
 from schemas.frame import LidarFrame
 from workers.points.compiled import compiled
-from workers.points.passes import first_and_last
-from workers.points.steps import step
+from workers.points.point_kernels import first_and_last
+from workers.points.step_names import step
 
 Twist = NDArray[np.float64]
 """(6,) rotation vector in radians, then translation in metres; per second when divided by time."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
 from workers.points.compiled import compiled
-from workers.points.steps import step
+from workers.points.step_names import step
 
 GUARD_M = 0.5
 GUARD_PER_M = 0.04

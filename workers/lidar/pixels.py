@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask
-from workers.lidar.directions import ANGLE_ERROR, BLOCK, angle_of
+from workers.lidar.spherical import ANGLE_ERROR, BLOCK, angle_of
 from workers.points.compiled import compiled
 
 UNSURE: Final = -2

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
-from workers.lidar.form import Form
+from workers.lidar.fidelity import Form
 from workers.lidar.pixels import UNSURE, Gaps, gaps_between, nearest_of_pixels, normalised, place
 
 Channel = Literal["range", "x", "y", "z", "intensity"]

@@ -5,8 +5,15 @@ from typing import Final
 
 from schemas.arrays import NS_PER_S
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
-from workers.odometry.likeliest import BEGINNING_S, FEWEST_HELD, Unsure, doubted, likeliest, span_s
-from workers.odometry.odometry_run import MAX_GAP_S, RESIDUAL_REACH_M, Run
+from workers.odometry.motion_hypotheses import (
+    BEGINNING_S,
+    FEWEST_HELD,
+    Unsure,
+    doubted,
+    likeliest,
+    span_s,
+)
+from workers.odometry.registration_pass import MAX_GAP_S, RESIDUAL_REACH_M, Run
 from workers.part_version import version_of
 
 _MOST_HELD: Final = 10
@@ -19,7 +26,7 @@ _NOTHING_FITS_M: Final = 0.95 * RESIDUAL_REACH_M
 
 
 class KissOdometry:
-    """KISS-ICP (`kiss_map.py`) on maps that begin by the clock (`maps_by_clock.py`).
+    """KISS-ICP (`kiss_map.py`) on maps that begin by the clock (`time_anchored_maps.py`).
 
     No frame is ever refused: one that cannot be registered gets the predicted pose and says so.
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
 from schemas.camera import CameraCalibration
-from workers.lidar.form import Form
+from workers.lidar.fidelity import Form
 from workers.paper.ground_rule import NOT_GROUND
 
 BOX_M: Final = 35.0

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from workers.lidar.form import Form
+from workers.lidar.fidelity import Form
 
 IMAGE_CHANNELS: Final = ("x", "y", "z", "range")
 """Of each of the two images, metres, zero in empty pixels; not normalised."""

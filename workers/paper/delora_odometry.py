@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from schemas.frame import LidarFrame, PosedFrame
-from workers.checkpoints.stored import Stored
+from workers.checkpoints.stored_weights import Stored
 from workers.lidar.range_image import SensorProfile, project
 from workers.paper.delora import DeLORA
 from workers.paper.weights import DeLORACard, load_delora

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from workers.lidar.form import Form
+from workers.lidar.fidelity import Form
 from workers.paper.point_sets import (
     find_nearest,
     gather_features,

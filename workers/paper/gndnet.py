@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from workers.lidar.form import Form
+from workers.lidar.fidelity import Form
 from workers.paper.pillars import GNDNET_GRID
 
 GRID: Final = GNDNET_GRID.shape

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
-from workers.lidar.form import Form
+from workers.lidar.fidelity import Form
 from workers.paper.pillars import GNDNET_GRID, LIDAR_HEIGHT_M, PillarGrid
 
 OUTSIDE: Final = -1

@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 
 from schemas.arrays import Flow, Mask, Points, Transform
-from workers.checkpoints.stored import Stored
+from workers.checkpoints.stored_weights import Stored
 from workers.paper.flowstep3d import FlowStep3D
 from workers.paper.weights import FlowStep3DCard, load_flowstep3d
 from workers.points.se3 import transform

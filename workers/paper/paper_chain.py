@@ -13,8 +13,8 @@ from schemas.arrays import NS_PER_S, Mask
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.labels import Blindness, FrameHealth, FrameLabels, MotionLabel
 from schemas.task import MOTION, Task
-from workers.checkpoints.stored import Stored
-from workers.lidar.form import Form
+from workers.checkpoints.stored_weights import Stored
+from workers.lidar.fidelity import Form
 from workers.paper.camera_filter import from_flow_space, is_ahead_within
 from workers.paper.flowstep3d import FlowStep3D
 from workers.paper.gndnet import GndNet
@@ -25,8 +25,8 @@ from workers.paper.two_stage_clustering import PAPER, TwoStageResult, two_stage
 from workers.paper.weights import FlowStep3DCard, GndNetCard, load_flowstep3d, load_gndnet
 from workers.part_version import release, version_of
 from workers.points.se3 import inverse
-from workers.selfsupervised.answer import ALONE
 from workers.selfsupervised.history import MAX_GAP_NS
+from workers.selfsupervised.labelling import ALONE
 
 
 @dataclass(frozen=True, slots=True, eq=False)

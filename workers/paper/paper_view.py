@@ -10,8 +10,8 @@ from schemas.arrays import Points
 from schemas.camera import CameraCalibration
 from schemas.errors import PermanentError
 from schemas.frame import LidarFrame
-from workers.checkpoints.stored import Stored
-from workers.lidar.form import Form
+from workers.checkpoints.stored_weights import Stored
+from workers.lidar.fidelity import Form
 from workers.paper.camera_filter import camera_filter, to_flow_space
 from workers.paper.gndnet import GndNet
 from workers.paper.ground_rule import ground_labels

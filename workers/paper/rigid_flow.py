@@ -10,7 +10,7 @@ from workers.points.clusters import connected
 from workers.points.compiled import compiled
 from workers.points.se3 import transform
 from workers.selfsupervised.registration import MAX_EXTENT_M, MIN_POINTS
-from workers.selfsupervised.shift_search import Reference, build_reference, energy_of, search
+from workers.selfsupervised.translation_search import Reference, build_reference, energy_of, search
 
 REACH_M: Final = 0.5
 """Between points of one body: that of the default stream."""

@@ -10,14 +10,14 @@ from schemas.arrays import NS_PER_S
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.labels import Blindness, FrameHealth, FrameLabels, MotionLabel
 from schemas.task import MOTION, Task
-from workers.lidar.prepare import Preparation, Prepared
+from workers.lidar.preprocessing import Preparation, Prepared
 from workers.paper.object_flow import object_flow
 from workers.paper.scene_flow import LearnedFlow, scene_flow_source
 from workers.paper.two_stage_clustering import PER_SECOND, TwoStageRule, two_stage
 from workers.part_version import version_of
 from workers.points.se3 import transform
-from workers.selfsupervised.answer import ALONE, GROUND, nothing_known
 from workers.selfsupervised.history import MAX_GAP_NS
+from workers.selfsupervised.labelling import ALONE, GROUND, nothing_known
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from workers.paper.two_stage_clustering import PER_SECOND, TwoStageRule, two_sta
 from workers.part_version import version_of
 from workers.points.se3 import transform
 from workers.points.voxels import voxelize
-from workers.selfsupervised.answer import ALONE
+from workers.selfsupervised.labelling import ALONE
 from workers.selfsupervised.stream import Registration
 
 

@@ -5,9 +5,9 @@ from typing import Literal
 
 from pydantic import Field
 
-from workers.checkpoints import stored
-from workers.checkpoints.stored import Card, Stored
-from workers.lidar.form import Form
+from workers.checkpoints import stored_weights
+from workers.checkpoints.stored_weights import Card, Stored
+from workers.lidar.fidelity import Form
 from workers.paper.delora import DeLORA
 from workers.paper.flowstep3d import FlowStep3D
 from workers.paper.gndnet import GndNet
@@ -69,7 +69,7 @@ def load_gndnet(path: Path, *, form: Form = Form.CORRECTED) -> Stored[GndNet, Gn
     Raises:
         WeightsUnusableError: If they are missing, damaged or do not fit; nothing is half loaded.
     """
-    return stored.load(path, GndNetCard, lambda card: card.build(form))
+    return stored_weights.load(path, GndNetCard, lambda card: card.build(form))
 
 
 def load_flowstep3d(
@@ -80,7 +80,7 @@ def load_flowstep3d(
     Raises:
         WeightsUnusableError: If they are missing, damaged or do not fit; nothing is half loaded.
     """
-    return stored.load(path, FlowStep3DCard, lambda card: card.build(form))
+    return stored_weights.load(path, FlowStep3DCard, lambda card: card.build(form))
 
 
 def load_delora(path: Path, *, form: Form = Form.CORRECTED) -> Stored[DeLORA, DeLORACard]:
@@ -89,4 +89,4 @@ def load_delora(path: Path, *, form: Form = Form.CORRECTED) -> Stored[DeLORA, De
     Raises:
         WeightsUnusableError: If they are missing, damaged or do not fit; nothing is half loaded.
     """
-    return stored.load(path, DeLORACard, lambda card: card.build(form))
+    return stored_weights.load(path, DeLORACard, lambda card: card.build(form))

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from schemas.runtime.named_file import open_named_file, read_named_file
-from workers.checkpoints import stored
+from workers.checkpoints import stored_weights
 from workers.checkpoints.errors import WeightsUnusableError
-from workers.checkpoints.fitting import load_into
 from workers.checkpoints.model_files import MAX_TEXT_BYTES, read_regular
+from workers.checkpoints.parameter_loading import load_into
 from workers.checkpoints.published import read_checkpoint
-from workers.checkpoints.stored import Card
+from workers.checkpoints.stored_weights import Card
 from workers.errors import UnknownPartError
 
 NETWORKS: Final = ("salsanext", "lmnet", "gndnet", "flowstep3d", "delora")
@@ -60,7 +60,7 @@ def read_known(name: str) -> Card:
             f"no configuration {name!r}; known: {', '.join(known_configs())}"
         )
     said = (_CONFIGS / f"{name}.json").read_text("utf-8")
-    return stored.read_card(said, _card_type(json.loads(said)["network"]), source=name)
+    return stored_weights.read_card(said, _card_type(json.loads(said)["network"]), source=name)
 
 
 def read_config(config: str, network: str) -> Card:
@@ -97,7 +97,7 @@ def read_config(config: str, network: str) -> Card:
             raise WeightsUnusableError(
                 f"{error}; a JSON file, JSON, or one of {', '.join(known_configs())} is needed"
             ) from error
-    card = stored.read_card(_named(said, network, source), card_type, source=source)
+    card = stored_weights.read_card(_named(said, network, source), card_type, source=source)
     if card.network != network:
         raise WeightsUnusableError(
             f"the configuration is of {card.network}, not {network} ({source})"
@@ -163,8 +163,8 @@ def import_weights(checkpoint: Path, *, network: str, config: str, out: Path) ->
     origin = {"imported_from": checkpoint.name, _ORIGIN: _digest_of(checkpoint)}
     card = card.model_copy(update={"training": {**card.training, **origin}})
     path = out / f"{network}.safetensors"
-    stored.save(path, net.state_dict(), card)
-    digest = stored.load(path, type(card), lambda read: read.build()).digest
+    stored_weights.save(path, net.state_dict(), card)
+    digest = stored_weights.load(path, type(card), lambda read: read.build()).digest
     return Imported(path, network, len(parameters), digest, converted)
 
 

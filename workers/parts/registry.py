@@ -27,7 +27,7 @@ def _delora(files: PartFiles) -> Odometry:
 
 
 def _salsanext_lmnet(files: PartFiles, *, published: bool = False) -> Stream:
-    from workers.lidar.form import Form
+    from workers.lidar.fidelity import Form
     from workers.supervised.stream import SHIPPED, RangeImageStream
 
     folder = Path(files.weights) if files.weights else SHIPPED
@@ -58,7 +58,7 @@ def _recorded(_: PartFiles, *, task: Task = MOTION) -> Stream:
 
 def _registration(_: PartFiles, *, lookahead_s: float = 0.0) -> Stream:
     from workers.selfsupervised.stream import Registration
-    from workers.warmup.compiling import compile_apart
+    from workers.warmup.jit_warmup import compile_apart
 
     compile_apart()
     return Registration(lookahead_s)

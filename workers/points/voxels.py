@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Points
 from workers.points.compiled import compiled
-from workers.points.steps import step
+from workers.points.step_names import step
 
 VOXEL_M = 0.15
 """A hand's breadth: under the spacing of beams beyond 20 m, over the noise of any range sensor."""

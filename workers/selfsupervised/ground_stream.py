@@ -9,10 +9,10 @@ from schemas.frame import PosedFrame
 from schemas.labels import FrameHealth, FrameLabels
 from schemas.task import GROUND, Task
 from workers.lidar.beam_table import MIN_RANGE_M
-from workers.lidar.prepare import MAX_RANGE_M, Preparation, Prepared
+from workers.lidar.preprocessing import MAX_RANGE_M, Preparation, Prepared
 from workers.part_version import version_of
-from workers.points.passes import within
-from workers.selfsupervised.answer import GROUND as GROUND_SURE
+from workers.points.point_kernels import within
+from workers.selfsupervised.labelling import GROUND as GROUND_SURE
 
 _OTHER: Final = GROUND.classes.index("other")
 _GROUND: Final = GROUND.classes.index("ground")

@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
 from workers.points.clusters import Clusters, from_labels
-from workers.points.steps import step
+from workers.points.step_names import step
 from workers.selfsupervised.candidates import GOOD_FIT_NEAR_M
 from workers.selfsupervised.evidence import Evidence
-from workers.selfsupervised.grouping import find_clusters, find_parts
+from workers.selfsupervised.ground_artefacts import are_strips
 from workers.selfsupervised.registration import STILL_M, Reference, Registered, register
-from workers.selfsupervised.strips import are_strips
 from workers.selfsupervised.verification import Motions, judge
+from workers.selfsupervised.voxel_clusters import find_clusters, find_parts
 
 _CHILD_FREE_VOXELS: Final = 12
 _CHILD_FREE_ENERGY_M: Final = 0.3

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from schemas.arrays import Points
 from workers.points.clusters import Clusters
 from workers.points.compiled import compiled
-from workers.points.steps import step
-from workers.selfsupervised.shift_search import (
+from workers.points.step_names import step
+from workers.selfsupervised.translation_search import (
     Reference,
     build_reference,
     energy_of,

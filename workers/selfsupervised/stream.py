@@ -7,8 +7,8 @@ from schemas.frame import PosedFrame
 from schemas.labels import FrameLabels
 from schemas.task import MOTION, Task
 from workers.part_version import version_of
-from workers.selfsupervised.ahead import LOOKAHEADS_S, Ahead
-from workers.selfsupervised.run import Run
+from workers.selfsupervised.lookahead_buffer import LOOKAHEADS_S, Ahead
+from workers.selfsupervised.state import Run
 
 
 class Registration:

@@ -16,9 +16,9 @@ from workers.free_space import Votes
 from workers.lidar.beam_table import BeamTable
 from workers.points.neighbours import build_grid, nearest_indices
 from workers.points.se3 import transform
-from workers.points.steps import step
+from workers.points.step_names import step
+from workers.selfsupervised.confirmation_weight import proves_whole
 from workers.selfsupervised.motion import ClusterMotions
-from workers.selfsupervised.proof import proves_whole
 
 DYNAMIC_SCORE: Final = 0.6
 """The proof of one frame is worth 1, and still counts two tenths of a second later."""

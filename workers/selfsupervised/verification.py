@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from schemas.arrays import Mask, Points
 from workers.free_space import FREE, Votes, visibility
 from workers.points.clusters import Clusters
-from workers.points.steps import step
+from workers.points.step_names import step
 from workers.selfsupervised.candidates import far_candidates, near_candidates
 from workers.selfsupervised.evidence import Evidence
 from workers.selfsupervised.registration import Registered

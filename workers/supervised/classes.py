@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.arrays import Mask
-from workers.lidar.window import likeliest
+from workers.lidar.pixel_windows import likeliest
 
 
 class ClassMeaning(BaseModel):

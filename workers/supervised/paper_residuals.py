@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Points, Transform
 from schemas.frame import PosedFrame
-from workers.lidar.form import Form
+from workers.lidar.fidelity import Form
 from workers.lidar.range_image import RangeImage, SensorProfile, project
 from workers.points.se3 import inverse, transform
 from workers.supervised.residual_image import ResidualSettings, residual_image

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.lidar.form import Form
-from workers.lidar.range_image import RangeImage
-from workers.lidar.window import (
+from workers.lidar.fidelity import Form
+from workers.lidar.pixel_windows import (
     commonest,
     look_up,
     mean_of,
@@ -16,6 +15,7 @@ from workers.lidar.window import (
     nearest_in_window,
     padded,
 )
+from workers.lidar.range_image import RangeImage
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S, Points, Transform
 from schemas.frame import PosedFrame
 from workers.lidar.range_image import RangeImage, SensorProfile, project
-from workers.points.passes import moved
+from workers.points.point_kernels import moved
 from workers.points.se3 import inverse
 
 MAX_AGES: Final = 16

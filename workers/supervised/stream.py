@@ -14,7 +14,7 @@ from schemas.frame import OdometryState, PosedFrame
 from schemas.labels import FrameLabels
 from schemas.task import GROUND, MOTION, Task
 from workers.checkpoints.errors import WeightsUnusableError
-from workers.lidar.form import Form
+from workers.lidar.fidelity import Form
 from workers.lidar.range_image import CHANNELS, RangeImage, SensorProfile, image_channels, project
 from workers.lidar.sensor_rows import lay_out
 from workers.supervised.classes import ClassSet

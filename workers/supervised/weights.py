@@ -8,9 +8,9 @@ import torch
 from numpy.typing import NDArray
 from pydantic import Field
 
-from workers.checkpoints import stored
+from workers.checkpoints import stored_weights
 from workers.checkpoints.errors import WeightsUnusableError
-from workers.checkpoints.stored import Card
+from workers.checkpoints.stored_weights import Card
 from workers.lidar.range_image import CHANNELS, Channel, SensorProfile
 from workers.supervised.adapter import MAX_CHANNELS
 from workers.supervised.classes import ClassMeaning
@@ -128,7 +128,7 @@ def save_weights(path: Path, net: SalsaNext, card: WeightsCard) -> None:
     tensors = {
         key: value.half() if value.ndim == 4 else value for key, value in net.state_dict().items()
     }
-    stored.save(path, tensors, card)
+    stored_weights.save(path, tensors, card)
 
 
 def load_weights(path: Path, *, folded: bool = False) -> LoadedWeights:
@@ -146,6 +146,6 @@ def load_weights(path: Path, *, folded: bool = False) -> LoadedWeights:
         WeightsUnusableError: If a file is missing or damaged, or keys or shapes differ; the message
             names the file and what differs.
     """
-    read = stored.load(path, WeightsCard, WeightsCard.build)
+    read = stored_weights.load(path, WeightsCard, WeightsCard.build)
     folds = folded and bool(torch.backends.mkldnn.is_available())  # type: ignore[no-untyped-call]
     return LoadedWeights(read.net, read.card, read.digest, folded=folds)

@@ -3,10 +3,8 @@
 import numpy as np
 
 from schemas.frame import LidarFrame
-from workers.contradiction.around import counts_around
-from workers.lidar.range_image import SensorProfile, image_channels, project
-from workers.lidar.second_registration import misfit_between, structure_of
-from workers.lidar.window import (
+from workers.contradiction.neighbour_counts import counts_around
+from workers.lidar.pixel_windows import (
     commonest,
     likeliest,
     look_up,
@@ -15,8 +13,10 @@ from workers.lidar.window import (
     nearest_in_window,
     padded,
 )
+from workers.lidar.range_image import SensorProfile, image_channels, project
+from workers.lidar.registration_check import misfit_between, structure_of
 from workers.points.density import density_clusters, weighted_places
-from workers.points.passes import in_centimetres, moved, within_box
+from workers.points.point_kernels import in_centimetres, moved, within_box
 
 _PROFILE = SensorProfile(name="rehearsal", rows=16, columns=64, fov_up_deg=10, fov_down_deg=-20)
 

@@ -14,9 +14,9 @@ from schemas.labels import FrameHealth, FrameLabels, MotionLabel
 from workers.free_space import visibility
 from workers.points.clusters import Clusters, connected
 from workers.sources import syntax_digest
-from workers.witness.doubt import Doubt
-from workers.witness.opinions import Opinions, opinions_of
-from workers.witness.sight import Sight, Sights
+from workers.witness.free_space_votes import Opinions, opinions_of
+from workers.witness.observation import Sight, Sights
+from workers.witness.pose_doubt import Doubt
 
 REACH_S: Final = 1.0
 AGES_S: Final = (1.0, 0.8, 0.6, 0.4, 0.2)

@@ -30,12 +30,12 @@ from schemas.transport.router_watch import RouterWatch
 from schemas.work import FailRequest, MineLease, NothingToDo, PlanLease
 from workers.ingest.footer import StillGrowingError
 from workers.worker.acceptance import refusal
-from workers.worker.attempt import Attempts, Lease
 from workers.worker.config import WorkerConfig, WorkerObserver
-from workers.worker.equipment import Equipment, equip
 from workers.worker.lease import LeaseKeeper, LeaseLostError, Leases
+from workers.worker.lease_execution import Attempts, Lease
 from workers.worker.metrics import ShardOutcome, WorkerMetrics
-from workers.worker.stores import StoreTroubleError, cause_of, wait_until_over
+from workers.worker.store_health import StoreTroubleError, cause_of, wait_until_over
+from workers.worker.worker_context import Equipment, equip
 
 log = structlog.get_logger(__name__)
 

@@ -17,7 +17,7 @@ from schemas.labels import Blindness
 from schemas.score import SceneScore
 from schemas.task import MOTION
 from schemas.work import LogPlan, MiningStats
-from workers.stages import Stage
+from workers.stage_timing import Stage
 
 NAMESPACE: Final = "counterpoint"
 SUBSYSTEM: Final = "worker"

@@ -5,11 +5,11 @@ from typing import Any
 
 import pytest
 
-from service.demo.named import PlantedPoints
+from service.demo.scored_explanations import PlantedPoints
 from tests.demo_truth import one_thing, write_truth
 from tests.factories import BEGIN_NS
+from workers.lab.simulation.faults.fault_truth import FailureRow
 from workers.lab.simulation.faults.plan import FailureKind
-from workers.lab.simulation.faults.planted_truth import FailureRow
 
 
 def failure(kind: FailureKind, **changes: Any) -> FailureRow:

@@ -12,13 +12,13 @@ from service.demo.planted import DemoScene, beside_truth
 from service.demo.retrieval import found_in
 from tests.demo_truth import one_thing, write_truth
 from tests.factories import BEGIN_NS, LOG_ID, scene_score, track_record
-from workers.lab.simulation.faults.plan import DisturbanceKind, FailureKind
-from workers.lab.simulation.faults.planted_truth import (
+from workers.lab.simulation.faults.fault_truth import (
     FILE,
     DisturbanceRow,
     FailureRow,
     PlantedTruth,
 )
+from workers.lab.simulation.faults.plan import DisturbanceKind, FailureKind
 
 STREET = LOG_ID.rpartition("/")[2]
 ERRS = Attribution(

@@ -18,7 +18,7 @@ from service.cli.main import main
 from service.doctor import machine as doctor_machine
 from service.doctor import network as doctor_network
 from service.doctor import stores as doctor_stores
-from service.doctor.examine import examine
+from service.doctor.examination import examine
 from service.doctor.finding import Finding
 from service.settings.config import Settings, load_settings, read_settings
 from service.store.engine import DATABASE_NAME, open_store

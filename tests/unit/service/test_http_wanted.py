@@ -1,6 +1,6 @@
 import pytest
 
-from service.processes import _wants_http
+from service.embedded import _wants_http
 from service.settings.config import load_settings
 
 

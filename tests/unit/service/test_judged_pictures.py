@@ -7,7 +7,7 @@ from PIL import Image
 from schemas.labels import MotionLabel
 from service.cli.evaluate import parse_rows
 from service.errors import UsageError
-from service.pictures.judged import SIZE_PX, draw_worst
+from service.pictures.evaluation_frames import SIZE_PX, draw_worst
 from service.pictures.table import draw_table
 from workers.lab.evaluation.motion.counts import LogCounts, RangeCounts, StreamCounts
 from workers.lab.evaluation.motion.motion import JudgedFrame

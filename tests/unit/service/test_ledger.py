@@ -17,7 +17,7 @@ from service.store import engine, migrations
 from service.store.engine import DATABASE_NAME, open_store, open_store_to_read
 from service.store.faults import StoreUnavailableError
 from service.store.ledger import Ledger
-from service.store.work import Work, WorkState, change
+from service.store.work_items import Work, WorkState, change
 from tests.contracts.ledger_world import World, expected_scenes
 
 

@@ -21,7 +21,7 @@ from tests.labelled_worlds import CLASS_NAMES, Thing, labelled_scene, shard_of
 from workers.contradiction.instances import find_instances
 from workers.contradiction.overlay import overlay_of
 from workers.contradiction.score import score_scene
-from workers.contradiction.strength import rank_tracks
+from workers.contradiction.track_score import rank_tracks
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
 MISSED = Thing((-8, 6, 0), STATIC, DYNAMIC, velocity_m_per_s=(6, 0, 0), points=900)

@@ -12,7 +12,7 @@ from prometheus_client import CollectorRegistry
 from structlog.testing import capture_logs
 
 from schemas.runtime.http_endpoint import HttpEndpoint
-from service.monitoring.pages import pages
+from service.monitoring.http_pages import pages
 from service.monitoring.readiness import Watched
 from service.store.engine import open_store
 from tests.contracts.ledger_world import World

@@ -14,9 +14,9 @@ from service.monitoring import gauges
 from service.monitoring.gauges import Sources
 from service.monitoring.metrics import MOST_VEHICLES, ServiceMetrics
 from service.store.backlog import Backlog
-from service.store.effects import Effects
 from service.store.engine import open_store
 from service.store.faults import StoreUnavailableError
+from service.store.transaction_effects import Effects
 from tests.contracts.ledger_world import START_NS, World, plan_of, score_of
 
 COMPARED = {"both_static", "both_dynamic", "only_semantic_dynamic", "only_predictive_dynamic"}

@@ -12,10 +12,10 @@ from workers.contradiction.attribution import (
     table_of,
     tables,
 )
-from workers.contradiction.evidence import NAMES
 from workers.contradiction.instances import find_instances
 from workers.contradiction.score import score_scene
-from workers.contradiction.strength import rank_tracks
+from workers.contradiction.track_features import NAMES
+from workers.contradiction.track_score import rank_tracks
 from workers.contradiction.version import contradiction_version
 from workers.lab.evaluation.failures.rows import MinedLog, SceneRow, ThingRow, TrackRow
 from workers.lab.training.attribution import fit, fit_kind

@@ -15,7 +15,7 @@ from schemas.score import SceneScore
 from tests.factories import frame, pose, recorded
 from tests.labelled_worlds import START_NS, shard_of
 from workers.lab.simulation.sensor.lidar import UNIFORM_64, Lidar, sweep
-from workers.lab.simulation.world.worlds import build_street
+from workers.lab.simulation.world.street_builder import build_street
 from workers.odometry.odometry import KissOdometry
 from workers.parts.protocols import Odometry, Parts
 from workers.pipeline import mine_shard

@@ -16,7 +16,7 @@ from tests.factories import frame
 from workers.ingest.read import read_shard
 from workers.lab.evaluation.truth.whole_log import shards_of_log
 from workers.lab.simulation.sensor.lidar import UNEVEN_64, UNIFORM_64, Lidar, SimulatedFrame, sweep
-from workers.lab.simulation.world.worlds import build_street
+from workers.lab.simulation.world.street_builder import build_street
 from workers.lidar.beam_origin import MAX_BEHIND_SHARE, behind_share
 from workers.lidar.beam_table import estimate_beam_table
 from workers.odometry.odometry import KissOdometry

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from workers.checkpoints.errors import UnfitWeightsError, WeightsUnusableError
-from workers.checkpoints.fitting import load_into
+from workers.checkpoints.parameter_loading import load_into
 from workers.checkpoints.published import read_checkpoint, without_prefix
 
 

@@ -2,12 +2,12 @@ import numpy as np
 import pytest
 
 from workers.lab.simulation.faults.candidates import candidates_of, look_at
+from workers.lab.simulation.faults.fault_placement import plant
 from workers.lab.simulation.faults.plan import FailureKind, LogPlan, PlannedFailure
-from workers.lab.simulation.faults.planting import plant
 from workers.lab.simulation.sensor.lidar import UNEVEN_64, Lidar, SimulatedFrame, sweep
 from workers.lab.simulation.world.street import Street
+from workers.lab.simulation.world.street_builder import build_street
 from workers.lab.simulation.world.street_plan import StreetPlan
-from workers.lab.simulation.world.worlds import build_street
 
 LIDAR = Lidar(elevation_deg=UNEVEN_64[::2], columns=512)
 

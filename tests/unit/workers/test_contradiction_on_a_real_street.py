@@ -11,10 +11,10 @@ from schemas.task import MOTION
 from schemas.transport.bucket import open_bucket
 from schemas.transport.recordings import group_recordings
 from tests.labelled_worlds import shard_of
-from workers.contradiction.compare import compare
+from workers.contradiction.agreement import compare
 from workers.contradiction.instances import find_instances
 from workers.contradiction.score import score_scene
-from workers.contradiction.strength import rank_tracks
+from workers.contradiction.track_score import rank_tracks
 from workers.contradiction.version import contradiction_version
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard

@@ -2,7 +2,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from workers.lidar.form import Form
+from workers.lidar.fidelity import Form
 from workers.paper.delora import DeLORA, matrix
 
 

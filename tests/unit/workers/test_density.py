@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from sklearn.cluster import DBSCAN
 
-from workers.contradiction.around import counts_around
+from workers.contradiction.neighbour_counts import counts_around
 from workers.points.density import density_clusters, weighted_places
 
 VOXEL_M = np.float32(0.1)

@@ -17,7 +17,7 @@ from workers.lab.simulation.faults.recorded import record
 from workers.lab.simulation.models.kinds import StreetClass
 from workers.lab.simulation.sensor.lidar import SimulatedFrame, sweep
 from workers.lab.simulation.world.street import Street
-from workers.lab.simulation.world.worlds import build_street
+from workers.lab.simulation.world.street_builder import build_street
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from workers.lab.evaluation.motion.disturbance import (
     without_beams,
 )
 from workers.lab.evaluation.motion.motion import JudgedFrame, evaluate_motion
-from workers.lab.evaluation.motion.worst import WorstFrames
+from workers.lab.evaluation.motion.worst_frames import WorstFrames
 from workers.lab.evaluation.motion.written_labels import write_labels
 
 KEY = "car-7/2026-03-02/drive"

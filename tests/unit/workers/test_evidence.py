@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from schemas.contradiction import ContradictionKind, Scene
 from schemas.labels import Blindness, FrameHealth, MotionLabel
 from tests.labelled_worlds import CLASS_NAMES, START_NS, Thing, labelled_frame, labelled_scene
-from workers.contradiction.before_after import MARGIN_M, at_other_times, called_moving
-from workers.contradiction.evidence import Evidence
 from workers.contradiction.instances import find_instances
-from workers.contradiction.paths import Path, path_of
-from workers.contradiction.strength import rank_tracks
+from workers.contradiction.temporal_context import MARGIN_M, at_other_times, called_moving
+from workers.contradiction.track_features import Evidence
+from workers.contradiction.track_motion import Path, path_of
+from workers.contradiction.track_score import rank_tracks
 from workers.contradiction.tracks import centres_in_odom
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN

@@ -5,10 +5,10 @@ import pytest
 from schemas.mining import MiningSettings
 from tests.factories import missed_and_phantom, street_log
 from workers.lab.evaluation.failures.bench import FailureBench, bench_failures
-from workers.lab.evaluation.failures.probes import NO_PROBING
+from workers.lab.evaluation.failures.uncertainty import NO_PROBING
 from workers.lab.evaluation.truth.truth import TruthUnusableError
 from workers.lab.simulation.sensor.lidar import UNEVEN_64, Lidar
-from workers.lab.simulation.world.worlds import build_street
+from workers.lab.simulation.world.street_builder import build_street
 
 FRAMES = 40
 KEY = "car-7/2026-03-02/drive"

@@ -6,9 +6,9 @@ import pytest
 from schemas.frame import PosedFrame
 from schemas.mining import MiningSettings
 from tests.factories import SMALL_LIDAR, frame, posed
-from workers.lab.evaluation.failures.probes import ProbedStream, Probing
+from workers.lab.evaluation.failures.uncertainty import ProbedStream, Probing
 from workers.lab.simulation.sensor.lidar import sweep
-from workers.lab.simulation.world.worlds import build_street
+from workers.lab.simulation.world.street_builder import build_street
 from workers.supervised.stream import SHIPPED, RangeImageStream
 
 SETTINGS = MiningSettings(bucket="b", artifacts="memory://")

@@ -10,13 +10,13 @@ from service.reports.failure_report import write_report
 from workers.lab.evaluation.failures.attribution import attribute
 from workers.lab.evaluation.failures.bench import FailureBench, with_slips
 from workers.lab.evaluation.failures.common_mode import WITNESS_ALONE, common_mode
-from workers.lab.evaluation.failures.kept import keep_log, kept_log
+from workers.lab.evaluation.failures.false_alarms import by_disturbance, slipped, threshold_of
 from workers.lab.evaluation.failures.mine_log import LogJob
 from workers.lab.evaluation.failures.natural import natural_table
 from workers.lab.evaluation.failures.planted import planted_table
-from workers.lab.evaluation.failures.probes import Probing
+from workers.lab.evaluation.failures.result_cache import keep_log, kept_log
 from workers.lab.evaluation.failures.rows import MinedLog, SceneRow, ThingRow, TrackRow
-from workers.lab.evaluation.failures.undisturbed import by_disturbance, slipped, threshold_of
+from workers.lab.evaluation.failures.uncertainty import Probing
 from workers.lab.simulation.faults.plan import (
     DISTURBANCE_MEANS,
     FAILURE_MEANS,

@@ -10,12 +10,12 @@ from schemas.contradiction import Scene
 from schemas.labels import MotionLabel
 from tests.factories import labelled, scene
 from workers.contradiction.instances import find_instances
-from workers.contradiction.strength import rank_tracks
-from workers.lab.evaluation.failures.seen import SeenFrame
-from workers.lab.evaluation.failures.thing_views import thing_views
-from workers.lab.evaluation.failures.things import find_things
+from workers.contradiction.track_score import rank_tracks
+from workers.lab.evaluation.failures.baseline_scores import flicker_share, views_of
+from workers.lab.evaluation.failures.frame_truth import SeenFrame
+from workers.lab.evaluation.failures.object_views import thing_views
+from workers.lab.evaluation.failures.objects_of_interest import find_things
 from workers.lab.evaluation.failures.verdicts import thing_under, verdict_of
-from workers.lab.evaluation.failures.views import flicker_share, views_of
 from workers.lab.evaluation.truth.objects import TrueObject
 from workers.lab.evaluation.truth.truth import FrameTruth
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from workers.selfsupervised.fit import FLOOR_M, FitMonitor, misfit_m
+from workers.selfsupervised.pose_consistency import FLOOR_M, FitMonitor, misfit_m
 from workers.selfsupervised.registration import Reference, build_reference
 
 CENTRE_M = np.zeros(3)

@@ -2,7 +2,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from workers.lidar.form import Form
+from workers.lidar.fidelity import Form
 from workers.parts.registry import build_supervised
 from workers.supervised.folded import FoldedSalsaNext
 from workers.supervised.lmnet import LMNet

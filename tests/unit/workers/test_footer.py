@@ -6,7 +6,7 @@ from schemas.transport.bucket import Bucket, open_bucket
 from tests.tiny_logs import Recorder, drive, only_recording, settings
 from workers.ingest import footer as footer_module
 from workers.ingest.footer import StillGrowingError, TruncatedPart, is_closed
-from workers.ingest.part import PartReader
+from workers.ingest.part_reader import PartReader
 from workers.ingest.plan import plan_recording
 
 WHOLE = Recorder().write(drive(4))

@@ -1,7 +1,7 @@
 import torch
 from torch import Tensor
 
-from workers.lidar.form import Form
+from workers.lidar.fidelity import Form
 from workers.paper.gndnet import GndNet, decorate
 
 

@@ -27,7 +27,7 @@ from workers.supervised.classes import ClassMeaning, ClassSet
 from workers.supervised.ground_classes import GroundFusion, ground_labels_of
 from workers.supervised.recorded import Recorded
 from workers.supervised.stream import SHIPPED, RangeImageStream
-from workers.worker.equipment import equip
+from workers.worker.worker_context import equip
 
 OTHER, ON_GROUND, UNKNOWN = 0, 1, 2
 NAMES = ("unlabeled", "Road", "other-ground", "lane marking", "vegetation", "car")

@@ -8,8 +8,8 @@ from schemas.contradiction import ContradictionKind, LabelledFrame, Scene
 from schemas.frame import LidarFrame, PosedFrame
 from schemas.labels import FrameLabels, MotionLabel
 from tests.labelled_worlds import CLASS_NAMES, START_NS, Thing, labelled_frame
+from workers.contradiction.agreement import compare
 from workers.contradiction.boxes import fit_box
-from workers.contradiction.compare import compare
 from workers.contradiction.instances import cluster_places, find_instances
 from workers.contradiction.settings import PAPER_INSTANCES, InstanceSettings
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tests import factories
-from workers.checkpoints import stored
+from workers.checkpoints import stored_weights
 from workers.errors import UnknownPartError
 from workers.paper.learned_flow import REACH_M, FlowStep3DFlow
 from workers.paper.weights import load_flowstep3d
@@ -24,7 +24,7 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("weights")
     torch.manual_seed(7)
     card = read_config("flowstep3d", "flowstep3d")
-    stored.save(folder / "flowstep3d.safetensors", card.build().state_dict(), card)
+    stored_weights.save(folder / "flowstep3d.safetensors", card.build().state_dict(), card)
     return folder
 
 
@@ -73,7 +73,7 @@ def test_the_stream_says_what_weights_it_needs_and_other_weights_are_another_ver
     with pytest.raises(UnknownPartError, match=r"two-stage:flowstep3d needs .*\(flowstep3d\)"):
         build_selfsupervised("two-stage:flowstep3d")
     card = read_config("flowstep3d", "flowstep3d")
-    stored.save(tmp_path / "flowstep3d.safetensors", card.build().state_dict(), card)
+    stored_weights.save(tmp_path / "flowstep3d.safetensors", card.build().state_dict(), card)
     versions = {
         build_selfsupervised(name, PartFiles(weights=str(folder))).version
         for name in ("two-stage:flowstep3d", "two-stage:flowstep3d:published")

@@ -11,8 +11,8 @@ from schemas.frame import OdometryState, RecordedMotion
 from schemas.labels import MotionLabel
 from tests.factories import frame, labelled, pose, posed, scene
 from workers.contradiction.reasons import reasons_of
+from workers.contradiction.scene_statistics import odometry_health, stream_health
 from workers.contradiction.score import judge_odometry
-from workers.contradiction.shares import odometry_health, stream_health
 from workers.witness.free_space import TwoSidedFreeSpace
 from workers.witness.recorded_motion import FEWEST, MotionCheck, Verdict
 

@@ -17,11 +17,11 @@ from workers.lab.evaluation.motion.counts import LogCounts, total_of
 from workers.lab.evaluation.motion.motion import evaluate_motion
 from workers.lab.evaluation.motion.table import LogEvaluation, evaluation_of
 from workers.lab.evaluation.truth.truth import FrameTruth, LogTruth, TruthUnusableError
+from workers.lab.simulation.faults.faults import PlantedFailure
 from workers.lab.simulation.faults.plan import FailureKind
-from workers.lab.simulation.faults.planted import PlantedFailure
 from workers.lab.simulation.faults.recorded import record
 from workers.lab.simulation.sensor.lidar import sweep
-from workers.lab.simulation.world.worlds import build_street
+from workers.lab.simulation.world.street_builder import build_street
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
 KEY = "car-7/2026-03-02/drive"

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from workers.odometry.kiss_map import chosen
-from workers.odometry.odometry_run import structure, usable
+from workers.odometry.registration_pass import structure, usable
 
 
 def cloud(n: int) -> NDArray[np.float32]:

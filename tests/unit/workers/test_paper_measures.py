@@ -4,7 +4,7 @@ from numpy.typing import NDArray
 
 from workers.lab.evaluation.motion.paper_measures import Averaging, PointSet, paper_measures
 from workers.lab.evaluation.motion.point_matching import COLUMNS, match_points, sums_of
-from workers.lidar.form import Form
+from workers.lidar.fidelity import Form
 
 PAPER = Form.PAPER
 INDIVIDUAL, AGGREGATED = Averaging

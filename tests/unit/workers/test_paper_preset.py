@@ -16,9 +16,9 @@ from schemas.transport.bucket import open_bucket
 from schemas.transport.recordings import group_recordings
 from service.errors import UsageError
 from service.settings.config import read_settings
-from workers.checkpoints import stored
+from workers.checkpoints import stored_weights
+from workers.contradiction.agreement import compare
 from workers.contradiction.categories import categories
-from workers.contradiction.compare import compare
 from workers.contradiction.settings import PAPER_INSTANCES
 from workers.errors import LogUnusableError, UnknownPartError
 from workers.ingest.plan import plan_recording
@@ -44,7 +44,7 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
             (folder / f"{name}{suffix}").symlink_to(SHIPPED / f"{name}{suffix}")
     for network, config in CONFIGS.items():
         card = read_config(config, network)
-        stored.save(folder / f"{network}.safetensors", card.build().state_dict(), card)
+        stored_weights.save(folder / f"{network}.safetensors", card.build().state_dict(), card)
     return folder
 
 

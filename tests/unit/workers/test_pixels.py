@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from workers.lidar.form import Form
+from workers.lidar.fidelity import Form
 from workers.lidar.range_image import RangeImage, SensorProfile, project
 
 BEAMS = tuple(np.linspace(14.0, -24.0, 64).round(3).tolist())

@@ -3,7 +3,7 @@ import pytest
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
-from workers.lidar.form import Form
+from workers.lidar.fidelity import Form
 from workers.lidar.range_image import RangeImage, SensorProfile, project
 from workers.supervised.postprocess import KnnSettings, find_voters
 

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 from schemas.arrays import Points
 from schemas.camera import CameraCalibration
-from workers.lidar.form import Form
+from workers.lidar.fidelity import Form
 from workers.lidar.range_image import SensorProfile, image_channels, project
 from workers.paper.camera_filter import camera_filter, from_flow_space, to_flow_space
 from workers.paper.ground_rule import GROUND, NOT_GROUND, OUTSIDE, ground_labels

@@ -15,7 +15,7 @@ from workers.ingest.read import read_shard
 from workers.lab.simulation.faults.recorded import record
 from workers.lab.simulation.output.write import write_log
 from workers.lab.simulation.sensor.lidar import sweep
-from workers.lab.simulation.world.worlds import build_street
+from workers.lab.simulation.world.street_builder import build_street
 
 
 @pytest.mark.parametrize("recorded", ["fields", "topic"])

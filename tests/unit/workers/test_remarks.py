@@ -17,8 +17,8 @@ from workers.contradiction.attribution import (
     tables,
     weight_of,
 )
-from workers.contradiction.because import AS_MOST, LIKELIEST, Remark, remarks_on
-from workers.contradiction.evidence import NAMES, Evidence
+from workers.contradiction.explanations import AS_MOST, LIKELIEST, Remark, remarks_on
+from workers.contradiction.track_features import NAMES, Evidence
 
 KIND = ContradictionKind.ONLY_SEMANTIC_DYNAMIC.value
 

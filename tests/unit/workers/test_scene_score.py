@@ -12,12 +12,12 @@ from schemas.labels import Blindness, FrameHealth, MotionLabel
 from schemas.score import MAX_RECORD_BYTES, MAX_TRACKS, SceneScore
 from schemas.transport.wire import decode, encode_scene_score
 from tests.labelled_worlds import CLASS_NAMES, START_NS, Thing, labelled_scene, shard_of
-from workers.contradiction.compare import compare
+from workers.contradiction.agreement import compare
 from workers.contradiction.instances import find_instances
 from workers.contradiction.reasons import bearing, describe
 from workers.contradiction.score import combine, score_scene
-from workers.contradiction.sizes import box_plausibility, not_flat
-from workers.contradiction.strength import motion_plausibility, persistence, rank_tracks
+from workers.contradiction.size_priors import box_plausibility, not_flat
+from workers.contradiction.track_score import motion_plausibility, persistence, rank_tracks
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
 HEALTHY, DEGRADED, LOST = OdometryState.HEALTHY, OdometryState.DEGRADED, OdometryState.LOST

@@ -9,7 +9,7 @@ from schemas.frame import LidarFrame
 from schemas.labels import Blindness, FrameLabels, MotionLabel
 from tests.factories import frame
 from workers.lab.simulation.sensor.lidar import UNEVEN_64, UNIFORM_64, Lidar, SimulatedFrame, sweep
-from workers.lab.simulation.world.worlds import build_street
+from workers.lab.simulation.world.street_builder import build_street
 from workers.lidar.beam_table import estimate_beam_table
 from workers.lidar.sensor_height import estimate_sensor_height
 from workers.odometry.odometry import KissOdometry

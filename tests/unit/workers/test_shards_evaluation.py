@@ -8,7 +8,7 @@ import pytest
 from schemas.mining import Grid, MiningSettings
 from service.cli.main import main
 from tests.factories import SMALL_LIDAR, street_log
-from workers.lab.evaluation.motion.shards import NoShardsError, evaluate_shards
+from workers.lab.evaluation.motion.shard_consistency import NoShardsError, evaluate_shards
 
 
 def mining(bucket: Path, *, shard_s: float, warmup_s: float) -> MiningSettings:

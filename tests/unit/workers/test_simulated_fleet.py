@@ -7,8 +7,8 @@ from schemas.transport.bucket import open_bucket
 from schemas.transport.recordings import group_recordings
 from tests.factories import SMALL_LIDAR
 from workers.ingest.plan import plan_recording
+from workers.lab.simulation.faults.fault_truth import PlantedTruth
 from workers.lab.simulation.faults.plan import plan_fleet
-from workers.lab.simulation.faults.planted_truth import PlantedTruth
 from workers.lab.simulation.output.fleet import FleetOptions, SimulatedLog, simulate_to
 
 SCENES = 12

@@ -5,11 +5,11 @@ from tests.factories import SMALL_LIDAR
 from workers.lab.simulation.models.kinds import Material, StreetClass
 from workers.lab.simulation.models.meshes import Mesh, box, limb
 from workers.lab.simulation.sensor.lidar import Lidar, SimulatedFrame, sweep
-from workers.lab.simulation.world.drive import Floats, Road, drive_along, stand
+from workers.lab.simulation.world.motion_along_road import Floats, Road, drive_along, stand
 from workers.lab.simulation.world.street import Actor, Street
+from workers.lab.simulation.world.street_builder import build_street
 from workers.lab.simulation.world.street_plan import EGO_STYLES, EgoStyle
 from workers.lab.simulation.world.terrain import ROAD_WAVES
-from workers.lab.simulation.world.worlds import build_street
 
 SECONDS = 4.0
 STRAIGHT = Road.bending(from_m=-300.0, to_m=300.0, swing_rad=0.0, wave_m=100.0)

@@ -11,10 +11,10 @@ from workers.lab.simulation.models.models import models_of
 from workers.lab.simulation.output.samples import street_samples
 from workers.lab.simulation.sensor.lidar import Lidar, sweep
 from workers.lab.simulation.sensor.sensors import SENSORS, SensorName, mounted
-from workers.lab.simulation.world.places import PLACES, PlaceName
 from workers.lab.simulation.world.street import Street
+from workers.lab.simulation.world.street_builder import build_street
+from workers.lab.simulation.world.street_kinds import PLACES, PlaceName
 from workers.lab.simulation.world.street_plan import HARDSHIPS, StreetPlan, draw_plan
-from workers.lab.simulation.world.worlds import build_street
 
 LIDAR = Lidar(columns=300)
 SIZES_M = {

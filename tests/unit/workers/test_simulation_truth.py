@@ -9,7 +9,7 @@ from workers.lab.simulation.models.kinds import Material, StreetClass
 from workers.lab.simulation.models.meshes import Mesh, box
 from workers.lab.simulation.sensor.flow import flow_of
 from workers.lab.simulation.sensor.lidar import Lidar, sensor_poses, sweep
-from workers.lab.simulation.world.drive import Road, drive_along, stand
+from workers.lab.simulation.world.motion_along_road import Road, drive_along, stand
 from workers.lab.simulation.world.scenery import bump_meshes
 from workers.lab.simulation.world.street import Actor, Street
 from workers.lab.simulation.world.terrain import Terrain

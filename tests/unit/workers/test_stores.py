@@ -21,7 +21,7 @@ from schemas.transport.bucket import Bucket, ObjectMeta, open_bucket
 from schemas.transport.folder import Skipped
 from schemas.work import Part, Recording
 from workers.worker.metrics import WorkerMetrics
-from workers.worker.stores import (
+from workers.worker.store_health import (
     PROBE_KEY,
     StoreTroubleError,
     cause_of,

@@ -10,7 +10,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from workers.lidar.directions import (
+from workers.lidar.spherical import (
     BLOCK,
     column_of,
     fill,
@@ -22,9 +22,9 @@ from workers.lidar.directions import (
 from workers.points.clusters import connected, from_labels
 from workers.points.compiled import compiled
 from workers.points.neighbours import build_grid, nearest_few, nearest_indices, nearest_rows
-from workers.points.steps import step, watched
+from workers.points.step_names import step, watched
+from workers.selfsupervised.ground_artefacts import are_strips
 from workers.selfsupervised.occupancy import CELL_M, build_occupancy, cells_of, scores_around
-from workers.selfsupervised.strips import are_strips
 
 HERE = np.eye(4, dtype=np.float32)[:3]
 TWO_BEAMS = np.array([-0.2, 0.2], np.float32)

@@ -8,9 +8,9 @@ from workers.free_space import Votes
 from workers.lidar.beam_table import BeamTable
 from workers.points.clusters import from_labels
 from workers.selfsupervised.evidence import Evidence
-from workers.selfsupervised.fragments import fragments_of_movers
 from workers.selfsupervised.motion import ClusterMotions
-from workers.selfsupervised.specks import specks_of_movers
+from workers.selfsupervised.occlusion_fragments import fragments_of_movers
+from workers.selfsupervised.single_voxels import specks_of_movers
 from workers.selfsupervised.tracker import Tracked, Tracker
 
 PERIOD_NS = 100_000_000

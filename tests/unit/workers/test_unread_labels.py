@@ -11,7 +11,7 @@ from service.cli.main import main
 from tests.factories import street_log
 from workers.ingest.plan import plan_recording
 from workers.lab.simulation.output.write import LABEL_TOPIC, LIDAR_TOPIC, RecordedAs
-from workers.worker.telling import tell_unread_labels
+from workers.worker.logging import tell_unread_labels
 
 
 @pytest.mark.parametrize(

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 
 from workers.free_space import FREE, HIDDEN, OCCUPIED
-from workers.lidar.second_registration import misfit_between, structure_of
+from workers.lidar.registration_check import misfit_between, structure_of
 from workers.points.se3 import transform
-from workers.witness.opinions import opinions_of
-from workers.witness.poses import PoseCheck
+from workers.witness.free_space_votes import opinions_of
+from workers.witness.pose_repair import PoseCheck
 
 S = np.int8
 

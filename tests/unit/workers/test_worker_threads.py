@@ -7,7 +7,7 @@ EQUIPPED = """
 import sys
 import workers.worker.loop
 from schemas.mining import MiningSettings
-from workers.worker.equipment import equip
+from workers.worker.worker_context import equip
 
 settings = MiningSettings(bucket="memory://", artifacts="memory://", supervised=sys.argv[1])
 equip(settings)

@@ -17,16 +17,16 @@ from schemas.transport.recordings import group_recordings
 from tests.factories import SMALL_LIDAR, street_log
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard
+from workers.lab.simulation.faults.fault_truth import Planted
+from workers.lab.simulation.faults.faults import PlantedFailure
 from workers.lab.simulation.faults.plan import FailureKind
-from workers.lab.simulation.faults.planted import PlantedFailure
-from workers.lab.simulation.faults.planted_truth import Planted
 from workers.lab.simulation.faults.recorded import record
 from workers.lab.simulation.models.kinds import StreetClass
 from workers.lab.simulation.output.cloud import cloud_of
 from workers.lab.simulation.output.odometry import ODOMETRY_TOPIC, RATE_HZ
 from workers.lab.simulation.output.write import LABEL_TOPIC, LIDAR_TOPIC, RecordedAs, write_log
 from workers.lab.simulation.sensor.lidar import sweep
-from workers.lab.simulation.world.worlds import build_street
+from workers.lab.simulation.world.street_builder import build_street
 
 FRAMES = 12
 KEY = "car-7/2026-03-02/drive"

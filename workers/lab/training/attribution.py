@@ -22,7 +22,7 @@ from scipy.special import logsumexp
 from schemas.attribution import Wrong
 from schemas.contradiction import ContradictionKind
 from schemas.errors import CounterpointError, PermanentError, TransientError
-from workers.contradiction.evidence import NAMES
+from workers.contradiction.track_features import NAMES
 from workers.lab.evaluation.failures.rows import MinedLog, TrackRow
 from workers.lab.training.attribution_prior import PRIOR
 from workers.lab.training.attribution_scores import left_out, usable

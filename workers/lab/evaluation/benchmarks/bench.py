@@ -15,7 +15,7 @@ from schemas.transport.bucket import Bucket
 from schemas.work import Recording, Shard
 from workers.errors import LogUnusableError
 from workers.ingest.read import read_shard
-from workers.lab.evaluation.benchmarks.floors import (
+from workers.lab.evaluation.benchmarks.lower_bounds import (
     MS_PER_S,
     kiss_icp_ms,
     networks_ms,

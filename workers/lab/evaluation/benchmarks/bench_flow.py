@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from workers.lab.evaluation.benchmarks import published_forward
-from workers.lab.evaluation.benchmarks.floors import MS_PER_S
+from workers.lab.evaluation.benchmarks.lower_bounds import MS_PER_S
 from workers.lab.evaluation.benchmarks.network_time import NetworkTime, times_as_fast
 from workers.memory import peak_memory_bytes
 from workers.paper.flowstep3d import FlowStep3D

@@ -19,12 +19,12 @@ from schemas.transport.bucket import Bucket, open_bucket
 from schemas.work import Recording
 from workers.errors import LogUnusableError
 from workers.ingest.read import read_shard
-from workers.lab.evaluation.benchmarks.floors import MS_PER_S, kiss_icp_ms, patchwork_ms
+from workers.lab.evaluation.benchmarks.lower_bounds import MS_PER_S, kiss_icp_ms, patchwork_ms
 from workers.lab.evaluation.truth.whole_log import shards_of_log
 from workers.memory import peak_memory_bytes
 from workers.parts.registry import build_parts
-from workers.points.steps import watched
-from workers.stages import StageClock, timed
+from workers.points.step_names import watched
+from workers.stage_timing import StageClock, timed
 
 STREAM: Final = "selfsupervised"
 KISS: Final = "kiss-icp alone"

@@ -17,7 +17,7 @@ from schemas.transport.bucket import Bucket
 from schemas.work import Recording
 from workers.ingest.read import read_shard
 from workers.lab.evaluation.benchmarks import published_forward
-from workers.lab.evaluation.benchmarks.floors import MS_PER_S
+from workers.lab.evaluation.benchmarks.lower_bounds import MS_PER_S
 from workers.lab.evaluation.benchmarks.network_time import Network, NetworkTime, times_as_fast
 from workers.lab.evaluation.truth.whole_log import shards_of_log
 from workers.lidar.range_image import SensorProfile

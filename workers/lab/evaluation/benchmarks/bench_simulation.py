@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from workers.lab.simulation.output.write import write_log
 from workers.lab.simulation.sensor.lidar import sweep
 from workers.lab.simulation.sensor.sensors import SensorName, mounted
-from workers.lab.simulation.world.places import PlaceName
+from workers.lab.simulation.world.street_builder import build_street
+from workers.lab.simulation.world.street_kinds import PlaceName
 from workers.lab.simulation.world.street_plan import StreetPlan
-from workers.lab.simulation.world.worlds import build_street
 
 RANGES_M: Final = (0, 2, 5, 10, 15, 20, 30, 40, 60, 80, 120, 300)
 ELEVATIONS_DEG: Final = (-90, -20, -16, -12, -10, -8, -6, -4, -2, 0, 2, 4, 8, 90)

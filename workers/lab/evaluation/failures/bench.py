@@ -16,11 +16,11 @@ from workers.lab.evaluation.failures.mine_log import LogJob
 from workers.lab.evaluation.failures.mining import Mining, mine_logs
 from workers.lab.evaluation.failures.natural import NaturalTable, natural_table
 from workers.lab.evaluation.failures.planted import PlantedTable, planted_table
-from workers.lab.evaluation.failures.probes import Probing
+from workers.lab.evaluation.failures.pose_slips import Slip
 from workers.lab.evaluation.failures.rows import MinedLog
-from workers.lab.evaluation.failures.slips import Slip
+from workers.lab.evaluation.failures.uncertainty import Probing
 from workers.lab.evaluation.truth.truth import TruthUnusableError, logs_with_truth
-from workers.lab.simulation.faults.planted_truth import FILE as PLANTED
+from workers.lab.simulation.faults.fault_truth import FILE as PLANTED
 
 _SLIP_SEED: Final = 0x5119
 

@@ -9,14 +9,14 @@ from schemas.mining import MiningSettings
 from schemas.transport.bucket import Bucket
 from schemas.work import Recording
 from workers.ingest.read import read_shard
+from workers.lab.evaluation.failures.frame_truth import SeenFrame, TellsUnsureness
+from workers.lab.evaluation.failures.pose_slips import Slip, SlippingOdometry
 from workers.lab.evaluation.failures.rows import MinedLog, SceneRow
 from workers.lab.evaluation.failures.scene_rows import scene_row
-from workers.lab.evaluation.failures.seen import SeenFrame, TellsUnsureness
-from workers.lab.evaluation.failures.slips import Slip, SlippingOdometry
 from workers.lab.evaluation.truth.truth import LogTruth, TruthUnusableError
 from workers.lab.evaluation.truth.whole_log import shards_of_log
+from workers.lab.simulation.faults.fault_truth import PlantedTruth
 from workers.lab.simulation.faults.plan import DisturbanceKind
-from workers.lab.simulation.faults.planted_truth import PlantedTruth
 from workers.parts.protocols import Parts
 from workers.pipeline import mine_shard
 from workers.version import pipeline_version

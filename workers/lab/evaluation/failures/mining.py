@@ -9,10 +9,10 @@ from pathlib import Path
 
 from schemas.mining import MiningSettings
 from schemas.transport.bucket import open_bucket
-from workers.lab.evaluation.failures.kept import keep_log, kept_log
 from workers.lab.evaluation.failures.mine_log import LogJob, mine_log
-from workers.lab.evaluation.failures.probes import NO_PROBING, ProbedStream, Probing
+from workers.lab.evaluation.failures.result_cache import keep_log, kept_log
 from workers.lab.evaluation.failures.rows import MinedLog
+from workers.lab.evaluation.failures.uncertainty import NO_PROBING, ProbedStream, Probing
 from workers.parts.protocols import Parts
 from workers.version import parts_of
 

@@ -11,6 +11,7 @@ from pydantic import ConfigDict, Field
 from workers.lab.evaluation.failures.attribution import WhoIsWrong, attribute
 from workers.lab.evaluation.failures.calibration import Calibration, calibrate
 from workers.lab.evaluation.failures.common_mode import CommonMode, common_mode
+from workers.lab.evaluation.failures.false_alarms import DisturbedShare, by_disturbance, slipped
 from workers.lab.evaluation.failures.intervals import Interval, bootstrap
 from workers.lab.evaluation.failures.kinds import KindRow, by_kind
 from workers.lab.evaluation.failures.ranking import (
@@ -24,7 +25,6 @@ from workers.lab.evaluation.failures.ranking import (
 )
 from workers.lab.evaluation.failures.retrieval import retrieve
 from workers.lab.evaluation.failures.rows import MinedLog, SceneRow
-from workers.lab.evaluation.failures.undisturbed import DisturbedShare, by_disturbance, slipped
 
 
 class PlantedTable(RankingRow):

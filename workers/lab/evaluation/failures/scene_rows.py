@@ -7,14 +7,14 @@ import numpy as np
 from schemas.arrays import NS_PER_S
 from schemas.attribution import Wrong
 from schemas.contradiction import Instance, Scene, SceneState
+from workers.lab.evaluation.failures.baseline_scores import views_of
+from workers.lab.evaluation.failures.frame_truth import SeenFrame
+from workers.lab.evaluation.failures.object_views import thing_views
+from workers.lab.evaluation.failures.objects_of_interest import MIN_POINTS, Thing, find_things
 from workers.lab.evaluation.failures.rows import OTHER_KIND, SceneRow, ThingRow, TrackRow
-from workers.lab.evaluation.failures.seen import SeenFrame
-from workers.lab.evaluation.failures.thing_views import thing_views
-from workers.lab.evaluation.failures.things import MIN_POINTS, Thing, find_things
 from workers.lab.evaluation.failures.verdicts import thing_under, verdict_of
-from workers.lab.evaluation.failures.views import views_of
+from workers.lab.simulation.faults.fault_truth import FailureRow, PlantedTruth
 from workers.lab.simulation.faults.plan import FailureKind
-from workers.lab.simulation.faults.planted_truth import FailureRow, PlantedTruth
 from workers.pipeline import MinedScene
 
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from schemas.attribution import Wrong
 from schemas.contradiction import Instance
 from schemas.labels import MotionLabel
-from workers.lab.evaluation.failures.seen import SeenFrame
-from workers.lab.evaluation.failures.things import Thing
+from workers.lab.evaluation.failures.frame_truth import SeenFrame
+from workers.lab.evaluation.failures.objects_of_interest import Thing
 from workers.lab.evaluation.truth.truth import TRUTH_DYNAMIC, TRUTH_STATIC, TRUTH_UNKNOWN
 
 Points = NDArray[np.int64]

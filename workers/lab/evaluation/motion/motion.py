@@ -12,12 +12,12 @@ from schemas.arrays import Mask, MotionLabels, Points
 from schemas.mining import MiningSettings
 from schemas.task import MOTION
 from schemas.transport.bucket import open_bucket
-from workers.contradiction.compare import compare
+from workers.contradiction.agreement import compare
 from workers.lab.evaluation.motion.alternatives import OF_SETTINGS, build_streams, is_supervised
 from workers.lab.evaluation.motion.counting import count_frame
 from workers.lab.evaluation.motion.counts import LogCounts, StreamCounts, StreamName, total_of
 from workers.lab.evaluation.motion.disturbance import Disturbance
-from workers.lab.evaluation.motion.judged import Answered, answers_of
+from workers.lab.evaluation.motion.stream_runner import Answered, answers_of
 from workers.lab.evaluation.motion.table import LogEvaluation, evaluation_of
 from workers.lab.evaluation.truth.truth import FrameTruth, LogTruth, logs_with_truth
 from workers.parts.registry import build_odometry

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.lab.evaluation.motion.point_matching import COLUMNS
-from workers.lidar.form import Form
+from workers.lidar.fidelity import Form
 
 
 class PointSet(StrEnum):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
-from workers.lidar.form import Form
+from workers.lidar.fidelity import Form
 
 TOLERANCE_M: Final = 0.001
 """True points were rounded to a millimetre when they were written."""

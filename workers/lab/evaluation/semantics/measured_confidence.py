@@ -18,7 +18,7 @@ from schemas.labels import FrameLabels, MotionLabel
 from schemas.mining import MiningSettings
 from schemas.transport.bucket import open_bucket
 from workers.lab.evaluation.motion.disturbance import Disturbance
-from workers.lab.evaluation.motion.judged import answers_of
+from workers.lab.evaluation.motion.stream_runner import answers_of
 from workers.lab.evaluation.truth.truth import (
     TRUTH_DYNAMIC,
     TRUTH_UNKNOWN,
@@ -26,7 +26,7 @@ from workers.lab.evaluation.truth.truth import (
     logs_with_truth,
 )
 from workers.lab.simulation.output.write import write_log
-from workers.lab.simulation.world.worlds import build_street
+from workers.lab.simulation.world.street_builder import build_street
 from workers.parts.registry import build_odometry, build_supervised
 
 SEEDS: Final = (5_001, 5_002, 5_003, 5_004)

@@ -13,7 +13,7 @@ from schemas.transport.recordings import group_recordings
 from workers.errors import UnknownPartError
 from workers.lab.evaluation.motion.alternatives import build_streams
 from workers.lab.evaluation.motion.disturbance import Disturbance
-from workers.lab.evaluation.motion.judged import answers_of
+from workers.lab.evaluation.motion.stream_runner import answers_of
 from workers.lab.evaluation.semantics.confusion import class_iou, joint_iou
 from workers.lab.evaluation.truth.class_table import COARSE, MOVABLE, coarse_of_names
 from workers.lab.evaluation.truth.truth import LogTruth, TruthUnusableError

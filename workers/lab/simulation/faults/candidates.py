@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from schemas.arrays import Mask
+from workers.lab.simulation.faults.faults import DYNAMIC, STATIC, ghost_points
 from workers.lab.simulation.faults.plan import FailureKind
-from workers.lab.simulation.faults.planted import DYNAMIC, STATIC, ghost_points
 from workers.lab.simulation.models.kinds import StreetClass
 from workers.lab.simulation.sensor.lidar import SimulatedFrame
 from workers.lab.simulation.world.street import Street

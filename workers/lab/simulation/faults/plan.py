@@ -1,7 +1,7 @@
 """Which scenes of a fleet carry a failure or a disturbance, and which logs are hard: drawn first.
 
-Nothing here knows a street. The draw says what is wanted where; `planting.py` finds the tracks that
-can carry it, once the street of the log is known.
+Nothing here knows a street. The draw says what is wanted where; `fault_placement.py` finds the
+tracks that can carry it, once the street of the log is known.
 """
 
 from collections.abc import Mapping

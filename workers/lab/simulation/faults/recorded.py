@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.lab.simulation.faults.confidence import draw_confidence
-from workers.lab.simulation.faults.planted import PlantedFailure, corrupt
+from workers.lab.simulation.faults.faults import PlantedFailure, corrupt
 from workers.lab.simulation.models.kinds import MOVABLE, StreetClass
 from workers.lab.simulation.sensor.lidar import SimulatedFrame
 from workers.lab.simulation.world.street import Street

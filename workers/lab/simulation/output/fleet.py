@@ -16,15 +16,15 @@ import numpy as np
 from schemas.arrays import NS_PER_S
 from schemas.transport.bucket import Bucket, open_bucket
 from workers.lab.simulation.faults.disturbances import disturb, draw_disturbance
+from workers.lab.simulation.faults.fault_placement import plant
+from workers.lab.simulation.faults.fault_truth import Planted
 from workers.lab.simulation.faults.plan import LogPlan
-from workers.lab.simulation.faults.planted_truth import Planted
-from workers.lab.simulation.faults.planting import plant
 from workers.lab.simulation.output.write import Identity, RecordedAs, write_log
 from workers.lab.simulation.sensor.lidar import Lidar, sweep
 from workers.lab.simulation.sensor.sensors import MountingName, SensorName, mounted
 from workers.lab.simulation.world.street import Street
+from workers.lab.simulation.world.street_builder import build_street
 from workers.lab.simulation.world.street_plan import draw_plan
-from workers.lab.simulation.world.worlds import build_street
 
 VEHICLES: Final[tuple[tuple[SensorName, MountingName], ...]] = (
     ("pandar64", "roof"),

@@ -9,8 +9,8 @@ import numpy as np
 from workers.lab.simulation.sensor.lidar import Lidar, SimulatedFrame, sweep
 from workers.lab.simulation.sensor.sensors import MountingName, SensorName, mounted
 from workers.lab.simulation.world.street import Street
+from workers.lab.simulation.world.street_builder import build_street
 from workers.lab.simulation.world.street_plan import draw_plan
-from workers.lab.simulation.world.worlds import build_street
 
 MOUNTINGS: Final[tuple[MountingName, ...]] = ("roof", "mast")
 DEFAULT_SENSORS: Final[tuple[SensorName, ...]] = ("pandar64", "hdl64", "hdl32", "vlp32c", "os1-128")

@@ -11,8 +11,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.lab.simulation.faults.planted import DYNAMIC
-from workers.lab.simulation.faults.planted_truth import FILE, PlantedTruth
+from workers.lab.simulation.faults.fault_truth import FILE, PlantedTruth
+from workers.lab.simulation.faults.faults import DYNAMIC
 from workers.lab.simulation.models.kinds import GROUND, MOVABLE, SEMANTIC_KITTI, StreetClass
 from workers.lab.simulation.sensor.flow import flow_of
 from workers.lab.simulation.sensor.lidar import Lidar, SimulatedFrame

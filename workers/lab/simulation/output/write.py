@@ -10,7 +10,7 @@ from typing import IO, Final, Literal
 from mcap_ros2.writer import Writer
 
 from workers.lab.simulation.faults.disturbances import delay_ns, disturb
-from workers.lab.simulation.faults.planted_truth import NOTHING_PLANTED, Planted
+from workers.lab.simulation.faults.fault_truth import NOTHING_PLANTED, Planted
 from workers.lab.simulation.faults.recorded import record, recorded_classes
 from workers.lab.simulation.output.cloud import (
     POINT_CLOUD2,

@@ -11,7 +11,7 @@ from schemas.arrays import NS_PER_S, Mask, Points, Transform
 from workers.lab.simulation.models.kinds import GROUND, PASSES, REFLECTIVITY, Material, StreetClass
 from workers.lab.simulation.models.meshes import Mesh, box
 from workers.lab.simulation.world.attitude import rotations
-from workers.lab.simulation.world.cast import GROUND_OWNER, Hits, MeshScene, cast
+from workers.lab.simulation.world.ray_casting import GROUND_OWNER, Hits, MeshScene, cast
 from workers.lab.simulation.world.street import Street
 
 Floats = NDArray[np.float64]

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.lab.simulation.world.drive import TIME_STEP_S, Drive
+from workers.lab.simulation.world.motion_along_road import TIME_STEP_S, Drive
 from workers.lab.simulation.world.terrain import Terrain
 
 Floats = NDArray[np.float64]

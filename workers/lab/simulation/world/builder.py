@@ -9,8 +9,8 @@ from scipy.spatial import cKDTree
 
 from workers.lab.simulation.models.kinds import Material, StreetClass
 from workers.lab.simulation.models.meshes import Floats, Mesh, box
-from workers.lab.simulation.world.drive import Road
-from workers.lab.simulation.world.places import Place
+from workers.lab.simulation.world.motion_along_road import Road
+from workers.lab.simulation.world.street_kinds import Place
 from workers.lab.simulation.world.terrain import Terrain
 
 

@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from workers.lab.simulation.world.drive import (
+from workers.lab.simulation.world.motion_along_road import (
     Drive,
     Road,
     drive_along,
     drive_with_care,
     turning_route,
 )
-from workers.lab.simulation.world.places import Place
+from workers.lab.simulation.world.street_kinds import Place
 from workers.lab.simulation.world.street_plan import EgoStyle
 from workers.lab.simulation.world.terrain import Terrain
 

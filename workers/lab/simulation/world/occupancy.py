@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.lab.simulation.world.drive import Drive, Floats
+from workers.lab.simulation.world.motion_along_road import Drive, Floats
 
 _STEP_S: Final = 0.1
 _KEEP_APART_M: Final = 1.0

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from workers.lab.simulation.models.kinds import Material, StreetClass
-from workers.lab.simulation.world.drive import Road
+from workers.lab.simulation.world.motion_along_road import Road
 
 Floats = NDArray[np.float64]
 

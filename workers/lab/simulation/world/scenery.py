@@ -8,7 +8,7 @@ from workers.lab.simulation.models.kinds import Material, StreetClass
 from workers.lab.simulation.models.meshes import Mesh, grid
 from workers.lab.simulation.models.plants import SORTS, bush, grass, tree
 from workers.lab.simulation.world.builder import Builder, Network
-from workers.lab.simulation.world.fronts import barriers, fronts, gardens
+from workers.lab.simulation.world.facades import barriers, fronts, gardens
 from workers.lab.simulation.world.furniture import furniture
 from workers.lab.simulation.world.terrain import BUMP_HALF_M, Terrain, bump_profile
 

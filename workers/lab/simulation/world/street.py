@@ -12,7 +12,8 @@ from workers.lab.simulation.models.meshes import Mesh, grid
 from workers.lab.simulation.models.model import Model
 from workers.lab.simulation.models.models import models_of
 from workers.lab.simulation.world.attitude import ride, rotations, stand_on
-from workers.lab.simulation.world.cast import (
+from workers.lab.simulation.world.motion_along_road import TIME_STEP_S, Drive, Floats
+from workers.lab.simulation.world.ray_casting import (
     GROUND_OWNER,
     NO_OWNER,
     MeshScene,
@@ -20,7 +21,6 @@ from workers.lab.simulation.world.cast import (
     model_of,
     phase_scenes,
 )
-from workers.lab.simulation.world.drive import TIME_STEP_S, Drive, Floats
 from workers.lab.simulation.world.road_map import RoadMap
 from workers.lab.simulation.world.terrain import ROAD_WAVES, Terrain
 from workers.lab.simulation.world.weather import Weather

@@ -5,7 +5,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from workers.lab.simulation.world.places import PlaceName
+from workers.lab.simulation.world.street_kinds import PlaceName
 
 EgoStyle = Literal["stands", "drives", "stops_and_goes", "turns"]
 EGO_STYLES: Final[tuple[EgoStyle, ...]] = ("stands", "drives", "stops_and_goes", "turns")

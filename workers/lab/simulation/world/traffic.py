@@ -9,7 +9,7 @@ import numpy as np
 from workers.lab.simulation.models.kinds import VEHICLES, StreetClass
 from workers.lab.simulation.models.mixes import LANE_MIX, PARKED_MIX
 from workers.lab.simulation.models.models import models_of
-from workers.lab.simulation.world.drive import (
+from workers.lab.simulation.world.motion_along_road import (
     Drive,
     Floats,
     Knots,
@@ -21,9 +21,9 @@ from workers.lab.simulation.world.drive import (
     turning_route,
 )
 from workers.lab.simulation.world.occupancy import Occupancy
-from workers.lab.simulation.world.places import Place
+from workers.lab.simulation.world.slow_walkers import draw_stroll
 from workers.lab.simulation.world.street import Actor
-from workers.lab.simulation.world.strollers import draw_stroll
+from workers.lab.simulation.world.street_kinds import Place
 
 _SEEN_M: Final = 115.0
 """Who never comes so near to the ego is left out."""

@@ -1,0 +1,292 @@
+"""Questions from the bus, queued by callbacks and answered by threads of our own.
+
+Zenoh calls one callback at a time, and a callback that waits blocks every other one of its session.
+So a callback only enqueues, and whoever asks too fast, or too much at once, is sent back to ask
+again. What writes waits for the disk, or for a database that is locked; it has threads of its own,
+so that `status` and `top` are answered meanwhile. Equal questions that read are answered together.
+
+Whatever an answer raises goes to the asker and to the log, and the thread goes on: a question must
+never end the service.
+"""
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from threading import Event
+from typing import Final, Literal
+
+import structlog
+import zenoh
+from pydantic import ValidationError
+
+from schemas.bounds import MAX_COMMIT_BYTES, MAX_QUESTION_BYTES
+from schemas.errors import CounterpointError, PermanentError, TransientError
+from schemas.transport.ask import reply_problem
+from schemas.transport.keys import Verb
+from schemas.transport.wire import first_problem
+from service.api.bounded_queue import Waiting
+from service.api.verbs import VERBS
+from service.errors import StateUnusableError
+
+log = structlog.get_logger(__name__)
+
+Asked = Literal[Verb, "history"]
+"""What was asked: a verb, or the scenes and selections that there are."""
+
+Answer = Callable[[bytes], bytes]
+"""Makes the answer to a payload; what it raises on purpose becomes the reply."""
+
+Replier = Callable[[zenoh.Query], None]
+"""Replies to one query, as often as it likes; what it raises on purpose becomes the last reply."""
+
+Outcome = Literal["answered", "refused", "try_again", "malformed", "unsent", "fault"]
+"""How a question ended: answered; never possible; not now; not understood; the asker had gone; the
+service failed in a way that nobody foresaw, and its log has the trace."""
+
+MOST_WAITING: Final = 4096
+"""Questions in a queue before new ones are sent back to ask again."""
+
+MOST_WAITING_BYTES: Final = 2 * MAX_COMMIT_BYTES
+"""And bytes of them."""
+
+LARGE_BYTES: Final = 4 * 2**20
+"""A message takes some ten times its bytes once it is decoded: those beyond this one at a time."""
+
+WHOLE: Final[frozenset[Asked]] = frozenset({"top", "status", "rates"})
+"""Questions that read the whole ledger. One of each verb is answered at a time, and after it that
+verb rests as long as the answer took: however many ask, workers find the processor free."""
+
+MOST_REST_S: Final = 0.25
+
+_IDLE_S: Final = 0.2
+"""How often an idle thread looks whether it should end."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Question:
+    """One question, with who answers it: `answer` its payload, or `replier` the query itself."""
+
+    asked: Asked
+    query: zenoh.Query
+    payload: bytes
+    answer: Answer | None = None
+    replier: Replier | None = None
+
+
+class Questions:
+    """Two queues for all queryables of the service, and as many threads as care to serve them."""
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        *,
+        on_outcome: Callable[[Asked, Outcome], None] = lambda _asked, _outcome: None,
+        on_fault: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Take the session.
+
+        Args:
+            session: On the bus.
+            on_outcome: Told how each question ended.
+            on_fault: Told of every answer that failed in a way that nobody foresaw.
+        """
+        self._session, self._on_outcome, self._on_fault = session, on_outcome, on_fault
+        self._writes: Waiting[_Question] = Waiting(most=MOST_WAITING, most_bytes=MOST_WAITING_BYTES)
+        self._reads: Waiting[_Question] = Waiting(most=MOST_WAITING, most_bytes=MOST_WAITING_BYTES)
+        self._large = threading.Lock()
+        self._unable: dict[Asked, str] = {}
+        """What cannot be answered now, and why: said once, until it can be again."""
+        self._queryables = ExitStack()
+
+    @property
+    def waiting(self) -> int:
+        """How many questions nobody has taken up yet."""
+        return len(self._writes) + len(self._reads)
+
+    def declare(self, key: str, answer: Answer, *, asked: Verb) -> None:
+        """Answer the questions of a verb, completely: nobody else does.
+
+        Args:
+            key: What they are put to.
+            answer: Makes the answer to one.
+            asked: The verb.
+        """
+        self._declare(key, lambda query: self._enqueue(asked, query, answer=answer))
+
+    def declare_history(self, key: str, replier: Replier) -> None:
+        """Answer the questions for a key, completely: nobody else holds more.
+
+        Args:
+            key: What they are put to.
+            replier: Replies to one.
+        """
+        self._declare(key, lambda query: self._enqueue("history", query, replier=replier))
+
+    def serve(self, stop: Event, *, writes: bool) -> None:
+        """Answer questions until told to stop; run it in as many threads as should answer.
+
+        Args:
+            stop: When to end.
+            writes: Whether to answer those that write, or the others.
+
+        Raises:
+            StateUnusableError: If the database is damaged: no answer will ever come from it.
+        """
+        waiting = self._writes if writes else self._reads
+        while not stop.is_set():
+            taken = waiting.take(timeout_s=_IDLE_S)
+            if taken is None:
+                continue
+            questions, began_s = list(taken.items), time.monotonic()
+            try:
+                self._serve(questions)
+            finally:
+                took_s = time.monotonic() - began_s
+                rests = questions[0].asked in WHOLE
+                waiting.done(taken, rest_s=min(took_s, MOST_REST_S) if rests else 0.0)
+
+    def close(self) -> None:
+        """Take no more questions; those unanswered end empty, which means: ask again."""
+        self._queryables.close()
+        for waiting in (self._writes, self._reads):
+            while (taken := waiting.take(timeout_s=0)) is not None:
+                waiting.done(taken)  # whoever has taken others answers them
+                for question in taken.items:
+                    with question.query:  # dropped without a reply
+                        pass
+
+    def _declare(self, key: str, callback: Callable[[zenoh.Query], None]) -> None:
+        self._queryables.enter_context(
+            self._session.declare_queryable(key, callback, complete=True)
+        )
+
+    def _enqueue(
+        self,
+        asked: Asked,
+        query: zenoh.Query,
+        *,
+        answer: Answer | None = None,
+        replier: Replier | None = None,
+    ) -> None:
+        verb = None if asked == "history" else VERBS[asked]
+        most_bytes = MAX_QUESTION_BYTES if verb is None else verb.most_bytes
+        size = 0 if query.payload is None else len(query.payload)
+        if size > most_bytes:
+            problem = f"too large a question: {size} bytes, of which {asked} takes {most_bytes}"
+            self._send_back(asked, query, PermanentError(problem), "refused")
+            return
+        takes_payload = verb is not None and verb.request is not None and query.payload is not None
+        payload = query.payload.to_bytes() if takes_payload and query.payload is not None else b""
+        question = _Question(asked, query, payload, answer, replier)
+        waiting = self._writes if verb is not None and verb.writes else self._reads
+        alike = verb is not None and not verb.writes
+        kind = (asked, payload) if alike else object()
+        turn = asked if asked in WHOLE else None
+        if not waiting.offer(kind, question, size=size, turn=turn):
+            busy = TransientError("the service is busy; ask again")
+            self._send_back(asked, query, busy, "try_again")
+
+    def _send_back(
+        self, asked: Asked, query: zenoh.Query, error: CounterpointError, outcome: Outcome
+    ) -> None:
+        with query:
+            self._refuse(query, error)
+        self._on_outcome(asked, outcome)
+
+    def _serve(self, questions: list[_Question]) -> None:
+        """Answer equal questions by one answer."""
+        first = questions[0]
+        with ExitStack() as opened:
+            for question in questions:
+                opened.enter_context(question.query)
+            try:
+                outcome = self._answer(first, questions)
+            except StateUnusableError:
+                raise  # ends the service; the asker gets no answer, and asks the next one
+            except (KeyboardInterrupt, SystemExit):
+                raise
+            except BaseException as error:  # noqa: BLE001  (also a panic of Zenoh's)
+                outcome = self._fault(error, questions)
+        for question in questions:
+            self._on_outcome(question.asked, outcome)
+
+    def _answer(self, first: _Question, questions: list[_Question]) -> Outcome:
+        asked = first.asked
+        try:
+            if first.replier is not None:
+                first.replier(first.query)
+            elif first.answer is not None:
+                answer = self._made(first.answer, first.payload)
+                sent = [self._reply(question.query, answer) for question in questions]
+                if not any(sent):
+                    return "unsent"
+        except MalformedError as error:
+            self._refuse_all(questions, error)
+            return "malformed"
+        except TransientError as error:
+            if self._unable.get(asked) != str(error):
+                self._unable[asked] = str(error)
+                log.warning("question not answered now", asked=asked, problem=str(error))
+            self._refuse_all(questions, error)
+            return "try_again"
+        except StateUnusableError:
+            raise
+        except CounterpointError as error:
+            log.warning("question refused", asked=asked, problem=str(error))
+            self._refuse_all(questions, error)
+            return "refused"
+        except zenoh.ZError as error:  # the asker is gone, or the session is closing
+            log.warning("reply not sent", asked=asked, problem=str(error))
+            return "unsent"
+        if self._unable.pop(asked, None) is not None:
+            log.info("questions answered again", asked=asked)
+        return "answered"
+
+    def _reply(self, query: zenoh.Query, answer: bytes) -> bool:
+        try:
+            query.reply(query.key_expr, answer)
+        except zenoh.ZError as error:  # the asker is gone, or the session is closing
+            log.warning("reply not sent", key=str(query.key_expr), problem=str(error))
+            return False
+        return True
+
+    def _made(self, answer: Answer, payload: bytes) -> bytes:
+        if len(payload) <= LARGE_BYTES:
+            return answer(payload)
+        if not self._large.acquire(blocking=False):
+            raise TransientError("the service is busy with another large message; ask again")
+        try:
+            return answer(payload)
+        finally:
+            self._large.release()
+
+    def _fault(self, error: BaseException, questions: list[_Question]) -> Outcome:
+        asked = questions[0].asked
+        log.error("question failed: a fault of the program", asked=asked, exc_info=error)
+        self._on_fault()
+        said = (str(error).splitlines() or [""])[0][:300]
+        problem = PermanentError(
+            f"the service failed to answer {asked}: {type(error).__name__}: {said}; "
+            "this is a fault of the program, and its log has the trace"
+        )
+        self._refuse_all(questions, problem)
+        return "fault"
+
+    def _refuse_all(self, questions: list[_Question], error: CounterpointError) -> None:
+        for question in questions:
+            self._refuse(question.query, error)
+
+    def _refuse(self, query: zenoh.Query, error: CounterpointError) -> None:
+        with suppress(zenoh.ZError):  # the asker is gone, or the session is closing
+            reply_problem(query, error)
+
+
+class MalformedError(PermanentError):
+    """A payload is not the question that its verb takes."""
+
+
+def malformed(asked: Asked, error: ValidationError) -> MalformedError:
+    """Say in one sentence what is wrong with a question."""
+    return MalformedError(f"not a question for {asked}: {first_problem(error)}")

@@ -1,0 +1,337 @@
+"""Wires processes: everything on one machine, or the service or the workers alone."""
+
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from functools import partial
+from threading import Event
+from typing import TYPE_CHECKING, Final
+
+from prometheus_client import CollectorRegistry
+
+from schemas.mining import MiningSettings
+from schemas.runtime.http_endpoint import HttpEndpoint
+from schemas.runtime.process import stop_on_signals
+from schemas.runtime.retry import StoppedError
+from schemas.transport.bucket import Bucket, open_bucket
+from schemas.transport.bus import check_endpoints, client_session, free_endpoint, router_session
+from service.app import Service
+from service.background.heartbeat import Heartbeat
+from service.background.overlay_cleanup import DAY_S
+from service.curation.status import Status
+from service.errors import NothingFoundError
+from service.monitoring.gauges import Sources
+from service.monitoring.http_pages import pages
+from service.monitoring.metrics import ServiceMetrics
+from service.monitoring.readiness import Daemon
+from service.settings.config import DEFAULT_ENDPOINT, Settings, cache_folder
+from service.store.ledger import LeasePolicy, Ledger
+from service.store.opening import open_ledger_store, sole_service
+from service.store.single_writer_lock import SoleService
+from service.store.state import StateLock, free_bytes, prepare_state
+
+if TYPE_CHECKING:
+    from workers.pool.local import LocalPool
+    from workers.worker.config import Accepted
+
+LOCAL_WORKERS: Final = "local-"
+"""Prefix of the ids of workers that live and die with one `run`."""
+
+_LOOK_S: Final = 0.5
+
+_STARTING: Final = "workers start; a first run compiles its loops, about a minute"
+
+
+def run_embedded(
+    settings: Settings,
+    *,
+    once: bool,
+    on_ready: Callable[[str], None],
+    on_progress: Callable[[str, int, int | None], None],
+) -> Status:
+    """Run router, service and workers of one machine until told to stop, or until all is mined.
+
+    Args:
+        settings: Bucket, state, workers, and what workers must do alike.
+        once: Stop when every log that lies in the bucket now is done, refused or parked.
+        on_ready: Told in one sentence where the service can be reached.
+        on_progress: Told now and then what is done, shards finished, and shards known if any are.
+
+    Returns:
+        How far everything is at the end.
+
+    Raises:
+        NothingFoundError: With `once`, if the bucket holds no log, or no log holds a lidar.
+    """
+    from workers.pool.local import LocalPool
+    from workers.pool.process import LogStyle
+
+    with ExitStack() as opened:
+        stop = opened.enter_context(stop_on_signals())
+        bucket = open_bucket(settings.bucket)
+        lock, sole, ledger = _open_state(settings, opened, once=once)
+        mining = _mining(settings)
+        endpoint = settings.listen or free_endpoint()
+        opened.enter_context(router_session([endpoint]))
+        ledger.free_leases(LOCAL_WORKERS)
+        service = _enter_service(
+            settings,
+            ledger,
+            bucket,
+            mining,
+            [endpoint],
+            opened,
+            stop=stop,
+            sole=sole,
+            once=once,
+            metrics=ServiceMetrics(vehicles=settings.vehicles),
+        )
+        _announce(lock, sole, endpoint)
+        if once and not service.recordings:
+            raise NothingFoundError(f"no .mcap log in {bucket.url}")
+        pool = LocalPool(
+            settings.workers,
+            connect=[endpoint],
+            root=settings.root,
+            home=settings.state,
+            lease_deadline_s=settings.shard_deadline_s,
+            style=LogStyle(settings.log_level, settings.log_format == "json"),
+            on_death=lambda worker_id: _take_back(ledger, worker_id),
+            accepts=accepted_by(settings),
+        )
+        opened.callback(pool.stop)
+        daemon = Daemon()
+        daemon.up(service, pool)
+        registries = (service.metrics.registry, pool.registry)
+        where = ""
+        if _wants_http(settings, once=once):
+            where = _metrics_at(_open_pages(settings, daemon, ledger, opened, *registries))
+        opened.enter_context(pool)
+        on_ready(
+            f"mining {bucket.url} with {settings.workers} workers; service at {endpoint}{where}"
+        )
+        version = _stay(service, ledger, pool, stop, once=once, on_progress=on_progress)
+        status = ledger.status(version or None)
+    if once and not stop.is_set():
+        _refuse_when_nothing_was_minable(status, bucket)
+    return status
+
+
+def run_service(settings: Settings, *, on_ready: Callable[[str], None]) -> None:
+    """Run the service alone, waiting for its router, until told to stop."""
+    connect = (settings.connect or DEFAULT_ENDPOINT).split(",")
+    with ExitStack() as opened:
+        stop = opened.enter_context(stop_on_signals())
+        bucket = open_bucket(settings.bucket)
+        lock, sole, ledger = _open_state(settings, opened)
+        mining = _mining(settings)
+        metrics = ServiceMetrics(vehicles=settings.vehicles)
+        daemon = Daemon(router=f"waiting for a router at {', '.join(connect)}")
+        http = None
+        if _wants_http(settings, once=False):  # before the router is there: it may take long
+            metrics.read_from(_before_start(settings, bucket, ledger))
+            http = _open_pages(settings, daemon, ledger, opened, metrics.registry)
+        try:
+            service = _enter_service(
+                settings,
+                ledger,
+                bucket,
+                mining,
+                connect,
+                opened,
+                stop=stop,
+                sole=sole,
+                metrics=metrics,
+            )
+        except StoppedError:  # there never was a router
+            return
+        daemon.up(service)
+        _announce(lock, sole, ",".join(connect))
+        where = ""
+        if http is not None:
+            opened.callback(http.close)  # whoever asks must not meet a service that is closed
+            where = _metrics_at(http)
+        on_ready(f"serving {bucket.url} over {', '.join(connect)}{where}")
+        service.run(stop)
+
+
+def run_workers(settings: Settings, *, on_ready: Callable[[str], None]) -> None:
+    """Run workers for a service elsewhere until told to stop."""
+    from workers.pool.local import LocalPool
+    from workers.pool.pages import pool_pages
+    from workers.pool.process import LogStyle
+
+    connect = (settings.connect or DEFAULT_ENDPOINT).split(",")
+    check_endpoints(connect)  # here, not by each worker that starts
+    with ExitStack() as opened:
+        stop = opened.enter_context(stop_on_signals())
+        pool = LocalPool(
+            settings.workers,
+            connect=connect,
+            root=settings.root,
+            home=cache_folder(),
+            lease_deadline_s=settings.shard_deadline_s,
+            style=LogStyle(settings.log_level, settings.log_format == "json"),
+            name="worker",
+            accepts=accepted_by(settings),
+        )
+        opened.callback(pool.stop)
+        where = ""
+        if listen := settings.worker_http_listen:
+            http = HttpEndpoint(listen, pool_pages(pool), setting="worker_http_listen")
+            where = _metrics_at(opened.enter_context(http))
+        opened.enter_context(pool)
+        on_ready(f"{settings.workers} workers for the service at {', '.join(connect)}{where}")
+        heartbeat = Heartbeat(lambda: {"workers": pool.alive()}, heartbeat_s=settings.heartbeat_s)
+        while not stop.wait(_LOOK_S):
+            pool.check()
+            heartbeat.beat()
+
+
+def accepted_by(settings: Settings) -> "Accepted":
+    """Return which places workers with these settings accept from a service elsewhere."""
+    from workers.worker.config import Accepted
+
+    return Accepted(settings.bucket, settings.artifacts_url, settings.model, settings.weights)
+
+
+def _mining(settings: Settings) -> MiningSettings:
+    mining = settings.mining()
+    open_bucket(mining.artifacts, create=True)
+    return mining
+
+
+def _open_state(
+    settings: Settings, opened: ExitStack, *, once: bool = False
+) -> tuple[StateLock, SoleService | None, Ledger]:
+    prepare_state(settings.state)
+    lock = opened.enter_context(StateLock(settings.state))
+    sole = opened.enter_context(sole_service(settings))
+    store = open_ledger_store(settings)
+    opened.callback(store.close)
+    policy = LeasePolicy(
+        lease_s=settings.lease_s,
+        max_attempts=settings.max_attempts,
+        settle_s=0.0 if once else settings.settle_s,
+    )
+    ledger = Ledger(store, now_s=lambda: time.clock_gettime(time.CLOCK_REALTIME), policy=policy)
+    return lock, sole, ledger
+
+
+def _announce(lock: StateLock, sole: SoleService | None, endpoint: str) -> None:
+    lock.announce(endpoint)
+    if sole is not None:
+        sole.announce(endpoint)
+
+
+def _enter_service(
+    settings: Settings,
+    ledger: Ledger,
+    bucket: Bucket,
+    mining: MiningSettings,
+    connect: Sequence[str],
+    opened: ExitStack,
+    *,
+    stop: Event,
+    sole: SoleService | None,
+    metrics: ServiceMetrics,
+    once: bool = False,
+) -> Service:
+    session = opened.enter_context(client_session(connect, stop=stop))
+    return opened.enter_context(
+        Service(
+            session,
+            ledger,
+            bucket=bucket,
+            settings=mining,
+            root=settings.root,
+            list_interval_s=settings.list_interval_s,
+            include=settings.include,
+            exclude=settings.exclude,
+            settle_s=0.0 if once else settings.settle_s,
+            once=once,
+            heartbeat_s=settings.heartbeat_s,
+            hold=None if sole is None else sole.check,
+            metrics=metrics,
+            state_free_bytes=partial(free_bytes, settings.state),
+            keep_withdrawn_s=settings.keep_withdrawn_days * DAY_S,
+        )
+    )
+
+
+def _before_start(settings: Settings, bucket: Bucket, ledger: Ledger) -> Sources:
+    """Where the metrics are read until there is a service: what is known without a router."""
+    return Sources(
+        backlog=ledger.backlog,
+        bucket_url=bucket.url,
+        state_free_bytes=partial(free_bytes, settings.state),
+        now_s=ledger.now_s,
+    )
+
+
+def _open_pages(
+    settings: Settings,
+    daemon: Daemon,
+    ledger: Ledger,
+    opened: ExitStack,
+    *registries: CollectorRegistry,
+) -> HttpEndpoint:
+    """Answer watchers of the service.
+
+    Raises:
+        TransientError: If the address is taken.
+    """
+    routes = pages(daemon, ledger, *registries)
+    return opened.enter_context(HttpEndpoint(settings.http_listen, routes))
+
+
+def _metrics_at(endpoint: HttpEndpoint) -> str:
+    """Say where the metrics are, as the end of a sentence."""
+    return f"; metrics at {endpoint.url}/metrics"
+
+
+def _wants_http(settings: Settings, *, once: bool) -> bool:
+    """Nobody watches a run that ends by itself, unless an address was given for it."""
+    asked_for = not once or "http_listen" in settings.model_fields_set
+    return bool(settings.http_listen) and asked_for
+
+
+def _stay(
+    service: Service,
+    ledger: Ledger,
+    pool: "LocalPool",
+    stop: Event,
+    *,
+    once: bool,
+    on_progress: Callable[[str, int, int | None], None],
+) -> str:
+    """Look after service and pool until told to stop or, once, until all is settled.
+
+    Returns:
+        With `once`, the pipeline version of the pool's workers; empty if none got so far.
+    """
+    version = ""
+    while not stop.wait(_LOOK_S):
+        service.check()
+        pool.check()
+        version = pool.pipeline_version() or version
+        if once and version and ledger.settled(version):
+            break
+        works = ledger.backlog().work.items()  # cheap, unlike a whole status
+        shards = {state: count for (kind, state), count in works if kind == "shard"}
+        finished = shards.get("done", 0) + shards.get("parked", 0)
+        on_progress("mining" if version else _STARTING, finished, sum(shards.values()) or None)
+    return version if once else ""
+
+
+def _take_back(ledger: Ledger, worker_id: str) -> None:
+    ledger.worker_died(worker_id)
+
+
+def _refuse_when_nothing_was_minable(status: Status, bucket: Bucket) -> None:
+    states = {log.state for log in status.logs}
+    if states == {"refused"}:
+        first = status.logs[0]
+        raise NothingFoundError(
+            f"no log in {bucket.url} can be mined; {first.log_id}: {first.problem}"
+        )

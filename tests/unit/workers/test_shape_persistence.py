@@ -1,0 +1,172 @@
+"""Where the shape of a thing was and will be, whatever anybody says of it."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+
+from schemas.contradiction import Scene
+from schemas.labels import MotionLabel
+from tests.labelled_worlds import CLASS_NAMES, START_NS, Thing, labelled_frame
+from workers.contradiction.feature_extraction import places_in_odom
+from workers.contradiction.instances import find_instances
+from workers.contradiction.keyframes import EVERY_S, Glances
+from workers.contradiction.shape_persistence import Whereabouts, whereabouts_of
+from workers.contradiction.track_motion import velocity_of
+from workers.contradiction.track_score import rank_tracks
+from workers.contradiction.tracks import tie_tracks
+
+STATIC, DYNAMIC = MotionLabel.STATIC, MotionLabel.DYNAMIC
+WALL = Thing((16.0, 12.0, 0.0), STATIC, STATIC, (30.0, 0.1, 3.0), points=3000, class_id=0)
+PERSON_M = (0.1, 0.6, 1.7)
+"""What a lidar sees of one: the side towards it."""
+
+
+def _scene(
+    along_m: Callable[[float], float],
+    *,
+    frames: int = 30,
+    contradicts: Sequence[int] = range(10, 20),
+    seen: Callable[[int], bool] = lambda _: True,
+    size_m: tuple[float, float, float] = PERSON_M,
+    others: Sequence[Thing] = (WALL,),
+    instead: Sequence[Thing] = (),
+) -> Scene:
+    """Something that is somewhere along x at each time, and is called moving in some frames.
+
+    In those in which it is not seen there may be something instead.
+    """
+    made = []
+    for number in range(frames):
+        says = DYNAMIC if number in contradicts else STATIC
+        thing = Thing((12.0 + along_m(number / 10), 5.0, 0.0), says, STATIC, size_m)
+        # the same shape wherever it is: its points hang on how its place reads
+        body = Thing((10.0, 5.0, 0.0), says, STATIC, size_m).placed(0.0)
+        shown = [thing] if seen(number) else []
+        beside = others if shown else (*instead, *others)
+        frame = labelled_frame([*shown, *beside], frame=number, time_s=number / 10)
+        if shown:
+            frame.posed.frame.points_m.setflags(write=True)
+            frame.posed.frame.points_m[: len(body)] = body
+            frame.posed.frame.points_m[: len(body), 0] += 2.0 + along_m(number / 10)
+            frame.posed.frame.points_m.setflags(write=False)
+        made.append(frame)
+    inside = made[contradicts[0] : contradicts[-1] + 1]
+    return Scene(
+        scene_id=f"fleet/car-1/drive/lidar/{START_NS}",
+        frames=tuple(inside),
+        before=tuple(made[: contradicts[0]]),
+        after=tuple(made[contradicts[-1] + 1 :]),
+    )
+
+
+def _told(scene: Scene) -> Whereabouts:
+    instances = find_instances(scene, class_names=CLASS_NAMES)
+    (track,) = tie_tracks(scene, instances)
+    members = [instances[each] for each in track.members]
+    stamps_s = np.array([scene.frames[m.frame_index].stamp_ns / 1e9 for m in members])
+    velocity = velocity_of(track.centres_m, stamps_s)
+    places_m = places_in_odom(scene, members)
+    return whereabouts_of(scene, members, places_m, velocity, Glances(scene))
+
+
+@pytest.mark.parametrize(
+    ("along_m", "told"),
+    [
+        (lambda _: 0.0, Whereabouts(1.0, 0.0, 1.0, 0.0)),
+        (lambda time_s: 0.5 * time_s, Whereabouts(0.0, 1.0, 0.0, 1.0)),
+        (lambda time_s: 0.8 * min(0.0, time_s - 1.2), Whereabouts(0.0, 1.0, 1.0, 0.0)),
+        (lambda time_s: 0.8 * max(0.0, time_s - 1.7), Whereabouts(1.0, 0.0, 0.0, 1.0)),
+        (lambda time_s: 14.0 * time_s, Whereabouts(0.0, 1.0, 0.0, 1.0)),
+    ],
+    ids=["it stands", "it strolls", "it stops", "it starts", "it is fast"],
+)
+def test_where_a_shape_was_and_will_be_is_told(
+    along_m: Callable[[float], float], told: Whereabouts
+) -> None:
+    found = _told(_scene(along_m))
+    assert found.here_before == pytest.approx(told.here_before, abs=0.15)
+    assert found.elsewhere_before == pytest.approx(told.elsewhere_before, abs=0.15)
+    assert found.here_after == pytest.approx(told.here_after, abs=0.15)
+    assert found.elsewhere_after == pytest.approx(told.elsewhere_after, abs=0.15)
+
+
+def test_nothing_is_said_of_what_is_hidden_before_and_after() -> None:
+    assert _told(_scene(lambda _: 0.0, seen=lambda frame: 13 <= frame < 17)) == Whereabouts()
+
+
+def test_nothing_is_said_of_what_lies_beyond_the_log() -> None:
+    told = _told(_scene(lambda _: 0.0, frames=14))
+    assert (told.here_before, told.elsewhere_before) == (1.0, 0.0)
+    assert (told.here_after, told.elsewhere_after) == (0.0, 0.0)
+
+
+def test_a_shape_that_is_half_hidden_at_other_times_stands() -> None:
+    hides = Thing((12.0, 4.6, 0.0), STATIC, STATIC, (4.0, 0.4, 1.5), points=400)
+    scene = _scene(lambda _: 0.0, size_m=(4.0, 1.8, 1.5), others=(WALL, hides))
+    assert _told(scene) == Whereabouts(1.0, 0.0, 1.0, 0.0)
+
+
+def test_moments_at_which_something_stands_before_it_are_not_asked() -> None:
+    lorry = Thing((6.0, 2.5, 0.0), STATIC, STATIC, (5.0, 0.2, 3.0), points=6000)
+    wall = Thing((16.0, -12.0, 0.0), STATIC, STATIC, WALL.size_m, points=3000, class_id=0)
+    for instead, here in (((lorry,), 1.0), ((), 0.0)):
+        seen = [n for n in range(30) if n not in (0, 5, 20, 25)]
+        told = _told(_scene(lambda _: 0.0, seen=seen.__contains__, others=(wall,), instead=instead))
+        assert (told.here_before, told.here_after) == (here, here)
+        assert (told.elsewhere_before, told.elsewhere_after) == (0.0, 0.0)
+
+
+def test_a_piece_of_a_rail_that_is_not_seen_now_and_then_did_not_come_along_it() -> None:
+    rail = Thing((20.0, 5.0, 0.0), STATIC, STATIC, (14.0, 0.1, 0.6), points=1500, class_id=0)
+    told = _told(
+        _scene(
+            lambda _: 0.0,
+            contradicts=range(14, 24),
+            seen=lambda n: n != 5,
+            size_m=(4.0, 0.1, 0.6),
+            others=(WALL, rail),
+        )
+    )
+    assert told.elsewhere_before == 0.0
+
+
+def test_what_hangs_above_a_place_does_not_stand_there() -> None:
+    crown = Thing((12.0, 5.0, 4.0), STATIC, STATIC, (6.0, 6.0, 2.0), points=4000, class_id=0)
+    told = _told(_scene(lambda time_s: 0.5 * time_s, others=(WALL, crown)))
+    assert min(told.elsewhere_before, told.elsewhere_after) > 0.8
+
+
+@pytest.mark.parametrize(
+    ("along_m", "passes"),
+    [(lambda time_s: 0.5 * time_s, 1.0), (lambda time_s: 0.8 * min(0.0, time_s - 1.2), 0.0)],
+    ids=["it strolls", "it stops"],
+)
+def test_what_came_and_leaves_passes(along_m: Callable[[float], float], passes: float) -> None:
+    scene = _scene(along_m)
+    (track,) = rank_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))
+    assert track.evidence.came == pytest.approx(1.0, abs=0.15)
+    assert track.evidence.passes == pytest.approx(passes, abs=0.15)
+
+
+def test_it_is_asked_of_what_lasts_and_has_points() -> None:
+    lasting, brief = (
+        rank_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))[0].evidence
+        for scene in (
+            _scene(lambda _: 0.0),
+            _scene(lambda _: 0.0, contradicts=range(10, 11)),
+        )
+    )
+    assert (lasting.stays, lasting.stands_after) == (1.0, 1.0)
+    assert (brief.stays, brief.stands_after) == (0.0, 0.0)
+
+
+def test_a_glance_is_taken_every_half_second_however_fast_the_sensor() -> None:
+    for period_s in (0.05, 0.1, 0.2, 1.0):
+        frames = tuple(
+            labelled_frame([WALL], frame=n, time_s=n * period_s) for n in range(round(3 / period_s))
+        )
+        scene = Scene(f"fleet/car-1/drive/lidar/{START_NS}", frames)
+        steps_s = np.diff(Glances(scene).stamps_ns) / 1e9
+        assert (steps_s >= EVERY_S).all()
+        assert (steps_s <= max(EVERY_S + period_s, period_s)).all()

@@ -1,0 +1,175 @@
+"""Gathers what is known about a track (`track_features.py`), from it and from what surrounds it."""
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import NS_PER_S
+from schemas.contradiction import Instance, Scene
+from schemas.labels import MotionLabel
+from workers.contradiction.rising_ground import RisingGround, share_of
+from workers.contradiction.scene_context import Surroundings
+from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
+from workers.contradiction.shape_persistence import Whereabouts, whereabouts_of
+from workers.contradiction.temporal_context import at_other_times
+from workers.contradiction.track_features import Evidence
+from workers.contradiction.track_motion import path_of
+from workers.contradiction.tracks import Track
+from workers.contradiction.unit import clip
+
+_FAR_M: Final = 80.0
+_TURN_RAD_PER_S: Final = 0.3
+_FAST_M_PER_S: Final = 10.0
+_CROWD: Final = 8.0
+_LONG_M: Final = 12.0
+_TALL_M: Final = 3.0
+_THIN_M: Final = 0.4
+_LOW_M: Final = 1.0
+_LOWEST_M: Final = 0.5
+_LOW_WITHIN_M: Final = 50.0
+_RISES_SHARE: Final = 0.03
+_RISES_ALL: Final = 0.1
+"""Shares of the ground around a thing that rises."""
+
+_SETS_OFF_S: Final = 0.5
+_SET_OFF_S: Final = 1.0
+"""So soon nothing is seen to set off, and so late everything: 1.5 m/s2 make 0.2 m and 0.75 m."""
+
+_WORTH_IT: Final = 0.1
+"""`lasting` times `many_points`, from which on it is asked where a thing was and will be."""
+
+
+def evidence_of(
+    scene: Scene,
+    track: Track,
+    members: Sequence[Instance],
+    around: Surroundings,
+    *,
+    road_user: float,
+    speed_fits: float,
+    settings: ScoreSettings = DEFAULT_SCORE,
+) -> Evidence:
+    """Gather what is known about a track.
+
+    Args:
+        scene: Where it was found.
+        track: The track.
+        members: Its instances.
+        around: What all tracks of the scene share.
+        road_user: How much its box looks like one.
+        speed_fits: How well its path bears out a measured speed; 0 where none is.
+        settings: Scales of time and points.
+    """
+    points = np.array([len(member.point_index) for member in members], dtype=np.float64)
+    at = np.array([member.frame_index for member in members])
+    stamps_s = np.array([(scene.frames[i].stamp_ns - scene.start_ns) / NS_PER_S for i in at])
+    size_m = np.median([member.size_m for member in members], axis=0)
+    places_m = places_in_odom(scene, members)
+    path = path_of(track.centres_m, stamps_s, [each[:, :2] for each in places_m])
+    others = at_other_times(
+        *(scene, members, track.centres_m, path.velocity_m_per_s, around.called),
+        period_s=around.period_s,
+    )
+    goes_on = 1.0 if track.kind.semantic == scene.task.moving else path.straight
+    moving, still = _testimony(scene, members)
+    speeds = np.linalg.norm([member.velocity_m_per_s for member in members], axis=1)
+    lasts_s = float(stamps_s[-1] - stamps_s[0])
+    first_ns = scene.frames[at[0]].stamp_ns
+    watched_s = float(around.called.stamps_ns[-1] - first_ns) / NS_PER_S
+    kind = track.kind.name
+    lasting = 1.0 - math.exp(-lasts_s / settings.persistence_s)
+    many_points = 1.0 - math.exp(-float(np.median(points)) / settings.evidence_points)
+    where = Whereabouts()
+    if scene.task.moving and lasting * many_points >= _WORTH_IT:
+        where = whereabouts_of(scene, members, places_m, path.velocity_m_per_s, around.glances)
+
+    def mean(values: Sequence[float]) -> float:
+        return float(np.average(values, weights=points))
+
+    range_m = mean([float(np.hypot(*m.centre_m[:2])) for m in members])
+    return Evidence(
+        witness_moving=moving,
+        witness_still=still,
+        went=path.went,
+        straight=path.straight,
+        lasting=lasting,
+        steady=len(members) / float(at[-1] - at[0] + 1),
+        many_points=many_points,
+        far=clip(range_m / _FAR_M),
+        road_user=clip(road_user),
+        long=clip(float(size_m[0]) / _LONG_M),
+        tall=clip(float(size_m[2]) / _TALL_M),
+        thin=clip(1.0 - float(size_m[1]) / _THIN_M),
+        low=clip((_LOW_M - float(size_m[2])) / _LOWEST_M) * clip(1.0 - range_m / _LOW_WITHIN_M),
+        agreed_before=others.agreed_before * goes_on,
+        undenied_after=others.undenied_after * goes_on,
+        called_before=others.called_before,
+        called_after=others.called_after,
+        stays=min(where.here_before, where.here_after),
+        stands_after=where.here_after,
+        came=where.elsewhere_before,
+        leaves=where.elsewhere_after,
+        passes=min(where.elsewhere_before, where.elsewhere_after),
+        log_ends=clip((_SET_OFF_S - watched_s) / (_SET_OFF_S - _SETS_OFF_S)),
+        own=clip(mean([member.own_share for member in members])),
+        supervised_sure=clip(mean([member.semantic_confidence for member in members])),
+        selfsupervised_sure=clip(mean([member.predictive_confidence for member in members])),
+        confirmed=clip(mean([_told(member.confirmed_share) for member in members])),
+        speed_fits=clip(speed_fits),
+        fast=clip(float(np.median(speeds)) / _FAST_M_PER_S),
+        doubted=mean(around.doubted[at].tolist()),
+        turning=clip(float(around.turn_rad_per_s[at].max()) / _TURN_RAD_PER_S),
+        unseen=clip(float(around.unseen[at].mean())),
+        denied=clip(mean([member.denied_share for member in members])),
+        agreed=clip(mean([member.agreed_share for member in members])),
+        silent=_silence(scene, members),
+        crowded=1.0
+        - math.exp(-(float(np.median([around.crowd[kind, i] for i in at.tolist()])) - 1) / _CROWD),
+        ground_rises=_rises(members, around.ground),
+    )
+
+
+def places_in_odom(scene: Scene, members: Sequence[Instance]) -> list[NDArray[np.float64]]:
+    """(M, 3) points of each instance, odom space."""
+    places = []
+    for member in members:
+        posed = scene.frames[member.frame_index].posed
+        points_m = posed.frame.points_m[member.point_index].astype(np.float64)
+        pose = posed.odom_from_sensor
+        places.append(points_m @ pose[:3, :3].T + pose[:3, 3])
+    return places
+
+
+def _testimony(scene: Scene, members: Sequence[Instance]) -> tuple[float, float]:
+    """Shares of the points of a track that the witness calls dynamic and static."""
+    counts = np.zeros(3)
+    for member in members:
+        witness = scene.frames[member.frame_index].witness
+        if witness is None:
+            counts[MotionLabel.UNKNOWN] += len(member.point_index)
+            continue
+        counts += np.bincount(witness.labels[member.point_index], minlength=3)
+    shares = counts / max(1.0, float(counts.sum()))
+    return float(shares[MotionLabel.DYNAMIC]), float(shares[MotionLabel.STATIC])
+
+
+def _silence(scene: Scene, members: Sequence[Instance]) -> float:
+    """Share of the points of a track that the self-supervised stream does not judge."""
+    silent = total = 0
+    for member in members:
+        said = scene.frames[member.frame_index].predictive.labels[member.point_index]
+        silent += int((said == MotionLabel.UNKNOWN).sum())
+        total += len(said)
+    return silent / max(1, total)
+
+
+def _rises(members: Sequence[Instance], ground: RisingGround) -> float:
+    share = share_of([ground.around(each.frame_index, each.point_index) for each in members])
+    return clip((share - _RISES_SHARE) / (_RISES_ALL - _RISES_SHARE))
+
+
+def _told(share: float | None) -> float:
+    return 1.0 if share is None else share

@@ -1,0 +1,72 @@
+"""What stands off the ground every half second: what shapes are laid over."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import NS_PER_S, Points, Transform
+from schemas.contradiction import LabelledFrame, Scene
+from workers.contradiction.occlusion import Shades, hidden_share, shades_of
+from workers.contradiction.shape_matching import Cells, Tiles, cells_in_box, tiled
+from workers.contradiction.temporal_context import moments
+from workers.points.point_kernels import moved_rows, returns_within
+from workers.points.se3 import inverse
+
+EVERY_S: Final = 0.45
+"""Between the frames that are asked: half a second at 10 Hz, jitter or not."""
+
+BEFORE_M: Final = 0.5
+"""So much nearer than a thing is another one: free space is no finer."""
+
+_FARTHEST: Final = np.float32(1000.0)
+
+
+class Glances:
+    """What stands off the ground every half second of a scene, and right before and after it."""
+
+    def __init__(self, scene: Scene) -> None:
+        """Choose the frames; none is laid out before it is asked."""
+        self._frames: list[LabelledFrame] = []
+        for frame in moments(scene):
+            due_ns = self._frames[-1].stamp_ns + round(EVERY_S * NS_PER_S) if self._frames else 0
+            if frame.stamp_ns >= due_ns:
+                self._frames.append(frame)
+        self.stamps_ns = np.array([frame.stamp_ns for frame in self._frames], np.int64)
+        self._tiles: dict[int, Tiles] = {}
+        self._shades: dict[int, tuple[Transform, Shades]] = {}
+
+    def near(self, number: int, low_m: NDArray[np.float64], high_m: NDArray[np.float64]) -> Cells:
+        """Sort the places of one frame within bounds, over the ground; odom space.
+
+        Args:
+            number: Which of the frames.
+            low_m: (3,) bounds, odom space.
+            high_m: (3,) likewise.
+        """
+        if number not in self._tiles:
+            self._tiles[number] = tiled(_off_ground(self._frames[number]))
+        return cells_in_box(self._tiles[number], low_m, high_m)
+
+    def hidden_share(self, number: int, places_m: NDArray[np.float64]) -> float:
+        """Share of places (P, 3), odom space, before which something stands in one frame."""
+        if number not in self._shades:
+            posed = self._frames[number].posed
+            self._shades[number] = inverse(posed.odom_from_sensor), _shades(self._frames[number])
+        return hidden_share(places_m, *self._shades[number], BEFORE_M)
+
+
+def _shades(frame: LabelledFrame) -> Shades:
+    points_m = frame.posed.frame.points_m
+    index = returns_within(points_m, frame.posed.frame.valid_mask, _FARTHEST)
+    ground = frame.predictive.ground_mask
+    return shades_of(points_m, index, np.zeros(len(points_m), bool) if ground is None else ground)
+
+
+def _off_ground(frame: LabelledFrame) -> Points:
+    """(M, 3) what a frame sees off the ground, odom space."""
+    points_m = frame.posed.frame.points_m
+    index = returns_within(points_m, frame.posed.frame.valid_mask, _FARTHEST)
+    if frame.predictive.ground_mask is not None:
+        index = index[~frame.predictive.ground_mask[index]]
+    return moved_rows(points_m, index, frame.posed.odom_from_sensor)

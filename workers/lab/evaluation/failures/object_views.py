@@ -1,0 +1,62 @@
+"""What a user would rank things by instead: how unsure of them the networks are."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.labels import MotionLabel
+from workers.lab.evaluation.failures.baseline_scores import proved_of
+from workers.lab.evaluation.failures.frame_truth import SeenFrame
+
+
+def thing_views(
+    points: Mapping[int, NDArray[np.int64]], seen: Sequence[SeenFrame]
+) -> Mapping[str, float]:
+    """Rank a thing as others would, by means over its points.
+
+    Args:
+        points: Its points by frame of the scene.
+        seen: The frames.
+
+    Returns:
+        `confidence`, one minus what the supervised stream says; `flicker`, how often the label of
+        most of it changes; `point_share`, the share of its points on which the streams differ;
+        `free_space`, the share that free space proved to move and the supervised stream says
+        stands; and what networks that were probed told, `entropy`, `margin`, `mc_dropout`,
+        `ensemble`, as far as they told it.
+    """
+    unsure: list[NDArray[np.float64]] = []
+    labels: list[bool] = []
+    differing = against = total = 0
+    for number, mine in sorted(points.items()):
+        labelled = seen[number].labelled
+        semantic, predictive = labelled.semantic, labelled.predictive
+        told = semantic.labels[mine] != MotionLabel.UNKNOWN
+        total += len(mine)
+        unsure.append(1.0 - semantic.confidence[mine][told].astype(np.float64))
+        if told.any():
+            labels.append(bool((semantic.labels[mine][told] == MotionLabel.DYNAMIC).mean() > 0.5))
+        both = told & (predictive.labels[mine] != MotionLabel.UNKNOWN)
+        differing += int((semantic.labels[mine] != predictive.labels[mine])[both].sum())
+        proved = proved_of(labelled)
+        if proved is not None:
+            against += int((proved[mine] & (semantic.labels[mine] == MotionLabel.STATIC)).sum())
+    every = np.concatenate(unsure) if unsure else np.zeros(0)
+    changes = np.diff(np.array(labels, dtype=np.int8))
+    told_of: dict[str, list[NDArray[np.float32]]] = {}
+    for number, mine in points.items():
+        for name, values in seen[number].unsure.items():
+            told_of.setdefault(name, []).append(values[mine])
+    probed = {name: np.concatenate(values) for name, values in told_of.items()}
+    return {
+        **{
+            name: float(np.nanmean(values))
+            for name, values in sorted(probed.items())
+            if np.isfinite(values).any()
+        },
+        "confidence": float(every.mean()) if len(every) else 0.0,
+        "flicker": float(np.count_nonzero(changes)) / max(1, len(changes)),
+        "point_share": differing / total if total else 0.0,
+        "free_space": against / total if total else 0.0,
+    }

@@ -1,0 +1,70 @@
+"""What was mined stays beside the benchmark, so that a long one can be run in pieces."""
+
+import hashlib
+from functools import lru_cache
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from schemas.canonical import canonical_json
+from schemas.mining import MiningSettings
+from workers.lab.evaluation.failures.mine_log import LogJob
+from workers.lab.evaluation.failures.rows import REVISION, MinedLog
+from workers.lab.evaluation.failures.uncertainty import Probing
+from workers.lab.simulation.faults.fault_truth import FILE as PLANTED
+from workers.version import version_of
+
+
+def kept_log(
+    folder: Path | None, job: LogJob, settings: MiningSettings, probing: Probing
+) -> MinedLog | None:
+    """Read what was mined of a log by the same code, settings and slips; None where nothing was."""
+    if folder is None:
+        return None
+    file = _file(folder, job, settings, probing)
+    if not file.is_file():
+        return None
+    try:
+        return MinedLog.model_validate_json(file.read_text())
+    except ValidationError:  # of an earlier form, or cut off: it is mined again
+        return None
+
+
+def keep_log(
+    folder: Path | None, job: LogJob, settings: MiningSettings, probing: Probing, log: MinedLog
+) -> None:
+    """Write what was mined of a log, where a folder is named; it appears whole or not at all."""
+    if folder is None:
+        return
+    file = _file(folder, job, settings, probing)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    growing = file.with_suffix(".part")
+    growing.write_text(log.model_dump_json())
+    growing.replace(file)
+
+
+def _file(folder: Path, job: LogJob, settings: MiningSettings, probing: Probing) -> Path:
+    facts = {
+        "revision": REVISION,
+        "recording": job.recording.revision,
+        "truth": _truth_digest(job.truth / job.recording.log_id),
+        "pipeline": _version(settings.model_dump_json()),
+        "slips": [str(slip) for slip in job.slips],
+        "probing": str(probing),
+    }
+    digest = hashlib.sha256(canonical_json(facts)).hexdigest()[:16]
+    return folder / f"{job.recording.log_id.replace('/', '-')}-{digest}.json"
+
+
+def _truth_digest(folder: Path) -> str:
+    """What tells two truths apart, without reading every point."""
+    files = sorted(folder.glob("*"))
+    names = "\n".join(f"{file.name} {file.stat().st_size}" for file in files)
+    planted = folder / PLANTED
+    text = planted.read_text() if planted.is_file() else ""
+    return hashlib.sha256(f"{names}\n{text}".encode()).hexdigest()
+
+
+@lru_cache(maxsize=4)
+def _version(settings_json: str) -> str:
+    return version_of(MiningSettings.model_validate_json(settings_json))

@@ -1,0 +1,159 @@
+"""Finds the tracks of a street that can carry the failures that were planned for its scenes.
+
+What is wanted in a scene that holds no thing for it moves to another scene of the log; where no
+scene has one, another kind is drawn, and both are written down.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from workers.lab.simulation.faults.candidates import Candidate, CellView, candidates_of, look_at
+from workers.lab.simulation.faults.faults import PlantedFailure
+from workers.lab.simulation.faults.plan import (
+    DRAWN_KINDS,
+    SCENE_S,
+    FailureKind,
+    LogPlan,
+    PlannedFailure,
+)
+from workers.lab.simulation.sensor.lidar import SimulatedFrame
+from workers.lab.simulation.world.street import Street
+
+LEAST_S: Final = 0.6
+"""What is shorter than half a second is no failure, and frames lie up to 0.1 s apart."""
+
+_FLICKER_LEAST_S: Final = 1.2
+"""A flickering thing is wrong for two thirds of its time only."""
+
+_SETTLED_S: Final = 1.2
+"""Before, the streams of a log have no past: nothing could contradict, nothing is planted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Redraw:
+    """What became of a failure for which no thing was found.
+
+    Attributes:
+        planned: As the fleet's plan had it.
+        kind: What was planted instead; None: nothing.
+        cell: In which scene.
+    """
+
+    planned: PlannedFailure
+    kind: FailureKind | None
+    cell: int
+
+
+def plant(
+    street: Street,
+    plan: LogPlan,
+    *,
+    look: Callable[[int], SimulatedFrame],
+    period_s: float,
+) -> tuple[tuple[PlantedFailure, ...], tuple[Redraw, ...]]:
+    """Choose a thing and a window for every failure that is planned for a log.
+
+    Args:
+        street: The street of the log.
+        plan: What is wanted in it.
+        look: The frame of a number, as it will be written, disturbances included.
+        period_s: Time between frames.
+
+    Returns:
+        The failures, one for each that was planned unless nothing at all was found, and what was
+        moved or drawn anew.
+    """
+    rng = np.random.default_rng([plan.seed, 0xBAD])
+    views: dict[int, CellView] = {}
+
+    def view(cell: int) -> CellView:
+        if cell not in views:
+            first = max(cell * SCENE_S, _SETTLED_S)
+            views[cell] = look_at(
+                street, look, from_s=first, to_s=(cell + 1) * SCENE_S, period_s=period_s
+            )
+        return views[cell]
+
+    planted: list[PlantedFailure] = []
+    redraws: list[Redraw] = []
+    taken = {each.cell for each in plan.failures}
+    for planned in plan.failures:
+        free = [cell for cell in range(plan.scenes) if cell not in taken]
+        found = None
+        for kind, cell in _tries(planned, free, rng):
+            found = _plant(view(cell), kind, planned.common_mode, cell, rng)
+            if found is not None:
+                break
+        taken.discard(planned.cell)
+        if found is not None:
+            planted.append(found)
+            taken.add(found.cell)
+        if found is None or (found.kind, found.cell) != (planned.kind, planned.cell):
+            became, cell = (None, planned.cell) if found is None else (found.kind, found.cell)
+            redraws.append(Redraw(planned, became, cell))
+    planted.sort(key=lambda each: each.start_s)
+    return tuple(planted), tuple(redraws)
+
+
+def _tries(
+    planned: PlannedFailure, free: Sequence[int], rng: np.random.Generator
+) -> Iterator[tuple[FailureKind, int]]:
+    """The kind in its scene, the kind in others of the log, then other kinds in its scene."""
+    yield planned.kind, planned.cell
+    for cell in rng.permutation(len(free)):
+        yield planned.kind, free[cell]
+    others = [kind for kind in DRAWN_KINDS if kind is not planned.kind]
+    for place in rng.permutation(len(others)):
+        yield others[place], planned.cell
+
+
+def _plant(
+    view: CellView, kind: FailureKind, common_mode: bool, cell: int, rng: np.random.Generator
+) -> PlantedFailure | None:
+    shared = common_mode and kind is FailureKind.MISSED_MOVER
+    least_s = _FLICKER_LEAST_S if kind is FailureKind.FLICKER else LEAST_S
+    able = [
+        each for each in candidates_of(view, kind, common_mode=shared) if each.lasts_s >= least_s
+    ]
+    if not able:
+        return None
+    if shared:  # a stream that answers at once misses what goes slowly, whatever else it is
+        chosen = min(able, key=lambda each: _pace(view, each))
+    else:
+        chosen = able[int(rng.integers(len(able)))]
+    start_s, end_s = _window(chosen, kind, least_s, rng)
+    return PlantedFailure(
+        kind=kind,
+        track=chosen.track,
+        start_s=round(start_s, 3),
+        end_s=round(end_s, 3),
+        other_track=chosen.other_track,
+        place_m=chosen.place_m,
+        range_m=chosen.range_m,
+        cell=cell,
+        common_mode=shared,
+        because=chosen.because,
+        class_name=chosen.class_name,
+    )
+
+
+def _pace(view: CellView, each: Candidate) -> tuple[float, int]:
+    """How fast a mover truly goes, metres a second in a straight line, and its number."""
+    early, late = (
+        view.street.actor_poses(time_s)[each.track, :2]
+        for time_s in (each.start_s, each.start_s + each.lasts_s)
+    )
+    return float(np.hypot(*(late - early))) / each.lasts_s, each.track
+
+
+def _window(
+    chosen: Candidate, kind: FailureKind, least_s: float, rng: np.random.Generator
+) -> tuple[float, float]:
+    lasts_s = float(rng.uniform(least_s, chosen.lasts_s))
+    if kind is FailureKind.LATE_DETECTION:
+        return chosen.start_s, chosen.start_s + lasts_s
+    start_s = chosen.start_s + float(rng.uniform(0.0, max(chosen.lasts_s - lasts_s, 0.0)))
+    return start_s, start_s + lasts_s

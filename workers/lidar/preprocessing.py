@@ -1,0 +1,135 @@
+"""What one frame is turned into before anything moves: ground, range image, voxels, pose."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import Mask, Points, Transform
+from schemas.frame import LidarFrame
+from schemas.labels import Blindness, FrameHealth
+from workers.lidar.beam_image import range_image
+from workers.lidar.beam_learner import BeamLearner
+from workers.lidar.beam_table import MIN_RANGE_M, BeamTable
+from workers.lidar.deskew import Twist, deskew, time_from_middle_s
+from workers.lidar.enough_points import too_little
+from workers.lidar.ground import ground_mask
+from workers.lidar.sensor_height import estimate_sensor_height
+from workers.points.point_kernels import judged_rows, moved_rows, returns_within, rows_about
+from workers.points.se3 import inverse
+from workers.points.voxels import Voxels, voxelize
+
+MAX_RANGE_M: Final = 80.0
+"""Beyond it neighbouring beams are 0.6 m apart or more, and a car is a handful of points."""
+
+MAX_HEIGHT_M: Final = 3.0
+"""Over the sensor: the highest lorry ends below it wherever the sensor is on a car's roof."""
+
+FARTHEST_M: Final = 1000.0
+"""No lidar of a car sees as far; what lies beyond, or is no number, is no return."""
+
+MIN_PLACES: Final = 3
+"""Cells of 1.5 m that a frame must fill to be compared; whether they fix a pose, odometry says."""
+
+_HERE: Final = np.zeros(3, np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prepared:
+    """One frame, ready to be compared with others.
+
+    Attributes:
+        points_m: (M, 3) its valid points about the beams' origin, brought to the middle of the
+            sweep where their times are known.
+        valid_index: (M,) which points of the frame they are.
+        ground: (M,) which of them lie on the ground.
+        judged_index: (J,) which of them take part: off the ground, in range, not too high.
+        voxels: Of the judged points, odom space.
+        image: (R, C) range image of all of them.
+        odom_from_beams: (4, 4) where the beams met.
+        beams_from_odom: (4, 4) the same, turned round.
+    """
+
+    points_m: Points
+    valid_index: NDArray[np.int64]
+    ground: Mask
+    judged_index: NDArray[np.int64]
+    voxels: Voxels
+    image: NDArray[np.float32]
+    odom_from_beams: Transform
+    beams_from_odom: Transform
+
+
+class Preparation:
+    """Prepares the frames of one sensor; learns its beams and its height as they come."""
+
+    def __init__(self) -> None:
+        self._beams = BeamLearner()
+        self.sensor_height_m: float = 0.0
+
+    @property
+    def table(self) -> BeamTable | None:
+        """Beams of the sensor, as far as they are known."""
+        return self._beams.table
+
+    def __call__(
+        self, frame: LidarFrame, odom_from_sensor: Transform, velocity: Twist | None
+    ) -> Prepared | None:
+        """Prepare a frame.
+
+        Args:
+            frame: The frame.
+            odom_from_sensor: (4, 4) pose in the middle of its sweep.
+            velocity: Twist of the sensor per second, to undo the motion within the sweep; None
+                when it is not known.
+
+        Returns:
+            None when the frame says nothing: next to no point, or no beams that could be measured.
+        """
+        valid_index = _returns(frame)
+        points_m = rows_about(frame.points_m, valid_index, _HERE)
+        if too_little(points_m, places=MIN_PLACES):
+            return None
+        if self._beams.learn(points_m, frame.ring[valid_index]):
+            self.sensor_height_m = 0.0
+        if self.table is None or len(self.table.tangents) == 0:
+            return None
+        time_s = time_from_middle_s(frame)
+        if velocity is not None and time_s is not None:
+            points_m = deskew(points_m, time_s[valid_index], velocity)
+        points_m = points_m - self.table.origin_m.astype(np.float32)
+        if not self.sensor_height_m:
+            self.sensor_height_m = estimate_sensor_height(points_m)
+        ground = ground_mask(points_m, sensor_height_m=self.sensor_height_m)
+
+        judged_index = judged_rows(points_m, ground, MIN_RANGE_M, MAX_RANGE_M, MAX_HEIGHT_M)
+        odom_from_beams = odom_from_sensor.copy()
+        odom_from_beams[:3, 3] += odom_from_sensor[:3, :3] @ self.table.origin_m
+        return Prepared(
+            points_m=points_m,
+            valid_index=valid_index,
+            ground=ground,
+            judged_index=judged_index,
+            voxels=voxelize(moved_rows(points_m, judged_index, odom_from_beams)),
+            image=range_image(points_m, self.table),
+            odom_from_beams=odom_from_beams,
+            beams_from_odom=inverse(odom_from_beams),
+        )
+
+    def problem(self, frame: LidarFrame) -> FrameHealth:
+        """Say why nothing can be judged in a frame, as far as points and beams are to blame."""
+        index = _returns(frame)
+        if len(index) == 0:
+            what = f"none of {len(frame)} points is a return" if len(frame) else "no point"
+            return FrameHealth(Blindness.NO_POINTS, what)
+        little = too_little(frame.points_m[index], places=MIN_PLACES)
+        if little:
+            return FrameHealth(Blindness.NO_POINTS, little)
+        reason = self.table.reason if self.table is not None else ""
+        return FrameHealth(Blindness.NO_BEAMS, f"beams cannot be trusted: {reason}")
+
+
+def _returns(frame: LidarFrame) -> NDArray[np.int64]:
+    """Points that say something of the world: none invalid, no number, or beyond all reach."""
+    return returns_within(frame.points_m, frame.valid_mask, np.float32(FARTHEST_M))

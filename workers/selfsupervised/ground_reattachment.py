@@ -1,0 +1,64 @@
+"""Ground that belongs to movers: ground removal takes the low and level parts of what stands on it.
+
+Sills, bumpers and bonnets are as even as a road. A road was never seen through; where a mover is
+now, frames before it saw the street behind.
+"""
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from schemas.arrays import Mask, Points
+from workers.lidar.preprocessing import Prepared
+from workers.points.neighbours import build_grid, nearest_indices
+from workers.points.point_kernels import moved_rows
+from workers.points.step_names import step
+
+TOUCHING_M: Final = 0.2
+"""From the mean of a voxel's points to those in the next one: the lowest hand's breadth."""
+
+REACH_M: Final = 0.5
+"""Between points of one body, as clusters are joined."""
+
+SeenThrough = Callable[[Points], Mask]
+"""Says which places other frames saw through."""
+
+
+@step("reattach")
+def ground_of_movers(
+    prepared: Prepared,
+    moves: Mask,
+    confirmed: Mask,
+    ground: Mask,
+    seen_through: SeenThrough,
+) -> tuple[Mask, Mask]:
+    """Find the ground points that touch a mover, or lie beside it where the road was seen before.
+
+    Args:
+        prepared: The frame.
+        moves: (V,) voxels that move.
+        confirmed: (V,) those that are confirmed.
+        ground: (M,) which of the frame's points are asked about.
+        seen_through: Asks other frames about places in odom space.
+
+    Returns:
+        (M,) ground that belongs to a mover, and (M,) to a confirmed one.
+    """
+    of_mover, of_confirmed = np.zeros((2, len(ground)), np.bool_)
+    moving = np.flatnonzero(moves)
+    asked = np.flatnonzero(ground)
+    if len(moving) == 0 or len(asked) == 0:
+        return of_mover, of_confirmed
+    grid = build_grid(prepared.voxels.centroids_m[moving], prepared.odom_from_beams[:3, 3])
+    places = moved_rows(prepared.points_m, asked, prepared.odom_from_beams)
+    nearest = nearest_indices(grid, places, REACH_M)
+    beside = np.flatnonzero(nearest >= 0)
+    asked, places, nearest = asked[beside], places[beside], nearest[beside]
+    apart_m = np.linalg.norm(places - grid.points_m[nearest], axis=1)
+    belongs = apart_m < TOUCHING_M
+    further = np.flatnonzero(~belongs)
+    belongs[further] = seen_through(places[further])
+    of_mover[asked[belongs]] = True
+    of_confirmed[asked[belongs]] = confirmed[moving[grid.order[nearest[belongs]]]]
+    return of_mover, of_confirmed

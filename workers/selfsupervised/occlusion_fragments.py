@@ -1,0 +1,83 @@
+"""Pieces of movers: what is half hidden falls apart into clusters too small to be judged alone."""
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import Points
+from workers.points.neighbours import build_grid, nearest_indices
+from workers.points.step_names import step
+from workers.selfsupervised.evidence import Evidence
+from workers.selfsupervised.ground_artefacts import are_strips
+from workers.selfsupervised.motion import ClusterMotions
+from workers.selfsupervised.tracker import Tracked
+
+MAX_VOXELS: Final = 60
+MAX_EXTENT_M: Final = 3.0
+"""A piece is smaller than the thing: half a car."""
+
+REACH_M: Final = 0.9
+"""Half the width of a car: what separates its visible sides when the middle is hidden."""
+
+MIN_NEAR_SHARE: Final = 0.5
+_STANDS_VOTES: Final = 2.0
+WAS_THERE_VOTES: Final = 4.0
+_WAS_THERE_FREE_SHARE: Final = 0.1
+
+
+@step("fragments")
+def fragments_of_movers(
+    points_m: Points,
+    found: ClusterMotions,
+    tracked: Tracked,
+    evidence: Evidence,
+    *,
+    centre_m: NDArray[np.floating],
+) -> Tracked:
+    """Find the small clusters that nothing speaks against and that lie close beside a mover.
+
+    Args:
+        points_m: (V, 3) voxel centroids off the ground, odom space.
+        found: Their clusters and motions.
+        tracked: Which of them move, and which are confirmed.
+        evidence: What free space says about the voxels.
+        centre_m: (3,) the sensor, odom space.
+
+    Returns:
+        The same with those clusters: dynamic, and confirmed where most of what is close beside
+        belongs to something confirmed. A piece says nothing that its mover did not.
+    """
+    clusters, votes = found.clusters, evidence.votes
+    size = np.maximum(clusters.sizes, 1)
+    seen = clusters.mean(votes.occupied)
+    free_share = clusters.count(votes.seen_through) / size
+    stands = found.still & (seen > _STANDS_VOTES)
+    was_there = (free_share < _WAS_THERE_FREE_SHARE) & (seen > WAS_THERE_VOTES)
+    asked = ~tracked.dynamic & (size <= MAX_VOXELS) & (found.extent_m <= MAX_EXTENT_M)
+    asked &= ~stands & ~was_there
+    moving = np.flatnonzero(clusters.member_mask(tracked.dynamic))
+    if len(moving) == 0 or not asked.any():
+        return tracked
+    members = np.flatnonzero(clusters.member_mask(asked))
+    grid = build_grid(points_m[moving], centre_m)
+    nearest = nearest_indices(grid, points_m[members], REACH_M)
+    beside = moving[grid.order[nearest[nearest >= 0]]]
+    near, near_confirmed = np.zeros((2, len(points_m)), np.bool_)
+    near[members[nearest >= 0]] = True
+    near_confirmed[members[nearest >= 0]] = clusters.member_mask(tracked.confirmed)[beside]
+    merged = asked & (clusters.count(near) > MIN_NEAR_SHARE * size)
+    merged &= ~are_strips(
+        points_m,
+        clusters,
+        merged,
+        beams_from_odom=evidence.beams_from_odom,
+        sensor_height_m=evidence.sensor_height_m,
+    )
+    of_confirmed = merged & (clusters.count(near_confirmed) > MIN_NEAR_SHARE * size)
+    return replace(
+        tracked,
+        dynamic=tracked.dynamic | merged,
+        confirmed=tracked.confirmed | of_confirmed,
+    )

@@ -1,0 +1,67 @@
+"""Whether a frame follows the one before it: later frames are asked only as far as poses go on."""
+
+from collections import deque
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import NS_PER_S, Points
+from workers.selfsupervised.history import PastFrame, expected_m
+from workers.selfsupervised.pose_consistency import FitMonitor
+from workers.selfsupervised.registration import reference_to
+
+LONGEST_S: Final = 0.45
+"""Between two frames; after longer gaps too little of a street is still in sight to compare."""
+
+
+class Following:
+    """Compares each frame with the one before it, as it comes."""
+
+    def __init__(self) -> None:
+        self._fit = FitMonitor()
+        self._before: deque[PastFrame] = deque(maxlen=2)
+
+    def follows(self, frame: PastFrame, points_m: Points, *, anew: bool) -> bool:
+        """Say whether a frame fits the one before it, so that both may be asked of one place.
+
+        Args:
+            frame: The frame.
+            points_m: (V, 3) its voxel centroids off the ground, odom space.
+            anew: Whether it is not compared with any before it.
+        """
+        if anew:
+            self._before.clear()
+        said = [each.said_in(frame.space) for each in self._before]
+        expected = expected_m(said, frame.stamp_ns)
+        last = said[-1] if said else None
+        self._before.append(frame)
+        return last is None or fits(self._fit, frame, points_m, last, expected_m=expected)
+
+
+def fits(
+    monitor: FitMonitor,
+    frame: PastFrame,
+    points_m: Points,
+    last: PastFrame,
+    *,
+    expected_m: NDArray[np.floating] | None = None,
+) -> bool:
+    """Say whether a frame fits one before it, as far as frames of this log usually do.
+
+    Args:
+        monitor: Knows what is usual, and learns of it.
+        frame: The frame.
+        points_m: (V, 3) its voxel centroids off the ground, odom space.
+        last: The frame before it, in any space.
+        expected_m: (3,) where the sensor would be had it gone on as it went; None if unknown.
+    """
+    age_s = (frame.stamp_ns - last.stamp_ns) / NS_PER_S
+    if age_s > LONGEST_S:
+        return False
+    centre_m, last = frame.odom_from_beams[:3, 3], last.said_in(frame.space)
+    reference = reference_to(last.grid, last.odom_from_beams[:3, 3], age_s)
+    known = np.ones(len(points_m), np.bool_)
+    # one frame is asked, of what is known: of the far one nothing
+    near, far = (reference, known), (reference, ~known)
+    return not monitor.problem(points_m, centre_m, near=near, far=far, expected_m=expected_m)

@@ -1,0 +1,217 @@
+"""One pass of the default self-supervised stream over the frames of a shard: all its state."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import NS_PER_S, Mask, Points, Transform
+from schemas.frame import LidarFrame, OdometryState, PosedFrame
+from schemas.labels import Blindness, FrameHealth, FrameLabels
+from workers.free_space import HIDDEN, count_votes, visibility
+from workers.lidar.deskew import Twist, twist
+from workers.lidar.preprocessing import Preparation
+from workers.points.neighbours import build_grid
+from workers.points.se3 import inverse
+from workers.selfsupervised.evidence import Evidence
+from workers.selfsupervised.history import (
+    FAR_AGE_S,
+    MAX_GAP_NS,
+    NEAR_AGE_S,
+    History,
+    PastFrame,
+    voters,
+)
+from workers.selfsupervised.labelling import nothing_known, to_labels
+from workers.selfsupervised.lookahead_buffer import Ready, Waiting
+from workers.selfsupervised.motion import find_motions
+from workers.selfsupervised.occlusion_fragments import fragments_of_movers
+from workers.selfsupervised.pose_consistency import FitMonitor
+from workers.selfsupervised.pose_continuity import Following, fits
+from workers.selfsupervised.registration import Reference, reference_to
+from workers.selfsupervised.single_voxels import specks_of_movers
+from workers.selfsupervised.tracker import Tracker
+
+_NEAR_AGES_S: Final = (0.04, 0.45)
+_FAR_AGES_S: Final = (0.38, 0.75)
+"""From 0.38 s on: at 5 Hz the closest is 0.4 s old."""
+
+
+class Run:
+    """State of one pass over the frames of a shard.
+
+    Within a second of the clock everything is said in the space of its first frame: voxels are then
+    the same wherever a log was cut, if poses are. To what is below, that is odom space.
+    """
+
+    def __init__(self, *, looks_ahead: bool = False) -> None:
+        self._prepare = Preparation()
+        self._history = History()
+        self._tracker = Tracker()
+        self._fit = FitMonitor()
+        self._following = Following() if looks_ahead else None
+        self._refused: PastFrame | None = None
+        self._apart = False
+        self._last: PosedFrame | None = None
+        self._first_ns = 0
+        self._space: Transform = np.eye(4)
+        self._said_in = self._space
+
+    def prepare(self, posed: PosedFrame) -> Waiting:
+        """Turn a frame into what can be compared, as soon as it is there."""
+        frame = posed.frame
+        last_ns = None if self._last is None else self._last.frame.stamp_ns
+        anew = last_ns is not None and not 0 < frame.stamp_ns - last_ns <= MAX_GAP_NS
+        if anew:
+            self._last = None
+        if anew or frame.stamp_ns // NS_PER_S != self._first_ns // NS_PER_S:
+            self._first_ns, self._space = frame.stamp_ns, posed.odom_from_sensor
+        before, local = self._prepare.table, inverse(self._space) @ posed.odom_from_sensor
+        prepared = self._prepare(frame, local, self._velocity(posed))
+        table = self._prepare.table
+        anew |= table is not before
+        self._last = posed
+        if prepared is None or table is None:
+            health = self._prepare.problem(frame)
+            return Waiting(frame, nothing_known(frame, health=health), anew=anew)
+        if posed.odometry is OdometryState.LOST:
+            self._last = None
+            health = FrameHealth(Blindness.NO_POSE, f"odometry lost: {posed.reason}")
+            return Waiting(frame, nothing_known(frame, prepared, health=health), anew=True)
+        places, pose = prepared.voxels.centroids_m, prepared.odom_from_beams
+        grid = build_grid(places, pose[:3, 3])
+        away, image = prepared.beams_from_odom, prepared.image
+        seen = PastFrame(frame.stamp_ns, self._space, pose, away, image, grid)
+        if self._following is not None:
+            self._apart = not self._following.follows(seen, places, anew=anew)
+        blind = None if table.trusted else self._prepare.problem(frame)
+        ready = Ready(prepared, seen, table, self._prepare.sensor_height_m, blind)
+        return Waiting(frame, ready, anew=anew, apart=self._apart)
+
+    def label(self, waiting: Waiting, later: Sequence[PastFrame]) -> FrameLabels:
+        """Label a frame, asking those before it, and those after it that it waited for.
+
+        A frame that does not fit is left out. One that fits the frame left out right before it says
+        that poses went on from another place: it is the first of what follows (of the one before it
+        the sweep was bent by the jump).
+        """
+        if waiting.anew:
+            self._begin_anew()
+        if not isinstance(waiting.content, Ready):
+            return waiting.content
+        self._say_in(waiting.content.seen.space)
+        answer = self._compare(waiting.frame, waiting.content, later)
+        seen, refused = waiting.content.seen, self._refused
+        match answer.health.blindness:
+            case Blindness.NO_FIT:
+                places = waiting.content.prepared.voxels.centroids_m
+                if refused is None or not fits(self._fit, seen, places, refused):
+                    self._refused = seen
+                    return answer
+                self._begin_anew()
+            case Blindness.NO_PAST if refused is not None:
+                self._begin_anew()
+        self._refused = None
+        self._history.add(seen)
+        return answer
+
+    def _say_in(self, space: Transform) -> None:
+        """Say what is remembered in another space, (4, 4) odom from it."""
+        if space is not self._said_in:
+            self._history.say_in(space)
+            self._tracker.move(inverse(space) @ self._said_in)
+            self._said_in = space
+
+    def _begin_anew(self) -> None:
+        """Forget the frames so far: what comes cannot be compared with them."""
+        self._history.clear()
+        self._tracker.clear()
+        self._refused = None
+
+    def _compare(self, frame: LidarFrame, ready: Ready, later: Sequence[PastFrame]) -> FrameLabels:
+        """Compare a frame with those before it, and with those after it."""
+        prepared, now_ns, space = ready.prepared, frame.stamp_ns, ready.seen.space
+        near = self._history.closest(NEAR_AGE_S, now_ns, between=_NEAR_AGES_S)
+        far = self._history.closest(FAR_AGE_S, now_ns, between=_FAR_AGES_S)
+        if ready.blind is not None:
+            return nothing_known(frame, prepared, health=ready.blind)
+        if near is None or far is None:
+            health = FrameHealth(Blindness.NO_PAST, self._no_past(now_ns))
+            return nothing_known(frame, prepared, health=health)
+
+        places, centre_m = prepared.voxels.centroids_m, prepared.odom_from_beams[:3, 3]
+
+        def ask(points_m: Points, other: PastFrame) -> NDArray[np.int8]:
+            return visibility(points_m, other.beams_from(space), other.image, ready.table)
+
+        def seen_through(points_m: Points) -> Mask:
+            before, later = (
+                count_votes([ask(points_m, each) for each in frames], len(points_m))
+                for frames in (asked.values(), afterwards)
+            )
+            return before.seen_through | later.seen_through
+
+        asked = {past.stamp_ns: past for past in (*self._history.voters(now_ns), near, far)}
+        answers = {stamp_ns: ask(places, past) for stamp_ns, past in asked.items()}
+        references = _reference(near, now_ns), _reference(far, now_ns)
+        misfit = self._fit.problem(
+            places,
+            centre_m,
+            near=(references[0], answers[near.stamp_ns] != HIDDEN),
+            far=(references[1], answers[far.stamp_ns] != HIDDEN),
+            expected_m=self._history.expected_m(now_ns),
+        )
+        if misfit:
+            health = FrameHealth(Blindness.NO_FIT, misfit)
+            return nothing_known(frame, prepared, health=health)
+        votes = count_votes(answers.values(), len(places))
+        afterwards = voters(later, now_ns)
+        after = count_votes([ask(places, each) for each in afterwards], len(places))
+        evidence = Evidence(
+            votes=votes,
+            after=after,
+            near=answers[near.stamp_ns],
+            far=answers[far.stamp_ns],
+            image=prepared.image,
+            table=ready.table,
+            sensor_height_m=ready.sensor_height_m,
+            beams_from_odom=prepared.beams_from_odom,
+        )
+        found = find_motions(places, *references, evidence)
+        tracked = self._tracker.update(
+            places, found, votes, centre_m=centre_m, now_ns=now_ns, table=ready.table
+        )
+        tracked = fragments_of_movers(places, found, tracked, evidence, centre_m=centre_m)
+        found = specks_of_movers(places, found, tracked.dynamic, votes, centre_m=centre_m)
+        velocity = (tracked.velocity_m_per_s @ space[:3, :3].T).astype(np.float32)
+        tracked = replace(tracked, velocity_m_per_s=velocity)
+        opinions = votes + after
+        known = opinions.known
+        seen_share = float(known.mean()) if len(known) else float("nan")
+        labels = to_labels(frame, prepared, found, tracked, opinions, seen_through=seen_through)
+        return replace(labels, health=FrameHealth(seen_share=seen_share))
+
+    def _velocity(self, posed: PosedFrame) -> Twist | None:
+        """Twist of the sensor per second; None where two poses in a row cannot be believed.
+
+        A jump of one pose would be undone within the next sweep as well, and bend its cloud.
+        """
+        last = self._last
+        # who looks ahead judges frames later, but knows at once whether one follows another
+        doubted = self._apart if self._following is not None else self._refused is not None
+        healthy = posed.odometry is OdometryState.HEALTHY
+        if last is None or doubted or not healthy or last.odometry is not OdometryState.HEALTHY:
+            return None
+        dt_s = (posed.frame.stamp_ns - last.frame.stamp_ns) / NS_PER_S
+        return twist(inverse(last.odom_from_sensor) @ posed.odom_from_sensor) / dt_s
+
+    def _no_past(self, now_ns: int) -> str:
+        span_s = self._history.span_s(now_ns)
+        return f"{span_s:.1f} s of earlier frames, {_FAR_AGES_S[0]} s are needed"
+
+
+def _reference(past: PastFrame, now_ns: int) -> Reference:
+    age_s = (now_ns - past.stamp_ns) / NS_PER_S
+    return reference_to(past.grid, past.odom_from_beams[:3, 3], age_s)

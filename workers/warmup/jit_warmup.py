@@ -1,0 +1,121 @@
+"""Compiles the loops of the stages in a process of its own: the compiler's memory goes with it.
+
+What the compiler leaves behind in a process is half as much again as the stream needs. A child
+compiles, on a small street, and leaves the loops in numba's cache on disk; whoever labels loads
+them from there.
+"""
+
+import fcntl
+import hashlib
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import metadata
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import structlog
+
+from schemas.contradiction import LabelledFrame, Scene
+from schemas.frame import PosedFrame
+from schemas.labels import FrameLabels, MotionLabel
+from schemas.task import MOTION
+from workers.contradiction.agreement import compare
+from workers.points.compiled import COMPILED, cache_folder
+from workers.points.point_kernels import within
+from workers.sources import source_digest
+
+log = structlog.get_logger(__name__)
+
+_CHILD_S: Final = 3600.0
+"""Fifteen to thirty seconds on a quiet core, ten minutes were seen on one shared by fourteen."""
+
+
+def compile_apart() -> None:
+    """See to it that the loops of the default stream are compiled, once for a machine.
+
+    Of several processes that begin at once, one compiles and the others wait for it. Where the
+    cache cannot be written, or the child fails, that is said, and this process compiles by itself.
+    """
+    folder = cache_folder(within)
+    if folder is None:
+        return  # said where the loops were made
+    marker = Path(folder) / _marker()
+    if marker.exists():
+        return
+    try:
+        with _alone(marker.with_suffix(".lock")):
+            if not marker.exists():
+                log.info("compiling loops, once for this version", folder=folder)
+                _in_child()
+                marker.touch()
+    except (OSError, subprocess.SubprocessError) as error:
+        log.warning(
+            "loops could not be compiled apart: this process compiles them, and needs more memory",
+            folder=folder,
+            problem=str(error),
+        )
+
+
+def rehearse() -> None:
+    """Mine a small street by the default parts, so that every loop is called.
+
+    Networks take no part: their loops are called beside. What the supervised stream says stands in
+    for it, so that something contradicts.
+    """
+    from workers.contradiction.instances import find_instances
+    from workers.contradiction.track_score import rank_tracks
+    from workers.odometry.odometry import KissOdometry
+    from workers.selfsupervised.stream import Registration
+    from workers.warmup.loops import call_loops
+    from workers.warmup.warmup_scene import rehearsal
+    from workers.witness.free_space import TwoSidedFreeSpace
+
+    for with_beams in (True, False):
+        posed = list(KissOdometry()(rehearsal(with_beams=with_beams)))
+        labelled = map(_all_moves, posed, Registration()(iter(posed)))
+        scene = Scene("rehearsal/0", tuple(TwoSidedFreeSpace()(labelled)))
+        rank_tracks(scene, find_instances(scene, class_names=()))
+    call_loops(next(rehearsal(with_beams=True)))
+
+
+def _all_moves(posed: PosedFrame, predictive: FrameLabels) -> LabelledFrame:
+    count = len(posed.frame)
+    semantic = FrameLabels(
+        labels=np.full(count, MotionLabel.DYNAMIC, np.uint8),
+        confidence=np.ones(count, np.float16),
+    )
+    agreements = compare(semantic.labels, predictive.labels, MOTION)
+    return LabelledFrame(posed, semantic, predictive, agreements, MOTION)
+
+
+def _marker() -> str:
+    """Name all that compiled code hangs on: sources, compiler, processor."""
+    from numba.core.registry import cpu_target
+
+    processor = repr(cpu_target.target_context.codegen().magic_tuple())
+    said = f"{source_digest(*COMPILED)} {metadata.version('numba')} {sys.version} {processor}"
+    return f"loops-{hashlib.sha256(said.encode()).hexdigest()[:16]}.compiled"
+
+
+def _in_child() -> None:
+    subprocess.run(
+        [sys.executable, "-m", "workers.warmup.jit_warmup"],
+        check=True,
+        capture_output=True,
+        timeout=_CHILD_S,
+    )
+
+
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Hold a lock between processes; it ends with its holder, however that ends."""
+    with path.open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+if __name__ == "__main__":
+    rehearse()
