@@ -21,8 +21,28 @@ MAX_WORDS: Final = 30
 """Words of a sentence at most; the rule asks for about 20, and lists need more."""
 
 OPENERS: Final = frozenset(
-    ("and", "as", "beside", "but", "how", "if", "nobody", "so", "than", "that", "what", "whatever")
-    + ("when", "where", "whether", "which", "who", "whoever", "whose", "why")
+    {
+        "and",
+        "as",
+        "beside",
+        "but",
+        "how",
+        "if",
+        "nobody",
+        "so",
+        "than",
+        "that",
+        "what",
+        "whatever",
+        "when",
+        "where",
+        "whether",
+        "which",
+        "who",
+        "whoever",
+        "whose",
+        "why",
+    }
 )
 """First words of a docstring that begin a question or continue another sentence."""
 
