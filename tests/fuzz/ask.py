@@ -1,20 +1,24 @@
 """Asks a real service thousands of questions: `python -m tests.fuzz.ask --examples 2000`.
 
-The questions are the same in every run: made by hypothesis, derandomized.
+The questions are the same in every run: made by hypothesis from seeds.
 """
 
 import argparse
 import sys
 import tempfile
 from pathlib import Path
+from typing import Final
 
-from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import HealthCheck, Phase, given, seed, settings
 
 from tests.fuzz.asked_service import AskedService, Report, asked_service
 from tests.fuzz.questions import Question, questions
 
 MOST_MB = 300
 """Memory of a service, whatever is asked of it."""
+
+PART: Final = 250
+"""Questions of one seed."""
 
 
 def main() -> int:
@@ -42,9 +46,15 @@ def ask_many(folder: Path, *, examples: int) -> Report:
 
 
 def _ask(service: AskedService, examples: int) -> None:
+    """Ask in parts: hypothesis remembers every question of a part, large ones too."""
+    for part, first in enumerate(range(0, examples, PART)):
+        _ask_part(service, min(PART, examples - first), part)
+
+
+def _ask_part(service: AskedService, examples: int, part: int) -> None:
+    @seed(part)
     @settings(
         max_examples=examples,
-        derandomize=True,
         database=None,
         deadline=None,
         phases=[Phase.generate],
