@@ -16,6 +16,8 @@ PAGES: Final = sorted(
 )
 README: Final = ROOT / "README.md"
 
+GENERATED: Final = frozenset({"GLOSSARY.md", "METRICS.md", "SETTINGS.md"})
+
 MAX_README_LINES: Final = 100
 MAX_COLUMNS: Final = 120
 
@@ -83,6 +85,28 @@ def test_a_broken_link_and_a_missing_title_are_found() -> None:
         "README.md#four: no such title",
     ]
     assert module_names("`workers/nowhere.py`, `workers`") == {"workers/nowhere.py"}
+
+
+def wide_lines(text: str) -> list[str]:
+    """Return the lines of prose that are too long: tables and code are left out."""
+    lines = _FENCE.sub("", text).splitlines()
+    return [
+        each for each in lines if len(each) >= MAX_COLUMNS and not each.lstrip().startswith("|")
+    ]
+
+
+@pytest.mark.parametrize(
+    "page",
+    [page for page in PAGES if page.name not in GENERATED],
+    ids=lambda page: page.relative_to(ROOT).as_posix(),
+)
+def test_the_prose_of_every_page_is_narrow(page: Path) -> None:
+    assert wide_lines(page.read_text(encoding="utf-8")) == []
+
+
+def test_a_wide_line_is_found_and_a_wide_row_is_not() -> None:
+    wide = "word " * 30
+    assert wide_lines(f"{wide}\n| {wide} |\n```\n{wide}\n```\n") == [wide]
 
 
 def test_the_readme_is_short_and_narrow() -> None:
