@@ -16,7 +16,7 @@ PAGES: Final = sorted(
 )
 README: Final = ROOT / "README.md"
 
-GENERATED: Final = frozenset({"GLOSSARY.md", "METRICS.md", "SETTINGS.md"})
+GENERATED: Final = frozenset({"GLOSSARY.md", "METRICS.md", "PARTS.md", "SETTINGS.md"})
 
 MAX_README_LINES: Final = 100
 MAX_COLUMNS: Final = 120
