@@ -1,7 +1,7 @@
-"""What is published beside the records: the number of an event, and the scenes of a selection.
+"""Messages published in addition to records: event numbers, and the scenes of a selection.
 
-A record must not hold its number: records of two runs compare byte for byte, whatever the order in
-which they were committed.
+A record must not contain its event number. Records of two runs compare byte for byte, whatever the
+order in which they were committed.
 """
 
 from pydantic import BaseModel, ConfigDict, Field

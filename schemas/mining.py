@@ -1,4 +1,4 @@
-"""What every worker does alike: how logs are cut and read, and by which parts they are mined."""
+"""Mining settings that all workers share: grid of shards, reading of logs, and parts."""
 
 import re
 from typing import Final, Literal
@@ -8,13 +8,13 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from schemas.bounds import MAX_SCENES_OF_A_SHARD, Blob, Finite, Name, Url
 
 LOOKAHEAD: Final = ":lookahead-"
-"""In the name of a stream: the seconds that follow are how long it waits for later frames."""
+"""Separator in the name of a stream; the seconds it waits for later frames follow it."""
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
 
 
 class Grid(BaseModel):
-    """How logs are cut: shards are whole multiples of the scene length on one grid per log."""
+    """Grid of a log: shards are whole multiples of the scene length on one grid per log."""
 
     model_config = _STRICT
 
@@ -40,9 +40,9 @@ class Grid(BaseModel):
 
 
 class MiningSettings(BaseModel):
-    """What every worker of a service must do alike; answered to `hello`.
+    """Settings that every worker of a service must share; the reply to `hello`.
 
-    Credentials are never part of it: each process takes its own from its environment.
+    They never contain credentials: each process takes its own from its environment.
     """
 
     model_config = _STRICT
@@ -110,12 +110,12 @@ class MiningSettings(BaseModel):
 
     @property
     def takes_recorded(self) -> bool:
-        """Whether the supervised stream, for whatever task, is what the log itself says."""
+        """True if the supervised stream, for any task, reads the labels recorded in the log."""
         return self.supervised.partition(":")[0] == "recorded"
 
     @property
     def ahead_ns(self) -> int:
-        """How much later than a frame those are that its labels may wait for."""
+        """Time by which later frames may influence a frame's labels, nanoseconds."""
         _, found, lookahead_s = self.selfsupervised.partition(LOOKAHEAD)
         return round(float(lookahead_s) * 1e9) if found else 0
 

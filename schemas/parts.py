@@ -1,6 +1,6 @@
-"""The parts that settings can name, each in a line: what `--help` and `counterpoint parts` say.
+"""Names of the parts that settings accept, each with the line that `--help` shows.
 
-`workers.parts.registry` builds them; a test holds its names against these.
+`workers.parts.registry` builds them; a test compares its names with these.
 """
 
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""An error as it is answered over the bus."""
+"""Error reply on the bus."""
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -6,7 +6,7 @@ from schemas.bounds import Text
 
 
 class Problem(BaseModel):
-    """Why a question got no answer, in one sentence, and whether asking again may help."""
+    """Cause for which a request got no reply, in one sentence, and if a retry may help."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

@@ -1,4 +1,4 @@
-"""`run --dry-run`: what lies in the bucket, what of it is left to mine, and for about how long."""
+"""Plan of `run --dry-run`: logs in the bucket, the work left, and an estimate of its duration."""
 
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -29,14 +29,16 @@ from service.store.throughput import Pace, pace
 log = structlog.get_logger(__name__)
 
 MOST_LOOKED_INTO: Final = 32
-"""Logs whose index is read, two range reads each: enough for a mean, seconds on any bucket."""
+"""Logs whose index is read, with two range reads each: enough for a mean, seconds on any bucket."""
 
 DEFAULT_SECONDS_PER_FRAME: Final = 0.35
-"""Measured by `run --once` on frames of 106,000 points, default streams, two workers on two cores:
-side by side they take a fifth longer than one alone."""
+"""Seconds per frame of one worker without measurements. Measured by `run --once` on frames of
+106,000 points, default streams, two workers on two cores; both together take a fifth longer than
+one alone.
+"""
 
 ENOUGH_FRAMES: Final = 100
-"""Of fewer, the first ones, which compile what they need, tell too much."""
+"""Frames below which measured times are not used; the first ones include compilation."""
 
 _STRICT: Final = ConfigDict(frozen=True, extra="forbid")
 
@@ -65,7 +67,7 @@ class DryLog(BaseModel):
 
 
 class DryRun(BaseModel):
-    """What a run would mine, and an estimate of the hours."""
+    """Work that a run would do, and an estimate of its hours."""
 
     model_config = _STRICT
 
@@ -90,18 +92,18 @@ class DryRun(BaseModel):
 def plan_dry_run(
     settings: Settings, *, on_progress: Callable[[int, int], None] = lambda _done, _total: None
 ) -> DryRun:
-    """List the logs that count, look into a few that are not mined yet, and extrapolate.
+    """List the logs that count, read the index of a few that are not mined yet, and extrapolate.
 
-    Nothing is written. Where there is a state, what it has mined under the pipeline version that
-    these settings make is left out.
+    Nothing is written. Scenes that a state has already mined under the pipeline version of these
+    settings are left out.
 
     Args:
-        settings: Bucket, patterns, workers, and the state that may tell what is mined and how fast.
-        on_progress: Told logs looked into and to look into.
+        settings: Bucket, patterns, workers, and the state with earlier results and times.
+        on_progress: Called with the number of logs read and to be read.
 
     Raises:
         NothingFoundError: If no log counts.
-        OtherBucketError: If the state belongs to another bucket, as a run would say.
+        OtherBucketError: If the state belongs to another bucket, for which a run would fail too.
         TransientError: If the bucket, or the database, does not answer.
         PermanentError: If it refuses.
     """
@@ -150,7 +152,7 @@ def plan_dry_run(
 
 
 def _spread(count: int) -> list[int]:
-    """Choose up to `MOST_LOOKED_INTO` of so many, evenly, the first and the last among them."""
+    """Choose up to `MOST_LOOKED_INTO` indices at even intervals, with the first and the last."""
     chosen = min(count, MOST_LOOKED_INTO)
     return sorted({round(i * (count - 1) / max(1, chosen - 1)) for i in range(chosen)})
 
@@ -192,7 +194,7 @@ def _look(bucket: Bucket, recording: Recording, listed: DryLog, settings: Settin
 def _left_of(
     amounts: Sequence[float], told: Sequence[DryLog], guessed: Sequence[DryLog]
 ) -> float | None:
-    """Sum up what is left: of logs that were looked into as told, of others by their bytes."""
+    """Sum up the remaining work: measured for logs that were read, by bytes for the others."""
     left_bytes = sum(log.bytes * log.left_share for log in guessed)
     told_bytes = sum(log.bytes for log in told)
     if left_bytes and not told_bytes:
@@ -221,7 +223,7 @@ def _pace(known: "_Known", settings: Settings) -> tuple[float | None, str]:
 
 
 def _other_parts(settings: Settings) -> list[str]:
-    """Parts that are chosen and take another time than the default's."""
+    """Return chosen parts whose time differs from that of the defaults."""
     return [
         chosen
         for part in ("supervised", "selfsupervised", "odometry")
@@ -232,7 +234,7 @@ def _other_parts(settings: Settings) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class _Known:
-    """What a state tells; nothing where there is none, or one of another schema."""
+    """Data of a state; empty where there is none, or one of another schema."""
 
     pace: Pace | None = None
     standings: Standings | None = None
@@ -257,7 +259,7 @@ def _known(settings: Settings, url: str, recordings: Sequence[Recording]) -> _Kn
 
 
 def _version(settings: Settings) -> str:
-    """Say which pipeline version these settings make; empty where workers are not installed."""
+    """Return the pipeline version of these settings; empty where workers are not installed."""
     if any(find_spec(name) is None for name in NEEDED):
         return ""
     from workers.version import version_of

@@ -1,4 +1,4 @@
-"""The verb `bench simulation`: how fast frames are simulated, and how like real ones they are."""
+"""Verb `bench simulation`: speed of the simulator and fidelity of its frames."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -32,7 +32,7 @@ def simulation(
     config: Config = None,
     force: Force = False,
 ) -> None:
-    """Time the simulator on one core; with a log, say how like it simulated frames are."""
+    """Time the simulator on one core; with a log, compare simulated frames to its real ones."""
     from service.cli.logs import locate
     from workers.lab.evaluation.benchmarks.bench_simulation import bench_rates, simulated_looks
     from workers.lab.evaluation.benchmarks.real_frames import real_look

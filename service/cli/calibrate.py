@@ -1,4 +1,4 @@
-"""Verb `calibrate sensor`: fits the profile of a range image to the logs of any lidar."""
+"""Verb `calibrate sensor`: fits the profile of a range image to logs of any lidar."""
 
 from pathlib import Path
 from typing import Annotated, Final
@@ -10,7 +10,7 @@ from service.cli.output import json_line, progress, remark
 from service.output_files import need_writable, save_text
 
 _FEW_FRAMES: Final = 5
-"""Of fewer frames, means and deviations are those of one place."""
+"""Number of frames below which means and deviations describe a single place."""
 
 
 def add_to(app: typer.Typer) -> None:

@@ -1,4 +1,4 @@
-"""Verbs that stay: `run` is everything on one machine; `service`, `worker`, `router` its parts."""
+"""Verbs of daemons: `run` starts all parts; `service`, `worker`, `router` start one each."""
 
 from typing import Annotated
 
@@ -100,7 +100,7 @@ def run(
 ) -> None:
     """Run router, service and workers on this machine; watch the bucket, or mine it --once.
 
-    With --once it ends with 3 when work is parked: all else is mined, but its scenes are missing.
+    With --once the exit code is 3 if work is parked: all else is mined, but its scenes are missing.
     """
     settings = settings_for(
         config,
@@ -169,7 +169,7 @@ def service(
     log_format: LogFormat = None,
     log_level: LogLevel = None,
 ) -> None:
-    """Run the service alone: bucket watch, ledger, ranking. Needs a router and workers."""
+    """Run the service alone: bucket watch, ledger, ranking. It needs a router and workers."""
     from service.embedded import run_service
 
     settings = settings_for(
@@ -207,9 +207,9 @@ def worker(
     log_format: LogFormat = None,
     log_level: LogLevel = None,
 ) -> None:
-    """Run workers for a service elsewhere; they learn bucket and mining settings from it.
+    """Run workers for a service elsewhere; it sends them the bucket and the mining settings.
 
-    Where the router is on another machine they accept only what their own settings name, too.
+    With a router on another machine they accept only what their own settings name as well.
     """
     from service.embedded import run_workers
 
@@ -250,7 +250,7 @@ def need_bucket(settings: Settings) -> None:
     """Refuse to start without a bucket.
 
     Raises:
-        UsageError: If no bucket is named.
+        UsageError: If the settings name no bucket.
     """
     if not settings.bucket:
         raise UsageError(

@@ -1,4 +1,4 @@
-"""The verb `demo`: a small simulated fleet, mined, ranked, drawn, and held against its truth."""
+"""Verb `demo`: mines, ranks and draws a small simulated fleet, and compares it with its truth."""
 
 import time
 from collections.abc import Sequence
@@ -74,7 +74,7 @@ def demo(
 
 
 def say_demo_ranking(scenes: "Sequence[DemoScene]", *, most: int = DEMO_ROWS) -> None:
-    """Print the best scenes, and of the others those in which a failure was planted."""
+    """Print the best scenes, and below them the others with an injected failure."""
     rank_of = {scene.row.scene_id: scene.row.rank for scene in scenes}
     shown = [scene for scene in scenes if scene.row.rank <= most or scene.failures]
     table(

@@ -1,4 +1,4 @@
-"""The verbs `eval motion` and `eval semantics`: labels of streams against truth."""
+"""Verbs `eval motion` and `eval semantics`: labels of streams against ground truth."""
 
 import sys
 from pathlib import Path
@@ -80,7 +80,7 @@ def motion(
     config: Config = None,
     force: Force = False,
 ) -> None:
-    """Judge motion labels point by point, of one stream or of several side by side."""
+    """Evaluate motion labels per point, of one stream or of several side by side."""
     streams = tuple(dict.fromkeys(stream or ["selfsupervised"]))
     bounds, beams = parse_frames(frames), parse_rows(rows)
     settings = settings_for(config, bucket=bucket, weights=weights)
@@ -153,7 +153,7 @@ def semantics(
     json: Json = False,
     config: Config = None,
 ) -> None:
-    """Judge the supervised stream's classes point by point, in eleven coarse ones."""
+    """Evaluate the supervised stream's classes per point, in eleven coarse classes."""
     first, last = parse_frames(frames)
     settings = settings_for(config, bucket=bucket)
     from workers.lab.evaluation.semantics.semantics import evaluate_semantics
@@ -188,7 +188,7 @@ def semantics(
 
 
 def _say(evaluated: "list[LogEvaluation]", streams: tuple[str, ...]) -> None:
-    """Print what a person wants to see first; the JSON lines hold everything."""
+    """Print a summary table; the JSON lines contain everything."""
     several = len(streams) > 1
 
     def named(row: "LogEvaluation", *cells: object) -> tuple[object, ...]:
@@ -252,7 +252,7 @@ def _tracks(row: "LogEvaluation", kind: str) -> str:
 
 
 def parse_rows(text: str) -> slice | None:
-    """Read a slice as Python writes it, `0::2`; nothing keeps every beam.
+    """Parse a Python slice such as `0::2`; empty text keeps every beam.
 
     Raises:
         UsageError: If it is no slice.
@@ -270,10 +270,10 @@ def parse_rows(text: str) -> slice | None:
 
 
 def parse_frames(text: str) -> tuple[int, int | None]:
-    """Read `A:B`, half open; either side may be empty.
+    """Parse the half-open range `A:B`; either side may be empty.
 
     Raises:
-        UsageError: If it is not two counts with a colon between.
+        UsageError: If it is not two counts with a colon between them.
     """
     first, colon, last = text.partition(":")
     try:

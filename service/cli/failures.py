@@ -1,4 +1,4 @@
-"""The verb `bench failures`: whether what contradicts is what fails, beside other rankings."""
+"""Verb `bench failures`: how well contradictions find failures, compared with other rankings."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -83,7 +83,7 @@ def failures(
     config: Config = None,
     force: Force = False,
 ) -> None:
-    """Measure how well contradictions find failures, beside other ways to look for them."""
+    """Measure how well contradictions find failures, compared with other rankings."""
     if only not in (None, *TABLES):
         raise UsageError(f"--table must be planted or natural, got {only!r}")
     if report is not None:
@@ -140,7 +140,7 @@ def failures(
 
 
 def _beside(url: str) -> Path:
-    """Folder of the truth of a fleet, which must lie on this machine.
+    """Return the folder with the truth of a fleet, which must lie on this machine.
 
     Raises:
         UsageError: If the fleet lies elsewhere.
@@ -218,7 +218,7 @@ def _say_who(found: "PlantedTable | NaturalTable") -> None:
 
 
 def _say_what_it_is_too_small_for(bench: "FailureBench") -> None:
-    """Say what a fleet is too small for, before figures are read that mean little."""
+    """Warn about figures for which the fleet is too small."""
     from workers.lab.evaluation.failures.intervals import FEWEST_LOGS
     from workers.lab.evaluation.failures.retrieval import looked_at
 

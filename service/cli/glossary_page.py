@@ -1,4 +1,4 @@
-"""Writes `deploy/GLOSSARY.md`: `python -m service.cli.glossary_page > deploy/GLOSSARY.md`."""
+"""Generator of `deploy/GLOSSARY.md`: `python -m service.cli.glossary_page > deploy/GLOSSARY.md`."""
 
 import inspect
 import re
@@ -18,14 +18,14 @@ selection, stand in [`schemas/README.md`](../schemas/README.md).
 
 
 def evidence_means() -> dict[str, str]:
-    """Say of each named number of evidence what it is, as its class documents it."""
+    """Return the meaning of each evidence field, as its class documents it."""
     text = inspect.getdoc(Evidence) or ""
     rows = re.findall(r"^ {4}(\w+): (.+(?:\n {8}.+)*)", text, flags=re.MULTILINE)
     return {name: " ".join(meaning.split()).rstrip(".") for name, meaning in rows}
 
 
 def glossary_page() -> str:
-    """Write the page."""
+    """Return the page."""
     failures = {kind.value: means for kind, means in FAILURE_MEANS.items()}
     disturbances = {kind.value: means for kind, means in DISTURBANCE_MEANS.items()}
     lines = [

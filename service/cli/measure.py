@@ -1,4 +1,4 @@
-"""The verb `bench`: how long a part or the whole takes, beside floors of the same run."""
+"""Verb `bench`: time of a part or of the whole, compared with baselines of the same run."""
 
 import time
 from pathlib import Path
@@ -38,7 +38,7 @@ def pipeline(
     json: Json = False,
     config: Config = None,
 ) -> None:
-    """Say where the time of `score` goes, beside its parts alone."""
+    """Profile the stages of `score`, and time its parts alone."""
     from service.cli.logs import locate
     from workers.lab.evaluation.benchmarks.bench import bench_pipeline
 
@@ -80,7 +80,7 @@ def motion(
     json: Json = False,
     config: Config = None,
 ) -> None:
-    """Say where the time of the self-supervised stream goes, beside KISS-ICP and Patchwork++."""
+    """Profile the self-supervised stream, and time KISS-ICP and Patchwork++ for comparison."""
     from service.cli.evaluate import parse_frames
     from service.cli.logs import locate
     from workers.lab.evaluation.benchmarks.bench_motion import bench_motion
@@ -140,7 +140,7 @@ def networks(
     json: Json = False,
     config: Config = None,
 ) -> None:
-    """Time the networks beside a plain transcription of their published forward pass."""
+    """Time the networks and, for comparison, a plain transcription of their forward passes."""
     from service.cli.logs import locate
     from workers.lab.evaluation.benchmarks.bench_flow import FLOW_POINTS, bench_flow
     from workers.lab.evaluation.benchmarks.bench_networks import bench_images
@@ -208,7 +208,7 @@ def ledger(
     ] = 100_000,
     json: Json = False,
 ) -> None:
-    """Count the durable commits of a second, beside what disk and SQLite alone allow."""
+    """Count durable commits per second, next to the limits of the disk and of SQLite alone."""
     from service.store.bench_ledger import bench_ledger
 
     if not folder.is_dir():
@@ -235,7 +235,7 @@ def ledger(
 
 
 def _simulated(folder: Path, *, frames: int) -> str:
-    """Write a street that is long enough, for those who have no log at hand."""
+    """Simulate a street log that is long enough, for a call without a log."""
     from workers.lab.evaluation.benchmarks.bench import WARMING_FRAMES
     from workers.lab.simulation.output.write import write_log
     from workers.lab.simulation.world.street_builder import build_street

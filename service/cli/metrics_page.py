@@ -1,4 +1,4 @@
-"""Writes `deploy/METRICS.md`: `python -m service.cli.metrics_page > deploy/METRICS.md`."""
+"""Generator of `deploy/METRICS.md`: `python -m service.cli.metrics_page > deploy/METRICS.md`."""
 
 from collections.abc import Iterable, Iterator
 from typing import Final
@@ -48,11 +48,11 @@ Bad parameters are answered with 400 and a sentence, a database that does not an
 |---|---|"""
 
 _MOST_VALUES: Final = 12
-"""More values of a label than this are not written out."""
+"""Values of a label up to which they are listed."""
 
 
 def metrics_page() -> str:
-    """Write the page: both lists, in the order in which they are served."""
+    """Return the page: both lists, in the order in which they are served."""
     from workers.worker.metrics import PoolMetrics, WorkerMetrics
 
     service = ServiceMetrics()
@@ -97,7 +97,7 @@ def _labels(family: Metric) -> str:
 
 
 def _label(label: str, values: list[str]) -> str:
-    """Name a label and what it may be; some are known only when a service runs."""
+    """Describe a label and its values; some are known only when a service runs."""
     if label in {"vehicle", "bucket", "version"}:
         return f"`{label}`"
     more = [", …"] if len(values) > _MOST_VALUES else []

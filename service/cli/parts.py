@@ -1,4 +1,4 @@
-"""Verb `parts`: which parts can be chosen, where they come from, and what weights they need."""
+"""Verb `parts`: the replaceable parts, their sources and the weights they need."""
 
 from typing import TYPE_CHECKING
 
@@ -50,7 +50,7 @@ def parts(json: Json = False) -> None:
 
 
 def presets_with(card: "PartCard") -> list[str]:
-    """Name the presets that take a part; `default` is marked by itself."""
+    """Return the presets that choose a part; `default` is marked separately."""
     return [name for name, settings in PRESETS.items() if settings.get(card.part) == card.name]
 
 

@@ -1,4 +1,4 @@
-"""The verb `rates`: how often the streams contradict each other, by group."""
+"""Verb `rates`: rate of contradictions by group."""
 
 import time
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from service.cli.scenes import StateDir, reader
 from service.curation.rates import RateRow, RatesRequest, rates_request
 
 BAR_CHARACTERS: Final = 20
-"""Length of the bar of the worst row; the others in proportion."""
+"""Length of the bar of the worst row, characters; the others in proportion."""
 
 _HEADINGS: Final = {
     "vehicle": "vehicle",
@@ -45,7 +45,7 @@ def rates(
     json: Json = False,
     config: Config = None,
 ) -> None:
-    """Say how often the streams contradict each other, over current scenes by time of recording."""
+    """Show the rate of contradictions by group, over current scenes by time of recording."""
     request = rates_request(
         by, since=since, until=until, now_s=time.clock_gettime(time.CLOCK_REALTIME)
     )

@@ -1,4 +1,4 @@
-"""What a person is told of a status and of a ranking."""
+"""Printed reports: status, ranking, contents of a log, and dry run."""
 
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
@@ -12,11 +12,11 @@ from service.curation.status import Status
 from service.dry_run import DryLog, DryRun
 
 REASONS: Final = 2
-"""Of a scene in a table."""
+"""Reasons per scene in a table."""
 
 
 def say_what_was_found(status: Status) -> None:
-    """Print how far every log is, what is damaged, refused or parked, and the sums."""
+    """Print the progress of every log, damaged, refused and parked work, and the totals."""
     table(
         "logs",
         ("log", "state", "vehicle", "lidar", "shards", "frames", "reads", "MB read", "damage"),
@@ -89,12 +89,12 @@ def say_what_was_found(status: Status) -> None:
 
 
 def said_of(supervised: str, selfsupervised: str) -> str:
-    """Name the stream that was judged, and what it was held against."""
+    """Name the stream under test, and the stream it was compared with."""
     return f"supervised stream {supervised}, held against {selfsupervised}"
 
 
 def say_judged(scores: Iterable[SceneScore]) -> None:
-    """Say in one line which streams these scenes compare."""
+    """Print in one line the streams that these scenes compare."""
     pairs = {(each.producers.supervised, each.producers.selfsupervised): None for each in scores}
     if pairs:
         remark("judged: " + "; ".join(said_of(*pair) for pair in pairs))
@@ -121,13 +121,13 @@ def say_ranking(rows: Sequence[RankedScene]) -> None:
 
 
 def first_of(reasons: Sequence[str]) -> str:
-    """Tell the first reasons of a scene, and how many are left out: its picture has them."""
+    """Join the first reasons of a scene, with the number of omitted ones; its picture shows all."""
     left_out = len(reasons) - REASONS
     return "; ".join([*reasons[:REASONS], *([f"and {left_out} more"] if left_out > 0 else [])])
 
 
 def say_inspected(report: dict[str, Any]) -> None:
-    """Print what `inspect` found: facts first, then topics, then what cannot be read."""
+    """Print the report of `inspect`: facts first, then topics, then unreadable parts."""
     facts = {name: value for name, value in report.items() if name not in ("topics", "damage")}
     facts["shards"] = len(report["shards"])
     start_ns, duration_s = facts.pop("start_ns"), facts.pop("duration_s")
@@ -156,7 +156,7 @@ def say_inspected(report: dict[str, Any]) -> None:
 
 
 def say_dry_run(found: DryRun) -> None:
-    """Print what a run would mine, and the estimate with what it stands on."""
+    """Print the work that a run would do, and the estimate with its basis."""
     table(
         f"logs in {found.bucket}",
         ("log", "parts", "MB", "in the state", "left", "duration", "frames", "problem"),

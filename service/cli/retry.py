@@ -1,4 +1,4 @@
-"""`retry`: parked work is tried again, once what made it fail is mended."""
+"""Verb `retry`: tries parked work again, once the cause of its failure is fixed."""
 
 from typing import Annotated
 
@@ -27,7 +27,7 @@ def retry(
     json: Json = False,
     config: Config = None,
 ) -> None:
-    """Try parked plans and shards again, with all their attempts; what is done stays done."""
+    """Try parked plans and shards again, with all their attempts; finished work stays done."""
     if bool(log_ids) is everything:
         raise UsageError("name the logs to retry, or give --all for everything that is parked")
     wanted = None if everything else log_ids

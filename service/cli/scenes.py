@@ -1,4 +1,4 @@
-"""Verbs on what was found: `watch`, `top`, `select`, `show`, `status`."""
+"""Verbs on results: `watch`, `top`, `select`, `show`, `status`."""
 
 import time
 from pathlib import Path
@@ -65,7 +65,7 @@ def watch(
     json: Json = False,
     config: Config = None,
 ) -> None:
-    """Subscribe to scored scenes: the history first, then each as it is committed."""
+    """Subscribe to scored scenes: the history first, then each new one when it is committed."""
     from schemas.runtime.process import stop_on_signals
     from schemas.transport.bus import check_endpoints
     from service.client import watch_scenes
@@ -125,7 +125,7 @@ def top(
 
 
 def _say_judged_in_best(source: Reader, scene_id: str) -> None:
-    """Say whose labels the best scene judges: one record is opened, however many are listed."""
+    """Print the stream under test, read from the record of the best scene alone."""
     try:
         made_by = source.scene(scene_id).producers
     except PermanentError as error:  # a running service took it back between two questions
@@ -215,11 +215,11 @@ def show(
 
 
 def _scene_id(source: Reader, said: str) -> str:
-    """Find the scene that a person names: by rank, short name or id.
+    """Find the scene of a rank, short name or id.
 
     Raises:
         NothingFoundError: If there is none.
-        UsageError: If several have the name.
+        UsageError: If several scenes have the name.
     """
     if said.isdecimal():
         rank = int(said) if len(said) < len(str(MOST)) else 0
@@ -239,7 +239,7 @@ def status(
     json: Json = False,
     config: Config = None,
 ) -> None:
-    """Say how far everything is: logs, shards, scenes, rates, what is damaged, what is parked."""
+    """Show progress: logs, shards, scenes, rates, damaged stretches, parked work."""
     found = reader(config, connect=connect, state=state, database=database).status()
     if json:
         json_line(found)
@@ -255,10 +255,10 @@ def reader(
     database: str | None,
     artifacts: str | None = None,
 ) -> Reader:
-    """Choose where to read: `--state` or `--database` reads there, `--connect` asks the service.
+    """Choose the data source: a state with `--state` or `--database`, a service with `--connect`.
 
-    Without any, the service that the settings name is asked if they name one, else database or
-    folder are read.
+    Without any of them it is the service that the settings name, else the database or the state
+    folder.
 
     Raises:
         UsageError: If both are given.
@@ -289,7 +289,7 @@ def _remote(settings: Settings) -> Reader:
 
 
 def _watched(event: SceneEvent) -> dict[str, Any]:
-    """Flatten an event: its number and digest beside the fields of the record."""
+    """Flatten an event: its number and digest next to the fields of the record."""
     score = event.score
     if score is None:
         return {"seq": event.seq, "withdrawn": True, "scene_id": event.scene_id}

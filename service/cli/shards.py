@@ -1,4 +1,4 @@
-"""The verb `eval shards`: whether labels hang on where a log was cut."""
+"""Verb `eval shards`: dependence of labels on the cuts between shards."""
 
 from typing import Annotated
 
@@ -26,7 +26,7 @@ def shards(
     json: Json = False,
     config: Config = None,
 ) -> None:
-    """Compare the labels of every log in shards with those of the whole log, point by point."""
+    """Compare the labels of every log in shards with those of the whole log, per point."""
     settings = settings_for(
         config,
         bucket=bucket,

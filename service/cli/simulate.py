@@ -1,4 +1,4 @@
-"""The verb `simulate`: a fleet of simulated logs with truth beside them, failures planted."""
+"""Verb `simulate`: a fleet of simulated logs with injected failures, and its truth."""
 
 import time
 from typing import Annotated, Any
@@ -51,7 +51,7 @@ def simulate(
         bool, typer.Option("--force", help="Write beside logs that were not simulated.")
     ] = False,
 ) -> None:
-    """Simulate a fleet's logs with truth beside them, failures planted in the labels."""
+    """Simulate a fleet's logs and their truth, with failures injected into the labels."""
     if not force:
         _need_no_other_logs(out)
     from workers.lab.simulation.faults.plan import plan_fleet
@@ -90,7 +90,7 @@ def simulate(
 
 
 def _need_no_other_logs(url: str) -> None:
-    """Refuse a place with logs and no truth beside: no fleet of ours, and it would be mixed up.
+    """Refuse an output with logs but no truth, which is no simulated fleet.
 
     Raises:
         UsageError: If there is such a log.

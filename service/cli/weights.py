@@ -40,7 +40,7 @@ def import_(
     json: Json = False,
     force: Force = False,
 ) -> None:
-    """Turn a checkpoint into weights that parts load; code in it is refused and never run."""
+    """Convert a checkpoint into weights that parts load; code in it is refused and never run."""
     from workers.parts.networks import (
         import_weights,
         known_configs,

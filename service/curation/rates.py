@@ -1,4 +1,4 @@
-"""How often the streams contradict each other, by vehicle, software version, kind, hour or log."""
+"""Rate of contradictions, by vehicle, software version, kind, hour or log."""
 
 import re
 from collections.abc import Iterable
@@ -14,13 +14,13 @@ from schemas.contradiction import ContradictionKind
 from service.errors import UsageError
 
 RatesBy = Literal["vehicle", "version", "kind", "hour", "log"]
-"""What scenes are grouped by; `version` is the software version that the car ran."""
+"""Grouping of scenes; `version` is the software version that the car ran."""
 
 HOUR_NS: Final = 3600 * NS_PER_S
 
 
 class RatesRequest(BaseModel):
-    """Which current scenes are counted, and how they are grouped."""
+    """Filter of the current scenes to count, and their grouping."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -69,14 +69,14 @@ class RateSums:
         scenes: Current scenes.
         frames: Their frames.
         compared: Points that both streams labelled.
-        only_semantic: Points that only the supervised stream calls dynamic.
-        only_predictive: Points that only the self-supervised stream calls dynamic.
+        only_semantic: Points that only the supervised stream labels dynamic.
+        only_predictive: Points that only the self-supervised stream labels dynamic.
         contradicting_scenes: Scenes with a score above 0.
         semantic_scenes: Scenes with a point of `only_semantic`.
         predictive_scenes: Scenes with a point of `only_predictive`.
-        gated_scenes: Scenes that are not scored.
-        score_sum: Sum of the scores of the others.
-        best_score: Best of all.
+        gated_scenes: Scenes without a score.
+        score_sum: Sum of the scores of all other scenes.
+        best_score: Highest score.
     """
 
     group: str | int
@@ -94,7 +94,7 @@ class RateSums:
 
 
 def rates(sums: Iterable[RateSums], by: RatesBy) -> list[RateRow]:
-    """Make the rows of sums: hours in their order, everything else worst first."""
+    """Make the rows of sums: hours in their order, all other groups worst first."""
     if by == "kind":
         return [row for one in sums for row in _rows_by_kind(one)]
     rows = [_row(one, by_hour=by == "hour") for one in sums]
@@ -104,18 +104,17 @@ def rates(sums: Iterable[RateSums], by: RatesBy) -> list[RateRow]:
 
 
 def rates_request(by: str, *, since: str = "", until: str = "", now_s: float) -> RatesRequest:
-    """Understand what a person or a dashboard asks.
+    """Parse the values that a user or a dashboard gave.
 
     Args:
         by: One of `RatesBy`.
-        since: Time of recording: RFC 3339, a date, so long ago (`90m`, `24h`, `7d`, `2w`), or, as
-            dashboards write it, milliseconds since the Unix epoch (13 digits); empty: from the
-            first.
-        until: As `since`, but excluded; empty: to the last.
-        now_s: Seconds since the Unix epoch, which `7d` counts back from.
+        since: Earliest time of recording: RFC 3339, a date, an age (`90m`, `24h`, `7d`, `2w`), or
+            milliseconds since the Unix epoch (13 digits), as dashboards write it; empty: no limit.
+        until: As `since`, but excluded; empty: no limit.
+        now_s: Seconds since the Unix epoch, from which `7d` counts back.
 
     Raises:
-        UsageError: If one of them cannot be meant; the message says what would do.
+        UsageError: If a value is invalid; the message lists valid ones.
     """
     known = get_args(RatesBy)
     if by not in known:

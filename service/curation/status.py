@@ -1,4 +1,4 @@
-"""What `counterpoint status` says: how far the logs are, what is damaged, what is parked."""
+"""Status of a ledger: progress of the logs, damaged stretches, parked work."""
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -9,7 +9,7 @@ _STRICT = ConfigDict(frozen=True, extra="forbid")
 
 
 class LogStatus(BaseModel):
-    """One current recording and how far it is under one pipeline version."""
+    """One current recording and its progress under one pipeline version."""
 
     model_config = _STRICT
 
@@ -41,7 +41,7 @@ class LogStatus(BaseModel):
 
 
 class ParkedWork(BaseModel):
-    """A plan or shard that is not tried again, unless a person asks for it."""
+    """A plan or shard that is retried only on request."""
 
     model_config = _STRICT
 
@@ -64,7 +64,7 @@ class PointTotals(BaseModel):
 
 
 class Judged(BaseModel):
-    """Two streams whose labels were compared, and how many current scenes tell of that."""
+    """Two compared streams, and the number of current scenes that compare them."""
 
     model_config = _STRICT
 
@@ -74,7 +74,7 @@ class Judged(BaseModel):
 
 
 class Status(BaseModel):
-    """The ledger at one moment, under one pipeline version."""
+    """Status of the ledger at one moment, under one pipeline version."""
 
     model_config = _STRICT
 

@@ -1,4 +1,4 @@
-"""What `doctor` looks at on the network: the router, the service behind it, ports to listen on."""
+"""Checks of `doctor` on the network: the router, the service behind it, ports to listen on."""
 
 import socket
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ PATIENCE_S = 3.0
 
 
 def router(settings: Settings) -> Iterator[Finding]:
-    """Connect, ask for a service, count the workers."""
+    """Connect to the router, ask for a service, and count the workers."""
     endpoint = settings.connect or endpoint_of_running(settings.state)
     if not endpoint:
         yield ok("router", "none is named: `run` brings its own; else give --connect tcp/HOST:PORT")
@@ -61,7 +61,7 @@ def _of_which_version(session: zenoh.Session, *, root: str) -> Finding:
 
 
 def http(settings: Settings) -> Iterator[Finding]:
-    """Look whether the ports for metrics can be listened on."""
+    """Check that the ports for metrics can be listened on."""
     held = endpoint_of_running(settings.state) is not None
     for name, listen in (
         ("http_listen", settings.http_listen),

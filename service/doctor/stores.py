@@ -1,4 +1,4 @@
-"""What `doctor` looks at on disks and servers: bucket, artifacts, state folder, database."""
+"""Checks of `doctor` on disks and servers: bucket, artifacts, state folder, database."""
 
 import shutil
 import tempfile
@@ -29,12 +29,14 @@ MCAP_MAGIC: Final = b"\x89MCAP0\r\n"
 
 LITTLE_ROOM_BYTES: Final = 5_000_000_000
 NO_ROOM_BYTES: Final = 100_000_000
-"""Overlays of an hour of lidar are some gigabytes; a ledger that cannot grow stops everything."""
+"""Free space below which a disk counts as full, bytes. Overlays of an hour of lidar take some
+gigabytes; a ledger that cannot grow stops everything.
+"""
 
 NOT_LOCAL: Final = frozenset(
     ("nfs", "nfs4", "cifs", "smb3", "smbfs", "9p", "afs", "ceph", "glusterfs", "lustre", "beegfs")
 ) | {"virtiofs", "fuse.sshfs", "fuse.s3fs", "fuse.gcsfuse", "fuse.glusterfs", "fuse.rclone"}
-"""File systems on which locks of one machine may not be seen by another, or not hold at all."""
+"""File systems whose locks may be invisible to other machines, or ineffective."""
 
 
 def bucket(settings: Settings) -> Iterator[Finding]:
@@ -65,7 +67,7 @@ def bucket(settings: Settings) -> Iterator[Finding]:
 
 
 def artifacts(settings: Settings) -> Iterator[Finding]:
-    """Write a small object where overlays go, and read it back."""
+    """Write a small object into the artifacts, and read it back."""
     url = settings.artifacts_url
     if settings.bucket and _canonical(url) == _canonical(settings.bucket):
         yield problem("artifacts", "are the log bucket itself: name another place with --artifacts")
@@ -92,7 +94,7 @@ def artifacts(settings: Settings) -> Iterator[Finding]:
 
 
 def state(settings: Settings) -> Iterator[Finding]:
-    """Look whether the state folder can be written, has room, is local, and who holds it."""
+    """Check that the state folder is writable, local and not full, and find its user process."""
     folder = settings.state.absolute()
     exists = folder.is_dir()
     at = folder if exists else next(up for up in folder.parents if up.is_dir())
@@ -126,9 +128,10 @@ def state(settings: Settings) -> Iterator[Finding]:
 
 
 def database(settings: Settings) -> Iterator[Finding]:
-    """Open the database for reading, and check every page of a SQLite file, however large.
+    """Open the database for reading, and check every page of a SQLite file of any size.
 
-    A start leaves the scenes of a very large one out. 4.4 GB take 7 s from memory, 54 s from disk.
+    The check at a start skips the scenes of a very large one. 4.4 GB take 7 s from memory, 54 s
+    from disk.
     """
     path = settings.state / DATABASE_NAME
     where = shown(settings.database) if settings.database else str(path)
@@ -156,7 +159,7 @@ def database(settings: Settings) -> Iterator[Finding]:
 
 
 def file_system_of(folder: Path, mounts: Path = Path("/proc/self/mountinfo")) -> str:
-    """Name the kind of file system that a folder lies on; empty where the system does not say."""
+    """Return the type of file system of a folder; empty where the system does not report it."""
     if not mounts.is_file():
         return ""
     resolved, kinds = real_path(folder), {}

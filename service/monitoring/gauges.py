@@ -1,4 +1,4 @@
-"""Every metric that is read rather than counted: how the service stands at the time of a scrape."""
+"""Gauges of the service: metrics that are read at the time of a scrape instead of counted."""
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -16,16 +16,17 @@ from service.store.transaction_effects import WorkKind
 from service.store.work_items import WorkState
 
 BucketError = Literal["unreachable", "refused"]
-"""How a listing broke off: no answer, an error of the store's own, a folder that is gone, as when
-its disk is not mounted; or the store said no."""
+"""Cause of an interrupted listing. `unreachable`: no answer, an error of the store's own, or a
+missing folder, as when its disk is not mounted. `refused`: the store denied it.
+"""
 
 ClockStep = Literal["forward", "back"]
-"""Which way a clock was set."""
+"""Direction of a clock step."""
 
 NAMESPACE: Final = "counterpoint"
 
 CACHED_S: Final = 5.0
-"""The ledger is counted at most this often, however many scrape."""
+"""Least interval between two counts of the ledger, however many scrapes there are, seconds."""
 
 RECORDING_STATES: Final = (
     "waiting",
@@ -41,18 +42,18 @@ RECORDING_STATES: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Sources:
-    """Where the gauges are read; each call must be quick.
+    """Sources of the gauges; each call must be quick.
 
     Attributes:
-        backlog: The ledger's counts; may raise a `CounterpointError`.
-        bucket_url: Of the log bucket.
-        bucket: What its listings have shown.
+        backlog: Counts of the ledger; may raise a `CounterpointError`.
+        bucket_url: URL of the log bucket.
+        bucket: Results of its listings.
         staging_bytes: Bytes of raw records that wait for their commit.
-        questions_waiting: Questions in the queue.
+        questions_waiting: Requests in the queue.
         bus_misses: Raw records that were lost on the bus so far.
-        state_free_bytes: Free bytes of the disk that holds the state; None: not known.
-        router_connected: Whether a router is there.
-        clock_steps: How often the clock was set, by direction.
+        state_free_bytes: Free bytes on the disk of the state; None: unknown.
+        router_connected: True if a router is connected.
+        clock_steps: Number of clock steps, by direction.
         overlays_deleted: Overlays deleted since the start.
         now_s: Seconds since the Unix epoch.
     """
@@ -72,7 +73,7 @@ class Sources:
 
 @dataclass(slots=True)
 class _Kept:
-    """The last count of the ledger, and when it was made on the monotonic clock."""
+    """Last count of the ledger, and its time on the monotonic clock."""
 
     at_s: float = float("-inf")
     backlog: Backlog | None = None
@@ -80,27 +81,27 @@ class _Kept:
 
 
 class ServiceGauges(Collector):
-    """Reads how the service stands, once per scrape.
+    """Reads the gauges, once per scrape.
 
-    While the database does not answer, the series that come from it are absent;
-    `counterpoint_database_errors_total` says why.
+    While the database does not answer, its series are absent; `counterpoint_database_errors_total`
+    gives the cause.
     """
 
     def __init__(self, sources: Sources) -> None:
-        """Take where to read; nothing is read before the first scrape."""
+        """Keep the sources; nothing is read before the first scrape."""
         self._sources, self._kept = sources, _Kept()
 
     def read_from(self, sources: Sources) -> None:
-        """Read elsewhere from now on."""
+        """Replace the sources."""
         self._sources = sources
 
     def describe(self) -> Iterator[Metric]:
-        """Name the metrics without reading any: what a registry asks when this is registered."""
+        """Describe the metrics without reading any, as a registry asks at registration."""
         yield from _of_ledger(Backlog(), now_s=0.0)
         yield from _of_parts(Sources())
 
     def collect(self) -> Iterator[Metric]:
-        """Read everything now, the ledger's counts at most `CACHED_S` old."""
+        """Read all sources now; counts of the ledger are at most `CACHED_S` old."""
         backlog = self._backlog()
         if backlog is not None:
             yield from _of_ledger(backlog, now_s=self._sources.now_s())

@@ -1,6 +1,6 @@
-"""Every metric that the service counts, with its labels and when to worry; `gauges` has the rest.
+"""Counters of the service, with labels and alert hints; `gauges` has the other metrics.
 
-All of it is counted once, after the transaction that made it true: a commit that is repeated or
+Everything is counted once, after the transaction that made it true. A commit that is repeated or
 refused counts no frame, scene or point, however often a worker tries.
 """
 
@@ -23,37 +23,43 @@ from service.store.transaction_effects import CommitOutcome, Effects, WorkKind
 LeaseEnd = Literal[
     "committed", "failed", "expired", "worker_died", "given_back", "growing", "replaced", "freed"
 ]
-"""Why a lease ended: finished; its worker said why not; nobody renewed it; its process died; handed
-back at a stop; its log still grows; its recording was replaced or deleted; its pool was ended."""
+"""Cause of the end of a lease.
+
+`committed`: finished. `failed`: the worker reported an error. `expired`: not renewed.
+`worker_died`: its process died. `given_back`: returned at a stop. `growing`: the log still grows.
+`replaced`: the recording was replaced or deleted. `freed`: its pool was ended.
+"""
 
 FaultyPart = Literal["question", "tick", "event"]
-"""What an error that nobody foresaw met."""
+"""Part of the service in which an unexpected error occurred."""
 
 OTHER_VEHICLES: Final = "other"
 MOST_VEHICLES: Final = 50
-"""Each vehicle is six series; a fleet is told apart by `counterpoint rates`, not by metrics."""
+"""Vehicles with series of their own, six each; `counterpoint rates` serves larger fleets."""
 
 AGREEMENTS: Final = tuple(agreement.name.lower() for agreement in Agreement)
 
 SCORE_BUCKETS: Final = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 COMMIT_BUCKETS_S: Final = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0)
-"""Around the few milliseconds that a durable commit takes on a disk of its own."""
+"""Bucket bounds around the few milliseconds that a durable commit takes on a disk of its own,
+seconds.
+"""
 
 Metric = TypeVar("Metric", Counter, Gauge, Histogram)
 
 
 class ServiceMetrics:
-    """What the service counts; a `StoreObserver` that the ledger tells of every transaction."""
+    """Counters of the service; a `StoreObserver` that the ledger calls after every transaction."""
 
     def __init__(
         self, registry: CollectorRegistry | None = None, *, vehicles: Sequence[str] = ()
     ) -> None:
-        """Make every series at once, so that each is there from the first scrape on.
+        """Make every series at once, so that each exists from the first scrape on.
 
         Args:
-            registry: Where to register; by default one of its own.
-            vehicles: Those that have series of their own, at most `MOST_VEHICLES`; all others
-                count as `other`.
+            registry: Registry of the metrics; by default one of its own.
+            vehicles: Vehicles with series of their own, at most `MOST_VEHICLES`; all others count
+                as `other`.
         """
         # A second series for each counter, which nobody asks for.
         disable_created_metrics()  # type: ignore[no-untyped-call]
@@ -175,7 +181,7 @@ class ServiceMetrics:
         build.labels(version("counterpoint")).set(1)
 
     def on_effects(self, effects: Effects) -> None:
-        """Count what a transaction did, now that it is on disk."""
+        """Count the effects of a transaction that is on disk."""
         if effects.scenes:
             self._count_scenes(effects.scenes)
         for (work, outcome), count in effects.commits.items():
@@ -188,7 +194,7 @@ class ServiceMetrics:
             self._retried.labels(work).inc(count)
 
     def on_database_error(self) -> None:
-        """Count a transaction that could not be finished."""
+        """Count a failed transaction."""
         self._database_errors.inc()
 
     def on_damaged_record(self) -> None:
@@ -196,19 +202,19 @@ class ServiceMetrics:
         self._damaged_records.inc()
 
     def committed(self, seconds: float) -> None:
-        """Note how long it took to make a commit durable."""
+        """Record the time of one durable commit."""
         self._commit_seconds.observe(seconds)
 
     def asked(self, verb: Asked, outcome: Outcome) -> None:
-        """Count a question."""
+        """Count a request."""
         self._questions.labels(verb, outcome).inc()
 
     def faulted(self, part: FaultyPart) -> None:
-        """Count an error that nobody foresaw."""
+        """Count an unexpected error."""
         self._faults.labels(part).inc()
 
     def read_from(self, sources: Sources) -> None:
-        """Also serve what is read at the time of a scrape; said again: read elsewhere."""
+        """Also serve gauges from these sources; a further call replaces them."""
         if self._gauges is None:
             self._gauges = ServiceGauges(sources)
             self.registry.register(self._gauges)
@@ -250,7 +256,7 @@ class ServiceMetrics:
 
 
 def with_series(metric: Metric, labels: Mapping[str, tuple[str, ...]]) -> Metric:
-    """Make the series of every combination of labels: a rate needs a zero to rise from."""
+    """Make the series of every combination of labels, since a rate must start from zero."""
     if labels:
         for combination in product(*labels.values()):
             metric.labels(*combination)

@@ -1,4 +1,4 @@
-"""The page of the benchmark of failures: tables and plots in one file that needs nothing else."""
+"""Report of the failure benchmark: tables and plots in one self-contained page."""
 
 from collections.abc import Mapping
 from html import escape
@@ -32,14 +32,14 @@ COLUMNS_MEAN: Final = (
     "minute: distinct failures for each minute of recording that is looked at; found area: under "
     "the share of failures found, 0.5 for a random order; median rank: 0 is first, 1 is last"
 )
-"""What stands above the columns of a ranking, on the page and in the terminal."""
+"""Meaning of the columns of a ranking, on the page and in the terminal."""
 
 _DOES: Final = "what the model on the car does"
 _BUDGETS: Final = ("0.5", "1", "2", "5", "10")
 
 
 def write_report(file: Path, bench: "FailureBench", *, force: bool = False) -> None:
-    """Write the page of a benchmark; it appears whole or not at all.
+    """Write the page of a benchmark, whole or not at all.
 
     Raises:
         UsageError: If it cannot be written, or another file lies there and `force` is not given.
@@ -64,7 +64,7 @@ def write_report(file: Path, bench: "FailureBench", *, force: bool = False) -> N
 
 
 def _safe(value: object) -> str:
-    """Write what may hold anything, such as a name of a bucket, as text of a page."""
+    """Escape a value that may contain anything, such as the name of a bucket, for a page."""
     return escape(visible(str(value)))
 
 

@@ -1,4 +1,4 @@
-"""Every setting in a table: what holds and why, for an operator; what may be, for a reader."""
+"""Table of all settings: values and sources for an operator, accepted values for a reader."""
 
 from collections.abc import Collection, Iterator
 from typing import Any, Final
@@ -56,7 +56,7 @@ sets in every pod for a service of this name (`COUNTERPOINT_PORT_7447_TCP`, ...)
 
 
 class SettingRow(BaseModel):
-    """One setting as it holds."""
+    """One setting, its value and its source."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -71,7 +71,7 @@ class SettingRow(BaseModel):
 
 
 def setting_rows(read: ReadSettings) -> Iterator[SettingRow]:
-    """Yield every setting with its value and where that came from, in the order of the model."""
+    """Yield every setting with its value and its source, in the order of the model."""
     values, may_be = read.settings.model_dump(mode="json"), allowed(Settings)
     defaults = Settings().model_dump(mode="json")
     for setting, field in leaves(Settings).items():
@@ -89,13 +89,13 @@ def setting_rows(read: ReadSettings) -> Iterator[SettingRow]:
 
 
 def in_pipeline_version(setting: str) -> bool:
-    """Whether everything mined is mined anew when this setting changes."""
+    """Return true if a change of this setting means that everything is mined again."""
     name = setting.partition(".")[0]
     return name in MiningSettings.model_fields and name not in NOT_IN_VERSION
 
 
 def settings_page(flags: Collection[str]) -> str:
-    """Write the page that documents every setting.
+    """Return the page that documents every setting.
 
     Args:
         flags: All flags that any verb has.
