@@ -1,4 +1,4 @@
-"""The dashboard for those who look after the perception: where and when the two streams clash."""
+"""Dashboard for perception engineers: where and when the two streams disagree."""
 
 from typing import Final
 
@@ -11,7 +11,10 @@ AT_A_TIME: Final = "[$__rate_interval]"
 
 
 def rate(only: str, compared: str, *, of: str = "counterpoint_points_total", by: str = "") -> str:
-    """Write the share of compared points that contradict; 0 / 0, nothing mined, is no value."""
+    """Return the query for the share of compared points that contradict.
+
+    Without mined points it is 0 / 0, which has no value.
+    """
     grouped = f"sum{f' by ({by})' if by else ''}"
     return f"{grouped} (rate({of}{only})) / {grouped} (rate({of}{compared}))"
 
@@ -23,7 +26,7 @@ AGREEMENT_COLOURS: Final = {
     "only_predictive_dynamic": "#e0752d",
     "not_compared": "#3a3d42",
 }
-"""One colour per agreement, in every panel."""
+"""Colour of each agreement, in every panel."""
 
 CONTRADICTIONS: Final = {
     name: AGREEMENT_COLOURS[name] for name in ("only_semantic_dynamic", "only_predictive_dynamic")

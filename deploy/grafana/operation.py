@@ -1,4 +1,4 @@
-"""The dashboard for those who keep it running: is it alive, does it keep up, what goes wrong."""
+"""Dashboard for operators: liveness, throughput, errors."""
 
 from typing import Final
 
@@ -8,12 +8,12 @@ AT_A_TIME: Final = "[$__rate_interval]"
 
 
 def per_second(metric: str, by: str = "") -> str:
-    """Write the rate of a counter over all instances, per second."""
+    """Return the query for the rate of a counter over all instances, per second."""
     return f"sum{f' by ({by})' if by else ''} (rate({metric}{AT_A_TIME}))"
 
 
 def quantile(share: float, histogram: str) -> str:
-    """Write a quantile of a histogram over all instances."""
+    """Return the query for a quantile of a histogram over all instances."""
     return f"histogram_quantile({share}, sum by (le) (rate({histogram}_bucket{AT_A_TIME})))"
 
 

@@ -91,7 +91,7 @@ def remark(text: str, *, level: Literal["info", "warning", "error"] = "info") ->
 
 
 def command() -> str:
-    """Return the command as the user can type it: its name on the PATH, else as it was called."""
+    """Return the command as the user can type it: its name, else its path."""
     typed = Path(sys.argv[0])
     unknown = typed.name == COMMAND and shutil.which(COMMAND) is None
     return str(typed) if unknown else COMMAND

@@ -34,7 +34,7 @@ class DemoScene:
         at_s: Seconds from the first scene of its log.
         failures: Kinds of failures injected into the labels of the model on the car, in words.
         disturbances: Kinds of disturbances that are no failures, in words.
-        told: True if its first reason is about a track, false if it explains a low score.
+        is_about_track: True if its first reason is about a track, false if it explains a low score.
         named: True if its first reason is about an injected failure; None without one.
     """
 
@@ -43,7 +43,7 @@ class DemoScene:
     at_s: int
     failures: tuple[str, ...]
     disturbances: tuple[str, ...]
-    told: bool
+    is_about_track: bool
     named: bool | None = None
 
     @property
@@ -64,22 +64,22 @@ class DemoScene:
     @property
     def planted(self) -> str:
         """Injected failures, then disturbances; a dash for none."""
-        told = [", ".join(self.failures)] if self.failures else []
+        words = [", ".join(self.failures)] if self.failures else []
         if self.disturbances:
-            told.append(f"disturbed: {', '.join(self.disturbances)}")
-        return "; ".join(told) or "-"
+            words.append(f"disturbed: {', '.join(self.disturbances)}")
+        return "; ".join(words) or "-"
 
     @property
     def wrong(self) -> str:
         """Stream that is probably wrong about the first reason's track, with its probability."""
-        said = self.record.tracks[0].attribution if self.told else None
+        said = self.record.tracks[0].attribution if self.is_about_track else None
         return f"{_WORDS[said.wrong]} {said.chance:.0%}" if said else "-"
 
     @property
     def why(self) -> str:
         """First reason without attribution and evidence, short enough for a table."""
         first = next(iter(self.record.reasons), "-")
-        return first.partition("; ")[0] if self.told else first
+        return first.partition("; ")[0] if self.is_about_track else first
 
 
 def beside_truth(
@@ -111,8 +111,8 @@ def beside_truth(
         failures = _within(known.failures, row) if known else ()
         named = False if failures else None
         worth = bool(record.tracks) and record.tracks[0].strength >= WORTH_SAYING
-        told = record.score > 0 and worth
-        if known and failures and told:
+        is_about_track = record.score > 0 and worth
+        if known and failures and is_about_track:
             points = PlantedPoints(truth / row.log_id)
             named = points.first_reason_names(overlay_of(row.scene_id), known.failures)
         scenes.append(
@@ -122,7 +122,7 @@ def beside_truth(
                 at_s=round((row.start_ns - begins_ns[row.log_id]) / NS_PER_S),
                 failures=failures,
                 disturbances=_within(known.disturbances, row) if known else (),
-                told=told,
+                is_about_track=is_about_track,
                 named=named,
             )
         )

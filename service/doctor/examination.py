@@ -15,7 +15,7 @@ def examine(read: ReadSettings) -> Iterator[Finding]:
         read: Settings to check.
 
     Yields:
-        Findings as they are made; a part may have several. Impossible checks are reported too.
+        Findings, each when it is made; a part may have several. Impossible checks are reported too.
     """
     from service.doctor import machine as doctor_machine
     from service.doctor import network as doctor_network

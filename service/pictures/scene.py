@@ -173,7 +173,7 @@ def _draw_track(
 
 
 def _moments(members: NDArray[np.intp], strongest: int) -> list[int]:
-    """Return indices of begin, strongest moment and end, distinct where the track has three frames."""
+    """Return indices of begin, strongest moment and end, distinct in a track of three frames."""
     first, last = int(members[0]), int(members[-1])
     between = strongest if strongest not in (first, last) else int(members[len(members) // 2])
     return sorted({first, between, last})

@@ -1,4 +1,4 @@
-"""Benchmark of the ledger: durable shards per second, next to the limits of disk and SQLite alone."""
+"""Benchmark of the ledger: durable shards per second, and the limits of disk and SQLite alone."""
 
 import os
 import sqlite3

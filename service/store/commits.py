@@ -259,7 +259,7 @@ _FINISH_SHARD: Final = Statement(
 
 @lru_cache(maxsize=256)
 def _taken(scenes: int) -> Statement:
-    """Select which of so many scenes exist; shards of one grid have equally many, except a log's last.
+    """Select the existing ones of so many scenes; all shards but a log's last have equally many.
 
     Args:
         scenes: At least 1, since an empty list is invalid SQL.

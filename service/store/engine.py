@@ -148,7 +148,7 @@ class Store:
             self._observer.on_effects(effects)
 
     def write(self, work: Callable[[Connection], Result]) -> Result:
-        """Run a short write in one transaction with those of other threads; it is on disk on return.
+        """Run a short write in a transaction shared with other threads; it is on disk on return.
 
         Args:
             work: Function of a transaction; it may be called again in another, if the first was

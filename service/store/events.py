@@ -131,7 +131,7 @@ def counter(connection: Connection, name: str) -> int:
 
 
 def _next_numbers(connection: Connection, count: int) -> Iterator[int]:
-    """Reserve numbers for events; the row stays locked until the commit, so they are in its order."""
+    """Reserve event numbers; the row stays locked until the commit, so they are in its order."""
     if count == 0:
         return iter(())
     last: int = _COUNT_ON.one(connection, {"more": count}).value

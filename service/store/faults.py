@@ -16,7 +16,7 @@ from service.errors import StatementFailedError, StateUnusableError
 
 
 class StoreUnavailableError(TransientError):
-    """The database could not finish a transaction: disk full, locked, or its server does not answer."""
+    """The database could not finish a transaction: disk full, locked, or its server is away."""
 
 
 PYTHON_ERRORS: Final = (OverflowError, UnicodeError)
@@ -46,8 +46,9 @@ _PRIMARY: Final = 0xFF
 """Mask of the bits of an SQLite error code that give its kind; the others refine it."""
 
 _PASSES_IN_POSTGRES: Final = ("08", "40", "53", "57", "58", "55P03", "25006", "25P03", "25P04")
-"""Beginnings of SQLSTATE: connection, serialization, resources, operator, system; a lock that is
-held, a server that may only be read, a session that idled too long."""
+"""Beginnings of SQLSTATE: connection, serialization, resources, operator, system; a held lock, a
+read-only server, a session that idled too long.
+"""
 
 _DAMAGED_IN_POSTGRES: Final = ("XX001", "XX002")
 

@@ -87,7 +87,7 @@ class FileWatch:
             self._require_same(path, before, _seen(path))
 
     def before_write(self) -> None:
-        """Check the files at the beginning of a transaction, and that no one else wrote the main file.
+        """Check the files before a transaction, and that no other process wrote the main file.
 
         Raises:
             StateUnusableError: If a file was deleted, replaced, truncated or overwritten.

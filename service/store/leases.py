@@ -52,11 +52,14 @@ class LeasePolicy:
 
     @property
     def heard_s(self) -> float:
-        """Time since its last finished work for which a worker counts as present, seconds; no pause is longer."""
+        """Time after its last finished work for which a worker counts as present, seconds.
+
+        No pause is longer.
+        """
         return self.max_backoff_s + self.lease_s
 
     def is_settled(self, listed_s: float, *, now_s: float) -> bool:
-        """Return true if a revision is unchanged for long enough; one listed in the future is not."""
+        """Return true if a revision has settled; one listed in the future has not."""
         return now_s - min(listed_s, now_s) >= self.settle_s
 
     def pause_s(self, attempts: int) -> float:
@@ -141,7 +144,7 @@ def free_leases(connection: Connection, worker_prefix: str) -> int:
 
 
 def prune(connection: Connection, *, now_s: float) -> None:
-    """Delete leases that ended long ago; a commit under one is answered with a request to claim again."""
+    """Delete leases that ended long ago; a commit under one is refused, and must claim again."""
     connection.execute(
         delete(LEASES).where(~LEASES.c.is_held, LEASES.c.expires_s < now_s - LEASES_KEPT_S)
     )

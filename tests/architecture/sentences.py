@@ -70,6 +70,7 @@ _SECTION: Final = re.compile(
     r"^\s*(Args|Attributes|Returns|Raises|Yields|Note|Example|Examples|Source):\s*$", re.MULTILINE
 )
 _ITEM: Final = re.compile(r"^\s*(?:\*{0,2}\w+\*{0,2}(?: \([^)]*\))?:\s|[-*] |\d+\. |\|)")
+_DRAWING: Final = re.compile(r"[\u2500-\u257f]")
 _SENTENCE_END: Final = re.compile(r"(?<=[.!?])[\"')]*\s+(?=[A-Z`\"(])|[:;](?=\s)")
 
 
@@ -144,6 +145,8 @@ def _sentences(text: str) -> Iterator[str]:
     text = _SECTION.sub("", re.sub(r"https?://\S+", "URL", text))
     block: list[str] = []
     for line in [*text.splitlines(), ""]:
+        if _DRAWING.search(line):
+            line = ""
         if not line.strip() or _ITEM.match(line) or line.lstrip().startswith("#"):
             yield from _split(" ".join(block))
             block = []

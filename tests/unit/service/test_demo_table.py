@@ -153,6 +153,6 @@ def test_a_table_tells_what_was_seen_the_picture_what_speaks_for_it(
     record = scenes[0].record.model_copy(update={"reasons": (f"{seen}; {verdict}", "odometry")})
     assert replace(scenes[0], record=record).why == seen
     lost = record.model_copy(update={"reasons": ("odometry lost (a; b): not judged",)})
-    untold = replace(scenes[0], record=lost, told=False)
-    assert untold.why == "odometry lost (a; b): not judged"
-    assert untold.wrong == "-", "no verdict on what is not told"
+    gated = replace(scenes[0], record=lost, is_about_track=False)
+    assert gated.why == "odometry lost (a; b): not judged"
+    assert gated.wrong == "-", "no attribution without a track"
