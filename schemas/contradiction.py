@@ -154,8 +154,8 @@ KindName = Annotated[
     Field(
         max_length=MAX_NAME,
         pattern=r"^[a-z0-9_]+$",
-        description="How the streams contradict each other: for motion, which alone says that it "
-        "moves, `only_semantic_dynamic` or `only_predictive_dynamic`.",
+        description="Kind of contradiction: for motion the stream that alone labels it dynamic, "
+        "`only_semantic_dynamic` or `only_predictive_dynamic`.",
     ),
 ]
 
@@ -194,8 +194,9 @@ class TrackRecord(BaseModel):
         ge=0,
         le=1,
         exclude_if=lambda value: value is None,
-        description="Share of its points that the self-supervised stream proved to move more than "
-        "once; absent where that stream says static or does not tell.",
+        description="Share of its points that the self-supervised stream confirmed as dynamic "
+        "more than once; absent where that stream labels it static or confirms "
+        "nothing.",
     )
     attribution: Attribution | None = Field(
         default=None,

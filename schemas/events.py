@@ -31,5 +31,5 @@ class RankedScene(BaseModel):
     reasons: tuple[Kept, ...] = Field(
         default=(), max_length=MAX_LISTED, description="As in the record."
     )
-    twin_of: Kept | None = Field(default=None, description="A better scene right beside it.")
+    twin_of: Kept | None = Field(default=None, description="A better scene next to it.")
     sha256: Kept = Field(description="Digest of the record as published.")

@@ -108,7 +108,7 @@ class LidarFrame:
         if self.recorded is not None and len(self.recorded.class_id) != n:
             raise ValueError(
                 f"recorded labels must be ({n}), got ({len(self.recorded.class_id)}): "
-                "a label for each point of the cloud"
+                "one label for each point of the cloud"
             )
         freeze(self.points_m, self.intensity, self.offset_ns, self.ring, self.valid_mask)
 

@@ -11,4 +11,4 @@ class Problem(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     problem: Text = Field(description="One sentence: what, where, and what to do.")
-    transient: bool = Field(description="Asking again later may help.")
+    transient: bool = Field(description="True if a later retry may help.")

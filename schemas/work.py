@@ -135,7 +135,7 @@ class Shard(BaseModel):
     lidar: Channel
     recorded: RecordedSource | None = None
     motion: Channel | None = Field(
-        default=None, description="What the car recorded of its own motion, if it did."
+        default=None, description="Recorded motion of the car, if there is any."
     )
     camera: CameraCalibration | None = None
     anchor_ns: StampNs = Field(description="First frame of the log: origin of the grid.")
@@ -146,7 +146,7 @@ class Shard(BaseModel):
     before_lookahead_end_ns: StampNs = Field(
         default=0, description="`lookahead_end_ns` of the shard before; 0 where none is."
     )
-    scene_s: float = Field(default=2.0, gt=0, le=3600, description="Length of a scene's cell.")
+    scene_s: float = Field(default=2.0, gt=0, le=3600, description="Length of a scene.")
     first_of_log: bool = False
     last_of_log: bool = False
     chunks: tuple[ChunkRef, ...] = Field(fail_fast=True, max_length=MAX_CHUNKS)
@@ -194,9 +194,11 @@ class LogPlan(BaseModel):
     shards: tuple[Shard, ...] = Field(fail_fast=True, default=(), max_length=MAX_SHARDS_OF_A_PLAN)
     damage: tuple[Damage, ...] = Field(fail_fast=True, default=(), max_length=MAX_CHUNKS)
     truncated_parts: Tally = Field(
-        default=0, description="Objects that were never closed: used as far as they go."
+        default=0, description="Objects that were never closed, and are used up to their end."
     )
-    refused: Text = Field(default="", description="Why the log cannot be mined; empty when it can.")
+    refused: Text = Field(
+        default="", description="Cause for which the log cannot be mined; empty when it can."
+    )
     range_reads: Tally = 0
     bytes_read: Tally = 0
 
@@ -318,7 +320,7 @@ class FailRequest(BaseModel):
     error: Text
     permanent: bool = Field(description="Trying again would fail the same way.")
     replaced: bool = Field(
-        default=False, description="An object changed under the reader: plan the log anew."
+        default=False, description="An object changed under the reader: plan the log again."
     )
     growing: bool = Field(
         default=False,
@@ -327,8 +329,8 @@ class FailRequest(BaseModel):
     )
     given_back: bool = Field(
         default=False,
-        description="The worker was told to stop, or a store as a whole is in trouble: no fault of "
-        "this work, and no attempt used up.",
+        description="The worker was stopped, or a store as a whole fails: this work is not at "
+        "fault, and no attempt is used up.",
     )
 
 

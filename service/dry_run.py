@@ -53,17 +53,23 @@ class DryLog(BaseModel):
     bytes: int
     standing: LogStanding = Field(
         default="new",
-        description="What the state knows of it. new, changed (mined as other objects) and anew "
-        "(mined by another pipeline version): all of it is mined; in part; mined, refused and "
-        "parked: nothing is.",
+        description="Progress of the log in the state. new, changed (mined with other objects) "
+        "and anew (mined by another pipeline version): a run mines all of it. in "
+        "part: it mines the rest. mined, refused and parked: it mines nothing.",
     )
-    left_share: float = Field(default=1.0, ge=0, le=1, description="Of its bytes, to be mined.")
-    parked: int = Field(default=0, description="Plans and shards of it that are not tried again.")
-    duration_s: float | None = Field(default=None, description="None: not looked into.")
+    left_share: float = Field(
+        default=1.0, ge=0, le=1, description="Share of its bytes to be mined."
+    )
+    parked: int = Field(default=0, description="Plans and shards of it that are not retried.")
+    duration_s: float | None = Field(
+        default=None, description="Lidar frames in it; None: its index was not read."
+    )
     frames: int | None = Field(
         default=None, description="In all of it, or mined of it; None: not known."
     )
-    problem: str = Field(default="", description="Why it cannot be mined, of those looked into.")
+    problem: str = Field(
+        default="", description="Cause for which it cannot be mined, if its index was read."
+    )
 
 
 class DryRun(BaseModel):
@@ -73,20 +79,27 @@ class DryRun(BaseModel):
 
     bucket: str
     logs: tuple[DryLog, ...]
-    bytes: int = Field(description="Of all logs.")
-    left_bytes: int = Field(description="Of these, to be mined.")
-    by_standing: dict[str, int] = Field(description="Logs by what the state knows of them.")
+    bytes: int = Field(description="Bytes of all logs.")
+    left_bytes: int = Field(description="Bytes to be mined.")
+    by_standing: dict[str, int] = Field(description="Number of logs by progress in the state.")
     pipeline_version: str = Field(
-        description="What would mine; empty: there is no state to compare with, all is left."
+        description="Pipeline version of these settings; empty: there is no state to compare "
+        "with, all is left."
     )
     state_version: str = Field(description="The newest in the state; another one is beaten.")
-    looked_into: int = Field(description="Logs whose index was read, of those with work left.")
+    looked_into: int = Field(description="Logs with work left whose index was read.")
     frames: int | None = Field(description="To be mined, estimated by bytes; None: of no log.")
-    duration_s: float | None = Field(description="Of recording to be mined, estimated likewise.")
+    duration_s: float | None = Field(
+        description="Duration of recording to be mined, seconds, estimated by bytes."
+    )
     workers: int
-    seconds_per_frame: float | None = Field(description="None: nothing tells it.")
-    pace_from: str = Field(description="What the seconds per frame stand on.")
-    hours: float | None = Field(description="For what is left, on so many workers, a core each.")
+    seconds_per_frame: float | None = Field(
+        description="Seconds of one worker per frame; None: unknown."
+    )
+    pace_from: str = Field(description="Basis of the seconds per frame.")
+    hours: float | None = Field(
+        description="Estimated hours of the work left, on this number of workers with a core each."
+    )
 
 
 def plan_dry_run(
@@ -212,12 +225,12 @@ def _pace(known: "_Known", settings: Settings) -> tuple[float | None, str]:
         return found.seconds_per_frame, f"measured on {frames} frames mined in this state"
     if others:
         return None, (
-            f"no {ENOUGH_FRAMES} frames are mined in this state with {', '.join(others)}, and what "
-            "the default takes says nothing of it"
+            f"no {ENOUGH_FRAMES} frames are mined in this state with {', '.join(others)}, and the "
+            "time of the defaults does not apply to them"
         )
     return (
         DEFAULT_SECONDS_PER_FRAME,
-        f"{frames} frames are mined in this state, too few to go by: "
+        f"{frames} frames are mined in this state, too few for an estimate: "
         f"{DEFAULT_SECONDS_PER_FRAME:g} s per frame of 100,000 points, as measured elsewhere",
     )
 

@@ -39,7 +39,7 @@ LOCAL_WORKERS: Final = "local-"
 
 _LOOK_S: Final = 0.5
 
-_STARTING: Final = "workers start; a first run compiles its loops, about a minute"
+_STARTING: Final = "workers start; the first run compiles its loops, which takes about a minute"
 
 
 def run_embedded(

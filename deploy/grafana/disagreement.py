@@ -218,8 +218,8 @@ SCENES: Final = Row(
         ),
         Panel(
             title="Scenes per hour by state",
-            description="What may be made of the scenes' scores. Only `scored` ones are ranked by "
-            "what was found in them.",
+            description="Scenes by usability of their score. Only `scored` ones are ranked by "
+            "their contradictions.",
             unit="short",
             width=12,
             stacked=True,
@@ -232,7 +232,7 @@ SCENES: Final = Row(
         ),
         Panel(
             title="Contradicting tracks per scene by kind",
-            description="Things followed over a scene that only one stream calls dynamic.",
+            description="Objects tracked over a scene that only one stream labels dynamic.",
             unit="short",
             width=12,
             stacked=True,
@@ -248,7 +248,7 @@ SCENES: Final = Row(
         ),
         Panel(
             title="Contradicting instances per track",
-            description="Frames in which a contradicting thing was seen, on average. A fall means "
+            description="Mean number of frames with a contradicting object. A fall means "
             "flicker: contradictions that last for a frame or two.",
             unit="short",
             width=12,

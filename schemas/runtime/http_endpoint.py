@@ -228,7 +228,7 @@ class _Request(BaseRequestHandler):
         handler = self.server.routes.get(asked.path)
         if handler is None:
             paths = ", ".join(sorted(self.server.routes))
-            return text_response(f"no such page; there are: {paths}", status=HTTPStatus.NOT_FOUND)
+            return text_response(f"no such page; known pages: {paths}", status=HTTPStatus.NOT_FOUND)
         place = self.server.places[asked.path]
         if not place.acquire(blocking=False):
             return text_response(
@@ -245,7 +245,7 @@ class _Request(BaseRequestHandler):
         except Exception:
             log.exception("page failed", path=asked.path)
             return text_response(
-                "this page failed; the log of the daemon says why",
+                "this page failed; the log of the daemon has the cause",
                 status=HTTPStatus.INTERNAL_SERVER_ERROR,
             )
         finally:

@@ -34,4 +34,4 @@ def pause(stop: Event, wait_s: float) -> None:
         StoppedError: As soon as `stop` is set.
     """
     if stop.wait(wait_s):
-        raise StoppedError("told to stop while waiting; start again to go on")
+        raise StoppedError("stopped while waiting; start again to go on")

@@ -137,9 +137,9 @@ def _denial(code: str, *, url: str, doing: str) -> str:
     """Describe a problem with credentials and its remedy; `code` is the store's own error code."""
     named = f" ({code})" if code else ""
     if code == "AccessDenied":
-        return f"the store allows these credentials no {doing} here{named}: grant it, or use others"
+        return f"the store denies these credentials {doing} here{named}: grant it, or use others"
     if code == "RequestTimeTooSkewed":
-        return f"the store takes no requests from a clock so wrong{named}: set this machine's clock"
+        return f"the store refuses requests of a wrong clock{named}: set this machine's clock"
     if code in _EXPIRED:
         return f"these credentials have expired{named}: {_set_them(url)}"
     if code == "InvalidAccessKeyId":

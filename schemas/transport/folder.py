@@ -20,7 +20,7 @@ from schemas.visible import has_controls, visible
 
 _SKIPPED: Final = {
     errno.ELOOP: "is a link in a loop of links",
-    errno.ENAMETOOLONG: "has a path that is longer than the system takes",
+    errno.ENAMETOOLONG: "has a path that is longer than the system allows",
     errno.EACCES: "may not be read",
     errno.EPERM: "may not be read",
 }
@@ -125,7 +125,7 @@ class _Walk:
                 return self._leads_on(entry, key, stat)
         except FileNotFoundError:
             if entry.is_symlink():
-                self.on_skipped(Skipped.of(key, "is a link to nothing"))
+                self.on_skipped(Skipped.of(key, "is a broken link"))
             return False
         except OSError as error:
             # What lies in a folder that may be read but not entered is denied one by one.

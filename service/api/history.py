@@ -57,8 +57,8 @@ class History:
         withdrawn = _number(query, "withdrawn", most=1) or 0
         if since > (last := self._ledger.last_seq()):
             raise PermanentError(
-                f"no event {since} here, the last is {last}: these are the scenes of another "
-                "ledger; drop what you have, and begin anew with since=0"
+                f"no event {since} here, the last is {last}: these scenes are from another "
+                "ledger; drop yours, and begin again with since=0"
             )
         if newest is not None:
             events: Iterator[StoredScene] = iter(self._ledger.newest_scenes(newest))

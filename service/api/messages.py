@@ -30,7 +30,7 @@ class AboutReply(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="ignore")
 
-    package: Said = Field(description="Version of the package, as it was started.")
+    package: Said = Field(description="Version of the package at its start.")
 
 
 class TopRequest(BaseModel):
@@ -42,7 +42,7 @@ class TopRequest(BaseModel):
         default=None,
         ge=1,
         le=MAX_SCENES_ASKED,
-        description="Only the first so many; None: all.",
+        description="Number of rows at most; None: all.",
     )
 
 
@@ -87,7 +87,7 @@ class RetryRequest(BaseModel):
     log_ids: tuple[LogId, ...] | None = Field(
         default=None,
         max_length=MAX_LOGS_NAMED,
-        description="Only that of these logs; None: all that is parked.",
+        description="Logs whose work is retried; None: all parked work.",
     )
 
 
@@ -108,4 +108,4 @@ def question(kind: type[Request], **fields: Any) -> Request:
     try:
         return kind.model_validate(fields)
     except ValidationError as error:
-        raise UsageError(f"cannot be asked: {first_problem(error)}") from None
+        raise UsageError(f"invalid request: {first_problem(error)}") from None

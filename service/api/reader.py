@@ -175,7 +175,7 @@ def read_overlay(artifacts_url: str, scene: StoredScene) -> bytes:
         return open_bucket(artifacts_url).read_all(_key_of(scene), at_most=MAX_OVERLAY_BYTES)
     except ObjectChangedError:
         raise NothingFoundError(
-            f"no overlay of {scene.scene_id} in {shown(artifacts_url)}; name its place with "
+            f"no overlay of {scene.scene_id} in {shown(artifacts_url)}; name its bucket with "
             "--artifacts"
         ) from None
 

@@ -181,7 +181,7 @@ class Questions:
         most_bytes = MAX_QUESTION_BYTES if verb is None else verb.most_bytes
         size = 0 if query.payload is None else len(query.payload)
         if size > most_bytes:
-            problem = f"too large a question: {size} bytes, of which {asked} takes {most_bytes}"
+            problem = f"request too large: {size} bytes, {asked} accepts {most_bytes}"
             self._send_back(asked, query, PermanentError(problem), "refused")
             return
         takes_payload = verb is not None and verb.request is not None and query.payload is not None
@@ -235,20 +235,20 @@ class Questions:
         except TransientError as error:
             if self._unable.get(asked) != str(error):
                 self._unable[asked] = str(error)
-                log.warning("question not answered now", asked=asked, problem=str(error))
+                log.warning("request not answered now", asked=asked, problem=str(error))
             self._refuse_all(questions, error)
             return "try_again"
         except StateUnusableError:
             raise
         except CounterpointError as error:
-            log.warning("question refused", asked=asked, problem=str(error))
+            log.warning("request refused", asked=asked, problem=str(error))
             self._refuse_all(questions, error)
             return "refused"
         except zenoh.ZError as error:  # the asker is gone, or the session is closing
             log.warning("reply not sent", asked=asked, problem=str(error))
             return "unsent"
         if self._unable.pop(asked, None) is not None:
-            log.info("questions answered again", asked=asked)
+            log.info("requests answered again", asked=asked)
         return "answered"
 
     def _reply(self, query: zenoh.Query, answer: bytes) -> bool:
@@ -271,7 +271,7 @@ class Questions:
 
     def _fault(self, error: BaseException, questions: list[_Question]) -> Outcome:
         asked = questions[0].asked
-        log.error("question failed: a fault of the program", asked=asked, exc_info=error)
+        log.error("request failed: a fault of the program", asked=asked, exc_info=error)
         self._on_fault()
         said = (str(error).splitlines() or [""])[0][:300]
         problem = PermanentError(
@@ -296,4 +296,4 @@ class MalformedError(PermanentError):
 
 def malformed(asked: Asked, error: ValidationError) -> MalformedError:
     """Make the error that names the first invalid field of a request."""
-    return MalformedError(f"not a question for {asked}: {first_problem(error)}")
+    return MalformedError(f"not a request for {asked}: {first_problem(error)}")

@@ -145,7 +145,7 @@ class BucketWatch:
         result = self._ledger.sync_recordings(found) if is_believed else SyncResult()
         self._taken_over = objects if is_believed else None
         if found and self._empty_since_s is not None:
-            log.info("bucket holds logs again", bucket=self._bucket.url, recordings=len(found))
+            log.info("bucket contains logs again", bucket=self._bucket.url, recordings=len(found))
             self._empty_since_s = None
         parts = [part for recording in found for part in recording.parts]
         self.seen = replace(
@@ -173,7 +173,7 @@ class BucketWatch:
             self._listed, self._took_s = [], 0.0
         listed = self._listed
         if listed:
-            log.info("listing goes on", after=listed[-1].key, objects=len(listed))
+            log.info("listing resumed", after=listed[-1].key, objects=len(listed))
         else:
             self._skipped = {}
         after = listed[-1].key if listed else None
@@ -203,9 +203,9 @@ class BucketWatch:
         """Log each skipped entry, once as long as it exists."""
         new = [each for name, each in self._skipped.items() if name not in self._named]
         for each in new[:MAX_SKIPPED_NAMED]:
-            log.warning("entry of the bucket is left out", entry=each.name, problem=each.why)
+            log.warning("entry of the bucket skipped", entry=each.name, problem=each.why)
         if new[MAX_SKIPPED_NAMED:]:
-            log.warning("more entries are left out", entries=len(new) - MAX_SKIPPED_NAMED)
+            log.warning("further entries skipped", entries=len(new) - MAX_SKIPPED_NAMED)
         self._named = set(self._skipped)
 
     def _with_hidden(self, listed: list[ObjectMeta]) -> list[ObjectMeta]:
@@ -226,7 +226,7 @@ class BucketWatch:
             if folder is not None:
                 problem = (
                     f"logs of the folder {folder} are recorded, but it may not be read; permit it, "
-                    f"or say exclude = {folder}* to have them count as deleted ({self._bucket.url})"
+                    f"or set exclude = {folder}* to have them count as deleted ({self._bucket.url})"
                 )
                 self._errors["refused"] += 1
                 self.seen = replace(self.seen, errors=dict(self._errors), problem=problem)

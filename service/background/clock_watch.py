@@ -52,6 +52,6 @@ class ClockWatch:
         if abs(step_s) >= STEP_S:
             self.steps["forward" if step_s > 0 else "back"] += 1
             log.warning(
-                "the clock was set: leases and waits are cut to their terms, nothing is lost",
+                "the clock was set: leases and waits are limited to their terms, nothing is lost",
                 step_s=round(step_s, 1),
             )

@@ -73,7 +73,7 @@ class OverlaySweep:
         finally:
             if self.deleted > before:
                 log.info(
-                    "overlays of scenes withdrawn long ago deleted",
+                    "overlays of withdrawn scenes deleted",
                     overlays=self.deleted - before,
                     keep_withdrawn_days=self._keep_s / DAY_S,
                 )

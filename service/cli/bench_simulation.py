@@ -20,13 +20,13 @@ def simulation(
         str | None, typer.Argument(help="URL or path of a real .mcap file to compare with.")
     ] = None,
     sensor: Annotated[
-        str, typer.Option("--sensor", help="Which simulated lidar: pandar64, hdl64, …")
+        str, typer.Option("--sensor", help="Simulated lidar: pandar64, hdl64, …")
     ] = "pandar64",
     frames: Annotated[
-        int, typer.Option("--frames", min=1, max=MOST, help="How many frames to time.")
+        int, typer.Option("--frames", min=1, max=MOST, help="Number of timed frames.")
     ] = 20,
     picture: Annotated[
-        Path | None, typer.Option("--picture", help="PNG of a real frame beside simulated ones.")
+        Path | None, typer.Option("--picture", help="PNG of a real frame next to simulated ones.")
     ] = None,
     json: Json = False,
     config: Config = None,

@@ -19,16 +19,19 @@ WORST_FRAMES = 10
 
 Truth = Annotated[
     Path,
-    typer.Option("--truth", help="Truth of BUCKET/x/y.mcap in DIR/x/y, as deploy/TRUTH.md says."),
+    typer.Option(
+        "--truth",
+        help="Folder DIR with the truth of BUCKET/x/y.mcap in DIR/x/y; see deploy/TRUTH.md.",
+    ),
 ]
 Frames = Annotated[
-    str, typer.Option("--frames", help="A:B, half open, per log; earlier ones warm up.")
+    str, typer.Option("--frames", help="Frames A:B of each log, half open; earlier ones warm up.")
 ]
 
 
 def add_to(app: typer.Typer) -> None:
     """Add the verbs of this file to the command."""
-    evaluation = typer.Typer(no_args_is_help=True, help="Judge against truth.")
+    evaluation = typer.Typer(no_args_is_help=True, help="Evaluate streams against ground truth.")
     evaluation.command(epilog="counterpoint eval motion logs --truth truth --frames 10:56 --json")(
         motion
     )
@@ -47,27 +50,27 @@ def motion(
         list[str] | None,
         typer.Option(
             "--stream",
-            help="Which labels: selfsupervised (default), supervised, or a part by its name. Given "
-            "more than once: side by side, a row each.",
+            help="Stream to evaluate: selfsupervised (default), supervised, or the name of a "
+            "part. Repeatable, for a row each.",
         ),
     ] = None,
     alone: Annotated[
-        bool, typer.Option("--alone", help="Do not run the other stream beside it.")
+        bool, typer.Option("--alone", help="Run this stream without the other one.")
     ] = False,
     rows: Annotated[
         str, typer.Option("--rows", help="Beams to keep, a slice from the lowest up: 0::2.")
     ] = "",
     every: Annotated[
-        int, typer.Option("--every", min=1, max=MOST, help="Keep one frame in so many.")
+        int, typer.Option("--every", min=1, max=MOST, help="Interval of the frames kept.")
     ] = 1,
     yaw_noise_deg: Annotated[
         float,
         typer.Option(
-            "--yaw-noise-deg", min=0.0, max=360.0, help="Turn each pose at random, degrees."
+            "--yaw-noise-deg", min=0.0, max=360.0, help="Random rotation of each pose, degrees."
         ),
     ] = 0.0,
     labels: Annotated[
-        Path | None, typer.Option("--labels", help="Write what was judged to DIR/x/y/NNNNNN.npz.")
+        Path | None, typer.Option("--labels", help="Write labels and truth to DIR/x/y/NNNNNN.npz.")
     ] = None,
     plot: Annotated[
         Path | None, typer.Option("--plot", help="Draw the table into this PNG file.")
@@ -148,7 +151,7 @@ def semantics(
     truth: Truth,
     frames: Frames = "0:",
     stream: Annotated[
-        str, typer.Option("--stream", help="Whose classes: supervised, or a part by its name.")
+        str, typer.Option("--stream", help="Stream to evaluate: supervised, or the name of a part.")
     ] = "supervised",
     json: Json = False,
     config: Config = None,

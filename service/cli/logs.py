@@ -32,7 +32,9 @@ from service.output_files import need_folder, save_picture
 if TYPE_CHECKING:
     from workers.mine import MinedRecord
 
-LogUrl = Annotated[str, typer.Argument(help="URL or path of one .mcap file; any part of a split.")]
+LogUrl = Annotated[
+    str, typer.Argument(help="URL or path of one .mcap file, or of any part of a split recording.")
+]
 BucketRoot = Annotated[
     str | None,
     typer.Option("--bucket", help="Root that log_id is relative to, else COUNTERPOINT_BUCKET."),
@@ -123,7 +125,7 @@ def score(
             if pictures
             else lambda mined: None,
             on_unread_labels=lambda topic: remark(
-                f"this log holds recorded labels on {topic}; judge them by --supervised recorded"
+                f"this log has recorded labels on {topic}; compare them by --supervised recorded"
             ),
         ):
             if json:

@@ -142,7 +142,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     except Exception as error:
         if isinstance(error, OSError) and error.errno in _OF_THE_MACHINE:
-            log.debug("the machine refused", exc_info=True)
+            log.debug("the operating system refused", exc_info=True)
             return _say_refused(error)
         log.exception("this is a fault of the program; please report it with these lines")
         return EX_SOFTWARE
@@ -154,7 +154,7 @@ def _say_refused(error: OSError) -> int:
     where = f" ({os.fsdecode(error.filename)})" if error.filename else ""
     if not where:  # results, most likely, which the interpreter would write again as it ends
         _let_go_of_stdout()
-    remark(f"error: this machine refuses: {error.strerror}{where}", level="error")
+    remark(f"error: the operating system refuses: {error.strerror}{where}", level="error")
     return EX_TEMPFAIL if error.errno in _MAY_PASS else 1
 
 

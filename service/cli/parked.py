@@ -34,7 +34,7 @@ def parked_line(status: Status, settings: Settings) -> str:
     more = f" and {len(logs) - MOST_NAMED} more" if len(logs) > MOST_NAMED else ""
     return (
         f"error: {' and '.join(what)} of {counted(len(logs), 'log')} parked, their scenes are "
-        f"missing: {named}{more}; mend the cause that stands above, then run "
+        f"missing: {named}{more}; fix the cause reported above, then run "
         f"`{retry_command(settings)}` and the same command again"
     )
 

@@ -30,12 +30,13 @@ def add_to(app: typer.Typer) -> None:
 
 def rates(
     by: Annotated[
-        str, typer.Option("--by", help="vehicle, version, kind, hour or log.")
+        str, typer.Option("--by", help="Group by vehicle, version, kind, hour or log.")
     ] = "vehicle",
     since: Annotated[
         str,
         typer.Option(
-            "--since", help="Recorded at or after: 2026-11-20, 2026-11-20T08:00Z, or 24h, 7d ago."
+            "--since",
+            help="Recorded at or after: 2026-11-20, 2026-11-20T08:00Z, or an age such as 24h, 7d.",
         ),
     ] = "",
     until: Annotated[str, typer.Option("--until", help="Recorded before; as --since.")] = "",

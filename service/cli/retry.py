@@ -18,9 +18,9 @@ def add_to(app: typer.Typer) -> None:
 def retry(
     log_ids: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[LOG_ID]...", help="Logs, as `counterpoint status` names them."),
+        typer.Argument(metavar="[LOG_ID]...", help="Log ids, as listed by `counterpoint status`."),
     ] = None,
-    everything: Annotated[bool, typer.Option("--all", help="Everything that is parked.")] = False,
+    everything: Annotated[bool, typer.Option("--all", help="Retry all parked work.")] = False,
     connect: Connect = None,
     state: StateDir = None,
     database: Database = None,
@@ -29,7 +29,7 @@ def retry(
 ) -> None:
     """Try parked plans and shards again, with all their attempts; finished work stays done."""
     if bool(log_ids) is everything:
-        raise UsageError("name the logs to retry, or give --all for everything that is parked")
+        raise UsageError("name the logs to retry, or give --all for all parked work")
     wanted = None if everything else log_ids
     source = reader(config, connect=connect, state=state, database=database)
     retried = source.retry(wanted)

@@ -29,7 +29,7 @@ from service.output_files import need_writable, save_picture
 from service.settings.config import Settings
 
 StateDir = Annotated[
-    Path | None, typer.Option("--state", help="Folder of a run; no daemon is needed then.")
+    Path | None, typer.Option("--state", help="State folder of a run, read without a daemon.")
 ]
 
 
@@ -47,7 +47,10 @@ def watch(
     history: Annotated[
         int | None,
         typer.Option(
-            "--history", min=0, max=MAX_NEWEST, help="Newest scenes first; all by default."
+            "--history",
+            min=0,
+            max=MAX_NEWEST,
+            help="Number of past scenes, the newest; default: all.",
         ),
     ] = None,
     since: Annotated[
@@ -60,7 +63,8 @@ def watch(
         list[str] | None, typer.Option("--vehicle", help="Only this vehicle. Repeatable.")
     ] = None,
     min_score: Annotated[
-        float, typer.Option("--min-score", min=0, max=1, help="Only scenes that score so much.")
+        float,
+        typer.Option("--min-score", min=0, max=1, help="Only scenes with at least this score."),
     ] = 0.0,
     json: Json = False,
     config: Config = None,
@@ -104,7 +108,8 @@ def _say_service(there: bool) -> None:
 
 def top(
     n: Annotated[
-        int | None, typer.Option("-n", min=1, max=MAX_SCENES_ASKED, help="Rows; all by default.")
+        int | None,
+        typer.Option("-n", min=1, max=MAX_SCENES_ASKED, help="Number of rows; default: all."),
     ] = None,
     connect: Connect = None,
     state: StateDir = None,
@@ -132,14 +137,17 @@ def _say_judged_in_best(source: Reader, scene_id: str) -> None:
         remark(str(error))
         return
     pair = said_of(made_by.supervised, made_by.selfsupervised)
-    remark(f"judged, in the best scene: {pair}; `counterpoint status` counts all")
+    remark(f"streams of the best scene: {pair}; `counterpoint status` counts all")
 
 
 def select(
     budget: Annotated[
         int,
         typer.Option(
-            "--budget", min=1, max=MAX_SCENES_ASKED, help="Scenes the labellers can take."
+            "--budget",
+            min=1,
+            max=MAX_SCENES_ASKED,
+            help="Number of scenes that the labellers can take.",
         ),
     ],
     name: Annotated[str | None, typer.Option("--name", help="Name of the selection.")] = None,
@@ -171,20 +179,20 @@ def select(
     )
     passed = left_out(ranking, selection)
     if passed.twins:
-        remark(f"left out: {counted(passed.twins, 'scene')} right beside a better one of the log")
+        remark(f"left out: {counted(passed.twins, 'scene')} next to a better one of the log")
     if passed.without:
-        remark(f"left out: {counted(passed.without, 'scene')} in which nothing contradicts")
-    remark("ids, for a labelling tool: --json, or the selection as it was published")
+        remark(f"left out: {counted(passed.without, 'scene')} without a contradiction")
+    remark("ids for a labelling tool: --json, or the published selection")
 
 
 def show(
     scene: Annotated[
         str,
-        typer.Argument(help="Its rank, its name as `counterpoint top` prints it, or its scene_id."),
+        typer.Argument(help="Rank, name in `counterpoint top`, or scene_id."),
     ],
     out: Annotated[Path, typer.Option("--out", help="PNG file to write.")],
     on_image: Annotated[
-        bool, typer.Option("--on-image", help="The points on the car's camera image instead.")
+        bool, typer.Option("--on-image", help="Draw the points on the car's camera image instead.")
     ] = False,
     bucket: Annotated[
         str | None, typer.Option("--bucket", help="Log bucket, for the camera image.")

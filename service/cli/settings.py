@@ -70,7 +70,7 @@ def print_settings(
         return
     table(
         "settings",
-        ("setting", "value", "from", "mined anew", "what it is"),
+        ("setting", "value", "from", "mined again", "meaning"),
         (
             (
                 row.setting,
@@ -85,7 +85,7 @@ def print_settings(
     file = f"the file {read.file}" if read.file else "a file (--config; none is read now)"
     remark(
         f"flags win over COUNTERPOINT_* variables, these over {file}; when a setting with "
-        "`mined anew` changes, everything in the bucket is mined anew"
+        "`mined again` changes, everything in the bucket is mined again"
     )
 
 

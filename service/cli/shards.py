@@ -20,7 +20,7 @@ def shards(
     shard_seconds: ShardSeconds = None,
     warmup_seconds: Annotated[
         float | None,
-        typer.Option("--warmup-seconds", help="Read before a window, to warm up; 1.2."),
+        typer.Option("--warmup-seconds", help="Warm-up before a window, seconds; default 1.2."),
     ] = None,
     selfsupervised: SelfSupervised = None,
     json: Json = False,

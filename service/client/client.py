@@ -168,7 +168,7 @@ def watch_scenes(
     if not connect:
         raise ValueError("connect must name a router, such as tcp/127.0.0.1:7447")
     if history is not None and since is not None:
-        raise ValueError("give history or since, not both: since means all after that number")
+        raise ValueError("give history or since, not both: since gives all after that number")
     vehicles = frozenset((vehicle,) if isinstance(vehicle, str) else vehicle)
     wanted = Wanted(log=log, vehicles=vehicles, min_score=min_score)
     holding = Holding(wanted, resumed=bool(since))

@@ -160,7 +160,7 @@ class SceneSubscription:
         if self.dropped == 1:
             said = first_problem(error) if isinstance(error, ValidationError) else str(error)
             log.warning(
-                "not a scene; it is passed over, and so are others like it",
+                "message is not a scene; it is ignored, and further ones are not logged",
                 key=str(sample.key_expr)[:200],
                 problem=said[:200],
             )

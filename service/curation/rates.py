@@ -35,29 +35,30 @@ class RateRow(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     group: Kept = Field(description="Vehicle, software version, kind, hour (RFC 3339) or log.")
-    time: Said | None = Field(default=None, description="By hour: its begin, RFC 3339, UTC.")
+    time: Said | None = Field(default=None, description="By hour: its start, RFC 3339, UTC.")
     time_ms: Count | None = Field(default=None, description="By hour: ms since the Unix epoch.")
     scenes: Count = Field(description="Current scenes.")
     frames: Count = Field(description="Their frames.")
     compared_points: Count = Field(description="Points that both streams labelled.")
     contradicting_points: Count = Field(
-        description="Of these, called dynamic by exactly one stream; by kind: by that one."
+        description="Of these, labelled dynamic by exactly one stream; by kind: by that one."
     )
     disagreement_rate: Finite = Field(description="Contradicting over compared points.")
     only_semantic_dynamic_rate: Finite = Field(
-        description="Only the supervised stream says dynamic, over compared points."
+        description="Share labelled dynamic by the supervised stream alone, over compared points."
     )
     only_predictive_dynamic_rate: Finite = Field(
-        description="Only the self-supervised stream says dynamic, over compared points."
+        description="Share labelled dynamic by the self-supervised stream alone, over compared "
+        "points."
     )
     scenes_with_contradictions: Count = Field(
         description="Scenes with a score above 0; by kind: with a point of that kind."
     )
-    gated_scenes: Count = Field(
-        description="Too short, or odometry lost: their score means nothing."
+    gated_scenes: Count = Field(description="Too short, or odometry lost; without a valid score.")
+    mean_score: Finite = Field(
+        description="Mean over the scenes that are not gated; 0 without any."
     )
-    mean_score: Finite = Field(description="Over the scenes that are not gated; 0 without any.")
-    best_score: Finite = Field(description="Best of the group.")
+    best_score: Finite = Field(description="Highest score of the group.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +182,7 @@ def _instant_ns(text: str, *, what: str, now_s: float) -> int:
     except ValueError:
         raise UsageError(
             f"{what} is no time: {text!r}; give one like 2026-11-20, 2026-11-20T08:00:00Z, or 24h "
-            "and 7d for so long ago"
+            "and 7d for an age"
         ) from None
     if instant.tzinfo is None:
         instant = instant.replace(tzinfo=UTC)
@@ -190,7 +191,7 @@ def _instant_ns(text: str, *, what: str, now_s: float) -> int:
 
 def _within_range(instant_ns: int, text: str, *, what: str) -> int:
     if instant_ns > MAX_INTEGER:
-        raise UsageError(f"{what} is too late: {text!r}; the last time there is lies in April 2262")
+        raise UsageError(f"{what} is too late: {text!r}; times end in April 2262")
     return max(0, instant_ns)
 
 

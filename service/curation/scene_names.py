@@ -70,7 +70,7 @@ def named(text: str, rows: Sequence[RankedScene]) -> RankedScene:
         raise NothingFoundError(f"no current scene {text!r}; `counterpoint top` lists them")
     if len(found) > 1:
         listed = ", ".join(f"{row.rank} ({row.scene_id})" for row in found)
-        raise UsageError(f"{text!r} means several scenes, name one by its rank: {listed}")
+        raise UsageError(f"{text!r} matches several scenes, name one by its rank: {listed}")
     return found[0]
 
 

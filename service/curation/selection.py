@@ -16,9 +16,9 @@ class Selection(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: Kept = Field(min_length=1)
-    budget: int = Field(ge=1, le=MAX_INTEGER, description="Scenes that were asked for.")
+    budget: int = Field(ge=1, le=MAX_INTEGER, description="Number of scenes requested.")
     scenes: tuple[RankedScene, ...] = Field(
-        max_length=MAX_LISTED, description="Best first, with the rank they had."
+        max_length=MAX_LISTED, description="Best first, with their rank at the time."
     )
 
     @property

@@ -105,7 +105,7 @@ def run_demo(
         )
     planted = [each.kind.value.replace("_", " ") for log in logs for each in log.planted.failures]
     remark(
-        f"{len(logs)} simulated logs; the model on these cars was made to err {len(planted)} times "
+        f"{len(logs)} simulated logs; the model on these cars has {len(planted)} injected failures "
         f"({', '.join(sorted(set(planted)))}). Mining them takes a few minutes."
     )
     with progress() as bar:
@@ -151,8 +151,8 @@ def _begin_in(out: Path, *, remark: Callable[[str], None], force: bool) -> tuple
     )
     if there and not is_of_a_demo and not force:
         raise UsageError(
-            f"--out: {there[0]} exists and is of no demo: name another folder, or replace it with "
-            "--force"
+            f"--out: {there[0]} exists, and no demo made it: name another folder, or replace it "
+            "with --force"
         )
     need_folder(out, option="--out")
     (out / _MARK).touch()

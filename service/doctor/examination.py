@@ -46,4 +46,4 @@ def examine(read: ReadSettings) -> Iterator[Finding]:
 def _settings(read: ReadSettings) -> Finding:
     changed = ", ".join(sorted(read.written)) or "none"
     file = f"file {read.file}" if read.file else "no file"
-    return ok("settings", f"all possible; given: {changed} ({file})")
+    return ok("settings", f"all valid; changed: {changed} ({file})")

@@ -12,9 +12,11 @@ class Finding(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    what: str = Field(description="The part that was looked at.")
-    verdict: Verdict = Field(description="problem: it will not work; warning: look at it.")
-    says: str = Field(description="What was found, and what to mend, in one sentence.")
+    what: str = Field(description="The part that was checked.")
+    verdict: Verdict = Field(
+        description="problem: it will not work; warning: it works with a limitation."
+    )
+    says: str = Field(description="Result and remedy in one sentence.")
 
 
 def ok(what: str, says: str) -> Finding:

@@ -122,7 +122,7 @@ def clock(settings: Settings) -> Iterator[Finding]:
         yield problem(
             "clock",
             f"{said} is {newest_s - now_s:.0f} s before the newest commit: the clock was set back; "
-            "mend it, nothing is lost meanwhile",
+            "correct it, nothing is lost meanwhile",
         )
     else:
         yield ok("clock", said)

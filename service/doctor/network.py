@@ -40,7 +40,9 @@ def router(settings: Settings) -> Iterator[Finding]:
         yield _of_which_version(session, root=settings.root)
         workers = workers_alive(session, root=settings.root)
         say = ok if workers else warning
-        yield say("service", f"has {workers} workers" + ("" if workers else ": nothing is mined"))
+        yield say(
+            "service", f"has {workers} workers" + ("" if workers else ", so nothing is mined")
+        )
 
 
 def _of_which_version(session: zenoh.Session, *, root: str) -> Finding:
@@ -48,15 +50,15 @@ def _of_which_version(session: zenoh.Session, *, root: str) -> Finding:
     try:
         about = ask(session, keys.control(root=root, verb="about"), timeout_s=PATIENCE_S)
     except UnansweredError:
-        theirs = "an older version, which does not say itself,"
+        theirs = "an older version that does not report its own number,"
     else:
         theirs = f"version {decode(AboutReply, about).package}"
     if theirs == f"version {ours}":
         return ok("service", f"{answers}, of {theirs}")
     return warning(
         "service",
-        f"{answers}, but is of {theirs} and this command of version {ours}: what they "
-        "say to each other may differ; use the command of its version, or upgrade and restart it",
+        f"{answers}, but is of {theirs} and this command of version {ours}: their "
+        "messages may differ; use the command of its version, or upgrade and restart it",
     )
 
 

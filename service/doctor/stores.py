@@ -70,7 +70,7 @@ def artifacts(settings: Settings) -> Iterator[Finding]:
     """Write a small object into the artifacts, and read it back."""
     url = settings.artifacts_url
     if settings.bucket and _canonical(url) == _canonical(settings.bucket):
-        yield problem("artifacts", "are the log bucket itself: name another place with --artifacts")
+        yield problem("artifacts", "are the log bucket itself: name another URL with --artifacts")
         return
     if not settings.artifacts and not settings.state.is_dir():
         yield ok("artifacts", f"will be made in the state folder ({shown(url)})")
@@ -84,7 +84,7 @@ def artifacts(settings: Settings) -> Iterator[Finding]:
         with suppress(CounterpointError):  # credentials may allow writing and no deleting
             store.delete(PROBE_KEY)
             deleted = True
-    left = "" if deleted else f"; the probe {PROBE_KEY} stays there, it cannot be deleted"
+    left = "" if deleted else f"; the probe {PROBE_KEY} remains, since it cannot be deleted"
     if same:
         yield ok("artifacts", f"can be written and read ({store.url}){left}")
     else:
@@ -102,7 +102,7 @@ def state(settings: Settings) -> Iterator[Finding]:
         with tempfile.TemporaryFile(dir=at):
             pass
     except OSError as error:
-        yield problem("state", f"cannot be written: {error.strerror}; mend its permissions ({at})")
+        yield problem("state", f"cannot be written: {error.strerror}; fix its permissions ({at})")
         return
     yield ok("state", f"can be written ({folder})" if exists else f"will be made ({folder})")
     free = shutil.disk_usage(at).free
@@ -117,7 +117,7 @@ def state(settings: Settings) -> Iterator[Finding]:
     if kind in NOT_LOCAL:
         yield problem(
             "state",
-            f"lies on {kind}, where locks of other machines may not be seen: use a local disk"
+            f"lies on {kind}, where locks of other machines may be invisible: use a local disk"
             + ("" if settings.database else ", or a PostgreSQL with --database"),
         )
     endpoint = endpoint_of_running(folder)
@@ -153,7 +153,7 @@ def database(settings: Settings) -> Iterator[Finding]:
     if settings.bucket and served and open_bucket(settings.bucket).url != served:
         yield warning(
             "database",
-            f"belongs to {served}: a run on another bucket is refused, unless that holds its logs; "
+            f"belongs to {served}: a run on another bucket is refused, unless that has its logs; "
             "name another folder with --state",
         )
 

@@ -52,7 +52,7 @@ def _rates(ledger: Ledger, request: HttpRequest) -> HttpResponse:
     """Answer `?by=…&since=…&until=…` with an array of flat rows."""
     unknown = sorted(request.query.keys() - {"by", "since", "until"})
     if unknown:
-        raise UsageError(f"unknown parameter {unknown[0]!r}; there are: by, since, until")
+        raise UsageError(f"unknown parameter {unknown[0]!r}; known: by, since, until")
     asked = _asked_rates(request.query, now_s=ledger.now_s())
     rows = rates(ledger.rate_sums(asked), asked.by)
     return json_response([row.model_dump(mode="json", exclude_none=True) for row in rows])

@@ -72,28 +72,28 @@ class ServiceMetrics:
         )
         self._scenes = self._counter(
             "scenes",
-            "Scenes stored, each once, by what may be made of their score. Worry when the share of "
+            "Scenes stored, each once, by usability of their score. Worry when the share of "
             "`odometry_lost` grows: poses fail, and those scenes rank last unseen.",
             state=tuple(SceneState),
         )
         self._points = self._counter(
             "points",
-            "Points of stored scenes by agreement of the two streams, each once. The disagreement "
-            "rate is the rate of the two `only_` ones over that of all but `not_compared`. Worry "
-            "when it leaves its usual band: a model, a sensor or a calibration has changed.",
+            "Points of stored scenes by agreement of the two streams, each once. The "
+            "disagreement rate is the rate of the two `only_` agreements over that of all but "
+            "`not_compared`. Worry when it leaves its usual band: a model, a sensor or a "
+            "calibration has changed.",
             agreement=AGREEMENTS,
         )
         self._tracks = self._counter(
             "contradicting_tracks",
-            "Things on which the streams contradict each other, followed over a scene, by which "
-            "stream alone calls them dynamic. Worry when one kind grows against the other: that "
-            "stream has changed.",
+            "Contradicting objects tracked over a scene, by the stream that alone labels them "
+            "dynamic. Worry when one kind grows against the other: that stream has changed.",
             kind=tuple(ContradictionKind),
         )
         self._instances = self._counter(
             "contradicting_instances",
-            "Contradicting clusters over all frames, by which stream alone calls them dynamic. "
-            "Worry when it grows and the tracks do not: flicker rather than things.",
+            "Contradicting clusters over all frames, by the stream that alone labels them "
+            "dynamic. Worry when it grows and the tracks do not: labels flicker.",
             kind=tuple(ContradictionKind),
         )
         self._score = self._histogram(
@@ -104,21 +104,21 @@ class ServiceMetrics:
         )
         self._vehicle_scenes = self._counter(
             "vehicle_scenes",
-            "Scenes stored by vehicle; those not in the setting `vehicles` are `other`. Worry when "
-            "one falls silent.",
+            "Scenes stored by vehicle; those not in the setting `vehicles` are `other`. Worry "
+            "when the rate of one falls to 0.",
             vehicle=by_vehicle,
         )
         self._vehicle_points = self._counter(
             "vehicle_points",
-            "Points by vehicle and agreement; as counterpoint_points_total. Worry when one "
-            "vehicle's disagreement leaves that of the others: its sensor or calibration.",
+            "Points by vehicle and agreement, as in counterpoint_points_total. Worry when one "
+            "vehicle's disagreement departs from that of the others: its sensor or calibration.",
             vehicle=by_vehicle,
             agreement=AGREEMENTS,
         )
         self._commits = self._counter(
             "commits",
-            "Commits of plans and shards by answer. Worry when `refused` grows (the log says "
-            "why), or `missing` beyond a few percent: records are lost on the bus.",
+            "Commits of plans and shards by outcome. Worry when `refused` grows (the log has the "
+            "cause), or `missing` exceeds a few percent: records are lost on the bus.",
             work=get_args(WorkKind),
             outcome=get_args(CommitOutcome),
         )
@@ -130,50 +130,51 @@ class ServiceMetrics:
         )
         self._leases_ended = self._counter(
             "leases_ended",
-            "Leases that ended, by why. Worry when `expired`, `failed` or `worker_died` grow: each "
-            "is an attempt lost, and the last one parks the work.",
+            "Leases that ended, by cause. Worry when `expired`, `failed` or `worker_died` grow: "
+            "each is a lost attempt, and the last one parks the work.",
             reason=get_args(LeaseEnd),
         )
         self._parked = self._counter(
             "work_parked",
-            "Plans and shards parked: not tried again until `counterpoint retry`. Worry at any "
-            "growth; `counterpoint status` names each with its error.",
+            "Plans and shards parked, which are not retried until `counterpoint retry`. Worry at "
+            "any growth; `counterpoint status` names each with its error.",
             work=get_args(WorkKind),
         )
         self._retried = self._counter(
             "work_retried",
-            "Parked plans and shards that are tried again, by `counterpoint retry`. Worry when "
-            "those parked grow after it: what made them fail is still there.",
+            "Parked plans and shards retried by `counterpoint retry`. Worry when the parked ones "
+            "grow again afterwards: the cause of their failure remains.",
             work=get_args(WorkKind),
         )
         self._questions = self._counter(
             "questions",
-            "Questions from the bus by verb and outcome. Worry when `try_again` grows: the service "
-            "is too busy, or its database does not answer.",
+            "Requests from the bus by verb and outcome. Worry when `try_again` grows: the "
+            "service is too busy, or its database does not answer.",
             verb=get_args(Asked),
             outcome=get_args(Outcome),
         )
         self._database_errors = self._counter(
             "database_errors",
-            "Transactions that the database could not finish. Worry at any growth: disk full, "
-            "database locked, or its server away; nothing acknowledged is lost.",
+            "Transactions that the database could not finish. Worry at any growth: the disk is "
+            "full, the database locked, or its server does not answer; nothing acknowledged is "
+            "lost.",
         )
         self._damaged_records = self._counter(
             "damaged_records",
-            "Stored records that are not what their digest says, each once. Worry at any: the disk "
-            "of the database damages what lies on it; the log names them, and none is shown.",
+            "Stored records that do not match their digest, each once. Worry at any: the disk of "
+            "the database damages data; the log names the records, and none is shown.",
         )
         self._faults = self._counter(
             "faults",
-            "Unforeseen errors, by what they met: `question` an answer, `tick` work that "
-            "is done again and again, `event` a scene that the bus cannot carry, left out. The "
-            "service goes on. Worry at any growth: the log has the trace.",
+            "Unexpected errors by part: `question` the answer of a request, `tick` periodic "
+            "work, `event` a scene that the bus cannot carry and that is skipped. The service "
+            "goes on. Worry at any growth: the log has the trace.",
             part=get_args(FaultyPart),
         )
         self._gauges: ServiceGauges | None = None
         build = Gauge(
             "build_info",
-            "1; its label says which version runs.",
+            "Always 1; its label is the running version.",
             ("version",),
             NAMESPACE,
             registry=self.registry,

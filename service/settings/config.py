@@ -84,15 +84,16 @@ class Settings(MiningSettings):
 
     preset: Preset = Field(
         default="default",
-        description="Settings that belong together; whatever is written otherwise wins. `paper`: "
-        "the published chain, which needs `weights` and a camera's calibration.",
+        description="Named group of settings; any setting written elsewhere overrides it. "
+        "`paper`: the published chain, which needs `weights` and a camera's "
+        "calibration.",
     )
     bucket: Url = Field(default="", description="URL or path of the log bucket; only read.")
     artifacts: Url = Field(
         default="", description="URL for overlays; empty: the folder `artifacts` in the state."
     )
     state: Path = Field(
-        default=DEFAULT_STATE, description="Folder of lock, ledger and overlays; a local disk."
+        default=DEFAULT_STATE, description="Folder of lock, ledger and overlays, on a local disk."
     )
     root: str = Field(
         default=DEFAULT_ROOT,
@@ -114,23 +115,23 @@ class Settings(MiningSettings):
         default=(),
         description="Only keys that match one of these patterns (`*` also crosses `/`).",
     )
-    exclude: Names = Field(default=(), description="No key that matches one of these.")
+    exclude: Names = Field(default=(), description="Excluded keys, as patterns.")
     list_interval_s: float = Field(
-        default=10.0, gt=0, le=MAX_WAIT_S, description="Between listings of the bucket."
+        default=10.0, gt=0, le=MAX_WAIT_S, description="Interval of listings of the bucket."
     )
     settle_s: float = Field(
         default=30.0,
         ge=0,
         le=MAX_WAIT_S,
-        description="An object without a valid footer is planned when it has not changed for so "
-        "long.",
+        description="Time for which an object without a valid footer must be unchanged before it "
+        "is planned.",
     )
     keep_withdrawn_days: float = Field(
         default=0.0,
         ge=0,
         le=MAX_DAYS,
-        description="Overlays of scenes withdrawn so many days ago are deleted from the artifacts; "
-        "0: none ever is.",
+        description="Days after which the overlays of withdrawn scenes are deleted from the "
+        "artifacts; 0: never.",
     )
     database: PostgresUrl = Field(
         default="",
@@ -140,12 +141,12 @@ class Settings(MiningSettings):
     )
     http_listen: str = Field(
         default="127.0.0.1:9464",
-        description="Where `run` and `service` serve /metrics, /healthz, /readyz and /rates; "
-        "empty: nowhere. Not with --once.",
+        description="Address at which `run` and `service` serve /metrics, /healthz, /readyz and "
+        "/rates; empty: none. Not with --once.",
     )
     worker_http_listen: str = Field(
         default="127.0.0.1:9465",
-        description="Where `worker` serves /metrics, /healthz and /readyz; empty: nowhere.",
+        description="Address at which `worker` serves /metrics, /healthz and /readyz; empty: none.",
     )
     vehicles: Names = Field(
         default=(),
@@ -156,29 +157,29 @@ class Settings(MiningSettings):
         default=300.0,
         gt=0,
         le=MAX_WAIT_S,
-        description="A quiet daemon says how it stands this often.",
+        description="Interval of an idle daemon's log lines.",
     )
     log_format: Literal["console", "json"] = Field(
-        default="console", description="Lines of the log for people, or for machines."
+        default="console", description="Format of the log: plain text, or JSON lines."
     )
     log_level: Literal["debug", "info", "warning", "error"] = Field(
         default="info", description="Least level that is logged."
     )
     lease_s: float = Field(
-        default=30.0, gt=1, le=MAX_WAIT_S, description="A lease lives this long unrenewed."
+        default=30.0, gt=1, le=MAX_WAIT_S, description="Duration of a lease without renewal."
     )
     max_attempts: int = Field(
         default=5,
         ge=1,
         le=1_000_000,
-        description="Then a shard is parked; after twice as many deaths of workers on it, whatever "
-        "is to blame for them.",
+        description="Failed attempts after which a shard is parked; also after twice as many "
+        "worker deaths on it, of any cause.",
     )
     shard_deadline_s: float = Field(
         default=1800.0,
         gt=0,
         le=MAX_WAIT_S,
-        description="A worker longer than this on one lease is killed.",
+        description="Longest time of a worker on one lease; then it is killed.",
     )
 
     @field_validator("odometry", "supervised", "selfsupervised", "witness")

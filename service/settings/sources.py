@@ -149,7 +149,7 @@ def _of_file(
     for setting, value in _flat(content, tables):
         if setting in known:
             if isinstance(value, bool) and known[setting].annotation is not bool:
-                problems.append(f"{file}: {setting} = {str(value).lower()}: is not a yes or no")
+                problems.append(f"{file}: {setting} = {str(value).lower()}: is not a boolean")
             else:
                 yield Written("file", str(file), setting, value)
         elif setting in tables:

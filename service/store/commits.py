@@ -154,7 +154,7 @@ def _repeated(work: Work, *, same: bool) -> Answer:
         return Answer(ok=True)
     return Answer(
         ok=False,
-        problem=f"{work} was committed before with other results, and those stand; "
+        problem=f"{work} was committed before with other results, which are kept; "
         "mining it twice must give the same bytes",
     )
 

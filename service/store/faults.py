@@ -91,7 +91,7 @@ def fault_of(error: BaseException, driver: Any, *, name: str) -> CounterpointErr
     if _may_pass(cause, driver):
         return StoreUnavailableError(
             f"cannot use the database: {cause} ({name}); "
-            "nothing acknowledged is lost, try again when that is mended"
+            "nothing acknowledged is lost, try again when that is fixed"
         )
     first = (str(cause).splitlines() or [""])[0]
     return StatementFailedError(

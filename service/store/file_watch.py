@@ -181,7 +181,7 @@ def _seen(path: Path) -> _Seen:
     except OSError as error:
         raise StoreUnavailableError(
             f"cannot use the database: {error.strerror} ({path}); "
-            "nothing acknowledged is lost, try again when that is mended"
+            "nothing acknowledged is lost, try again when that is fixed"
         ) from error
     return _Seen((found.st_dev, found.st_ino), found.st_size, found.st_mtime_ns)
 

@@ -192,7 +192,7 @@ class Ledger:
         self._seeded[version], before, grant = self._store.write(granted)
         if before:
             log.warning(
-                "new pipeline version: every log is mined anew",
+                "new pipeline version: every log is mined again",
                 pipeline_version=version,
                 before=before,
             )

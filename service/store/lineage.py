@@ -49,7 +49,7 @@ class Lineage:
         if known is None:
             return self
         if self.incarnation != known.incarnation:
-            what = "another one has taken its place"
+            what = "another one has replaced it"
         elif self.writes < known.writes:
             what = f"it has gone back from write {known.writes} to write {self.writes}"
         else:

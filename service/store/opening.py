@@ -93,6 +93,6 @@ def _refusals_said(url: str) -> Iterator[None]:
         if refusal is None:
             raise
         raise StateUnusableError(
-            f"the database refuses us: {refusal.group()} ({shown(url)}); mend user, password "
-            "(in `database`, PGPASSWORD or .pgpass) or the database's name"
+            f"the database refuses the login: {refusal.group()} ({shown(url)}); correct user, "
+            "password (in `database`, PGPASSWORD or .pgpass) or the database's name"
         ) from error

@@ -129,7 +129,7 @@ class SoleService:
             self._forget()
             raise StoreUnavailableError(
                 f"cannot use the database: {_first(error)} ({self._name}); "
-                "nothing acknowledged is lost, try again when that is mended"
+                "nothing acknowledged is lost, try again when that is fixed"
             ) from error
         self._forget()
         told, where = holder if holder is not None else ("", "an unknown address")

@@ -35,7 +35,7 @@ def prepare_state(folder: Path) -> None:
     except OSError as error:
         raise StateUnusableError(
             f"cannot write the state folder: {error.strerror} ({folder}); "
-            "mend its permissions or name another with --state"
+            "fix its permissions or name another with --state"
         ) from error
 
 
