@@ -60,9 +60,7 @@ heartbeat, deletion of overlays, and the hold on the database.
 
 EXPIRY_INTERVAL_S: Final = 1.0
 EXPIRY_RETRY_S: Final = 5.0
-"""Interval of writes while the database accepts none, seconds; an idle daemon so learns when it
-recovers.
-"""
+"""Interval of test writes after a failed one, by which an idle daemon sees a recovery, seconds."""
 
 HOLD_INTERVAL_S: Final = 1.0
 OUTBOX_INTERVAL_S: Final = 0.5

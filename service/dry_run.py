@@ -137,10 +137,10 @@ def plan_dry_run(
         looked[number] = _look(bucket, recordings[number], listed[number], settings)
         on_progress(len(looked), len(sampled))
     logs = tuple(looked.get(i, log) for i, log in enumerate(listed))
-    told = [log for log in looked.values() if log.frames is not None]
-    guessed = [log for i, log in enumerate(logs) if i not in looked or log.frames is None]
-    frames = _left_of([log.frames or 0 for log in told], told, guessed)
-    seconds = _left_of([log.duration_s or 0.0 for log in told], told, guessed)
+    measured = [log for log in looked.values() if log.frames is not None]
+    unread = [log for i, log in enumerate(logs) if i not in looked or log.frames is None]
+    frames = _left_of([log.frames or 0 for log in measured], measured, unread)
+    seconds = _left_of([log.duration_s or 0.0 for log in measured], measured, unread)
     seconds_per_frame, pace_from = _pace(known, settings)
     return DryRun(
         bucket=bucket.url,
@@ -205,15 +205,15 @@ def _look(bucket: Bucket, recording: Recording, listed: DryLog, settings: Settin
 
 
 def _left_of(
-    amounts: Sequence[float], told: Sequence[DryLog], guessed: Sequence[DryLog]
+    amounts: Sequence[float], measured: Sequence[DryLog], unread: Sequence[DryLog]
 ) -> float | None:
     """Sum up the remaining work: measured for logs that were read, by bytes for the others."""
-    left_bytes = sum(log.bytes * log.left_share for log in guessed)
-    told_bytes = sum(log.bytes for log in told)
-    if left_bytes and not told_bytes:
+    left_bytes = sum(log.bytes * log.left_share for log in unread)
+    measured_bytes = sum(log.bytes for log in measured)
+    if left_bytes and not measured_bytes:
         return None
-    known = sum(amount * log.left_share for amount, log in zip(amounts, told, strict=True))
-    return known + (left_bytes * sum(amounts) / told_bytes if left_bytes else 0.0)
+    known = sum(amount * log.left_share for amount, log in zip(amounts, measured, strict=True))
+    return known + (left_bytes * sum(amounts) / measured_bytes if left_bytes else 0.0)
 
 
 def _pace(known: "_Known", settings: Settings) -> tuple[float | None, str]:

@@ -150,7 +150,7 @@ def run_service(settings: Settings, *, on_ready: Callable[[str], None]) -> None:
         _announce(lock, sole, ",".join(connect))
         where = ""
         if http is not None:
-            opened.callback(http.close)  # whoever asks must not meet a service that is closed
+            opened.callback(http.close)  # no request may reach a closed service
             where = _metrics_at(http)
         on_ready(f"serving {bucket.url} over {', '.join(connect)}{where}")
         service.run(stop)

@@ -374,7 +374,7 @@ TROUBLE: Final = Row(
         ),
         Panel(
             title="Worker processes replaced, per hour",
-            description="Processes that ended unexpectedly, by cause. `crashed` is often too little "
+            description="Processes that ended unexpectedly, by cause. `crashed` often means too "
             "little memory.",
             unit="short",
             queries=(

@@ -43,9 +43,7 @@ _RETRY: Final[dict[str, Any]] = {
 _CONTROLS_IN_KEY: Final = "has a key that holds a control character"
 
 _LOCAL_KEY_SEGMENTS: Final = 3
-"""Last path segments kept as the key of a local log: vehicle, date and name. A path does not show
-where its bucket begins.
-"""
+"""Path segments of a local log's key: vehicle, date and name; a path does not show its bucket."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,9 +38,7 @@ from service.store.ledger import Ledger, StoredScene
 log = structlog.get_logger(__name__)
 
 STAGING_PATIENCE_S: Final = 0.2
-"""Time that a commit waits for records it may have overtaken, before they count as missing,
-seconds.
-"""
+"""Longest wait of a commit for records that it may have overtaken, seconds."""
 
 
 class Control:

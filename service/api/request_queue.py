@@ -55,9 +55,7 @@ MOST_WAITING_BYTES: Final = 2 * MAX_COMMIT_BYTES
 """Total bytes of the requests in a queue, with the same effect."""
 
 LARGE_BYTES: Final = 4 * 2**20
-"""Payload size above which requests are decoded one at a time, bytes; decoding takes about ten
-times the size in memory.
-"""
+"""Payload size above which requests are decoded one at a time, bytes; memory is ten times that."""
 
 WHOLE: Final[frozenset[Asked]] = frozenset({"top", "status", "rates"})
 """Verbs that read the whole ledger. One request of each is answered at a time, and afterwards that
@@ -103,8 +101,7 @@ class Questions:
         self._reads: Waiting[_Question] = Waiting(most=MOST_WAITING, most_bytes=MOST_WAITING_BYTES)
         self._large = threading.Lock()
         self._unable: dict[Asked, str] = {}
-        """Sentence of the current problem, by kind of request; each is logged once until it passes.
-        """
+        """Current problem, by kind of request; each is logged once until it passes."""
         self._queryables = ExitStack()
 
     @property
@@ -159,7 +156,7 @@ class Questions:
         self._queryables.close()
         for waiting in (self._writes, self._reads):
             while (taken := waiting.take(timeout_s=0)) is not None:
-                waiting.done(taken)  # whoever has taken others answers them
+                waiting.done(taken)  # the thread that took others answers them
                 for question in taken.items:
                     with question.query:  # dropped without a reply
                         pass

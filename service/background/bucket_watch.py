@@ -20,9 +20,7 @@ from service.store.recordings import SyncResult
 log = structlog.get_logger(__name__)
 
 RESUME_WITHIN_S: Final = 600.0
-"""Age up to which an interrupted listing is resumed, seconds; an older one begins again, since its
-first keys are out of date.
-"""
+"""Age up to which an interrupted listing is resumed, seconds; its first keys become outdated."""
 
 MAX_SKIPPED_NAMED: Final = 100
 """Skipped entries that are logged by name; further ones are only counted."""

@@ -9,8 +9,7 @@ import structlog
 log = structlog.get_logger(__name__)
 
 STEP_S: Final = 2.0
-"""Smallest change that counts as a step, seconds; a disciplined clock moves far less between reads.
-"""
+"""Smallest change that counts as a step, seconds; disciplined clocks move far less."""
 
 GLANCE_S: Final = 0.1
 """Longest read of both clocks, seconds; beyond it they are of different instants."""

@@ -35,9 +35,9 @@ def say_what_was_found(status: Status) -> None:
             for log in status.logs
         ),
     )
-    told_below = {work.log_id for work in (*status.parked, *status.retried) if not work.shard}
+    listed_below = {work.log_id for work in (*status.parked, *status.retried) if not work.shard}
     for log in status.logs:
-        if log.problem and log.log_id not in told_below:
+        if log.problem and log.log_id not in listed_below:
             remark(f"{log.state}: {log.log_id}: {log.problem}")
         for damage in log.damage:
             remark(

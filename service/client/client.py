@@ -41,9 +41,7 @@ PAGE: Final = 500
 """Events of the history per request, at most 16 KB each; bounds the memory in use."""
 
 IDLE_S: Final = 2.0
-"""Silence after which the history is asked for a lost scene, seconds; a lost last one leaves no
-gap.
-"""
+"""Silence after which the history is asked, seconds; a lost last scene leaves no gap."""
 
 _LOOK_S: Final = 0.05
 """Poll interval for published scenes while there are none, seconds."""

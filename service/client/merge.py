@@ -40,9 +40,7 @@ class SceneEvent:
 
 
 Fetch = Callable[[Mapping[str, int]], Sequence[SceneEvent]]
-"""Function that asks the history, with parameters of the wire; its result is complete up to its
-last event.
-"""
+"""Function that asks the history, by parameters of the wire; complete up to its last event."""
 
 
 class SceneMerge:
@@ -167,7 +165,7 @@ class Holding:
         if not (held or (held is None and may_hold)):
             return None
         if self._resumed:
-            self._held[key] = b""  # told once
+            self._held[key] = b""  # withdrawn once
         else:
             del self._held[key]
         return replace(event, record=b"", sha256="", score=None)

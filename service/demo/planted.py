@@ -82,7 +82,7 @@ class DemoScene:
         return first.partition("; ")[0] if self.is_about_track else first
 
 
-def beside_truth(
+def with_truth(
     ranking: Sequence[RankedScene],
     records: Mapping[str, SceneScore],
     truth: Path,

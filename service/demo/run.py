@@ -11,7 +11,7 @@ from rich.progress import Progress
 
 from service.api.reader import StateReader, overlay_of
 from service.curation.status import Status
-from service.demo.planted import DemoScene, beside_truth
+from service.demo.planted import DemoScene, with_truth
 from service.demo.retrieval import RankingFound, found_in
 from service.embedded import run_embedded
 from service.errors import UsageError
@@ -121,7 +121,7 @@ def run_demo(
     reader = StateReader(settings, now_s=now_s)
     ranking = reader.top()
     records = {row.scene_id: reader.scene(row.scene_id) for row in ranking}
-    scenes = beside_truth(
+    scenes = with_truth(
         ranking,
         records,
         bucket / "truth",

@@ -41,9 +41,7 @@ AGREEMENTS: Final = tuple(agreement.name.lower() for agreement in Agreement)
 
 SCORE_BUCKETS: Final = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 COMMIT_BUCKETS_S: Final = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0)
-"""Bucket bounds around the few milliseconds that a durable commit takes on a disk of its own,
-seconds.
-"""
+"""Bucket bounds around the few milliseconds of a durable commit on a dedicated disk, seconds."""
 
 Metric = TypeVar("Metric", Counter, Gauge, Histogram)
 
@@ -61,7 +59,7 @@ class ServiceMetrics:
             vehicles: Vehicles with series of their own, at most `MOST_VEHICLES`; all others count
                 as `other`.
         """
-        # A second series for each counter, which nobody asks for.
+        # A second series for each counter is not needed.
         disable_created_metrics()  # type: ignore[no-untyped-call]
         self.registry = registry or CollectorRegistry()
         self._vehicles = frozenset(vehicles[:MOST_VEHICLES])

@@ -12,9 +12,7 @@ from service.store.ledger import Ledger
 
 LISTINGS_MISSED: Final = 3
 LISTING_GRACE_S: Final = 60.0
-"""Grace period in addition to several list intervals, after which a bucket without a listing counts
-as unreachable, seconds.
-"""
+"""Grace period after several list intervals before the bucket counts as unreachable, seconds."""
 
 
 class Watched(Protocol):

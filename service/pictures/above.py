@@ -23,9 +23,7 @@ from service.pictures.style import (
 from service.pictures.view import View, to_frame
 
 _FINE: Final = 2
-"""Supersampling factor; pictures are drawn larger and shrunk, so that lines at any angle are
-smooth.
-"""
+"""Supersampling factor, so that lines at any angle are smooth."""
 
 _AGREED_GROUND: Final[Colour] = (20, 62, 28)
 _NOT_COMPARED: Final[Colour] = (62, 64, 70)

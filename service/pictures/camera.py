@@ -25,8 +25,7 @@ DOT_PX: Final = 2
 """Radius of the filled circles, pixels, as in the paper's overlays."""
 
 MIN_WIDTH_PX: Final = 1600
-"""Width to which smaller images are enlarged, pixels; on 960 pixels the circles would hide objects.
-"""
+"""Width to which smaller images are enlarged, pixels; else the circles would hide objects."""
 
 _STRIP_PX: Final = 30
 

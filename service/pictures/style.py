@@ -43,9 +43,12 @@ def colours_of(task: Task) -> dict[int, Colour]:
     if len(task.classes) == 2:
         return dict(enumerate((*_TWO_CLASSES, _NOT_COMPARED)))
     agreed = [outcome for outcome in task.compared() if not outcome.contradicts]
-    told = [outcome for outcome in task.compared() if outcome.contradicts]
+    contradicting = [outcome for outcome in task.compared() if outcome.contradicts]
     colours = {task.not_compared: _NOT_COMPARED}
-    for outcomes, (first, last), value in ((agreed, (130, 270), 0.7), (told, (60, -40), 0.9)):
+    for outcomes, (first, last), value in (
+        (agreed, (130, 270), 0.7),
+        (contradicting, (60, -40), 0.9),
+    ):
         for hue_deg, outcome in zip(np.linspace(first, last, len(outcomes)), outcomes, strict=True):
             red, green, blue = hsv_to_rgb(hue_deg % 360 / 360, 0.8, value)
             colours[outcome.code] = (round(255 * red), round(255 * green), round(255 * blue))
@@ -65,8 +68,8 @@ def inks_of(task: Task) -> dict[int, Colour]:
 def draw_order(task: Task) -> tuple[Outcome, ...]:
     """Return the outcomes in drawing order: contradictions last, so that they cover the others."""
     agreed = (outcome for outcome in task.compared() if not outcome.contradicts)
-    told = (outcome for outcome in task.compared() if outcome.contradicts)
-    return (task.outcomes[task.not_compared], *agreed, *told)
+    contradicting = (outcome for outcome in task.compared() if outcome.contradicts)
+    return (task.outcomes[task.not_compared], *agreed, *contradicting)
 
 
 def meaning(outcome: Outcome, task: Task) -> str:

@@ -17,8 +17,7 @@ _BAR_PX: Final = 14
 _GROUP_PX: Final = 3 * _BAR_PX + 22
 _ROW_PX: Final = _BAR_PX + 14
 _LOW: Final = 0.5
-"""Lower end of the bars' axis, since the compared values lie above; shorter bars end at the edge.
-"""
+"""Lower end of the bars' axis, below the compared values; shorter bars end at the edge."""
 
 _RANGES: Final[Sequence[tuple[str, Colour]]] = (
     ("25", (92, 132, 255)),

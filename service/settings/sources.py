@@ -22,8 +22,7 @@ NOT_OURS: Final = frozenset({f"{PREFIX}REFERENCE"})
 _OF_KUBERNETES: Final = re.compile(
     r"_SERVICE_(HOST|PORT(_\w+)?)|_PORT(_\d+_(TCP|UDP|SCTP)(_(PROTO|PORT|ADDR))?)?$"
 )
-"""Endings of the variables that Kubernetes sets in every pod for a service named `counterpoint…`.
-"""
+"""Endings of the variables that Kubernetes sets in pods for a service named `counterpoint…`."""
 
 _FLAG_NAMES: Final = {"grid.shard_s": "shard_seconds", "grid.warmup_s": "warmup_seconds"}
 """Flags whose names differ from their setting's."""

@@ -44,7 +44,8 @@ in, the values of its own settings; an empty `artifacts` means the folder `artif
 processes one file, or give workers the same four values.
 
 **Mined again**: these settings are part of the pipeline version. After a change, everything in the
-bucket is mined again under the new version; scenes of the old one stay until new ones supersede them.
+bucket is mined again under the new version; scenes of the old one stay until new ones supersede
+them.
 
 A variable's name is `COUNTERPOINT_` and the setting's in capitals, two underscores for the dot
 (`{variable_of("grid.shard_s")}`). Lists are written `a,b` in variables. Variables that Kubernetes

@@ -73,7 +73,7 @@ def _by_state(connection: Connection, table: Table, version: str) -> dict[str, i
         .group_by(table.c.state)
     )
     states = {row.state: row.works for row in counted}
-    if WorkState.PARKED in states:  # what was replaced while it was parked troubles nobody any more
+    if WorkState.PARKED in states:  # work replaced while parked no longer counts
         states[WorkState.PARKED.value] = connection.execute(
             select(func.count())
             .select_from(table)
@@ -191,6 +191,4 @@ _DAMAGED_STRETCHES: Final = select(func.count()).select_from(
     .distinct()
     .subquery()
 )
-"""Distinct stretches, since planning, several shards and several pipeline versions may find the
-same one.
-"""
+"""Distinct stretches, since planning, shards and pipeline versions may find the same one."""

@@ -23,9 +23,7 @@ from service.store.work_items import Work, WorkState, change
 from service.store.worker_deaths import History
 
 WITHHELD_S: Final = 5.0
-"""Time for which a worker is refused work that is left to another, seconds; the decision reads
-leases.
-"""
+"""Time for which a worker gets none of the work left to another, seconds; deciding reads leases."""
 
 
 def claim(

@@ -22,9 +22,7 @@ from service.store.work_items import TAKEN_AND_GIVEN, Work, WorkState, change, r
 _END_OF_TIME_NS: Final = 2**63 - 1
 
 _SCENES_AT_ONCE: Final = 500
-"""Scenes per statement; its parameters are bounded, on SQLite to 32,766 and on PostgreSQL to
-65,535.
-"""
+"""Scenes per statement; SQLite bounds its parameters to 32,766, PostgreSQL to 65,535."""
 
 
 def commit(

@@ -48,12 +48,10 @@ log = structlog.get_logger(__name__)
 
 DATABASE_NAME: Final = "counterpoint.sqlite"
 BUSY_TIMEOUT_MS: Final = 10_000
-"""Time that a writer waits for a reader of another process to release a checkpoint, milliseconds.
-"""
+"""Longest wait of a writer for a reader that holds up a checkpoint, milliseconds."""
 
 CACHE_KIB: Final = 512
-"""Page cache of each connection, KiB; fifteen may be open, and the kernel caches the file as well.
-"""
+"""Page cache of each of up to fifteen connections, KiB; the kernel caches the file as well."""
 
 _READS: Final = "counterpoint_reads"
 
@@ -101,9 +99,7 @@ class Store:
         self._cannot_write = ""
         self._lineage: Lineage | None = None
         self._lost = ""
-        """Sentence that describes the loss of the database that was opened; empty: it is still
-        there.
-        """
+        """Cause for which the database that was opened is lost; empty: it is not."""
         self._missing_since_s: float | None = None
         self._damaged: set[str] = set()
 
@@ -131,7 +127,7 @@ class Store:
         """
         with self._writer:
             try:
-                with self._said(), self._watched(), self._engine.begin() as connection:
+                with self._translated(), self._watched(), self._engine.begin() as connection:
                     effects = begin_effects(connection)
                     before = changes(connection)
                     yield connection
@@ -170,7 +166,7 @@ class Store:
             StatementFailedError: If it can never answer the statements of the block.
             StateUnusableError: If it is damaged, or not the one that was opened.
         """
-        with self._said():
+        with self._translated():
             if self._watch is not None:
                 self._watch.look()
             known = self._lineage  # before the view begins: it must not be older
@@ -186,7 +182,7 @@ class Store:
             StateUnusableError: If a newer version wrote it, or it is damaged.
             StoreUnavailableError: If it cannot take them now.
         """
-        with self._writer, self._said(), self._engine.begin() as connection:
+        with self._writer, self._translated(), self._engine.begin() as connection:
             migrate(connection, name=self.name)
             give_incarnation(connection)
             if self._watch is not None:
@@ -225,7 +221,7 @@ class Store:
         self._watch.after_write()
 
     @contextmanager
-    def _said(self) -> Iterator[None]:
+    def _translated(self) -> Iterator[None]:
         """Translate errors of the database, and classify them as transient or permanent."""
         if self._lost:
             raise StateUnusableError(self._lost)
@@ -373,7 +369,7 @@ def _sqlite(path: Path, *, read_only: bool = False, watch: FileWatch | None = No
     uri = f"file:{quote(str(real_path(path)))}?mode={'ro' if read_only else 'rwc'}"
     journal = path.with_name(f"{path.name}-wal")
     if read_only and not os.access(path.parent, os.W_OK) and not journal.exists():
-        uri += "&immutable=1"  # nobody writes, and SQLite may not make the files it guards WAL with
+        uri += "&immutable=1"  # no process writes, and SQLite may not make the files of its WAL
 
     def connect() -> sqlite3.Connection:
         # The driver's own transactions begin late and never IMMEDIATE: switched off. The pool hands

@@ -17,8 +17,7 @@ from service.errors import StateUnusableError
 from service.store.faults import StoreUnavailableError
 
 _WRITTEN_BY_US: Final = ("-wal", "-shm")
-"""Suffixes of files that SQLite makes next to the database, and keeps while any connection is open.
-"""
+"""Suffixes of files that SQLite keeps next to the database while a connection is open."""
 
 _CHECKPOINTED: Final = struct.Struct("=8s56xI28xI")
 """Layout of the WAL index from byte 32: the salt of the journal, how many of its frames checkpoints

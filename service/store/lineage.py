@@ -105,5 +105,4 @@ _COUNT: Final = Statement(_COUNTING)
 _COUNT_IF_CHANGED: Final = Statement(
     _COUNTING.where(text("txid_current_if_assigned() IS NOT NULL"))
 )
-"""Condition on the transaction id, which PostgreSQL assigns with the first row changed or locked.
-"""
+"""Condition on the id of a transaction, which PostgreSQL assigns at its first change or lock."""

@@ -25,9 +25,7 @@ from service.store.tables import COUNTERS, DAMAGE, PIPELINES, PLANS, RECORDINGS,
 from service.store.work_items import OPEN, WorkState
 
 RATE_WINDOW_S: Final = 60.0
-"""Window of rates, seconds: the commits of the last minute, long against a shard, short against a
-night.
-"""
+"""Window of rates over commits, seconds; long against a shard, short against a night."""
 
 
 def settled(connection: Connection, pipeline_version: str) -> bool:

@@ -22,9 +22,7 @@ from service.store.engine import StoreUnavailableError, postgres_engine
 log = structlog.get_logger(__name__)
 
 _LOCK: Final = 0x436E7470
-"""Key of this program, one of the two halves of PostgreSQL's lock key; the other is the schema's
-name.
-"""
+"""First half of PostgreSQL's lock key, of this program; the second is the schema's name."""
 
 _PATIENCE_S: Final = (0.1, 0.2, 0.4, 0.0)
 """Waits between attempts, seconds; the connection of a killed process is gone in a moment."""
@@ -76,7 +74,7 @@ class SoleService:
         self._endpoint = endpoint
         with self._one_at_a_time, suppress(DBAPIError):  # `check` notices, and tells it again
             if self._connection is not None:
-                self._connection.execute(_NAME, {"name": _told(endpoint)})
+                self._connection.execute(_NAME, {"name": _application_name(endpoint)})
 
     def check(self) -> None:
         """Check that the lock is still held; take it again after an outage of the server.
@@ -119,7 +117,7 @@ class SoleService:
         try:
             connection = self._engine.connect()
             self._connection = connection
-            connection.execute(_NAME, {"name": _told(self._endpoint)})
+            connection.execute(_NAME, {"name": _application_name(self._endpoint)})
             for wait_s in _PATIENCE_S:
                 if connection.execute(_TAKE, {"lock": _LOCK}).scalar_one():
                     return
@@ -132,8 +130,8 @@ class SoleService:
                 "nothing acknowledged is lost, try again when that is fixed"
             ) from error
         self._forget()
-        told, where = holder if holder is not None else ("", "an unknown address")
-        endpoint = str(told).partition(" ")[2]
+        name, where = holder if holder is not None else ("", "an unknown address")
+        endpoint = str(name).partition(" ")[2]
         at = f" at {endpoint}" if endpoint else ""
         raise StateInUseError(
             f"a service already holds this database: one{at} connected from {where} ({self._name})"
@@ -158,7 +156,7 @@ hours, in which no other service could start.
 _NAME: Final = text("SELECT set_config('application_name', :name, false)")
 
 
-def _told(endpoint: str) -> str:
+def _application_name(endpoint: str) -> str:
     return f"counterpoint {endpoint}".strip()[:63]  # PostgreSQL keeps no more
 
 

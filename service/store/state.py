@@ -76,9 +76,9 @@ class StateLock:
 
     def announce(self, endpoint: str) -> None:
         """Write the endpoint of this service into the lock file; empty: not yet known."""
-        told = json.dumps({"pid": os.getpid(), "endpoint": endpoint}).encode()
+        content = json.dumps({"pid": os.getpid(), "endpoint": endpoint}).encode()
         os.ftruncate(self._file, 0)
-        os.pwrite(self._file, told, 0)
+        os.pwrite(self._file, content, 0)
 
     def release(self) -> None:
         """Release the lock; the file stays, since removing it would race with the next service."""
@@ -108,7 +108,7 @@ def endpoint_of_running(folder: Path) -> str | None:
     try:
         file = os.open(folder / LOCK_NAME, os.O_RDONLY | os.O_CLOEXEC)
     except OSError:
-        return None  # no folder, no lock file, or not ours to read: nobody we could name
+        return None  # no folder, no lock file, or not ours to read: no process to name
     try:
         if _locked(file, fcntl.LOCK_SH, patience_s=0.0):
             return None
@@ -133,8 +133,8 @@ def _locked(file: int, kind: int, *, patience_s: float) -> bool:
 def _holder(file: int) -> tuple[int, str]:
     """Return process id and endpoint; 0 and "" while the holder is just writing them."""
     try:
-        told = json.loads(os.pread(file, 65_536, 0))
-        return int(told["pid"]), str(told["endpoint"])
+        content = json.loads(os.pread(file, 65_536, 0))
+        return int(content["pid"]), str(content["endpoint"])
     except (ValueError, KeyError, TypeError):
         return 0, ""
 

@@ -39,9 +39,7 @@ TAKEN_AND_GIVEN: Final = (
     "peak_memory_bytes",
     "stage_s",
 )
-"""Columns with the cost and results of mining a shard; set at its commit, and copied to an adopting
-shard.
-"""
+"""Columns with cost and results of mining, set at a shard's commit and copied at its adoption."""
 
 OPEN: Final = (WorkState.READY, WorkState.LEASED, WorkState.STALE)
 """States in which work is still to be done."""

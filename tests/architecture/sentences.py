@@ -127,7 +127,12 @@ def breaches_of_page(path: Path) -> Iterator[Breach]:
 
 
 def breaches_of_text(text: str, where: str) -> Iterator[Breach]:
-    """Yield the breaches in a text of the command line."""
+    """Yield the breaches in a text of the command line.
+
+    Click keeps the lines of a text that begins with a backspace: each unindented one is an item.
+    """
+    if text.startswith("\b\n"):
+        text = re.sub(r"\n(?=\S)", "\n\n", text)
     yield from _breaches(text, where)
 
 
