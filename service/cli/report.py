@@ -98,7 +98,7 @@ def say_judged(scores: Iterable[SceneScore]) -> None:
     """Print in one line the streams that these scenes compare."""
     pairs = {(each.producers.supervised, each.producers.selfsupervised): None for each in scores}
     if pairs:
-        remark("judged: " + "; ".join(said_of(*pair) for pair in pairs))
+        remark("streams: " + "; ".join(said_of(*pair) for pair in pairs))
 
 
 def say_ranking(rows: Sequence[RankedScene]) -> None:
