@@ -1,1 +1,1 @@
-"""The words of the system: what every part may say to another. numpy and pydantic only."""
+"""Data model shared by all packages. Imports numpy and pydantic only."""

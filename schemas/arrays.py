@@ -1,4 +1,4 @@
-"""The arrays that travel between stages, and the one check of their shape and type."""
+"""Array types that the stages exchange, and the check of their shape and element type."""
 
 from typing import Any, Final
 
@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 Points = NDArray[np.float32]
-"""(N, 3) positions in metres, in the space the name or the docstring says."""
+"""(N, 3) positions in metres, in the space that the name or the docstring gives."""
 
 Flow = NDArray[np.float32]
 """(N, 3) displacements in metres."""
 
 Mask = NDArray[np.bool_]
-"""(N,) true where the name of the mask holds."""
+"""(N,) boolean mask; true where the condition in its name is met."""
 
 Transform = NDArray[np.float64]
 """(4, 4) rigid transform, named `to_from_from`: it maps points of the second space to the first."""
@@ -27,7 +27,7 @@ Agreements = NDArray[np.uint8]
 """(N,) codes of the outcomes of a `schemas.task.Task`."""
 
 Confidences = NDArray[np.float16]
-"""(N,) how sure a stream is of its label, 0 to 1; half precision, since every point has one."""
+"""(N,) confidence of a stream in its label, 0 to 1; half precision, since every point has one."""
 
 NS_PER_S: Final = 1_000_000_000
 
@@ -35,16 +35,16 @@ NS_PER_S: Final = 1_000_000_000
 def check_array(
     name: str, array: NDArray[Any], *, shape: tuple[int | None, ...], dtype: DTypeLike
 ) -> None:
-    """Refuse an array that is not what its name promises.
+    """Check the shape and the element type of an array.
 
     Args:
-        name: What the message calls it.
+        name: Name of the array in the error message.
         array: The array to check.
         shape: Expected lengths; None allows any.
         dtype: Expected type of the elements.
 
     Raises:
-        ValueError: If shape or type differ; the message says both.
+        ValueError: If shape or type differ; the message gives both.
     """
     fits = len(shape) == array.ndim and all(
         expected is None or expected == actual
@@ -58,7 +58,7 @@ def check_array(
 
 
 def freeze(*arrays: NDArray[Any] | None) -> None:
-    """Make arrays read-only for the rest of their lives, so that no stage can move a point."""
+    """Make arrays read-only, so that no stage can move a point."""
     for array in arrays:
         if array is not None:
             array.flags.writeable = False

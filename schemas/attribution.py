@@ -1,4 +1,4 @@
-"""Which stream is probably wrong about a contradicting thing, how sure that is, and why."""
+"""Attribution: which stream is probably wrong about a contradicting object, and the evidence."""
 
 from enum import StrEnum
 from typing import Annotated, Final
@@ -11,13 +11,13 @@ Chance = Annotated[float, Field(ge=0, le=1)]
 """A probability."""
 
 MOST_WORDS: Final = 6
-"""Of a track, for, against and beside together: a record has to fit the bus."""
+"""Number of names in `because`, `against` and `also` together; a record has to fit the bus."""
 
 Words = tuple[Text, ...]
 
 
 class Wrong(StrEnum):
-    """Who is wrong about a thing."""
+    """Stream or streams that are wrong about an object."""
 
     SUPERVISED = "supervised"
     SELFSUPERVISED = "selfsupervised"
@@ -26,7 +26,7 @@ class Wrong(StrEnum):
 
 
 class Attribution(BaseModel):
-    """Who is probably wrong about a track; the four chances add up to 1, but for rounding."""
+    """Attribution of one track; the four probabilities add up to 1, but for rounding."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -57,10 +57,10 @@ class Attribution(BaseModel):
 
     @property
     def chance(self) -> float:
-        """Of the likeliest of the four."""
+        """Return the largest of the four probabilities."""
         return float(getattr(self, self.wrong.value))
 
     @property
     def supervised_wrong(self) -> float:
-        """Chance that the supervised stream is wrong, alone or not."""
+        """Probability that the supervised stream is wrong, alone or together with the other."""
         return min(1.0, self.supervised + self.both)

@@ -1,7 +1,7 @@
-"""Bounds of what travels: each integer, float, text and list of a message has one.
+"""Bounds of message fields: each integer, float, text and list of a message has one.
 
-A message that is beyond them is refused where it is decoded, with a sentence, before a database, a
-key of the bus or a page meets it. The bounds are generous: no real log comes near them.
+A message that exceeds them is refused where it is decoded, with a sentence, before it reaches a
+database, a bus key or a page. The bounds are generous: no real log comes near them.
 """
 
 from typing import Annotated, Final
@@ -27,31 +27,31 @@ MAX_SCENE_ID: Final = MAX_LOG_ID + 3 * MAX_TOPIC + 32
 """Characters of a scene id: log, topic in its encoded form, and start."""
 
 MAX_TEXT: Final = 4096
-"""Characters of a sentence that one process tells another, such as why a shard failed."""
+"""Characters of a sentence in a message between processes, such as the error of a shard."""
 
 MAX_URL: Final = 4096
 """Characters of a URL or of a path."""
 
 MAX_KEPT: Final = 2**20
-"""Characters of a text out of a ledger: earlier versions took longer ones than this one does."""
+"""Characters of a text read from a ledger; earlier versions accepted longer texts than this one."""
 
 MAX_BLOB: Final = 2**20
-"""Characters of a text with a structure of its own: a schema of messages, a map of classes."""
+"""Characters of a structured text: a message schema, a map of classes."""
 
 MAX_SCENES_OF_A_SHARD: Final = 20_000
 """Scenes of one shard: an hour of scenes of 0.2 s; and SQLite takes 32,766 values at once."""
 
 MAX_SCENES_ASKED: Final = 10_000_000
-"""Rows of the ranking, or scenes of a selection, that one question may ask for."""
+"""Rows of the ranking, or scenes of a selection, that one request may ask for."""
 
 MAX_NEWEST: Final = 100_000
-"""Scenes that one question for the newest may ask for: the service holds them all at once."""
+"""Scenes that one request for the newest may ask for; the service keeps them all in memory."""
 
 MAX_LISTED: Final = 10_000_000
-"""Rows of an answer of the service, which lists what its own ledger holds."""
+"""Rows of one reply of the service, which lists the content of its own ledger."""
 
 MAX_CHUNKS: Final = 500_000
-"""Stretches of a log that one shard reads."""
+"""Byte ranges of a log that one shard reads."""
 
 MAX_PARTS: Final = 100_000
 """Files of one split recording."""
@@ -66,16 +66,16 @@ MAX_COMMIT_BYTES: Final = MAX_PLAN_BYTES + 2**20
 """Bytes of a commit: a plan, or a manifest with all of its records once more."""
 
 MAX_QUESTION_BYTES: Final = 2**20
-"""Bytes of any other question."""
+"""Bytes of any other request."""
 
 MAX_LOGS_NAMED: Final = 10_000
-"""Logs that one question may name."""
+"""Logs that one request may name."""
 
 MAX_KEY_BYTES: Final = 2**16 - 1
-"""Bytes of a key of Zenoh, whose binding panics on a longer one and is of no use after that."""
+"""Bytes of a Zenoh key; the Zenoh binding panics on a longer one and is unusable afterwards."""
 
 Count = Annotated[int, Field(ge=0, le=MAX_INTEGER)]
-"""A number of things, or an offset in bytes."""
+"""A number of items, or an offset in bytes."""
 
 Tally = Annotated[int, Field(ge=0, le=MAX_TALLY)]
 """A count of one scene, shard or plan, which is added up over all of them."""
@@ -124,16 +124,16 @@ Url = Annotated[str, Field(max_length=MAX_URL, pattern=NO_NUL)]
 Blob = Annotated[str, Field(max_length=MAX_BLOB), AfterValidator(_without_nul)]
 Kept = Annotated[str, Field(max_length=MAX_KEPT)]
 Text = Annotated[str, Field(max_length=MAX_TEXT), _clip(MAX_TEXT)]
-"""A sentence; a longer one is cut, since an error of a library may quote a whole answer."""
+"""A sentence; a longer one is cut, since an error of a library may quote a whole reply."""
 
 Said = Annotated[str, Field(max_length=MAX_NAME), _clip(MAX_NAME)]
-"""A name that a log gives itself, such as its vehicle; a longer one is cut."""
+"""A name recorded in a log, such as its vehicle; a longer one is cut."""
 
 MAX_DENSE_BYTES: Final = 2**18
-"""Bytes of JSON up to which a message is decoded whatever it holds: a few hundred MiB per 4 MiB."""
+"""Bytes of JSON up to which any message is decoded; decoding takes a few hundred MiB per 4 MiB."""
 
 MIN_BYTES_OF_A_VALUE: Final = 8
-"""Bytes of JSON of an average value in any larger message; a reference to a chunk has 19."""
+"""Mean bytes of JSON per value in any larger message; a reference to a chunk has 19."""
 
 MAX_UNKNOWN_NAMES: Final = 64
-"""Names of fields in a larger message that its type does not have: each costs an error."""
+"""Unknown field names accepted in a larger message; each produces one validation error."""

@@ -1,4 +1,4 @@
-"""How a camera sees the points of a lidar: what the paper's filter needs to know of it."""
+"""Camera calibration, for streams that compare only points in a camera's view."""
 
 from typing import Final, Self
 
@@ -13,14 +13,14 @@ Matrix34 = tuple[_Four, _Four, _Four]
 Matrix44 = tuple[_Four, _Four, _Four, _Four]
 
 MAX_PIXELS: Final = 1_000_000
-"""Width and height of an image."""
+"""Maximum width and height of an image, pixels."""
 
 RECORDED: Final = "recorded"
-"""Setting `camera`: the calibration stands in the log."""
+"""Value of the setting `camera` that takes the calibration recorded in the log."""
 
 
 class CameraCalibration(BaseModel):
-    """Where points of the lidar lie in an undistorted image."""
+    """Projection of lidar points into an undistorted image."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -45,10 +45,10 @@ class CameraCalibration(BaseModel):
         width: int,
         height: int,
     ) -> Self:
-        """Make one of a (3, 4) and a (4, 4) array.
+        """Make a calibration from a (3, 4) and a (4, 4) array.
 
         Raises:
-            ValueError: If they have other shapes, or numbers that are not finite.
+            ValueError: If the shapes differ, or a number is not finite.
         """
         return cls.model_validate(
             {

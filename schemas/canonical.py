@@ -1,4 +1,4 @@
-"""Canonical JSON and its digest: equal data are equal bytes."""
+"""Canonical JSON and its digest; equal data give equal bytes."""
 
 import hashlib
 import json
@@ -7,7 +7,7 @@ from typing import Any, Final
 _CANONICAL: Final = json.JSONEncoder(
     sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False
 )
-"""Made once: `json.dumps` would make one for each message."""
+"""Shared encoder; `json.dumps` would make one for each message."""
 
 
 def canonical_json(value: Any) -> bytes:
@@ -16,5 +16,5 @@ def canonical_json(value: Any) -> bytes:
 
 
 def sha256(payload: bytes) -> str:
-    """Digest that manifests, the ledger and `counterpoint top` name a record by."""
+    """Return the digest by which manifests, the ledger and `counterpoint top` identify a record."""
     return hashlib.sha256(payload).hexdigest()

@@ -1,4 +1,4 @@
-"""What is made of contradicting points: labelled frames, instances, tracks."""
+"""Labelled frames, scenes, and the instances and tracks of contradicting points."""
 
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -16,14 +16,15 @@ from schemas.labels import FrameLabels
 from schemas.task import MOTION, Outcome, Task
 
 BESIDE_S: Final = 1.0
-"""Frames this near before and after a scene, or a track, say what it was: what starts, at a metre
-per second squared, is half a metre on by then, and still in its place."""
+"""Context before and after a scene or a track, seconds. An object that starts at 1 m/s² has moved
+0.5 m by then, and still overlaps its first position.
+"""
 
 
 class ContradictionKind(StrEnum):
-    """The kinds of the task `MOTION`, as records name them: who alone says that something moves.
+    """Kinds of contradiction of the task `MOTION`: which stream alone labels a point dynamic.
 
-    It does not say who errs.
+    A kind does not identify the stream that is wrong.
     """
 
     ONLY_SEMANTIC_DYNAMIC = "only_semantic_dynamic"
@@ -33,15 +34,15 @@ class ContradictionKind(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledFrame:
-    """A posed frame with both streams' answers and their agreement, point by point.
+    """A posed frame with the labels of both streams and their agreement, per point.
 
     Attributes:
         posed: The frame and its pose.
         semantic: Labels of the supervised stream.
         predictive: Labels of the self-supervised stream.
         agreements: (N,) codes of the task's outcomes.
-        task: What both were asked.
-        witness: What the third witness says; None where none was asked.
+        task: The task of both streams.
+        witness: Labels of the third witness; None without a witness.
     """
 
     posed: PosedFrame
@@ -59,12 +60,12 @@ class LabelledFrame:
 
     @property
     def stamp_ns(self) -> int:
-        """Nanoseconds since the Unix epoch, of the frame."""
+        """Stamp of the frame, nanoseconds since the Unix epoch."""
         return self.posed.frame.stamp_ns
 
 
 class SceneState(StrEnum):
-    """What may be made of a scene's score."""
+    """Usability of a scene's score: usable, or the cause that it is not."""
 
     SCORED = "scored"
     TOO_SHORT = "too_short"
@@ -78,10 +79,10 @@ class Scene:
     Attributes:
         scene_id: `<log_id>/<lidar>/<start_ns>`, unique in the bucket.
         frames: In the order of their stamps; at least one.
-        too_short: A piece under a second between gaps, or a log too short to judge.
-        before: Up to a second of the log right before it, where no gap lies between:
-            what a thing at its edge was, never scored with it.
-        after: And right after it.
+        too_short: True for a stretch under a second between gaps, or a log too short to judge.
+        before: Up to a second of the log right before it, where no gap lies between. It gives
+            context for objects at the start, and is never scored.
+        after: The same for the second right after it.
     """
 
     scene_id: str
@@ -92,17 +93,17 @@ class Scene:
 
     @property
     def task(self) -> Task:
-        """What both streams were asked about its points."""
+        """Return the task of both streams."""
         return self.frames[0].task
 
     @property
     def start_ns(self) -> int:
-        """First frame, nanoseconds since the Unix epoch."""
+        """Stamp of the first frame, nanoseconds since the Unix epoch."""
         return self.frames[0].stamp_ns
 
     @property
     def end_ns(self) -> int:
-        """Last frame, nanoseconds since the Unix epoch."""
+        """Stamp of the last frame, nanoseconds since the Unix epoch."""
         return self.frames[-1].stamp_ns
 
 
@@ -111,9 +112,9 @@ class Instance:
     """A cluster of contradicting points of one kind in one frame, large enough to keep.
 
     Attributes:
-        kind: How the two streams contradict each other about its points.
-        frame_index: Which frame of the scene it was found in.
-        point_index: (M,) the points that make it up.
+        kind: Kind of contradiction of its points.
+        frame_index: Index in the scene of the frame in which it was found.
+        point_index: (M,) indices of its points.
         centre_m: (3,) centre of its box, sensor space, metres.
         size_m: (3,) length (>= width), width, height of its box, metres.
         yaw_rad: Heading of the length axis about z, sensor space, in [-pi/2, pi/2).
@@ -122,13 +123,14 @@ class Instance:
         class_name: Commonest semantic class of its points; empty when the stream knows none.
         velocity_m_per_s: (3,) mean velocity over the ground, odom space; zero when not measured.
         own_share: Share of the compared points in and close around it that contradict in the same
-            way: 1 for a thing on its own, little for the rim of an agreed mover or for specks on a
-            wall.
-        confirmed_share: Share of its points of which the self-supervised stream proved more than
-            once that they move; None where that stream says static, or does not tell.
-        denied_share: Of all that the one who says dynamic calls so in and around its box, a metre
-            each way: share that the other stream calls static.
-        agreed_share: And dynamic; about the rest it is silent.
+            way. It is 1 for an isolated object, and small for the rim of an object that both
+            streams label dynamic or for scattered points on a wall.
+        confirmed_share: Share of its points that the self-supervised stream confirmed as dynamic
+            more than once. None where that stream labels them static, or confirms nothing.
+        denied_share: Share of points labelled static by the other stream, among those in and 1 m
+            around its box that one stream labels dynamic.
+        agreed_share: The same share labelled dynamic by the other stream; the rest is unknown to
+            it.
     """
 
     kind: Outcome
@@ -152,14 +154,14 @@ KindName = Annotated[
     Field(
         max_length=MAX_NAME,
         pattern=r"^[a-z0-9_]+$",
-        description="How the streams contradict each other: for motion, which alone says that it "
-        "moves, `only_semantic_dynamic` or `only_predictive_dynamic`.",
+        description="Kind of contradiction: for motion the stream that alone labels it dynamic, "
+        "`only_semantic_dynamic` or `only_predictive_dynamic`.",
     ),
 ]
 
 
 class InstanceRecord(BaseModel):
-    """An instance as it travels: its box, size and what both sides thought."""
+    """An instance in a record: box, size, and the class and confidences of both streams."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -174,7 +176,7 @@ class InstanceRecord(BaseModel):
 
 
 class TrackRecord(BaseModel):
-    """One contradicting thing followed over the frames of a scene."""
+    """A track in a record: one contradicting object followed over the frames of a scene."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -192,8 +194,9 @@ class TrackRecord(BaseModel):
         ge=0,
         le=1,
         exclude_if=lambda value: value is None,
-        description="Share of its points that the self-supervised stream proved to move more than "
-        "once; absent where that stream says static or does not tell.",
+        description="Share of its points that the self-supervised stream confirmed as dynamic "
+        "more than once; absent where that stream labels it static or confirms "
+        "nothing.",
     )
     attribution: Attribution | None = Field(
         default=None,

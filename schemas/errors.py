@@ -1,6 +1,6 @@
-"""What can go wrong, and whether trying again may help: a class, not a guess.
+"""Base classes of errors; the class says whether a retry may help.
 
-The command line answers a `TransientError` with exit code 75 and a `PermanentError` with 1.
+The command line exits with code 75 on a `TransientError` and with 1 on a `PermanentError`.
 """
 
 
@@ -9,11 +9,11 @@ class CounterpointError(Exception):
 
 
 class TransientError(CounterpointError):
-    """May work next time: the lease goes back and is tried again later."""
+    """A failure that may pass: the lease is returned and tried again later."""
 
 
 class PermanentError(CounterpointError):
-    """Will never work as it stands: it is recorded, said, and the rest goes on."""
+    """A failure that a retry cannot cure: it is recorded and reported, and the rest goes on."""
 
 
 class BucketUnreachableError(TransientError):
@@ -21,13 +21,13 @@ class BucketUnreachableError(TransientError):
 
 
 class BucketRefusedError(PermanentError):
-    """The store says no: no such bucket or folder, missing or wrong credentials, wrong URL."""
+    """The store refuses: no such bucket or folder, missing or wrong credentials, wrong URL."""
 
 
 class ObjectChangedError(TransientError):
-    """An object is no longer the one that was planned: its log must be planned anew."""
+    """An object has changed since it was planned; its log must be planned again."""
 
     def __init__(self, *, key: str) -> None:
-        """Keep the key: the ledger plans its recording again."""
+        """Keep the key, by which the ledger plans the recording again."""
         super().__init__(f"object was replaced or deleted while it was read ({key})")
         self.key = key

@@ -1,7 +1,7 @@
-"""What is published beside the records: the number of an event, and the scenes of a selection.
+"""Messages published in addition to records: event numbers, and the scenes of a selection.
 
-A record must not hold its number: records of two runs compare byte for byte, whatever the order in
-which they were committed.
+A record must not contain its event number. Records of two runs compare byte for byte, whatever the
+order in which they were committed.
 """
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -31,5 +31,5 @@ class RankedScene(BaseModel):
     reasons: tuple[Kept, ...] = Field(
         default=(), max_length=MAX_LISTED, description="As in the record."
     )
-    twin_of: Kept | None = Field(default=None, description="A better scene right beside it.")
+    twin_of: Kept | None = Field(default=None, description="A better scene next to it.")
     sha256: Kept = Field(description="Digest of the record as published.")

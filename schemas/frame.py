@@ -1,4 +1,4 @@
-"""One lidar revolution, where it was taken, and what the car's own model said about it."""
+"""Lidar frame: one revolution, its pose, and the labels of the model that ran on the car."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ from schemas.arrays import Mask, Points, Transform, check_array, freeze
 from schemas.camera import CameraCalibration
 
 StampAt = Literal["start", "middle", "end"]
-"""Which instant of the revolution a frame's stamp names."""
+"""Instant of the revolution that a frame's stamp gives."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,14 +26,7 @@ class RecordedClass:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedLabels:
-    """What the model that ran on the car said about every point of one frame.
-
-    Attributes:
-        class_id: (N,) the model's own class ids.
-        motion: (N,) 0 unknown, 1 static, 2 dynamic, as recorded; None when only classes are.
-        confidence: (N,) 0 to 1; None when not recorded.
-        classes: Class id to its meaning.
-    """
+    """Labels of every point of one frame by the model that ran on the car."""
 
     class_id: NDArray[np.uint16]
     motion: NDArray[np.uint8] | None
@@ -53,13 +46,13 @@ class RecordedLabels:
 
 @dataclass(frozen=True, slots=True)
 class RecordedMotion:
-    """What the log itself says of how the car moved, in the mean since the frame before.
+    """Recorded motion of the car: means over the interval since the frame before.
 
-    Whatever the axes of who recorded it: both are magnitudes.
+    Both values are magnitudes, so the axes of the recording do not matter.
 
     Attributes:
-        speed_m_per_s: Of a place on the car.
-        turn_rad_per_s: About the vertical.
+        speed_m_per_s: Speed of some reference point on the car, metres per second.
+        turn_rad_per_s: Rate of turn about the vertical, radians per second.
     """
 
     speed_m_per_s: float
@@ -83,9 +76,9 @@ class LidarFrame:
         valid_mask: (N,) bool, false for NaN, infinite and zero returns.
         has_point_time: Whether `offset_ns` was recorded rather than left zero.
         stamp_at: Which instant of the revolution `stamp_ns` names.
-        recorded: The labels of the model that ran on the car, where the log holds them.
-        camera: The camera whose view is compared, where one is wanted.
-        moved: What the log says of the motion since the frame before, where it does.
+        recorded: The labels of the model that ran on the car, where the log contains them.
+        camera: Camera whose field of view limits the comparison; None compares all points.
+        moved: Recorded motion since the frame before; None where the log has none.
 
     Raises:
         ValueError: If an array has the wrong shape or dtype, or lengths differ.
@@ -105,7 +98,7 @@ class LidarFrame:
     moved: RecordedMotion | None = None
 
     def __post_init__(self) -> None:
-        """Check every array once, and make it read-only for the rest of its life."""
+        """Check every array once, and make it read-only."""
         n = len(self.points_m)
         check_array("points_m", self.points_m, shape=(None, 3), dtype=np.float32)
         check_array("intensity", self.intensity, shape=(n,), dtype=np.float32)
@@ -115,7 +108,7 @@ class LidarFrame:
         if self.recorded is not None and len(self.recorded.class_id) != n:
             raise ValueError(
                 f"recorded labels must be ({n}), got ({len(self.recorded.class_id)}): "
-                "a label for each point of the cloud"
+                "one label for each point of the cloud"
             )
         freeze(self.points_m, self.intensity, self.offset_ns, self.ring, self.valid_mask)
 
@@ -125,7 +118,7 @@ class LidarFrame:
 
 
 class OdometryState(StrEnum):
-    """Whether a pose may be trusted; worst last."""
+    """State of the odometry, which says if a pose can be trusted; worst last."""
 
     HEALTHY = "healthy"
     DEGRADED = "degraded"
@@ -134,18 +127,18 @@ class OdometryState(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosedFrame:
-    """A frame and where the sensor was.
+    """A frame and its pose.
 
     Attributes:
         frame: The frame.
         odom_from_sensor: (4, 4) pose at the middle of the sweep; odom is the sensor space of the
             first frame of the shard.
-        odometry: Whether that pose may be trusted.
+        odometry: State of the odometry, which says if the pose can be trusted.
         static_residual_m: Median distance of static structure to the map after registration,
             metres; NaN on the first frame.
-        reason: Why the pose is not healthy; empty when it is.
-        jumped: Whether it went where no car goes from one frame to the next.
-        remark: What else a reader should know of how it was judged; empty for nothing.
+        reason: Cause of a state other than healthy; empty when it is healthy.
+        jumped: True if the pose moved farther since the frame before than a car can.
+        remark: Further note on how the pose was judged; may be empty.
     """
 
     frame: LidarFrame

@@ -1,7 +1,8 @@
-"""The JSON schemas of what is published, for readers in other languages.
+"""JSON schemas of published messages, for readers in other languages.
 
-What travels is canonical JSON, so any language reads it; the schema files in this folder say what
-is in it. `python -m schemas.jsonschema` writes them; a test fails when they lag behind the models.
+Messages are canonical JSON, so any language reads them; the schema files in this folder describe
+their fields. `python -m schemas.jsonschema` writes them; a test fails when they differ from the
+models.
 """
 
 import json
@@ -21,18 +22,18 @@ PUBLISHED: Final[Mapping[str, type[BaseModel]]] = {
     "counterpoint.ranked_scene.v1": RankedScene,
     "counterpoint.problem.v1": Problem,
 }
-"""Name of the schema, as encodings on the bus give it, to the model."""
+"""Model of each schema, by the name that encodings on the bus give."""
 
 
 def schema_file(name: str) -> Path:
-    """Return where the schema of this name lies."""
+    """Return the path of the schema file of this name."""
     return Path(__file__).with_name(f"{name.removeprefix('counterpoint.')}.schema.json")
 
 
 def schema_text(name: str) -> str:
     """Return the text of a schema file, as its model defines it.
 
-    Models refuse unknown fields, readers elsewhere must not: a later service may send more.
+    Models refuse unknown fields. Readers elsewhere must accept them: a later service may send more.
     """
     schema = _open(PUBLISHED[name].model_json_schema())
     schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
@@ -41,7 +42,7 @@ def schema_text(name: str) -> str:
 
 
 def main() -> None:
-    """Write the schema files anew."""
+    """Write the schema files again."""
     for name in PUBLISHED:
         schema_file(name).write_text(schema_text(name), encoding="utf-8")
 

@@ -1,4 +1,4 @@
-"""What a stream says about a point, and what two streams say together."""
+"""Labels of one stream for the points of a frame, and the agreements of two streams."""
 
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
@@ -10,7 +10,7 @@ from schemas.arrays import Confidences, Labels, Mask, check_array, freeze
 
 
 class MotionLabel(IntEnum):
-    """The labels of the task `MOTION`. UNKNOWN is an answer: points are never dropped."""
+    """Labels of the task `MOTION`. UNKNOWN is a label too: points are never dropped."""
 
     STATIC = 0
     DYNAMIC = 1
@@ -18,7 +18,7 @@ class MotionLabel(IntEnum):
 
 
 class Agreement(IntEnum):
-    """The agreements of the task `MOTION`. They do not say which stream is right."""
+    """Agreements of the task `MOTION`. They do not identify the stream that is right."""
 
     BOTH_STATIC = 0b00
     ONLY_SEMANTIC_DYNAMIC = 0b01
@@ -28,12 +28,13 @@ class Agreement(IntEnum):
 
 
 class Blindness(StrEnum):
-    """Why a stream judged nothing off the ground in a frame.
+    """Causes for which a stream labelled nothing above the ground in a frame.
 
-    NO_POINTS: nothing came back. NO_BEAMS: the beams could not be measured, so it cannot be told
-    what was seen through. NO_POSE: the odometry is lost. NO_PAST: nothing to compare with yet, at
-    the start and after a gap. NO_FIT: the frame does not fit those before it, so its pose, its
-    time or theirs is wrong.
+    NO_POINTS: the frame has no returns.
+    NO_BEAMS: the beams could not be measured, so free space is unknown.
+    NO_POSE: the odometry is lost.
+    NO_PAST: no earlier frame to compare with, at the start and after a gap.
+    NO_FIT: the frame does not fit those before it, so its pose, its time or theirs is wrong.
     """
 
     NO_POINTS = "no_points"
@@ -45,13 +46,13 @@ class Blindness(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class FrameHealth:
-    """What a stream had to go by in one frame.
+    """Input quality of a stream in one frame.
 
     Attributes:
-        blindness: Why it judged nothing off the ground; None where it did.
-        reason: The same in words; empty where it judged.
-        seen_share: Share of what it was asked about that an earlier frame saw, or saw through; NaN
-            where none was asked.
+        blindness: Cause for which it labelled nothing above the ground; None where it did.
+        reason: The same as a sentence; empty where it labelled.
+        seen_share: Share of the points to label that lie where an earlier frame saw a surface or
+            free space; NaN without such points.
     """
 
     blindness: Blindness | None = None
@@ -61,19 +62,19 @@ class FrameHealth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameLabels:
-    """What one stream says about every point of one frame.
+    """Labels of one stream for every point of one frame.
 
     Attributes:
         labels: (N,) labels of the stream's task.
-        confidence: (N,) 0 to 1, how sure the stream is of that label; 0 where UNKNOWN.
+        confidence: (N,) 0 to 1, confidence of the stream in that label; 0 where UNKNOWN.
         class_id: (N,) semantic class as an index into the stream's `class_names`, -1 none; None
-            from a stream that knows no classes.
-        ground_mask: (N,) true on the ground; None from a stream that does not look for it.
+            from a stream without classes.
+        ground_mask: (N,) true on the ground; None from a stream that does not detect it.
         cluster: (N,) index into `cluster_velocity_m_per_s`, -1 none; None without clusters.
         cluster_velocity_m_per_s: (K, 3) velocity of each cluster over the ground, odom space.
-        confirmed: (N,) dynamic, and proved more than once: what an alarm may be raised on; None
-            from a stream that does not tell.
-        health: What the stream had to go by.
+        confirmed: (N,) true where dynamic and confirmed more than once, enough to raise an alarm;
+            None from a stream that confirms nothing.
+        health: Input quality of the stream in this frame.
 
     Raises:
         ValueError: If lengths differ or an array has the wrong type.

@@ -1,4 +1,4 @@
-"""What every worker does alike: how logs are cut and read, and by which parts they are mined."""
+"""Mining settings that all workers share: grid of shards, reading of logs, and parts."""
 
 import re
 from typing import Final, Literal
@@ -8,20 +8,20 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from schemas.bounds import MAX_SCENES_OF_A_SHARD, Blob, Finite, Name, Url
 
 LOOKAHEAD: Final = ":lookahead-"
-"""In the name of a stream: the seconds that follow are how long it waits for later frames."""
+"""Separator in the name of a stream; the seconds it waits for later frames follow it."""
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
 
 
 class Grid(BaseModel):
-    """How logs are cut: shards are whole multiples of the scene length on one grid per log."""
+    """Grid of a log: shards are whole multiples of the scene length on one grid per log."""
 
     model_config = _STRICT
 
-    scene_s: float = Field(default=2.0, gt=0, le=60, description="Length of a scene's cell.")
+    scene_s: float = Field(default=2.0, gt=0, le=60, description="Length of a scene.")
     shard_s: float = Field(default=20.0, gt=0, le=3600, description="Length of a shard's window.")
     warmup_s: float = Field(
-        default=1.2, ge=0, le=10, description="Read before a window, for what has state."
+        default=1.2, ge=0, le=10, description="Warm-up before a window, for parts with a state."
     )
 
     @model_validator(mode="after")
@@ -40,9 +40,9 @@ class Grid(BaseModel):
 
 
 class MiningSettings(BaseModel):
-    """What every worker of a service must do alike; answered to `hello`.
+    """Settings that every worker of a service must share; the reply to `hello`.
 
-    Credentials are never part of it: each process takes its own from its environment.
+    They never contain credentials: each process takes its own from its environment.
     """
 
     model_config = _STRICT
@@ -52,70 +52,72 @@ class MiningSettings(BaseModel):
     grid: Grid = Field(default_factory=Grid, description="Scene and shard lengths, warm-up.")
     supervised: Name = Field(
         default="salsanext-lmnet",
-        description="Supervised stream, by name: salsanext-lmnet, recorded (what the model on the "
-        "car said), own (your model), salsanext-lmnet:published (image and votes bug for bug); "
-        "for `score` of the task ground "
+        description="Supervised stream, by name: salsanext-lmnet, recorded (labels of the model "
+        "on the car), own (your model), salsanext-lmnet:published (image and votes "
+        "with the bugs of the publication); for `score` of the task ground "
         "salsanext:ground, recorded:ground.",
     )
     model: Url = Field(
         default="",
-        description="Your own model: the adapter's TOML file. Every worker reads it there; what is "
-        "in it counts, not where it lies.",
+        description="Your own model: the adapter's TOML file. Every worker reads it from this "
+        "path; the pipeline version depends on its content, not on the path.",
     )
     weights: Url = Field(
         default="",
-        description="Folder of imported weights, for every network that is chosen; empty: what "
-        "ships. Every worker reads it there.",
+        description="Folder of imported weights, for every chosen network; empty: the included "
+        "ones. Every worker reads it from this path.",
     )
     selfsupervised: Name = Field(
         default="registration",
         description="Self-supervised stream, by name: registration, two-stage (on any flow), or "
-        "paper (the published chain); registration:lookahead-0.5 and :lookahead-1.0 wait so many "
-        "seconds for later frames; ground is of another task.",
+        "paper (the published chain); registration:lookahead-0.5 and :lookahead-1.0 "
+        "wait 0.5 s and 1 s for later frames; ground is of another task.",
     )
     odometry: Name = Field(
         default="kiss-icp", description="Odometry, by name: kiss-icp, or delora (the paper's)."
     )
     witness: Name = Field(
         default="free-space",
-        description="Third witness, by name: free-space (what was seen through a second before or "
-        "after is not static), or none.",
+        description="Third witness, by name: free-space (an object in space that was free a "
+        "second before or after is not static), or none.",
     )
     instances: Literal["default", "paper"] = Field(
         default="default",
-        description="How contradicting points become instances; paper: the published numbers.",
+        description="Clustering of contradicting points into instances; paper: the published "
+        "parameters.",
     )
-    lidar_topic: Url = Field(default="", description="Mine this topic only; empty: by evidence.")
+    lidar_topic: Url = Field(default="", description="Lidar topic to mine; empty: detected.")
     odometry_topic: Url = Field(
         default="",
-        description="What the car recorded of its own motion, held against the odometry: this "
-        "topic, in logs that have it; empty: by evidence; none: not looked for.",
+        description="Topic of the recorded motion of the car, compared with the odometry in logs "
+        "that have it; empty: detected; none: not used.",
     )
     camera: Blob = Field(
         default="",
-        description="For streams that compare only what a camera sees: `recorded` takes the "
-        "calibration of the log's front camera, a JSON file states one for all logs; empty: none.",
+        description="Camera calibration for streams that compare only a camera's view: "
+        "`recorded` takes that of the log's front camera, a JSON file gives one for "
+        "all logs; empty: none.",
     )
     path_template: Url = Field(
         default="{vehicle}/{date}/{name}",
-        description="Vehicle and date of a log, matched from the right of its key, where the log "
-        "itself does not say.",
+        description="Pattern of vehicle and date in a key, matched from the right, for logs "
+        "without these.",
     )
     stamp_at: Literal["start", "middle", "end"] = Field(
-        default="start", description="Which instant of the revolution a header stamp names."
+        default="start", description="Instant of the revolution that a header stamp gives."
     )
     intensity_scale: Finite = Field(
-        default=0.0, ge=0, description="Recorded value that means 1; 0: by evidence."
+        default=0.0, ge=0, description="Recorded value that means 1; 0: detected."
     )
 
     @property
     def takes_recorded(self) -> bool:
-        """Whether the supervised stream, for whatever task, is what the log itself says."""
+        """True if the supervised stream, for any task, reads the labels recorded in the log."""
         return self.supervised.partition(":")[0] == "recorded"
 
     @property
     def ahead_ns(self) -> int:
-        """How much later than a frame those are that its labels may wait for."""
+        """Time by which later frames may influence a frame's labels, nanoseconds."""
         _, found, lookahead_s = self.selfsupervised.partition(LOOKAHEAD)
         return round(float(lookahead_s) * 1e9) if found else 0
 

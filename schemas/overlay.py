@@ -1,7 +1,7 @@
-"""Every point of a scene with what both streams said of it: too much for the bus, kept beside it.
+"""Overlay of a scene: every point with the labels of both streams, too large for the bus.
 
-The record says how much two streams contradict each other, the overlay shows where. A reviewer's
-page and `counterpoint show` draw from it alone, without the log and without the workers.
+A record gives the amount of contradiction, the overlay shows the points. A reviewer's page and
+`counterpoint show` draw from it alone, without the log and without the workers.
 """
 
 import hashlib
@@ -17,13 +17,13 @@ from schemas.arrays import Agreements, Mask, Points, check_array, freeze
 from schemas.task import MOTION, Task
 
 NO_POSITION_CM: Final = -32768
-"""All three coordinates of a point without a return, or farther than 327 m."""
+"""Value of all three coordinates of a point without a return, or farther than 327 m."""
 
 MAX_NAME_BYTES: Final = 255
 """Bytes of one name in the file systems of Linux, macOS and Windows."""
 
 MAX_FILE_BYTES: Final = 250
-"""Bytes of an overlay's name; obstore writes it under a name that is some bytes longer first."""
+"""Bytes of an overlay's name; obstore first writes it under a name that is some bytes longer."""
 
 MAX_KEY_BYTES: Final = 1024
 """Bytes of a key in S3, Google's and Azure's stores."""
@@ -53,12 +53,12 @@ class Overlay:
         offsets: (F + 1,) frame f has points offsets[f] to offsets[f + 1].
         points_cm: (P, 3) sensor space of each frame, centimetres; `NO_POSITION_CM` where none.
         agreements: (P,) codes of the task's outcomes.
-        ground_mask: (P,) what the self-supervised stream calls ground.
+        ground_mask: (P,) true where the self-supervised stream labels ground.
         class_id: (P,) semantic class as an index into `class_names`, -1 none.
         class_names: Classes of the supervised stream; may be empty.
-        semantic_confidence: (P,) of the supervised stream, 255 is 1; in steps of 17 as made by the
-            workers, since a finer one costs a byte per point and shows nothing more.
-        predictive_confidence: (P,) of the self-supervised stream, likewise.
+        semantic_confidence: (P,) of the supervised stream, 255 is 1. Workers write steps of 17,
+            since finer ones cost a byte per point and show nothing more.
+        predictive_confidence: (P,) of the self-supervised stream, in the same units.
         instance_index: (P,) instance that a contradicting point belongs to, -1 none.
         odom_from_sensor: (F, 4, 4) poses.
         instance_frame: (I,) the frame of each instance.
@@ -66,7 +66,7 @@ class Overlay:
         instance_track: (I,) track it belongs to, numbered as in the scene's record and beyond.
         instance_boxes: (I, 7) centre x, y, z, length, width, height in metres, yaw in radians, in
             the sensor space of its frame.
-        task: What both streams were asked.
+        task: The task of both streams.
 
     Raises:
         ValueError: If an array has the wrong shape or type, or does not fit the others.
@@ -117,7 +117,7 @@ class Overlay:
         return len(self.stamps_ns)
 
     def points_of(self, frame: int) -> slice:
-        """Where the points of a frame lie in the arrays that have one entry per point."""
+        """Return the slice of a frame's points in the arrays that have one entry per point."""
         return slice(int(self.offsets[frame]), int(self.offsets[frame + 1]))
 
     def points_m(self, frame: int) -> Points:
@@ -125,7 +125,7 @@ class Overlay:
         return self.points_cm[self.points_of(frame)].astype(np.float32) / np.float32(100)
 
     def has_position(self, frame: int) -> Mask:
-        """Return (N,) which points of a frame are returns within reach of the coordinates."""
+        """Return (N,) true for points of a frame with a return within range of the coordinates."""
         return np.asarray(self.points_cm[self.points_of(frame), 0] != NO_POSITION_CM)
 
     def instances_of(self, frame: int) -> NDArray[np.int64]:
@@ -150,15 +150,15 @@ _ARRAYS: Final = (
 
 
 def overlay_key(*, log_id: str, scene_id: str, pipeline_version: str, sha256: str) -> str:
-    """Object key of a scene's overlay in the artifacts bucket.
+    """Return the object key of a scene's overlay in the artifacts bucket.
 
-    It names the digest of the scene's record, since a log that is replaced has other scenes under
-    the same ids, and those of before return if its bytes do.
+    The key contains the digest of the scene's record. A log that is replaced has other scenes under
+    the same ids, and the earlier ones return if its bytes do.
 
-    Folders follow the log's key, each percent-encoded: one file name of a long key would exceed
-    what file systems take. `@` is always encoded in a part, so no log can lie in another's folder.
-    A part that is itself too long for a file name is cut, with a digest of it at the end; so are
-    the log's folders together where the whole would be too long for a key.
+    Folders follow the log's key, each percent-encoded, since one file name of a long key would
+    exceed the limit of file systems. `@` is always encoded in a part, so no log can lie in
+    another's folder. A part that is itself too long for a file name is cut, with a digest of it at
+    the end; so are the log's folders together where the whole would be too long for a key.
     """
     end = f"-{sha256[:16]}.overlay"
     *folders, last = (_part(part) for part in scene_id.removeprefix(f"{log_id}/").split("/"))
@@ -185,7 +185,7 @@ def _fitting(quoted: str, limit: int) -> str:
 
 
 def _cut(quoted: str, limit: int) -> str:
-    """Keep the beginning, and a digest of all of it behind an `@`, which no part holds itself."""
+    """Cut a name, and append a digest of all of it behind an `@`, which no part contains itself."""
     digest = hashlib.sha256(quoted.encode()).hexdigest()[:_DIGEST_DIGITS]
     begin = _PARTLY_ENCODED.sub("", quoted[: limit - 1 - _DIGEST_DIGITS])
     return f"{begin}@{digest}"

@@ -1,4 +1,4 @@
-"""An error as it is answered over the bus."""
+"""Error reply on the bus."""
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -6,9 +6,9 @@ from schemas.bounds import Text
 
 
 class Problem(BaseModel):
-    """Why a question got no answer, in one sentence, and whether asking again may help."""
+    """Cause for which a request got no reply, in one sentence, and if a retry may help."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     problem: Text = Field(description="One sentence: what, where, and what to do.")
-    transient: bool = Field(description="Asking again later may help.")
+    transient: bool = Field(description="True if a later retry may help.")

@@ -1,4 +1,4 @@
-"""The scored scene: the record that travels, is stored, ranked and reviewed."""
+"""Scored scene: the record that is published, stored, ranked and reviewed."""
 
 from typing import Annotated, Final, Literal
 
@@ -39,7 +39,7 @@ class AgreementShares(BaseModel):
 
 
 class KindTotal(BaseModel):
-    """How many contradictions of one kind a scene holds, those beyond the record included."""
+    """Number of contradictions of one kind in a scene, including those beyond the record."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -50,7 +50,7 @@ class KindTotal(BaseModel):
 
 
 class OdometryHealth(BaseModel):
-    """Whether the poses of the scene may be trusted: it gates the score."""
+    """Odometry state of the scene; it gates the score."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -62,7 +62,7 @@ class OdometryHealth(BaseModel):
 
 
 class StreamHealth(BaseModel):
-    """What the self-supervised stream had to go by: silence where blind means nothing."""
+    """Input quality of the self-supervised stream; it distinguishes silence from blindness."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -77,7 +77,7 @@ class StreamHealth(BaseModel):
 
 
 class Producers(BaseModel):
-    """What made the labels: the name and version of each stream's model."""
+    """Name and version of each stream's model."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -87,10 +87,10 @@ class Producers(BaseModel):
 
 
 class SceneScore(BaseModel):
-    """How much the two streams contradict each other in one scene.
+    """Score of one scene: the amount of contradiction between the two streams.
 
-    No times of processing, worker or attempt are inside, and floats are rounded: the same shard
-    plan, weights and settings give the same bytes (`schemas.transport.wire.encode_scene_score`).
+    It contains no processing time, worker or attempt, and floats are rounded. The same shard plan,
+    weights and settings give the same bytes (`schemas.transport.wire.encode_scene_score`).
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")

@@ -1,4 +1,4 @@
-"""What two streams are asked about every point: the classes they choose from, by name."""
+"""Labelling task of both streams: the classes that every point gets one of, by name."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -8,7 +8,7 @@ from typing import Final
 from schemas.errors import PermanentError
 
 MAX_CLASSES: Final = 15
-"""Agreements of so many classes, and of none, fit a byte."""
+"""Classes of a task at most, so that all agreements and NOT_COMPARED fit a byte."""
 
 
 class UnknownTaskError(PermanentError):
@@ -17,17 +17,17 @@ class UnknownTaskError(PermanentError):
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """One agreement of a task: what the two streams say of a point, by code and by name.
+    """One agreement of a task: the pair of labels of a point, by code and by name.
 
     Attributes:
         code: Value in an array of agreements.
-        name: `both_static`, `only_semantic_dynamic`, ..., `not_compared`: as records and metrics
-            say it.
-        semantic: Class that the supervised stream says; empty where not compared.
-        predictive: Class that the self-supervised stream says; empty where not compared.
-        measured: The self-supervised stream alone says that the point moves: only then it measured
-            how fast.
-        of_witness: Neither stream says that the point moves, the third witness does.
+        name: `both_static`, `only_semantic_dynamic`, ..., `not_compared`: the name in records and
+            metrics.
+        semantic: Class that the supervised stream labels; empty where not compared.
+        predictive: Class that the self-supervised stream labels; empty where not compared.
+        measured: True if only the self-supervised stream labels the point moving, and so measured
+            its velocity.
+        of_witness: True if neither stream labels the point moving, but the third witness does.
     """
 
     code: int
@@ -39,26 +39,26 @@ class Outcome:
 
     @property
     def contradicts(self) -> bool:
-        """Whether the two streams say different classes."""
+        """True if the two streams label different classes."""
         return self.semantic != self.predictive
 
 
 @dataclass(frozen=True)
 class Task:
-    """A question that both streams answer with one of the same classes, or not at all.
+    """A task that both streams label with the same classes, or with `unknown`.
 
-    A label is the index of its class, and `unknown` stands for no answer. The agreement of two
-    labels is `predictive * K + semantic` over K classes, and K * K where either is unknown: for two
-    classes the two bits 0b00 to 0b11, and 0b100.
+    A label is the index of its class; `unknown` means that there is no label. The agreement of two
+    labels is `predictive * K + semantic` over K classes, and K * K where either is unknown. For two
+    classes these are the two bits 0b00 to 0b11, and 0b100.
 
     Attributes:
-        name: What a record calls it.
-        classes: What a stream may say, in the order of labels; the first is what most of the world
-            is, and pictures show it as background.
-        moving: The class of what moves, for which a speed is measured and a witness is asked; empty
+        name: Name of the task in a record.
+        classes: Classes of a stream, in the order of labels; the first is the commonest, and
+            pictures show it as background.
+        moving: Class of moving points, for which a speed is measured and a witness is used; empty
             without one. Never the first.
-        of_things: A contradiction is worth a look if it has the size of a road user; else of any
-            size, since surfaces contradict.
+        of_things: True if only contradictions of the size of a road user count; false if any size
+            counts, since surfaces contradict.
 
     Raises:
         ValueError: If there are fewer than two classes, too many, or a name twice.
@@ -81,7 +81,7 @@ class Task:
 
     @property
     def unknown(self) -> int:
-        """Label of a point that a stream says nothing about."""
+        """Label of a point without a class."""
         return len(self.classes)
 
     @property
@@ -91,7 +91,7 @@ class Task:
 
     @property
     def not_compared(self) -> int:
-        """Agreement of a point that either stream says nothing about; the highest code."""
+        """Agreement of a point that either stream leaves unknown; the highest code."""
         return len(self.classes) ** 2
 
     @cached_property
@@ -112,7 +112,7 @@ class Task:
 
     @cached_property
     def kinds(self) -> tuple[Outcome, ...]:
-        """What can contradict: two streams each other, by code, and a witness of motion both."""
+        """Kinds of contradiction: of the two streams, by code, and of the witness with both."""
         told = tuple(outcome for outcome in self.outcomes if outcome.contradicts)
         if not self.moving:
             return told
@@ -136,7 +136,7 @@ class Task:
         raise UnknownTaskError(f"no contradiction {name!r} in task {self.name}; known: {known}")
 
     def _name_of(self, semantic: str, predictive: str) -> str:
-        """Two classes are told apart by who alone says the second; more need both answers."""
+        """Return an outcome's name: `both_` or `only_` for two classes, both labels for more."""
         if semantic == predictive:
             return f"both_{semantic}"
         if len(self.classes) > 2:
@@ -146,10 +146,10 @@ class Task:
 
 
 MOTION: Final = Task("motion", ("static", "dynamic"), moving="dynamic")
-"""The paper's: `schemas.labels` names its labels and agreements."""
+"""Task of the paper; `schemas.labels` names its labels and agreements."""
 
 GROUND: Final = Task("ground", ("other", "ground"), of_things=False)
-"""Which points lie on what can be driven or walked on."""
+"""Task of labelling points on surfaces that can be driven or walked on."""
 
 TASKS: Final = {task.name: task for task in (MOTION, GROUND)}
 

@@ -1,7 +1,8 @@
-"""Escape text that others wrote, so that it can be printed and stored safely.
+"""Escaping of foreign text, so that it can be printed and stored safely.
 
-Names of vehicles, topics and files, reasons of records and answers of stores may hold anything. A
-terminal obeys some of it: it clears the screen, sets the clipboard, or reverses the order of text.
+Names of vehicles, topics and files, reasons of records and answers of stores may contain anything.
+A terminal obeys some of it: it clears the screen, sets the clipboard, or reverses the order of
+text.
 """
 
 import re
@@ -9,22 +10,23 @@ import unicodedata
 from typing import Final
 
 NEWLINES: Final = "\n"
-"""To keep where a text has lines of its own, such as a traceback."""
+"""Line breaks, to keep where a text has lines of its own, such as a traceback."""
 
 _CONTROLS: Final = re.compile(
     "[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]"
 )
-"""Control characters, separators of lines, overrides of the direction of writing, and bytes that
-are no UTF-8, which Python holds as surrogates."""
+"""Control characters, line separators, bidirectional overrides, and bytes that are not UTF-8, which
+Python represents as surrogates.
+"""
 
 _MARK: Final = "…"
 
 _BYTES: Final = range(0xDC80, 0xDD00)
-"""Surrogates by which Python holds the bytes of a file name that are no UTF-8."""
+"""Surrogates by which Python represents the bytes of a file name that are not UTF-8."""
 
 
 def has_controls(text: str) -> bool:
-    """Return whether a name holds a character that no name has in earnest, or is no UTF-8."""
+    """Return true if a text contains control characters or bytes that are not UTF-8."""
     return _CONTROLS.search(text) is not None
 
 
@@ -36,7 +38,7 @@ def visible(text: str, *, keep: str = "", limit: int | None = None) -> str:
     that is no UTF-8 becomes `\xff`. A space of any script prints.
 
     Args:
-        text: What somebody else may have written.
+        text: Text from an untrusted source.
         keep: Characters that stay although they do not print.
         limit: Characters that remain at most, the mark of the cut included; None: all.
     """

@@ -1,7 +1,7 @@
-"""What service and workers say to each other: leases, plans, commits.
+"""Messages between service and workers: leases, plans, commits.
 
-All of it is asked by the worker and answered by the service (`schemas.transport.keys.control`),
-one message each way. An answer to `commit` comes after the database transaction, never before.
+The worker asks and the service answers (`schemas.transport.keys.control`), one message each way. An
+answer to `commit` comes after the database transaction, never before.
 """
 
 import hashlib
@@ -61,7 +61,7 @@ class Part(BaseModel):
 
 
 class Recording(BaseModel):
-    """One log as it lies in the bucket: one MCAP file, or the parts of a split recording."""
+    """One log in the bucket: one MCAP file, or the parts of a split recording."""
 
     model_config = _STRICT
 
@@ -75,14 +75,14 @@ class Recording(BaseModel):
 
     @property
     def revision(self) -> str:
-        """Digest of keys, sizes and etags: part of the ledger's key, never of a scored record."""
+        """Digest of keys, sizes and etags; part of the ledger's key, never of a scored record."""
         return hashlib.sha256(
             canonical_json([part.model_dump(mode="json") for part in self.parts])
         ).hexdigest()[:16]
 
 
 class ChunkRef(BaseModel):
-    """Where to read messages: an MCAP Chunk record, or a run of records outside any chunk."""
+    """Byte range with messages: an MCAP Chunk record, or a run of records outside any chunk."""
 
     model_config = _STRICT
 
@@ -110,7 +110,7 @@ class Channel(BaseModel):
 
 
 class RecordedSource(BaseModel):
-    """Where the labels of the model that ran on the car lie."""
+    """Channel with the labels of the model that ran on the car."""
 
     model_config = _STRICT
 
@@ -121,11 +121,11 @@ class RecordedSource(BaseModel):
 
 
 class Shard(BaseModel):
-    """A time window of one lidar of one log, with the chunks it needs: what a worker leases.
+    """A time window of one lidar of one log, with its chunks; the unit that a worker leases.
 
-    Messages are judged by frame stamp: those in [start_ns, end_ns) are scored, those from
-    `warmup_start_ns` on are only seen, those until `lookahead_end_ns` only decide whether a short
-    last piece belongs to this shard, and what streams that look ahead say of the last frames.
+    Messages are assigned by frame stamp. Those in [start_ns, end_ns) are scored, and those from
+    `warmup_start_ns` on only warm up the streams. Those until `lookahead_end_ns` only decide if a
+    short last piece belongs to this shard, and the last labels of streams that look ahead.
     """
 
     model_config = _STRICT
@@ -135,7 +135,7 @@ class Shard(BaseModel):
     lidar: Channel
     recorded: RecordedSource | None = None
     motion: Channel | None = Field(
-        default=None, description="What the car recorded of its own motion, if it did."
+        default=None, description="Recorded motion of the car, if there is any."
     )
     camera: CameraCalibration | None = None
     anchor_ns: StampNs = Field(description="First frame of the log: origin of the grid.")
@@ -146,7 +146,7 @@ class Shard(BaseModel):
     before_lookahead_end_ns: StampNs = Field(
         default=0, description="`lookahead_end_ns` of the shard before; 0 where none is."
     )
-    scene_s: float = Field(default=2.0, gt=0, le=3600, description="Length of a scene's cell.")
+    scene_s: float = Field(default=2.0, gt=0, le=3600, description="Length of a scene.")
     first_of_log: bool = False
     last_of_log: bool = False
     chunks: tuple[ChunkRef, ...] = Field(fail_fast=True, max_length=MAX_CHUNKS)
@@ -161,17 +161,17 @@ class Shard(BaseModel):
 
     @property
     def lidar_name(self) -> str:
-        """The lidar topic as it stands in scene ids and shard names."""
+        """Lidar topic in the form of scene ids and shard names."""
         return self.lidar.topic.strip("/").replace(".", "%2E").replace("/", ".")
 
     @property
     def name(self) -> str:
-        """Unique within the log, for one grid."""
+        """Name that is unique within the log, for one grid."""
         return f"{self.lidar_name}-{self.index:05d}"
 
 
 class Damage(BaseModel):
-    """A stretch of a log that cannot be read: it costs itself, not the log."""
+    """A stretch of a log that cannot be read; the rest of the log is still mined."""
 
     model_config = _STRICT
 
@@ -182,7 +182,7 @@ class Damage(BaseModel):
 
 
 class LogPlan(BaseModel):
-    """What planning found in a recording: its shards, and what cannot be read or used."""
+    """Plan of a recording: its shards, and the stretches that cannot be read or used."""
 
     model_config = _STRICT
 
@@ -194,15 +194,17 @@ class LogPlan(BaseModel):
     shards: tuple[Shard, ...] = Field(fail_fast=True, default=(), max_length=MAX_SHARDS_OF_A_PLAN)
     damage: tuple[Damage, ...] = Field(fail_fast=True, default=(), max_length=MAX_CHUNKS)
     truncated_parts: Tally = Field(
-        default=0, description="Objects that were never closed: used as far as they go."
+        default=0, description="Objects that were never closed, and are used up to their end."
     )
-    refused: Text = Field(default="", description="Why the log cannot be mined; empty when it can.")
+    refused: Text = Field(
+        default="", description="Cause for which the log cannot be mined; empty when it can."
+    )
     range_reads: Tally = 0
     bytes_read: Tally = 0
 
 
 class ClaimRequest(BaseModel):
-    """A worker asks for something to do."""
+    """Request of a worker for a lease."""
 
     model_config = _STRICT
 
@@ -239,7 +241,7 @@ class MineLease(BaseModel):
 
 
 class NothingToDo(BaseModel):
-    """No lease now."""
+    """Reply that grants no lease now."""
 
     model_config = _STRICT
 
@@ -248,7 +250,7 @@ class NothingToDo(BaseModel):
 
 
 class ClaimReply(BaseModel):
-    """What the service grants."""
+    """Reply to a claim: a lease, or none."""
 
     model_config = _STRICT
 
@@ -256,7 +258,7 @@ class ClaimReply(BaseModel):
 
 
 class RenewRequest(BaseModel):
-    """A worker is still at it."""
+    """Request of a worker to extend its lease."""
 
     model_config = _STRICT
 
@@ -274,7 +276,7 @@ class ManifestEntry(BaseModel):
 
 
 class MiningStats(BaseModel):
-    """What mining a shard took; never part of a scored record."""
+    """Duration and amount of mining one shard; never part of a scored record."""
 
     model_config = _STRICT
 
@@ -290,7 +292,7 @@ class MiningStats(BaseModel):
 class CommitRequest(BaseModel):
     """A finished lease: a plan, or the manifest of a mined shard.
 
-    `records` carries again, as text, what an earlier answer named missing.
+    `records` contains, as text, the records that an earlier answer listed as missing.
     """
 
     model_config = _STRICT
@@ -309,7 +311,7 @@ class CommitRequest(BaseModel):
 
 
 class FailRequest(BaseModel):
-    """A worker gives a lease back with its error."""
+    """Return of a lease by a worker, with its error."""
 
     model_config = _STRICT
 
@@ -318,7 +320,7 @@ class FailRequest(BaseModel):
     error: Text
     permanent: bool = Field(description="Trying again would fail the same way.")
     replaced: bool = Field(
-        default=False, description="An object changed under the reader: plan the log anew."
+        default=False, description="An object changed under the reader: plan the log again."
     )
     growing: bool = Field(
         default=False,
@@ -327,13 +329,13 @@ class FailRequest(BaseModel):
     )
     given_back: bool = Field(
         default=False,
-        description="The worker was told to stop, or a store as a whole is in trouble: no fault of "
-        "this work, and no attempt used up.",
+        description="The worker was stopped, or a store as a whole fails: this work is not at "
+        "fault, and no attempt is used up.",
     )
 
 
 class Answer(BaseModel):
-    """What the service says to renew, commit and fail."""
+    """Answer of the service to renew, commit and fail."""
 
     model_config = _STRICT
 

@@ -1,1 +1,1 @@
-"""Scene scores in, a reviewed selection out."""
+"""Ranking service: collects scene scores, ranks them, and serves selections for review."""

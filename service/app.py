@@ -1,13 +1,13 @@
-"""The ranking service, wired. Read this first.
+"""Ranking service: the assembly of all its parts; the entry point for readers.
 
     bucket watch ─► ledger ◄─ control (claim, commit, …) ◄─ workers
                       │                    ▲
                       │                staging ◄─ score/** (raw records on the bus)
                       ├─► outbox ─► scene/** (durable, numbered)
-                      ├─► history ─► whoever comes late
+                      ├─► history ─► late subscribers
                       └─► ranking, selection ─► top, select, selected/**
 
-The ledger alone remembers; everything else may be killed at any moment and is rebuilt from it.
+Only the ledger is durable; everything else may be killed at any moment and is rebuilt from it.
 """
 
 from collections.abc import Callable, Sequence
@@ -46,36 +46,38 @@ from service.store.ledger import Ledger
 log = structlog.get_logger(__name__)
 
 WRITING_THREADS: Final = 16
-"""Commits that wait for the disk at the same time share one transaction: more threads, fewer waits
-for the disk. Beyond this the processor is what they wait for."""
+"""Threads that answer writing requests. Commits that wait for the disk at the same time share one
+transaction, so more threads mean fewer waits; beyond this number the processor limits.
+"""
 
 READING_THREADS: Final = 4
-"""A long answer must not hold up the short ones."""
+"""Threads that answer reading requests, so that a long answer does not delay short ones."""
 
 THREADS: Final = WRITING_THREADS + READING_THREADS + 6
-"""Beside those that answer: bucket watch, expiry of leases, outbox, heartbeat, deletion of
-overlays, hold on the database; all for as long as we live."""
+"""All threads of the service. Six do background work: bucket watch, expiry of leases, outbox,
+heartbeat, deletion of overlays, and the hold on the database.
+"""
 
 EXPIRY_INTERVAL_S: Final = 1.0
 EXPIRY_RETRY_S: Final = 5.0
-"""While the database takes no write, this is how a quiet daemon learns that it does again."""
+"""Interval of test writes after a failed one, by which an idle daemon sees a recovery, seconds."""
 
 HOLD_INTERVAL_S: Final = 1.0
 OUTBOX_INTERVAL_S: Final = 0.5
-"""How often to publish without an alarm, since a router may have come back."""
+"""Interval of publishing without an alarm, seconds, since a router may have come back."""
 
 
 _PASSING: Final = (TransientError, StatementFailedError)
-"""What the database refuses once for all is a fault of what was asked, not of the service."""
+"""Errors that may pass; a refused statement is a fault of the request, not of the service."""
 
 
 class Service:
-    """Bucket in sight, workers answered, scenes published, for as long as the `with` block lasts.
+    """Watches the bucket, answers workers and publishes scenes, within a `with` block.
 
-    Session, ledger and buckets belong to whoever made them; they must outlive the block.
+    Session, ledger and buckets belong to the caller; they must outlive the block.
 
     Attributes:
-        metrics: What is counted, and read at a scrape.
+        metrics: Counters and gauges, read at a scrape.
     """
 
     def __init__(
@@ -101,23 +103,26 @@ class Service:
 
         Args:
             session: On the bus.
-            ledger: What remembers.
+            ledger: Durable state.
             bucket: The log bucket, which is only listed.
-            settings: What every worker must do alike.
+            settings: Settings that every worker shares.
             root: First part of every key.
-            list_interval_s: Between two listings of the bucket, seconds.
+            list_interval_s: Interval of listings of the bucket, seconds.
             include: Only keys that match one of these patterns count; empty: all.
             exclude: Keys that match one of these do not.
-            settle_s: A bucket that is suddenly empty is believed when it stays so for this long.
+            settle_s: Time for which a suddenly empty bucket must stay empty before it is believed,
+                seconds.
             once: List the bucket only at the start, unless an object changes under a reader.
             heartbeat_s: Longest silence of the log, seconds.
-            hold: Makes sure that the ledger is still ours alone to write; None: it cannot be lost.
-            metrics: Told of everything that is counted; None: some that nobody reads.
-            state_free_bytes: Says how much room the disk of the state has; None: not known.
-            keep_withdrawn_s: Delete overlays of scenes withdrawn so long ago; 0: never.
+            hold: Checks that this service is still the only writer of the ledger; None: that cannot
+                change.
+            metrics: Receives all counts; None: a private set.
+            state_free_bytes: Returns the free space on the disk of the state, bytes; None: unknown.
+            keep_withdrawn_s: Age at which overlays of withdrawn scenes are deleted, seconds; 0:
+                never.
 
         Raises:
-            UsageError: If overlays are to be deleted where logs lie.
+            UsageError: If overlays are to be deleted in the log bucket.
         """
         self._session, self._ledger, self._root = session, ledger, root
         self._list_interval_s, self._once = list_interval_s, once
@@ -174,16 +179,17 @@ class Service:
 
     @property
     def recordings(self) -> int:
-        """How many recordings the bucket held when it was listed last."""
+        """Number of recordings in the last listing of the bucket."""
         return self._watch.recordings or 0
 
     def __enter__(self) -> Self:
         """List the bucket, then answer.
 
         Raises:
-            BucketUnreachableError: If the store does not answer; later on it is waited for.
-            BucketRefusedError: If it says no.
-            OtherBucketError: If the ledger is that of another bucket.
+            BucketUnreachableError: If the store does not answer; after the start the service waits
+                for it.
+            BucketRefusedError: If the store refuses.
+            OtherBucketError: If the ledger belongs to another bucket.
             StateInUseError: If another service answers under this root.
         """
         self._be_alone()
@@ -215,7 +221,7 @@ class Service:
         return self
 
     def not_ready(self) -> dict[str, str]:
-        """Say what keeps the service from its work now, by part; empty: it is ready."""
+        """Return the problems that keep the service from its work, by part; empty: it is ready."""
         return not_ready(
             self._ledger,
             self._session,
@@ -224,14 +230,14 @@ class Service:
         )
 
     def check(self) -> None:
-        """Raise what ended a thread of the service, if one has ended."""
+        """Raise the error that ended a thread of the service, if one has ended."""
         for thread in wait(self._threads, timeout=0, return_when=FIRST_EXCEPTION).done:
             if (error := thread.exception()) is not None:
                 log.error("the service ends", problem=str(error))  # before workers are waited for
                 raise error
 
     def run(self, stop: Event) -> None:
-        """Keep going until told to stop, or until a thread ends, whose error is raised."""
+        """Wait until `stop` is set, or until a thread ends, whose error is raised."""
         while not stop.wait(0.5):
             self.check()
 
@@ -241,12 +247,15 @@ class Service:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Take no more questions, end every thread."""
+        """Refuse new requests, and end every thread."""
         self._open.close()
         log.info("service down", root=self._root)
 
     def _be_alone(self) -> None:
-        """Two services under one root would both give leases, each from a ledger of its own."""
+        """Refuse to start next to another service under this root.
+
+        Both would grant leases, each from a ledger of its own.
+        """
         others = keys.all_live(root=self._root, role="service")
         for wait_s in (0.1, 0.4, 1.0, 2.0, 0.0):  # one that was just killed is gone in a moment
             if not any(reply.ok for reply in self._session.liveliness().get(others, timeout=5)):
@@ -330,7 +339,10 @@ class Service:
         )
 
     def _list_what_changed(self) -> None:
-        """List again where an object was replaced under its reader; else it would wait for ever."""
+        """List the bucket again if an object changed under its reader.
+
+        Its work would otherwise wait for ever.
+        """
         if self._ledger.stale_logs():
             self._watch.list_once()
 

@@ -1,4 +1,4 @@
-"""`run --dry-run`: what lies in the bucket, what of it is left to mine, and for about how long."""
+"""Plan of `run --dry-run`: logs in the bucket, the work left, and an estimate of its duration."""
 
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -29,14 +29,16 @@ from service.store.throughput import Pace, pace
 log = structlog.get_logger(__name__)
 
 MOST_LOOKED_INTO: Final = 32
-"""Logs whose index is read, two range reads each: enough for a mean, seconds on any bucket."""
+"""Logs whose index is read, with two range reads each: enough for a mean, seconds on any bucket."""
 
 DEFAULT_SECONDS_PER_FRAME: Final = 0.35
-"""Measured by `run --once` on frames of 106,000 points, default streams, two workers on two cores:
-side by side they take a fifth longer than one alone."""
+"""Seconds per frame of one worker without measurements. Measured by `run --once` on frames of
+106,000 points, default streams, two workers on two cores; both together take a fifth longer than
+one alone.
+"""
 
 ENOUGH_FRAMES: Final = 100
-"""Of fewer, the first ones, which compile what they need, tell too much."""
+"""Frames below which measured times are not used; the first ones include compilation."""
 
 _STRICT: Final = ConfigDict(frozen=True, extra="forbid")
 
@@ -51,57 +53,70 @@ class DryLog(BaseModel):
     bytes: int
     standing: LogStanding = Field(
         default="new",
-        description="What the state knows of it. new, changed (mined as other objects) and anew "
-        "(mined by another pipeline version): all of it is mined; in part; mined, refused and "
-        "parked: nothing is.",
+        description="Progress of the log in the state. new, changed (mined with other objects) "
+        "and anew (mined by another pipeline version): a run mines all of it. in "
+        "part: it mines the rest. mined, refused and parked: it mines nothing.",
     )
-    left_share: float = Field(default=1.0, ge=0, le=1, description="Of its bytes, to be mined.")
-    parked: int = Field(default=0, description="Plans and shards of it that are not tried again.")
-    duration_s: float | None = Field(default=None, description="None: not looked into.")
+    left_share: float = Field(
+        default=1.0, ge=0, le=1, description="Share of its bytes to be mined."
+    )
+    parked: int = Field(default=0, description="Plans and shards of it that are not retried.")
+    duration_s: float | None = Field(
+        default=None, description="Lidar frames in it; None: its index was not read."
+    )
     frames: int | None = Field(
         default=None, description="In all of it, or mined of it; None: not known."
     )
-    problem: str = Field(default="", description="Why it cannot be mined, of those looked into.")
+    problem: str = Field(
+        default="", description="Cause for which it cannot be mined, if its index was read."
+    )
 
 
 class DryRun(BaseModel):
-    """What a run would mine, and an estimate of the hours."""
+    """Work that a run would do, and an estimate of its hours."""
 
     model_config = _STRICT
 
     bucket: str
     logs: tuple[DryLog, ...]
-    bytes: int = Field(description="Of all logs.")
-    left_bytes: int = Field(description="Of these, to be mined.")
-    by_standing: dict[str, int] = Field(description="Logs by what the state knows of them.")
+    bytes: int = Field(description="Bytes of all logs.")
+    left_bytes: int = Field(description="Bytes to be mined.")
+    by_standing: dict[str, int] = Field(description="Number of logs by progress in the state.")
     pipeline_version: str = Field(
-        description="What would mine; empty: there is no state to compare with, all is left."
+        description="Pipeline version of these settings; empty: there is no state to compare "
+        "with, all is left."
     )
     state_version: str = Field(description="The newest in the state; another one is beaten.")
-    looked_into: int = Field(description="Logs whose index was read, of those with work left.")
+    looked_into: int = Field(description="Logs with work left whose index was read.")
     frames: int | None = Field(description="To be mined, estimated by bytes; None: of no log.")
-    duration_s: float | None = Field(description="Of recording to be mined, estimated likewise.")
+    duration_s: float | None = Field(
+        description="Duration of recording to be mined, seconds, estimated by bytes."
+    )
     workers: int
-    seconds_per_frame: float | None = Field(description="None: nothing tells it.")
-    pace_from: str = Field(description="What the seconds per frame stand on.")
-    hours: float | None = Field(description="For what is left, on so many workers, a core each.")
+    seconds_per_frame: float | None = Field(
+        description="Seconds of one worker per frame; None: unknown."
+    )
+    pace_from: str = Field(description="Basis of the seconds per frame.")
+    hours: float | None = Field(
+        description="Estimated hours of the work left, on this number of workers with a core each."
+    )
 
 
 def plan_dry_run(
     settings: Settings, *, on_progress: Callable[[int, int], None] = lambda _done, _total: None
 ) -> DryRun:
-    """List the logs that count, look into a few that are not mined yet, and extrapolate.
+    """List the logs that count, read the index of a few that are not mined yet, and extrapolate.
 
-    Nothing is written. Where there is a state, what it has mined under the pipeline version that
-    these settings make is left out.
+    Nothing is written. Scenes that a state has already mined under the pipeline version of these
+    settings are left out.
 
     Args:
-        settings: Bucket, patterns, workers, and the state that may tell what is mined and how fast.
-        on_progress: Told logs looked into and to look into.
+        settings: Bucket, patterns, workers, and the state with earlier results and times.
+        on_progress: Called with the number of logs read and to be read.
 
     Raises:
         NothingFoundError: If no log counts.
-        OtherBucketError: If the state belongs to another bucket, as a run would say.
+        OtherBucketError: If the state belongs to another bucket, for which a run would fail too.
         TransientError: If the bucket, or the database, does not answer.
         PermanentError: If it refuses.
     """
@@ -122,10 +137,10 @@ def plan_dry_run(
         looked[number] = _look(bucket, recordings[number], listed[number], settings)
         on_progress(len(looked), len(sampled))
     logs = tuple(looked.get(i, log) for i, log in enumerate(listed))
-    told = [log for log in looked.values() if log.frames is not None]
-    guessed = [log for i, log in enumerate(logs) if i not in looked or log.frames is None]
-    frames = _left_of([log.frames or 0 for log in told], told, guessed)
-    seconds = _left_of([log.duration_s or 0.0 for log in told], told, guessed)
+    measured = [log for log in looked.values() if log.frames is not None]
+    unread = [log for i, log in enumerate(logs) if i not in looked or log.frames is None]
+    frames = _left_of([log.frames or 0 for log in measured], measured, unread)
+    seconds = _left_of([log.duration_s or 0.0 for log in measured], measured, unread)
     seconds_per_frame, pace_from = _pace(known, settings)
     return DryRun(
         bucket=bucket.url,
@@ -150,7 +165,7 @@ def plan_dry_run(
 
 
 def _spread(count: int) -> list[int]:
-    """Choose up to `MOST_LOOKED_INTO` of so many, evenly, the first and the last among them."""
+    """Choose up to `MOST_LOOKED_INTO` indices at even intervals, with the first and the last."""
     chosen = min(count, MOST_LOOKED_INTO)
     return sorted({round(i * (count - 1) / max(1, chosen - 1)) for i in range(chosen)})
 
@@ -190,15 +205,15 @@ def _look(bucket: Bucket, recording: Recording, listed: DryLog, settings: Settin
 
 
 def _left_of(
-    amounts: Sequence[float], told: Sequence[DryLog], guessed: Sequence[DryLog]
+    amounts: Sequence[float], measured: Sequence[DryLog], unread: Sequence[DryLog]
 ) -> float | None:
-    """Sum up what is left: of logs that were looked into as told, of others by their bytes."""
-    left_bytes = sum(log.bytes * log.left_share for log in guessed)
-    told_bytes = sum(log.bytes for log in told)
-    if left_bytes and not told_bytes:
+    """Sum up the remaining work: measured for logs that were read, by bytes for the others."""
+    left_bytes = sum(log.bytes * log.left_share for log in unread)
+    measured_bytes = sum(log.bytes for log in measured)
+    if left_bytes and not measured_bytes:
         return None
-    known = sum(amount * log.left_share for amount, log in zip(amounts, told, strict=True))
-    return known + (left_bytes * sum(amounts) / told_bytes if left_bytes else 0.0)
+    known = sum(amount * log.left_share for amount, log in zip(amounts, measured, strict=True))
+    return known + (left_bytes * sum(amounts) / measured_bytes if left_bytes else 0.0)
 
 
 def _pace(known: "_Known", settings: Settings) -> tuple[float | None, str]:
@@ -210,18 +225,18 @@ def _pace(known: "_Known", settings: Settings) -> tuple[float | None, str]:
         return found.seconds_per_frame, f"measured on {frames} frames mined in this state"
     if others:
         return None, (
-            f"no {ENOUGH_FRAMES} frames are mined in this state with {', '.join(others)}, and what "
-            "the default takes says nothing of it"
+            f"no {ENOUGH_FRAMES} frames are mined in this state with {', '.join(others)}, and the "
+            "time of the defaults does not apply to them"
         )
     return (
         DEFAULT_SECONDS_PER_FRAME,
-        f"{frames} frames are mined in this state, too few to go by: "
+        f"{frames} frames are mined in this state, too few for an estimate: "
         f"{DEFAULT_SECONDS_PER_FRAME:g} s per frame of 100,000 points, as measured elsewhere",
     )
 
 
 def _other_parts(settings: Settings) -> list[str]:
-    """Parts that are chosen and take another time than the default's."""
+    """Return chosen parts whose time differs from that of the defaults."""
     return [
         chosen
         for part in ("supervised", "selfsupervised", "odometry")
@@ -232,7 +247,7 @@ def _other_parts(settings: Settings) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class _Known:
-    """What a state tells; nothing where there is none, or one of another schema."""
+    """Data of a state; empty where there is none, or one of another schema."""
 
     pace: Pace | None = None
     standings: Standings | None = None
@@ -257,7 +272,7 @@ def _known(settings: Settings, url: str, recordings: Sequence[Recording]) -> _Kn
 
 
 def _version(settings: Settings) -> str:
-    """Say which pipeline version these settings make; empty where workers are not installed."""
+    """Return the pipeline version of these settings; empty where workers are not installed."""
     if any(find_spec(name) is None for name in NEEDED):
         return ""
     from workers.version import version_of

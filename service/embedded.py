@@ -1,4 +1,4 @@
-"""Wires processes: everything on one machine, or the service or the workers alone."""
+"""Assembly of processes: everything on one machine, or the service or the workers alone."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -35,11 +35,11 @@ if TYPE_CHECKING:
     from workers.worker.config import Accepted
 
 LOCAL_WORKERS: Final = "local-"
-"""Prefix of the ids of workers that live and die with one `run`."""
+"""Prefix of the ids of workers that start and end with one `run`."""
 
 _LOOK_S: Final = 0.5
 
-_STARTING: Final = "workers start; a first run compiles its loops, about a minute"
+_STARTING: Final = "workers start; the first run compiles its loops, which takes about a minute"
 
 
 def run_embedded(
@@ -49,19 +49,20 @@ def run_embedded(
     on_ready: Callable[[str], None],
     on_progress: Callable[[str, int, int | None], None],
 ) -> Status:
-    """Run router, service and workers of one machine until told to stop, or until all is mined.
+    """Run router, service and workers of one machine until a signal, or until all is mined.
 
     Args:
-        settings: Bucket, state, workers, and what workers must do alike.
-        once: Stop when every log that lies in the bucket now is done, refused or parked.
-        on_ready: Told in one sentence where the service can be reached.
-        on_progress: Told now and then what is done, shards finished, and shards known if any are.
+        settings: Bucket, state, workers, and the settings that workers share.
+        once: Stop when every log now in the bucket is done, refused or parked.
+        on_ready: Called with one sentence that names the endpoint of the service.
+        on_progress: Called at intervals with the current step, the shards finished, and the shards
+            in total, if known.
 
     Returns:
-        How far everything is at the end.
+        Status of the ledger at the end.
 
     Raises:
-        NothingFoundError: With `once`, if the bucket holds no log, or no log holds a lidar.
+        NothingFoundError: With `once`, if the bucket has no log, or no log has a lidar.
     """
     from workers.pool.local import LocalPool
     from workers.pool.process import LogStyle
@@ -118,7 +119,7 @@ def run_embedded(
 
 
 def run_service(settings: Settings, *, on_ready: Callable[[str], None]) -> None:
-    """Run the service alone, waiting for its router, until told to stop."""
+    """Run the service alone until a signal; it waits for its router."""
     connect = (settings.connect or DEFAULT_ENDPOINT).split(",")
     with ExitStack() as opened:
         stop = opened.enter_context(stop_on_signals())
@@ -149,14 +150,14 @@ def run_service(settings: Settings, *, on_ready: Callable[[str], None]) -> None:
         _announce(lock, sole, ",".join(connect))
         where = ""
         if http is not None:
-            opened.callback(http.close)  # whoever asks must not meet a service that is closed
+            opened.callback(http.close)  # no request may reach a closed service
             where = _metrics_at(http)
         on_ready(f"serving {bucket.url} over {', '.join(connect)}{where}")
         service.run(stop)
 
 
 def run_workers(settings: Settings, *, on_ready: Callable[[str], None]) -> None:
-    """Run workers for a service elsewhere until told to stop."""
+    """Run workers for a service elsewhere until a signal."""
     from workers.pool.local import LocalPool
     from workers.pool.pages import pool_pages
     from workers.pool.process import LogStyle
@@ -189,7 +190,7 @@ def run_workers(settings: Settings, *, on_ready: Callable[[str], None]) -> None:
 
 
 def accepted_by(settings: Settings) -> "Accepted":
-    """Return which places workers with these settings accept from a service elsewhere."""
+    """Return the locations that workers with these settings accept from a service elsewhere."""
     from workers.worker.config import Accepted
 
     return Accepted(settings.bucket, settings.artifacts_url, settings.model, settings.weights)
@@ -260,7 +261,7 @@ def _enter_service(
 
 
 def _before_start(settings: Settings, bucket: Bucket, ledger: Ledger) -> Sources:
-    """Where the metrics are read until there is a service: what is known without a router."""
+    """Return the sources of metrics until the service starts, as far as known without a router."""
     return Sources(
         backlog=ledger.backlog,
         bucket_url=bucket.url,
@@ -276,7 +277,7 @@ def _open_pages(
     opened: ExitStack,
     *registries: CollectorRegistry,
 ) -> HttpEndpoint:
-    """Answer watchers of the service.
+    """Serve the HTTP pages of the service.
 
     Raises:
         TransientError: If the address is taken.
@@ -286,12 +287,12 @@ def _open_pages(
 
 
 def _metrics_at(endpoint: HttpEndpoint) -> str:
-    """Say where the metrics are, as the end of a sentence."""
+    """Return the URL of the metrics, as the end of a sentence."""
     return f"; metrics at {endpoint.url}/metrics"
 
 
 def _wants_http(settings: Settings, *, once: bool) -> bool:
-    """Nobody watches a run that ends by itself, unless an address was given for it."""
+    """Return true for a daemon, or for a run that ends by itself if an address was given for it."""
     asked_for = not once or "http_listen" in settings.model_fields_set
     return bool(settings.http_listen) and asked_for
 
@@ -305,10 +306,10 @@ def _stay(
     once: bool,
     on_progress: Callable[[str, int, int | None], None],
 ) -> str:
-    """Look after service and pool until told to stop or, once, until all is settled.
+    """Supervise service and pool until a signal or, with `once`, until all work is settled.
 
     Returns:
-        With `once`, the pipeline version of the pool's workers; empty if none got so far.
+        With `once`, the pipeline version of the pool's workers; empty if none got that far.
     """
     version = ""
     while not stop.wait(_LOOK_S):

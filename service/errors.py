@@ -1,10 +1,10 @@
-"""What can go wrong in the service; `schemas.errors` says what transient and permanent mean."""
+"""Errors of the service; `schemas.errors` defines transient and permanent errors."""
 
 from schemas.errors import PermanentError, TransientError
 
 
 class UsageError(PermanentError):
-    """Arguments that cannot be meant; the message says which and what would do."""
+    """Invalid arguments; the message names them and lists valid ones."""
 
 
 class StateUnusableError(PermanentError):
@@ -12,7 +12,7 @@ class StateUnusableError(PermanentError):
 
 
 class StateOutdatedError(StateUnusableError):
-    """An older version wrote the state; a service that starts on it brings it up to date."""
+    """State of an older version; a service that starts on it migrates it."""
 
 
 class OtherBucketError(PermanentError):
@@ -20,11 +20,11 @@ class OtherBucketError(PermanentError):
 
 
 class StatementFailedError(PermanentError):
-    """The database refuses what it was asked, and would again: only that question fails."""
+    """The database refuses a statement, and always would; only that request fails."""
 
 
 class RecordDamagedError(PermanentError):
-    """A stored record is not what its digest says; it is not shown."""
+    """A stored record does not match its digest; it is not shown."""
 
 
 class StateInUseError(TransientError):
@@ -32,4 +32,4 @@ class StateInUseError(TransientError):
 
 
 class NothingFoundError(PermanentError):
-    """What was asked for does not exist: a scene, a selection, any lidar."""
+    """The requested object does not exist, such as a scene, a selection, or any lidar."""

@@ -1,7 +1,7 @@
-"""Files that a command writes where a user said: whole or not at all, and over nothing of his.
+"""Output files of commands: written whole or not at all, and never over a foreign file.
 
-A picture or a report that we wrote says so within, and is replaced when it is asked for again.
-Anything else is replaced with `--force` alone, and a device, a pipe or a folder never.
+A picture or a report that a command wrote contains a mark, and is replaced when made again. Any
+other file is replaced with `--force` alone, and a device, a pipe or a folder never.
 """
 
 import os
@@ -15,7 +15,7 @@ from PIL.PngImagePlugin import PngInfo
 from service.errors import UsageError
 
 MARK: Final = "counterpoint"
-"""The software that wrote a file: in the text of a PNG, and as the generator of a page."""
+"""Name of the writing software: in the text of a PNG, and as the generator of a page."""
 
 PAGE_MARK: Final = f'<meta name="generator" content="{MARK}">'
 
@@ -23,18 +23,16 @@ _HEAD_BYTES: Final = 4096
 
 
 def need_writable(path: Path, *, option: str, force: bool, endings: tuple[str, ...] = ()) -> None:
-    """Refuse an output path before the work begins whose result would go there.
-
-    The folder is made if it is not there.
+    """Check an output path before the work begins, and make its folder.
 
     Args:
-        path: What was given.
-        option: Which option gave it, for the message.
-        force: Whether a file of somebody else may be replaced.
-        endings: What the name may end in; any if there are none.
+        path: The path.
+        option: Name of the option that gave it, for the message.
+        force: True to replace a foreign file.
+        endings: Accepted endings of the name; any if empty.
 
     Raises:
-        UsageError: If nothing can be written there, or a file lies there that we did not write.
+        UsageError: If the path cannot be written, or is a file that no command wrote.
     """
     if endings and path.suffix.lower() not in endings:
         raise UsageError(f"{option} must name a {' or '.join(endings)} file, got {path}")
@@ -55,7 +53,7 @@ def need_writable(path: Path, *, option: str, force: bool, endings: tuple[str, .
 
 
 def need_folder(path: Path, *, option: str) -> None:
-    """Make a folder unless it is there, and refuse it where nothing can be written in it.
+    """Make a folder unless it exists, and refuse one that cannot be written.
 
     Raises:
         UsageError: If it is a file, cannot be made, or cannot be written to.
@@ -71,10 +69,10 @@ def need_folder(path: Path, *, option: str) -> None:
 
 
 def save_picture(picture: Image.Image, path: Path, *, option: str, force: bool) -> None:
-    """Write a PNG that says who wrote it.
+    """Write a PNG with the mark of its writer.
 
     Raises:
-        UsageError: If it cannot be written, or a file lies there that we did not write.
+        UsageError: If it cannot be written, or is a file that no command wrote.
     """
     need_writable(path, option=option, force=force)
     mark = PngInfo()
@@ -93,7 +91,7 @@ def save_text(text: str, path: Path, *, option: str, force: bool) -> None:
     """Write a text as UTF-8.
 
     Raises:
-        UsageError: If it cannot be written, or a file lies there that we did not write.
+        UsageError: If it cannot be written, or is a file that no command wrote.
     """
     need_writable(path, option=option, force=force)
     growing = _growing(path)
@@ -107,7 +105,7 @@ def save_text(text: str, path: Path, *, option: str, force: bool) -> None:
 
 
 def _growing(path: Path) -> Path:
-    """Name the file beside the target that is renamed when it is whole."""
+    """Return the temporary file next to the target, which is renamed when it is complete."""
     target = path.resolve()
     return target.with_name(f".{target.name[:200]}.{os.getpid()}.part")
 

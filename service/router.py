@@ -1,4 +1,4 @@
-"""`counterpoint router`: a Zenoh router and nothing else; it keeps no state."""
+"""Daemon of `counterpoint router`: a Zenoh router alone, without a state."""
 
 from collections.abc import Callable
 
@@ -16,11 +16,11 @@ def run_router(
     connect: str = "",
     heartbeat_s: float = 300.0,
 ) -> None:
-    """Route until told to stop by SIGTERM or SIGINT.
+    """Route until SIGTERM or SIGINT.
 
     Args:
-        listen: Endpoints to listen on, commas between.
-        on_ready: Told in one sentence where it listens.
+        listen: Endpoints to listen on, separated by commas.
+        on_ready: Called with one sentence that names the endpoints.
         connect: Other routers to link to, so that clients may list several and lose one.
         heartbeat_s: Longest silence of the log, seconds.
 

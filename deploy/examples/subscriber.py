@@ -1,4 +1,4 @@
-"""Notes every scored scene in `scenes.jsonl`; killed and started again, it goes on where it was."""
+"""Appends every scored scene to `scenes.jsonl`, and resumes after a restart."""
 
 import json
 import sys

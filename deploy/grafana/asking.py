@@ -1,4 +1,4 @@
-"""Asks a Prometheus and a service what the panels ask them."""
+"""Client of Prometheus and of a service, for the queries of the panels."""
 
 import json
 from contextlib import closing
@@ -9,7 +9,7 @@ from urllib.parse import urlencode
 
 
 class AnswerError(Exception):
-    """A question that was not answered; the message holds question and answer."""
+    """A query that was not answered; the message contains query and answer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,10 +26,10 @@ def get(address: str, path: str, **parameters: str) -> str:
     Args:
         address: `host:port`.
         path: With or without parameters of its own.
-        parameters: More of them.
+        parameters: Further parameters.
 
     Raises:
-        AnswerError: If nobody answers there, or the status is not 200.
+        AnswerError: If the address does not answer, or the status is not 200.
     """
     question = f"{path}?{urlencode(parameters)}" if parameters else path
     try:
@@ -47,14 +47,14 @@ def get(address: str, path: str, **parameters: str) -> str:
 def query_range(
     prometheus: str, expr: str, *, start_s: float, end_s: float, step_s: float
 ) -> list[Series]:
-    """Evaluate an expression over a time range; without values that are no number.
+    """Evaluate an expression over a time range; values that are not numbers are left out.
 
     Args:
         prometheus: `host:port`.
         expr: PromQL.
         start_s: First instant, seconds since the epoch.
         end_s: Last one.
-        step_s: Between two of them.
+        step_s: Interval between two of them, seconds.
 
     Raises:
         AnswerError: If Prometheus refuses the expression.
@@ -72,10 +72,10 @@ def query(prometheus: str, expr: str, *, at_s: float) -> list[Series]:
 
 
 def rates(service: str, path: str) -> list[dict[str, Any]]:
-    """Ask the store of a service for rows.
+    """Query the rates of a service.
 
     Raises:
-        AnswerError: If it does not answer, or refuses the question.
+        AnswerError: If it does not answer, or refuses the query.
     """
     rows: list[dict[str, Any]] = _json(service, path)
     return rows

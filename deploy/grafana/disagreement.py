@@ -1,4 +1,4 @@
-"""The dashboard for those who look after the perception: where and when the two streams clash."""
+"""Dashboard for perception engineers: where and when the two streams disagree."""
 
 from typing import Final
 
@@ -11,7 +11,10 @@ AT_A_TIME: Final = "[$__rate_interval]"
 
 
 def rate(only: str, compared: str, *, of: str = "counterpoint_points_total", by: str = "") -> str:
-    """Write the share of compared points that contradict; 0 / 0, nothing mined, is no value."""
+    """Return the query for the share of compared points that contradict.
+
+    Without mined points it is 0 / 0, which has no value.
+    """
     grouped = f"sum{f' by ({by})' if by else ''}"
     return f"{grouped} (rate({of}{only})) / {grouped} (rate({of}{compared}))"
 
@@ -23,7 +26,7 @@ AGREEMENT_COLOURS: Final = {
     "only_predictive_dynamic": "#e0752d",
     "not_compared": "#3a3d42",
 }
-"""One colour per agreement, in every panel."""
+"""Colour of each agreement, in every panel."""
 
 CONTRADICTIONS: Final = {
     name: AGREEMENT_COLOURS[name] for name in ("only_semantic_dynamic", "only_predictive_dynamic")
@@ -215,8 +218,8 @@ SCENES: Final = Row(
         ),
         Panel(
             title="Scenes per hour by state",
-            description="What may be made of the scenes' scores. Only `scored` ones are ranked by "
-            "what was found in them.",
+            description="Scenes by usability of their score. Only `scored` ones are ranked by "
+            "their contradictions.",
             unit="short",
             width=12,
             stacked=True,
@@ -229,7 +232,7 @@ SCENES: Final = Row(
         ),
         Panel(
             title="Contradicting tracks per scene by kind",
-            description="Things followed over a scene that only one stream calls dynamic.",
+            description="Objects tracked over a scene that only one stream labels dynamic.",
             unit="short",
             width=12,
             stacked=True,
@@ -245,7 +248,7 @@ SCENES: Final = Row(
         ),
         Panel(
             title="Contradicting instances per track",
-            description="Frames in which a contradicting thing was seen, on average. A fall means "
+            description="Mean number of frames with a contradicting object. A fall means "
             "flicker: contradictions that last for a frame or two.",
             unit="short",
             width=12,

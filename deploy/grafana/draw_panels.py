@@ -1,8 +1,8 @@
-"""Draws the panels of both dashboards into pictures, for those who have no Grafana at hand.
+"""Drawing of both dashboards into pictures, without a Grafana.
 
     python -m deploy.grafana.draw_panels --prometheus 127.0.0.1:9090 --service 127.0.0.1:9464
 
-Not Grafana's own drawing, but the same queries with the same variables, units and colours.
+The pictures are not Grafana's own, but use the same queries, variables, units and colours.
 """
 
 import argparse
@@ -37,11 +37,11 @@ STEPS: Final = 200
 COLOURS_OF_PICTURE: Final = 96
 DAY_S: Final = 86_400
 LONGEST_GAP_S: Final = 120.0
-"""As the panels say to Grafana."""
+"""Longest gap that a line bridges, seconds, as the panels configure it in Grafana."""
 
 LETTERS_PER_GRID_COLUMN: Final = 14.0
 LETTERS_OF_A_HANDLE: Final = 5
-"""Measured on the picture, at the size of a legend's letters."""
+"""Width of a legend's handle in letters, measured on the picture."""
 
 BACKGROUND, FOREGROUND, FAINT = "#15171c", "#d5d8dd", "#3a3d45"
 COLOURS: Final = {"green": "#3f833b", "yellow": "#b58b00", "red": "#b3261e"}
@@ -50,7 +50,7 @@ LINES: Final = ("#56a64b", "#e0b400", "#3274d9", "#e0752d", "#c4162a", "#8f3bb8"
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What is looked at: two addresses, a time range, and the values of the variables."""
+    """View of a dashboard: two addresses, a time range, and the values of the variables."""
 
     prometheus: str
     service: str
@@ -60,7 +60,7 @@ class View:
 
     @property
     def step_s(self) -> float:
-        """Between two points of a line."""
+        """Interval between two points of a line, seconds."""
         return max(1.0, (self.end_s - self.start_s) / STEPS)
 
 
@@ -98,7 +98,7 @@ _MARGINS: Final = {
     "barchart": (0.9, 0.25, 1.1, 1.9),
     "stat": (0.25, 0.1, 1.2, 0.3),
 }
-"""Left, right, above and below, in columns and rows of Grafana's grid."""
+"""Margins left, right, above and below, in columns and rows of Grafana's grid."""
 
 
 def _draw_panel(axes: Axes, panel: ReadPanel, view: View) -> None:
@@ -146,13 +146,13 @@ def _draw_lines(axes: Axes, panel: ReadPanel, view: View) -> None:
 
 
 def _legend_columns(names: Sequence[str], *, grid_columns: int) -> int:
-    """Return how many names lie side by side: many short ones would else reach the next row."""
+    """Return how many names fit on a line of a legend; many short ones would overflow the next."""
     letters = LETTERS_PER_GRID_COLUMN * grid_columns
     return max(1, int(letters / (max(map(len, names)) + LETTERS_OF_A_HANDLE)))
 
 
 def _on_grid(series: Series, at_s: NDArray[np.float64], step_s: float) -> NDArray[np.float64]:
-    """Return the values at these instants, 0 where there is none: a stack needs all of them."""
+    """Return the values at these instants, 0 where there is none, as a stack needs them."""
     known = {round((at - at_s[0]) / step_s): value for at, value in series.samples}
     return np.array([known.get(step, 0.0) for step in range(len(at_s))])
 
@@ -160,7 +160,7 @@ def _on_grid(series: Series, at_s: NDArray[np.float64], step_s: float) -> NDArra
 def _with_gaps(
     series: Series, *, longest_s: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return times and values, with a break where a line would bridge too long a silence."""
+    """Return times and values, with a break where a line would bridge too long a gap."""
     at_s, values = (np.array(column) for column in zip(*series.samples, strict=True))
     breaks = np.flatnonzero(np.diff(at_s) > longest_s) + 1
     return np.insert(at_s, breaks, at_s[breaks - 1]), np.insert(values, breaks, np.nan)
@@ -283,7 +283,8 @@ def main() -> None:
     """Draw both dashboards, up to now.
 
     Raises:
-        SystemExit: With 1 and one sentence, if somebody does not answer or nothing can be written.
+        SystemExit: With 1 and one sentence, if an address does not answer or a file cannot be
+            written.
     """
     mpl.use("agg")
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")

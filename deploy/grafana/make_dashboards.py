@@ -1,4 +1,4 @@
-"""Writes the dashboards of Grafana: `python -m deploy.grafana.make_dashboards`."""
+"""Generator of the Grafana dashboards: `python -m deploy.grafana.make_dashboards`."""
 
 import json
 from pathlib import Path
@@ -11,7 +11,7 @@ FOLDER: Final = Path(__file__).parent / "dashboards"
 
 
 def made() -> dict[Path, str]:
-    """Return what each file must hold."""
+    """Return the content of each file."""
     return {
         FOLDER / f"{name}.json": json.dumps(dashboard_json(dashboard), indent=1) + "\n"
         for name, dashboard in (
@@ -22,7 +22,7 @@ def made() -> dict[Path, str]:
 
 
 def main() -> None:
-    """Write them."""
+    """Write the files."""
     FOLDER.mkdir(exist_ok=True)
     for path, text in made().items():
         path.write_text(text, encoding="utf-8")

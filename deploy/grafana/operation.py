@@ -1,4 +1,4 @@
-"""The dashboard for those who keep it running: is it alive, does it keep up, what goes wrong."""
+"""Dashboard for operators: liveness, throughput, errors."""
 
 from typing import Final
 
@@ -8,12 +8,12 @@ AT_A_TIME: Final = "[$__rate_interval]"
 
 
 def per_second(metric: str, by: str = "") -> str:
-    """Write the rate of a counter over all instances, per second."""
+    """Return the query for the rate of a counter over all instances, per second."""
     return f"sum{f' by ({by})' if by else ''} (rate({metric}{AT_A_TIME}))"
 
 
 def quantile(share: float, histogram: str) -> str:
-    """Write a quantile of a histogram over all instances."""
+    """Return the query for a quantile of a histogram over all instances."""
     return f"histogram_quantile({share}, sum by (le) (rate({histogram}_bucket{AT_A_TIME})))"
 
 
@@ -120,7 +120,8 @@ PROGRESS: Final = Row(
         ),
         Panel(
             title="Plans and shards by state",
-            description="What waits, runs and rests. `ready` that only grows: too few workers.",
+            description="Waiting, running and paused work. `ready` that only grows: too few "
+            "workers.",
             unit="short",
             queries=(
                 Query(
@@ -138,8 +139,8 @@ PROGRESS: Final = Row(
         ),
         Panel(
             title="Recordings by state",
-            description="Every recording in the bucket. Refused ones hold nothing minable; "
-            "`counterpoint status` says why.",
+            description="Every recording in the bucket. Refused ones cannot be mined; "
+            "`counterpoint status` has the cause.",
             unit="short",
             stacked=True,
             queries=(Query("sum by (state) (counterpoint_recordings)", "{{state}}"),),
@@ -147,7 +148,7 @@ PROGRESS: Final = Row(
         Panel(
             title="Bucket",
             description="Objects in the bucket at the last listing, and entries that were skipped. "
-            "A fall of the first that no one asked for is a bucket that loses logs.",
+            "An unexpected fall of the first means that the bucket loses logs.",
             unit="short",
             queries=(
                 Query("sum (counterpoint_bucket_objects)", "objects"),
@@ -162,8 +163,8 @@ PROGRESS: Final = Row(
         ),
         Panel(
             title="Workers at work",
-            description="Processes alive, those on a lease by their own word, and those that hold "
-            "a lease by the ledger's. Alive but idle while shards wait: they cannot reach service "
+            description="Processes alive, those that report a lease, and those that hold one in "
+            "the ledger. Alive but idle while shards wait: they cannot reach service "
             "or stores.",
             unit="short",
             queries=(
@@ -177,7 +178,7 @@ PROGRESS: Final = Row(
         Panel(
             title="Scene events not yet published",
             description="On disk, but not yet put on the bus. It only grows while no router is "
-            "there; subscribers then learn nothing new.",
+            "connected; subscribers then get no new scenes.",
             unit="short",
             thresholds=((1000, YELLOW),),
             queries=(Query("sum (counterpoint_unpublished_events)", "events"),),
@@ -186,7 +187,7 @@ PROGRESS: Final = Row(
 )
 
 TIME: Final = Row(
-    "Where the time goes",
+    "Time",
     (
         Panel(
             title="Worker seconds per frame by stage",
@@ -278,7 +279,7 @@ TIME: Final = Row(
 )
 
 TROUBLE: Final = Row(
-    "What goes wrong",
+    "Errors",
     (
         Panel(
             title="Leases ended, per hour",
@@ -341,7 +342,7 @@ TROUBLE: Final = Row(
         Panel(
             title="Errors of the stores, per hour",
             description="Listings that failed, and leases given up because bucket or artifacts "
-            "were away or said no. Refused: credentials. Unreachable: network or store.",
+            "did not answer or refused. Refused: credentials. Unreachable: network or store.",
             unit="short",
             queries=(
                 Query(
@@ -373,8 +374,8 @@ TROUBLE: Final = Row(
         ),
         Panel(
             title="Worker processes replaced, per hour",
-            description="Processes that ended unasked, by why. `crashed` is often too little "
-            "memory.",
+            description="Processes that ended unexpectedly, by cause. `crashed` often means too "
+            "little memory.",
             unit="short",
             queries=(
                 Query(

@@ -1,4 +1,4 @@
-"""What a dashboard is made of, and the JSON that Grafana makes of it."""
+"""Model of a dashboard, and its conversion to Grafana's JSON."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -6,10 +6,10 @@ from typing import Any, Final, Literal
 
 PROMETHEUS: Final = {"type": "prometheus", "uid": "counterpoint-prometheus"}
 RATES: Final = {"type": "yesoreyeram-infinity-datasource", "uid": "counterpoint-rates"}
-"""Data sources by the uids that `provisioning/datasources` gives them."""
+"""Data sources by the uids that `provisioning/datasources` defines."""
 
 SCHEMA_VERSION: Final = 41
-"""Of dashboard JSON: Grafana 12 reads it as it is, later ones migrate it when they load it."""
+"""Version of the dashboard JSON: Grafana 12 reads it directly, later ones migrate it on load."""
 
 COLUMNS: Final = 24
 """Width of a dashboard in Grafana's own grid."""
@@ -18,12 +18,12 @@ Kind = Literal["timeseries", "stat", "heatmap", "barchart"]
 
 GREEN, YELLOW, RED = "green", "yellow", "red"
 Thresholds = Sequence[tuple[float, str]]
-"""From this value on, this colour; below the first one, green."""
+"""Colours by lower bound of the value; below the first one, green."""
 
 
 @dataclass(frozen=True, slots=True)
 class Query:
-    """One PromQL expression, and how its series are called."""
+    """One PromQL expression, and the legend of its series."""
 
     expr: str
     legend: str = ""
@@ -31,12 +31,12 @@ class Query:
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """One question to `/rates` of the service, drawn as bars.
+    """One request to `/rates` of the service, drawn as bars.
 
     Attributes:
-        by: What the scenes are grouped by: one bar each.
-        values: Fields of a row that are drawn, one on the other.
-        most: Bars at most; the service sorts worst first.
+        by: Grouping of the scenes, one bar each.
+        values: Fields of a row that are drawn, stacked.
+        most: Number of bars at most; the service sorts worst first.
     """
 
     by: str
@@ -46,22 +46,22 @@ class Ask:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Panel:
-    """One picture.
+    """One panel.
 
     Attributes:
-        title: What it shows.
-        description: What to read from it, and when to worry.
+        title: Title.
+        description: Interpretation, and values that need attention.
         unit: Unit id of Grafana.
-        kind: How it is drawn.
-        queries: What it draws, from Prometheus.
-        ask: What it draws, from the store of the service.
+        kind: Type of visualization.
+        queries: Queries to Prometheus.
+        ask: Request to the store of the service.
         width: In columns of Grafana's grid.
         height: In rows of it.
         thresholds: Colours by value; a line over time, the colour of a number.
         most: End of the axis, where it is known.
-        stacked: Whether series add up to something.
+        stacked: True if the series add up to a total.
         decimals: Digits after the point; None: Grafana chooses.
-        colours: Series name to colour, where a colour means something.
+        colours: Series name to colour, where a colour has a meaning.
     """
 
     title: str
@@ -81,7 +81,7 @@ class Panel:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """Panels under a heading, laid out from left to right."""
+    """Panels under a heading, from left to right."""
 
     title: str
     panels: Sequence[Panel]
@@ -89,17 +89,17 @@ class Row:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Dashboard:
-    """One page.
+    """One dashboard.
 
     Attributes:
         uid: Fixed, so that links survive.
         title: Its name in Grafana.
-        description: What it is for.
+        description: Its purpose.
         rows: From top to bottom.
-        since: Start of the time range that it opens with.
-        refresh: How often it looks again.
+        since: Start of the initial time range.
+        refresh: Interval of refreshes.
         variables: Names to label queries, offered above the panels.
-        choices: Names to what each may be, as text and value; the first holds.
+        choices: Names to options, as text and value; the first is the default.
     """
 
     uid: str
@@ -113,7 +113,7 @@ class Dashboard:
 
 
 def dashboard_json(dashboard: Dashboard) -> dict[str, Any]:
-    """Make the JSON that Grafana is provisioned with."""
+    """Return the JSON that Grafana is provisioned with."""
     return {
         "uid": dashboard.uid,
         "title": dashboard.title,

@@ -1,4 +1,4 @@
-"""Reads a dashboard as Grafana would: its panels, and their queries, variables filled in."""
+"""Reader of a dashboard file: its panels, and their queries with variables filled in."""
 
 import json
 import re
@@ -18,7 +18,7 @@ class Target:
         kind: PromQL for Prometheus, or a path of the service's own HTTP endpoint.
         text: Expression, or path with parameters.
         legend: Pattern of the names of its series.
-        values: Fields that are drawn of a row; of a path only.
+        values: Fields of a row that are drawn; for a path only.
     """
 
     kind: Literal["promql", "path"]
@@ -37,7 +37,7 @@ class Target:
 
 @dataclass(frozen=True, slots=True)
 class ReadPanel:
-    """One panel of a dashboard's file, headings left out; `raw` is all of it."""
+    """One panel of a dashboard's file, headings left out; `raw` is its whole JSON."""
 
     title: str
     kind: str
@@ -56,12 +56,13 @@ def read_dashboard(path: Path) -> list[ReadPanel]:
 
 
 def variables_of(path: Path, *, rate_interval: str, time_range: str) -> dict[str, str]:
-    """Give every variable of a dashboard the value that it opens with.
+    """Return every variable of a dashboard with its initial value.
 
     Args:
-        path: Of the dashboard.
-        rate_interval: What Grafana makes of the scrape interval and the width of the picture.
-        time_range: Of the whole picture.
+        path: Path of the dashboard.
+        rate_interval: Interval that Grafana derives from the scrape interval and the picture's
+            width.
+        time_range: Time range of the whole picture.
     """
     variables = {"__rate_interval": rate_interval, "__range": time_range}
     for variable in json.loads(path.read_text(encoding="utf-8"))["templating"]["list"]:
@@ -71,7 +72,7 @@ def variables_of(path: Path, *, rate_interval: str, time_range: str) -> dict[str
 
 
 def metrics_in(expr: str) -> set[str]:
-    """Name the metrics of Counterpoint that a PromQL expression reads."""
+    """Return the metrics of Counterpoint in a PromQL expression."""
     return set(_METRIC.findall(expr))
 
 

@@ -1,4 +1,4 @@
-"""Writes numbers as Grafana does, for the units that our panels use."""
+"""Formatting of numbers as in Grafana, for the units of our panels."""
 
 from collections.abc import Callable, Sequence
 from typing import Final
@@ -9,12 +9,12 @@ TIME: Final = ((86_400, " days"), (3600, " h"), (60, " min"))
 
 
 def written(value: float, unit: str, *, decimals: int | None = None) -> str:
-    """Write a number with its unit.
+    """Format a number with its unit.
 
     Args:
         value: In the base unit.
         unit: Grafana's id: short, percentunit, s, bytes, Bps or reqps.
-        decimals: Digits after the point; None: three that count.
+        decimals: Digits after the point; None: three significant ones.
 
     Raises:
         KeyError: If the unit is none of them.

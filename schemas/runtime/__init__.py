@@ -1,1 +1,1 @@
-"""Helpers that every process of ours needs to run: logging, retries, HTTP."""
+"""Runtime helpers of every process: logging, retries, HTTP."""

@@ -1,4 +1,4 @@
-"""The clients connected to an HTTP endpoint: bounded, and the oldest that waits makes room."""
+"""Bounded set of HTTP connections; a new one replaces the oldest that waits."""
 
 import socket
 import threading
@@ -11,7 +11,7 @@ MOST_CONNECTIONS: Final = 64
 """Connections at a time; each has a thread."""
 
 MOST_OF_AN_ADDRESS: Final = 32
-"""Connections at a time of one address; behind a proxy, all its clients have one."""
+"""Connections at a time from one address; all clients behind a proxy share one."""
 
 
 @dataclass(slots=True)
@@ -19,15 +19,15 @@ class _Client:
     address: str
     since_s: float = field(default_factory=time.monotonic)
     is_answered: bool = False
-    """A page is being made for it: neither idle nor slow."""
+    """True while its page is being made; such a connection is neither idle nor slow."""
 
 
 class Clients:
-    """The open connections, bounded in all and for each address.
+    """Open connections, bounded in all and for each address.
 
-    A newcomer is let in: for it, the oldest connection is dropped that only waits, be it for the
-    rest of a request or for an answer to be taken. So slow clients cannot keep a probe out, which
-    sends its request at once. Methods may be called from any thread.
+    A new connection is always accepted. It replaces the oldest connection that only waits, either
+    for the rest of a request or for an answer to be read. So slow clients cannot keep out a probe,
+    which sends its request at once. Methods may be called from any thread.
     """
 
     def __init__(self) -> None:
@@ -35,14 +35,14 @@ class Clients:
         self._guard = threading.Lock()
 
     def admit(self, connection: socket.socket, address: str) -> bool:
-        """Take a newcomer in, and drop another one if it is one too many.
+        """Accept a new connection, and drop another one if there are too many.
 
         Args:
-            connection: The newcomer.
-            address: Of its client, without the port.
+            connection: The new connection.
+            address: Address of its client, without the port.
 
         Returns:
-            True if it is in; False if too many are being answered at this moment.
+            True if it was accepted; False if too many are being answered at this moment.
         """
         with self._guard:
             of_address = [key for key, one in self._clients.items() if one.address == address]
@@ -69,7 +69,7 @@ class Clients:
             self._clients.pop(connection, None)
 
     def drop_all(self) -> None:
-        """End every connection; the threads that wait for them go on and see it."""
+        """Shut down every connection; the threads that wait for them notice and end."""
         with self._guard:
             for connection in self._clients:
                 _end(connection)

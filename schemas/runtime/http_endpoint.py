@@ -1,4 +1,4 @@
-"""A small HTTP endpoint for watchers of a daemon: a table of paths, each answered by a function."""
+"""Small HTTP endpoint of a daemon: a table of paths, each answered by a function."""
 
 import json
 import socket
@@ -32,11 +32,12 @@ from schemas.runtime.http_head import (
 log = structlog.get_logger(__name__)
 
 SEND_DEADLINE_S: Final = 10.0
-"""A client has so long to take the whole answer."""
+"""Time for a client to read the whole answer, seconds."""
 
 MOST_ANSWERS: Final = 6
-"""Answers of one page that are made at a time; the next client is asked to come again. Four pages
-together stay below the connections of one address, so that a probe always gets one."""
+"""Answers of one page made at a time; further clients are asked to come again. Four pages together
+stay below the connections of one address, so that a probe always gets one.
+"""
 
 TEXT: Final = "text/plain; charset=utf-8"
 JSON: Final = "application/json"
@@ -44,7 +45,7 @@ JSON: Final = "application/json"
 
 @dataclass(frozen=True, slots=True)
 class HttpRequest:
-    """What a handler may know of the question.
+    """The parts of a request that a handler sees.
 
     Attributes:
         query: Parameters of the URL, decoded; none is given twice.
@@ -57,7 +58,7 @@ class HttpRequest:
 
 @dataclass(frozen=True, slots=True)
 class HttpResponse:
-    """An answer: status code, content type and body."""
+    """Response of a handler: status code, content type and body."""
 
     status: int
     content_type: str
@@ -65,8 +66,9 @@ class HttpResponse:
 
 
 Handler = Callable[[HttpRequest], HttpResponse]
-"""Answers one path. A `PermanentError` of its own becomes 400, a `TransientError` 503, each with
-its sentence; any other error is 500, and is logged."""
+"""Function that answers one path. A `PermanentError` of its own becomes 400, a `TransientError`
+503, each with its sentence; any other error is 500, and is logged.
+"""
 
 
 class HttpEndpoint:
@@ -86,14 +88,15 @@ class HttpEndpoint:
         """Open the socket; nothing is answered before the block is entered.
 
         Args:
-            listen: `host:port`; port 0: one that is free, host in brackets if it is IPv6; no host:
-                every address of the machine.
+            listen: `host:port`; port 0 takes a free one, an IPv6 host is in brackets, and no host
+                means every address of the machine.
             routes: Path to handler.
-            setting: Where the address came from, for errors.
+            setting: Name of the setting that gave the address, for errors.
 
         Raises:
             PermanentError: If `listen` is no address.
-            TransientError: If it cannot be listened on: in use, not ours, name unknown.
+            TransientError: If the address cannot be listened on: in use, of another machine, name
+                unknown.
         """
         host, port = _address(listen, setting=setting)
         try:
@@ -110,7 +113,7 @@ class HttpEndpoint:
         )
 
     def __enter__(self) -> Self:
-        """Start to answer."""
+        """Start answering."""
         self._thread.start()
         return self
 
@@ -120,11 +123,11 @@ class HttpEndpoint:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close."""
+        """Close the endpoint."""
         self.close()
 
     def close(self) -> None:
-        """Take no more questions, drop those still open, end every thread; again: do nothing."""
+        """Refuse new requests, drop open ones and end every thread; a second call does nothing."""
         if self._thread.is_alive():
             self._server.shutdown()
             self._thread.join()
@@ -133,9 +136,9 @@ class HttpEndpoint:
 
 
 def metrics_route(*registries: CollectorRegistry) -> Handler:
-    """Make the handler of `/metrics`: these registries, one after the other, in the asked format.
+    """Make the handler of `/metrics`: these registries, in this order and the requested format.
 
-    Two registries must not hold the same metric.
+    Two registries must not contain the same metric.
     """
 
     def answer(request: HttpRequest) -> HttpResponse:
@@ -162,10 +165,10 @@ def text_response(text: str, *, status: int = HTTPStatus.OK) -> HttpResponse:
 _END: Final = b"# EOF\n"
 
 _POLL_S: Final = 0.1
-"""How soon a closing endpoint notices."""
+"""Interval at which a closing endpoint is noticed, seconds."""
 
 _HEAR_OUT_S: Final = 1.0
-"""A client that was answered has so long to hang up."""
+"""Time for a client to hang up after its answer, seconds."""
 
 _HEARD_BYTES: Final = 1 << 16
 
@@ -208,7 +211,7 @@ class _Request(BaseRequestHandler):
     request: socket.socket
 
     def handle(self) -> None:
-        """Answer the one request of a connection."""
+        """Answer the single request of a connection."""
         has_body = True
         try:
             deadline_s = time.monotonic() + HEAD_DEADLINE_S
@@ -225,7 +228,7 @@ class _Request(BaseRequestHandler):
         handler = self.server.routes.get(asked.path)
         if handler is None:
             paths = ", ".join(sorted(self.server.routes))
-            return text_response(f"no such page; there are: {paths}", status=HTTPStatus.NOT_FOUND)
+            return text_response(f"no such page; known pages: {paths}", status=HTTPStatus.NOT_FOUND)
         place = self.server.places[asked.path]
         if not place.acquire(blocking=False):
             return text_response(
@@ -242,7 +245,7 @@ class _Request(BaseRequestHandler):
         except Exception:
             log.exception("page failed", path=asked.path)
             return text_response(
-                "this page failed; the log of the daemon says why",
+                "this page failed; the log of the daemon has the cause",
                 status=HTTPStatus.INTERNAL_SERVER_ERROR,
             )
         finally:
@@ -267,7 +270,7 @@ class _Request(BaseRequestHandler):
         self._hear_out()
 
     def _hear_out(self) -> None:
-        """Read what the client still sends: closed before that, it would not see the answer."""
+        """Read the rest of the request; if closed earlier, the client would not see the answer."""
         deadline_s = time.monotonic() + _HEAR_OUT_S
         with suppress(OSError):  # it has its answer, or has left
             self.request.shutdown(socket.SHUT_WR)

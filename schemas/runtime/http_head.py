@@ -1,4 +1,4 @@
-"""Reads the head of an HTTP request within a time and a size, and refuses what is malformed."""
+"""Parser of HTTP request heads, bounded in time and size, which refuses malformed ones."""
 
 import re
 import socket
@@ -10,7 +10,7 @@ from typing import Final
 from urllib.parse import parse_qsl, unquote_to_bytes
 
 HEAD_DEADLINE_S: Final = 5.0
-"""A client has so long to send the whole head, however it is cut into packets."""
+"""Time for a client to send the whole head, in any number of packets, seconds."""
 
 MAX_HEAD: Final = 8192
 """Bytes of request line and headers together; a browser or Prometheus sends under 2 KiB."""
@@ -19,7 +19,7 @@ MAX_HEADERS: Final = 64
 """Headers of a request."""
 
 MAX_QUERY: Final = 2048
-"""Bytes of a query as it is sent; no page takes more than three short parameters."""
+"""Bytes of a query before decoding; no page takes more than three short parameters."""
 
 MAX_PARAMETERS: Final = 16
 """Parameters of a query."""
@@ -28,7 +28,7 @@ METHODS: Final = ("GET", "HEAD")
 
 
 class RefusedRequestError(Exception):
-    """A request that is answered by a status and a sentence, and by no page.
+    """A request that is answered by a status and a sentence instead of a page.
 
     Attributes:
         status: The HTTP status.
@@ -105,10 +105,10 @@ def read_head(client: socket.socket, *, deadline_s: float) -> bytes:
 
 
 def parse_head(head: bytes) -> RequestHead:
-    """Understand a head.
+    """Parse the head of a request.
 
     Raises:
-        RefusedRequestError: If it is malformed, has a body, or asks by another method.
+        RefusedRequestError: If it is malformed, has a body, or has another method.
     """
     first, *lines = (line.removesuffix(b"\r") for line in head.split(b"\n"))
     method, target = _request_line(first)

@@ -1,6 +1,6 @@
-"""Files that a user names: only regular ones are read, and no more of them than they may hold.
+"""Bounded reading of files that a user names; only regular files are accepted.
 
-A pipe never ends or never begins, and a device has no end: a command that opens one hangs.
+A pipe may never begin or end, and a device has no end: a command that opens one hangs.
 """
 
 import errno

@@ -1,4 +1,4 @@
-"""How every process of ours logs and stops: events to stderr, and one orderly way out."""
+"""Logging and shutdown of every process: events to stderr, and an orderly stop on signals."""
 
 import logging
 import signal
@@ -19,13 +19,13 @@ from schemas.visible import NEWLINES, visible
 def log_to_stderr(*, level: str = "info", as_json: bool = False) -> None:
     """Send structured events to stderr, one a line; stdout belongs to results.
 
-    Times are UTC. As JSON, what ends the process by surprise is an event as well, its traceback
-    within the line; for people a traceback keeps its lines. No value reaches a terminal with a
-    control character in it.
+    Times are UTC. In JSON, an uncaught exception is an event as well, with its traceback within the
+    line; in plain text a traceback keeps its lines. No value reaches a terminal with a control
+    character in it.
 
     Args:
         level: Least level to show: debug, info, warning, error.
-        as_json: Lines for machines instead of for people.
+        as_json: Write JSON lines instead of plain text.
     """
     render: list[structlog.typing.Processor] = (
         [structlog.processors.format_exc_info, structlog.processors.JSONRenderer()]
@@ -61,7 +61,7 @@ def log_to_stderr(*, level: str = "info", as_json: bool = False) -> None:
 def stop_on_signals() -> Iterator[Event]:
     """Turn the first SIGTERM or SIGINT into a set event; a second one ends the process at once.
 
-    Only the main thread may do this. The former handlers come back at the end.
+    Only the main thread may call this. The former handlers are restored at the end.
     """
     stop = Event()
 
@@ -83,7 +83,7 @@ _SIGNALS = (signal.SIGTERM, signal.SIGINT)
 def _on_one_line(
     _logger: object, _method: str, event: MutableMapping[str, Any]
 ) -> MutableMapping[str, Any]:
-    """Show what a terminal would obey, and what would break a line: values may hold anything."""
+    """Escape characters that a terminal obeys or that break a line; values may contain anything."""
     for name, value in list(event.items()):
         if not name.isprintable():
             event[visible(name)] = event.pop(name)
@@ -98,7 +98,7 @@ def _say_trace(out: TextIO, exc_info: structlog.typing.ExcInfo) -> None:
 
 
 _former_hooks: list[tuple[Any, Any]] = []
-"""Those of the interpreter, or of who runs us, while ours are in their place."""
+"""Exception hooks of the interpreter or of an embedding program, kept while ours are installed."""
 
 
 def _log_surprises(as_json: bool) -> None:

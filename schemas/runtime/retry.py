@@ -1,4 +1,4 @@
-"""How long to wait before trying again: longer and longer, with jitter."""
+"""Exponential backoff with jitter."""
 
 import random
 from collections.abc import Callable, Iterator
@@ -24,14 +24,14 @@ def backoff_s(
 
 
 class StoppedError(TransientError):
-    """We were told to stop while waiting."""
+    """A wait was ended by the stop event."""
 
 
 def pause(stop: Event, wait_s: float) -> None:
-    """Wait, unless told to stop.
+    """Wait for a time, or until the stop event is set.
 
     Raises:
         StoppedError: As soon as `stop` is set.
     """
     if stop.wait(wait_s):
-        raise StoppedError("told to stop while waiting; start again to go on")
+        raise StoppedError("stopped while waiting; start again to go on")

@@ -1,1 +1,1 @@
-"""Buckets, the bus and the encodings that records travel in."""
+"""Transport of records: buckets, the bus and their encodings."""

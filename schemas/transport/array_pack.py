@@ -1,4 +1,4 @@
-"""Named arrays and a little JSON as one compressed, checked, reproducible run of bytes."""
+"""Container of named arrays and JSON metadata: compressed, checksummed and reproducible."""
 
 import json
 import struct
@@ -13,7 +13,7 @@ from schemas.canonical import canonical_json
 from schemas.errors import PermanentError
 
 MAX_UNPACKED_BYTES: Final = 2**30
-"""A pack claiming more is refused before a byte of it is decompressed."""
+"""Maximum size of an unpacked container; one that claims more is refused before decompression."""
 
 _LENGTH: Final = struct.Struct("<I")
 _DTYPES: Final = frozenset({"|i1", "|u1", "|b1", "<i2", "<u2", "<i4", "<i8", "<f4", "<f8"})
@@ -25,10 +25,10 @@ class PackUnreadableError(PermanentError):
 
 
 def pack(magic: bytes, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """Pack arrays and what describes them; equal input gives equal bytes.
+    """Pack arrays and their metadata; equal input gives equal bytes.
 
     Args:
-        magic: First bytes, which say what kind and version this is.
+        magic: First bytes, which give kind and version.
         meta: Plain data, encoded as canonical JSON.
         arrays: Name to array, of integers, floats or booleans; stored little-endian.
 
@@ -55,10 +55,10 @@ def pack(magic: bytes, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any
 
 
 def unpack(magic: bytes, payload: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Read back what `pack` made; the arrays are read-only.
+    """Unpack the output of `pack`; the arrays are read-only.
 
     Raises:
-        PackUnreadableError: If the bytes are something else, damaged, or too large.
+        PackUnreadableError: If the bytes have another kind, are damaged, or are too large.
     """
     if not payload.startswith(magic):
         raise PackUnreadableError(

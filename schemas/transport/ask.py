@@ -1,7 +1,7 @@
-"""Questions over the bus: asked once or until answered, and answered or refused in one sentence.
+"""Requests over the bus, sent once or until answered; each gets a reply or a problem.
 
-Silence and refusal are different: a service that died, is not there yet or lost its router gives an
-empty reply or a timeout, and asking again is right; a problem it names itself is final.
+Silence and refusal are different. A service that died, has not started or lost its router gives an
+empty reply or a timeout, and a retry is right; a problem that it names itself is final.
 """
 
 import time
@@ -23,16 +23,16 @@ PROBLEM: Final = zenoh.Encoding("application/json").with_schema("counterpoint.pr
 
 
 class UnansweredError(TransientError):
-    """Nobody answered: no service yet, it died while answering, or the time was up."""
+    """No reply came: no service runs yet, it died while answering, or the time was up."""
 
 
 def ask(session: zenoh.Session, key: str, payload: bytes = b"", *, timeout_s: float = 10) -> bytes:
-    """Ask a queryable once.
+    """Send a request to a queryable once.
 
     Raises:
-        UnansweredError: If there was no answer, or none in time; asking again may help.
-        TransientError: If the answer is a problem that may pass.
-        PermanentError: If the answer is a problem that will not.
+        UnansweredError: If there was no reply, or none in time; a retry may help.
+        TransientError: If the reply is a problem that may pass.
+        PermanentError: If the reply is a problem that a retry cannot cure.
     """
     for reply in session.get(
         key,
@@ -58,23 +58,23 @@ def ask_until(
     patience_s: float = float("inf"),
     timeout_s: float = 10,
 ) -> bytes:
-    """Ask again and again until answered: what every acknowledged step of a worker does.
+    """Send a request until it is answered, as a worker does for every acknowledged step.
 
-    A problem that may pass, such as a full disk on the other side, is waited out like silence.
+    A problem that may pass, such as a full disk on the other side, is retried like silence.
 
     Args:
-        session: Where to ask.
-        key: What to ask.
-        payload: The question.
+        session: Session to send it on.
+        key: Key of the queryable.
+        payload: Encoded request.
         stop: Give up when this is set.
-        patience_s: Give up after so long, seconds.
-        timeout_s: How long one question may take.
+        patience_s: Give up after this time, seconds.
+        timeout_s: Timeout of one attempt, seconds.
 
     Raises:
-        UnansweredError: If patience ran out without an answer.
-        TransientError: If patience ran out, and the last answer was a problem that may pass.
+        UnansweredError: If patience ran out without a reply.
+        TransientError: If patience ran out, and the last reply was a problem that may pass.
         StoppedError: If `stop` was set.
-        PermanentError: If the answer is a problem that will not.
+        PermanentError: If the reply is a problem that a retry cannot cure.
     """
     give_up_s = time.monotonic() + patience_s
     waits = backoff_s(first_s=0.02, most_s=0.5)
@@ -93,7 +93,7 @@ def ask_until(
 
 
 def reply_problem(query: zenoh.Query, error: CounterpointError) -> None:
-    """Answer a question with why it has no answer."""
+    """Reply to a query with the problem that prevents an answer."""
     transient = isinstance(error, TransientError)
     query.reply_err(encode(Problem(problem=str(error), transient=transient)), encoding=PROBLEM)
 

@@ -1,4 +1,4 @@
-"""What a bucket is to both sides: the service lists it, the workers read ranges of its objects."""
+"""Object store access: listing for the service, ranged reads for the workers."""
 
 import stat
 import threading
@@ -43,12 +43,12 @@ _RETRY: Final[dict[str, Any]] = {
 _CONTROLS_IN_KEY: Final = "has a key that holds a control character"
 
 _LOCAL_KEY_SEGMENTS: Final = 3
-"""A path does not say where its bucket begins: vehicle, date and name are kept as the key."""
+"""Path segments of a local log's key: vehicle, date and name; a path does not show its bucket."""
 
 
 @dataclass(frozen=True, slots=True)
 class ObjectMeta:
-    """One object as it lies in the bucket, identified by key, size and etag."""
+    """One object in the bucket, identified by key, size and etag."""
 
     key: str
     size: int
@@ -59,20 +59,20 @@ class Bucket:
     """Objects by key: listed, read by ranges, and, for artifacts only, written.
 
     Safe to use from several threads. Every method raises `BucketUnreachableError` when the store
-    does not answer and `BucketRefusedError` when it says no; neither ever quotes a credential.
+    does not answer and `BucketRefusedError` when it refuses; neither ever quotes a credential.
 
     Attributes:
-        url: Where it lies, without credentials.
+        url: Its URL, without credentials.
     """
 
     def __init__(self, store: ObjectStore, *, url: str, folder: Path | None = None) -> None:
         """Wrap a store; `open_bucket` is the usual way in.
 
         Args:
-            store: What holds the objects.
-            url: Where it lies, without credentials.
-            folder: Of a local store: while it does not exist the store is unreachable, since a
-                disk that is not mounted must not look like an empty one.
+            store: Store of the objects.
+            url: Its URL, without credentials.
+            folder: Folder of a local store. While it does not exist the store is unreachable, since
+                a disk that is not mounted must not look like an empty one.
         """
         self.url = url
         self._folder = folder
@@ -107,8 +107,8 @@ class Bucket:
         Args:
             prefix: A folder, in whole path segments; empty for all.
             start_after: Only keys that come after this one.
-            on_skipped: Told each entry that is left out since it can be no log: a key with control
-                characters; in a folder also what is no file, or may not be read.
+            on_skipped: Called with each entry that is left out because it cannot be a log: a key
+                with control characters; in a folder also anything but a readable regular file.
         """
         if self._folder is not None:
             yield from self._list_folder(self._folder, prefix, start_after, on_skipped)
@@ -153,7 +153,7 @@ class Bucket:
             key: Which object.
             offset: First byte.
             length: Number of bytes, at least one.
-            etag: As it was listed; empty where the store gives none, and then nothing is checked.
+            etag: The listed etag; empty where the store gives none, and then nothing is checked.
 
         Raises:
             ObjectChangedError: If the object was replaced, cut or deleted.
@@ -224,7 +224,7 @@ class Bucket:
             raise BucketUnreachableError(f"the folder is gone; is its disk mounted? ({self.url})")
 
     def _need_regular(self, key: str) -> None:
-        """Refuse a pipe or a device in a folder: reading it would wait for ever."""
+        """Refuse a pipe or a device in a folder; reading it would block for ever."""
         if self._folder is None:
             return
         path = self._folder / key
@@ -247,7 +247,7 @@ def open_bucket(
     """Open a bucket, or a folder of one, by URL.
 
     Endpoint, region and credentials come from the environment as each cloud's own tools take them
-    (`AWS_*`, `GOOGLE_*`, `AZURE_*`). Only local folders are looked at here: another store's first
+    (`AWS_*`, `GOOGLE_*`, `AZURE_*`). Only local folders are checked here: another store's first
     answer comes with the first use.
 
     Args:

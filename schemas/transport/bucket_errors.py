@@ -1,7 +1,7 @@
-"""What a store's error means, in one sentence that can never quote a credential.
+"""Translation of store errors into one sentence that can never quote a credential.
 
-The raw texts carry request URLs, headers and XML bodies, so nothing of them is passed on: they are
-only searched for the few words that tell one cause from another.
+The raw texts carry request URLs, headers and XML bodies, so nothing of them is passed on. They are
+only searched for the few words that identify a cause.
 """
 
 import re
@@ -33,7 +33,7 @@ _VARIABLES: Final = {
     "gs": "GOOGLE_APPLICATION_CREDENTIALS",
     "az": "AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY",
 }
-"""What names credentials in the environment, as the store's own tools take them."""
+"""Environment variables of credentials, as each store's own tools read them."""
 
 _EXPIRED: Final = frozenset({"ExpiredToken", "TokenRefreshRequired", "InvalidToken"})
 # What object_store asks for credentials when it was given none.
@@ -56,7 +56,7 @@ _CONNECTION_PROBLEMS: Final = (
     ("Timeout", "no answer in time"),
 )
 _MOVED_ON: Final = ("412", "416")
-"""Another etag than the one that was listed; an object that ends before the range begins."""
+"""Status codes of a changed object: its etag differs, or it ends before the range begins."""
 _STATUS: Final = re.compile(r"\bstatus: (\d{3})\b|non-2xx status code: (\d{3})\b")
 _UNUSABLE_KEY: Final = re.compile(r'object with invalid path: [^"]*"(.{1,1100}?)"[ :]', re.DOTALL)
 _CODE: Final = re.compile(r"<Code>([A-Za-z]{1,60})</Code>")
@@ -65,13 +65,13 @@ _CODE: Final = re.compile(r"<Code>([A-Za-z]{1,60})</Code>")
 def explain(
     error: Exception, *, url: str, key: str = "", writing: bool = False
 ) -> CounterpointError:
-    """Turn an error of the store into one of ours.
+    """Translate an error of the store into one of ours.
 
     Args:
-        error: What obstore raised.
+        error: Error raised by obstore.
         url: The bucket, without credentials.
         key: The object it was about; empty for the bucket as a whole.
-        writing: Whether something was being written.
+        writing: True if the operation was a write.
     """
     where = f"({url}, {key})" if key else f"({url})"
     text = str(error)
@@ -134,12 +134,12 @@ def _by_status(status: str, text: str, *, said: str, where: str) -> Counterpoint
 
 
 def _denial(code: str, *, url: str, doing: str) -> str:
-    """Say what is wrong with credentials, and what to do; `code` is the store's own word for it."""
+    """Describe a problem with credentials and its remedy; `code` is the store's own error code."""
     named = f" ({code})" if code else ""
     if code == "AccessDenied":
-        return f"the store allows these credentials no {doing} here{named}: grant it, or use others"
+        return f"the store denies these credentials {doing} here{named}: grant it, or use others"
     if code == "RequestTimeTooSkewed":
-        return f"the store takes no requests from a clock so wrong{named}: set this machine's clock"
+        return f"the store refuses requests of a wrong clock{named}: set this machine's clock"
     if code in _EXPIRED:
         return f"these credentials have expired{named}: {_set_them(url)}"
     if code == "InvalidAccessKeyId":

@@ -1,8 +1,9 @@
-"""Zenoh sessions and publishers, opened the one way that was measured to survive kills.
+"""Zenoh sessions and publishers, in the one configuration that was measured to survive kills.
 
-Clients everywhere with routers in the middle, since peers behind a router do not hear each other;
-no shared memory, which killed processes leave locked; no scouting, so that a test or a neighbour's
-fleet is never joined by accident. What `zenoh.ext` marks unstable is used nowhere else.
+All processes are clients of routers, since peers behind a router do not reach each other. Shared
+memory is off, because killed processes leave it locked. Scouting is off, so that no test or
+neighbouring fleet is ever joined by accident. Interfaces that `zenoh.ext` marks unstable are used
+here only.
 """
 
 import json
@@ -22,13 +23,13 @@ from schemas.transport.wire import RANKED_SCENE_ENCODING, SCENE_SCORE_ENCODING
 log = structlog.get_logger(__name__)
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
-"""Where a router listens, and clients look for it, unless told otherwise."""
+"""Default endpoint on which a router listens and which clients connect to."""
 
 HEARTBEAT_S: Final = 0.2
-"""How soon after the last put of a burst a subscriber learns what it missed."""
+"""Delay after the last put of a burst until a subscriber learns of missed samples, seconds."""
 
 CACHE_SAMPLES: Final = 128
-"""Records a publisher keeps for a subscriber that missed some; a shard has a dozen or two."""
+"""Records that a publisher caches for a subscriber that missed some; a shard has about 12 to 24."""
 
 RECORD: Final = zenoh.Encoding(SCENE_SCORE_ENCODING[0]).with_schema(SCENE_SCORE_ENCODING[1])
 """Encoding of a scored scene."""
@@ -38,18 +39,18 @@ RANKED: Final = zenoh.Encoding(RANKED_SCENE_ENCODING[0]).with_schema(RANKED_SCEN
 
 
 def free_endpoint(host: str = "127.0.0.1") -> str:
-    """Find an endpoint on which nobody listens now; another process may still be faster."""
+    """Find an endpoint on which no process listens; another process may still take it first."""
     with socket.socket() as probe:
         probe.bind((host, 0))
         return f"tcp/{host}:{probe.getsockname()[1]}"
 
 
 def router_session(listen: Sequence[str], *, connect: Sequence[str] = ()) -> zenoh.Session:
-    """Open a Zenoh router in this process; close it, or the process never ends.
+    """Open a Zenoh router in this process; the process ends only after it is closed.
 
     Args:
         listen: Endpoints to listen on, such as `tcp/127.0.0.1:7447`.
-        connect: Other routers to link to; they may come later.
+        connect: Other routers to link to; they may start later.
 
     Raises:
         TransientError: If an endpoint is taken.
@@ -70,16 +71,16 @@ def router_session(listen: Sequence[str], *, connect: Sequence[str] = ()) -> zen
 
 
 def client_session(connect: Sequence[str], *, stop: Event | None = None) -> zenoh.Session:
-    """Open a session through one of these routers; close it, or the process never ends.
+    """Open a session through one of these routers; the process ends only after it is closed.
 
-    A session outlives its router: Zenoh connects again and declares everything anew.
+    A session outlives its router: Zenoh connects again and repeats every declaration.
 
     Args:
         connect: Endpoints of routers, any of which will do.
-        stop: Given by daemons: wait for a router until this is set. None: fail at once.
+        stop: Wait for a router until this is set, as daemons do. None: fail at once.
 
     Raises:
-        TransientError: If no router answers and nobody wants to wait, or `stop` was set.
+        TransientError: If no router answers and `stop` is None, or `stop` was set.
         PermanentError: If an endpoint is malformed.
     """
     check_endpoints(connect)
@@ -101,7 +102,7 @@ def client_session(connect: Sequence[str], *, stop: Event | None = None) -> zeno
 
 
 def is_connected(session: zenoh.Session) -> bool:
-    """Whether a router is there now; a put while none is would be lost without a word."""
+    """Return true if a router is connected; a put without one is lost without an error."""
     return bool(session.info.routers_zid())
 
 
@@ -133,7 +134,7 @@ def recoverable_subscriber(
         session: On the bus.
         key: What to subscribe to.
         callback: Takes a sample; must only enqueue.
-        on_miss: Told how many samples were missed for good, each time some were.
+        on_miss: Called with the number of samples lost for good, each time some were.
     """
     subscriber = zenoh.ext.declare_advanced_subscriber(
         session,
@@ -166,7 +167,7 @@ def _config(mode: str, *, listen: Sequence[str] = (), connect: Sequence[str] = (
 
 
 def check_endpoints(endpoints: Sequence[str]) -> None:
-    """Refuse what cannot be an endpoint, before anything is started for it.
+    """Refuse a malformed endpoint, before anything is started for it.
 
     Raises:
         PermanentError: If one is malformed.
@@ -184,5 +185,5 @@ def check_endpoints(endpoints: Sequence[str]) -> None:
 
 
 def _reason(error: zenoh.ZError) -> str:
-    """Keep what Zenoh says, without the source lines of the machine it was built on."""
+    """Keep the message of Zenoh, without the source lines of the machine it was built on."""
     return str(error).split(" at /", maxsplit=1)[0].strip()

@@ -1,8 +1,9 @@
-"""Lists a folder as a bucket: each odd entry is skipped and named, the rest is listed.
+"""Listing of a folder as a bucket, which skips and reports entries that cannot be logs.
 
-obstore's own listing of a folder fails as a whole on a name that is no UTF-8, a control character,
-a loop of links, or a subfolder that may not be read. Keys, sizes and etags are the same as its own:
-an etag that differed would have every log of an existing state mined again.
+obstore's own listing of a folder fails as a whole on one bad entry. Such entries are a name that is
+not UTF-8, a control character, a loop of links, or a subfolder that may not be read. Keys, sizes
+and etags are the same as its own: an etag that differed would have every log of an existing state
+mined again.
 """
 
 import errno
@@ -19,16 +20,16 @@ from schemas.visible import has_controls, visible
 
 _SKIPPED: Final = {
     errno.ELOOP: "is a link in a loop of links",
-    errno.ENAMETOOLONG: "has a path that is longer than the system takes",
+    errno.ENAMETOOLONG: "has a path that is longer than the system allows",
     errno.EACCES: "may not be read",
     errno.EPERM: "may not be read",
 }
-"""Errors that concern one entry alone; any other may be a disk that fails."""
+"""Errors that concern one entry alone; any other may mean a failing disk."""
 
 
 @dataclass(frozen=True, slots=True)
 class Skipped:
-    """An entry of a bucket that is not listed.
+    """A bucket entry that is not listed.
 
     Attributes:
         name: Its key, control characters escaped.
@@ -42,7 +43,7 @@ class Skipped:
 
     @classmethod
     def of(cls, key: str, why: str, *, hides: str = "") -> "Skipped":
-        """Make one from the key as it is."""
+        """Make one from an unescaped key."""
         return cls(visible(key, limit=MAX_TEXT // 4), why, hides)
 
 
@@ -63,9 +64,9 @@ def list_folder(
     A file that vanishes meanwhile is left out.
 
     Args:
-        root: Where the bucket lies.
-        prefix: A folder in it, in whole path segments; empty for all.
-        on_skipped: Told each entry that cannot be a log.
+        root: Folder of the bucket.
+        prefix: A subfolder, in whole path segments; empty for all.
+        on_skipped: Called with each entry that cannot be a log.
 
     Raises:
         BucketRefusedError: If the prefix is no key, or the root may not be read.
@@ -92,7 +93,7 @@ class _Walk:
     found: list[FolderEntry] = field(default_factory=list)
 
     def folder(self, path: str, prefix: str) -> None:
-        """Take all files below a folder; `prefix` is its key with a slash at the end."""
+        """Collect all files below a folder; `prefix` is its key with a slash at the end."""
         waiting = [(path, prefix)]
         while waiting:
             path, prefix = waiting.pop()
@@ -109,7 +110,7 @@ class _Walk:
                 self._skip(error, prefix.rstrip("/"))
 
     def _take(self, entry: os.DirEntry[str], prefix: str) -> bool:
-        """Take an entry if it is a file, and return whether it is a folder to be walked."""
+        """Collect an entry if it is a file; return true if it is a folder to walk."""
         key = prefix + entry.name
         if has_controls(entry.name):
             is_utf8 = not any("\ud800" <= each <= "\udfff" for each in entry.name)
@@ -124,7 +125,7 @@ class _Walk:
                 return self._leads_on(entry, key, stat)
         except FileNotFoundError:
             if entry.is_symlink():
-                self.on_skipped(Skipped.of(key, "is a link to nothing"))
+                self.on_skipped(Skipped.of(key, "is a broken link"))
             return False
         except OSError as error:
             # What lies in a folder that may be read but not entered is denied one by one.
@@ -138,7 +139,7 @@ class _Walk:
         return False
 
     def _leads_on(self, entry: os.DirEntry[str], key: str, stat: os.stat_result) -> bool:
-        """Return whether a link to a folder leads elsewhere than back to where it lies."""
+        """Return true unless a link to a folder leads back to one of its own parents."""
         above = Path(entry.path).parent
         for folder in (above, *above.parents):
             if os.path.samestat(folder.stat(), stat):
@@ -165,6 +166,6 @@ class _Walk:
 
 
 def _is_being_written(name: str) -> bool:
-    """Return whether obstore takes a file for an upload of its own that is under way: `log#12`."""
+    """Return true if obstore writes this file for an upload under way: `log#12`."""
     _, _, suffix = name.partition("#")
     return suffix.isascii() and suffix.isdigit()

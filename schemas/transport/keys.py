@@ -1,4 +1,4 @@
-"""Every Zenoh key of the system. Parts are percent-encoded ASCII; nothing else builds a key."""
+"""Zenoh keys of the system. Segments are percent-encoded ASCII; no other module builds a key."""
 
 from typing import Final, Literal
 from urllib.parse import quote, unquote
@@ -23,11 +23,11 @@ Verb = Literal[
     "rates",
     "retry",
 ]
-"""What may be asked of the service."""
+"""Verbs of requests to the service."""
 
 
 class KeyTooLongError(PermanentError):
-    """No key of the bus can be made of such long names."""
+    """No bus key can be made of names this long."""
 
 
 def _part(text: str) -> str:
@@ -35,12 +35,12 @@ def _part(text: str) -> str:
 
 
 def score(*, root: str, worker_id: str) -> str:
-    """Key a worker puts its raw scores to, whatever shard they are of."""
+    """Key to which a worker puts its raw scores, of any shard."""
     return f"{root}/v1/score/{_part(worker_id)}"
 
 
 def all_scores(*, root: str) -> str:
-    """What the service subscribes to."""
+    """Key expression that the service subscribes to."""
     return f"{root}/v1/score/**"
 
 
@@ -48,23 +48,23 @@ def scene(*, root: str, log_id: str, scene_id: str) -> str:
     """Key of one durable, numbered scene; one writer, the service.
 
     Raises:
-        KeyTooLongError: If the names are longer than any that is taken today.
+        KeyTooLongError: If the names exceed the bounds of the current version.
     """
     return _whole(f"{root}/v1/scene/{_part(log_id)}/{_part(_within(log_id, scene_id))}")
 
 
 def all_scenes(*, root: str) -> str:
-    """What a subscriber of scored scenes subscribes to, and asks for the history."""
+    """Key expression of all scored scenes, for subscriptions and history requests."""
     return f"{root}/v1/scene/**"
 
 
 def scene_cache(*, root: str) -> str:
-    """Where a stock AdvancedSubscriber on `all_scenes` asks for its history."""
+    """Key from which a stock AdvancedSubscriber on `all_scenes` requests its history."""
     return f"{root}/v1/scene/**/@adv/**"
 
 
 def all_selected(*, root: str) -> str:
-    """What a subscriber of selections subscribes to, and asks for those there are."""
+    """Key expression of all selections, for subscriptions and for requests of existing ones."""
     return f"{root}/v1/selected/**"
 
 
@@ -72,14 +72,14 @@ def selected(*, root: str, selection: str, log_id: str, scene_id: str) -> str:
     """Key of one scene of a named selection.
 
     Raises:
-        KeyTooLongError: If the names are longer than any that is taken today.
+        KeyTooLongError: If the names exceed the bounds of the current version.
     """
     parts = (selection, log_id, _within(log_id, scene_id))
     return _whole(f"{root}/v1/selected/{'/'.join(map(_part, parts))}")
 
 
 def control(*, root: str, verb: Verb) -> str:
-    """Key of a question to the service."""
+    """Key of a request to the service."""
     return f"{root}/v1/ctl/{verb}"
 
 
@@ -89,12 +89,12 @@ def live(*, root: str, role: str, ident: str) -> str:
 
 
 def all_live(*, root: str, role: str) -> str:
-    """Matches the liveliness tokens of everyone in this role."""
+    """Key expression of the liveliness tokens of every process in this role."""
     return f"{root}/v1/live/{_part(role)}/*"
 
 
 def scene_id_of(key: str, *, root: str) -> str:
-    """Read the scene id back from a key that `scene` made.
+    """Decode the scene id from a key that `scene` made.
 
     Raises:
         ValueError: If the key is not one of a scene under this root.

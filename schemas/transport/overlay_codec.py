@@ -1,4 +1,4 @@
-"""Encode an overlay as bytes, and decode it: equal overlays are equal bytes."""
+"""Binary codec of overlays; equal overlays give equal bytes."""
 
 from typing import Any, Final
 
@@ -10,11 +10,11 @@ from schemas.task import MOTION, UnknownTaskError, task_named
 from schemas.transport.array_pack import MAX_UNPACKED_BYTES, PackUnreadableError, pack, unpack
 
 OVERLAY_MAGIC: Final = b"CPOVL1\n\0"
-"""First bytes; the digit is the version."""
+"""Magic first bytes of an overlay; the digit is the version."""
 
 
 MAX_OVERLAY_BYTES: Final = MAX_UNPACKED_BYTES
-"""Bytes of an encoded overlay; decoded it may have no more."""
+"""Maximum bytes of an overlay, encoded and decoded."""
 
 
 def encode_overlay(overlay: Overlay) -> bytes:
@@ -89,11 +89,11 @@ def _decoded(payload: bytes) -> Overlay:
 
 
 def _to_planes(points_cm: NDArray[np.int16]) -> NDArray[np.uint8]:
-    """Turn (P, 3) coordinates into what zstd packs best: (3, 2, P) bytes.
+    """Convert (P, 3) coordinates to (3, 2, P) byte planes, which zstd compresses best.
 
-    Neighbours in a cloud are neighbours in space: differences along the cloud are small, and with
-    the sign in the lowest bit their high bytes are nearly all zero. Twenty frames of 106,000 points
-    take 5.9 MB so, 10.3 MB plain.
+    Adjacent points of a cloud are close in space, so differences along the cloud are small. With
+    the sign in the lowest bit, their high bytes are nearly all zero. Twenty frames of 106,000
+    points take 5.9 MB, against 10.3 MB plain.
     """
     steps = np.diff(points_cm.T, axis=1, prepend=np.int16(0))
     folded = ((steps << 1) ^ (steps >> 15)).astype("<i2", order="C")

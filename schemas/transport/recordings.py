@@ -1,4 +1,4 @@
-"""Which objects of a bucket make one recording: a single MCAP file, or the parts of a split one."""
+"""Grouping of bucket objects into recordings: a single MCAP file, or the parts of a split one."""
 
 import re
 from collections.abc import Iterable
@@ -22,11 +22,11 @@ _SPLIT: Final = re.compile(r"(?P<name>.+)_(?P<number>0|[1-9][0-9]*)")
 def group_recordings(objects: Iterable[ObjectMeta]) -> list[Recording]:
     """Group the MCAP files of a bucket into recordings.
 
-    `_<n>` at the end of a name is a split number only where `_0` of that name exists and no
-    unsplit file has the name itself; else every file is a recording of its own.
+    `_<n>` at the end of a name is a split number only where `_0` of that name exists and no unsplit
+    file has the name itself; else every file is a recording of its own.
 
     Args:
-        objects: What the bucket lists; everything that is not `*.mcap` is ignored.
+        objects: Listed objects of the bucket; everything that is not `*.mcap` is ignored.
 
     Returns:
         Recordings in the order of their log ids, their parts in the order of their numbers. Those
@@ -55,7 +55,7 @@ def recording_of(key: str, objects: Iterable[ObjectMeta]) -> Recording:
 
     Args:
         key: Any part of it; it need not end in `.mcap` when it stands alone.
-        objects: What lies in the same folder.
+        objects: Objects of the same folder.
 
     Raises:
         LookupError: If there is no such object.
@@ -72,7 +72,7 @@ def recording_of(key: str, objects: Iterable[ObjectMeta]) -> Recording:
 
 
 def _recording(log_id: str, numbered: Iterable[tuple[int, ObjectMeta]]) -> Recording | None:
-    """Make a recording of its parts; one that no message could name is left out, and said."""
+    """Make a recording of its parts; log and omit one that exceeds the bounds of messages."""
     try:
         return Recording(
             log_id=log_id,
@@ -88,7 +88,7 @@ def _recording(log_id: str, numbered: Iterable[tuple[int, ObjectMeta]]) -> Recor
 
 @lru_cache(maxsize=1024)
 def _say_left_out(log_id: str, problem: str) -> None:
-    """Say it once, not at every listing."""
+    """Log a recording that is left out, once instead of at every listing."""
     log.warning("log left out: its name or its parts are too long", log_id=log_id, problem=problem)
 
 

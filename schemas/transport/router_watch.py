@@ -1,4 +1,4 @@
-"""Sees whether a session has a router, and says so when that changes: Zenoh itself says nothing."""
+"""Watch of the connection between a session and its routers, which Zenoh does not report."""
 
 import time
 from collections.abc import Callable
@@ -18,7 +18,7 @@ LOOK_S: Final = 0.5
 
 
 class RouterWatch(AbstractContextManager["RouterWatch"]):
-    """Looks twice a second from a thread of its own, while the session is open."""
+    """Polls the connection twice a second from a thread of its own, while the session is open."""
 
     def __init__(
         self,
@@ -30,8 +30,9 @@ class RouterWatch(AbstractContextManager["RouterWatch"]):
         """Watch a session.
 
         Args:
-            session: Which; it finds back to its routers by itself.
-            on_change: Told whether a router is there, at the first look and at every change.
+            session: The session; it reconnects to its routers by itself.
+            on_change: Called with true if a router is connected, first at the start and then at
+                every change.
             clock: Monotonic seconds.
         """
         self._session, self._on_change, self._clock = session, on_change, clock
@@ -39,7 +40,7 @@ class RouterWatch(AbstractContextManager["RouterWatch"]):
         self._thread = Thread(target=self._watch, name="router", daemon=True)
 
     def __enter__(self) -> Self:
-        """Begin to look."""
+        """Start polling."""
         self._thread.start()
         return self
 
@@ -49,7 +50,7 @@ class RouterWatch(AbstractContextManager["RouterWatch"]):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Look no more."""
+        """Stop polling."""
         self._done.set()
         self._thread.join()
 

@@ -1,4 +1,4 @@
-"""Bytes on the bus: canonical JSON, so that equal records are equal bytes."""
+"""Encoding of messages on the bus: canonical JSON, so that equal records are equal bytes."""
 
 from typing import Final, TypeVar
 
@@ -11,7 +11,7 @@ SCENE_SCORE_ENCODING: Final = ("application/json", "counterpoint.scene_score.v1"
 """Zenoh encoding and schema suffix of a scored scene."""
 
 RANKED_SCENE_ENCODING: Final = ("application/json", "counterpoint.ranked_scene.v1")
-"""The same of one scene of a selection."""
+"""Zenoh encoding and schema suffix of one scene of a selection."""
 
 Message = TypeVar("Message", bound=BaseModel)
 
@@ -31,16 +31,16 @@ def decode(kind: type[Message], payload: bytes) -> Message:
 
 
 def first_problem(error: ValidationError) -> str:
-    """Say in one line which field of a message is wrong, and why."""
+    """Describe in one line the first invalid field of a message."""
     first = error.errors(include_url=False, include_input=False)[0]
     return f"{'.'.join(map(str, first['loc'])) or 'payload'}: {first['msg']}"[:500]
 
 
 def encode_scene_score(score: SceneScore) -> bytes:
-    """Encode a scored scene as it is published, stored and compared.
+    """Encode a scored scene for publishing, storage and comparison.
 
     Raises:
-        ValueError: If it is larger than the bus should carry.
+        ValueError: If it is larger than a message on the bus may be.
     """
     payload = encode(score)
     if len(payload) > MAX_RECORD_BYTES:

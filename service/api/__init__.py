@@ -1,1 +1,1 @@
-"""Messages and handlers of everything that is asked over the bus."""
+"""Messages and handlers of requests over the bus."""

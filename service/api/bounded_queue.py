@@ -1,4 +1,4 @@
-"""Questions that wait for a thread, bounded by number and bytes; equal ones are taken together."""
+"""Bounded queue of requests waiting for a thread; merges equal requests."""
 
 import math
 import time
@@ -12,17 +12,17 @@ Item = TypeVar("Item")
 
 
 MOST_ALIKE: Final = 64
-"""Equal questions that wait together: each gets a copy of an answer that may be long."""
+"""Equal requests merged at most; each gets a copy of a reply that may be long."""
 
 
 @dataclass(slots=True)
 class Group(Generic[Item]):
-    """Equal questions.
+    """Equal requests that are answered together.
 
     Attributes:
         turn: Groups of one turn are answered one after the other.
-        items: The questions.
-        size: Their bytes.
+        items: The requests.
+        size: Their total size, bytes.
     """
 
     turn: Hashable
@@ -31,16 +31,16 @@ class Group(Generic[Item]):
 
 
 class Waiting(Generic[Item]):
-    """A queue in which what is equal waits together, and is taken together.
+    """A queue that merges equal requests.
 
-    Whoever asks so fast that the same question waits many times gets one answer for all of them,
-    which was begun after each of them had been asked; so it is as fresh as an answer of its own.
+    A client that repeats a request faster than it is answered gets one reply for all of them. Work
+    on that reply begins after the last of them arrived, so it is as fresh as a separate one.
     """
 
     def __init__(
         self, *, most: int, most_bytes: int, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        """Take how many questions may wait, how many bytes of them, and a clock in seconds."""
+        """Make a queue with a limit of requests, a limit of their bytes, and a clock in seconds."""
         self._most, self._most_bytes, self._clock = most, most_bytes, clock
         self._groups: OrderedDict[Hashable, Group[Item]] = OrderedDict()
         self._busy_until: dict[Hashable, float] = {}
@@ -48,17 +48,17 @@ class Waiting(Generic[Item]):
         self._changed = Condition()
 
     def __len__(self) -> int:
-        """How many questions wait."""
+        """Count the waiting requests."""
         return self._count
 
     def offer(self, kind: Hashable, item: Item, *, size: int, turn: Hashable | None = None) -> bool:
-        """Let a question wait; say whether there was room for it.
+        """Add a request; return false if there is no room for it.
 
         Args:
-            kind: Equal for questions that one answer serves.
-            item: The question.
-            size: Its bytes.
-            turn: Equal for questions that are answered one after the other; None: its kind.
+            kind: Equal for requests that one reply serves.
+            item: The request.
+            size: Its size, bytes.
+            turn: Equal for requests that are answered one after the other; None: its kind.
         """
         with self._changed:
             group = self._groups.get(kind)
@@ -78,12 +78,16 @@ class Waiting(Generic[Item]):
             return True
 
     def take(self, *, timeout_s: float) -> Group[Item] | None:
-        """Take the equal questions that have waited longest; `done` must be said of them.
+        """Take the group of equal requests that has waited longest; call `done` after answering it.
 
-        Passed over are those whose turn is taken: who asks meanwhile is served by one more answer.
+        Groups whose turn is being answered are passed over; requests that join them get the next
+        reply.
+
+        Args:
+            timeout_s: Longest wait for a group, seconds.
 
         Returns:
-            All questions of one kind; None if there were none in time.
+            All requests of one kind; None if none was available in time.
         """
         end_s = self._clock() + timeout_s
         with self._changed:
@@ -102,7 +106,7 @@ class Waiting(Generic[Item]):
                 self._changed.wait(min(end_s, *rests, end_s) - now_s)
 
     def done(self, group: Group[Item], *, rest_s: float = 0.0) -> None:
-        """Say that questions have been answered; the next of their turn waits for `rest_s`."""
+        """Mark a group as answered; the next of its turn waits for `rest_s`."""
         with self._changed:
             now_s = self._clock()
             over = [turn for turn, until in self._busy_until.items() if until <= now_s]

@@ -1,4 +1,4 @@
-"""The verbs that workers and people may ask of the service, each a payload in and a payload out."""
+"""Handlers of the verbs of workers and users; each maps a payload to a reply payload."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -38,11 +38,11 @@ from service.store.ledger import Ledger, StoredScene
 log = structlog.get_logger(__name__)
 
 STAGING_PATIENCE_S: Final = 0.2
-"""How long a commit waits for records that it may have overtaken, before it names them missing."""
+"""Longest wait of a commit for records that it may have overtaken, seconds."""
 
 
 class Control:
-    """Answers every verb of `schemas.transport.keys.Verb`; what it acknowledges is on disk."""
+    """Answers every verb of `schemas.transport.keys.Verb`; acknowledged changes are on disk."""
 
     def __init__(
         self,
@@ -54,9 +54,9 @@ class Control:
         on_selection: Callable[[Selection], None],
         on_commit_seconds: Callable[[float], None] = lambda _: None,
     ) -> None:
-        """Take the parts, and whom to tell about committed scenes and stored selections.
+        """Keep the parts, and the callbacks for committed scenes and stored selections.
 
-        `on_commit_seconds` is told how long the ledger took for each commit.
+        `on_commit_seconds` is called with the time that the ledger took for each commit.
         """
         self._on_commit_seconds = on_commit_seconds
         self._settings, self._ledger, self._staging = settings, ledger, staging
@@ -77,21 +77,21 @@ class Control:
             "overlay": self._overlay,
             "retry": self._retry,
         }
-        """What each verb does with the request that `service.api.verbs` says it takes."""
+        """Handler of each verb; its argument is the request type in `service.api.verbs`."""
 
     def declare(self, questions: Questions, *, root: str) -> None:
-        """Take the questions of every verb."""
+        """Register the handlers of every verb."""
         for verb in get_args(Verb):
             questions.declare(
                 keys.control(root=root, verb=verb), partial(self.answer, verb), asked=verb
             )
 
     def answer(self, verb: Verb, payload: bytes) -> bytes:
-        """Answer one question.
+        """Answer one request.
 
         Raises:
-            MalformedError: If the payload is not what the verb takes.
-            CounterpointError: If there is no answer, or none now.
+            MalformedError: If the payload does not fit the verb.
+            CounterpointError: If the request cannot be answered, or not now.
         """
         kind, request = VERBS[verb].request, None
         if kind is not None:

@@ -1,8 +1,9 @@
-"""Scenes for those who come late, from the ledger: asked for by number, or by a stock subscriber.
+"""History of scenes from the ledger, for subscribers that start late.
 
-A publisher's cache dies with it, so the history of scenes is the service's to give. Two questions
-are answered: ours, `scene/**?since=N` (`schemas/WIRE.md`), and the one that an AdvancedSubscriber
-with a history asks of publishers' caches by itself, so that a subscriber needs no code of ours.
+A publisher's cache ends with its process, so the service answers history requests itself. Two forms
+are answered. Ours is `scene/**?since=N` (`schemas/WIRE.md`). The other is the request that an
+AdvancedSubscriber with a history sends to publishers' caches, so that a stock subscriber needs no
+code of ours.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -27,24 +28,24 @@ PAGE: Final = 512
 
 
 class History:
-    """Answers for the scenes of the ledger."""
+    """Answers history requests from the ledger."""
 
     def __init__(self, session: zenoh.Session, ledger: Ledger, *, root: str) -> None:
         self._session, self._ledger, self._root = session, ledger, root
 
     def declare(self, questions: Questions) -> None:
-        """Take the questions."""
+        """Register the handlers."""
         questions.declare_history(keys.all_scenes(root=self._root), self.answer)
         questions.declare_history(keys.scene_cache(root=self._root), self.answer_as_cache)
         questions.declare_history(keys.all_selected(root=self._root), self.answer_selected)
 
     def answer(self, query: zenoh.Query) -> None:
-        """Reply scenes in the order of their numbers, as the parameters ask.
+        """Reply with scenes in the order of their numbers, as the parameters request.
 
-        `since=N` gives the current scenes with a greater number, all without it; with
-        `withdrawn=1` also every withdrawal with a greater number, as a delete. `most=M` stops
-        after so many replies. `newest=N` gives the N current scenes with the highest numbers. A
-        key expression that is narrower than all scenes gets those that it matches.
+        `since=N` gives the current scenes with a greater number, all without it; with `withdrawn=1`
+        also every withdrawal with a greater number, as a delete. `most=M` stops after so many
+        replies. `newest=N` gives the N current scenes with the highest numbers. A key expression
+        that is narrower than all scenes gets those that it matches.
 
         Raises:
             PermanentError: If a parameter is no number within its bounds, or `since` is beyond the
@@ -56,8 +57,8 @@ class History:
         withdrawn = _number(query, "withdrawn", most=1) or 0
         if since > (last := self._ledger.last_seq()):
             raise PermanentError(
-                f"no event {since} here, the last is {last}: these are the scenes of another "
-                "ledger; drop what you have, and begin anew with since=0"
+                f"no event {since} here, the last is {last}: these scenes are from another "
+                "ledger; drop yours, and begin again with since=0"
             )
         if newest is not None:
             events: Iterator[StoredScene] = iter(self._ledger.newest_scenes(newest))
@@ -77,9 +78,10 @@ class History:
     def answer_as_cache(self, query: zenoh.Query) -> None:
         """Reply as the caches of publishers would: every current scene once, with a timestamp.
 
-        The subscriber holds replies back until the answer ends and sorts them by timestamp, which
-        rises with the number here. A key has one current record, so that its limit of samples a
-        key (`_max`) always holds; its limit of age (`_time`) is not kept: all are given.
+        The subscriber keeps replies back until the answer ends and sorts them by timestamp, which
+        rises with the number here. A key has one current record, so the subscriber's limit of
+        samples per key (`_max`) is always met. Its limit of age (`_time`) is ignored: all scenes
+        are given.
         """
         for scene, key in self._with_keys(self._pages(self._ledger.scenes_since, 0)):
             query.reply(
@@ -91,7 +93,7 @@ class History:
             )
 
     def answer_selected(self, query: zenoh.Query) -> None:
-        """Reply the scenes of every stored selection that the key expression matches."""
+        """Reply with the scenes of every stored selection that the key expression matches."""
         for selection in self._ledger.selections():
             for key, payload in selected_scenes(selection, root=self._root):
                 if query.key_expr.intersects(key):
@@ -106,7 +108,7 @@ class History:
             seq = page[-1].seq
 
     def _with_keys(self, events: Iterable[StoredScene]) -> Iterator[tuple[StoredScene, str]]:
-        """Pair events with their keys; without those that the bus cannot carry."""
+        """Pair events with their keys; skip those that the bus cannot carry."""
         for event in events:
             with suppress(keys.KeyTooLongError):  # the outbox has said which
                 yield (

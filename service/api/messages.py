@@ -1,4 +1,4 @@
-"""What is asked of the service from outside, beside the leases of `schemas.work`."""
+"""Messages of clients to the service, in addition to the leases of `schemas.work`."""
 
 from typing import Any, TypeVar
 
@@ -26,15 +26,15 @@ Request = TypeVar("Request", bound=BaseModel)
 
 
 class AboutReply(BaseModel):
-    """Which program the service is; later fields are passed over, so that any version can ask."""
+    """Identity and version of the service; clients of any version ignore unknown fields."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
 
-    package: Said = Field(description="Version of the package, as it was started.")
+    package: Said = Field(description="Version of the package at its start.")
 
 
 class TopRequest(BaseModel):
-    """Asks for the ranking."""
+    """Request for the ranking."""
 
     model_config = _STRICT
 
@@ -42,7 +42,7 @@ class TopRequest(BaseModel):
         default=None,
         ge=1,
         le=MAX_SCENES_ASKED,
-        description="Only the first so many; None: all.",
+        description="Number of rows at most; None: all.",
     )
 
 
@@ -55,7 +55,7 @@ class TopReply(BaseModel):
 
 
 class RatesReply(BaseModel):
-    """The answer to a `service.curation.rates.RatesRequest`, in the order it is read in."""
+    """Reply to a `service.curation.rates.RatesRequest`, worst group first."""
 
     model_config = _STRICT
 
@@ -63,7 +63,7 @@ class RatesReply(BaseModel):
 
 
 class SelectRequest(BaseModel):
-    """Asks for a named selection to be made, stored and published."""
+    """Request to make, store and publish a named selection."""
 
     model_config = _STRICT
 
@@ -72,7 +72,7 @@ class SelectRequest(BaseModel):
 
 
 class SceneRequest(BaseModel):
-    """Asks for the record, or the overlay, of one current scene."""
+    """Request for the record, or the overlay, of one current scene."""
 
     model_config = _STRICT
 
@@ -80,19 +80,19 @@ class SceneRequest(BaseModel):
 
 
 class RetryRequest(BaseModel):
-    """Asks for parked work to be tried again."""
+    """Request to retry parked work."""
 
     model_config = _STRICT
 
     log_ids: tuple[LogId, ...] | None = Field(
         default=None,
         max_length=MAX_LOGS_NAMED,
-        description="Only that of these logs; None: all that is parked.",
+        description="Logs whose work is retried; None: all parked work.",
     )
 
 
 class RetryReply(BaseModel):
-    """What is tried again from now on, each with the attempts and the error it was parked with."""
+    """Work that is retried, each item with the attempts and the error it was parked with."""
 
     model_config = _STRICT
 
@@ -100,12 +100,12 @@ class RetryReply(BaseModel):
 
 
 def question(kind: type[Request], **fields: Any) -> Request:
-    """Make a question of what a person gave.
+    """Make a request from the values that a user gave.
 
     Raises:
-        UsageError: If it is beyond the bounds of the question; the message says which field.
+        UsageError: If a value exceeds the bounds of the request; the message names the field.
     """
     try:
         return kind.model_validate(fields)
     except ValidationError as error:
-        raise UsageError(f"cannot be asked: {first_problem(error)}") from None
+        raise UsageError(f"invalid request: {first_problem(error)}") from None

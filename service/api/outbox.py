@@ -1,4 +1,4 @@
-"""Durable, numbered scenes for the world outside: the ledger's events, put in their order."""
+"""Publisher of durable, numbered scenes: puts the ledger's events on the bus, in order."""
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -17,14 +17,14 @@ from service.store.ledger import Ledger, StoredScene
 log = structlog.get_logger(__name__)
 
 BATCH: Final = 256
-"""Events between two moves of the durable cursor; after a kill so many may be put twice."""
+"""Events per move of the durable cursor; after a kill up to this many are put twice."""
 
 
 class Outbox:
-    """Puts every event of the ledger once or, around a kill, again; never out of order.
+    """Puts every event of the ledger once, or twice after a kill; never out of order.
 
-    A put is no promise: it may be lost on its way, and whoever needs all scenes asks for the
-    history. The cursor only says what need not be put again.
+    A put may be lost on its way, so subscribers that need all scenes ask for the history. The
+    cursor only marks the events that need no further put.
     """
 
     def __init__(
@@ -35,17 +35,17 @@ class Outbox:
         root: str,
         on_fault: Callable[[], None] = lambda: None,
     ) -> None:
-        """Take the parts, and whom to tell of each event that the bus cannot carry."""
+        """Keep the parts; `on_fault` is called for each event that the bus cannot carry."""
         self._session, self._ledger, self._root = session, ledger, root
         self._on_fault = on_fault
 
     def publish(self) -> None:
-        """Publish every event there is, or stop when no router is there to take it."""
+        """Publish every pending event, or stop when no router is connected."""
         while self.publish_some():
             pass
 
     def publish_some(self) -> int:
-        """Publish the next batch of events; return how many, 0 while no router is there."""
+        """Publish the next batch of events; return how many, 0 while no router is connected."""
         if not is_connected(self._session):
             return 0
         events = self._ledger.unpublished(BATCH)
@@ -62,7 +62,7 @@ class Outbox:
             self._session.put(key, payload, encoding=RANKED)
 
     def _put_or_skip(self, event: StoredScene) -> None:
-        """Put an event; leave out one that was stored when nothing bounded its names yet."""
+        """Put an event; skip one of an earlier version whose names exceed the bounds."""
         try:
             self._put(event)
         except keys.KeyTooLongError as error:
@@ -84,7 +84,7 @@ class Outbox:
 def selected_scenes(selection: Selection, *, root: str) -> Iterator[tuple[str, bytes]]:
     """Yield key and payload of every scene of a selection, best first.
 
-    Left out are those that the bus cannot carry, of names that were taken without a bound.
+    Scenes that the bus cannot carry are skipped; earlier versions stored names without a bound.
     """
     for scene in selection.scenes:
         with suppress(keys.KeyTooLongError):

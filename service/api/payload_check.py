@@ -1,6 +1,6 @@
-"""Refuses large JSON whose values or unknown fields would cost far more memory than its bytes.
+"""Check of large JSON payloads, whose values or unknown fields could exhaust the memory.
 
-The decoder of a message keeps an object for each value, and an error for each one that is wrong.
+The decoder of a message keeps an object for each value, and an error for each invalid one.
 """
 
 import re
@@ -14,19 +14,19 @@ from schemas.bounds import MAX_DENSE_BYTES, MAX_UNKNOWN_NAMES, MIN_BYTES_OF_A_VA
 from schemas.errors import PermanentError
 
 _TEXT: Final = re.compile(rb'"([^"\\]*(?:\\.[^"\\]*)*)"(\s*:)?', re.DOTALL)
-"""A text of JSON, and the colon that makes it the name of a field."""
+"""A JSON string, and the colon that makes it a field name."""
 
 
 def require_affordable(kind: type[BaseModel], payload: bytes) -> None:
     """Check the number of values and of unknown names in a payload before it is decoded.
 
     Args:
-        kind: Message that it should be.
-        payload: JSON, perhaps malformed; the decoder says so.
+        kind: Expected message.
+        payload: JSON, perhaps malformed, which the decoder reports.
 
     Raises:
-        PermanentError: If its values have fewer than `MIN_BYTES_OF_A_VALUE` bytes on average, or
-            it has more than `MAX_UNKNOWN_NAMES` names of fields that the message does not know.
+        PermanentError: If its values have fewer than `MIN_BYTES_OF_A_VALUE` bytes on average, or it
+            has more than `MAX_UNKNOWN_NAMES` names of fields that the message does not know.
     """
     if len(payload) <= MAX_DENSE_BYTES:
         return

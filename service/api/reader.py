@@ -1,4 +1,4 @@
-"""Where the reading verbs look: a running service over the bus, or a state folder without one."""
+"""Data source of the reading verbs: a running service over the bus, or a state folder."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
@@ -24,7 +24,7 @@ from service.store.state import StateLock, endpoint_of_running
 
 
 class Reader(Protocol):
-    """Answers what `top`, `select`, `show`, `status` and `retry` ask."""
+    """Interface of the verbs `top`, `select`, `show`, `rates`, `status` and `retry`."""
 
     def top(self, most: int | None = None) -> list[RankedScene]:
         """Rank every current scene, best first."""
@@ -39,31 +39,31 @@ class Reader(Protocol):
         ...
 
     def overlay(self, scene_id: str) -> bytes:
-        """Return the stored points of a current scene, encoded."""
+        """Return the overlay of a current scene, encoded."""
         ...
 
     def overlay_place(self, scene_id: str) -> str:
-        """Name where the stored points of a current scene come from, for a message."""
+        """Return the URL or name of the source of a scene's overlay, for messages."""
         ...
 
     def rates(self, request: RatesRequest) -> list[RateRow]:
-        """Say how often the streams contradict each other, by group."""
+        """Count contradictions by group."""
         ...
 
     def status(self) -> Status:
-        """Say how far everything is."""
+        """Return the progress of planning and mining."""
         ...
 
     def retry(self, log_ids: Sequence[str] | None = None) -> list[ParkedWork]:
-        """Have parked work tried again, of these logs or all; say what was parked."""
+        """Retry parked work, of these logs or all; return what was parked."""
         ...
 
 
 class StateReader:
-    """Reads a state folder directly, beside a running service or without one."""
+    """Reads a state folder directly, with or without a running service."""
 
     def __init__(self, settings: Settings, *, now_s: float) -> None:
-        """Take where the state lies, and the time for rates."""
+        """Keep the settings of the state, and the time for rates."""
         self._settings, self._now_s = settings, now_s
 
     @contextmanager
@@ -72,17 +72,17 @@ class StateReader:
             yield Ledger(store, now_s=lambda: self._now_s)
 
     def top(self, most: int | None = None) -> list[RankedScene]:
-        """Rank every current scene, best first, and list so many; None: all."""
+        """Rank every current scene, best first, and return at most `most`; None: all."""
         asked = question(TopRequest, most=most)
         with self._ledger() as ledger:
             return ledger.ranking(most=asked.most)
 
     @contextmanager
     def _ledger_to_write(self, *, what: str) -> Iterator[Ledger]:
-        """Hold the state for as long as it takes to change something.
+        """Open the state for one change.
 
         Raises:
-            UsageError: If a service runs on this state: it alone writes.
+            UsageError: If a service runs on this state, since it is the only writer.
         """
         with self._ledger():
             pass  # refuses a folder without a state, before anything is made in it
@@ -103,7 +103,7 @@ class StateReader:
         """Store the best distinct scenes as a named selection.
 
         Raises:
-            UsageError: If a service runs on this state: it alone writes, and it publishes.
+            UsageError: If a service runs on this state, since it is the only writer and publisher.
         """
         asked = question(SelectRequest, budget=budget, name=name)
         with self._ledger_to_write(what="select") as ledger:
@@ -111,10 +111,10 @@ class StateReader:
             return ledger.save_selection(asked.name, budget=asked.budget, scenes=chosen)
 
     def retry(self, log_ids: Sequence[str] | None = None) -> list[ParkedWork]:
-        """Have parked work tried again by the next run, of these logs or all.
+        """Mark parked work for a retry by the next run, of these logs or all.
 
         Raises:
-            UsageError: If a service runs on this state: it alone writes.
+            UsageError: If a service runs on this state, since it is the only writer.
             NothingFoundError: If one of these logs is not in the bucket.
         """
         asked = question(RetryRequest, log_ids=log_ids)
@@ -126,11 +126,11 @@ class StateReader:
         return self._scene(scene_id).decoded()
 
     def overlay(self, scene_id: str) -> bytes:
-        """Return the stored points of a current scene, encoded."""
+        """Return the overlay of a current scene, encoded."""
         return read_overlay(self._settings.mining().artifacts, self._scene(scene_id))
 
     def overlay_place(self, scene_id: str) -> str:
-        """Name the object that the stored points of a current scene lie in."""
+        """Return the URL of a current scene's overlay."""
         key = _key_of(self._scene(scene_id))
         return f"{shown(self._settings.mining().artifacts)}/{key}"
 
@@ -143,39 +143,39 @@ class StateReader:
         return stored
 
     def rates(self, request: RatesRequest) -> list[RateRow]:
-        """Say how often the streams contradict each other, by group."""
+        """Count contradictions by group."""
         with self._ledger() as ledger:
             return rates(ledger.rate_sums(request), request.by)
 
     def status(self) -> Status:
-        """Say how far everything is."""
+        """Return the progress of planning and mining."""
         with self._ledger() as ledger:
             return ledger.status()
 
 
 def overlay_of(source: Reader, scene_id: str) -> Overlay:
-    """Read and decode the points of a current scene.
+    """Read and decode the overlay of a current scene.
 
     Raises:
-        NothingFoundError: If there are none.
-        PackUnreadableError: If they are damaged or of another scene; the message names the place.
+        NothingFoundError: If there is none.
+        PackUnreadableError: If it is damaged or of another scene; the message names its URL.
     """
     payload = source.overlay(scene_id)
     return decode_overlay(payload, scene_id=scene_id, where=source.overlay_place(scene_id))
 
 
 def read_overlay(artifacts_url: str, scene: StoredScene) -> bytes:
-    """Read the overlay of a scene from where the workers put it.
+    """Read the overlay of a scene from the artifacts bucket.
 
     Raises:
-        NothingFoundError: If it is not there.
-        BucketRefusedError: If something else lies there, or it is larger than any overlay.
+        NothingFoundError: If it does not exist.
+        BucketRefusedError: If the object is no regular file, or is larger than any overlay.
     """
     try:
         return open_bucket(artifacts_url).read_all(_key_of(scene), at_most=MAX_OVERLAY_BYTES)
     except ObjectChangedError:
         raise NothingFoundError(
-            f"no overlay of {scene.scene_id} in {shown(artifacts_url)}; name its place with "
+            f"no overlay of {scene.scene_id} in {shown(artifacts_url)}; name its bucket with "
             "--artifacts"
         ) from None
 
@@ -190,12 +190,12 @@ def _key_of(scene: StoredScene) -> str:
 
 
 def no_such_scene(scene_id: str) -> NothingFoundError:
-    """Say that no current scene has this id."""
+    """Return the error for an id of no current scene."""
     return NothingFoundError(f"no current scene {scene_id!r}; `counterpoint top` lists them")
 
 
 def choose_endpoint(settings: Settings) -> str:
-    """Say where the service is asked: `--connect`, else the one that holds the state folder.
+    """Return the endpoint of the service: `--connect`, else that of the state folder.
 
     Raises:
         NothingFoundError: If no service runs on the state folder.

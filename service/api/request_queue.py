@@ -1,11 +1,11 @@
-"""Questions from the bus, queued by callbacks and answered by threads of our own.
+"""Request queue: bus callbacks enqueue requests, and threads of the service answer them.
 
 Zenoh calls one callback at a time, and a callback that waits blocks every other one of its session.
-So a callback only enqueues, and whoever asks too fast, or too much at once, is sent back to ask
-again. What writes waits for the disk, or for a database that is locked; it has threads of its own,
-so that `status` and `top` are answered meanwhile. Equal questions that read are answered together.
+So a callback only enqueues, and excess requests are refused with a request to try again. Requests
+that write wait for the disk, or for a locked database. They have threads of their own, so that
+`status` and `top` are answered meanwhile. Equal reading requests are answered together.
 
-Whatever an answer raises goes to the asker and to the log, and the thread goes on: a question must
+Any error of a handler goes to the client and to the log, and the thread goes on: a request must
 never end the service.
 """
 
@@ -33,40 +33,44 @@ from service.errors import StateUnusableError
 log = structlog.get_logger(__name__)
 
 Asked = Literal[Verb, "history"]
-"""What was asked: a verb, or the scenes and selections that there are."""
+"""Kind of a request: a verb, or the history of scenes and selections."""
 
 Answer = Callable[[bytes], bytes]
-"""Makes the answer to a payload; what it raises on purpose becomes the reply."""
+"""Handler that maps a payload to a reply; an error raised on purpose becomes the reply."""
 
 Replier = Callable[[zenoh.Query], None]
-"""Replies to one query, as often as it likes; what it raises on purpose becomes the last reply."""
+"""Handler that sends any number of replies; an error raised on purpose becomes the last one."""
 
 Outcome = Literal["answered", "refused", "try_again", "malformed", "unsent", "fault"]
-"""How a question ended: answered; never possible; not now; not understood; the asker had gone; the
-service failed in a way that nobody foresaw, and its log has the trace."""
+"""Outcome of a request.
+
+`answered`: replied. `refused`: impossible. `try_again`: impossible now. `malformed`: not
+understood. `unsent`: the client had gone. `fault`: an unexpected error, with its trace in the log.
+"""
 
 MOST_WAITING: Final = 4096
-"""Questions in a queue before new ones are sent back to ask again."""
+"""Requests in a queue before new ones are refused with a request to try again."""
 
 MOST_WAITING_BYTES: Final = 2 * MAX_COMMIT_BYTES
-"""And bytes of them."""
+"""Total bytes of the requests in a queue, with the same effect."""
 
 LARGE_BYTES: Final = 4 * 2**20
-"""A message takes some ten times its bytes once it is decoded: those beyond this one at a time."""
+"""Payload size above which requests are decoded one at a time, bytes; memory is ten times that."""
 
 WHOLE: Final[frozenset[Asked]] = frozenset({"top", "status", "rates"})
-"""Questions that read the whole ledger. One of each verb is answered at a time, and after it that
-verb rests as long as the answer took: however many ask, workers find the processor free."""
+"""Verbs that read the whole ledger. One request of each is answered at a time, and afterwards that
+verb rests as long as the answer took, so that workers find the processor free.
+"""
 
 MOST_REST_S: Final = 0.25
 
 _IDLE_S: Final = 0.2
-"""How often an idle thread looks whether it should end."""
+"""Interval at which an idle thread checks for the end, seconds."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Question:
-    """One question, with who answers it: `answer` its payload, or `replier` the query itself."""
+    """One request and its handler: `answer` takes the payload, `replier` the query itself."""
 
     asked: Asked
     query: zenoh.Query
@@ -76,7 +80,7 @@ class _Question:
 
 
 class Questions:
-    """Two queues for all queryables of the service, and as many threads as care to serve them."""
+    """Two request queues, for reading and writing, that any number of threads serve."""
 
     def __init__(
         self,
@@ -85,54 +89,54 @@ class Questions:
         on_outcome: Callable[[Asked, Outcome], None] = lambda _asked, _outcome: None,
         on_fault: Callable[[], None] = lambda: None,
     ) -> None:
-        """Take the session.
+        """Keep the session and the callbacks.
 
         Args:
             session: On the bus.
-            on_outcome: Told how each question ended.
-            on_fault: Told of every answer that failed in a way that nobody foresaw.
+            on_outcome: Called with the outcome of each request.
+            on_fault: Called for each answer that failed with an unexpected error.
         """
         self._session, self._on_outcome, self._on_fault = session, on_outcome, on_fault
         self._writes: Waiting[_Question] = Waiting(most=MOST_WAITING, most_bytes=MOST_WAITING_BYTES)
         self._reads: Waiting[_Question] = Waiting(most=MOST_WAITING, most_bytes=MOST_WAITING_BYTES)
         self._large = threading.Lock()
         self._unable: dict[Asked, str] = {}
-        """What cannot be answered now, and why: said once, until it can be again."""
+        """Current problem, by kind of request; each is logged once until it passes."""
         self._queryables = ExitStack()
 
     @property
     def waiting(self) -> int:
-        """How many questions nobody has taken up yet."""
+        """Count the requests that no thread has taken yet."""
         return len(self._writes) + len(self._reads)
 
     def declare(self, key: str, answer: Answer, *, asked: Verb) -> None:
-        """Answer the questions of a verb, completely: nobody else does.
+        """Answer the requests of a verb as the only queryable of its key.
 
         Args:
-            key: What they are put to.
-            answer: Makes the answer to one.
+            key: Key of the requests.
+            answer: Handler of one payload.
             asked: The verb.
         """
         self._declare(key, lambda query: self._enqueue(asked, query, answer=answer))
 
     def declare_history(self, key: str, replier: Replier) -> None:
-        """Answer the questions for a key, completely: nobody else holds more.
+        """Answer the history requests of a key as its only, complete queryable.
 
         Args:
-            key: What they are put to.
-            replier: Replies to one.
+            key: Key of the requests.
+            replier: Handler of one query.
         """
         self._declare(key, lambda query: self._enqueue("history", query, replier=replier))
 
     def serve(self, stop: Event, *, writes: bool) -> None:
-        """Answer questions until told to stop; run it in as many threads as should answer.
+        """Answer requests until `stop` is set; call it in each answering thread.
 
         Args:
-            stop: When to end.
-            writes: Whether to answer those that write, or the others.
+            stop: Ends the loop.
+            writes: True to answer requests that write, false for the others.
 
         Raises:
-            StateUnusableError: If the database is damaged: no answer will ever come from it.
+            StateUnusableError: If the database is damaged, and no request can be answered any more.
         """
         waiting = self._writes if writes else self._reads
         while not stop.is_set():
@@ -148,11 +152,11 @@ class Questions:
                 waiting.done(taken, rest_s=min(took_s, MOST_REST_S) if rests else 0.0)
 
     def close(self) -> None:
-        """Take no more questions; those unanswered end empty, which means: ask again."""
+        """Refuse new requests; unanswered ones end empty, which means: try again."""
         self._queryables.close()
         for waiting in (self._writes, self._reads):
             while (taken := waiting.take(timeout_s=0)) is not None:
-                waiting.done(taken)  # whoever has taken others answers them
+                waiting.done(taken)  # the thread that took others answers them
                 for question in taken.items:
                     with question.query:  # dropped without a reply
                         pass
@@ -174,7 +178,7 @@ class Questions:
         most_bytes = MAX_QUESTION_BYTES if verb is None else verb.most_bytes
         size = 0 if query.payload is None else len(query.payload)
         if size > most_bytes:
-            problem = f"too large a question: {size} bytes, of which {asked} takes {most_bytes}"
+            problem = f"request too large: {size} bytes, {asked} accepts {most_bytes}"
             self._send_back(asked, query, PermanentError(problem), "refused")
             return
         takes_payload = verb is not None and verb.request is not None and query.payload is not None
@@ -196,7 +200,7 @@ class Questions:
         self._on_outcome(asked, outcome)
 
     def _serve(self, questions: list[_Question]) -> None:
-        """Answer equal questions by one answer."""
+        """Answer equal requests with one reply."""
         first = questions[0]
         with ExitStack() as opened:
             for question in questions:
@@ -228,20 +232,20 @@ class Questions:
         except TransientError as error:
             if self._unable.get(asked) != str(error):
                 self._unable[asked] = str(error)
-                log.warning("question not answered now", asked=asked, problem=str(error))
+                log.warning("request not answered now", asked=asked, problem=str(error))
             self._refuse_all(questions, error)
             return "try_again"
         except StateUnusableError:
             raise
         except CounterpointError as error:
-            log.warning("question refused", asked=asked, problem=str(error))
+            log.warning("request refused", asked=asked, problem=str(error))
             self._refuse_all(questions, error)
             return "refused"
         except zenoh.ZError as error:  # the asker is gone, or the session is closing
             log.warning("reply not sent", asked=asked, problem=str(error))
             return "unsent"
         if self._unable.pop(asked, None) is not None:
-            log.info("questions answered again", asked=asked)
+            log.info("requests answered again", asked=asked)
         return "answered"
 
     def _reply(self, query: zenoh.Query, answer: bytes) -> bool:
@@ -264,7 +268,7 @@ class Questions:
 
     def _fault(self, error: BaseException, questions: list[_Question]) -> Outcome:
         asked = questions[0].asked
-        log.error("question failed: a fault of the program", asked=asked, exc_info=error)
+        log.error("request failed: a fault of the program", asked=asked, exc_info=error)
         self._on_fault()
         said = (str(error).splitlines() or [""])[0][:300]
         problem = PermanentError(
@@ -284,9 +288,9 @@ class Questions:
 
 
 class MalformedError(PermanentError):
-    """A payload is not the question that its verb takes."""
+    """A payload is no valid request of its verb."""
 
 
 def malformed(asked: Asked, error: ValidationError) -> MalformedError:
-    """Say in one sentence what is wrong with a question."""
-    return MalformedError(f"not a question for {asked}: {first_problem(error)}")
+    """Make the error that names the first invalid field of a request."""
+    return MalformedError(f"not a request for {asked}: {first_problem(error)}")

@@ -1,4 +1,4 @@
-"""Raw records between their arrival on the bus and the commit that names them; bounded memory."""
+"""Bounded memory of raw records between their arrival on the bus and their commit."""
 
 import sys
 from collections import OrderedDict
@@ -12,20 +12,23 @@ from schemas.canonical import sha256
 from schemas.score import MAX_RECORD_BYTES
 
 MOST_BYTES: Final = 64 * 1024 * 1024
-"""Some ten thousand records; what is dropped is named missing, and its worker sends it again."""
+"""Memory of all waiting records, bytes: about 10,000 of them. Dropped records are reported as
+missing, and the worker sends them again.
+"""
 
 ENTRY_BYTES: Final = 320
-"""What an entry holds besides its record: the digest, a node of the ordered dictionary, and its
-place in the table. Measured: 300 bytes and less, whatever the record."""
+"""Memory of an entry in addition to its record, bytes: the digest, a node of the ordered
+dictionary, and its slot in the table. Measured: 300 bytes or less, for any record.
+"""
 
 
 class Staging:
-    """Keeps records by digest, oldest dropped first. Nothing here is a promise.
+    """Keeps records by digest, and drops the oldest first; it gives no guarantee.
 
-    What is bounded is the memory that is held: a record of one byte costs some hundred.
+    The bound counts memory, not payload: a record of one byte takes some hundred bytes.
 
     Attributes:
-        missed: Records that the bus lost for good on their way here, as far as it noticed.
+        missed: Records that the bus is known to have lost on their way here.
     """
 
     def __init__(self, *, most_bytes: int = MOST_BYTES) -> None:
@@ -35,23 +38,23 @@ class Staging:
         self.missed = 0
 
     def on_miss(self, samples: int) -> None:
-        """Count what the bus lost; the commit that names it brings it all the same."""
+        """Count records that the bus lost; the commit that names them sends them again."""
         with self._changed:
             self.missed += samples
 
     def on_sample(self, sample: zenoh.Sample) -> None:
-        """Take a sample from the bus: the callback of the subscription."""
+        """Keep a sample from the bus; the callback of the subscription."""
         if sample.kind == zenoh.SampleKind.PUT and 0 < len(sample.payload) <= MAX_RECORD_BYTES:
             self.add(sample.payload.to_bytes())
 
     @property
     def waiting_bytes(self) -> int:
-        """Memory of all that waits for its commit."""
+        """Memory of all records that wait for their commit, bytes."""
         with self._changed:
             return self._bytes
 
     def add(self, record: bytes) -> None:
-        """Keep a record; the same one twice is one."""
+        """Keep a record; a repeated one is kept once."""
         digest = sha256(record)
         with self._changed:
             self._forget(digest)
@@ -63,12 +66,12 @@ class Staging:
             self._changed.notify_all()
 
     def collect(self, digests: Iterable[str], *, patience_s: float = 0.0) -> dict[str, bytes]:
-        """Return those of these records that are here.
+        """Return the records with these digests that have arrived.
 
         Args:
-            digests: What a manifest names.
-            patience_s: Wait so long for the rest: a commit may overtake the last record, since
-                records and questions arrive on threads of their own.
+            digests: Digests in a manifest.
+            patience_s: Longest wait for the rest, seconds. A commit may overtake the last record,
+                since records and requests arrive on separate threads.
         """
         wanted = tuple(digests)
         with self._changed:
@@ -90,5 +93,5 @@ class Staging:
 
 
 def held_bytes(record: bytes) -> int:
-    """Memory that a record takes here, its entry included."""
+    """Memory that a record takes here, its entry included, bytes."""
     return sys.getsizeof(record) + ENTRY_BYTES

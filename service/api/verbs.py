@@ -1,4 +1,4 @@
-"""What may be asked of the service over the bus: each verb with what it takes and answers."""
+"""Table of the verbs on the bus, with the request and the reply of each."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -36,13 +36,13 @@ from service.curation.status import Status
 
 @dataclass(frozen=True, slots=True)
 class VerbType:
-    """One verb.
+    """Types and limits of one verb.
 
     Attributes:
-        request: Message that it takes; None: nothing, and a payload is passed over.
-        reply: Message that it answers; None: the bytes of an overlay.
-        writes: It is answered only after a transaction.
-        most_bytes: A longer payload is refused before it is read.
+        request: Request message; None: no payload, and one that is sent is ignored.
+        reply: Reply message; None: the bytes of an overlay.
+        writes: True if the reply waits for a transaction.
+        most_bytes: Largest payload, bytes; a longer one is refused before it is read.
     """
 
     request: type[BaseModel] | None
@@ -68,4 +68,4 @@ VERBS: Final[Mapping[Verb, VerbType]] = MappingProxyType(
         "retry": VerbType(RetryRequest, RetryReply, writes=True),
     }
 )
-"""Every verb of `schemas.transport.keys.Verb`."""
+"""Entry of every verb of `schemas.transport.keys.Verb`."""

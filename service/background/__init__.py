@@ -1,1 +1,1 @@
-"""Work that repeats while the service runs."""
+"""Periodic work of a running service."""

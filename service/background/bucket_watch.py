@@ -1,4 +1,4 @@
-"""The log bucket, listed and taken over; the service opens no object of it."""
+"""Watch of the log bucket: lists its objects into the ledger, and opens none of them."""
 
 import time
 from collections import Counter
@@ -20,25 +20,25 @@ from service.store.recordings import SyncResult
 log = structlog.get_logger(__name__)
 
 RESUME_WITHIN_S: Final = 600.0
-"""A listing that broke off longer ago begins anew: its first keys tell of another day."""
+"""Age up to which an interrupted listing is resumed, seconds; its first keys become outdated."""
 
 MAX_SKIPPED_NAMED: Final = 100
-"""Entries that are logged by name; beyond them only their number is."""
+"""Skipped entries that are logged by name; further ones are only counted."""
 
 
 @dataclass(frozen=True, slots=True)
 class BucketSeen:
-    """What the listings have shown so far.
+    """Results of the listings so far.
 
     Attributes:
-        last_success_s: When the last whole listing was taken over, by the ledger's clock.
-        duration_s: What that listing took, without waits after errors.
-        recordings: Recordings it held.
-        objects: Objects they consist of.
-        bytes: Their sizes together.
-        errors: Listings that broke off, by `unreachable` and `refused`.
-        problem: Why the last one broke off; empty after a whole one.
-        skipped: Entries of the last whole listing that can be no log, as a rule by their names.
+        last_success_s: Ledger time of the last complete listing, seconds.
+        duration_s: Duration of that listing without waits after errors, seconds.
+        recordings: Number of recordings in it.
+        objects: Number of objects in these recordings.
+        bytes: Total size of these objects.
+        errors: Interrupted listings, by `unreachable` and `refused`.
+        problem: Error that interrupted the last one; empty after a complete one.
+        skipped: Entries of the last complete listing that cannot be logs, mostly by their names.
     """
 
     last_success_s: float | None = None
@@ -52,11 +52,11 @@ class BucketSeen:
 
 
 class BucketWatch:
-    """Tells the ledger what lies in the bucket.
+    """Reports the content of the log bucket to the ledger.
 
     Attributes:
-        seen: What the listings have shown so far; replaced whole, so any thread may read it.
-        listed_at_s: When the last whole listing ended, monotonic seconds; None before the first.
+        seen: Results of the listings so far; replaced as a whole, so any thread may read it.
+        listed_at_s: End of the last complete listing, monotonic seconds; None before the first.
     """
 
     def __init__(
@@ -69,28 +69,29 @@ class BucketWatch:
         settle_s: float = 0.0,
         elapsed_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Take the bucket, and what of it counts.
+        """Keep the bucket and its filters.
 
         Args:
             bucket: The log bucket, which is only listed.
-            ledger: Takes the listings over.
-            include: Patterns as of a shell, for whole keys, `*` also for `/`; only keys that match
-                one count. Empty: all.
+            ledger: Receives the listings.
+            include: Shell patterns for whole keys, `*` also for `/`; only matching keys count.
+                Empty: all.
             exclude: Keys that match one of these do not count.
-            settle_s: A bucket that is suddenly empty is believed when it stays so for this long.
-            elapsed_s: A clock that never steps, for durations.
+            settle_s: Time for which a suddenly empty bucket must stay empty before it is believed,
+                seconds.
+            elapsed_s: Monotonic clock for durations, seconds.
         """
         self._bucket, self._ledger = bucket, ledger
         self._include, self._exclude, self._settle_s = include, exclude, settle_s
         self._elapsed_s = elapsed_s
         self._listed: list[ObjectMeta] = []
-        """What a listing that broke off had listed: the next one goes on after it."""
+        """Objects of an interrupted listing, which the next one resumes."""
         self._skipped: dict[str, Skipped] = {}
-        """What this listing has left out so far, by name."""
+        """Entries that the current listing has skipped so far, by name."""
         self._named: set[str] = set()
-        """What the listing before left out, and was logged then."""
+        """Names that the listing before skipped, and that were logged then."""
         self._taken_over: list[ObjectMeta] | None = None
-        """What the ledger took over last: the same again is no news to it."""
+        """Listing that the ledger received last; an equal one is not sent again."""
         self._is_ours = False
         self._took_s, self._broke_off_s = 0.0, 0.0
         self._empty_since_s: float | None = None
@@ -100,16 +101,16 @@ class BucketWatch:
 
     @property
     def recordings(self) -> int | None:
-        """How many recordings the last listing held; None before the first."""
+        """Number of recordings in the last listing; None before the first."""
         return None if self.seen.last_success_s is None else self.seen.recordings
 
     def list_once(self) -> SyncResult:
-        """List the bucket, or the rest of it after a listing that broke off, and take it over.
+        """List the bucket, or resume an interrupted listing, and pass the result to the ledger.
 
         Raises:
             BucketUnreachableError: If the store does not answer, or a local folder is gone.
-            BucketRefusedError: If it says no.
-            OtherBucketError: If the ledger is that of another bucket.
+            BucketRefusedError: If the store refuses.
+            OtherBucketError: If the ledger belongs to another bucket.
         """
         objects = self._with_hidden(self._objects())
         if objects == self._taken_over and not self._ledger.stale_logs():
@@ -142,7 +143,7 @@ class BucketWatch:
         result = self._ledger.sync_recordings(found) if is_believed else SyncResult()
         self._taken_over = objects if is_believed else None
         if found and self._empty_since_s is not None:
-            log.info("bucket holds logs again", bucket=self._bucket.url, recordings=len(found))
+            log.info("bucket contains logs again", bucket=self._bucket.url, recordings=len(found))
             self._empty_since_s = None
         parts = [part for recording in found for part in recording.parts]
         self.seen = replace(
@@ -164,13 +165,13 @@ class BucketWatch:
         return result
 
     def _objects(self) -> list[ObjectMeta]:
-        """List to the end, or break off keeping what has come so far."""
+        """List to the end; on an error keep the objects listed so far."""
         began_s = self._elapsed_s()
         if self._listed and began_s - self._broke_off_s > RESUME_WITHIN_S:
             self._listed, self._took_s = [], 0.0
         listed = self._listed
         if listed:
-            log.info("listing goes on", after=listed[-1].key, objects=len(listed))
+            log.info("listing resumed", after=listed[-1].key, objects=len(listed))
         else:
             self._skipped = {}
         after = listed[-1].key if listed else None
@@ -197,20 +198,20 @@ class BucketWatch:
             self._skipped[skipped.name] = skipped
 
     def _name_skipped(self) -> None:
-        """Log each entry that is left out, once as long as it stays there."""
+        """Log each skipped entry, once as long as it exists."""
         new = [each for name, each in self._skipped.items() if name not in self._named]
         for each in new[:MAX_SKIPPED_NAMED]:
-            log.warning("entry of the bucket is left out", entry=each.name, problem=each.why)
+            log.warning("entry of the bucket skipped", entry=each.name, problem=each.why)
         if new[MAX_SKIPPED_NAMED:]:
-            log.warning("more entries are left out", entries=len(new) - MAX_SKIPPED_NAMED)
+            log.warning("further entries skipped", entries=len(new) - MAX_SKIPPED_NAMED)
         self._named = set(self._skipped)
 
     def _with_hidden(self, listed: list[ObjectMeta]) -> list[ObjectMeta]:
-        """Keep what the last listing showed in folders that may not be read any more.
+        """Add the objects that the last listing found in folders that can no longer be read.
 
         Raises:
-            BucketRefusedError: If logs of such a folder are recorded, and no listing since the
-                start has shown them: they would count as deleted.
+            BucketRefusedError: If the ledger knows logs of such a folder, and no listing since the
+                start has found them; they would count as deleted.
         """
         hidden = [f"{each.hides}/" for each in self._skipped.values() if each.hides]
         if not hidden:
@@ -223,7 +224,7 @@ class BucketWatch:
             if folder is not None:
                 problem = (
                     f"logs of the folder {folder} are recorded, but it may not be read; permit it, "
-                    f"or say exclude = {folder}* to have them count as deleted ({self._bucket.url})"
+                    f"or set exclude = {folder}* to have them count as deleted ({self._bucket.url})"
                 )
                 self._errors["refused"] += 1
                 self.seen = replace(self.seen, errors=dict(self._errors), problem=problem)
@@ -231,7 +232,7 @@ class BucketWatch:
         return listed
 
     def _is_empty_for_good(self) -> bool:
-        """Whether to believe that all logs are gone: a disk that is not mounted looks like that."""
+        """Return true if an empty bucket may be believed; an unmounted disk looks the same."""
         if not self._ledger.has_recordings():
             return True
         now_s = self._elapsed_s()
@@ -249,6 +250,6 @@ class BucketWatch:
 
 
 def is_wanted(key: str, *, include: Sequence[str], exclude: Sequence[str]) -> bool:
-    """Whether an object counts: it matches a pattern to include, if any, and none to exclude."""
+    """Return true if a key matches a pattern to include, if any, and none to exclude."""
     included = not include or any(fnmatchcase(key, each) for each in include)
     return included and not any(fnmatchcase(key, each) for each in exclude)

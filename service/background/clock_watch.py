@@ -1,4 +1,4 @@
-"""Notices when the clock of this machine is set: terms of leases, ages and rates count by it."""
+"""Detection of steps of the system clock, on which lease terms, ages and rates depend."""
 
 import time
 from collections.abc import Callable
@@ -9,17 +9,17 @@ import structlog
 log = structlog.get_logger(__name__)
 
 STEP_S: Final = 2.0
-"""A clock that is kept right moves by far less between two looks."""
+"""Smallest change that counts as a step, seconds; disciplined clocks move far less."""
 
 GLANCE_S: Final = 0.1
-"""A look at both clocks that took longer compares two different moments."""
+"""Longest read of both clocks, seconds; beyond it they are of different instants."""
 
 
 class ClockWatch:
-    """Compares the clock of the world with one that nobody can set.
+    """Compares the system clock with the monotonic clock.
 
     Attributes:
-        steps: Times that it was set `forward` and `back`; a machine that was suspended counts too.
+        steps: Number of steps `forward` and `back`; a suspended machine counts too.
     """
 
     def __init__(
@@ -28,18 +28,18 @@ class ClockWatch:
         now_s: Callable[[], float] = lambda: time.clock_gettime(time.CLOCK_REALTIME),
         steady_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Begin to compare.
+        """Read both clocks for the first time.
 
         Args:
             now_s: Seconds since the Unix epoch.
-            steady_s: Seconds that never step.
+            steady_s: Monotonic seconds.
         """
         self._now_s, self._steady_s = now_s, steady_s
         self.steps = {"forward": 0, "back": 0}
         self._offset_s: float | None = None
 
     def look(self) -> None:
-        """Say so if the clock was set since the last look."""
+        """Log a step of the clock since the last call."""
         began_s = self._steady_s()
         offset_s = self._now_s() - began_s
         if self._steady_s() - began_s > GLANCE_S:
@@ -51,6 +51,6 @@ class ClockWatch:
         if abs(step_s) >= STEP_S:
             self.steps["forward" if step_s > 0 else "back"] += 1
             log.warning(
-                "the clock was set: leases and waits are cut to their terms, nothing is lost",
+                "the clock was set: leases and waits are limited to their terms, nothing is lost",
                 step_s=round(step_s, 1),
             )

@@ -1,4 +1,4 @@
-"""One line now and then: a quiet daemon says that it lives, a busy one how far it has come."""
+"""Heartbeat in the log: rare lines of an idle daemon, progress each minute of a busy one."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -14,20 +14,20 @@ from service.store.work_items import WorkState
 log = structlog.get_logger(__name__)
 
 LOOK_S: Final = 5.0
-"""How often to look whether a line is due."""
+"""Interval of the checks for a due line, seconds."""
 
 BUSY_S: Final = 60.0
-"""While things change, one line sums up each minute, however much happens in it."""
+"""Interval of lines while something changes, seconds; one line sums up all changes."""
 
 WORK: Final = ("logs_waiting", "logs_growing", "shards_waiting", "shards_leased")
-"""A daemon with any of these is not quiet, however long it is silent: a slow shard is no idling."""
+"""Names of pending work; a daemon with any of it is not idle, even if a slow shard takes long."""
 
 Standing: TypeAlias = Mapping[str, int | float | None]
-"""How things stand, by name; what ends in `_s` grows by itself and is no news."""
+"""State of a daemon by name; values in `_s` grow by themselves and count as no change."""
 
 
 class Heartbeat:
-    """Says how a daemon stands: once in a while when nothing changes, each minute when it does."""
+    """Logs the state of a daemon: rarely while nothing changes, else each minute."""
 
     def __init__(
         self,
@@ -36,12 +36,12 @@ class Heartbeat:
         heartbeat_s: float,
         clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Begin to count.
+        """Start counting.
 
         Args:
-            standing: Says how things stand; asked only when a line may be due.
+            standing: Returns the state; called only when a line may be due.
             heartbeat_s: Longest silence, seconds.
-            clock_s: Seconds that never step back.
+            clock_s: Monotonic seconds.
         """
         self._standing, self._heartbeat_s, self._clock_s = standing, heartbeat_s, clock_s
         self._said_at_s = clock_s()
@@ -49,11 +49,11 @@ class Heartbeat:
 
     @property
     def interval_s(self) -> float:
-        """How often `beat` wants to be called, seconds."""
+        """Interval at which `beat` is to be called, seconds."""
         return min(LOOK_S, self._heartbeat_s)
 
     def beat(self) -> None:
-        """Say how things stand, if it is time to."""
+        """Log the state, if a line is due."""
         silent_s = self._clock_s() - self._said_at_s
         if silent_s < min(BUSY_S, self._heartbeat_s):
             return
@@ -79,13 +79,13 @@ class Heartbeat:
 def service_standing(
     ledger: Ledger, session: zenoh.Session, *, root: str, listed_s: float | None
 ) -> Standing:
-    """How a service stands: what is found, what waits, who works, when the bucket was last seen.
+    """Return the state of a service: logs, waiting work, live workers, age of the last listing.
 
     Args:
-        ledger: What is found and waits.
-        session: Who works.
+        ledger: Source of logs and work.
+        session: Source of the workers alive.
         root: First part of every key.
-        listed_s: When the bucket was listed last, by the ledger's clock; None: not yet.
+        listed_s: Ledger time of the last listing, seconds; None: not yet.
 
     Raises:
         StoreUnavailableError: If the database does not answer now.
@@ -106,6 +106,6 @@ def service_standing(
 
 
 def workers_alive(session: zenoh.Session, *, root: str) -> int:
-    """Count the workers that the bus knows to live now, wherever they run."""
+    """Count the workers with a liveliness token on the bus, on any machine."""
     found = session.liveliness().get(keys.all_live(root=root, role="worker"), timeout=5)
     return sum(reply.ok is not None for reply in found)

@@ -1,6 +1,6 @@
-"""Deletes overlays of scenes that were withdrawn long ago, where the settings ask for that.
+"""Deletion of the overlays of scenes withdrawn long ago, where the settings ask for it.
 
-Only objects that the ledger can name, one by one: nothing is listed, and nothing else is touched.
+Only objects named in the ledger are deleted; the artifacts bucket is never listed.
 """
 
 from threading import Event
@@ -17,35 +17,35 @@ log = structlog.get_logger(__name__)
 
 DAY_S: Final = 86_400.0
 BATCH: Final = 100
-"""Overlays between two looks at the ledger: what became needed meanwhile is kept."""
+"""Overlays per query of the ledger; one that is needed again by then is kept."""
 
 LONGEST_INTERVAL_S: Final = 3600.0
 SHORTEST_INTERVAL_S: Final = 1.0
 
 
 class OverlaySweep:
-    """Deletes what nobody has needed for so long; killed anywhere, it goes on where it was.
+    """Deletes overlays that have been unused for a given time; resumes after a kill.
 
     Attributes:
-        interval_s: How often to sweep, seconds.
+        interval_s: Interval of sweeps, seconds.
         deleted: Overlays deleted by this process.
     """
 
     def __init__(
         self, artifacts: Bucket, ledger: Ledger, *, keep_s: float, log_bucket_url: str
     ) -> None:
-        """Take where overlays lie, and what knows which are needed.
+        """Keep the artifacts bucket and the ledger.
 
         Args:
-            artifacts: Where overlays lie.
-            ledger: Knows which scenes are current, and since when others are not.
-            keep_s: An overlay is kept for so long after its scene was withdrawn, seconds; counted
-                from the first sweep that saw it.
-            log_bucket_url: Where logs lie.
+            artifacts: Bucket of the overlays.
+            ledger: Knows the current scenes, and since when others are withdrawn.
+            keep_s: Time for which an overlay is kept after its scene was withdrawn, seconds;
+                counted from the first sweep that saw it.
+            log_bucket_url: URL of the log bucket.
 
         Raises:
-            UsageError: If one of the two places lies in the other: nothing is ever deleted in the
-                log bucket.
+            UsageError: If one of the two places lies in the other, since nothing is ever deleted in
+                the log bucket.
         """
         places = sorted((f"{artifacts.url.rstrip('/')}/", f"{log_bucket_url.rstrip('/')}/"))
         if places[1].startswith(places[0]):
@@ -59,7 +59,7 @@ class OverlaySweep:
         self.deleted = 0
 
     def sweep(self, stop: Event) -> None:
-        """Note what is not needed since now, and delete what has not been needed for long.
+        """Mark overlays that have become unused, and delete those unused for long enough.
 
         Raises:
             TransientError: If artifacts or database do not answer now.
@@ -73,7 +73,7 @@ class OverlaySweep:
         finally:
             if self.deleted > before:
                 log.info(
-                    "overlays of scenes withdrawn long ago deleted",
+                    "overlays of withdrawn scenes deleted",
                     overlays=self.deleted - before,
                     keep_withdrawn_days=self._keep_s / DAY_S,
                 )

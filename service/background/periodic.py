@@ -1,4 +1,4 @@
-"""Work that is done again and again while the service lives, and waits out what may pass."""
+"""Periodic work of the service, which retries after errors that may pass."""
 
 from collections.abc import Callable, Iterator
 from threading import Event
@@ -14,7 +14,7 @@ from service.store.single_writer_lock import DatabaseTakenError
 log = structlog.get_logger(__name__)
 
 ENDING: Final = (StateUnusableError, StateInUseError, OtherBucketError, DatabaseTakenError)
-"""The state cannot be used, is another service's, or is that of another bucket."""
+"""Errors that end the service: the state is unusable, in use, or of another bucket."""
 
 FIRST_RETRY_S: Final = 1.0
 MOST_RETRY_S: Final = 60.0
@@ -32,23 +32,23 @@ def tick(
     ending: tuple[type[CounterpointError], ...] = ENDING,
     on_fault: Callable[[], None] = lambda: None,
 ) -> None:
-    """Do the work, wait, and do it again, until told to stop.
+    """Repeat the work at an interval until `stop` is set.
 
-    What may pass is said once and waited out. What nobody foresaw is a fault of the program: it is
-    logged with its trace, counted, and the work is tried again like what may pass, since a service
-    that still does the rest of its work is worth more than none. Only `ending` errors end the
-    loop, and with it the service: then every further step could do harm.
+    An error that may pass is logged once, and the work is retried. An unexpected error is a fault
+    of the program: it is logged with its trace and counted, and the work is retried too, since the
+    rest of the service still works. Only `ending` errors end the loop, and with it the service:
+    after these every further step could do harm.
 
     Args:
-        work: What to do.
-        what: What the log calls it.
-        interval_s: Wait between two times, seconds.
+        work: The work.
+        what: Name of the work in the log.
+        interval_s: Wait between two calls, seconds.
         stop: Ends the loop.
-        alarm: Whoever sets it ends the wait early; set it together with `stop`. None: `stop` alone.
+        alarm: Ends the wait early when set; set it together with `stop`. None: `stop` alone.
         most_retry_s: Longest wait after an error, seconds; None: `MOST_RETRY_S`.
-        passing: Errors that may pass. Said again only when another kind of them follows.
+        passing: Errors that may pass. Logged again only when another kind of them follows.
         ending: Errors after which the service must not go on.
-        on_fault: Told of every error that is neither.
+        on_fault: Called for every error that is neither.
 
     Raises:
         CounterpointError: One of `ending`.

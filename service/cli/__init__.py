@@ -1,1 +1,1 @@
-"""The one command, `counterpoint`, a file per group of verbs."""
+"""Command line `counterpoint`, with a file per group of verbs."""

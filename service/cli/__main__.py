@@ -1,6 +1,6 @@
-"""Entry point of the command, which loads nothing itself.
+"""Entry point of the command, free of imports of its own.
 
-Every worker process begins by reading this file again, and needs none of the verbs.
+Every worker process reads this file again at its start, and needs none of the verbs.
 """
 
 import os
@@ -8,10 +8,10 @@ import sys
 
 
 def open_closed_streams() -> None:
-    """Put /dev/null where stdin, stdout or stderr are closed.
+    """Open /dev/null in place of closed stdin, stdout or stderr.
 
-    Python has None for such a stream, and the next file that is opened, such as a database, would
-    get its number: what a library writes to stderr would go there.
+    Python represents such a stream as None. The next file that is opened, such as a database, would
+    get its descriptor, and a library's messages on stderr would be written into it.
     """
     for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
         try:
@@ -24,7 +24,7 @@ def open_closed_streams() -> None:
 
 
 def console() -> None:
-    """Load the verbs, and run the one that is asked for."""
+    """Import the verbs, and run the requested one."""
     open_closed_streams()
     from service.cli.main import console as run
 

@@ -1,4 +1,4 @@
-"""The verb `bench simulation`: how fast frames are simulated, and how like real ones they are."""
+"""Verb `bench simulation`: speed of the simulator and fidelity of its frames."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -20,19 +20,19 @@ def simulation(
         str | None, typer.Argument(help="URL or path of a real .mcap file to compare with.")
     ] = None,
     sensor: Annotated[
-        str, typer.Option("--sensor", help="Which simulated lidar: pandar64, hdl64, …")
+        str, typer.Option("--sensor", help="Simulated lidar: pandar64, hdl64, …")
     ] = "pandar64",
     frames: Annotated[
-        int, typer.Option("--frames", min=1, max=MOST, help="How many frames to time.")
+        int, typer.Option("--frames", min=1, max=MOST, help="Number of timed frames.")
     ] = 20,
     picture: Annotated[
-        Path | None, typer.Option("--picture", help="PNG of a real frame beside simulated ones.")
+        Path | None, typer.Option("--picture", help="PNG of a real frame next to simulated ones.")
     ] = None,
     json: Json = False,
     config: Config = None,
     force: Force = False,
 ) -> None:
-    """Time the simulator on one core; with a log, say how like it simulated frames are."""
+    """Time the simulator on one core; with a log, compare simulated frames to its real ones."""
     from service.cli.logs import locate
     from workers.lab.evaluation.benchmarks.bench_simulation import bench_rates, simulated_looks
     from workers.lab.evaluation.benchmarks.real_frames import real_look

@@ -1,4 +1,4 @@
-"""Verb `calibrate sensor`: fits the profile of a range image to the logs of any lidar."""
+"""Verb `calibrate sensor`: fits the profile of a range image to logs of any lidar."""
 
 from pathlib import Path
 from typing import Annotated, Final
@@ -10,12 +10,12 @@ from service.cli.output import json_line, progress, remark
 from service.output_files import need_writable, save_text
 
 _FEW_FRAMES: Final = 5
-"""Of fewer frames, means and deviations are those of one place."""
+"""Number of frames below which means and deviations describe a single place."""
 
 
 def add_to(app: typer.Typer) -> None:
     """Add the verbs of this file to the command."""
-    calibrate = typer.Typer(no_args_is_help=True, help="Measure a sensor from its own logs.")
+    calibrate = typer.Typer(no_args_is_help=True, help="Calibrate a sensor from its own logs.")
     calibrate.command(
         epilog="counterpoint calibrate sensor logs/car-7/*/*.mcap --out roof-lidar.json"
     )(sensor)
@@ -25,22 +25,25 @@ def add_to(app: typer.Typer) -> None:
 
 def sensor(
     logs: Annotated[list[str], typer.Argument(help="URLs or paths of .mcap files of one sensor.")],
-    out: Annotated[Path, typer.Option("--out", help="The profile: a .json or .toml file.")],
+    out: Annotated[Path, typer.Option("--out", help="Profile to write: a .json or .toml file.")],
     name: Annotated[
-        str | None, typer.Option("--name", help="What the profile is called; the file's name.")
+        str | None, typer.Option("--name", help="Name of the profile; default: the file's name.")
     ] = None,
     frames: Annotated[
-        int, typer.Option("--frames", min=1, max=MOST, help="At most, of each log.")
+        int, typer.Option("--frames", min=1, max=MOST, help="Frames per log at most.")
     ] = 20,
     every: Annotated[
-        int, typer.Option("--every", min=1, max=MOST, help="One of so many frames.")
+        int, typer.Option("--every", min=1, max=MOST, help="Interval of the frames taken.")
     ] = 10,
     rows: Annotated[
         int | None,
-        typer.Option("--rows", min=1, max=MOST, help="Evenly spaced, not one for each beam."),
+        typer.Option(
+            "--rows", min=1, max=MOST, help="Evenly spaced rows; default: one for each beam."
+        ),
     ] = None,
     columns: Annotated[
-        int | None, typer.Option("--columns", min=1, max=MOST, help="Instead of those measured.")
+        int | None,
+        typer.Option("--columns", min=1, max=MOST, help="Columns; default: as measured."),
     ] = None,
     topic: Annotated[
         str | None, typer.Option("--topic", help="Lidar topic, where a log has several.")

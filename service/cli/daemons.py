@@ -1,4 +1,4 @@
-"""Verbs that stay: `run` is everything on one machine; `service`, `worker`, `router` its parts."""
+"""Verbs of daemons: `run` starts all parts; `service`, `worker`, `router` start one each."""
 
 from typing import Annotated
 
@@ -31,33 +31,34 @@ from service.cli.report import say_what_was_found
 from service.errors import UsageError
 from service.settings.config import DEFAULT_ENDPOINT, Settings
 
-Once = Annotated[bool, typer.Option("--once", help="Mine what is there, then stop.")]
+Once = Annotated[bool, typer.Option("--once", help="Mine the logs now in the bucket, then stop.")]
 DryRun = Annotated[
     bool,
     typer.Option(
         "--dry-run",
-        help="List logs, what is left to mine of them, and the estimated hours; write nothing.",
+        help="List logs, the work left and its estimated hours; write nothing.",
     ),
 ]
 Listen = Annotated[
-    str | None, typer.Option("--listen", help="tcp/ADDRESS:PORT of the router; a free port.")
+    str | None,
+    typer.Option("--listen", help="tcp/ADDRESS:PORT of the router; default: a free port."),
 ]
-Workers = Annotated[int | None, typer.Option("--workers", help="Worker processes; 2.")]
+Workers = Annotated[int | None, typer.Option("--workers", help="Worker processes; default 2.")]
 
 
 AcceptedBucket = Annotated[
     str | None,
-    typer.Option("--bucket", help="Read only here, where the router is on another machine."),
+    typer.Option("--bucket", help="Only bucket to accept, if the router is on another machine."),
 ]
 AcceptedArtifacts = Annotated[
     str | None,
-    typer.Option("--artifacts", help="Write overlays only here, where it is."),
+    typer.Option("--artifacts", help="Only place for overlays to accept, if it is."),
 ]
 AcceptedModel = Annotated[
-    str | None, typer.Option("--model", help="Load only this adapter, or one in this folder.")
+    str | None, typer.Option("--model", help="Only adapter to accept, or the folder of it.")
 ]
 AcceptedWeights = Annotated[
-    str | None, typer.Option("--weights", help="Load weights only from this folder.")
+    str | None, typer.Option("--weights", help="Only folder of weights to accept.")
 ]
 
 
@@ -100,7 +101,7 @@ def run(
 ) -> None:
     """Run router, service and workers on this machine; watch the bucket, or mine it --once.
 
-    With --once it ends with 3 when work is parked: all else is mined, but its scenes are missing.
+    With --once the exit code is 3 if work is parked: all else is mined, but its scenes are missing.
     """
     settings = settings_for(
         config,
@@ -169,7 +170,7 @@ def service(
     log_format: LogFormat = None,
     log_level: LogLevel = None,
 ) -> None:
-    """Run the service alone: bucket watch, ledger, ranking. Needs a router and workers."""
+    """Run the service alone: bucket watch, ledger, ranking. It needs a router and workers."""
     from service.embedded import run_service
 
     settings = settings_for(
@@ -207,9 +208,9 @@ def worker(
     log_format: LogFormat = None,
     log_level: LogLevel = None,
 ) -> None:
-    """Run workers for a service elsewhere; they learn bucket and mining settings from it.
+    """Run workers for a service elsewhere; it sends them the bucket and the mining settings.
 
-    Where the router is on another machine they accept only what their own settings name, too.
+    With a router on another machine they accept only what their own settings name as well.
     """
     from service.embedded import run_workers
 
@@ -250,7 +251,7 @@ def need_bucket(settings: Settings) -> None:
     """Refuse to start without a bucket.
 
     Raises:
-        UsageError: If no bucket is named.
+        UsageError: If the settings name no bucket.
     """
     if not settings.bucket:
         raise UsageError(
@@ -265,7 +266,7 @@ def _dry_run(settings: Settings, *, as_json: bool) -> None:
     from service.dry_run import plan_dry_run
 
     with progress() as bar:
-        task = bar.add_task("looking into logs", total=None)
+        task = bar.add_task("reading indexes of logs", total=None)
         found = plan_dry_run(
             settings,
             on_progress=lambda done, total: bar.update(task, completed=done, total=total),

@@ -1,4 +1,4 @@
-"""The verb `demo`: a small simulated fleet, mined, ranked, drawn, and held against its truth."""
+"""Verb `demo`: mines, ranks and draws a small simulated fleet, and compares it with its truth."""
 
 import time
 from collections.abc import Sequence
@@ -30,7 +30,9 @@ def demo(
     log_level: LogLevel = None,
     force: Annotated[
         bool,
-        typer.Option("--force", help="Replace fleet/, state/ and pictures/ of no earlier demo."),
+        typer.Option(
+            "--force", help="Replace fleet/, state/ and pictures/ even if no demo made them."
+        ),
     ] = False,
 ) -> None:
     """Simulate street logs, mine them, rank the scenes, draw the best ones."""
@@ -52,12 +54,12 @@ def demo(
     failing = sum(bool(scene.failures) for scene in result.scenes)
     named = sum(scene.named is True for scene in result.scenes)
     remark(
-        f"the first reason names what was planted in {named} of "
+        f"the first reason is about the injected failure in {named} of "
         f"{counted(failing, 'scene')} with a failure"
     )
     table(
-        f"how well rankings find the {failing} of {len(result.scenes)} scenes with a planted "
-        "failure",
+        f"how well rankings find the {failing} of {len(result.scenes)} scenes with an "
+        "injected failure",
         ("ranked by", "average precision", "precision of the first 10 %", "of the first 20 %"),
         (
             (each.name, each.ap, each.precision_at["10"], each.precision_at["20"])
@@ -74,13 +76,13 @@ def demo(
 
 
 def say_demo_ranking(scenes: "Sequence[DemoScene]", *, most: int = DEMO_ROWS) -> None:
-    """Print the best scenes, and of the others those in which a failure was planted."""
+    """Print the best scenes, and below them the others with an injected failure."""
     rank_of = {scene.row.scene_id: scene.row.rank for scene in scenes}
     shown = [scene for scene in scenes if scene.row.rank <= most or scene.failures]
     table(
         f"{counted(len(scenes), 'scene')}: the best {most}, and of the others those with a planted "
         "failure",
-        ("rank", "score", "scene", "planted", "why names it", "who errs", "why", "twin of rank"),
+        ("rank", "score", "scene", "planted", "reason names it", "who errs", "why", "twin of rank"),
         (
             (
                 scene.row.rank,

@@ -1,4 +1,4 @@
-"""The verbs `eval motion` and `eval semantics`: labels of streams against truth."""
+"""Verbs `eval motion` and `eval semantics`: labels of streams against ground truth."""
 
 import sys
 from pathlib import Path
@@ -19,16 +19,19 @@ WORST_FRAMES = 10
 
 Truth = Annotated[
     Path,
-    typer.Option("--truth", help="Truth of BUCKET/x/y.mcap in DIR/x/y, as deploy/TRUTH.md says."),
+    typer.Option(
+        "--truth",
+        help="Folder DIR with the truth of BUCKET/x/y.mcap in DIR/x/y; see deploy/TRUTH.md.",
+    ),
 ]
 Frames = Annotated[
-    str, typer.Option("--frames", help="A:B, half open, per log; earlier ones warm up.")
+    str, typer.Option("--frames", help="Frames A:B of each log, half open; earlier ones warm up.")
 ]
 
 
 def add_to(app: typer.Typer) -> None:
     """Add the verbs of this file to the command."""
-    evaluation = typer.Typer(no_args_is_help=True, help="Judge against truth.")
+    evaluation = typer.Typer(no_args_is_help=True, help="Evaluate streams against ground truth.")
     evaluation.command(epilog="counterpoint eval motion logs --truth truth --frames 10:56 --json")(
         motion
     )
@@ -47,27 +50,27 @@ def motion(
         list[str] | None,
         typer.Option(
             "--stream",
-            help="Which labels: selfsupervised (default), supervised, or a part by its name. Given "
-            "more than once: side by side, a row each.",
+            help="Stream to evaluate: selfsupervised (default), supervised, or the name of a "
+            "part. Repeatable, for a row each.",
         ),
     ] = None,
     alone: Annotated[
-        bool, typer.Option("--alone", help="Do not run the other stream beside it.")
+        bool, typer.Option("--alone", help="Run this stream without the other one.")
     ] = False,
     rows: Annotated[
         str, typer.Option("--rows", help="Beams to keep, a slice from the lowest up: 0::2.")
     ] = "",
     every: Annotated[
-        int, typer.Option("--every", min=1, max=MOST, help="Keep one frame in so many.")
+        int, typer.Option("--every", min=1, max=MOST, help="Interval of the frames kept.")
     ] = 1,
     yaw_noise_deg: Annotated[
         float,
         typer.Option(
-            "--yaw-noise-deg", min=0.0, max=360.0, help="Turn each pose at random, degrees."
+            "--yaw-noise-deg", min=0.0, max=360.0, help="Random rotation of each pose, degrees."
         ),
     ] = 0.0,
     labels: Annotated[
-        Path | None, typer.Option("--labels", help="Write what was judged to DIR/x/y/NNNNNN.npz.")
+        Path | None, typer.Option("--labels", help="Write labels and truth to DIR/x/y/NNNNNN.npz.")
     ] = None,
     plot: Annotated[
         Path | None, typer.Option("--plot", help="Draw the table into this PNG file.")
@@ -80,7 +83,7 @@ def motion(
     config: Config = None,
     force: Force = False,
 ) -> None:
-    """Judge motion labels point by point, of one stream or of several side by side."""
+    """Evaluate motion labels per point, of one stream or of several side by side."""
     streams = tuple(dict.fromkeys(stream or ["selfsupervised"]))
     bounds, beams = parse_frames(frames), parse_rows(rows)
     settings = settings_for(config, bucket=bucket, weights=weights)
@@ -148,12 +151,12 @@ def semantics(
     truth: Truth,
     frames: Frames = "0:",
     stream: Annotated[
-        str, typer.Option("--stream", help="Whose classes: supervised, or a part by its name.")
+        str, typer.Option("--stream", help="Stream to evaluate: supervised, or the name of a part.")
     ] = "supervised",
     json: Json = False,
     config: Config = None,
 ) -> None:
-    """Judge the supervised stream's classes point by point, in eleven coarse ones."""
+    """Evaluate the supervised stream's classes per point, in eleven coarse classes."""
     first, last = parse_frames(frames)
     settings = settings_for(config, bucket=bucket)
     from workers.lab.evaluation.semantics.semantics import evaluate_semantics
@@ -188,7 +191,7 @@ def semantics(
 
 
 def _say(evaluated: "list[LogEvaluation]", streams: tuple[str, ...]) -> None:
-    """Print what a person wants to see first; the JSON lines hold everything."""
+    """Print a summary table; the JSON lines contain everything."""
     several = len(streams) > 1
 
     def named(row: "LogEvaluation", *cells: object) -> tuple[object, ...]:
@@ -252,7 +255,7 @@ def _tracks(row: "LogEvaluation", kind: str) -> str:
 
 
 def parse_rows(text: str) -> slice | None:
-    """Read a slice as Python writes it, `0::2`; nothing keeps every beam.
+    """Parse a Python slice such as `0::2`; empty text keeps every beam.
 
     Raises:
         UsageError: If it is no slice.
@@ -270,10 +273,10 @@ def parse_rows(text: str) -> slice | None:
 
 
 def parse_frames(text: str) -> tuple[int, int | None]:
-    """Read `A:B`, half open; either side may be empty.
+    """Parse the half-open range `A:B`; either side may be empty.
 
     Raises:
-        UsageError: If it is not two counts with a colon between.
+        UsageError: If it is not two counts with a colon between them.
     """
     first, colon, last = text.partition(":")
     try:

@@ -1,4 +1,4 @@
-"""The verb `bench failures`: whether what contradicts is what fails, beside other rankings."""
+"""Verb `bench failures`: how well contradictions find failures, compared with other rankings."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -37,11 +37,17 @@ def failures(
     ],
     truth: Annotated[
         Path | None,
-        typer.Option("--truth", help="Truth of URL/x/y.mcap in DIR/x/y, as deploy/TRUTH.md says."),
+        typer.Option(
+            "--truth",
+            help="Folder DIR with the truth of URL/x/y.mcap in DIR/x/y; see deploy/TRUTH.md.",
+        ),
     ] = None,
     only: Annotated[
         str | None,
-        typer.Option("--table", help="planted or natural; both where the logs allow it."),
+        typer.Option(
+            "--table",
+            help="Failures to evaluate: planted or natural; default: both where the logs allow it.",
+        ),
     ] = None,
     report: Annotated[
         Path | None, typer.Option("--report", help="Write a page with plots to this file.")
@@ -51,7 +57,9 @@ def failures(
     ] = 2,
     kept: Annotated[
         Path | None,
-        typer.Option("--kept", help="Folder of what was mined before; bench in the state folder."),
+        typer.Option(
+            "--kept", help="Folder of cached results; default: bench in the state folder."
+        ),
     ] = None,
     slip_logs: Annotated[
         int,
@@ -59,21 +67,24 @@ def failures(
             "--slip-logs",
             min=0,
             max=MOST,
-            help="Logs that are mined again, a slip in every scene (planted).",
+            help="Logs mined again with an odometry slip in every scene (planted).",
         ),
     ] = 0,
     second: Annotated[
         Path | None,
-        typer.Option("--second", help="Folder of other weights: how much two networks differ."),
+        typer.Option(
+            "--second", help="Folder of other weights, to measure the difference of two networks."
+        ),
     ] = None,
     probe_every: Annotated[
         int,
         typer.Option(
-            "--dropout-every", min=0, max=MOST, help="MC-dropout on one frame in so many; 0: none."
+            "--dropout-every", min=0, max=MOST, help="Interval of frames with MC dropout; 0: none."
         ),
     ] = 10,
     draws: Annotated[
-        int, typer.Option("--draws", min=0, max=MOST, help="Of the bootstrap; 0: no intervals.")
+        int,
+        typer.Option("--draws", min=0, max=MOST, help="Draws of the bootstrap; 0: no intervals."),
     ] = 1000,
     supervised: Supervised = None,
     model: Model = None,
@@ -83,7 +94,7 @@ def failures(
     config: Config = None,
     force: Force = False,
 ) -> None:
-    """Measure how well contradictions find failures, beside other ways to look for them."""
+    """Measure how well contradictions find failures, compared with other rankings."""
     if only not in (None, *TABLES):
         raise UsageError(f"--table must be planted or natural, got {only!r}")
     if report is not None:
@@ -131,7 +142,7 @@ def failures(
             _say_natural(bench.natural)
         remark(COLUMNS_MEAN)
     for judged_in, stream in bench.judged.items():
-        remark(f"judged in {judged_in}: supervised stream {stream}")
+        remark(f"evaluated in {judged_in}: supervised stream {stream}")
     if report is None:
         remark("a page with plots, and with what each kind means: --report FILE.html")
     else:
@@ -140,7 +151,7 @@ def failures(
 
 
 def _beside(url: str) -> Path:
-    """Folder of the truth of a fleet, which must lie on this machine.
+    """Return the folder with the truth of a fleet, which must lie on this machine.
 
     Raises:
         UsageError: If the fleet lies elsewhere.
@@ -160,7 +171,7 @@ def _say_planted(found: "PlantedTable") -> None:
     table(
         f"planted: {counted(found.failures, 'failure')} in {found.failing_scenes} of "
         f"{counted(found.scenes, 'scene')}",
-        (*COLUMNS, "found a minute", "found area"),
+        (*COLUMNS, "found per minute", "found area"),
         [_row("score", found)] + [_row(name, row) for name, row in _best_first(found.baselines)],
     )
     table(
@@ -194,7 +205,7 @@ def _say_natural(found: "NaturalTable") -> None:
     table(
         f"natural: the stream fails on {found.failing_things} of {found.things} things, in "
         f"{found.failing_scenes} of {counted(found.scenes, 'scene')}",
-        (*COLUMNS, "found a minute", "found area"),
+        (*COLUMNS, "found per minute", "found area"),
         [_row("strength", found)] + [_row(name, row) for name, row in _best_first(found.baselines)],
     )
     table(
@@ -208,7 +219,7 @@ def _say_natural(found: "NaturalTable") -> None:
 def _say_who(found: "PlantedTable | NaturalTable") -> None:
     said = found.attribution
     table(
-        f"who is wrong: balanced accuracy {said.accuracy}, always the commonest {said.commonest}",
+        f"attribution: balanced accuracy {said.accuracy}, of a constant {said.commonest}",
         ("true", "tracks", "recall", *(f"said {name}" for name in said.cases)),
         (
             (name, count, said.recall[name], *said.confusion[name].values())
@@ -218,7 +229,7 @@ def _say_who(found: "PlantedTable | NaturalTable") -> None:
 
 
 def _say_what_it_is_too_small_for(bench: "FailureBench") -> None:
-    """Say what a fleet is too small for, before figures are read that mean little."""
+    """Warn about figures for which the fleet is too small."""
     from workers.lab.evaluation.failures.intervals import FEWEST_LOGS
     from workers.lab.evaluation.failures.retrieval import looked_at
 

@@ -1,4 +1,4 @@
-"""Writes `deploy/GLOSSARY.md`: `python -m service.cli.glossary_page > deploy/GLOSSARY.md`."""
+"""Generator of `deploy/GLOSSARY.md`: `python -m service.cli.glossary_page > deploy/GLOSSARY.md`."""
 
 import inspect
 import re
@@ -10,51 +10,53 @@ from workers.contradiction.track_features import Evidence
 from workers.lab.simulation.faults.plan import DISTURBANCE_MEANS, FAILURE_MEANS
 
 _HEAD = """\
-# What reasons and reports name
+# Glossary of reasons and reports
 
 Written by `python -m service.cli.glossary_page`. The words of the system itself, from log to
-selection, stand in [`schemas/README.md`](../schemas/README.md).
+selection, are in [`schemas/README.md`](../schemas/README.md).
 """
 
 
 def evidence_means() -> dict[str, str]:
-    """Say of each named number of evidence what it is, as its class documents it."""
+    """Return the meaning of each evidence field, as its class documents it."""
     text = inspect.getdoc(Evidence) or ""
     rows = re.findall(r"^ {4}(\w+): (.+(?:\n {8}.+)*)", text, flags=re.MULTILINE)
     return {name: " ".join(meaning.split()).rstrip(".") for name, meaning in rows}
 
 
 def glossary_page() -> str:
-    """Write the page."""
+    """Return the page."""
     failures = {kind.value: means for kind, means in FAILURE_MEANS.items()}
     disturbances = {kind.value: means for kind, means in DISTURBANCE_MEANS.items()}
     lines = [
         _HEAD,
         *_section(
-            "Planted failures",
-            "What the model on a simulated car was made to do, by `simulate` and `demo`.",
+            "Injected failures",
+            "Errors that `simulate` and `demo` inject into the labels of the model on a "
+            "simulated car.",
             ("kind", "the model on the car"),
             failures,
         ),
         *_section(
             "Disturbances",
-            "What disturbs a simulated scene without being a failure of the model.",
+            "Disturbances of a simulated scene that are no failures of the model.",
             ("kind", "the recording"),
             disturbances,
         ),
         *_section(
-            "What is told of a track",
-            "In reasons and records, `for` a verdict, `against` it, or neither (`also`). All are "
-            "read off points, none is the truth: of a pole or rail passed fast few points are seen "
-            "before and after, and it may be told to come from elsewhere or to leave its place.",
+            "Properties of a track",
+            "Reasons and records list them `for` an attribution, `against` it, or as neutral "
+            "(`also`). All are measured on points, and none is the truth. A pole or rail that is "
+            "passed fast has few points before and after, and may seem to arrive or to leave.",
             ("words", "meaning"),
             TOLD,
         ),
         *_section(
             "Evidence",
-            "The numbers, each 0 to 1, that the chances of a verdict follow from by one table "
-            "([`attribution.json`](../workers/contradiction/attribution.json)).",
-            ("name", "what it is"),
+            "Numbers from 0 to 1, from which one table "
+            "([`attribution.json`](../workers/contradiction/attribution.json)) computes the "
+            "probabilities of an attribution.",
+            ("name", "meaning"),
             evidence_means(),
         ),
     ]

@@ -1,4 +1,4 @@
-"""Verbs on one log: `inspect` says what is in it, `score` mines it without a bus."""
+"""Verbs on one log: `inspect` shows its content, `score` mines it without a bus."""
 
 from functools import partial
 from pathlib import Path
@@ -32,7 +32,9 @@ from service.output_files import need_folder, save_picture
 if TYPE_CHECKING:
     from workers.mine import MinedRecord
 
-LogUrl = Annotated[str, typer.Argument(help="URL or path of one .mcap file; any part of a split.")]
+LogUrl = Annotated[
+    str, typer.Argument(help="URL or path of one .mcap file, or of any part of a split recording.")
+]
 BucketRoot = Annotated[
     str | None,
     typer.Option("--bucket", help="Root that log_id is relative to, else COUNTERPOINT_BUCKET."),
@@ -52,7 +54,7 @@ def inspect(
     bucket: BucketRoot = None,
     config: Config = None,
 ) -> None:
-    """Say what is in a log, from its index; with --verify from every chunk."""
+    """Show the content of a log, from its index; with --verify from every chunk."""
     from workers.ingest.inspect import inspect_recording
 
     settings = settings_for(config, bucket=bucket)
@@ -123,7 +125,7 @@ def score(
             if pictures
             else lambda mined: None,
             on_unread_labels=lambda topic: remark(
-                f"this log holds recorded labels on {topic}; judge them by --supervised recorded"
+                f"this log has recorded labels on {topic}; compare them by --supervised recorded"
             ),
         ):
             if json:
@@ -151,9 +153,9 @@ def _draw(mined: "MinedRecord", *, folder: Path, force: bool) -> None:
 
 
 def locate(url: str, *, root_url: str) -> tuple[Bucket, Recording]:
-    """Find the recording that an object's URL belongs to, all parts of a split one.
+    """Find the recording of an object's URL, with all parts of a split one.
 
-    The bucket is `root_url` where the object lies in it, else what `open_object` makes of the URL.
+    The bucket is `root_url` where the object lies in it, else the one that `open_object` derives.
 
     Raises:
         NothingFoundError: If no such object exists.

@@ -1,4 +1,4 @@
-"""The command `counterpoint`: assembles the verbs, and turns every error into one sentence."""
+"""Entry point of `counterpoint`: assembles the verbs, and reports every error in one sentence."""
 
 import errno
 import os
@@ -43,7 +43,7 @@ _OF_THE_MACHINE: Final = _MAY_PASS | {
     *(errno.EACCES, errno.EPERM, errno.EROFS, errno.EIO, errno.ENOENT, errno.ENOTDIR),
     *(errno.EISDIR, errno.ENAMETOOLONG, errno.ELOOP, errno.EFBIG, errno.ENXIO, errno.ESTALE),
 }
-"""What a disk or its permissions answer: where no verb has said it better, it is said here."""
+"""Error numbers of disks and permissions, reported here if no verb has reported them better."""
 
 log = structlog.get_logger(__name__)
 
@@ -64,12 +64,12 @@ for measuring in (demo, simulate, evaluate, measure, calibrate, parts, settings,
 
 
 class _Terminated(BaseException):
-    """SIGTERM came: what a verb has made for the time being goes with it."""
+    """Raised on SIGTERM, so that a verb removes its temporary files."""
 
 
 @contextmanager
 def _unwound_by_sigterm() -> Iterator[None]:
-    """Let SIGTERM unwind a verb, as Ctrl-C does; daemons take signals in a way of their own."""
+    """Turn SIGTERM into an exception, as Ctrl-C is; daemons have signal handlers of their own."""
 
     def on_signal(number: int, _frame: FrameType | None) -> None:
         signal.signal(number, signal.SIG_DFL)
@@ -98,14 +98,15 @@ def _of_every_verb(
         typer.Option("--version", is_eager=True, callback=_say_version, help="Print the version."),
     ] = False,
 ) -> None:
-    """Take the options that stand before any verb."""
+    """Accept the options in front of any verb."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; return 0 when done, 1 for bad input or arguments, 75 to try again.
 
-    `run --once` returns 3 when work is parked: all else is mined, but its scenes are missing.
-    What nobody foresaw is our fault: 70, with the trace; who keeps daemons alive may try again.
+    `run --once` returns 3 if work is parked: all else is mined, but its scenes are missing. An
+    unexpected error is a fault of the program: 70, with the trace; a supervisor of daemons may try
+    again.
     """
     log_to_stderr()  # until a verb has read its settings
     remark_as_events(False)
@@ -141,7 +142,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     except Exception as error:
         if isinstance(error, OSError) and error.errno in _OF_THE_MACHINE:
-            log.debug("the machine refused", exc_info=True)
+            log.debug("the operating system refused", exc_info=True)
             return _say_refused(error)
         log.exception("this is a fault of the program; please report it with these lines")
         return EX_SOFTWARE
@@ -149,16 +150,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _say_refused(error: OSError) -> int:
-    """Say what a disk or its permissions answered, where no verb has said it better."""
+    """Report an error of a disk or its permissions, where no verb has reported it better."""
     where = f" ({os.fsdecode(error.filename)})" if error.filename else ""
     if not where:  # results, most likely, which the interpreter would write again as it ends
         _let_go_of_stdout()
-    remark(f"error: this machine refuses: {error.strerror}{where}", level="error")
+    remark(f"error: the operating system refuses: {error.strerror}{where}", level="error")
     return EX_TEMPFAIL if error.errno in _MAY_PASS else 1
 
 
 def _need_text(argv: Sequence[str]) -> list[str]:
-    """Refuse arguments that are no text: neither stores nor databases take them.
+    """Refuse arguments that are not valid text, which neither stores nor databases accept.
 
     Raises:
         UsageError: If one is not UTF-8 or has a NUL character.
@@ -170,7 +171,7 @@ def _need_text(argv: Sequence[str]) -> list[str]:
 
 
 def _let_go_of_stdout() -> None:
-    """Drop what cannot be written, so that the interpreter does not try again as it ends."""
+    """Discard unwritten output, so that the interpreter does not try again at its end."""
     with suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 

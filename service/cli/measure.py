@@ -1,4 +1,4 @@
-"""The verb `bench`: how long a part or the whole takes, beside floors of the same run."""
+"""Verb `bench`: time of a part or of the whole, compared with baselines of the same run."""
 
 import time
 from pathlib import Path
@@ -18,7 +18,7 @@ from service.output_files import need_folder
 
 def add_to(app: typer.Typer) -> None:
     """Add the verbs of this file to the command."""
-    bench = typer.Typer(no_args_is_help=True, help="Measure, beside floors of the same run.")
+    bench = typer.Typer(no_args_is_help=True, help="Benchmark, with baselines of the same run.")
     bench.command(epilog="counterpoint bench pipeline logs/car-7/2026-11-20/drive.mcap")(pipeline)
     bench.command(epilog="counterpoint bench motion logs/car-7/2026-11-20/drive.mcap")(motion)
     bench.command(epilog="counterpoint bench networks logs/car-7/2026-11-20/drive.mcap")(networks)
@@ -33,12 +33,12 @@ def pipeline(
         str | None, typer.Argument(help="URL or path of one .mcap file; none: a simulated street.")
     ] = None,
     frames: Annotated[
-        int, typer.Option("--frames", min=1, max=MOST, help="How many frames to time.")
+        int, typer.Option("--frames", min=1, max=MOST, help="Number of timed frames.")
     ] = 30,
     json: Json = False,
     config: Config = None,
 ) -> None:
-    """Say where the time of `score` goes, beside its parts alone."""
+    """Profile the stages of `score`, and time its parts alone."""
     from service.cli.logs import locate
     from workers.lab.evaluation.benchmarks.bench import bench_pipeline
 
@@ -66,21 +66,24 @@ def pipeline(
             for row in rows
         ),
     )
-    remark(f"judged: {said_of(settings.supervised, settings.selfsupervised)}")
+    remark(f"streams: {said_of(settings.supervised, settings.selfsupervised)}")
 
 
 def motion(
     url: Annotated[str, typer.Argument(help="URL or path of one .mcap file.")],
     frames: Annotated[
-        str, typer.Option("--frames", help="N after ten that warm up, or A:B, half open.")
+        str,
+        typer.Option(
+            "--frames", help="Number of frames after ten warm-up frames, or A:B, half open."
+        ),
     ] = "10:",
     processor: Annotated[
-        bool, typer.Option("--processor", help="Seconds of the processor, not of the wall.")
+        bool, typer.Option("--processor", help="Measure processor time instead of wall time.")
     ] = False,
     json: Json = False,
     config: Config = None,
 ) -> None:
-    """Say where the time of the self-supervised stream goes, beside KISS-ICP and Patchwork++."""
+    """Profile the self-supervised stream, and time KISS-ICP and Patchwork++ for comparison."""
     from service.cli.evaluate import parse_frames
     from service.cli.logs import locate
     from workers.lab.evaluation.benchmarks.bench_motion import bench_motion
@@ -122,25 +125,30 @@ def networks(
     ] = None,
     frames: Annotated[
         int,
-        typer.Option("--frames", min=1, max=MOST, help="How many frames, after ten that warm up."),
+        typer.Option(
+            "--frames", min=1, max=MOST, help="Number of timed frames, after ten warm-up frames."
+        ),
     ] = 5,
     rounds: Annotated[
-        int, typer.Option("--rounds", min=1, max=MOST, help="How often each is run.")
+        int, typer.Option("--rounds", min=1, max=MOST, help="Runs of each network.")
     ] = 3,
     only: Annotated[
-        str | None, typer.Option("--only", help="images (SalsaNext, LMNet) or flowstep3d.")
+        str | None,
+        typer.Option("--only", help="Networks to time: images (SalsaNext, LMNet) or flowstep3d."),
     ] = None,
     points: Annotated[
         list[int] | None,
-        typer.Option("--points", min=64, max=MOST, help="Size of FlowStep3D's clouds. Repeatable."),
+        typer.Option(
+            "--points", min=64, max=MOST, help="Points of FlowStep3D's clouds. Repeatable."
+        ),
     ] = None,
     processor: Annotated[
-        bool, typer.Option("--processor", help="Seconds of the processor, not of the wall.")
+        bool, typer.Option("--processor", help="Measure processor time instead of wall time.")
     ] = False,
     json: Json = False,
     config: Config = None,
 ) -> None:
-    """Time the networks beside a plain transcription of their published forward pass."""
+    """Time the networks and, for comparison, a plain transcription of their forward passes."""
     from service.cli.logs import locate
     from workers.lab.evaluation.benchmarks.bench_flow import FLOW_POINTS, bench_flow
     from workers.lab.evaluation.benchmarks.bench_networks import bench_images
@@ -192,23 +200,26 @@ def networks(
 
 def ledger(
     folder: Annotated[
-        Path, typer.Option("--folder", help="On the disk that will hold the state.")
+        Path, typer.Option("--folder", help="Folder on the disk for the state.")
     ] = Path(),
     scenes_per_shard: Annotated[
         int, typer.Option("--scenes-per-shard", min=1, max=MOST, help="Records in one commit.")
     ] = 10,
     shards: Annotated[
-        int, typer.Option("--shards", min=100, max=MOST, help="Timed for each row.")
+        int, typer.Option("--shards", min=100, max=MOST, help="Timed shards per row.")
     ] = 1000,
     filled: Annotated[
         int,
         typer.Option(
-            "--filled", min=0, max=MOST, help="Then once more, on so many scenes; 0: not."
+            "--filled",
+            min=0,
+            max=MOST,
+            help="Scenes in the ledger for a second run; 0: no second run.",
         ),
     ] = 100_000,
     json: Json = False,
 ) -> None:
-    """Count the durable commits of a second, beside what disk and SQLite alone allow."""
+    """Count durable commits per second, next to the limits of the disk and of SQLite alone."""
     from service.store.bench_ledger import bench_ledger
 
     if not folder.is_dir():
@@ -235,7 +246,7 @@ def ledger(
 
 
 def _simulated(folder: Path, *, frames: int) -> str:
-    """Write a street that is long enough, for those who have no log at hand."""
+    """Simulate a street log that is long enough, for a call without a log."""
     from workers.lab.evaluation.benchmarks.bench import WARMING_FRAMES
     from workers.lab.simulation.output.write import write_log
     from workers.lab.simulation.world.street_builder import build_street

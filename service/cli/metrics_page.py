@@ -1,4 +1,4 @@
-"""Writes `deploy/METRICS.md`: `python -m service.cli.metrics_page > deploy/METRICS.md`."""
+"""Generator of `deploy/METRICS.md`: `python -m service.cli.metrics_page > deploy/METRICS.md`."""
 
 from collections.abc import Iterable, Iterator
 from typing import Final
@@ -21,8 +21,8 @@ Label values come from closed sets, so that the number of series does not grow w
 hour and log: `counterpoint rates`, or `GET /rates?by=vehicle&since=7d`, which answers an array of
 flat rows.
 
-`counterpoint_worker_*` count attempts: a shard that is mined twice counts twice. Everything else is
-counted by the service, once, when it is on disk. The disagreement rate is
+`counterpoint_worker_*` count attempts: a shard that is mined twice counts twice. The service counts
+everything else, once, when it is on disk. The disagreement rate is
 
 ```
 sum(rate(counterpoint_points_total{agreement=~"only_.*"}[1h]))
@@ -38,21 +38,21 @@ scripts; `counterpoint rates --json` gives the same rows, one a line.
 
 * `by`: `vehicle`, `version` (of the software), `kind`, `hour` (the default) or `log`.
 * `since` (included) and `until` (not included) are times of recording, not of mining:
-  `2026-11-20T08:00:00Z`, `2026-11-20`, milliseconds since the epoch, or so long ago (`24h`, `7d`;
+  `2026-11-20T08:00:00Z`, `2026-11-20`, milliseconds since the epoch, or an age (`24h`, `7d`;
   also `m` and `w`).
 
 The answer is an array of flat rows over current scenes, hours in their order, all else worst first.
 Bad parameters are answered with 400 and a sentence, a database that does not answer with 503.
 
-| field | what it is |
+| field | meaning |
 |---|---|"""
 
 _MOST_VALUES: Final = 12
-"""More values of a label than this are not written out."""
+"""Values of a label up to which they are listed."""
 
 
 def metrics_page() -> str:
-    """Write the page: both lists, in the order in which they are served."""
+    """Return the page: both lists, in the order in which they are served."""
     from workers.worker.metrics import PoolMetrics, WorkerMetrics
 
     service = ServiceMetrics()
@@ -80,7 +80,7 @@ def _rate_fields() -> Iterator[str]:
 
 
 def _table(families: Iterable[Metric]) -> Iterator[str]:
-    yield "| metric | type | labels | what it means, and when to worry |"
+    yield "| metric | type | labels | meaning, and when to worry |"
     yield "|---|---|---|---|"
     for family in families:
         name = f"{family.name}_total" if family.type == "counter" else family.name
@@ -97,7 +97,7 @@ def _labels(family: Metric) -> str:
 
 
 def _label(label: str, values: list[str]) -> str:
-    """Name a label and what it may be; some are known only when a service runs."""
+    """Describe a label and its values; some are known only when a service runs."""
     if label in {"vehicle", "bucket", "version"}:
         return f"`{label}`"
     more = [", …"] if len(values) > _MOST_VALUES else []

@@ -1,4 +1,4 @@
-"""Options that several verbs share, and how a verb gets its settings from them."""
+"""Options shared by several verbs, and the settings made from them."""
 
 import textwrap
 from pathlib import Path
@@ -12,14 +12,14 @@ from service.cli.output import remark_as_events
 from service.settings.config import Settings, load_settings
 
 MOST: Final = 1_000_000_000
-"""Of anything that an option counts: more than any fleet has, and less than a database takes."""
+"""Largest count of any option; it exceeds every fleet, and fits a database column."""
 
 _HELP_WIDTH: Final = 50
-"""What is left beside the names of options on a terminal of 80 columns."""
+"""Columns for help texts, right of the option names, on a terminal of 80 columns."""
 
 
 def _choice_of(setting: PartSetting, what: str) -> str:
-    """Say what an option chooses, and below it each name it takes with its line."""
+    """Describe the choice of an option, and below it each accepted name with its line."""
     lines = [f"{what}, one of:"]
     for name, does in PART_LINES[setting].items():
         lines.append(name)
@@ -115,12 +115,12 @@ Json = Annotated[bool, typer.Option("--json", help="JSON lines on stdout.")]
 
 
 def settings_for(config: Path | None, **flags: Any) -> Settings:
-    """Read the settings of a verb, and log from now on as they say.
+    """Read the settings of a verb, and configure logging from them.
 
     Args:
-        config: What `--config` named.
-        flags: As `service.settings.config.read_settings` takes them; a list that is empty was not
-            given.
+        config: Value of `--config`.
+        flags: Flags as `service.settings.config.read_settings` takes them; an empty list counts as
+            not given.
 
     Raises:
         UsageError: If a name is unknown or a value impossible.
@@ -132,11 +132,11 @@ def settings_for(config: Path | None, **flags: Any) -> Settings:
 
 
 def log_as(settings: Settings, *, is_daemon: bool) -> None:
-    """Log, and remark, from the level that the settings name.
+    """Configure logs and remarks from the settings.
 
     Args:
-        settings: One file serves daemons and people.
-        is_daemon: Whether the format is theirs too; a verb that a person types speaks to a person.
+        settings: Settings of a verb; one file serves daemons and interactive verbs.
+        is_daemon: True to use their format too; an interactive verb always writes plain text.
     """
     as_json = is_daemon and settings.log_format == "json"
     log_to_stderr(level=settings.log_level, as_json=as_json)

@@ -1,7 +1,7 @@
-"""Where results and remarks go: JSON lines and tables to stdout, everything else to stderr.
+"""Output of the command line: JSON lines and tables to stdout, everything else to stderr.
 
-Nothing else in the package prints. What others wrote, such as names of vehicles and reasons, is
-made `visible` here: it can neither steer the terminal nor be taken for markup.
+Nothing else in the package prints. Foreign text, such as names of vehicles and reasons, is passed
+through `visible` here: it can neither steer the terminal nor be taken for markup.
 """
 
 import json
@@ -33,13 +33,13 @@ from schemas.visible import visible
 
 COMMAND: Final = "counterpoint"
 WIDE: Final = 120
-"""Characters of a table that goes into a pipe or a file, if COLUMNS does not say another width."""
+"""Width of a table in a pipe or a file, characters, if COLUMNS gives no other."""
 
 _LEAST: Final = 12
-"""Characters of a cell that is not broken for a narrow table."""
+"""Width up to which a cell is never broken for a narrow table, characters."""
 
 _COPIED: Final = ("scene", "log", "name")
-"""How columns begin that are there to be copied: they are never broken."""
+"""Beginnings of the names of columns that users copy from; their cells are never broken."""
 
 LINE_EVERY_S: Final = 30.0
 
@@ -53,24 +53,24 @@ results = Console(
 
 
 def json_line(row: BaseModel | Mapping[str, Any]) -> None:
-    """Write one result as one JSON line to stdout, at once, so that a pipe sees it live."""
+    """Write one result as one JSON line to stdout, flushed, so that a pipe sees it live."""
     data = row.model_dump(mode="json") if isinstance(row, BaseModel) else row
     sys.stdout.write(json.dumps(data) + "\n")
     sys.stdout.flush()
 
 
 def result_line(text: str) -> None:
-    """Write one result as one line to stdout, for a person."""
+    """Write one result as one line of plain text to stdout."""
     results.print(visible(text), markup=False, soft_wrap=True)
 
 
 def page(text: str) -> None:
-    """Write a page of our own to stdout, as it is."""
+    """Write a page of our own to stdout, unescaped."""
     sys.stdout.write(text)
 
 
 def usage(text: str) -> None:
-    """Write a help of our own to stderr, as it is, for who asked for nothing."""
+    """Write a help text of our own to stderr, unescaped, after a call without a verb."""
     sys.stderr.write(text.rstrip() + "\n")
 
 
@@ -78,12 +78,12 @@ _as_events = Event()
 
 
 def remark_as_events(on: bool) -> None:
-    """Choose who reads stderr: a person, or a machine that wants every line to be an event."""
+    """Choose the form of remarks on stderr: plain text, or log events for machines."""
     (_as_events.set if on else _as_events.clear)()
 
 
 def remark(text: str, *, level: Literal["info", "warning", "error"] = "info") -> None:
-    """Say something to the person at the terminal, or to the machine that reads the log."""
+    """Write a remark to the terminal, or as an event to the log."""
     if _as_events.is_set():
         getattr(log, level)(text)
     else:
@@ -91,19 +91,19 @@ def remark(text: str, *, level: Literal["info", "warning", "error"] = "info") ->
 
 
 def command() -> str:
-    """How this command is typed: as it was, where a shell does not find it by its name."""
+    """Return the command as the user can type it: its name, else its path."""
     typed = Path(sys.argv[0])
     unknown = typed.name == COMMAND and shutil.which(COMMAND) is None
     return str(typed) if unknown else COMMAND
 
 
 def counted(number: int, what: str) -> str:
-    """Say how many, with an s where they are not one."""
+    """Format a count with its noun, which gets an s unless the count is one."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def table(title: str, columns: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
-    """Print a table of results; numbers to the right."""
+    """Print a table of results; numbers are right-aligned."""
     heading = Text(visible(title), style="table.title")
     out = Table(title=heading, title_justify="left", header_style="bold")
     materialised = [[_cell(value) for value in row] for row in rows]
@@ -140,23 +140,23 @@ def _is_copied(column: str) -> bool:
 
 
 def _longest(rows: Sequence[Sequence[str]], index: int) -> int:
-    """Width of the longest cell of a column."""
+    """Return the width of the longest cell of a column."""
     return max((len(row[index]) for row in rows), default=0)
 
 
 def _natural_width(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> int:
-    """Width at which nothing is broken."""
+    """Return the width at which nothing is broken."""
     widths = (max(len(column), _longest(rows, index)) for index, column in enumerate(columns))
     return 1 + 3 * len(columns) + sum(widths)
 
 
 def _folded_width(column: str, rows: Sequence[Sequence[str]], index: int) -> int:
-    """Width of a column whose header is broken at its spaces: room for the long cells of others."""
+    """Return the width of a column whose header is broken at spaces, to make room for others."""
     return max(_longest(rows, index), *(len(word) for word in column.split(" ")))
 
 
 def _least_width(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> int:
-    """Width below which names would be cut and numbers broken: a file can be as wide as that."""
+    """Return the least width that cuts no name and breaks no number; a file can be that wide."""
     width = 1 + 3 * len(columns)
     for index, column in enumerate(columns):
         longest = _longest(rows, index)
@@ -166,28 +166,28 @@ def _least_width(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> int:
 
 
 class _Bar(Progress):
-    """Draws bars whose descriptions may name what others named."""
+    """Progress bar that escapes its descriptions, which may contain foreign names."""
 
     def add_task(self, description: str, *arguments: Any, **fields: Any) -> TaskID:
-        """Add a task, its description made visible."""
+        """Add a task with its description escaped."""
         return super().add_task(visible(description), *arguments, **fields)
 
     def update(self, task_id: TaskID, **fields: Any) -> None:
-        """Take in how far a task is."""
+        """Update the progress of a task."""
         if isinstance(fields.get("description"), str):
             fields["description"] = visible(fields["description"])
         super().update(task_id, **fields)
 
 
 class _Lines(Progress):
-    """Says how far the work is every half a minute, where no bar can be drawn."""
+    """Progress as a line every 30 s, where no bar can be drawn."""
 
     def __init__(self) -> None:
         super().__init__(disable=True)
         self._said_s = monotonic()
 
     def update(self, task_id: TaskID, **fields: Any) -> None:
-        """Take in how far a task is."""
+        """Update the progress of a task."""
         super().update(task_id, **fields)
         if _as_events.is_set() or monotonic() - self._said_s < LINE_EVERY_S:
             return
@@ -197,14 +197,14 @@ class _Lines(Progress):
 
 
 def _how_far(task: Task) -> str:
-    """What is done of a task, as the end of a line; nothing where nothing can be counted yet."""
+    """Return the progress of a task as the end of a line; empty if it cannot be counted yet."""
     if task.total is not None:
         return f": {task.completed:g} of {task.total:g}"
     return f": {task.completed:g}" if task.completed else ""
 
 
 def progress() -> Progress:
-    """Make a progress bar on stderr; a line now and then where stderr is no terminal."""
+    """Make a progress bar on stderr, or lines at intervals where stderr is no terminal."""
     if not remarks.is_terminal or _as_events.is_set():
         return _Lines()
     return _Bar(

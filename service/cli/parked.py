@@ -1,4 +1,4 @@
-"""How a run that ends by itself says that something is parked: one line, and an exit code."""
+"""Report of parked work at the end of `run --once`: one line, and an exit code."""
 
 import shlex
 from collections import Counter
@@ -12,11 +12,11 @@ EX_PARKED: Final = 3
 """Exit code of `run --once` when all else is mined, but scenes of parked work are missing."""
 
 MOST_NAMED: Final = 5
-"""Logs in one line."""
+"""Logs named in one line."""
 
 
 def parked_line(status: Status, settings: Settings) -> str:
-    """Say how much of which logs is parked, and how to have it tried again; empty: nothing is."""
+    """Return a line on parked work, its logs and the command that retries it; else nothing."""
     if not status.parked:
         return ""
     shards = Counter(work.log_id for work in status.parked if work.shard)
@@ -34,13 +34,13 @@ def parked_line(status: Status, settings: Settings) -> str:
     more = f" and {len(logs) - MOST_NAMED} more" if len(logs) > MOST_NAMED else ""
     return (
         f"error: {' and '.join(what)} of {counted(len(logs), 'log')} parked, their scenes are "
-        f"missing: {named}{more}; mend the cause that stands above, then run "
+        f"missing: {named}{more}; fix the cause reported above, then run "
         f"`{retry_command(settings)}` and the same command again"
     )
 
 
 def retry_command(settings: Settings) -> str:
-    """Write the command that has parked work of this state tried again, without a password."""
+    """Return the command that retries parked work of this state, without a password."""
     words = [command(), "retry", "--all"]
     if settings.state != DEFAULT_STATE:
         words += ["--state", str(settings.state)]

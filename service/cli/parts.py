@@ -1,4 +1,4 @@
-"""Verb `parts`: which parts can be chosen, where they come from, and what weights they need."""
+"""Verb `parts`: the replaceable parts, their sources and the weights they need."""
 
 from typing import TYPE_CHECKING
 
@@ -37,7 +37,7 @@ def parts(json: Json = False) -> None:
         ),
     )
     table(
-        "networks that they are made of, and whose weights are imported",
+        "networks of these parts, whose weights are imported",
         ("network", *about),
         (
             (card.name, card.what, card.source, card.licence, card.weights)
@@ -45,12 +45,14 @@ def parts(json: Json = False) -> None:
             if card.part == "network"
         ),
     )
-    remark("choose one by its setting: --supervised NAME, COUNTERPOINT_SUPERVISED, or in the TOML")
-    remark("paper: what the paper has; preset paper: what --preset paper takes")
+    remark(
+        "choose a part by its setting: --supervised NAME, COUNTERPOINT_SUPERVISED, or in the TOML"
+    )
+    remark("paper: part of the paper's method; preset paper: chosen by --preset paper")
 
 
 def presets_with(card: "PartCard") -> list[str]:
-    """Name the presets that take a part; `default` is marked by itself."""
+    """Return the presets that choose a part; `default` is marked separately."""
     return [name for name, settings in PRESETS.items() if settings.get(card.part) == card.name]
 
 

@@ -1,4 +1,4 @@
-"""The verb `rates`: how often the streams contradict each other, by group."""
+"""Verb `rates`: rate of contradictions by group."""
 
 import time
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from service.cli.scenes import StateDir, reader
 from service.curation.rates import RateRow, RatesRequest, rates_request
 
 BAR_CHARACTERS: Final = 20
-"""Length of the bar of the worst row; the others in proportion."""
+"""Length of the bar of the worst row, characters; the others in proportion."""
 
 _HEADINGS: Final = {
     "vehicle": "vehicle",
@@ -30,12 +30,13 @@ def add_to(app: typer.Typer) -> None:
 
 def rates(
     by: Annotated[
-        str, typer.Option("--by", help="vehicle, version, kind, hour or log.")
+        str, typer.Option("--by", help="Group by vehicle, version, kind, hour or log.")
     ] = "vehicle",
     since: Annotated[
         str,
         typer.Option(
-            "--since", help="Recorded at or after: 2026-11-20, 2026-11-20T08:00Z, or 24h, 7d ago."
+            "--since",
+            help="Recorded at or after: 2026-11-20, 2026-11-20T08:00Z, or an age such as 24h, 7d.",
         ),
     ] = "",
     until: Annotated[str, typer.Option("--until", help="Recorded before; as --since.")] = "",
@@ -45,7 +46,7 @@ def rates(
     json: Json = False,
     config: Config = None,
 ) -> None:
-    """Say how often the streams contradict each other, over current scenes by time of recording."""
+    """Show the rate of contradictions by group, over current scenes by time of recording."""
     request = rates_request(
         by, since=since, until=until, now_s=time.clock_gettime(time.CLOCK_REALTIME)
     )

@@ -1,4 +1,4 @@
-"""What a person is told of a status and of a ranking."""
+"""Printed reports: status, ranking, contents of a log, and dry run."""
 
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
@@ -12,11 +12,11 @@ from service.curation.status import Status
 from service.dry_run import DryLog, DryRun
 
 REASONS: Final = 2
-"""Of a scene in a table."""
+"""Reasons per scene in a table."""
 
 
 def say_what_was_found(status: Status) -> None:
-    """Print how far every log is, what is damaged, refused or parked, and the sums."""
+    """Print the progress of every log, damaged, refused and parked work, and the totals."""
     table(
         "logs",
         ("log", "state", "vehicle", "lidar", "shards", "frames", "reads", "MB read", "damage"),
@@ -35,9 +35,9 @@ def say_what_was_found(status: Status) -> None:
             for log in status.logs
         ),
     )
-    told_below = {work.log_id for work in (*status.parked, *status.retried) if not work.shard}
+    listed_below = {work.log_id for work in (*status.parked, *status.retried) if not work.shard}
     for log in status.logs:
-        if log.problem and log.log_id not in told_below:
+        if log.problem and log.log_id not in listed_below:
             remark(f"{log.state}: {log.log_id}: {log.problem}")
         for damage in log.damage:
             remark(
@@ -47,25 +47,25 @@ def say_what_was_found(status: Status) -> None:
     for work in status.parked:
         remark(f"parked: {work.log_id} {work.shard} after {work.attempts}: {work.error}")
     if status.parked:
-        remark("what is parked waits for `counterpoint retry`, when its cause is mended")
+        remark("parked work waits for `counterpoint retry`; fix its cause first")
     for work in status.retried:
         remark(f"tried again: {work.log_id} {work.shard}; before that: {work.error}")
     if status.bytes_needed:
         remark(
             f"mining read {status.bytes_read / 1e6:.1f} MB, "
-            f"{status.bytes_read / status.bytes_needed:.3f} of what was needed; planning "
+            f"{status.bytes_read / status.bytes_needed:.3f} of the bytes needed; planning "
             f"{status.plan_bytes_read / 1e6:.1f} MB; "
             f"a worker held at most {status.peak_memory_bytes / 1e6:.0f} MB"
         )
     if status.pipeline_version:
         remark(
             f"logs and frames are those of pipeline version {status.pipeline_version}, the newest; "
-            "scenes of one before stand until it has mined their log"
+            "scenes of an older one stay until it has mined their log"
         )
     if status.judged:
         several = len(status.judged) > 1
         remark(
-            "judged: "
+            "streams: "
             + "; ".join(
                 said_of(each.supervised, each.selfsupervised)
                 + (f" in {counted(each.scenes, 'scene')}" if several else "")
@@ -83,21 +83,22 @@ def say_what_was_found(status: Status) -> None:
     remark(
         f"{counted(status.scenes, 'scene')}, {counted(status.frames, 'frame')}; "
         f"{_percent(contradicting, compared)} of {compared:,} compared points contradict "
-        f"({_percent(points.only_semantic_dynamic, compared)} where the supervised stream alone "
-        f"says dynamic, {_percent(points.only_predictive_dynamic, compared)} where the other does)"
+        f"({_percent(points.only_semantic_dynamic, compared)} "
+        "labelled dynamic by the supervised stream alone, "
+        f"{_percent(points.only_predictive_dynamic, compared)} by the other alone)"
     )
 
 
 def said_of(supervised: str, selfsupervised: str) -> str:
-    """Name the stream that was judged, and what it was held against."""
-    return f"supervised stream {supervised}, held against {selfsupervised}"
+    """Name the stream under test, and the stream it was compared with."""
+    return f"supervised stream {supervised}, compared with {selfsupervised}"
 
 
 def say_judged(scores: Iterable[SceneScore]) -> None:
-    """Say in one line which streams these scenes compare."""
+    """Print in one line the streams that these scenes compare."""
     pairs = {(each.producers.supervised, each.producers.selfsupervised): None for each in scores}
     if pairs:
-        remark("judged: " + "; ".join(said_of(*pair) for pair in pairs))
+        remark("streams: " + "; ".join(said_of(*pair) for pair in pairs))
 
 
 def say_ranking(rows: Sequence[RankedScene]) -> None:
@@ -121,13 +122,13 @@ def say_ranking(rows: Sequence[RankedScene]) -> None:
 
 
 def first_of(reasons: Sequence[str]) -> str:
-    """Tell the first reasons of a scene, and how many are left out: its picture has them."""
+    """Join the first reasons of a scene, with the number of omitted ones; its picture shows all."""
     left_out = len(reasons) - REASONS
     return "; ".join([*reasons[:REASONS], *([f"and {left_out} more"] if left_out > 0 else [])])
 
 
 def say_inspected(report: dict[str, Any]) -> None:
-    """Print what `inspect` found: facts first, then topics, then what cannot be read."""
+    """Print the report of `inspect`: facts first, then topics, then unreadable parts."""
     facts = {name: value for name, value in report.items() if name not in ("topics", "damage")}
     facts["shards"] = len(report["shards"])
     start_ns, duration_s = facts.pop("start_ns"), facts.pop("duration_s")
@@ -156,7 +157,7 @@ def say_inspected(report: dict[str, Any]) -> None:
 
 
 def say_dry_run(found: DryRun) -> None:
-    """Print what a run would mine, and the estimate with what it stands on."""
+    """Print the work that a run would do, and the estimate with its basis."""
     table(
         f"logs in {found.bucket}",
         ("log", "parts", "MB", "in the state", "left", "duration", "frames", "problem"),
@@ -180,14 +181,14 @@ def say_dry_run(found: DryRun) -> None:
     remark(
         f"{counted(len(found.logs), 'log')}, {found.bytes / 1e9:.2f} GB; left to mine: "
         f"{counted(left, 'log')}, "
-        f"{found.left_bytes / 1e9:.2f} GB, {found.looked_into} looked into"
+        f"{found.left_bytes / 1e9:.2f} GB, {found.looked_into} indexes read"
         + (", the rest estimated by bytes" if found.looked_into < left else "")
     )
     if not left:
         remark("nothing is left to mine; nothing was mined or written")
         return
     if found.frames is None or found.duration_s is None:
-        remark("no estimate: no log could be looked into; that takes the extra `workers`")
+        remark("no estimate: no index could be read; reading needs the extra `workers`")
         return
     what = f"left: about {found.frames} frames in {_duration(found.duration_s)} of recording"
     if found.hours is None or found.seconds_per_frame is None:
@@ -205,11 +206,11 @@ def _say_compared(found: DryRun) -> None:
     remark(f"under pipeline version {found.pipeline_version} the state has: {counts}")
     if found.pipeline_version != found.state_version:
         remark(
-            f"the newest pipeline version in the state is another, {found.state_version}: what "
-            "only that one has mined is mined anew"
+            f"the newest pipeline version in the state is another, {found.state_version}: "
+            "logs that only that one has mined are mined again"
         )
     if changed := found.by_standing.get("changed"):
-        remark(f"of {changed} changed logs, what lies in objects that stayed is not mined again")
+        remark(f"of {changed} changed logs, shards in unchanged objects are not mined again")
     if parked := sum(log.parked for log in found.logs):
         remark(f"{parked} plans and shards are parked, and not counted: `counterpoint retry`")
 

@@ -1,4 +1,4 @@
-"""`retry`: parked work is tried again, once what made it fail is mended."""
+"""Verb `retry`: tries parked work again, once the cause of its failure is fixed."""
 
 from typing import Annotated
 
@@ -18,18 +18,18 @@ def add_to(app: typer.Typer) -> None:
 def retry(
     log_ids: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[LOG_ID]...", help="Logs, as `counterpoint status` names them."),
+        typer.Argument(metavar="[LOG_ID]...", help="Log ids, as listed by `counterpoint status`."),
     ] = None,
-    everything: Annotated[bool, typer.Option("--all", help="Everything that is parked.")] = False,
+    everything: Annotated[bool, typer.Option("--all", help="Retry all parked work.")] = False,
     connect: Connect = None,
     state: StateDir = None,
     database: Database = None,
     json: Json = False,
     config: Config = None,
 ) -> None:
-    """Try parked plans and shards again, with all their attempts; what is done stays done."""
+    """Try parked plans and shards again, with all their attempts; finished work stays done."""
     if bool(log_ids) is everything:
-        raise UsageError("name the logs to retry, or give --all for everything that is parked")
+        raise UsageError("name the logs to retry, or give --all for all parked work")
     wanted = None if everything else log_ids
     source = reader(config, connect=connect, state=state, database=database)
     retried = source.retry(wanted)

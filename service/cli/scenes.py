@@ -1,4 +1,4 @@
-"""Verbs on what was found: `watch`, `top`, `select`, `show`, `status`."""
+"""Verbs on results: `watch`, `top`, `select`, `show`, `status`."""
 
 import time
 from pathlib import Path
@@ -29,7 +29,7 @@ from service.output_files import need_writable, save_picture
 from service.settings.config import Settings
 
 StateDir = Annotated[
-    Path | None, typer.Option("--state", help="Folder of a run; no daemon is needed then.")
+    Path | None, typer.Option("--state", help="State folder of a run, read without a daemon.")
 ]
 
 
@@ -47,7 +47,10 @@ def watch(
     history: Annotated[
         int | None,
         typer.Option(
-            "--history", min=0, max=MAX_NEWEST, help="Newest scenes first; all by default."
+            "--history",
+            min=0,
+            max=MAX_NEWEST,
+            help="Number of past scenes, the newest; default: all.",
         ),
     ] = None,
     since: Annotated[
@@ -60,12 +63,13 @@ def watch(
         list[str] | None, typer.Option("--vehicle", help="Only this vehicle. Repeatable.")
     ] = None,
     min_score: Annotated[
-        float, typer.Option("--min-score", min=0, max=1, help="Only scenes that score so much.")
+        float,
+        typer.Option("--min-score", min=0, max=1, help="Only scenes with at least this score."),
     ] = 0.0,
     json: Json = False,
     config: Config = None,
 ) -> None:
-    """Subscribe to scored scenes: the history first, then each as it is committed."""
+    """Subscribe to scored scenes: the history first, then each new one when it is committed."""
     from schemas.runtime.process import stop_on_signals
     from schemas.transport.bus import check_endpoints
     from service.client import watch_scenes
@@ -104,7 +108,8 @@ def _say_service(there: bool) -> None:
 
 def top(
     n: Annotated[
-        int | None, typer.Option("-n", min=1, max=MAX_SCENES_ASKED, help="Rows; all by default.")
+        int | None,
+        typer.Option("-n", min=1, max=MAX_SCENES_ASKED, help="Number of rows; default: all."),
     ] = None,
     connect: Connect = None,
     state: StateDir = None,
@@ -125,21 +130,24 @@ def top(
 
 
 def _say_judged_in_best(source: Reader, scene_id: str) -> None:
-    """Say whose labels the best scene judges: one record is opened, however many are listed."""
+    """Print the stream under test, read from the record of the best scene alone."""
     try:
         made_by = source.scene(scene_id).producers
     except PermanentError as error:  # a running service took it back between two questions
         remark(str(error))
         return
     pair = said_of(made_by.supervised, made_by.selfsupervised)
-    remark(f"judged, in the best scene: {pair}; `counterpoint status` counts all")
+    remark(f"streams of the best scene: {pair}; `counterpoint status` counts all")
 
 
 def select(
     budget: Annotated[
         int,
         typer.Option(
-            "--budget", min=1, max=MAX_SCENES_ASKED, help="Scenes the labellers can take."
+            "--budget",
+            min=1,
+            max=MAX_SCENES_ASKED,
+            help="Number of scenes that the labellers can take.",
         ),
     ],
     name: Annotated[str | None, typer.Option("--name", help="Name of the selection.")] = None,
@@ -171,20 +179,20 @@ def select(
     )
     passed = left_out(ranking, selection)
     if passed.twins:
-        remark(f"left out: {counted(passed.twins, 'scene')} right beside a better one of the log")
+        remark(f"left out: {counted(passed.twins, 'scene')} next to a better one of the log")
     if passed.without:
-        remark(f"left out: {counted(passed.without, 'scene')} in which nothing contradicts")
-    remark("ids, for a labelling tool: --json, or the selection as it was published")
+        remark(f"left out: {counted(passed.without, 'scene')} without a contradiction")
+    remark("ids for a labelling tool: --json, or the published selection")
 
 
 def show(
     scene: Annotated[
         str,
-        typer.Argument(help="Its rank, its name as `counterpoint top` prints it, or its scene_id."),
+        typer.Argument(help="Rank, name in `counterpoint top`, or scene_id."),
     ],
     out: Annotated[Path, typer.Option("--out", help="PNG file to write.")],
     on_image: Annotated[
-        bool, typer.Option("--on-image", help="The points on the car's camera image instead.")
+        bool, typer.Option("--on-image", help="Draw the points on the car's camera image instead.")
     ] = False,
     bucket: Annotated[
         str | None, typer.Option("--bucket", help="Log bucket, for the camera image.")
@@ -215,11 +223,11 @@ def show(
 
 
 def _scene_id(source: Reader, said: str) -> str:
-    """Find the scene that a person names: by rank, short name or id.
+    """Find the scene of a rank, short name or id.
 
     Raises:
         NothingFoundError: If there is none.
-        UsageError: If several have the name.
+        UsageError: If several scenes have the name.
     """
     if said.isdecimal():
         rank = int(said) if len(said) < len(str(MOST)) else 0
@@ -239,7 +247,7 @@ def status(
     json: Json = False,
     config: Config = None,
 ) -> None:
-    """Say how far everything is: logs, shards, scenes, rates, what is damaged, what is parked."""
+    """Show progress: logs, shards, scenes, rates, damaged stretches, parked work."""
     found = reader(config, connect=connect, state=state, database=database).status()
     if json:
         json_line(found)
@@ -255,10 +263,10 @@ def reader(
     database: str | None,
     artifacts: str | None = None,
 ) -> Reader:
-    """Choose where to read: `--state` or `--database` reads there, `--connect` asks the service.
+    """Choose the data source: a state with `--state` or `--database`, a service with `--connect`.
 
-    Without any, the service that the settings name is asked if they name one, else database or
-    folder are read.
+    Without any of them it is the service that the settings name, else the database or the state
+    folder.
 
     Raises:
         UsageError: If both are given.
@@ -289,7 +297,7 @@ def _remote(settings: Settings) -> Reader:
 
 
 def _watched(event: SceneEvent) -> dict[str, Any]:
-    """Flatten an event: its number and digest beside the fields of the record."""
+    """Flatten an event: its number and digest next to the fields of the record."""
     score = event.score
     if score is None:
         return {"seq": event.seq, "withdrawn": True, "scene_id": event.scene_id}

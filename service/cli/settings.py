@@ -1,4 +1,4 @@
-"""Verbs on the installation itself: `config` says what holds, `doctor` what to mend."""
+"""Verbs on the installation: `config` shows the settings, `doctor` checks them."""
 
 from typing import Annotated
 
@@ -48,7 +48,7 @@ def print_settings(
         bool, typer.Option("--markdown", help="Print the page that documents every setting.")
     ] = False,
 ) -> None:
-    """Print every setting: what holds, and where each value came from."""
+    """Print every setting with its value and the source of that value."""
     if markdown:
         page(settings_page(flags_of(context.find_root().command)))
         return
@@ -70,7 +70,7 @@ def print_settings(
         return
     table(
         "settings",
-        ("setting", "value", "from", "mined anew", "what it is"),
+        ("setting", "value", "from", "mined again", "meaning"),
         (
             (
                 row.setting,
@@ -85,7 +85,7 @@ def print_settings(
     file = f"the file {read.file}" if read.file else "a file (--config; none is read now)"
     remark(
         f"flags win over COUNTERPOINT_* variables, these over {file}; when a setting with "
-        "`mined anew` changes, everything in the bucket is mined anew"
+        "`mined again` changes, everything in the bucket is mined again"
     )
 
 
@@ -105,7 +105,7 @@ def doctor(
     config: Config = None,
     json: Json = False,
 ) -> None:
-    """Check settings, bucket, artifacts, state, bus and workers; say what to mend."""
+    """Check settings, bucket, artifacts, state, bus and workers; print remedies for problems."""
     from service.doctor.examination import examine
 
     read = read_settings(

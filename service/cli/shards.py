@@ -1,4 +1,4 @@
-"""The verb `eval shards`: whether labels hang on where a log was cut."""
+"""Verb `eval shards`: dependence of labels on the cuts between shards."""
 
 from typing import Annotated
 
@@ -20,13 +20,13 @@ def shards(
     shard_seconds: ShardSeconds = None,
     warmup_seconds: Annotated[
         float | None,
-        typer.Option("--warmup-seconds", help="Read before a window, to warm up; 1.2."),
+        typer.Option("--warmup-seconds", help="Warm-up before a window, seconds; default 1.2."),
     ] = None,
     selfsupervised: SelfSupervised = None,
     json: Json = False,
     config: Config = None,
 ) -> None:
-    """Compare the labels of every log in shards with those of the whole log, point by point."""
+    """Compare the labels of every log in shards with those of the whole log, per point."""
     settings = settings_for(
         config,
         bucket=bucket,

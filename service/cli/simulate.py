@@ -1,4 +1,4 @@
-"""The verb `simulate`: a fleet of simulated logs with truth beside them, failures planted."""
+"""Verb `simulate`: a fleet of simulated logs with injected failures, and its truth."""
 
 import time
 from typing import Annotated, Any
@@ -19,39 +19,42 @@ def add_to(app: typer.Typer) -> None:
 
 
 def simulate(
-    out: Annotated[
-        str, typer.Option("--out", help="Folder or bucket URL; gets logs/ and truth/ within.")
-    ],
+    out: Annotated[str, typer.Option("--out", help="Folder or bucket URL for logs/ and truth/.")],
     scenes: Annotated[
         int,
         typer.Option("--scenes", min=1, max=MOST, help="Scenes of 2 s; ten make a log of 20 s."),
     ] = 100,
     seed: Annotated[
-        int, typer.Option("--seed", min=0, max=MOST, help="Same seed, same bytes.")
+        int, typer.Option("--seed", min=0, max=MOST, help="Seed; equal seeds give equal bytes.")
     ] = 1,
     failures: Annotated[
         float,
-        typer.Option("--failures", min=0.0, max=1.0, help="Share of scenes with a failure."),
+        typer.Option(
+            "--failures", min=0.0, max=1.0, help="Share of scenes with an injected failure."
+        ),
     ] = 0.05,
     columns: Annotated[
         int | None,
         typer.Option(
-            "--columns", min=64, max=MOST, help="Firings per turn of every lidar; its own if none."
+            "--columns",
+            min=64,
+            max=MOST,
+            help="Firings per turn of every lidar; default: as the sensor has.",
         ),
     ] = None,
     odometry: Annotated[
         bool,
-        typer.Option("--odometry", help="The cars record wheel speed and yaw rate, too."),
+        typer.Option("--odometry", help="Record wheel speed and yaw rate of the cars too."),
     ] = False,
     workers: Annotated[
-        int, typer.Option("--workers", min=1, max=MOST, help="Processes at once.")
+        int, typer.Option("--workers", min=1, max=MOST, help="Number of processes.")
     ] = 1,
     json: Json = False,
     force: Annotated[
-        bool, typer.Option("--force", help="Write beside logs that were not simulated.")
+        bool, typer.Option("--force", help="Write next to logs that were not simulated.")
     ] = False,
 ) -> None:
-    """Simulate a fleet's logs with truth beside them, failures planted in the labels."""
+    """Simulate a fleet's logs and their truth, with failures injected into the labels."""
     if not force:
         _need_no_other_logs(out)
     from workers.lab.simulation.faults.plan import plan_fleet
@@ -90,7 +93,7 @@ def simulate(
 
 
 def _need_no_other_logs(url: str) -> None:
-    """Refuse a place with logs and no truth beside: no fleet of ours, and it would be mixed up.
+    """Refuse an output with logs but no truth, which is no simulated fleet.
 
     Raises:
         UsageError: If there is such a log.
@@ -100,5 +103,5 @@ def _need_no_other_logs(url: str) -> None:
     if first is not None and next(bucket.list("truth"), None) is None:
         raise UsageError(
             f"--out: this place has logs that were not simulated, such as {first.key}: name "
-            f"another, or write beside them with --force ({bucket.url})"
+            f"another, or write next to them with --force ({bucket.url})"
         )

@@ -13,7 +13,7 @@ from service.output_files import need_folder
 
 def add_to(app: typer.Typer) -> None:
     """Add the verbs of this file to the command."""
-    weights = typer.Typer(no_args_is_help=True, help="Bring published networks.")
+    weights = typer.Typer(no_args_is_help=True, help="Import weights of published networks.")
     weights.command(
         "import",
         epilog="counterpoint weights import SalsaNext_valid_best --network salsanext "
@@ -26,21 +26,22 @@ def add_to(app: typer.Typer) -> None:
 def import_(
     checkpoint: Annotated[Path, typer.Argument(help="Published checkpoint, or safetensors.")],
     network: Annotated[
-        str, typer.Option("--network", help="salsanext, lmnet, gndnet, flowstep3d or delora.")
+        str,
+        typer.Option("--network", help="Network: salsanext, lmnet, gndnet, flowstep3d or delora."),
     ],
     out: Annotated[Path, typer.Option("--out", help="Folder for the weights.")],
     config: Annotated[
         str | None,
         typer.Option(
             "--config",
-            help="Needed: what the network needs beside its parameters, a JSON file, JSON, or a "
-            "name that weights configs lists.",
+            help="Required: the network's configuration, as a JSON file, JSON, or a name that "
+            "weights configs lists.",
         ),
     ] = None,
     json: Json = False,
     force: Force = False,
 ) -> None:
-    """Turn a checkpoint into weights that parts load; code in it is refused and never run."""
+    """Convert a checkpoint into weights that parts load; code in it is refused and never run."""
     from workers.parts.networks import (
         import_weights,
         known_configs,
@@ -51,7 +52,7 @@ def import_(
     if config is None:
         fitting = [name for name in known_configs() if read_known(name).network == network]
         raise UsageError(
-            f"--config is missing: what {network} needs beside its parameters, as a JSON file or a "
+            f"--config is missing: the configuration of {network}, as a JSON file or a "
             f"name that `counterpoint weights configs` lists ({', '.join(fitting) or 'none fits'})"
         )
     need_folder(out, option="--out")

@@ -1,4 +1,4 @@
-"""The service as seen from outside: verbs that are asked, and scenes that are watched."""
+"""Client of the service: requests by verb, and a subscription to scored scenes."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -35,37 +35,39 @@ from service.curation.status import ParkedWork, Status
 log = structlog.get_logger(__name__)
 
 PATIENCE_S: Final = 3.0
-"""How long a person waits for a service that is just starting."""
+"""Time that a request waits for a service that is just starting, seconds."""
 
 PAGE: Final = 500
-"""Events of the history in one question, at most 16 KB each: what is held in memory at once."""
+"""Events of the history per request, at most 16 KB each; bounds the memory in use."""
 
 IDLE_S: Final = 2.0
-"""After so long without a scene, ask whether one was lost on its way: the last leaves no gap."""
+"""Silence after which the history is asked, seconds; a lost last scene leaves no gap."""
 
 _LOOK_S: Final = 0.05
-"""How often to look whether something was published, while nothing is."""
+"""Poll interval for published scenes while there are none, seconds."""
 
 _PAUSE_S: Final = 0.1
-"""Shortest time between two questions, however fast scenes are published."""
+"""Shortest interval between two requests, however fast scenes are published, seconds."""
 
 _AGAIN_S: Final = 0.5
-"""And after a number was heard that the history did not know: it may have been made up."""
+"""The same interval after a number that the history did not know, seconds; it may be forged."""
 
 
 class ControlClient:
-    """Asks a running service; each question on a session of its own, which opens in milliseconds.
+    """Sends requests to a running service.
+
+    Each request opens a session of its own, which takes milliseconds.
 
     Every method raises `TransientError` when there is no router or no service, and `PermanentError`
     when the service refuses.
     """
 
     def __init__(self, connect: Sequence[str], *, root: str) -> None:
-        """Take the endpoints of routers, and the first part of every key."""
+        """Keep the endpoints of routers, and the first part of every key."""
         self._connect, self._root = tuple(connect), root
 
     def top(self, most: int | None = None) -> list[RankedScene]:
-        """Rank every current scene, best first, and list so many; None: all."""
+        """Rank every current scene, best first, and return at most `most`; None: all."""
         return list(decode(TopReply, self._ask("top", question(TopRequest, most=most))).scenes)
 
     def select(self, *, budget: int, name: str | None = None) -> Selection:
@@ -75,18 +77,18 @@ class ControlClient:
         )
 
     def status(self) -> Status:
-        """Say how far everything is."""
+        """Return the progress of planning and mining."""
         return decode(Status, self._ask("status"))
 
     def retry(self, log_ids: Sequence[str] | None = None) -> list[ParkedWork]:
-        """Have parked work tried again, of these logs or all; say what was parked."""
+        """Retry parked work, of these logs or all; return what was parked."""
         wanted = None if log_ids is None else tuple(log_ids)
         return list(
             decode(RetryReply, self._ask("retry", question(RetryRequest, log_ids=wanted))).retried
         )
 
     def rates(self, request: RatesRequest) -> list[RateRow]:
-        """Say how often the streams contradict each other, by group."""
+        """Return the rate of contradictions by group."""
         return list(decode(RatesReply, self._ask("rates", request)).rows)
 
     def scene(self, scene_id: str) -> SceneScore:
@@ -94,11 +96,11 @@ class ControlClient:
         return decode(SceneScore, self._ask("scene", question(SceneRequest, scene_id=scene_id)))
 
     def overlay(self, scene_id: str) -> bytes:
-        """Return the stored points of a current scene, encoded."""
+        """Return the overlay of a current scene, encoded."""
         return self._ask("overlay", question(SceneRequest, scene_id=scene_id))
 
     def overlay_place(self, scene_id: str) -> str:
-        """Name where the stored points of a current scene come from, for a message."""
+        """Return the name of the source of a scene's overlay, for messages."""
         return f"{scene_id}, from the service at {','.join(self._connect)}"
 
     def _ask(self, verb: Verb, request: BaseModel | None = None) -> bytes:
@@ -126,34 +128,34 @@ def watch_scenes(
     on_service: Callable[[bool], None] | None = None,
     idle_s: float = IDLE_S,
 ) -> Iterator[SceneEvent]:
-    """Yield scored scenes in the order of their numbers: those there are, then each as it comes.
+    """Yield scored scenes in the order of their numbers: existing ones, then each new one.
 
-    A scene that went, or does not match any more what was asked for, is yielded as withdrawn. What
-    is published is fetched from the history, which is also asked when it is quiet; so a message
-    that a stranger publishes is never yielded. Router and service may go and come back for ever.
-    Whoever notes the number of the last event he has handled, and gives it as `since` in his next
-    life, misses none and gets none twice.
+    A scene that is no longer current, or no longer matches the filters, is yielded as withdrawn.
+    Published scenes are fetched from the history, which is also asked during silence; so a forged
+    message is never yielded. Router and service may stop and return at any time. A subscriber that
+    stores the number of the last event it handled, and passes it as `since` after a restart, misses
+    no event and gets none twice.
 
-    What happened while nobody watched arrives summed up, one event per scene: one that went and
-    came back arrives again, with the same digest; one that came and went arrives as withdrawn,
-    although it was never yielded. One that was yielded in an earlier life and whose new record
-    matches no more is not taken back: that life is not known here.
+    Events during an absence arrive merged, one per scene. A scene that was withdrawn and returned
+    arrives again, with the same digest. One that was added and withdrawn arrives as withdrawn,
+    although it was never yielded. A scene yielded before a restart, whose new record no longer
+    matches, is not withdrawn: earlier processes are not known here.
 
     Memory: one page of the history, and 171 bytes for each scene that was yielded.
 
     Args:
         connect: Endpoints of routers.
         root: First part of every key.
-        history: Only so many scenes of the past, the newest; None: all of them.
+        history: Number of past scenes, the newest; None: all of them.
         since: Only events after this number; not together with `history`.
-        log: Pattern that the log id must match whole, `*` matches `/` too.
+        log: Pattern that must match the whole log id, `*` matches `/` too.
         vehicle: Only scenes of this vehicle, or of these.
-        min_score: Only scenes that score at least so much, 0 to 1.
+        min_score: Only scenes with at least this score, 0 to 1.
         stop: Ends the iteration.
-        wait: For a router, if none answers at the start.
-        on_service: Told when the service is gone (False) and back (True), once each; None: it is
-            logged, by structlog.
-        idle_s: How long it must be quiet before asking.
+        wait: Wait for a router, if none answers at the start.
+        on_service: Called with False when the service is gone and with True when it is back, once
+            each; None: both are logged by structlog.
+        idle_s: Silence after which the history is asked, seconds.
 
     Raises:
         ValueError: If the arguments contradict each other.
@@ -164,7 +166,7 @@ def watch_scenes(
     if not connect:
         raise ValueError("connect must name a router, such as tcp/127.0.0.1:7447")
     if history is not None and since is not None:
-        raise ValueError("give history or since, not both: since means all after that number")
+        raise ValueError("give history or since, not both: since gives all after that number")
     vehicles = frozenset((vehicle,) if isinstance(vehicle, str) else vehicle)
     wanted = Wanted(log=log, vehicles=vehicles, min_score=min_score)
     holding = Holding(wanted, resumed=bool(since))
@@ -187,14 +189,14 @@ def watch_scenes(
 
 
 class _Presence:
-    """Whether the service is there; says so when that changes."""
+    """Presence of the service on the bus; reports each change."""
 
     def __init__(self, say: Callable[[bool], None], subscription: SceneSubscription) -> None:
         self._say, self._subscription = say, subscription
         self._was = True
 
     def look(self) -> bool:
-        """Return whether the service is there."""
+        """Return true if the service is present."""
         there = self._subscription.service_is_there()
         if there != self._was:
             self._was = there
@@ -205,7 +207,7 @@ class _Presence:
 def _begin(
     merge: SceneMerge, newest: int, presence: _Presence, stop: Event
 ) -> Iterator[SceneEvent]:
-    """Begin with the newest scenes; from number 0 if a service that is there knows none."""
+    """Begin with the newest scenes, or from number 0 if a running service has none."""
     while not stop.is_set():
         there = presence.look()
         found = merge.begin(newest)
@@ -225,7 +227,7 @@ def _follow(
     *,
     idle_s: float,
 ) -> Iterator[SceneEvent]:
-    """Yield every event after those that the merge has passed on, for ever."""
+    """Yield every event after those that the merge has passed on, without end."""
     was_there = presence.look()
     ask_at_s = time.monotonic()
     asked_at_s, pause_s = ask_at_s - _AGAIN_S, _PAUSE_S

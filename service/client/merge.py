@@ -1,4 +1,4 @@
-"""Scenes from the history, asked for when something is published: in order, each event once."""
+"""Merge of published scenes with the history: in order, each event once."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,7 +10,7 @@ from schemas.score import SceneScore
 
 @dataclass(frozen=True, slots=True)
 class SceneEvent:
-    """One scene as it was published, or the news that it is no longer current.
+    """One scene as published, or its withdrawal.
 
     Attributes:
         seq: Number of the event in the service's ledger.
@@ -18,7 +18,7 @@ class SceneEvent:
         record: Bytes as published; empty when withdrawn.
         sha256: Digest of the record; empty when withdrawn.
         score: The record, decoded; None when withdrawn.
-        unreadable: The record is none that this version knows: only its number counts.
+        unreadable: True if this version cannot decode the record; then only its number counts.
     """
 
     seq: int
@@ -30,46 +30,50 @@ class SceneEvent:
 
     @property
     def log_id(self) -> str:
-        """The recording that the scene is of."""
+        """Id of the scene's recording."""
         return self.scene_id.rsplit("/", maxsplit=2)[0]
 
     @property
     def withdrawn(self) -> bool:
-        """Whether the scene is no longer current: its log was replaced or deleted."""
+        """True if the scene is no longer current, since its log was replaced or deleted."""
         return not self.record
 
 
 Fetch = Callable[[Mapping[str, int]], Sequence[SceneEvent]]
-"""Asks the history, by parameters of the wire; what comes is complete up to its last event."""
+"""Function that asks the history, by parameters of the wire; complete up to its last event."""
 
 
 class SceneMerge:
-    """Passes on the events of the history, fetched when one is heard to have been published.
+    """Passes on the events of the history, which it fetches when one is published.
 
-    Events leave in the order of their numbers, so that whoever was killed goes on after the last
-    number he has noted. What is published is only heard, never passed on: anybody on the bus can
-    publish under the key of a scene, with any number, while the history comes from the ledger.
+    Events are passed on in the order of their numbers, so that a subscriber can resume after a kill
+    from the last number it stored. Published samples only trigger a fetch, and are never passed on.
+    Anyone on the bus can publish under the key of a scene, with any number, while the history comes
+    from the ledger.
 
     Attributes:
         complete_to: Number up to which every event has been passed on.
     """
 
     def __init__(self, fetch: Fetch, *, page: int, since: int = 0) -> None:
-        """Take how to ask the history, for how many events at once, and where to begin."""
+        """Keep the function that asks the history, the events per request, and the start."""
         self._fetch, self._page = fetch, page
         self.complete_to = since
         self._newest = since
 
     @property
     def is_behind(self) -> bool:
-        """Whether a number was heard that has not been passed on, nor been asked for in vain."""
+        """True if a published number was neither passed on nor found unknown to the history."""
         return self._newest > self.complete_to
 
     def begin(self, newest: int) -> Sequence[SceneEvent] | None:
         """Begin with the newest few current scenes.
 
+        Args:
+            newest: Number of scenes.
+
         Returns:
-            Those scenes; None if none came, because there is none or nobody answered.
+            Those scenes; None if none came, because there is none or the service did not answer.
         """
         found = self._fetch({"newest": max(newest, 1)})
         if not found:
@@ -78,14 +82,14 @@ class SceneMerge:
         return [event for event in found[-newest:] if not event.unreadable] if newest else []
 
     def hear(self, seq: int) -> None:
-        """Note the number of an event that was just published: `catch_up` is due if `is_behind`."""
+        """Note the number of an event that was just published; `catch_up` is due if `is_behind`."""
         self._newest = max(self._newest, seq)
 
     def catch_up(self) -> Iterator[SceneEvent]:
         """Fetch, page by page, every event after the last one passed on.
 
-        A number that the history does not know when it is asked is forgotten: it was made up, or
-        its event comes with the next question.
+        A number that the history does not know when asked is dropped: it was forged, or its event
+        comes with the next request.
         """
         while True:
             begun_at = self.complete_to
@@ -104,12 +108,12 @@ class SceneMerge:
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """Which scenes a subscriber wants.
+    """Filter of a subscriber.
 
     Attributes:
-        log: Pattern that the log id must match whole; `*` also crosses `/`.
-        vehicles: Only of these; empty: of all.
-        min_score: Only scenes that score at least so much.
+        log: Pattern that must match the whole log id; `*` also crosses `/`.
+        vehicles: Only scenes of these; empty: of all.
+        min_score: Only scenes with at least this score.
     """
 
     log: str = "*"
@@ -117,11 +121,11 @@ class Wanted:
     min_score: float = 0.0
 
     def has_log(self, event: SceneEvent) -> bool:
-        """Whether the event is of a log that is wanted."""
+        """Return true if the log of the event matches."""
         return fnmatchcase(event.log_id, self.log)
 
     def has(self, event: SceneEvent) -> bool:
-        """Whether the event brings a scene that is wanted."""
+        """Return true if the event carries a scene that matches."""
         score = event.score
         return (
             score is not None
@@ -132,22 +136,22 @@ class Wanted:
 
 
 class Holding:
-    """What a subscriber has been given and not been told to drop: decides what is news to him.
+    """Scenes that a subscriber has received and not dropped; decides if an event is new to it.
 
-    Of a scene are kept 16 bytes of the digest of its id, and 16 of the digest of its record: with
-    what Python adds 171 bytes, measured, so that a million scenes take 171 MB.
+    For each scene it keeps 16 bytes of the digest of its id, and 16 of the digest of its record.
+    With the overhead of Python that is 171 bytes, measured, so a million scenes take 171 MB.
     """
 
     def __init__(self, wanted: Wanted, *, resumed: bool) -> None:
-        """Take what is wanted, and whether an earlier life of the subscriber was given scenes."""
+        """Keep the filter, and a flag for scenes received before a restart."""
         self._wanted, self._resumed = wanted, resumed
         self._held: dict[bytes, bytes] = {}
 
     def news(self, event: SceneEvent) -> SceneEvent | None:
-        """Return the event if it is news, as a withdrawal if a scene is no longer wanted.
+        """Return the event if it is new, as a withdrawal if its scene no longer matches.
 
-        A withdrawal of a scene that was never given is news only to somebody who has resumed: an
-        earlier life may have been given it.
+        A withdrawal of a scene that was never passed on is new only to a resumed subscriber, which
+        may have received the scene before its restart.
         """
         key = _short(sha256(event.scene_id.encode()))
         held = self._held.get(key)
@@ -161,7 +165,7 @@ class Holding:
         if not (held or (held is None and may_hold)):
             return None
         if self._resumed:
-            self._held[key] = b""  # told once
+            self._held[key] = b""  # withdrawn once
         else:
             del self._held[key]
         return replace(event, record=b"", sha256="", score=None)

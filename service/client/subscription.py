@@ -1,8 +1,8 @@
-"""One subscriber's ear on the bus: scenes as they are published, their history, the service's life.
+"""Subscription of one client: published scenes, their history, and the presence of the service.
 
-Nothing here is a callback: a callback whose session nobody closes keeps its process alive for ever,
-and whoever leaves a loop over scenes by an exception closes nothing. What is published lands in a
-ring that drops its oldest, which the history then makes good; so memory is bounded.
+No callbacks are used. A callback keeps its process alive for ever if its session is not closed, and
+a loop over scenes that ends with an exception closes nothing. Published samples go into a ring that
+drops its oldest, and the history supplies those, so memory is bounded.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,28 +28,28 @@ from service.client.merge import SceneEvent
 log = structlog.get_logger(__name__)
 
 RING: Final = 256
-"""Samples kept between two looks, at most 16 KB each."""
+"""Samples kept between two polls, at most 16 KB each."""
 
 PAGE_TIMEOUT_S: Final = 5.0
-"""How long a page of the history may take, which comes in milliseconds."""
+"""Timeout of one page of the history, which normally takes milliseconds, seconds."""
 
 
 class SceneSubscription:
-    """Scenes from one root, through one session; usable for as long as the `with` block lasts.
+    """Scenes of one root, through one session; usable within the `with` block.
 
     Attributes:
-        dropped: Messages that were no scenes of a service, and were passed over.
+        dropped: Messages that were no scenes of a service, and were ignored.
     """
 
     def __init__(self, session: zenoh.Session, *, root: str) -> None:
-        """Take the session, which must outlive the block, and the first part of every key."""
+        """Keep the session, which must outlive the block, and the first part of every key."""
         self._session, self._root = session, root
         self._services: set[str] = set()
         self._open = ExitStack()
         self.dropped = 0
 
     def __enter__(self) -> Self:
-        """Subscribe, before anything is asked, so that nothing falls between."""
+        """Subscribe before any request, so that no event is missed in between."""
         services = keys.all_live(root=self._root, role="service")
         with ExitStack() as opening:
             self._published = opening.enter_context(
@@ -79,7 +79,7 @@ class SceneSubscription:
         self._open.close()
 
     def service_is_there(self) -> bool:
-        """Whether a service is on the bus now, as far as has been heard."""
+        """Return true if a service is on the bus, by its liveliness token."""
         while (sample := self._lives.try_recv()) is not None:
             if sample.kind == zenoh.SampleKind.PUT:
                 self._services.add(str(sample.key_expr))
@@ -88,9 +88,9 @@ class SceneSubscription:
         return bool(self._services)
 
     def published(self) -> int | None:
-        """Return the number of the next event that was published, if one is waiting.
+        """Return the number of the next published event, if one is waiting.
 
-        Anybody can publish, so a number says no more than that it is time to ask for the history.
+        Anyone can publish, so a number only means that the history should be asked.
         """
         while (sample := self._published.try_recv()) is not None:
             try:
@@ -101,12 +101,15 @@ class SceneSubscription:
         return None
 
     def history(self, asked: Mapping[str, int]) -> Sequence[SceneEvent]:
-        """Ask for a page of the history; an answer cut short is complete up to its last event.
+        """Request a page of the history; a truncated reply is complete up to its last event.
 
-        Read whole before anything is done with it: replies that wait block the session.
+        The reply is read whole before it is processed, since waiting replies block the session.
+
+        Args:
+            asked: Parameters of the request.
 
         Raises:
-            PermanentError: If the service refuses, or an answer cannot be read.
+            PermanentError: If the service refuses, or a reply cannot be read.
         """
         # Measured: where a session has a subscriber for the same wildcard, a question without a
         # router is not answered empty at once, as others are, but only when its time is up.
@@ -128,11 +131,11 @@ class SceneSubscription:
         return page
 
     def _event(self, sample: zenoh.Sample) -> SceneEvent:
-        """Read an event of the history.
+        """Decode an event of the history.
 
         Raises:
             PermanentError: If its record is of a later version.
-            ValueError: If it is none.
+            ValueError: If it is no event.
         """
         seq = _seq(sample)
         scene_id = keys.scene_id_of(str(sample.key_expr), root=self._root)
@@ -152,12 +155,12 @@ class SceneSubscription:
         return SceneEvent(seq, scene_id, record, sha256(record), score)
 
     def _drop(self, sample: zenoh.Sample, error: ValueError) -> None:
-        """Count what is no scene; say it once."""
+        """Count a message that is no scene; log the first one."""
         self.dropped += 1
         if self.dropped == 1:
             said = first_problem(error) if isinstance(error, ValidationError) else str(error)
             log.warning(
-                "not a scene; it is passed over, and so are others like it",
+                "message is not a scene; it is ignored, and further ones are not logged",
                 key=str(sample.key_expr)[:200],
                 problem=said[:200],
             )
@@ -173,7 +176,7 @@ def _seq(sample: zenoh.Sample) -> int:
 
 
 def _is_of_a_later_version(error: ValidationError) -> bool:
-    """Whether a record has fields, or a version, that this program does not know."""
+    """Return true if a record has fields, or a version, that this program does not know."""
     return any(
         cause["type"] == "extra_forbidden" or cause["loc"] == ("schema_version",)
         for cause in error.errors(include_url=False, include_input=False)
@@ -181,7 +184,7 @@ def _is_of_a_later_version(error: ValidationError) -> bool:
 
 
 def _raise_refusal(error: zenoh.ReplyError | None) -> None:
-    """Raise what the service refused for good; anything else, such as a timeout, may pass."""
+    """Raise a permanent refusal of the service; anything else, such as a timeout, may pass."""
     if error is None or error.encoding != PROBLEM:
         return
     try:

@@ -1,4 +1,4 @@
-"""The order in which scenes deserve a look, and which are neighbours of a better one. Pure."""
+"""Ranking order of scenes, and detection of twins. Pure."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -8,13 +8,14 @@ from schemas.contradiction import SceneState
 from schemas.events import RankedScene as RankedScene
 
 TWIN_GAP_NS: Final = NS_PER_S
-"""Scenes closer than this are neighbours: no street changes within a second, whether the stretch
-between is one frame period, as a rule, or a short gap in the recording."""
+"""Largest gap between neighbours, nanoseconds; no street changes within a second. The gap is one
+frame period as a rule, or a short gap in the recording.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class RankedInput:
-    """What ranking needs to know of a scene."""
+    """Fields of a scene that ranking uses."""
 
     scene_id: str
     log_id: str
@@ -24,9 +25,9 @@ class RankedInput:
     state: str
 
     def order(self) -> tuple[bool, float, str, int, str]:
-        """Return what sorts scenes, best first: `store/ranking.py` asks the database for the same.
+        """Return the sort key of the ranking, best first; `store/ranking.py` sorts the same in SQL.
 
-        Those that could not be judged (too short, odometry lost) come last; equal scores are
+        Scenes that could not be judged (too short, odometry lost) come last. Equal scores are
         ordered by log and time, so that the same scenes give the same ranking.
         """
         return (
@@ -41,16 +42,16 @@ class RankedInput:
 def twin_of(
     scene: RankedInput, *, before: RankedInput | None, after: RankedInput | None
 ) -> str | None:
-    """Name the better scene right beside this one, the best where there are two.
+    """Return the id of a better scene next to this one, the best where there are two.
 
-    With less than `TWIN_GAP_NS` between them two scenes are neighbours. What has no better one is
-    a peak of the score over time. Of two equal neighbours the first in the order is taken for the
-    better, unless neither scores at all.
+    With less than `TWIN_GAP_NS` between them two scenes are neighbours. A scene without a better
+    one is a peak of the score over time. Of two equal neighbours the first in the order counts as
+    the better, unless neither scores at all.
 
     Args:
-        scene: Which one.
-        before: The scene of the same log and lidar that starts last before it.
-        after: The one that starts first after it.
+        scene: The scene.
+        before: The scene of the same log and lidar with the last start before it.
+        after: The scene of the same log and lidar with the first start after it.
     """
     beside = []
     if before is not None and scene.start_ns - before.end_ns < TWIN_GAP_NS:

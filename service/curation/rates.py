@@ -1,4 +1,4 @@
-"""How often the streams contradict each other, by vehicle, software version, kind, hour or log."""
+"""Rate of contradictions, by vehicle, software version, kind, hour or log."""
 
 import re
 from collections.abc import Iterable
@@ -14,13 +14,13 @@ from schemas.contradiction import ContradictionKind
 from service.errors import UsageError
 
 RatesBy = Literal["vehicle", "version", "kind", "hour", "log"]
-"""What scenes are grouped by; `version` is the software version that the car ran."""
+"""Grouping of scenes; `version` is the software version that the car ran."""
 
 HOUR_NS: Final = 3600 * NS_PER_S
 
 
 class RatesRequest(BaseModel):
-    """Which current scenes are counted, and how they are grouped."""
+    """Filter of the current scenes to count, and their grouping."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -35,29 +35,30 @@ class RateRow(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     group: Kept = Field(description="Vehicle, software version, kind, hour (RFC 3339) or log.")
-    time: Said | None = Field(default=None, description="By hour: its begin, RFC 3339, UTC.")
+    time: Said | None = Field(default=None, description="By hour: its start, RFC 3339, UTC.")
     time_ms: Count | None = Field(default=None, description="By hour: ms since the Unix epoch.")
     scenes: Count = Field(description="Current scenes.")
     frames: Count = Field(description="Their frames.")
     compared_points: Count = Field(description="Points that both streams labelled.")
     contradicting_points: Count = Field(
-        description="Of these, called dynamic by exactly one stream; by kind: by that one."
+        description="Of these, labelled dynamic by exactly one stream; by kind: by that one."
     )
     disagreement_rate: Finite = Field(description="Contradicting over compared points.")
     only_semantic_dynamic_rate: Finite = Field(
-        description="Only the supervised stream says dynamic, over compared points."
+        description="Share labelled dynamic by the supervised stream alone, over compared points."
     )
     only_predictive_dynamic_rate: Finite = Field(
-        description="Only the self-supervised stream says dynamic, over compared points."
+        description="Share labelled dynamic by the self-supervised stream alone, over compared "
+        "points."
     )
     scenes_with_contradictions: Count = Field(
         description="Scenes with a score above 0; by kind: with a point of that kind."
     )
-    gated_scenes: Count = Field(
-        description="Too short, or odometry lost: their score means nothing."
+    gated_scenes: Count = Field(description="Too short, or odometry lost; without a valid score.")
+    mean_score: Finite = Field(
+        description="Mean over the scenes that are not gated; 0 without any."
     )
-    mean_score: Finite = Field(description="Over the scenes that are not gated; 0 without any.")
-    best_score: Finite = Field(description="Best of the group.")
+    best_score: Finite = Field(description="Highest score of the group.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,14 +70,14 @@ class RateSums:
         scenes: Current scenes.
         frames: Their frames.
         compared: Points that both streams labelled.
-        only_semantic: Points that only the supervised stream calls dynamic.
-        only_predictive: Points that only the self-supervised stream calls dynamic.
+        only_semantic: Points that only the supervised stream labels dynamic.
+        only_predictive: Points that only the self-supervised stream labels dynamic.
         contradicting_scenes: Scenes with a score above 0.
         semantic_scenes: Scenes with a point of `only_semantic`.
         predictive_scenes: Scenes with a point of `only_predictive`.
-        gated_scenes: Scenes that are not scored.
-        score_sum: Sum of the scores of the others.
-        best_score: Best of all.
+        gated_scenes: Scenes without a score.
+        score_sum: Sum of the scores of all other scenes.
+        best_score: Highest score.
     """
 
     group: str | int
@@ -94,7 +95,7 @@ class RateSums:
 
 
 def rates(sums: Iterable[RateSums], by: RatesBy) -> list[RateRow]:
-    """Make the rows of sums: hours in their order, everything else worst first."""
+    """Make the rows of sums: hours in their order, all other groups worst first."""
     if by == "kind":
         return [row for one in sums for row in _rows_by_kind(one)]
     rows = [_row(one, by_hour=by == "hour") for one in sums]
@@ -104,18 +105,17 @@ def rates(sums: Iterable[RateSums], by: RatesBy) -> list[RateRow]:
 
 
 def rates_request(by: str, *, since: str = "", until: str = "", now_s: float) -> RatesRequest:
-    """Understand what a person or a dashboard asks.
+    """Parse the values that a user or a dashboard gave.
 
     Args:
         by: One of `RatesBy`.
-        since: Time of recording: RFC 3339, a date, so long ago (`90m`, `24h`, `7d`, `2w`), or, as
-            dashboards write it, milliseconds since the Unix epoch (13 digits); empty: from the
-            first.
-        until: As `since`, but excluded; empty: to the last.
-        now_s: Seconds since the Unix epoch, which `7d` counts back from.
+        since: Earliest time of recording: RFC 3339, a date, an age (`90m`, `24h`, `7d`, `2w`), or
+            milliseconds since the Unix epoch (13 digits), as dashboards write it; empty: no limit.
+        until: As `since`, but excluded; empty: no limit.
+        now_s: Seconds since the Unix epoch, from which `7d` counts back.
 
     Raises:
-        UsageError: If one of them cannot be meant; the message says what would do.
+        UsageError: If a value is invalid; the message lists valid ones.
     """
     known = get_args(RatesBy)
     if by not in known:
@@ -182,7 +182,7 @@ def _instant_ns(text: str, *, what: str, now_s: float) -> int:
     except ValueError:
         raise UsageError(
             f"{what} is no time: {text!r}; give one like 2026-11-20, 2026-11-20T08:00:00Z, or 24h "
-            "and 7d for so long ago"
+            "and 7d for an age"
         ) from None
     if instant.tzinfo is None:
         instant = instant.replace(tzinfo=UTC)
@@ -191,7 +191,7 @@ def _instant_ns(text: str, *, what: str, now_s: float) -> int:
 
 def _within_range(instant_ns: int, text: str, *, what: str) -> int:
     if instant_ns > MAX_INTEGER:
-        raise UsageError(f"{what} is too late: {text!r}; the last time there is lies in April 2262")
+        raise UsageError(f"{what} is too late: {text!r}; times end in April 2262")
     return max(0, instant_ns)
 
 

@@ -1,6 +1,6 @@
-"""Short names of scenes: the end of their log's id and when they begin. Pure.
+"""Short names of scenes: the end of the log id, and the start time. Pure.
 
-`street-001@2026-03-02T09:01:04.0` is a scene of the one log whose id ends so.
+`street-001@2026-03-02T09:01:04.0` is a scene of the one log whose id has this end.
 """
 
 import re
@@ -15,9 +15,9 @@ _NAME = re.compile(r"(?P<log>.+)@(?P<begins>\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d)"
 
 
 def short_names(rows: Sequence[RankedScene]) -> dict[str, str]:
-    """Name scenes by as many last parts of their logs' ids as tell these logs apart.
+    """Name scenes by the least number of last parts of their log ids that makes the logs distinct.
 
-    Where two lidars of a log begin together, theirs are named too.
+    Where two lidars of a log begin together, the lidar is part of the name.
 
     Args:
         rows: Scenes that are listed together.
@@ -38,20 +38,20 @@ def short_names(rows: Sequence[RankedScene]) -> dict[str, str]:
 
 
 def is_short_name(text: str) -> bool:
-    """Whether a text has the form of a short name."""
+    """Return true if a text has the form of a short name."""
     return _NAME.fullmatch(text) is not None
 
 
 def named(text: str, rows: Sequence[RankedScene]) -> RankedScene:
-    """Find the scene that a short name means.
+    """Find the scene of a short name.
 
     Args:
-        text: As `short_names` makes it.
+        text: Name that `short_names` made.
         rows: Every scene.
 
     Raises:
         NothingFoundError: If no scene has this name.
-        UsageError: If several have it: of another listing, in which it told them apart.
+        UsageError: If several have it, since it comes from another listing where it was unique.
     """
     said = _NAME.fullmatch(text)
     if said is None:
@@ -70,12 +70,12 @@ def named(text: str, rows: Sequence[RankedScene]) -> RankedScene:
         raise NothingFoundError(f"no current scene {text!r}; `counterpoint top` lists them")
     if len(found) > 1:
         listed = ", ".join(f"{row.rank} ({row.scene_id})" for row in found)
-        raise UsageError(f"{text!r} means several scenes, name one by its rank: {listed}")
+        raise UsageError(f"{text!r} matches several scenes, name one by its rank: {listed}")
     return found[0]
 
 
 def begins(row: RankedScene) -> str:
-    """When a scene begins, UTC, to the tenth of a second below."""
+    """Return the start of a scene in UTC, rounded down to a tenth of a second."""
     moment = datetime.fromtimestamp(row.start_ns // 10**9, tz=UTC)
     return f"{moment:%Y-%m-%dT%H:%M:%S}.{row.start_ns // 10**8 % 10}"
 

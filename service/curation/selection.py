@@ -1,4 +1,4 @@
-"""Which scenes go to the labellers: the best distinct ones under a budget. Pure."""
+"""Selection of the best distinct scenes under a budget of labels. Pure."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -16,26 +16,26 @@ class Selection(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: Kept = Field(min_length=1)
-    budget: int = Field(ge=1, le=MAX_INTEGER, description="Scenes that were asked for.")
+    budget: int = Field(ge=1, le=MAX_INTEGER, description="Number of scenes requested.")
     scenes: tuple[RankedScene, ...] = Field(
-        max_length=MAX_LISTED, description="Best first, with the rank they had."
+        max_length=MAX_LISTED, description="Best first, with their rank at the time."
     )
 
     @property
     def last_rank(self) -> int | None:
-        """Down to which rank it looked; None: to the end, its budget was not used up."""
+        """Lowest rank that was considered; None: all, since the budget was not used up."""
         return self.scenes[-1].rank if len(self.scenes) == self.budget else None
 
 
 def select(ranking: Iterable[RankedScene], *, budget: int) -> list[RankedScene]:
     """Choose the best distinct scenes.
 
-    Twins are left out, because a labeller who sees the better neighbour sees the same street; so
-    are scenes without any contradiction, even when the budget is not used up.
+    Twins are left out, because a labeller who sees the better neighbour sees the same street.
+    Scenes without any contradiction are left out too, even when the budget is not used up.
 
     Args:
         ranking: Best first; read only as far as needed.
-        budget: Scenes the labellers can take, at least 1.
+        budget: Scenes that the labellers can take, at least 1.
 
     Returns:
         At most `budget` scenes, best first.
@@ -51,12 +51,12 @@ def select(ranking: Iterable[RankedScene], *, budget: int) -> list[RankedScene]:
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """Scenes that a selection passed over, by why.
+    """Numbers of scenes that a selection left out, by cause.
 
     Attributes:
-        twins: Right beside a better scene of their log, ranked before the last one selected, or
-            anywhere where the budget was not used up.
-        without: In which nothing contradicts; counted where the budget was not used up.
+        twins: Scenes next to a better one of their log, ranked before the last one selected, or
+            anywhere if the budget was not used up.
+        without: Scenes without a contradiction; counted if the budget was not used up.
     """
 
     twins: int
@@ -64,11 +64,11 @@ class LeftOut:
 
 
 def left_out(ranking: Sequence[RankedScene], selection: Selection) -> LeftOut:
-    """Count what a selection passed over.
+    """Count the scenes that a selection left out.
 
     Args:
-        ranking: Best first, at least as far as the selection looked.
-        selection: Of this ranking.
+        ranking: Best first, at least as far as the selection considered it.
+        selection: Made from this ranking.
     """
     passed = ranking[: selection.last_rank]
     without = sum(scene.score <= 0 for scene in passed)

@@ -1,4 +1,4 @@
-"""What `counterpoint status` says: how far the logs are, what is damaged, what is parked."""
+"""Status of a ledger: progress of the logs, damaged stretches, parked work."""
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -9,23 +9,23 @@ _STRICT = ConfigDict(frozen=True, extra="forbid")
 
 
 class LogStatus(BaseModel):
-    """One current recording and how far it is under one pipeline version."""
+    """One current recording and its progress under one pipeline version."""
 
     model_config = _STRICT
 
     log_id: Kept
     state: Kept = Field(
-        description="waiting, settling (it still grows, or is cut short: planned when it has not "
-        "changed for a while), planning, mining, done, refused, parked, or stale (its object "
-        "changed under a reader; the next listing decides)."
+        description="waiting, settling (it still grows or is truncated, and is planned once it "
+        "is unchanged for a while), planning, mining, done, refused, parked, or "
+        "stale (its object changed under a reader; the next listing decides)."
     )
     vehicle: Kept = "unknown"
     date: Kept = "unknown"
     software_version: Kept = "unknown"
     lidar_topics: tuple[Kept, ...] = Field(default=(), max_length=MAX_LISTED)
-    problem: Kept = Field(default="", description="Why it was refused or parked.")
+    problem: Kept = Field(default="", description="Cause of a refused or parked log.")
     truncated_parts: Count = Field(
-        default=0, description="Objects that were never closed: used as far as they go."
+        default=0, description="Objects that were never closed, and are used up to their end."
     )
     damage: tuple[Damage, ...] = Field(default=(), max_length=MAX_LISTED)
     shards: dict[Kept, Count] = Field(
@@ -41,12 +41,12 @@ class LogStatus(BaseModel):
 
 
 class ParkedWork(BaseModel):
-    """A plan or shard that is not tried again, unless a person asks for it."""
+    """A plan or shard that is retried only on request."""
 
     model_config = _STRICT
 
     log_id: Kept
-    shard: Kept = Field(description="Name of the shard; empty: the planning of the log.")
+    shard: Kept = Field(description="Name of the shard; empty: the plan of the log.")
     attempts: Count
     error: Kept
 
@@ -64,21 +64,23 @@ class PointTotals(BaseModel):
 
 
 class Judged(BaseModel):
-    """Two streams whose labels were compared, and how many current scenes tell of that."""
+    """Two compared streams, and the number of current scenes that compare them."""
 
     model_config = _STRICT
 
-    supervised: Kept = Field(description="`name@version` of the stream that was judged.")
-    selfsupervised: Kept = Field(description="`name@version` of the stream beside it.")
+    supervised: Kept = Field(description="`name@version` of the supervised stream.")
+    selfsupervised: Kept = Field(description="`name@version` of the self-supervised stream.")
     scenes: Positive
 
 
 class Status(BaseModel):
-    """The ledger at one moment, under one pipeline version."""
+    """Status of the ledger at one moment, under one pipeline version."""
 
     model_config = _STRICT
 
-    pipeline_version: Kept = Field(description="Empty: no worker has asked for work yet.")
+    pipeline_version: Kept = Field(
+        description="Newest pipeline version; empty: no worker has claimed work yet."
+    )
     logs: tuple[LogStatus, ...] = Field(default=(), max_length=MAX_LISTED)
     logs_by_state: dict[Kept, Count] = Field(default_factory=dict, max_length=MAX_LISTED)
     shards_by_state: dict[Kept, Count] = Field(default_factory=dict, max_length=MAX_LISTED)
@@ -86,20 +88,23 @@ class Status(BaseModel):
     retried: tuple[ParkedWork, ...] = Field(
         default=(),
         max_length=MAX_LISTED,
-        description="Was parked with this error, is tried again, and has not failed since.",
+        description="Retried work, with the error for which it was parked; it has not failed "
+        "since.",
     )
     scenes: Count = Field(default=0, description="Current scenes, of any pipeline version.")
     frames: Count = Field(default=0, description="Frames scored under this pipeline version.")
-    frames_per_s: Finite = Field(default=0.0, description="Over the commits of the last minute.")
-    bytes_read: Count = Field(default=0, description="Bytes that mining read; planning apart.")
+    frames_per_s: Finite = Field(
+        default=0.0, description="Frames per second over the commits of the last minute."
+    )
+    bytes_read: Count = Field(default=0, description="Bytes read by mining, without planning.")
     bytes_needed: Count = Field(default=0, description="Stored bytes of chunks with scored frames.")
     plan_bytes_read: Count = 0
-    peak_memory_bytes: Count = Field(default=0, description="Most memory that any worker held.")
+    peak_memory_bytes: Count = Field(default=0, description="Largest memory of any worker, bytes.")
     points: PointTotals = Field(default_factory=PointTotals)
     judged: tuple[Judged, ...] = Field(
         default=(),
         max_length=MAX_LISTED,
-        description="Streams that current scenes compare; of most scenes first.",
+        description="Streams that the current scenes compare; the most frequent pair first.",
     )
     last_seq: Count = Field(default=0, description="Number of the newest scene event.")
     published_seq: Count = Field(default=0, description="Number up to which events are published.")

@@ -1,4 +1,4 @@
-"""The scenes of the demo's fleet, each beside what was put into it."""
+"""Scenes of the demo's fleet, each with its injected failures and disturbances."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,16 +26,16 @@ _WORDS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class DemoScene:
-    """A ranked scene and what truth knows of it.
+    """A ranked scene and its truth.
 
     Attributes:
-        row: Of the ranking.
-        record: What was published.
+        row: Its row of the ranking.
+        record: Its published record.
         at_s: Seconds from the first scene of its log.
-        failures: Kinds of what the model on the car was made to get wrong in it, in words.
-        disturbances: Kinds of what disturbs in it without being a failure, in words.
-        told: Whether its first reason tells of a track, and not of what held it down.
-        named: Whether its first reason tells of a failure that was planted; None where none was.
+        failures: Kinds of failures injected into the labels of the model on the car, in words.
+        disturbances: Kinds of disturbances that are no failures, in words.
+        is_about_track: True if its first reason is about a track, false if it explains a low score.
+        named: True if its first reason is about an injected failure; None without one.
     """
 
     row: RankedScene
@@ -43,59 +43,59 @@ class DemoScene:
     at_s: int
     failures: tuple[str, ...]
     disturbances: tuple[str, ...]
-    told: bool
+    is_about_track: bool
     named: bool | None = None
 
     @property
     def street(self) -> str:
-        """Last part of its log's name: no two logs of the demo share it."""
+        """Last part of its log's name, unique in the demo."""
         return self.row.log_id.rpartition("/")[2]
 
     @property
     def name(self) -> str:
-        """Street and second: short enough for a table."""
+        """Street and second, short enough for a table."""
         return f"{self.street} at {self.at_s} s"
 
     @property
     def file_name(self) -> str:
-        """Of its picture: the rank first, so that a folder lists them in order."""
+        """File name of its picture, with the rank first, so that a folder lists them in order."""
         return f"{self.row.rank:02}-{self.street}-{self.at_s}s.png"
 
     @property
     def planted(self) -> str:
-        """What was put into it: failures, then disturbances; a dash for nothing."""
-        told = [", ".join(self.failures)] if self.failures else []
+        """Injected failures, then disturbances; a dash for none."""
+        words = [", ".join(self.failures)] if self.failures else []
         if self.disturbances:
-            told.append(f"disturbed: {', '.join(self.disturbances)}")
-        return "; ".join(told) or "-"
+            words.append(f"disturbed: {', '.join(self.disturbances)}")
+        return "; ".join(words) or "-"
 
     @property
     def wrong(self) -> str:
-        """Who probably errs about the track that is told, and how probably; else a dash."""
-        said = self.record.tracks[0].attribution if self.told else None
+        """Stream that is probably wrong about the first reason's track, with its probability."""
+        said = self.record.tracks[0].attribution if self.is_about_track else None
         return f"{_WORDS[said.wrong]} {said.chance:.0%}" if said else "-"
 
     @property
     def why(self) -> str:
-        """What its first reason tells, without who errs and what speaks for it: a table's worth."""
+        """First reason without attribution and evidence, short enough for a table."""
         first = next(iter(self.record.reasons), "-")
-        return first.partition("; ")[0] if self.told else first
+        return first.partition("; ")[0] if self.is_about_track else first
 
 
-def beside_truth(
+def with_truth(
     ranking: Sequence[RankedScene],
     records: Mapping[str, SceneScore],
     truth: Path,
     *,
     overlay_of: Callable[[str], Overlay],
 ) -> list[DemoScene]:
-    """Hold each scene of a simulated fleet beside what was planted in it.
+    """Join the scenes of a simulated fleet with the failures injected into them.
 
     Args:
         ranking: All of its scenes, best first.
-        records: Theirs, by scene.
+        records: Their records, by scene id.
         truth: Folder of its truth.
-        overlay_of: Reads the points of a scene; asked for those with a failure and a reason.
+        overlay_of: Reads the overlay of a scene; called for those with a failure and a reason.
     """
     from workers.contradiction.reasons import WORTH_SAYING
     from workers.lab.simulation.faults.fault_truth import PlantedTruth
@@ -111,8 +111,8 @@ def beside_truth(
         failures = _within(known.failures, row) if known else ()
         named = False if failures else None
         worth = bool(record.tracks) and record.tracks[0].strength >= WORTH_SAYING
-        told = record.score > 0 and worth
-        if known and failures and told:
+        is_about_track = record.score > 0 and worth
+        if known and failures and is_about_track:
             points = PlantedPoints(truth / row.log_id)
             named = points.first_reason_names(overlay_of(row.scene_id), known.failures)
         scenes.append(
@@ -122,7 +122,7 @@ def beside_truth(
                 at_s=round((row.start_ns - begins_ns[row.log_id]) / NS_PER_S),
                 failures=failures,
                 disturbances=_within(known.disturbances, row) if known else (),
-                told=told,
+                is_about_track=is_about_track,
                 named=named,
             )
         )
@@ -130,7 +130,7 @@ def beside_truth(
 
 
 def _within(planted: "Sequence[FailureRow | DisturbanceRow]", row: RankedScene) -> tuple[str, ...]:
-    """Name each kind once that is there in a frame of the scene."""
+    """Return each kind present in a frame of the scene, once."""
     there = [
         each.kind.value.replace("_", " ")
         for each in planted

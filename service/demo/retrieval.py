@@ -1,4 +1,4 @@
-"""How well the ranking of the demo's fleet finds what was planted in it, beside other rankings."""
+"""Retrieval quality of the demo's ranking for injected failures, compared with other rankings."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,17 +10,17 @@ from schemas.score import SceneScore
 from service.demo.planted import DemoScene
 
 BUDGETS: Final = (0.1, 0.2)
-"""Of thirty scenes the first three and the first six."""
+"""Budgets as shares of the scenes: of thirty, the first three and the first six."""
 
 
 @dataclass(frozen=True, slots=True)
 class RankingFound:
-    """What one way to rank the scenes finds.
+    """Retrieval quality of one ranking.
 
     Attributes:
-        name: Of the way.
-        ap: Average precision; None where nothing was planted.
-        precision_at: By budget in percent: share of the scenes looked at that hold a failure.
+        name: Name of the ranking.
+        ap: Average precision; None without injected failures.
+        precision_at: By budget in percent: share of the scenes within it that contain a failure.
     """
 
     name: str
@@ -29,7 +29,7 @@ class RankingFound:
 
 
 def found_in(scenes: Sequence[DemoScene]) -> list[RankingFound]:
-    """Say how well each way to rank the scenes finds those with a planted failure."""
+    """Compute the retrieval quality of each ranking for scenes with an injected failure."""
     from workers.lab.evaluation.failures.retrieval import Retrieval, random_retrieval, retrieve
 
     wanted = np.array([bool(scene.failures) for scene in scenes], dtype=np.bool_)

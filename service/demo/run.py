@@ -1,4 +1,4 @@
-"""`counterpoint demo`: a small simulated fleet, mined as any bucket is, then looked at."""
+"""Run of `counterpoint demo`: a small simulated fleet, mined like any bucket, ranked and drawn."""
 
 import shutil
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from rich.progress import Progress
 
 from service.api.reader import StateReader, overlay_of
 from service.curation.status import Status
-from service.demo.planted import DemoScene, beside_truth
+from service.demo.planted import DemoScene, with_truth
 from service.demo.retrieval import RankingFound, found_in
 from service.embedded import run_embedded
 from service.errors import UsageError
@@ -23,18 +23,18 @@ from service.store.engine import DATABASE_NAME
 PICTURES: Final = 3
 
 _MARK: Final = ".counterpoint-demo"
-"""File that says that a folder is a demo's, and may be replaced by the next one."""
+"""Name of the file that marks a folder of a demo, which the next demo may replace."""
 
 
 @dataclass(frozen=True, slots=True)
 class DemoResult:
-    """What came of a demo.
+    """Results of a demo.
 
     Attributes:
-        status: How mining went.
-        scenes: All of them, best first, each beside what was planted in it.
-        pictures: Of the best ones.
-        found: How well rankings find those in which a failure was planted.
+        status: Status of the ledger after mining.
+        scenes: All scenes, best first, each with its injected failures.
+        pictures: Pictures of the best ones.
+        found: Retrieval quality of the rankings for injected failures.
     """
 
     status: Status
@@ -46,7 +46,7 @@ class DemoResult:
 def demo_settings(
     out: Path, *, workers: int, log_format: str | None = None, log_level: str | None = None
 ) -> Settings:
-    """Settings of a demo in this folder: nothing of the user's fleet is read or written.
+    """Return settings for a demo in this folder, which never touch data of the user's fleet.
 
     Raises:
         UsageError: If a value is impossible.
@@ -77,22 +77,22 @@ def run_demo(
 ) -> DemoResult:
     """Simulate street logs, mine them with `run --once`, rank the scenes, draw the best.
 
-    The model that ran on the simulated cars is right but for a few mistakes that were put in; the
-    self-supervised stream has never seen them.
+    The model on the simulated cars is right except for a few injected mistakes; the self-supervised
+    stream was not trained on them.
 
     Args:
-        out: Folder for everything; what an earlier demo left there is replaced.
-        settings: As `demo_settings` makes them for this folder.
-        remark: Told what happens.
+        out: Folder for everything; the output of an earlier demo there is replaced.
+        settings: Result of `demo_settings` for this folder.
+        remark: Called with a sentence at each step.
         progress: Makes a progress bar.
         now_s: Time, for rates in the status.
         force: Replace folders there even if no demo made them.
 
     Returns:
-        What came of it.
+        Results of the demo.
 
     Raises:
-        UsageError: If nothing can be written there, or what would be replaced is of no demo.
+        UsageError: If the folder cannot be written, or a folder to replace is of no demo.
     """
     from workers.lab.simulation.output.demo import DEMO_FRAMES, make_demo_fleet
 
@@ -105,7 +105,7 @@ def run_demo(
         )
     planted = [each.kind.value.replace("_", " ") for log in logs for each in log.planted.failures]
     remark(
-        f"{len(logs)} simulated logs; the model on these cars was made to err {len(planted)} times "
+        f"{len(logs)} simulated logs; the model on these cars has {len(planted)} injected failures "
         f"({', '.join(sorted(set(planted)))}). Mining them takes a few minutes."
     )
     with progress() as bar:
@@ -121,7 +121,7 @@ def run_demo(
     reader = StateReader(settings, now_s=now_s)
     ranking = reader.top()
     records = {row.scene_id: reader.scene(row.scene_id) for row in ranking}
-    scenes = beside_truth(
+    scenes = with_truth(
         ranking,
         records,
         bucket / "truth",
@@ -141,7 +141,7 @@ def _begin_in(out: Path, *, remark: Callable[[str], None], force: bool) -> tuple
     """Empty the folders of a demo, and return those of its fleet and of its pictures.
 
     Raises:
-        UsageError: If nothing can be written there, or one exists and no demo made it.
+        UsageError: If the folder cannot be written, or a folder in it is of no demo.
     """
     folders = bucket, state, pictures = out / "fleet", out / "state", out / "pictures"
     there = [folder for folder in folders if folder.exists()]
@@ -151,8 +151,8 @@ def _begin_in(out: Path, *, remark: Callable[[str], None], force: bool) -> tuple
     )
     if there and not is_of_a_demo and not force:
         raise UsageError(
-            f"--out: {there[0]} exists and is of no demo: name another folder, or replace it with "
-            "--force"
+            f"--out: {there[0]} exists, and no demo made it: name another folder, or replace it "
+            "with --force"
         )
     need_folder(out, option="--out")
     (out / _MARK).touch()

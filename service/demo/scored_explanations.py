@@ -1,4 +1,4 @@
-"""Whether the first reason of a scene tells of what was planted in it, by truth."""
+"""Evaluation of first reasons against truth: is the track of the reason an injected failure?"""
 
 import json
 from collections.abc import Sequence
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 
 class PlantedPoints:
-    """The truth of one simulated log, asked which points a planted failure is about."""
+    """Truth of one simulated log: the points of each injected failure."""
 
     def __init__(self, folder: Path) -> None:
-        """Take the folder of the truth of the log; frames are read when asked for."""
+        """Keep the folder of the log's truth; frames are read on demand."""
         self._folder = folder
         listed = json.loads((folder / "frames.json").read_text())["frames"]
         self._number = {row["header_stamp"]: row["index"] for row in listed}
@@ -29,12 +29,12 @@ class PlantedPoints:
     def first_reason_names(
         self, overlay: Overlay, failures: Sequence["FailureRow"], *, track_id: int = 0
     ) -> bool:
-        """Whether most points of a contradicting track are of what was planted, while it was.
+        """Return true if most points of a contradicting track belong to an active failure.
 
         Args:
-            overlay: Of the scene.
-            failures: What was planted in its log.
-            track_id: Which track: the first reason tells the first.
+            overlay: Overlay of the scene.
+            failures: Failures injected into its log.
+            track_id: The track; the first reason is about the first one.
         """
         planted = points = 0
         for instance in np.flatnonzero(overlay.instance_track == track_id).tolist():

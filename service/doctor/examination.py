@@ -1,4 +1,4 @@
-"""`counterpoint doctor`: looks at everything a run needs, one sentence each, and what to mend."""
+"""Run of `counterpoint doctor`: checks all prerequisites, one finding each, with a remedy."""
 
 from collections.abc import Callable, Iterator
 from typing import Final
@@ -9,13 +9,13 @@ from service.settings.config import ReadSettings, Settings
 
 
 def examine(read: ReadSettings) -> Iterator[Finding]:
-    """Look at everything in turn; nothing is written but one small probe into the artifacts.
+    """Run all checks in turn; they write nothing but one small object into the artifacts.
 
     Args:
-        read: The settings to check the world against.
+        read: Settings to check.
 
     Yields:
-        Findings as they are made; a part may have several. What cannot be checked is said.
+        Findings, each when it is made; a part may have several. Impossible checks are reported too.
     """
     from service.doctor import machine as doctor_machine
     from service.doctor import network as doctor_network
@@ -46,4 +46,4 @@ def examine(read: ReadSettings) -> Iterator[Finding]:
 def _settings(read: ReadSettings) -> Finding:
     changed = ", ".join(sorted(read.written)) or "none"
     file = f"file {read.file}" if read.file else "no file"
-    return ok("settings", f"all possible; given: {changed} ({file})")
+    return ok("settings", f"all valid; changed: {changed} ({file})")

@@ -1,4 +1,4 @@
-"""One finding of `counterpoint doctor`: its verdict, and how to mend what is wrong."""
+"""One finding of `counterpoint doctor`: a verdict, and a remedy for a problem."""
 
 from typing import Literal
 
@@ -8,25 +8,27 @@ Verdict = Literal["ok", "warning", "problem"]
 
 
 class Finding(BaseModel):
-    """One thing that was looked at."""
+    """Result of one check."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    what: str = Field(description="The part that was looked at.")
-    verdict: Verdict = Field(description="problem: it will not work; warning: look at it.")
-    says: str = Field(description="What was found, and what to mend, in one sentence.")
+    what: str = Field(description="The part that was checked.")
+    verdict: Verdict = Field(
+        description="problem: it will not work; warning: it works with a limitation."
+    )
+    says: str = Field(description="Result and remedy in one sentence.")
 
 
 def ok(what: str, says: str) -> Finding:
-    """Say that a part is as it should be."""
+    """Report that a part is in order."""
     return Finding(what=what, verdict="ok", says=says)
 
 
 def warning(what: str, says: str) -> Finding:
-    """Say that a part works, but not as it could."""
+    """Report that a part works, but with a limitation."""
     return Finding(what=what, verdict="warning", says=says)
 
 
 def problem(what: str, says: str) -> Finding:
-    """Say that a part will not work."""
+    """Report that a part will not work."""
     return Finding(what=what, verdict="problem", says=says)

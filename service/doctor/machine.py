@@ -1,4 +1,4 @@
-"""What `doctor` looks at on this machine: parts of workers, processors, compiled code, clock."""
+"""Checks of `doctor` on this machine: parts of workers, processors, compiled code, clock."""
 
 import os
 import time
@@ -22,20 +22,20 @@ NEEDED: Final = ("torch", "kiss_icp", "mcap", "numba", "pypatchworkpp", "scipy",
 """Modules of the extra `workers`."""
 
 WORKER_BYTES: Final = 1_000_000_000
-"""What one worker holds at most, on frames of 100,000 points."""
+"""Memory of one worker at most, on frames of 100,000 points, bytes."""
 
 STEPPED_BACK_S: Final = 60.0
 
 
 def camera(settings: Settings) -> Iterator[Finding]:
-    """Read the calibration of the camera whose view is compared, where a file states it."""
+    """Read the calibration of the camera, if the settings name a file."""
     if settings.camera:
         settings.mining()  # what it raises names the file
         yield ok("camera", f"its view is compared: {settings.camera}")
 
 
 def parts(settings: Settings) -> Iterator[Finding]:
-    """Build odometry and both streams: their weights are loaded and checked."""
+    """Build odometry and both streams, which loads and checks their weights."""
     missing = [name for name in NEEDED if find_spec(name) is None]
     if missing:
         yield warning(
@@ -56,7 +56,7 @@ def parts(settings: Settings) -> Iterator[Finding]:
 
 
 def devices(settings: Settings) -> Iterator[Finding]:
-    """Count processors and memory against the workers that are asked for."""
+    """Compare processors and memory with the configured number of workers."""
     cores = len(os.sched_getaffinity(0))
     has = f"{settings.workers} workers on {cores} processors"
     if settings.workers > cores:
@@ -88,7 +88,7 @@ def devices(settings: Settings) -> Iterator[Finding]:
 
 
 def compiled_code(_settings: Settings) -> Iterator[Finding]:
-    """Ask numba where it keeps compiled loops; without such a place it compiles none."""
+    """Check the folder of numba's compiled loops; without one it compiles none."""
     if find_spec("numba") is None or find_spec("workers") is None:
         return
     from numba.core.caching import FunctionCache
@@ -108,7 +108,7 @@ def compiled_code(_settings: Settings) -> Iterator[Finding]:
 
 
 def clock(settings: Settings) -> Iterator[Finding]:
-    """Compare the clock with the newest commit: leases and rates count by it."""
+    """Compare the clock with the newest commit, since leases and rates depend on it."""
     now_s = time.clock_gettime(time.CLOCK_REALTIME)
     said = datetime.fromtimestamp(now_s, tz=UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
     try:
@@ -122,7 +122,7 @@ def clock(settings: Settings) -> Iterator[Finding]:
         yield problem(
             "clock",
             f"{said} is {newest_s - now_s:.0f} s before the newest commit: the clock was set back; "
-            "mend it, nothing is lost meanwhile",
+            "correct it, nothing is lost meanwhile",
         )
     else:
         yield ok("clock", said)

@@ -1,4 +1,4 @@
-"""What `doctor` looks at on the network: the router, the service behind it, ports to listen on."""
+"""Checks of `doctor` on the network: the router, the service behind it, ports to listen on."""
 
 import socket
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ PATIENCE_S = 3.0
 
 
 def router(settings: Settings) -> Iterator[Finding]:
-    """Connect, ask for a service, count the workers."""
+    """Connect to the router, ask for a service, and count the workers."""
     endpoint = settings.connect or endpoint_of_running(settings.state)
     if not endpoint:
         yield ok("router", "none is named: `run` brings its own; else give --connect tcp/HOST:PORT")
@@ -40,7 +40,9 @@ def router(settings: Settings) -> Iterator[Finding]:
         yield _of_which_version(session, root=settings.root)
         workers = workers_alive(session, root=settings.root)
         say = ok if workers else warning
-        yield say("service", f"has {workers} workers" + ("" if workers else ": nothing is mined"))
+        yield say(
+            "service", f"has {workers} workers" + ("" if workers else ", so nothing is mined")
+        )
 
 
 def _of_which_version(session: zenoh.Session, *, root: str) -> Finding:
@@ -48,20 +50,20 @@ def _of_which_version(session: zenoh.Session, *, root: str) -> Finding:
     try:
         about = ask(session, keys.control(root=root, verb="about"), timeout_s=PATIENCE_S)
     except UnansweredError:
-        theirs = "an older version, which does not say itself,"
+        theirs = "an older version that does not report its own number,"
     else:
         theirs = f"version {decode(AboutReply, about).package}"
     if theirs == f"version {ours}":
         return ok("service", f"{answers}, of {theirs}")
     return warning(
         "service",
-        f"{answers}, but is of {theirs} and this command of version {ours}: what they "
-        "say to each other may differ; use the command of its version, or upgrade and restart it",
+        f"{answers}, but is of {theirs} and this command of version {ours}: their "
+        "messages may differ; use the command of its version, or upgrade and restart it",
     )
 
 
 def http(settings: Settings) -> Iterator[Finding]:
-    """Look whether the ports for metrics can be listened on."""
+    """Check that the ports for metrics can be listened on."""
     held = endpoint_of_running(settings.state) is not None
     for name, listen in (
         ("http_listen", settings.http_listen),

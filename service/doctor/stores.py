@@ -1,4 +1,4 @@
-"""What `doctor` looks at on disks and servers: bucket, artifacts, state folder, database."""
+"""Checks of `doctor` on disks and servers: bucket, artifacts, state folder, database."""
 
 import shutil
 import tempfile
@@ -29,12 +29,14 @@ MCAP_MAGIC: Final = b"\x89MCAP0\r\n"
 
 LITTLE_ROOM_BYTES: Final = 5_000_000_000
 NO_ROOM_BYTES: Final = 100_000_000
-"""Overlays of an hour of lidar are some gigabytes; a ledger that cannot grow stops everything."""
+"""Free space below which a disk counts as full, bytes. Overlays of an hour of lidar take some
+gigabytes; a ledger that cannot grow stops everything.
+"""
 
 NOT_LOCAL: Final = frozenset(
     ("nfs", "nfs4", "cifs", "smb3", "smbfs", "9p", "afs", "ceph", "glusterfs", "lustre", "beegfs")
 ) | {"virtiofs", "fuse.sshfs", "fuse.s3fs", "fuse.gcsfuse", "fuse.glusterfs", "fuse.rclone"}
-"""File systems on which locks of one machine may not be seen by another, or not hold at all."""
+"""File systems whose locks may be invisible to other machines, or ineffective."""
 
 
 def bucket(settings: Settings) -> Iterator[Finding]:
@@ -65,10 +67,10 @@ def bucket(settings: Settings) -> Iterator[Finding]:
 
 
 def artifacts(settings: Settings) -> Iterator[Finding]:
-    """Write a small object where overlays go, and read it back."""
+    """Write a small object into the artifacts, and read it back."""
     url = settings.artifacts_url
     if settings.bucket and _canonical(url) == _canonical(settings.bucket):
-        yield problem("artifacts", "are the log bucket itself: name another place with --artifacts")
+        yield problem("artifacts", "are the log bucket itself: name another URL with --artifacts")
         return
     if not settings.artifacts and not settings.state.is_dir():
         yield ok("artifacts", f"will be made in the state folder ({shown(url)})")
@@ -82,7 +84,7 @@ def artifacts(settings: Settings) -> Iterator[Finding]:
         with suppress(CounterpointError):  # credentials may allow writing and no deleting
             store.delete(PROBE_KEY)
             deleted = True
-    left = "" if deleted else f"; the probe {PROBE_KEY} stays there, it cannot be deleted"
+    left = "" if deleted else f"; the probe {PROBE_KEY} remains, since it cannot be deleted"
     if same:
         yield ok("artifacts", f"can be written and read ({store.url}){left}")
     else:
@@ -92,7 +94,7 @@ def artifacts(settings: Settings) -> Iterator[Finding]:
 
 
 def state(settings: Settings) -> Iterator[Finding]:
-    """Look whether the state folder can be written, has room, is local, and who holds it."""
+    """Check that the state folder is writable, local and not full, and find its user process."""
     folder = settings.state.absolute()
     exists = folder.is_dir()
     at = folder if exists else next(up for up in folder.parents if up.is_dir())
@@ -100,7 +102,7 @@ def state(settings: Settings) -> Iterator[Finding]:
         with tempfile.TemporaryFile(dir=at):
             pass
     except OSError as error:
-        yield problem("state", f"cannot be written: {error.strerror}; mend its permissions ({at})")
+        yield problem("state", f"cannot be written: {error.strerror}; fix its permissions ({at})")
         return
     yield ok("state", f"can be written ({folder})" if exists else f"will be made ({folder})")
     free = shutil.disk_usage(at).free
@@ -115,7 +117,7 @@ def state(settings: Settings) -> Iterator[Finding]:
     if kind in NOT_LOCAL:
         yield problem(
             "state",
-            f"lies on {kind}, where locks of other machines may not be seen: use a local disk"
+            f"lies on {kind}, where locks of other machines may be invisible: use a local disk"
             + ("" if settings.database else ", or a PostgreSQL with --database"),
         )
     endpoint = endpoint_of_running(folder)
@@ -126,9 +128,10 @@ def state(settings: Settings) -> Iterator[Finding]:
 
 
 def database(settings: Settings) -> Iterator[Finding]:
-    """Open the database for reading, and check every page of a SQLite file, however large.
+    """Open the database for reading, and check every page of a SQLite file of any size.
 
-    A start leaves the scenes of a very large one out. 4.4 GB take 7 s from memory, 54 s from disk.
+    The check at a start skips the scenes of a very large one. 4.4 GB take 7 s from memory, 54 s
+    from disk.
     """
     path = settings.state / DATABASE_NAME
     where = shown(settings.database) if settings.database else str(path)
@@ -150,13 +153,13 @@ def database(settings: Settings) -> Iterator[Finding]:
     if settings.bucket and served and open_bucket(settings.bucket).url != served:
         yield warning(
             "database",
-            f"belongs to {served}: a run on another bucket is refused, unless that holds its logs; "
+            f"belongs to {served}: a run on another bucket is refused, unless that has its logs; "
             "name another folder with --state",
         )
 
 
 def file_system_of(folder: Path, mounts: Path = Path("/proc/self/mountinfo")) -> str:
-    """Name the kind of file system that a folder lies on; empty where the system does not say."""
+    """Return the type of file system of a folder; empty where the system does not report it."""
     if not mounts.is_file():
         return ""
     resolved, kinds = real_path(folder), {}

@@ -1,1 +1,1 @@
-"""Metrics, gauges, readiness, and the HTTP routes that show them."""
+"""Metrics, gauges, readiness, and their HTTP routes."""

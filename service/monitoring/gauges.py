@@ -1,4 +1,4 @@
-"""Every metric that is read rather than counted: how the service stands at the time of a scrape."""
+"""Gauges of the service: metrics that are read at the time of a scrape instead of counted."""
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -16,16 +16,17 @@ from service.store.transaction_effects import WorkKind
 from service.store.work_items import WorkState
 
 BucketError = Literal["unreachable", "refused"]
-"""How a listing broke off: no answer, an error of the store's own, a folder that is gone, as when
-its disk is not mounted; or the store said no."""
+"""Cause of an interrupted listing. `unreachable`: no answer, an error of the store's own, or a
+missing folder, as when its disk is not mounted. `refused`: the store denied it.
+"""
 
 ClockStep = Literal["forward", "back"]
-"""Which way a clock was set."""
+"""Direction of a clock step."""
 
 NAMESPACE: Final = "counterpoint"
 
 CACHED_S: Final = 5.0
-"""The ledger is counted at most this often, however many scrape."""
+"""Least interval between two counts of the ledger, however many scrapes there are, seconds."""
 
 RECORDING_STATES: Final = (
     "waiting",
@@ -41,18 +42,18 @@ RECORDING_STATES: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Sources:
-    """Where the gauges are read; each call must be quick.
+    """Sources of the gauges; each call must be quick.
 
     Attributes:
-        backlog: The ledger's counts; may raise a `CounterpointError`.
-        bucket_url: Of the log bucket.
-        bucket: What its listings have shown.
+        backlog: Counts of the ledger; may raise a `CounterpointError`.
+        bucket_url: URL of the log bucket.
+        bucket: Results of its listings.
         staging_bytes: Bytes of raw records that wait for their commit.
-        questions_waiting: Questions in the queue.
+        questions_waiting: Requests in the queue.
         bus_misses: Raw records that were lost on the bus so far.
-        state_free_bytes: Free bytes of the disk that holds the state; None: not known.
-        router_connected: Whether a router is there.
-        clock_steps: How often the clock was set, by direction.
+        state_free_bytes: Free bytes on the disk of the state; None: unknown.
+        router_connected: True if a router is connected.
+        clock_steps: Number of clock steps, by direction.
         overlays_deleted: Overlays deleted since the start.
         now_s: Seconds since the Unix epoch.
     """
@@ -72,7 +73,7 @@ class Sources:
 
 @dataclass(slots=True)
 class _Kept:
-    """The last count of the ledger, and when it was made on the monotonic clock."""
+    """Last count of the ledger, and its time on the monotonic clock."""
 
     at_s: float = float("-inf")
     backlog: Backlog | None = None
@@ -80,27 +81,27 @@ class _Kept:
 
 
 class ServiceGauges(Collector):
-    """Reads how the service stands, once per scrape.
+    """Reads the gauges, once per scrape.
 
-    While the database does not answer, the series that come from it are absent;
-    `counterpoint_database_errors_total` says why.
+    While the database does not answer, its series are absent; `counterpoint_database_errors_total`
+    gives the cause.
     """
 
     def __init__(self, sources: Sources) -> None:
-        """Take where to read; nothing is read before the first scrape."""
+        """Keep the sources; nothing is read before the first scrape."""
         self._sources, self._kept = sources, _Kept()
 
     def read_from(self, sources: Sources) -> None:
-        """Read elsewhere from now on."""
+        """Replace the sources."""
         self._sources = sources
 
     def describe(self) -> Iterator[Metric]:
-        """Name the metrics without reading any: what a registry asks when this is registered."""
+        """Describe the metrics without reading any, as a registry asks at registration."""
         yield from _of_ledger(Backlog(), now_s=0.0)
         yield from _of_parts(Sources())
 
     def collect(self) -> Iterator[Metric]:
-        """Read everything now, the ledger's counts at most `CACHED_S` old."""
+        """Read all sources now; counts of the ledger are at most `CACHED_S` old."""
         backlog = self._backlog()
         if backlog is not None:
             yield from _of_ledger(backlog, now_s=self._sources.now_s())
@@ -140,40 +141,39 @@ def _of_ledger(backlog: Backlog, *, now_s: float) -> Iterator[Metric]:
     )
     yield _gauge(
         "damaged_recordings",
-        "Recordings in the bucket that are mined only in part, each once: `truncated` ones have an "
-        "object that was never closed, and are mined as far as it goes; of `unreadable` ones "
-        "stretches cannot be read. Worry when it grows: uploads break off, or a recorder loses "
-        "data; `counterpoint status` names each.",
+        "Recordings in the bucket that are mined only in part, each once. `truncated` ones have "
+        "an object that was never closed, and are mined up to its end; `unreadable` ones have "
+        "stretches that cannot be read. Worry when it grows: uploads are interrupted, or a "
+        "recorder loses data; `counterpoint status` names each.",
         {(damage,): backlog.damaged.get(damage, 0) for damage in get_args(LogDamage)},
         labels=("damage",),
     )
     yield _gauge(
         "damaged_stretches",
-        "Stretches of the recordings in the bucket, mostly one chunk each, that cannot be read, "
-        "each once, whichever pipeline version found it. Worry when it grows: a recorder or an "
-        "upload loses data; `counterpoint status` names each.",
+        "Unreadable stretches of the recordings in the bucket, mostly one chunk each; each is "
+        "counted once over all pipeline versions. Worry when it grows: a recorder or an upload "
+        "loses data; `counterpoint status` names each.",
         backlog.damaged_stretches,
     )
     oldest = backlog.oldest_listed_s
     yield _gauge(
         "oldest_work_age_seconds",
-        "Since the oldest recording with work left was first listed; 0 when none is left. Worry "
-        "when it exceeds what mining one recording takes: the workers do not keep up, or are gone.",
+        "Time since the oldest recording with work left was first listed; 0 when none is left. "
+        "Worry when it exceeds the time of mining one recording: the workers do not keep up, or "
+        "are gone.",
         0.0 if oldest is None else max(0.0, now_s - oldest),
     )
-    yield _gauge("leases_held", "Leases that are out now.", backlog.leases_held)
+    yield _gauge("leases_held", "Leases held now.", backlog.leases_held)
     yield _gauge(
         "workers_seen",
         "Workers that hold a lease now. Worry when 0 while work is `ready`.",
         backlog.workers,
     )
-    yield _gauge(
-        "current_scenes", "Scenes that are current: what is ranked.", backlog.current_scenes
-    )
+    yield _gauge("current_scenes", "Current scenes, which are ranked.", backlog.current_scenes)
     yield _gauge(
         "unpublished_events",
-        "Scene events on disk that the outbox has not put yet. Worry when it only grows: no router "
-        "is connected.",
+        "Scene events on disk that the outbox has not published yet. Worry when it only grows: "
+        "no router is connected.",
         backlog.unpublished,
     )
 
@@ -182,84 +182,85 @@ def _of_parts(sources: Sources) -> Iterator[Metric]:
     seen = sources.bucket()
     yield _gauge(
         "bucket_last_listing_timestamp_seconds",
-        "When the bucket was last listed with success, since the Unix epoch; 0: not yet. Worry "
-        "when older than a few list_interval_s: new logs are not seen.",
+        "Time of the last successful listing of the bucket, since the Unix epoch; 0: not yet. "
+        "Worry when older than a few list_interval_s: new logs are not seen.",
         {(sources.bucket_url,): seen.last_success_s or 0.0},
         labels=("bucket",),
     )
     yield _gauge(
         "bucket_listing_seconds",
-        "Time that the last complete listing took. Worry when it nears list_interval_s.",
+        "Duration of the last complete listing. Worry when it nears list_interval_s.",
         seen.duration_s,
     )
     yield _gauge(
         "bucket_skipped_entries",
-        "Entries that the last listing left out since they can be no log: a name with control "
+        "Entries that the last listing skipped because they cannot be logs: a name with control "
         "characters, a loop of links, a folder that may not be read. Worry when it grows: the "
         "service's log names each.",
         seen.skipped,
     )
     yield _gauge(
         "bucket_objects",
-        "Objects of recordings in the bucket at the last listing. Worry when it falls unasked.",
+        "Objects of recordings in the bucket at the last listing. Worry when it falls "
+        "unexpectedly.",
         seen.objects,
     )
     yield _gauge(
         "bucket_bytes",
-        "Bytes of recordings in the bucket at the last listing. Worry when it falls unasked.",
+        "Bytes of recordings in the bucket at the last listing. Worry when it falls unexpectedly.",
         seen.bytes,
     )
     yield _counter(
         "bucket_errors",
-        "Listings that broke off. Worry when it grows for minutes: unreachable is the network, the "
-        "store, or a folder that is gone; refused is credentials, or a bucket that is gone.",
+        "Interrupted listings. Worry when it grows for minutes. `unreachable` means the network, "
+        "the store, or a missing folder; `refused` means credentials, or a missing bucket.",
         {(kind,): seen.errors.get(kind, 0) for kind in get_args(BucketError)},
         labels=("kind",),
     )
     yield _gauge(
         "staging_bytes",
-        "Raw records that wait for their commit. Worry near 64 MiB: the oldest are dropped then, "
-        "and sent again.",
+        "Memory of raw records that wait for their commit. Worry near 64 MiB: the oldest are "
+        "dropped then, and sent again.",
         sources.staging_bytes(),
     )
     yield _gauge(
         "questions_waiting",
-        "Questions in the queue. Worry when it stays above some hundred: the disk of the state is "
+        "Requests in the queue. Worry when it stays above some hundred: the disk of the state is "
         "too slow for so many workers.",
         sources.questions_waiting(),
     )
     yield _counter(
         "bus_misses",
         "Raw records lost between a worker and the service; the commit names them, and they are "
-        "sent again. Worry when it grows steadily: the network or the router drops.",
+        "sent again. Worry when it grows steadily: the network or the router drops messages.",
         {(): sources.bus_misses()},
     )
     yield _gauge(
         "router_connected",
-        "1 while the service has a router, else 0. Worry at 0 for a minute: no worker is answered, "
-        "no scene published; workers keep what they mined.",
+        "1 while a router is connected, else 0. Worry at 0 for a minute: no worker is answered, "
+        "no scene published; workers keep their results.",
         int(sources.router_connected()),
     )
     steps = sources.clock_steps()
     yield _counter(
         "clock_steps",
-        "Times that the clock of the service's machine was set by seconds, or the machine was "
-        "suspended. Worry when it grows: leases end early after a step forward.",
+        "Steps of the clock of the service's machine by seconds, including suspensions. Worry "
+        "when it grows: leases end early after a step forward.",
         {(way,): steps.get(way, 0) for way in get_args(ClockStep)},
         labels=("direction",),
     )
     yield _counter(
         "overlays_deleted",
         "Overlays deleted from the artifacts, of scenes withdrawn `keep_withdrawn_days` ago; 0 "
-        "without that setting. Worry when it stays 0 with it, and the artifacts only grow: the log "
-        "says why.",
+        "without that setting. Worry when it stays 0 with it, and the artifacts only grow: the "
+        "log has the cause.",
         {(): sources.overlays_deleted()},
     )
     free = sources.state_free_bytes()
     yield _gauge(
         "state_free_bytes",
-        "Free bytes on the disk of the state folder. Worry below 1 GB: when it is full no commit "
-        "is taken.",
+        "Free bytes on the disk of the state folder. Worry below 1 GB: a full disk accepts no "
+        "commit.",
         {} if free is None else {(): free},
     )
 

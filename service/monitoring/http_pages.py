@@ -1,4 +1,4 @@
-"""What the service answers over HTTP: its metrics, whether it lives and is ready, and the rates."""
+"""HTTP pages of the service: metrics, liveness, readiness, and rates."""
 
 from collections.abc import Callable, Mapping
 from http import HTTPStatus
@@ -23,12 +23,12 @@ from service.store.ledger import Ledger
 def pages(
     watched: Watched, ledger: Ledger, *registries: CollectorRegistry
 ) -> Mapping[str, Handler]:
-    """Make the handlers of a service, running or about to, by path.
+    """Make the handlers of a service, running or starting, by path.
 
     Args:
-        watched: Asked how it is.
-        ledger: What it remembers.
-        registries: What `/metrics` serves.
+        watched: Source of liveness and readiness.
+        ledger: Source of the rates.
+        registries: Source of `/metrics`.
     """
     return {
         "/metrics": metrics_route(*registries),
@@ -52,17 +52,17 @@ def _rates(ledger: Ledger, request: HttpRequest) -> HttpResponse:
     """Answer `?by=…&since=…&until=…` with an array of flat rows."""
     unknown = sorted(request.query.keys() - {"by", "since", "until"})
     if unknown:
-        raise UsageError(f"unknown parameter {unknown[0]!r}; there are: by, since, until")
+        raise UsageError(f"unknown parameter {unknown[0]!r}; known: by, since, until")
     asked = _asked_rates(request.query, now_s=ledger.now_s())
     rows = rates(ledger.rate_sums(asked), asked.by)
     return json_response([row.model_dump(mode="json", exclude_none=True) for row in rows])
 
 
 def _asked_rates(query: Mapping[str, str], *, now_s: float) -> RatesRequest:
-    """Understand the parameters.
+    """Parse the parameters.
 
     Raises:
-        UsageError: If one of them cannot be meant, or is an instant that no database keeps.
+        UsageError: If one of them is invalid, or an instant that no database keeps.
     """
     try:
         asked = rates_request(

@@ -1,6 +1,6 @@
-"""Every metric that the service counts, with its labels and when to worry; `gauges` has the rest.
+"""Counters of the service, with labels and alert hints; `gauges` has the other metrics.
 
-All of it is counted once, after the transaction that made it true: a commit that is repeated or
+Everything is counted once, after the transaction that made it true. A commit that is repeated or
 refused counts no frame, scene or point, however often a worker tries.
 """
 
@@ -23,39 +23,43 @@ from service.store.transaction_effects import CommitOutcome, Effects, WorkKind
 LeaseEnd = Literal[
     "committed", "failed", "expired", "worker_died", "given_back", "growing", "replaced", "freed"
 ]
-"""Why a lease ended: finished; its worker said why not; nobody renewed it; its process died; handed
-back at a stop; its log still grows; its recording was replaced or deleted; its pool was ended."""
+"""Cause of the end of a lease.
+
+`committed`: finished. `failed`: the worker reported an error. `expired`: not renewed.
+`worker_died`: its process died. `given_back`: returned at a stop. `growing`: the log still grows.
+`replaced`: the recording was replaced or deleted. `freed`: its pool was ended.
+"""
 
 FaultyPart = Literal["question", "tick", "event"]
-"""What an error that nobody foresaw met."""
+"""Part of the service in which an unexpected error occurred."""
 
 OTHER_VEHICLES: Final = "other"
 MOST_VEHICLES: Final = 50
-"""Each vehicle is six series; a fleet is told apart by `counterpoint rates`, not by metrics."""
+"""Vehicles with series of their own, six each; `counterpoint rates` serves larger fleets."""
 
 AGREEMENTS: Final = tuple(agreement.name.lower() for agreement in Agreement)
 
 SCORE_BUCKETS: Final = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 COMMIT_BUCKETS_S: Final = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0)
-"""Around the few milliseconds that a durable commit takes on a disk of its own."""
+"""Bucket bounds around the few milliseconds of a durable commit on a dedicated disk, seconds."""
 
 Metric = TypeVar("Metric", Counter, Gauge, Histogram)
 
 
 class ServiceMetrics:
-    """What the service counts; a `StoreObserver` that the ledger tells of every transaction."""
+    """Counters of the service; a `StoreObserver` that the ledger calls after every transaction."""
 
     def __init__(
         self, registry: CollectorRegistry | None = None, *, vehicles: Sequence[str] = ()
     ) -> None:
-        """Make every series at once, so that each is there from the first scrape on.
+        """Make every series at once, so that each exists from the first scrape on.
 
         Args:
-            registry: Where to register; by default one of its own.
-            vehicles: Those that have series of their own, at most `MOST_VEHICLES`; all others
-                count as `other`.
+            registry: Registry of the metrics; by default one of its own.
+            vehicles: Vehicles with series of their own, at most `MOST_VEHICLES`; all others count
+                as `other`.
         """
-        # A second series for each counter, which nobody asks for.
+        # A second series for each counter is not needed.
         disable_created_metrics()  # type: ignore[no-untyped-call]
         self.registry = registry or CollectorRegistry()
         self._vehicles = frozenset(vehicles[:MOST_VEHICLES])
@@ -66,28 +70,28 @@ class ServiceMetrics:
         )
         self._scenes = self._counter(
             "scenes",
-            "Scenes stored, each once, by what may be made of their score. Worry when the share of "
+            "Scenes stored, each once, by usability of their score. Worry when the share of "
             "`odometry_lost` grows: poses fail, and those scenes rank last unseen.",
             state=tuple(SceneState),
         )
         self._points = self._counter(
             "points",
-            "Points of stored scenes by agreement of the two streams, each once. The disagreement "
-            "rate is the rate of the two `only_` ones over that of all but `not_compared`. Worry "
-            "when it leaves its usual band: a model, a sensor or a calibration has changed.",
+            "Points of stored scenes by agreement of the two streams, each once. The "
+            "disagreement rate is the rate of the two `only_` agreements over that of all but "
+            "`not_compared`. Worry when it leaves its usual band: a model, a sensor or a "
+            "calibration has changed.",
             agreement=AGREEMENTS,
         )
         self._tracks = self._counter(
             "contradicting_tracks",
-            "Things on which the streams contradict each other, followed over a scene, by which "
-            "stream alone calls them dynamic. Worry when one kind grows against the other: that "
-            "stream has changed.",
+            "Contradicting objects tracked over a scene, by the stream that alone labels them "
+            "dynamic. Worry when one kind grows against the other: that stream has changed.",
             kind=tuple(ContradictionKind),
         )
         self._instances = self._counter(
             "contradicting_instances",
-            "Contradicting clusters over all frames, by which stream alone calls them dynamic. "
-            "Worry when it grows and the tracks do not: flicker rather than things.",
+            "Contradicting clusters over all frames, by the stream that alone labels them "
+            "dynamic. Worry when it grows and the tracks do not: labels flicker.",
             kind=tuple(ContradictionKind),
         )
         self._score = self._histogram(
@@ -98,21 +102,21 @@ class ServiceMetrics:
         )
         self._vehicle_scenes = self._counter(
             "vehicle_scenes",
-            "Scenes stored by vehicle; those not in the setting `vehicles` are `other`. Worry when "
-            "one falls silent.",
+            "Scenes stored by vehicle; those not in the setting `vehicles` are `other`. Worry "
+            "when the rate of one falls to 0.",
             vehicle=by_vehicle,
         )
         self._vehicle_points = self._counter(
             "vehicle_points",
-            "Points by vehicle and agreement; as counterpoint_points_total. Worry when one "
-            "vehicle's disagreement leaves that of the others: its sensor or calibration.",
+            "Points by vehicle and agreement, as in counterpoint_points_total. Worry when one "
+            "vehicle's disagreement departs from that of the others: its sensor or calibration.",
             vehicle=by_vehicle,
             agreement=AGREEMENTS,
         )
         self._commits = self._counter(
             "commits",
-            "Commits of plans and shards by answer. Worry when `refused` grows (the log says "
-            "why), or `missing` beyond a few percent: records are lost on the bus.",
+            "Commits of plans and shards by outcome. Worry when `refused` grows (the log has the "
+            "cause), or `missing` exceeds a few percent: records are lost on the bus.",
             work=get_args(WorkKind),
             outcome=get_args(CommitOutcome),
         )
@@ -124,50 +128,51 @@ class ServiceMetrics:
         )
         self._leases_ended = self._counter(
             "leases_ended",
-            "Leases that ended, by why. Worry when `expired`, `failed` or `worker_died` grow: each "
-            "is an attempt lost, and the last one parks the work.",
+            "Leases that ended, by cause. Worry when `expired`, `failed` or `worker_died` grow: "
+            "each is a lost attempt, and the last one parks the work.",
             reason=get_args(LeaseEnd),
         )
         self._parked = self._counter(
             "work_parked",
-            "Plans and shards parked: not tried again until `counterpoint retry`. Worry at any "
-            "growth; `counterpoint status` names each with its error.",
+            "Plans and shards parked, which are not retried until `counterpoint retry`. Worry at "
+            "any growth; `counterpoint status` names each with its error.",
             work=get_args(WorkKind),
         )
         self._retried = self._counter(
             "work_retried",
-            "Parked plans and shards that are tried again, by `counterpoint retry`. Worry when "
-            "those parked grow after it: what made them fail is still there.",
+            "Parked plans and shards retried by `counterpoint retry`. Worry when the parked ones "
+            "grow again afterwards: the cause of their failure remains.",
             work=get_args(WorkKind),
         )
         self._questions = self._counter(
             "questions",
-            "Questions from the bus by verb and outcome. Worry when `try_again` grows: the service "
-            "is too busy, or its database does not answer.",
+            "Requests from the bus by verb and outcome. Worry when `try_again` grows: the "
+            "service is too busy, or its database does not answer.",
             verb=get_args(Asked),
             outcome=get_args(Outcome),
         )
         self._database_errors = self._counter(
             "database_errors",
-            "Transactions that the database could not finish. Worry at any growth: disk full, "
-            "database locked, or its server away; nothing acknowledged is lost.",
+            "Transactions that the database could not finish. Worry at any growth: the disk is "
+            "full, the database locked, or its server does not answer; nothing acknowledged is "
+            "lost.",
         )
         self._damaged_records = self._counter(
             "damaged_records",
-            "Stored records that are not what their digest says, each once. Worry at any: the disk "
-            "of the database damages what lies on it; the log names them, and none is shown.",
+            "Stored records that do not match their digest, each once. Worry at any: the disk of "
+            "the database damages data; the log names the records, and none is shown.",
         )
         self._faults = self._counter(
             "faults",
-            "Unforeseen errors, by what they met: `question` an answer, `tick` work that "
-            "is done again and again, `event` a scene that the bus cannot carry, left out. The "
-            "service goes on. Worry at any growth: the log has the trace.",
+            "Unexpected errors by part: `question` the answer of a request, `tick` periodic "
+            "work, `event` a scene that the bus cannot carry and that is skipped. The service "
+            "goes on. Worry at any growth: the log has the trace.",
             part=get_args(FaultyPart),
         )
         self._gauges: ServiceGauges | None = None
         build = Gauge(
             "build_info",
-            "1; its label says which version runs.",
+            "Always 1; its label is the running version.",
             ("version",),
             NAMESPACE,
             registry=self.registry,
@@ -175,7 +180,7 @@ class ServiceMetrics:
         build.labels(version("counterpoint")).set(1)
 
     def on_effects(self, effects: Effects) -> None:
-        """Count what a transaction did, now that it is on disk."""
+        """Count the effects of a transaction that is on disk."""
         if effects.scenes:
             self._count_scenes(effects.scenes)
         for (work, outcome), count in effects.commits.items():
@@ -188,7 +193,7 @@ class ServiceMetrics:
             self._retried.labels(work).inc(count)
 
     def on_database_error(self) -> None:
-        """Count a transaction that could not be finished."""
+        """Count a failed transaction."""
         self._database_errors.inc()
 
     def on_damaged_record(self) -> None:
@@ -196,19 +201,19 @@ class ServiceMetrics:
         self._damaged_records.inc()
 
     def committed(self, seconds: float) -> None:
-        """Note how long it took to make a commit durable."""
+        """Record the time of one durable commit."""
         self._commit_seconds.observe(seconds)
 
     def asked(self, verb: Asked, outcome: Outcome) -> None:
-        """Count a question."""
+        """Count a request."""
         self._questions.labels(verb, outcome).inc()
 
     def faulted(self, part: FaultyPart) -> None:
-        """Count an error that nobody foresaw."""
+        """Count an unexpected error."""
         self._faults.labels(part).inc()
 
     def read_from(self, sources: Sources) -> None:
-        """Also serve what is read at the time of a scrape; said again: read elsewhere."""
+        """Also serve gauges from these sources; a further call replaces them."""
         if self._gauges is None:
             self._gauges = ServiceGauges(sources)
             self.registry.register(self._gauges)
@@ -250,7 +255,7 @@ class ServiceMetrics:
 
 
 def with_series(metric: Metric, labels: Mapping[str, tuple[str, ...]]) -> Metric:
-    """Make the series of every combination of labels: a rate needs a zero to rise from."""
+    """Make the series of every combination of labels, since a rate must start from zero."""
     if labels:
         for combination in product(*labels.values()):
             metric.labels(*combination)

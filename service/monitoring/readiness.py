@@ -1,4 +1,4 @@
-"""Whether the service can do its work now: what a load balancer or an orchestrator asks."""
+"""Readiness of the service, for load balancers and orchestrators."""
 
 from collections.abc import Mapping
 from typing import Final, Protocol
@@ -12,26 +12,26 @@ from service.store.ledger import Ledger
 
 LISTINGS_MISSED: Final = 3
 LISTING_GRACE_S: Final = 60.0
-"""The bucket counts as out of sight after so many intervals and so much time without a listing."""
+"""Grace period after several list intervals before the bucket counts as unreachable, seconds."""
 
 
 class Watched(Protocol):
-    """What can be asked how it is, from any thread."""
+    """Interface of a service with liveness and readiness, callable from any thread."""
 
     def check(self) -> None:
-        """Raise what ended it, or a part of it."""
+        """Raise the error that ended it, or a part of it."""
         ...
 
     def not_ready(self) -> Mapping[str, str]:
-        """Say what keeps it from its work now, by part; empty: it is ready."""
+        """Return the problems that keep it from its work now, by part; empty: it is ready."""
         ...
 
 
 class WatchedPool(Protocol):
-    """A pool of workers, which can be asked how it is."""
+    """Interface of a pool of workers with liveness and readiness."""
 
     def check_alive(self) -> None:
-        """Raise a `TransientError` if it no longer looks after its workers."""
+        """Raise a `TransientError` if it no longer supervises its workers."""
         ...
 
     def check_ready(self) -> None:
@@ -40,10 +40,10 @@ class WatchedPool(Protocol):
 
 
 class Daemon:
-    """A whole daemon as its pages see it: what its start waits for, then how its parts do."""
+    """Liveness and readiness of a daemon: first of its start, then of its parts."""
 
     def __init__(self, **waits_for: str) -> None:
-        """Begin to start.
+        """Begin the start.
 
         Args:
             waits_for: A sentence for each part that the start may wait for.
@@ -53,18 +53,18 @@ class Daemon:
         self._pool: WatchedPool | None = None
 
     def up(self, service: Watched, pool: WatchedPool | None = None) -> None:
-        """Nothing is waited for any more; ask these from now on."""
+        """End the start; from now on these parts are asked."""
         self._pool, self._service = pool, service
 
     def check(self) -> None:
-        """Raise what ended a part, if one has ended."""
+        """Raise the error that ended a part, if one has ended."""
         if self._service is not None:
             self._service.check()
         if self._pool is not None:
             self._pool.check_alive()
 
     def not_ready(self) -> dict[str, str]:
-        """Say what keeps it from its work now, by part; empty: it is ready."""
+        """Return the problems that keep it from its work now, by part; empty: it is ready."""
         if self._service is None:
             return dict(self._waits_for)
         problems = dict(self._service.not_ready())
@@ -83,13 +83,13 @@ def not_ready(
     *,
     list_interval_s: float | None,
 ) -> dict[str, str]:
-    """Say what keeps the service from its work.
+    """Return the problems that keep the service from its work.
 
     Args:
-        ledger: Asked for one number, and whether its last write worked.
+        ledger: Queried for one number, and for the result of its last write.
         session: On the bus.
-        seen: What the listings of the bucket have shown.
-        list_interval_s: Between two listings; None: there is only one, at the start.
+        seen: Results of the bucket's listings.
+        list_interval_s: Interval of listings, seconds; None: only one at the start.
 
     Returns:
         A sentence for each part that does not work: `database`, `router`, `bucket`. Empty: ready.

@@ -1,4 +1,4 @@
-"""A frame seen from above: points in the paper's colours, instances as boxes, paths as lines."""
+"""Top view of a frame: points in the paper's colours, instances as boxes, tracks as lines."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -23,13 +23,13 @@ from service.pictures.style import (
 from service.pictures.view import View, to_frame
 
 _FINE: Final = 2
-"""Drawn at twice the size and shrunk, so that lines at any angle are smooth."""
+"""Supersampling factor, so that lines at any angle are smooth."""
 
 _AGREED_GROUND: Final[Colour] = (20, 62, 28)
 _NOT_COMPARED: Final[Colour] = (62, 64, 70)
 _PAST_AND_FUTURE: Final[Colour] = (30, 42, 34)
 _BACKGROUND_CODE: Final = 0
-"""Both streams say a task's first class: what most of the world is."""
+"""Code of the agreement where both streams label a task's first class, drawn as background."""
 
 _EGO: Final[Colour] = (245, 245, 245)
 
@@ -46,12 +46,12 @@ def draw_above(
     """Draw one frame from above.
 
     Args:
-        overlay: The scene.
-        view: Which frame, and what of it.
-        labels: Track number and words, put beside its box where there is room.
+        overlay: Overlay of the scene.
+        view: Frame and window to draw.
+        labels: Track numbers and texts, drawn next to their boxes where there is room.
         dot_px: Radius of contradicting points; agreeing ones are smaller.
-        background: Whether to show faintly what the other frames saw of the static world.
-        rings: Whether to draw distances from the sensor; a scale bar is drawn always.
+        background: Draw static points of the other frames faintly.
+        rings: Draw rings of distance from the sensor; a scale bar is always drawn.
     """
     fine = View(view.frame, view.centre_m, view.half_m, view.size_px * _FINE)
     pixels = np.full((fine.size_px, fine.size_px, 3), BACKGROUND, dtype=np.uint8)
@@ -82,7 +82,7 @@ def _whole(at_px: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def _draw_other_frames(pixels: NDArray[np.uint8], overlay: Overlay, view: View) -> None:
-    """Show the street around: what any frame saw of it, placed by the poses."""
+    """Draw static points of the other frames, transformed by the poses."""
     for frame in range(len(overlay)):
         if frame == view.frame:
             continue
@@ -114,7 +114,7 @@ def _draw_points(pixels: NDArray[np.uint8], overlay: Overlay, view: View, *, dot
 
 
 def draw_rings(draw: ImageDraw.ImageDraw, view: View) -> None:
-    """Draw distances from the sensor."""
+    """Draw rings of distance from the sensor."""
     (origin,) = view.to_px(np.zeros((1, 2)))
     for range_m in _ring_ranges(view):
         radius = range_m * view.px_per_m
@@ -128,7 +128,7 @@ def _ring_ranges(view: View) -> list[int]:
 
 
 def _draw_paths(draw: ImageDraw.ImageDraw, overlay: Overlay, view: View) -> None:
-    """Draw where each track that is in this frame was and will be, over the scene."""
+    """Draw the path over the scene of each track that is in this frame."""
     for instance in overlay.instances_of(view.frame):
         same = np.flatnonzero(overlay.instance_track == overlay.instance_track[instance])
         centres_m = np.concatenate(
@@ -154,7 +154,7 @@ def _draw_boxes(draw: ImageDraw.ImageDraw, overlay: Overlay, view: View) -> None
 
 
 def _box_px(overlay: Overlay, instance: int, view: View) -> list[tuple[float, float]]:
-    """Corners of a box from above, a little larger than its points, in pixels."""
+    """Return the corners of a box in pixels, seen from above, with a small margin."""
     x, y, _, length, width, _, yaw = (float(value) for value in overlay.instance_boxes[instance])
     margin_m = 0.3
     along = np.array([np.cos(yaw), np.sin(yaw)]) * (length / 2 + margin_m)
@@ -170,7 +170,7 @@ def _ink(overlay: Overlay, instance: int) -> Colour:
 
 
 def draw_ego(draw: ImageDraw.ImageDraw, view: View) -> None:
-    """Draw where the sensor is and where it looks."""
+    """Draw the position and heading of the sensor."""
     nose_m = np.array([[1.6, 0.0], [-1.2, 0.9], [-0.6, 0.0], [-1.2, -0.9]])
     draw.polygon([(float(x), float(y)) for x, y in view.to_px(nose_m)], fill=_EGO)
 
@@ -178,7 +178,7 @@ def draw_ego(draw: ImageDraw.ImageDraw, view: View) -> None:
 def _draw_labels(
     draw: ImageDraw.ImageDraw, overlay: Overlay, view: View, labels: Sequence[tuple[int, str]]
 ) -> None:
-    """Put words beside boxes, the first ones first; one without room is left out."""
+    """Draw texts next to boxes, in their order; one without room is left out."""
     size_px = 15
     taken: list[tuple[float, float, float, float]] = []
     here = overlay.instances_of(view.frame)
@@ -214,7 +214,7 @@ def _fits(
 
 
 def draw_scale(draw: ImageDraw.ImageDraw, view: View, *, ring_names: bool) -> None:
-    """Draw a bar of a round length, and the distances of the rings."""
+    """Draw a scale bar of a round length, and the distances of the rings."""
     bar_m = next(m for m in (20, 10, 5, 2, 1, 0) if m * view.px_per_m <= view.size_px / 3)
     right, bottom = view.size_px - 14, view.size_px - 14
     left = right - bar_m * view.px_per_m

@@ -1,4 +1,4 @@
-"""The points of a frame on the camera image, as the paper's reviewers saw them."""
+"""Points of a frame drawn on the camera image, as in the paper's review."""
 
 import io
 from typing import Final
@@ -22,16 +22,16 @@ from service.pictures.style import (
 )
 
 DOT_PX: Final = 2
-"""Filled circles of this radius: the paper's overlays."""
+"""Radius of the filled circles, pixels, as in the paper's overlays."""
 
 MIN_WIDTH_PX: Final = 1600
-"""Smaller images are enlarged first: on 960 pixels such circles would hide what they lie on."""
+"""Width to which smaller images are enlarged, pixels; else the circles would hide objects."""
 
 _STRIP_PX: Final = 30
 
 
 class ImageUnreadableError(PermanentError):
-    """The camera message holds no image that can be read."""
+    """The camera message contains no readable image."""
 
 
 def draw_camera(
@@ -47,15 +47,15 @@ def draw_camera(
     Args:
         image_bytes: JPEG or PNG as recorded.
         overlay: The scene.
-        frame: Which frame of the overlay the image belongs to.
-        at_px: (N, 2) where each point of that frame lies in the image, right and down.
-        inside_mask: (N,) which of them are in the image at all.
+        frame: Index of the frame to which the image belongs.
+        at_px: (N, 2) pixel coordinates of that frame's points, right and down.
+        inside_mask: (N,) true for points inside the image.
 
     Returns:
         The image, at least 1600 pixels wide, with its points, above a strip that names the colours.
 
     Raises:
-        ImageUnreadableError: If the bytes are no image.
+        ImageUnreadableError: If the bytes are not an image.
         ValueError: If the scene has no such frame, or the frame another number of points.
     """
     if not 0 <= frame < len(overlay):

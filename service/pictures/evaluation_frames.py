@@ -1,4 +1,4 @@
-"""Frames from above, by what a stream got right and wrong: found, missed, called without cause."""
+"""Top views of evaluated frames: true positives, misses and false positives of a stream."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -43,15 +43,15 @@ def draw_worst(folder: Path, frames: Sequence["JudgedFrame"], *, force: bool = F
     """Draw frames from above, one file for each and a sheet of all of them.
 
     Args:
-        folder: Made if it is not there; holds `worst.png` and `NN-….png`, worst first.
+        folder: Made if it does not exist; contains `worst.png` and `NN-….png`, worst first.
         frames: Worst first.
-        force: Replace files there that we did not write.
+        force: Replace foreign files.
 
     Returns:
         The files, the sheet first.
 
     Raises:
-        UsageError: If one cannot be written, or is of somebody else.
+        UsageError: If one cannot be written, or is a foreign file.
     """
     need_folder(folder, option="--pictures")
     pictures = [draw_judged(judged) for judged in frames]
@@ -69,7 +69,7 @@ def draw_worst(folder: Path, frames: Sequence["JudgedFrame"], *, force: bool = F
 
 
 def draw_judged(judged: "JudgedFrame") -> Image.Image:
-    """Draw one judged frame: 80 m around, with the counts of each colour."""
+    """Draw one evaluated frame: 80 m around, with the count of each colour."""
     view = View(0, (0.0, 0.0), HALF_M, SIZE_PX)
     near = np.hypot(judged.points_m[:, 0], judged.points_m[:, 1]) < HALF_M
     kinds = _kinds(judged)
@@ -97,7 +97,7 @@ def draw_judged(judged: "JudgedFrame") -> Image.Image:
 
 
 def _kinds(judged: "JudgedFrame") -> list[tuple[str, Colour, NDArray[np.bool_], int]]:
-    """What a point can be, its colour, which points are, and how large they are drawn."""
+    """Return name, colour, mask and dot radius of each kind of point."""
     from schemas.labels import MotionLabel
     from workers.lab.evaluation.truth.truth import TRUTH_DYNAMIC, TRUTH_STATIC, TRUTH_UNKNOWN
 

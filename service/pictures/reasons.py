@@ -1,4 +1,4 @@
-"""The reasons of a scene on its picture: what held it down always, tracks as there is room."""
+"""Reasons of a scene on its picture: all gates, and as many tracks as fit."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -15,7 +15,7 @@ _LINE_PX: Final = 21
 _SIZE_PX: Final = 16
 _INDENT_PX: Final = 20
 _FEWEST: Final = 2
-"""Lines of a reason that is shown; more where there is room for all of them."""
+"""Lines of a reason at least; more where all of them fit."""
 
 _GATES: Final = (
     "odometry ",
@@ -23,13 +23,13 @@ _GATES: Final = (
     "self-supervised stream ",
     "nothing was compared",
 )
-"""How reasons begin that tell no track, but what counts less, or could not contradict."""
+"""First words of reasons that are gates: they lower the score, or leave nothing to compare."""
 
 
 def draw_reasons(
     draw: ImageDraw.ImageDraw, score: SceneScore, *, left: int, top: int, width: int, bottom: int
 ) -> None:
-    """List the reasons; one that tells a track has its number, colour and strongest moment."""
+    """Draw the reasons; one about a track has its number, colour and strongest moment."""
     task = task_named(score.task)
     told: list[tuple[str, Colour, str]] = []
     gates: list[tuple[str, Colour, str]] = []
@@ -55,15 +55,15 @@ def draw_reasons(
 
 
 def lines_of(wanted: Sequence[int], *, gates: int, room: int) -> list[int]:
-    """Share out lines: first what gates have, then tracks, and what is left to the first of all.
+    """Distribute lines: first to the gates, then to the tracks, and the rest to the first reason.
 
     Args:
         wanted: Lines that each reason takes in full; the gates come last.
-        gates: How many of them tell no track: none is left out, whatever room there is.
-        room: Lines; one is kept to say how many tracks are left out.
+        gates: Number of gates among them; none is left out, whatever room there is.
+        room: Lines in total; one is kept for the number of omitted tracks.
 
     Returns:
-        Lines of each; 0 for those that are left out.
+        Lines of each reason; 0 for omitted ones.
     """
     tracks = len(wanted) - gates
     lines = [min(each, _FEWEST) for each in wanted]
@@ -83,5 +83,5 @@ def lines_of(wanted: Sequence[int], *, gates: int, room: int) -> list[int]:
 
 
 def _tells_a_track(reason: str, score: SceneScore) -> bool:
-    """Reasons come track by track; what gated the scene has none, and stands last."""
+    """Return true if a reason is about a track; gates have none, and come last."""
     return score.state is SceneState.SCORED and not reason.startswith(_GATES)

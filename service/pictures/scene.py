@@ -44,15 +44,15 @@ _LEGEND_PX: Final = 24
 
 
 def draw_scene(score: SceneScore, overlay: Overlay, *, frame: int | None = None) -> Image.Image:
-    """Draw a scene from above, with why it scored what it did.
+    """Draw a scene from above, with the reasons for its score.
 
-    The large view shows one frame; beside it the strongest tracks, each when it began, when it was
-    strongest and when it ended, the legend with shares, and the reasons.
+    The large view shows one frame. Next to it are the strongest tracks at their begin, their
+    strongest moment and their end, the legend with shares, and the reasons.
 
     Args:
-        score: The scene's record.
-        overlay: Its points.
-        frame: Which frame to show; by default the one with the strongest evidence.
+        score: Record of the scene.
+        overlay: Overlay of the scene.
+        frame: Index of the frame to show; by default the one with the strongest evidence.
 
     Raises:
         ValueError: If the overlay is of another scene, or has no such frame.
@@ -89,7 +89,7 @@ def frame_of(track: TrackRecord, overlay: Overlay) -> int:
 
 
 def _half_m(score: SceneScore) -> float:
-    """Show the strongest tracks, at least 30 m and at most 80 m around."""
+    """Return half of the view's side, metres: 30 to 80, to show the strongest tracks."""
     reach_m = max((track.strongest.range_m for track in score.tracks[:_ROWS]), default=0.0)
     return float(np.clip(1.15 * reach_m + 5.0, 30.0, 80.0))
 
@@ -133,7 +133,7 @@ def _draw_side(image: Image.Image, score: SceneScore, overlay: Overlay) -> None:
 def _draw_track(
     image: Image.Image, overlay: Overlay, track: TrackRecord, *, left: int, top: int, width: int
 ) -> int:
-    """One track three times: when it began, when it was strongest, when it ended."""
+    """Draw one track at its begin, its strongest moment and its end."""
     draw = ImageDraw.Draw(image)
     ink = inks_of(overlay.task)[overlay.task.kind(track.kind).code]
     best = track.strongest
@@ -173,14 +173,14 @@ def _draw_track(
 
 
 def _moments(members: NDArray[np.intp], strongest: int) -> list[int]:
-    """Begin, strongest, end; three different ones where the track has as many."""
+    """Return indices of begin, strongest moment and end, distinct in a track of three frames."""
     first, last = int(members[0]), int(members[-1])
     between = strongest if strongest not in (first, last) else int(members[len(members) // 2])
     return sorted({first, between, last})
 
 
 def _draw_legend(draw: ImageDraw.ImageDraw, score: SceneScore, *, left: int, width: int) -> None:
-    """Name the colours, each with its share of the compared points off the ground."""
+    """Draw the legend: each colour with its share of the compared points above the ground."""
     task = task_named(score.task)
     colours = colours_of(task)
     named, witnessed = _named(score), _witnessed(score)
@@ -204,13 +204,13 @@ def _draw_legend(draw: ImageDraw.ImageDraw, score: SceneScore, *, left: int, wid
 
 
 def _witnessed(score: SceneScore) -> list[Outcome]:
-    """The kind of what the witness alone sees, where a track is of it."""
+    """Return the outcome of the witness alone, if a track is of that kind."""
     kinds = {track.kind for track in score.tracks[:_LABELS]}
     return [kind for kind in task_named(score.task).kinds if kind.of_witness and kind.name in kinds]
 
 
 def _named(score: SceneScore) -> list[Outcome]:
-    """Outcomes that the legend has room for, by code: of many classes the commonest."""
+    """Return the outcomes that fit the legend, by code: of many classes the commonest."""
     task, shares = task_named(score.task), score.nonground_points
     common = sorted(task.compared(), key=lambda outcome: (-shares[outcome.name], outcome.code))
     shown = sorted(common[: _LEGEND_ROWS - 1], key=lambda outcome: outcome.code)

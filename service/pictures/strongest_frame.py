@@ -1,4 +1,4 @@
-"""The strongest frame of a scene on the camera image, as the paper's reviewers saw it."""
+"""Strongest frame of a scene on the camera image, as in the paper's review."""
 
 from typing import Final
 
@@ -15,13 +15,14 @@ from service.pictures.scene import frame_of, strongest_frame
 from service.settings.config import Settings
 
 MOST_LOOKS: Final = 8
-"""Tracks that are looked for in an image; each look reads one or two chunks of the log."""
+"""Tracks that are searched in an image; each attempt reads one or two chunks of the log."""
 
 
 def draw_on_camera(score: SceneScore, overlay: Overlay, settings: Settings) -> Image.Image:
-    """Fetch the camera image of the strongest contradiction it shows, and draw the points on it.
+    """Fetch the camera image of the strongest visible contradiction, and draw the points on it.
 
-    The one verb beside `inspect` and `score` that opens a log; it needs the extra `workers`.
+    Apart from `inspect` and `score`, this is the only verb that opens a log; it needs the extra
+    `workers`.
 
     Raises:
         UsageError: If no log bucket is named.
@@ -57,9 +58,9 @@ def draw_on_camera(score: SceneScore, overlay: Overlay, settings: Settings) -> I
 
 
 def _looks(score: SceneScore, overlay: Overlay) -> list[tuple[int, tuple[float, float, float]]]:
-    """Frames and what to look at in them, strongest first; at last the road ahead.
+    """Return frames and target points in them, strongest first; the last is the road ahead.
 
-    A car may have a camera to the front only: the first contradiction that it sees is drawn.
+    A car may have a front camera only, so the first visible contradiction is drawn.
     """
     contradictions = [
         (frame_of(track, overlay), track.strongest.centre_m) for track in score.tracks[:MOST_LOOKS]

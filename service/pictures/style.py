@@ -1,4 +1,4 @@
-"""Colours, fonts and marks that every picture of a scene shares."""
+"""Colours, fonts and marks shared by all pictures of scenes."""
 
 from collections.abc import Sequence
 from colorsys import hsv_to_rgb
@@ -22,29 +22,33 @@ SOFT_TEXT: Final[Colour] = (160, 166, 178)
 
 _NOT_COMPARED: Final[Colour] = (110, 110, 110)
 _TWO_CLASSES: Final = ((34, 139, 34), (225, 225, 0), (178, 34, 34), (65, 105, 225))
-"""The paper's four colours (section III-C, figures): what most of the world is in green, what both
-call the second class in blue, yellow where the supervised stream alone does, red where the other.
+"""The paper's four colours (section III-C, figures). Green: both streams label the commonest class.
+Blue: both label the second class. Yellow: the supervised stream alone labels it. Red: the
+self-supervised stream alone labels it.
 """
 
 WITNESS_INK: Final[Colour] = (232, 130, 250)
-"""Boxes and words of what the witness alone sees move; its points are green, as both streams say.
-"""
+"""Colour of boxes and texts of motion that only the witness sees; its points are green."""
 
 _MORE: Final = "..."
 _LIGHTER: Final = {(65, 105, 225): (105, 145, 255), (178, 34, 34): (255, 84, 84)}
 
 
 def colours_of(task: Task) -> dict[int, Colour]:
-    """Colour of each outcome of a task, by code.
+    """Return the colour of each outcome of a task, by code.
 
-    Of two classes the paper's. Of more, agreements have cold colours, contradictions warm ones.
+    For two classes these are the paper's. For more, agreements have cold colours, and
+    contradictions warm ones.
     """
     if len(task.classes) == 2:
         return dict(enumerate((*_TWO_CLASSES, _NOT_COMPARED)))
     agreed = [outcome for outcome in task.compared() if not outcome.contradicts]
-    told = [outcome for outcome in task.compared() if outcome.contradicts]
+    contradicting = [outcome for outcome in task.compared() if outcome.contradicts]
     colours = {task.not_compared: _NOT_COMPARED}
-    for outcomes, (first, last), value in ((agreed, (130, 270), 0.7), (told, (60, -40), 0.9)):
+    for outcomes, (first, last), value in (
+        (agreed, (130, 270), 0.7),
+        (contradicting, (60, -40), 0.9),
+    ):
         for hue_deg, outcome in zip(np.linspace(first, last, len(outcomes)), outcomes, strict=True):
             red, green, blue = hsv_to_rgb(hue_deg % 360 / 360, 0.8, value)
             colours[outcome.code] = (round(255 * red), round(255 * green), round(255 * blue))
@@ -52,9 +56,9 @@ def colours_of(task: Task) -> dict[int, Colour]:
 
 
 def inks_of(task: Task) -> dict[int, Colour]:
-    """The same for lines and words: blue and red of the paper lightened to be read on dark.
+    """Return colours for lines and texts: the paper's blue and red, lighter on a dark background.
 
-    What is drawn about points that both streams call static, the witness says.
+    Lines about points that both streams label static come from the witness.
     """
     inks = {code: _LIGHTER.get(colour, colour) for code, colour in colours_of(task).items()}
     witnessed = {kind.code: WITNESS_INK for kind in task.kinds if kind.of_witness}
@@ -62,14 +66,14 @@ def inks_of(task: Task) -> dict[int, Colour]:
 
 
 def draw_order(task: Task) -> tuple[Outcome, ...]:
-    """Later ones cover earlier ones: contradictions lie on top, on the camera image too."""
+    """Return the outcomes in drawing order: contradictions last, so that they cover the others."""
     agreed = (outcome for outcome in task.compared() if not outcome.contradicts)
-    told = (outcome for outcome in task.compared() if outcome.contradicts)
-    return (task.outcomes[task.not_compared], *agreed, *told)
+    contradicting = (outcome for outcome in task.compared() if outcome.contradicts)
+    return (task.outcomes[task.not_compared], *agreed, *contradicting)
 
 
 def meaning(outcome: Outcome, task: Task) -> str:
-    """Say an outcome in words."""
+    """Describe an outcome in words."""
     if outcome.code == task.not_compared:
         return "not compared"
     if not outcome.contradicts:
@@ -83,12 +87,12 @@ def meaning(outcome: Outcome, task: Task) -> str:
 
 @lru_cache(maxsize=16)
 def font(size_px: int) -> Font:
-    """Pillow's own scalable font: no font has to be installed."""
+    """Return Pillow's own scalable font, so that none has to be installed."""
     return ImageFont.load_default(size=size_px)
 
 
 def readable(text: str) -> str:
-    """Replace what the built-in font has no glyphs for."""
+    """Replace characters that the built-in font has no glyphs for."""
     return "".join(c if c.isascii() and c.isprintable() else "?" for c in text)
 
 
@@ -108,7 +112,7 @@ def shorten(text: str, width_px: float, size_px: int) -> str:
 
 
 def wrap(text: str, width_px: float, size_px: int, *, max_lines: int) -> list[str]:
-    """Break a text into lines that fit; what is too much is left out after a word or a remark."""
+    """Break a text into lines that fit; surplus text is cut after a word or a remark."""
     lines: list[str] = []
     rest = readable(text).split()
     while rest and len(lines) < max_lines:
@@ -125,9 +129,9 @@ def wrap(text: str, width_px: float, size_px: int, *, max_lines: int) -> list[st
 
 
 def _whole_remarks(words: Sequence[str]) -> Sequence[str]:
-    """Take back what was begun at the end of a cut line: half a remark, or a heading of nothing.
+    """Remove an incomplete remark, or a heading without content, from the end of a cut line.
 
-    Of a line that is one long remark its words stay.
+    A line that is one long remark keeps its words.
     """
     ends = [place for place, word in enumerate(words, start=1) if word.endswith((",", ";"))]
     count = ends[-1] if ends and 2 * ends[-1] >= len(words) else len(words)
@@ -137,7 +141,7 @@ def _whole_remarks(words: Sequence[str]) -> Sequence[str]:
 
 
 def _words_that_fit(words: Sequence[str], width_px: float, size_px: int, *, end: str = "") -> int:
-    """How many words fit on a line; one at least."""
+    """Return how many words fit on a line, at least one."""
     count = 1
     while count < len(words) and (
         font(size_px).getlength(" ".join(words[: count + 1]) + end) <= width_px
@@ -147,7 +151,7 @@ def _words_that_fit(words: Sequence[str], width_px: float, size_px: int, *, end:
 
 
 def dot(radius_px: int) -> NDArray[np.int64]:
-    """Offsets (K, 2) of the pixels of a filled circle."""
+    """Return the offsets (K, 2) of the pixels of a filled circle."""
     y, x = np.mgrid[-radius_px : radius_px + 1, -radius_px : radius_px + 1]
     inside = x**2 + y**2 <= radius_px**2 + 0.25 * radius_px
     return np.stack([x[inside], y[inside]], axis=1)
@@ -156,7 +160,7 @@ def dot(radius_px: int) -> NDArray[np.int64]:
 def stamp_dots(
     image: NDArray[np.uint8], at_px: NDArray[np.int64], colour: Colour, *, radius_px: int
 ) -> None:
-    """Draw filled circles of one colour into an (H, W, 3) image; those outside are left out."""
+    """Draw filled circles of one colour into an (H, W, 3) image; pixels outside are left out."""
     height, width = image.shape[:2]
     for dx, dy in dot(radius_px):
         x, y = at_px[:, 0] + dx, at_px[:, 1] + dy

@@ -1,4 +1,4 @@
-"""The plot of an evaluation: points by range, log by log, and objects by what they are."""
+"""Plot of an evaluation: points by range, per log, and objects by kind."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Final
@@ -17,7 +17,7 @@ _BAR_PX: Final = 14
 _GROUP_PX: Final = 3 * _BAR_PX + 22
 _ROW_PX: Final = _BAR_PX + 14
 _LOW: Final = 0.5
-"""Bars begin here, because what is compared lies above; shorter ones end at the edge."""
+"""Lower end of the bars' axis, below the compared values; shorter bars end at the edge."""
 
 _RANGES: Final[Sequence[tuple[str, Colour]]] = (
     ("25", (92, 132, 255)),
@@ -31,8 +31,8 @@ def draw_table(evaluated: Sequence["LogEvaluation"]) -> Image.Image:
     """Draw IoU, precision, recall and object recall of every log by range, objects by kind.
 
     Args:
-        evaluated: A row for each log and stream, and last ones for all logs; logs in which no
-            frame was judged are left out.
+        evaluated: A row for each log and stream, and last ones for all logs; logs without an
+            evaluated frame are left out.
     """
     rows = [row for row in evaluated if row.frames]
     measures = ("iou", "confirmed_iou", "precision", "recall", "object_recall")
@@ -80,7 +80,7 @@ def _by_kind(row: "LogEvaluation") -> dict[str, Mapping[str, float | None]]:
 
 
 def _legend(draw: ImageDraw.ImageDraw) -> int:
-    """Say what the colours are and where bars begin; return where the first row goes."""
+    """Draw the legend of colours and axis; return the top of the first row."""
     left = _NAMES_PX
     for range_m, colour in _RANGES:
         draw.rectangle((left, 22, left + 14, 36), fill=colour)

@@ -1,4 +1,4 @@
-"""What part of the ground a picture from above shows, and how frames lie over each other."""
+"""View of a picture from above: its window on the ground, and the transform between frames."""
 
 from dataclasses import dataclass
 
@@ -10,12 +10,12 @@ from schemas.overlay import Overlay
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """A square window on the ground plane of one frame's sensor space, forward up, left left.
+    """A square window on the ground plane of one frame's sensor space, x upwards, y to the left.
 
     Attributes:
-        frame: Which frame of the overlay.
-        centre_m: Its middle, x and y.
-        half_m: Half of its side.
+        frame: Index of the frame in the overlay.
+        centre_m: Centre of the window, x and y, metres.
+        half_m: Half of its side, metres.
         size_px: Pixels along a side.
     """
 
@@ -26,7 +26,7 @@ class View:
 
     @property
     def px_per_m(self) -> float:
-        """Scale."""
+        """Scale, pixels per metre."""
         return self.size_px / (2 * self.half_m)
 
     def to_px(self, points_m: NDArray[np.floating]) -> NDArray[np.float64]:

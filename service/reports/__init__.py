@@ -1,1 +1,1 @@
-"""Pages of results for people."""
+"""Report pages of results."""

@@ -1,4 +1,4 @@
-"""Plots of the benchmark of failures, as drawings that a page holds itself (SVG)."""
+"""Plots of the failure benchmark as inline SVG."""
 
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -28,12 +28,12 @@ def plot(
     """Draw lines over 0 to 1.
 
     Args:
-        title: Above the plot.
+        title: Title of the plot.
         lines: By name, (x, y) from left to right; the first is drawn thick.
-        x: What the axis to the right is.
-        y: What the axis upwards is.
+        x: Label of the horizontal axis.
+        y: Label of the vertical axis.
         dots: Mark each point.
-        diagonal: Draw what says as it is.
+        diagonal: Draw the diagonal of a calibrated probability.
     """
 
     def at(point: tuple[float, float]) -> str:
@@ -85,7 +85,7 @@ def _safe(text: str) -> str:
 
 
 def html_table(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Lay rows out as a table; None is an empty cell."""
+    """Format rows as an HTML table; None is an empty cell."""
     head = "".join(f"<th>{_safe(column)}</th>" for column in columns)
     body = "".join(
         "<tr>" + "".join(f"<td>{_cell(value)}</td>" for value in row) + "</tr>" for row in rows

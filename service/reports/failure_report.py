@@ -1,4 +1,4 @@
-"""The page of the benchmark of failures: tables and plots in one file that needs nothing else."""
+"""Report of the failure benchmark: tables and plots in one self-contained page."""
 
 from collections.abc import Mapping
 from html import escape
@@ -32,14 +32,14 @@ COLUMNS_MEAN: Final = (
     "minute: distinct failures for each minute of recording that is looked at; found area: under "
     "the share of failures found, 0.5 for a random order; median rank: 0 is first, 1 is last"
 )
-"""What stands above the columns of a ranking, on the page and in the terminal."""
+"""Meaning of the columns of a ranking, on the page and in the terminal."""
 
-_DOES: Final = "what the model on the car does"
+_DOES: Final = "error of the model on the car"
 _BUDGETS: Final = ("0.5", "1", "2", "5", "10")
 
 
 def write_report(file: Path, bench: "FailureBench", *, force: bool = False) -> None:
-    """Write the page of a benchmark; it appears whole or not at all.
+    """Write the page of a benchmark, whole or not at all.
 
     Raises:
         UsageError: If it cannot be written, or another file lies there and `force` is not given.
@@ -48,7 +48,7 @@ def write_report(file: Path, bench: "FailureBench", *, force: bool = False) -> N
         "<h1>Failures found by contradiction</h1>",
         _paragraph(f"{bench.bucket}, {bench.logs} logs"),
         *(
-            f"<p>Judged in <i>{_safe(table)}</i>: the supervised stream {_safe(stream)}.</p>"
+            f"<p>Evaluated in <i>{_safe(table)}</i>: the supervised stream {_safe(stream)}.</p>"
             for table, stream in bench.judged.items()
         ),
     ]
@@ -64,7 +64,7 @@ def write_report(file: Path, bench: "FailureBench", *, force: bool = False) -> N
 
 
 def _safe(value: object) -> str:
-    """Write what may hold anything, such as a name of a bucket, as text of a page."""
+    """Escape a value that may contain anything, such as the name of a bucket, for a page."""
     return escape(visible(str(value)))
 
 
@@ -83,7 +83,7 @@ def _planted(found: "PlantedTable") -> list[str]:
         "<h2>Planted</h2>",
         _paragraph(
             f"{found.failures} failures in {found.failing_scenes} of {found.scenes} scenes; "
-            f"{found.planted - found.unseen} of {found.planted} that were planted show in the "
+            f"{found.planted - found.unseen} of {found.planted} injected ones show in the "
             "labels."
         ),
         _paragraph(f"{COLUMNS_MEAN}."),
@@ -100,7 +100,7 @@ def _planted(found: "PlantedTable") -> list[str]:
             [
                 (
                     *(kind, row.scenes, row.ap, *row.recall_at.values(), row.median_rank_share),
-                    failures.get(kind, "errs where nothing was planted"),
+                    failures.get(kind, "errs without an injected failure"),
                 )
                 for kind, row in found.kinds.items()
             ],
@@ -108,7 +108,7 @@ def _planted(found: "PlantedTable") -> list[str]:
         "<h3>False alarms: scenes without failure above the score that ends the first 5 % of the "
         "undisturbed</h3>",
         html_table(
-            ("disturbed by", "scenes", "above", "share", "what is wrong with the recording"),
+            ("disturbed by", "scenes", "above", "share", "disturbance of the recording"),
             [
                 (name, row.scenes, row.above, row.share, disturbances.get(name))
                 for name, row in shares.items()
@@ -134,7 +134,7 @@ def _natural(found: "NaturalTable") -> list[str]:
         _paragraph(f"{COLUMNS_MEAN}."),
         _ranking({"strength": found, **found.baselines}),
         _curves({"strength": found, **found.baselines}, "things"),
-        _reliability("strength: share of things that fail", found.calibration),
+        _reliability("strength: share of objects that fail", found.calibration),
         html_table(
             ("things", "count", "failing", "of them contradicting"),
             [(name, r.things, r.failing, r.found) for name, r in found.classes.items()],
@@ -177,8 +177,8 @@ def _reliability(title: str, found: "Calibration") -> str:
 
 def _who(found: "WhoIsWrong") -> list[str]:
     return [
-        "<h3>Who is wrong</h3>",
-        _paragraph(f"Balanced accuracy {found.accuracy}, always the commonest {found.commonest}."),
+        "<h3>Attribution</h3>",
+        _paragraph(f"Balanced accuracy {found.accuracy}, of a constant label {found.commonest}."),
         html_table(
             ("true", "tracks", "recall", *(f"said {name}" for name in found.cases)),
             [
@@ -186,5 +186,5 @@ def _who(found: "WhoIsWrong") -> list[str]:
                 for name, count in found.cases.items()
             ],
         ),
-        _reliability("who is wrong: share that is right", found.calibration),
+        _reliability("attribution: share that is correct", found.calibration),
     ]

@@ -1,1 +1,1 @@
-"""Every setting, its default, and where the value that holds comes from."""
+"""Settings, their defaults, and the source of each value."""

@@ -1,7 +1,7 @@
-"""Every setting of the command, with its default; a file, variables and flags say otherwise.
+"""Model of all settings, with defaults that a file, variables and flags override.
 
-Read from the bottom to the top: flags win over `COUNTERPOINT_*` variables, which win over the file
-that `--config` or COUNTERPOINT_CONFIG names. The same table stands in `deploy/SETTINGS.md`.
+Flags override `COUNTERPOINT_*` variables, which override the file that `--config` or
+COUNTERPOINT_CONFIG names. `deploy/SETTINGS.md` has the same table.
 """
 
 import os
@@ -39,16 +39,16 @@ DEFAULT_STATE = Path("counterpoint-state")
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 
 MAX_WAIT_S: Final = 1e9
-"""Seconds of any interval, 31 years: a lock cannot wait for more than nine times as many."""
+"""Longest interval, seconds, 31 years; the limit of a lock's timeout is nine times as long."""
 
 MAX_DAYS: Final = 1e6
 
 NOT_IN_VERSION: Final = frozenset({"bucket", "artifacts", "model", "weights"})
-"""Of the settings that workers share, those that no pipeline version depends on."""
+"""Settings shared by workers that no pipeline version depends on."""
 
 
 def _listed(value: object) -> object:
-    """Take `a,b`, or JSON, for a list: a variable has no other way to write one."""
+    """Accept `a,b`, or JSON, for a list, since a variable has no other way to write one."""
     if isinstance(value, str):
         with suppress(ValueError):  # `[ab]*` is a pattern, no JSON
             return from_json(value)
@@ -57,7 +57,7 @@ def _listed(value: object) -> object:
 
 
 def _postgres(url: str) -> str:
-    """Take any of PostgreSQL's own spellings, and none of another database."""
+    """Accept any of PostgreSQL's URL schemes, and no other database."""
     scheme, separator, rest = url.partition("://")
     if url and (not separator or scheme not in _POSTGRES):
         raise ValueError("empty or a URL like postgresql://user@host:5432/name")
@@ -74,25 +74,26 @@ PostgresUrl = Annotated[str, AfterValidator(_postgres)]
 
 
 class Settings(MiningSettings):
-    """What one command runs with. Credentials of buckets are not here: obstore reads its own.
+    """Settings of one command. Bucket credentials are not among them: obstore reads its own.
 
-    What every worker must do alike is inherited, and part of the pipeline version but for
-    `NOT_IN_VERSION`: where one of those changes, everything is mined anew.
+    The settings that workers share are inherited, and part of the pipeline version but for
+    `NOT_IN_VERSION`. A change of one of those means that everything is mined again.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     preset: Preset = Field(
         default="default",
-        description="Settings that belong together; whatever is written otherwise wins. `paper`: "
-        "the published chain, which needs `weights` and a camera's calibration.",
+        description="Named group of settings; any setting written elsewhere overrides it. "
+        "`paper`: the published chain, which needs `weights` and a camera's "
+        "calibration.",
     )
     bucket: Url = Field(default="", description="URL or path of the log bucket; only read.")
     artifacts: Url = Field(
         default="", description="URL for overlays; empty: the folder `artifacts` in the state."
     )
     state: Path = Field(
-        default=DEFAULT_STATE, description="Folder of lock, ledger and overlays; a local disk."
+        default=DEFAULT_STATE, description="Folder of lock, ledger and overlays, on a local disk."
     )
     root: str = Field(
         default=DEFAULT_ROOT,
@@ -114,23 +115,23 @@ class Settings(MiningSettings):
         default=(),
         description="Only keys that match one of these patterns (`*` also crosses `/`).",
     )
-    exclude: Names = Field(default=(), description="No key that matches one of these.")
+    exclude: Names = Field(default=(), description="Excluded keys, as patterns.")
     list_interval_s: float = Field(
-        default=10.0, gt=0, le=MAX_WAIT_S, description="Between listings of the bucket."
+        default=10.0, gt=0, le=MAX_WAIT_S, description="Interval of listings of the bucket."
     )
     settle_s: float = Field(
         default=30.0,
         ge=0,
         le=MAX_WAIT_S,
-        description="An object without a valid footer is planned when it has not changed for so "
-        "long.",
+        description="Time for which an object without a valid footer must be unchanged before it "
+        "is planned.",
     )
     keep_withdrawn_days: float = Field(
         default=0.0,
         ge=0,
         le=MAX_DAYS,
-        description="Overlays of scenes withdrawn so many days ago are deleted from the artifacts; "
-        "0: none ever is.",
+        description="Days after which the overlays of withdrawn scenes are deleted from the "
+        "artifacts; 0: never.",
     )
     database: PostgresUrl = Field(
         default="",
@@ -140,12 +141,12 @@ class Settings(MiningSettings):
     )
     http_listen: str = Field(
         default="127.0.0.1:9464",
-        description="Where `run` and `service` serve /metrics, /healthz, /readyz and /rates; "
-        "empty: nowhere. Not with --once.",
+        description="Address at which `run` and `service` serve /metrics, /healthz, /readyz and "
+        "/rates; empty: none. Not with --once.",
     )
     worker_http_listen: str = Field(
         default="127.0.0.1:9465",
-        description="Where `worker` serves /metrics, /healthz and /readyz; empty: nowhere.",
+        description="Address at which `worker` serves /metrics, /healthz and /readyz; empty: none.",
     )
     vehicles: Names = Field(
         default=(),
@@ -156,29 +157,29 @@ class Settings(MiningSettings):
         default=300.0,
         gt=0,
         le=MAX_WAIT_S,
-        description="A quiet daemon says how it stands this often.",
+        description="Interval of an idle daemon's log lines.",
     )
     log_format: Literal["console", "json"] = Field(
-        default="console", description="Lines of the log for people, or for machines."
+        default="console", description="Format of the log: plain text, or JSON lines."
     )
     log_level: Literal["debug", "info", "warning", "error"] = Field(
         default="info", description="Least level that is logged."
     )
     lease_s: float = Field(
-        default=30.0, gt=1, le=MAX_WAIT_S, description="A lease lives this long unrenewed."
+        default=30.0, gt=1, le=MAX_WAIT_S, description="Duration of a lease without renewal."
     )
     max_attempts: int = Field(
         default=5,
         ge=1,
         le=1_000_000,
-        description="Then a shard is parked; after twice as many deaths of workers on it, whatever "
-        "is to blame for them.",
+        description="Failed attempts after which a shard is parked; also after twice as many "
+        "worker deaths on it, of any cause.",
     )
     shard_deadline_s: float = Field(
         default=1800.0,
         gt=0,
         le=MAX_WAIT_S,
-        description="A worker longer than this on one lease is killed.",
+        description="Longest time of a worker on one lease; then it is killed.",
     )
 
     @field_validator("odometry", "supervised", "selfsupervised", "witness")
@@ -191,14 +192,14 @@ class Settings(MiningSettings):
 
     @property
     def artifacts_url(self) -> str:
-        """Where overlays go."""
+        """URL of the bucket for overlays."""
         return self.artifacts or (real_path(self.state) / "artifacts").as_uri()
 
     def mining(self) -> MiningSettings:
-        """Return what every worker must do alike.
+        """Return the settings that every worker shares.
 
         Raises:
-            UsageError: If a path is too long for a message once it is written whole.
+            UsageError: If a path is too long for a message once it is absolute.
         """
         shared = {name: getattr(self, name) for name in MiningSettings.model_fields}
         model, weights = (
@@ -213,7 +214,7 @@ class Settings(MiningSettings):
 
 
 def _camera(said: str) -> str:
-    """Read the calibration that a file states: its content, not its path, goes to the workers."""
+    """Read a calibration file; its content, not its path, goes to the workers."""
     if said in ("", RECORDED):
         return said
     try:
@@ -230,10 +231,10 @@ def _camera(said: str) -> str:
 
 
 def cache_folder() -> Path:
-    """Return where this machine keeps what can be made again, beside the compiled loops.
+    """Return the folder of caches on this machine, next to the compiled loops.
 
-    No place that is cleaned while a daemon lives, as `/tmp` is: `NUMBA_CACHE_DIR`, else the user's
-    cache folder.
+    It is `NUMBA_CACHE_DIR`, else the user's cache folder, and never one that is cleaned while a
+    daemon runs, such as `/tmp`.
 
     Raises:
         UsageError: If there is neither.
@@ -250,11 +251,11 @@ def cache_folder() -> Path:
 
 @dataclass(frozen=True, slots=True)
 class ReadSettings:
-    """Settings, and where each value comes from.
+    """Settings, and the source of each value.
 
     Attributes:
-        settings: What holds.
-        written: By dotted name, of each setting that is not at its default: the value that won.
+        settings: The settings in effect.
+        written: By dotted name, the deciding value of each setting that is not at its default.
         file: The file that was read, if any.
     """
 
@@ -264,7 +265,7 @@ class ReadSettings:
 
 
 def _preset(laid: Mapping[str, Written]) -> dict[str, Written]:
-    """Lay out what the preset that was written says; an unknown one is refused with the rest."""
+    """Return the settings of the chosen preset; an unknown one is refused with the other errors."""
     written = laid.get("preset")
     said = PRESETS.get(str(written.value), {}) if written is not None else {}
     return {
@@ -275,7 +276,7 @@ def _preset(laid: Mapping[str, Written]) -> dict[str, Written]:
 
 
 def load_settings(*, config: Path | None = None, **flags: Any) -> Settings:
-    """Read the settings; `read_settings` says where each comes from, too."""
+    """Read the settings; `read_settings` also returns the source of each value."""
     return read_settings(config=config, **flags).settings
 
 
@@ -287,8 +288,8 @@ def read_settings(*, config: Path | None = None, **flags: Any) -> ReadSettings:
         flags: By the name of the setting, or of the flag with underscores for dashes.
 
     Raises:
-        UsageError: If a name is unknown or a value impossible; the message names them all, as they
-            were written, and shows no password.
+        UsageError: If a name is unknown or a value impossible; the message names them all in their
+            original spelling, and shows no password.
     """
     named = os.environ.get(CONFIG_VARIABLE, "")
     file = config or (Path(named) if named else None)

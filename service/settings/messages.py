@@ -1,4 +1,4 @@
-"""Settings in words: what a value may be, what is impossible about one, and no secret of any."""
+"""Messages about settings: accepted values and errors, without any secret."""
 
 import re
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ _PASSWORD_PARAMETER: Final = re.compile(r"(?i)((?:password|secret|token)[a-z_]*=
 
 
 def shown(value: object) -> str:
-    """Write a value as it may be read by anybody: no password of any URL in it."""
+    """Format a value without the password of any URL in it."""
     if isinstance(value, list | tuple):
         return ", ".join(map(shown, value))
     text = f"{value:g}" if isinstance(value, float) else str(value)
@@ -22,7 +22,7 @@ def shown(value: object) -> str:
 
 
 def allowed(model: type[BaseModel]) -> dict[str, str]:
-    """Say of every setting, by its dotted name, what its value may be."""
+    """Describe the accepted values of every setting, by its dotted name."""
     schema = model.model_json_schema()
     return _allowed(schema["properties"], schema.get("$defs", {}), "")
 
@@ -30,12 +30,12 @@ def allowed(model: type[BaseModel]) -> dict[str, str]:
 def impossible(
     error: ValidationError, laid: Mapping[str, Written], allowed_of: Mapping[str, str]
 ) -> list[str]:
-    """Say what is wrong, each by the name that the user gave it.
+    """Describe the errors, each by the name that the user gave.
 
     Args:
-        error: What the model refused.
-        laid: What was written of each setting.
-        allowed_of: What each setting's value may be.
+        error: Error of the model.
+        laid: Written value of each setting.
+        allowed_of: Accepted values of each setting.
     """
     sentences = []
     for each in error.errors(include_url=False, include_context=False):

@@ -1,4 +1,4 @@
-"""Settings that belong together, by one name: a layer below everything that is written."""
+"""Presets: named groups of settings, which any written value overrides."""
 
 from collections.abc import Mapping
 from typing import Final, Literal
@@ -16,6 +16,7 @@ PRESETS: Final[Mapping[str, Mapping[str, str]]] = {
         "camera": "recorded",
     },
 }
-"""`paper` is the published chain, bug for bug: SalsaNext and LMNet, GndNet, FlowStep3D, two-stage
+"""`paper` is the published chain with its bugs: SalsaNext and LMNet, GndNet, FlowStep3D, two-stage
 clustering, instances of 25 points, in the view of the log's front camera. Its networks need the
-setting `weights`; `--odometry delora` has the published odometry, too."""
+setting `weights`; `--odometry delora` adds the published odometry.
+"""

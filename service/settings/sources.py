@@ -1,4 +1,4 @@
-"""Settings from a file, the environment and flags, laid over each other, each with its origin."""
+"""Sources of settings: a file, the environment and flags, merged by precedence."""
 
 import re
 import tomllib
@@ -22,23 +22,23 @@ NOT_OURS: Final = frozenset({f"{PREFIX}REFERENCE"})
 _OF_KUBERNETES: Final = re.compile(
     r"_SERVICE_(HOST|PORT(_\w+)?)|_PORT(_\d+_(TCP|UDP|SCTP)(_(PROTO|PORT|ADDR))?)?$"
 )
-"""How the variables end that it sets in every pod for a service named `counterpoint…`."""
+"""Endings of the variables that Kubernetes sets in pods for a service named `counterpoint…`."""
 
 _FLAG_NAMES: Final = {"grid.shard_s": "shard_seconds", "grid.warmup_s": "warmup_seconds"}
-"""Flags that are not named like their setting."""
+"""Flags whose names differ from their setting's."""
 
 Kind: TypeAlias = Literal["default", "preset", "file", "variable", "flag"]
 
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """A value as somebody wrote it down.
+    """A value in a source.
 
     Attributes:
-        kind: In which layer.
+        kind: Kind of the source.
         where: The flag, the variable, or the file.
         setting: Dotted name of the setting.
-        value: As it was written, not checked.
+        value: Value in the source, not checked.
     """
 
     kind: Kind
@@ -48,11 +48,11 @@ class Written:
 
     @property
     def origin(self) -> str:
-        """Where the value comes from, for a table."""
+        """Source of the value, for a table."""
         return f"{self.where}:{self.setting}" if self.kind == "file" else self.where
 
     def quoted(self, value: str) -> str:
-        """Say it the way it was written, with this text for the value."""
+        """Format the setting and a value in the syntax of its source."""
         if self.kind == "flag":
             return f"{self.where} {value}"
         if self.kind == "variable":
@@ -61,7 +61,7 @@ class Written:
 
 
 def leaves(model: type[BaseModel], prefix: str = "") -> dict[str, FieldInfo]:
-    """Every setting of a model by its dotted name, those of its tables among them."""
+    """Return every setting of a model by its dotted name, with those of its tables."""
     found: dict[str, FieldInfo] = {}
     for name, field in model.model_fields.items():
         table = field.annotation
@@ -73,12 +73,12 @@ def leaves(model: type[BaseModel], prefix: str = "") -> dict[str, FieldInfo]:
 
 
 def variable_of(setting: str) -> str:
-    """Name the environment variable of a setting."""
+    """Return the environment variable of a setting."""
     return PREFIX + setting.upper().replace(".", "__")
 
 
 def flag_of(setting: str) -> str:
-    """Name the flag of a setting, for the verbs that have one."""
+    """Return the flag of a setting, for the verbs that have one."""
     return "--" + _FLAG_NAMES.get(setting, setting).replace("_", "-")
 
 
@@ -89,7 +89,7 @@ def lay(
     environ: Mapping[str, str],
     flags: Mapping[str, object],
 ) -> tuple[dict[str, Written], list[str]]:
-    """Lay flags over variables over the file.
+    """Merge flags over variables over the file.
 
     Args:
         known: All settings by their dotted names.
@@ -98,8 +98,7 @@ def lay(
         flags: By the setting's or the flag's own name, underscores for dashes; None: not given.
 
     Returns:
-        What was written last of each setting that was written at all, and what is wrong with
-        names: sentences, none when all is well.
+        The deciding value of each setting in any source, and one sentence for each invalid name.
     """
     problems: list[str] = []
     laid: dict[str, Written] = {}
@@ -118,7 +117,7 @@ def lay(
 
 
 def nested(laid: Mapping[str, Written]) -> dict[str, Any]:
-    """Put dotted names back into tables, as a model takes them."""
+    """Nest dotted names into tables, as a model takes them."""
     values: dict[str, Any] = {}
     for setting, written in laid.items():
         *tables, name = setting.split(".")
@@ -149,7 +148,7 @@ def _of_file(
     for setting, value in _flat(content, tables):
         if setting in known:
             if isinstance(value, bool) and known[setting].annotation is not bool:
-                problems.append(f"{file}: {setting} = {str(value).lower()}: is not a yes or no")
+                problems.append(f"{file}: {setting} = {str(value).lower()}: is not a boolean")
             else:
                 yield Written("file", str(file), setting, value)
         elif setting in tables:
@@ -171,7 +170,7 @@ def _of_environment(
 
 
 def _can_be_passed_on(value: object) -> bool:
-    """Tell text that stores, databases and file systems take from bytes that only look like it."""
+    """Return true if stores, databases and file systems accept a text."""
     if isinstance(value, list | tuple):
         return all(map(_can_be_passed_on, value))
     if not isinstance(value, str | Path):

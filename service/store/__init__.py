@@ -1,1 +1,1 @@
-"""Where the service keeps what it acknowledged: one database, SQLite or PostgreSQL."""
+"""Durable state of the service: one database, SQLite or PostgreSQL."""

@@ -1,4 +1,4 @@
-"""What waits, runs and is stuck, counted on indexes alone: cheap enough for every scrape."""
+"""Counts of waiting, running and parked work, from indexes alone; cheap enough for every scrape."""
 
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
@@ -12,25 +12,26 @@ from service.store.transaction_effects import WorkKind
 from service.store.work_items import OPEN, WorkState
 
 LogDamage = Literal["truncated", "unreadable"]
-"""Why a log is mined only in part: an object was never closed, and was used as far as it goes; or,
-of whole objects, stretches cannot be read."""
+"""Damage of a log that is mined only in part. `truncated`: an object was never closed, and is used
+up to its end. `unreadable`: stretches of complete objects cannot be read.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Backlog:
-    """The ledger at one moment, under the newest pipeline version.
+    """Counts of the ledger at one moment, under the newest pipeline version.
 
     Attributes:
         work: Plans and shards by kind and state; done ones of replaced recordings count as well.
         recordings: Current recordings by state, named as in `LogStatus`.
-        damaged: Current recordings that are mined only in part, by why; each is counted once.
-        damaged_stretches: Stretches of current recordings that cannot be read, as any pipeline
-            version found: a new one forgets none of them.
-        leases_held: Leases that are out.
+        damaged: Current recordings that are mined only in part, by cause; each is counted once.
+        damaged_stretches: Unreadable stretches of current recordings that any pipeline version
+            found, so that a new one forgets none of them.
+        leases_held: Leases that workers hold.
         workers: Workers that hold them.
-        current_scenes: Scenes that are current, of any pipeline version.
-        unpublished: Events that the outbox has not put yet.
-        oldest_listed_s: When the oldest recording with work left was first listed, seconds of the
+        current_scenes: Current scenes, of any pipeline version.
+        unpublished: Events that the outbox has not published yet.
+        oldest_listed_s: First listing of the oldest recording with work left, seconds of the
             service's clock; None when no work is left.
     """
 
@@ -46,7 +47,7 @@ class Backlog:
 
 
 def backlog(connection: Connection, *, now_s: float) -> Backlog:
-    """Count what waits, runs and is stuck."""
+    """Count waiting, running and parked work."""
     version = newest_pipeline(connection)
     plans, shards = (_by_state(connection, table, version) for table in (PLANS, SHARDS))
     held = connection.execute(_HELD).one()
@@ -72,7 +73,7 @@ def _by_state(connection: Connection, table: Table, version: str) -> dict[str, i
         .group_by(table.c.state)
     )
     states = {row.state: row.works for row in counted}
-    if WorkState.PARKED in states:  # what was replaced while it was parked troubles nobody any more
+    if WorkState.PARKED in states:  # work replaced while parked no longer counts
         states[WorkState.PARKED.value] = connection.execute(
             select(func.count())
             .select_from(table)
@@ -190,4 +191,4 @@ _DAMAGED_STRETCHES: Final = select(func.count()).select_from(
     .distinct()
     .subquery()
 )
-"""Planning, several shards and several pipeline versions may have met the same one."""
+"""Distinct stretches, since planning, shards and pipeline versions may find the same one."""

@@ -1,4 +1,4 @@
-"""How many shards a second the ledger takes durably, beside what disk and SQLite alone allow."""
+"""Benchmark of the ledger: durable shards per second, and the limits of disk and SQLite alone."""
 
 import os
 import sqlite3
@@ -33,7 +33,7 @@ from service.store.engine import open_store
 from service.store.ledger import LeasePolicy, Ledger
 
 THREADS: Final = (1, 4, 16)
-"""Answers in flight: one worker's, as many as the service has cores, a large pool's."""
+"""Concurrent requests: of one worker, of as many as the service has cores, of a large pool."""
 
 SHARDS_PER_LOG: Final = 100
 _VERSION: Final = "bench"
@@ -43,15 +43,15 @@ _WORKER: Final = "bench-0"
 
 
 class LedgerTiming(BaseModel):
-    """What one kind of write takes.
+    """Throughput and latency of one kind of write.
 
     Attributes:
-        what: Which; `fdatasync` and `bare SQLite` are the floors.
-        threads: In flight at once.
-        scenes: In the ledger when it began.
-        per_s: Finished and on disk, per second.
-        median_ms: Until it was, as one caller sees it.
-        p99_ms: Likewise, the slowest hundredth.
+        what: Kind of write; `fdatasync` and `bare SQLite` are the lower bounds.
+        threads: Concurrent writers.
+        scenes: Scenes in the ledger at the start.
+        per_s: Durable writes per second.
+        median_ms: Median latency of one writer, milliseconds.
+        p99_ms: 99th percentile of that latency, milliseconds.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -72,14 +72,14 @@ def bench_ledger(
     filled: int,
     on_progress: Callable[[str], None] = lambda _: None,
 ) -> list[LedgerTiming]:
-    """Time claims and commits on an empty ledger, and on one that holds many scenes.
+    """Time claims and commits on an empty ledger, and on one with many scenes.
 
     Args:
-        folder: On the disk to be judged; a database is made in it.
+        folder: On the disk under test; a database is made in it.
         scenes_per_shard: Records in one commit.
         shards: Claimed and committed for one row.
         filled: Scenes in the ledger for the second half of the rows; 0: no second half.
-        on_progress: Told what is being timed.
+        on_progress: Called with the name of each measurement.
     """
     store = open_store(folder)
     try:
@@ -106,7 +106,7 @@ def bench_ledger(
 
 
 class _Bench:
-    """A ledger, and workers made of messages alone."""
+    """A ledger, and simulated workers that only exchange messages."""
 
     def __init__(self, ledger: Ledger, *, scenes_per_shard: int) -> None:
         self._ledger, self._scenes_per_shard = ledger, scenes_per_shard
@@ -115,12 +115,12 @@ class _Bench:
         self._stored = 0
 
     def fill(self, scenes: int) -> None:
-        """Commit until the ledger holds so many scenes."""
+        """Commit until the ledger has this many scenes."""
         while self._stored < scenes:
             self.time_cycles(min(4000, (scenes - self._stored) // self._scenes_per_shard + 1), 16)
 
     def time_apart(self, shards: int, *, threads: int) -> list[LedgerTiming]:
-        """Claim shards, and when all are claimed commit them."""
+        """Claim all shards, then commit them."""
         self._supply(shards)
         leases: list[MineLease] = []
         claims = self._timed(
@@ -137,7 +137,7 @@ class _Bench:
         return [claims, commits]
 
     def time_cycles(self, shards: int, threads: int) -> LedgerTiming:
-        """Claim a shard, commit it, and again: what a worker asks of the ledger."""
+        """Claim a shard, commit it, and repeat, as a worker does."""
         self._supply(shards)
         timing = self._timed(
             "claim and commit",
@@ -259,7 +259,7 @@ class _Bench:
 
 
 def _fdatasync(path: Path, *, times: int) -> LedgerTiming:
-    """Append a page and wait for the disk: what no durable commit can be faster than."""
+    """Append a page and wait for the disk, the lower bound of a durable commit."""
     durations_s = []
     file = os.open(path, os.O_WRONLY | os.O_CREAT, 0o600)
     try:
@@ -274,7 +274,7 @@ def _fdatasync(path: Path, *, times: int) -> LedgerTiming:
 
 
 def _bare_sqlite(path: Path, *, times: int) -> LedgerTiming:
-    """Commit one row of one record at a time, without any ledger around it."""
+    """Commit one row of one record at a time, without a ledger."""
     record = encode_scene_score(_SCORE)
     durations_s = []
     connection = sqlite3.connect(path, isolation_level=None)

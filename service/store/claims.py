@@ -1,4 +1,4 @@
-"""Claims: which plan or shard a worker gets next."""
+"""Assignment of plans and shards to workers that claim work."""
 
 from typing import Any, Final
 
@@ -23,7 +23,7 @@ from service.store.work_items import Work, WorkState, change
 from service.store.worker_deaths import History
 
 WITHHELD_S: Final = 5.0
-"""How long a worker stays away from work that is left to another: to find that out reads leases."""
+"""Time for which a worker gets none of the work left to another, seconds; deciding reads leases."""
 
 
 def claim(
@@ -36,8 +36,9 @@ def claim(
 ) -> PlanLease | MineLease | NothingToDo:
     """Lease the next work of this pipeline version.
 
-    Shards go in the order of log, lidar and time, so that logs are finished one after the other.
-    Work that ended badly before is left to a worker that is known to finish some (`blame`).
+    Shards are assigned in the order of log, lidar and time, so that logs are finished one after the
+    other. Work that ended badly before is left to a worker that is known to finish some
+    (`worker_deaths`).
     """
     version = request.pipeline_version
     here = {

@@ -1,4 +1,4 @@
-"""Commits: a finished plan or shard enters the ledger whole, once, whoever sends it how often."""
+"""Idempotent commits: a finished plan or shard enters the ledger as a whole, exactly once."""
 
 import hashlib
 from functools import lru_cache
@@ -22,7 +22,7 @@ from service.store.work_items import TAKEN_AND_GIVEN, Work, WorkState, change, r
 _END_OF_TIME_NS: Final = 2**63 - 1
 
 _SCENES_AT_ONCE: Final = 500
-"""Parameters of one statement have a bound, on SQLite 32,766 and on PostgreSQL 65,535."""
+"""Scenes per statement; SQLite bounds its parameters to 32,766, PostgreSQL to 65,535."""
 
 
 def commit(
@@ -30,8 +30,8 @@ def commit(
 ) -> Answer:
     """Finish the work of a lease, in the caller's transaction.
 
-    The lease need not be held any more: what a slow worker brings late is as good as any, unless
-    another was faster, and a repeat after a lost answer must be told that all is well.
+    The lease may have ended: a late result is accepted unless another worker was faster. A repeat
+    after a lost answer is accepted as well.
     """
     effects, kind = effects_of(connection), kind_of("" if request.plan else "shard")
     before = effects.stored[kind]
@@ -152,7 +152,7 @@ def _repeated(work: Work, *, same: bool) -> Answer:
         return Answer(ok=True)
     return Answer(
         ok=False,
-        problem=f"{work} was committed before with other results, and those stand; "
+        problem=f"{work} was committed before with other results, which are kept; "
         "mining it twice must give the same bytes",
     )
 
@@ -257,10 +257,10 @@ _FINISH_SHARD: Final = Statement(
 
 @lru_cache(maxsize=256)
 def _taken(scenes: int) -> Statement:
-    """Find one of so many scenes; shards of one grid hold the same number, but for a log's last.
+    """Select the existing ones of so many scenes; all shards but a log's last have equally many.
 
     Args:
-        scenes: At least 1: a list of nothing is no SQL.
+        scenes: At least 1, since an empty list is invalid SQL.
     """
     return Statement(
         select(SCENES.c.scene_id, SCENES.c.shard)

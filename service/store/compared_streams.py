@@ -1,4 +1,4 @@
-"""Which streams the current scenes compare."""
+"""Pairs of streams that the current scenes compare."""
 
 from collections import Counter
 from typing import Final
@@ -13,9 +13,9 @@ from service.store.tables import SCENES
 
 
 def judged(connection: Connection) -> tuple[Judged, ...]:
-    """Name the pairs of streams, that of most current scenes first.
+    """Return the pairs of streams, that of most current scenes first.
 
-    A pipeline version names its streams once and for all: one sound record of each is opened.
+    A pipeline version has one pair of streams, so one undamaged record of each is decoded.
     """
     c = SCENES.c
     groups = connection.execute(
@@ -37,11 +37,11 @@ def judged(connection: Connection) -> tuple[Judged, ...]:
 
 
 _TRIED: Final = 100
-"""Records that are looked at for one that is not damaged."""
+"""Records that are tried to find an undamaged one."""
 
 
 def _sound_record(connection: Connection, pipeline_version: str, *, first: str) -> bytes:
-    """Read one record of a pipeline version; empty if all that were tried are damaged."""
+    """Read one undamaged record of a pipeline version; empty if all that were tried are damaged."""
     c = SCENES.c
     columns = (c.scene_id, c.record, c.sha256)
     one = select(*columns).where(c.is_current, c.scene_id == first)

@@ -1,4 +1,4 @@
-"""Opens the database and hands out transactions: the only file that knows which server it is."""
+"""Database engine and transactions; the only module that depends on the kind of server."""
 
 import os
 import sqlite3
@@ -48,30 +48,30 @@ log = structlog.get_logger(__name__)
 
 DATABASE_NAME: Final = "counterpoint.sqlite"
 BUSY_TIMEOUT_MS: Final = 10_000
-"""A reader of another process may hold up a checkpoint for this long before a writer gives up."""
+"""Longest wait of a writer for a reader that holds up a checkpoint, milliseconds."""
 
 CACHE_KIB: Final = 512
-"""Pages that each connection keeps; fifteen may be open, and the kernel keeps the file as well."""
+"""Page cache of each of up to fifteen connections, KiB; the kernel caches the file as well."""
 
 _READS: Final = "counterpoint_reads"
 
 _text: Final = partial(str, encoding="utf-8", errors="replace")
-"""Text with a damaged byte is read all the same: the digest of its record tells, and names it."""
+"""Decoder of text that accepts a damaged byte; the digest of the record detects it."""
 
 
 _GONE_PATIENCE_S: Final = 10.0
-"""A server that says for so long that it has no such database will not find it again."""
+"""Time after which a server that reports a missing database is believed, seconds."""
 
 
 class Store:
     """One open database.
 
-    Writers wait for each other here, so that a process never competes with itself for SQLite's one
-    write lock; readers take part in no lock and see the last commit. Both make sure that it is
-    still the database that was opened, and that it has not gone back to an earlier state.
+    Writers take turns here, so that a process never competes with itself for SQLite's only write
+    lock; readers take no lock and see the last commit. Both check that the database is still the
+    one that was opened, and that it has not returned to an earlier state.
 
     Attributes:
-        name: Which one, for errors; without a password.
+        name: Name of the database for errors, without a password.
     """
 
     def __init__(
@@ -82,13 +82,13 @@ class Store:
         reader: Mapping[str, object],
         watch: FileWatch | None = None,
     ) -> None:
-        """Take an engine on a database.
+        """Make a store from an engine.
 
         Args:
             engine: On the database.
-            name: Which one, for errors.
+            name: Name of the database, for errors.
             reader: Execution options of transactions that only read.
-            watch: Over its files; None: it has none here.
+            watch: Watch of its files; None: it has none here.
         """
         self._engine, self._reader = engine, engine.execution_options(**reader)
         self.name = name
@@ -99,35 +99,35 @@ class Store:
         self._cannot_write = ""
         self._lineage: Lineage | None = None
         self._lost = ""
-        """Why this is no longer the database that was opened; empty: it is."""
+        """Cause for which the database that was opened is lost; empty: it is not."""
         self._missing_since_s: float | None = None
         self._damaged: set[str] = set()
 
     @property
     def cannot_write(self) -> str:
-        """Why the last transaction that was to write could not; empty: writing works."""
+        """Error of the last writing transaction; empty: writing works."""
         return self._cannot_write
 
     def observe(self, observer: StoreObserver) -> None:
-        """Tell one observer what happens from now on."""
+        """Add an observer of all further transactions."""
         self._observer = observer
 
     @contextmanager
     def writing(self, *, proves: bool = False) -> Iterator[Connection]:
-        """One durable transaction: on disk when the block is left, undone if it raises.
+        """Begin a durable transaction: on disk when the block is left, undone if it raises.
 
         Args:
-            proves: Write something in any case. A transaction that finds nothing to change needs no
-                disk, and would pass on one that is full; so after a failure each one proves it.
+            proves: Write something in any case. A transaction without changes needs no disk, and
+                would succeed on a full one; so after a failure each transaction writes.
 
         Raises:
             StoreUnavailableError: If the database cannot take it now.
-            StatementFailedError: If it can never take what the block asks for.
+            StatementFailedError: If it can never take the statements of the block.
             StateUnusableError: If it is damaged, or not the one that was opened.
         """
         with self._writer:
             try:
-                with self._said(), self._watched(), self._engine.begin() as connection:
+                with self._translated(), self._watched(), self._engine.begin() as connection:
                     effects = begin_effects(connection)
                     before = changes(connection)
                     yield connection
@@ -144,28 +144,29 @@ class Store:
             self._observer.on_effects(effects)
 
     def write(self, work: Callable[[Connection], Result]) -> Result:
-        """Do a short piece of writing, together with those of other threads; then it is on disk.
+        """Run a short write in a transaction shared with other threads; it is on disk on return.
 
         Args:
-            work: In a transaction; it may be called again in another, if the first was undone.
+            work: Function of a transaction; it may be called again in another, if the first was
+                undone.
 
         Raises:
             StoreUnavailableError: If the database cannot take it now.
-            StatementFailedError: If it can never take what the work asks for.
+            StatementFailedError: If it can never take the statements of the work.
             StateUnusableError: If it is damaged, or not the one that was opened.
         """
         return self._groups.do(work)
 
     @contextmanager
     def reading(self) -> Iterator[Connection]:
-        """One consistent view of the last commit.
+        """Begin a reading transaction with a consistent view of the last commit.
 
         Raises:
             StoreUnavailableError: If the database does not answer now.
-            StatementFailedError: If it can never answer what the block asks for.
+            StatementFailedError: If it can never answer the statements of the block.
             StateUnusableError: If it is damaged, or not the one that was opened.
         """
-        with self._said():
+        with self._translated():
             if self._watch is not None:
                 self._watch.look()
             known = self._lineage  # before the view begins: it must not be older
@@ -175,13 +176,13 @@ class Store:
                 yield connection
 
     def bring_up_to_date(self) -> None:
-        """Run the steps that the database has not seen, and watch it from now on.
+        """Run the pending migrations, and watch the database from now on.
 
         Raises:
             StateUnusableError: If a newer version wrote it, or it is damaged.
-            StoreUnavailableError: If it cannot take it now.
+            StoreUnavailableError: If it cannot take them now.
         """
-        with self._writer, self._said(), self._engine.begin() as connection:
+        with self._writer, self._translated(), self._engine.begin() as connection:
             migrate(connection, name=self.name)
             give_incarnation(connection)
             if self._watch is not None:
@@ -192,7 +193,7 @@ class Store:
         self._lineage = lineage
 
     def note_damaged(self, scene_id: str, problem: str) -> None:
-        """Say that a stored record is damaged, and count it: once, however often it is read."""
+        """Log and count a damaged record, once, however often it is read."""
         if scene_id not in self._damaged:
             self._damaged.add(scene_id)
             log.error("stored record is damaged, not shown", scene_id=scene_id, problem=problem)
@@ -207,7 +208,7 @@ class Store:
 
     @contextmanager
     def _watched(self) -> Iterator[None]:
-        """Look at the files before a transaction, and after its commit."""
+        """Check the files before a transaction, and after its commit."""
         if self._watch is None:
             yield
             return
@@ -220,8 +221,8 @@ class Store:
         self._watch.after_write()
 
     @contextmanager
-    def _said(self) -> Iterator[None]:
-        """Say what an error of the database means, and whether it may pass."""
+    def _translated(self) -> Iterator[None]:
+        """Translate errors of the database, and classify them as transient or permanent."""
         if self._lost:
             raise StateUnusableError(self._lost)
         driver = self._engine.dialect.loaded_dbapi
@@ -244,7 +245,7 @@ class Store:
         self._missing_since_s = None
 
     def _note(self, fault: CounterpointError) -> None:
-        """Once lost, it stays lost: whatever lies there later, a restart has to look at it."""
+        """Keep the error of a lost database, since it is never trusted again before a restart."""
         if isinstance(fault, StateUnusableError) and self._lineage is not None:
             self._lost = str(fault)
 
@@ -259,7 +260,7 @@ class Store:
         )
 
     def _is_ours(self) -> bool:
-        """Whether all tables of this program are there, in a transaction of its own."""
+        """Return true if all tables of this program exist, checked in a separate transaction."""
         if self._lineage is None:
             return True
         try:
@@ -271,7 +272,7 @@ class Store:
 
 
 def has_database(folder: Path) -> bool:
-    """Return whether a state folder has a database.
+    """Return true if a state folder has a database.
 
     Raises:
         StateUnusableError: If the state is no folder, or its database is no file.
@@ -288,7 +289,7 @@ def has_database(folder: Path) -> bool:
 
 
 def open_store(folder: Path) -> Store:
-    """Open the database of a state folder for writing; made, or brought up to date, as needed.
+    """Open the database of a state folder for writing; create or migrate it as needed.
 
     Raises:
         StateUnusableError: If a newer version wrote it, it is no database, or a damaged one.
@@ -305,7 +306,7 @@ def open_store(folder: Path) -> Store:
 
 
 def open_store_to_read(folder: Path) -> Store:
-    """Open the database of a state folder for reading only, beside a running service or without.
+    """Open the database of a state folder for reading only, with or without a running service.
 
     Raises:
         StateUnusableError: If there is none, or its version is not this program's.
@@ -319,7 +320,7 @@ def open_store_to_read(folder: Path) -> Store:
 
 
 def open_store_at(url: str, *, read_only: bool = False) -> Store:
-    """Open a PostgreSQL database, made up to date as needed, or only to read.
+    """Open a PostgreSQL database, migrated as needed, or for reading only.
 
     Raises:
         StateUnusableError: If a newer version wrote it, its driver is not installed, or it may only
@@ -337,7 +338,7 @@ def open_store_at(url: str, *, read_only: bool = False) -> Store:
 
 
 def postgres_engine(url: str, **options: Any) -> Engine:
-    """Make an engine on a PostgreSQL; it connects when it is used.
+    """Make an engine on a PostgreSQL database; it connects on first use.
 
     Raises:
         StateUnusableError: If the driver is not installed.
@@ -368,7 +369,7 @@ def _sqlite(path: Path, *, read_only: bool = False, watch: FileWatch | None = No
     uri = f"file:{quote(str(real_path(path)))}?mode={'ro' if read_only else 'rwc'}"
     journal = path.with_name(f"{path.name}-wal")
     if read_only and not os.access(path.parent, os.W_OK) and not journal.exists():
-        uri += "&immutable=1"  # nobody writes, and SQLite may not make the files it guards WAL with
+        uri += "&immutable=1"  # no process writes, and SQLite may not make the files of its WAL
 
     def connect() -> sqlite3.Connection:
         # The driver's own transactions begin late and never IMMEDIATE: switched off. The pool hands

@@ -1,4 +1,4 @@
-"""Scenes come and go: every such event gets the next number, in the order of the commits."""
+"""Events of scenes: each change of a current scene gets the next number, in commit order."""
 
 from collections.abc import Collection, Iterator, Sequence
 from typing import Any, Final
@@ -24,7 +24,7 @@ def insert_scenes(
 
     Args:
         connection: In a transaction that writes.
-        work: The shard they come from.
+        work: Their shard.
         scenes: Score, record, digest of the record.
         current: Ids of those that become current; the others are history from the start.
     """
@@ -69,13 +69,13 @@ def withdraw(
     by: str,
     replaced: Collection[str] = (),
 ) -> None:
-    """Make current scenes history.
+    """Withdraw current scenes.
 
     Args:
         connection: In a transaction that writes.
         which: Condition on `SCENES`.
-        by: Why: `revision` (its recording was replaced or deleted), `pipeline` (mined anew).
-        replaced: Ids that the same transaction stores anew: their key gets the new record, so the
+        by: Cause: `revision` (the recording was replaced or deleted), `pipeline` (mined again).
+        replaced: Ids that the same transaction stores again: their key gets the new record, so the
             withdrawal needs no event of its own.
     """
     going = connection.execute(
@@ -131,7 +131,7 @@ def counter(connection: Connection, name: str) -> int:
 
 
 def _next_numbers(connection: Connection, count: int) -> Iterator[int]:
-    """Take numbers for events; the row stays locked until the commit, so they are in its order."""
+    """Reserve event numbers; the row stays locked until the commit, so they are in its order."""
     if count == 0:
         return iter(())
     last: int = _COUNT_ON.one(connection, {"more": count}).value
@@ -148,7 +148,7 @@ _COUNT_ON: Final = Statement(
 
 
 def point_counts(score: SceneScore) -> dict[str, int]:
-    """Points by agreement, from the shares of the record: exact to its rounding."""
+    """Return points by agreement, from the shares of the record, exact to its rounding."""
     compared = score.points * score.compared_share
     shares = score.all_points
     counts = {outcome.name: round(compared * shares[outcome.name]) for outcome in MOTION.compared()}

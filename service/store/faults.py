@@ -1,7 +1,7 @@
-"""Meaning of a driver's error: it may pass, the state is unusable, or the statement never works.
+"""Classification of driver errors: transient, unusable state, or a permanently failing statement.
 
-An error that repeats for the same input is never transient: work that meets one would be tried
-until it is parked, and the database would be blamed for it.
+An error that repeats for the same input is never transient: work that causes it would be retried
+until it is parked, and the database would be blamed.
 """
 
 import re
@@ -43,40 +43,41 @@ _PASSES_IN_SQLITE: Final = frozenset(
 )
 _DAMAGED_IN_SQLITE: Final = frozenset({sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB})
 _PRIMARY: Final = 0xFF
-"""Bits of an error code of SQLite that name its kind; the others tell more of it."""
+"""Mask of the bits of an SQLite error code that give its kind; the others refine it."""
 
 _PASSES_IN_POSTGRES: Final = ("08", "40", "53", "57", "58", "55P03", "25006", "25P03", "25P04")
-"""Beginnings of SQLSTATE: connection, serialization, resources, operator, system; a lock that is
-held, a server that may only be read, a session that idled too long."""
+"""Beginnings of SQLSTATE: connection, serialization, resources, operator, system; a held lock, a
+read-only server, a session that idled too long.
+"""
 
 _DAMAGED_IN_POSTGRES: Final = ("XX001", "XX002")
 
 _TOO_MANY_PARAMETERS: Final = "number of parameters must be"
-"""libpq refuses such a statement itself, with the error of a connection and without SQLSTATE."""
+"""Text of libpq, which refuses such a statement itself, with a connection error and no SQLSTATE."""
 
 _NO_DATABASE: Final = re.compile(r'database "[^"]*" does not exist')
-"""A refused login has no SQLSTATE either."""
+"""Text of a refused login, which has no SQLSTATE either."""
 
 
 def cause_of(error: BaseException) -> BaseException:
-    """Return what the driver raised, where SQLAlchemy wrapped it."""
+    """Return the driver's error, where SQLAlchemy wrapped it."""
     if isinstance(error, StatementError) and error.orig is not None:
         return error.orig
     return error
 
 
 def names_no_database(error: BaseException) -> bool:
-    """Whether a server answered that it has no database of this name."""
+    """Return true if a server answered that it has no database of this name."""
     return _NO_DATABASE.search(str(cause_of(error))) is not None
 
 
 def fault_of(error: BaseException, driver: Any, *, name: str) -> CounterpointError:
-    """Say what an error of the database means.
+    """Translate an error of the database into one of ours.
 
     Args:
-        error: As SQLAlchemy, the driver or Python raised it.
+        error: Error of SQLAlchemy, the driver or Python.
         driver: Module of the driver.
-        name: Which database, for the message.
+        name: Name of the database, for the message.
 
     Returns:
         The error to raise in its place.
@@ -90,7 +91,7 @@ def fault_of(error: BaseException, driver: Any, *, name: str) -> CounterpointErr
     if _may_pass(cause, driver):
         return StoreUnavailableError(
             f"cannot use the database: {cause} ({name}); "
-            "nothing acknowledged is lost, try again when that is mended"
+            "nothing acknowledged is lost, try again when that is fixed"
         )
     first = (str(cause).splitlines() or [""])[0]
     return StatementFailedError(

@@ -1,4 +1,4 @@
-"""Look at the file of a SQLite database before it is opened for good: half of one is refused."""
+"""Check of a SQLite file before it is opened, which refuses an incomplete one."""
 
 from pathlib import Path
 from typing import Final
@@ -8,11 +8,11 @@ from sqlalchemy import Connection
 from service.errors import StateUnusableError
 
 CHECKED_WHOLE_BYTES: Final = 256 << 20
-"""Largest database, bytes, whose every page is checked at each start.
+"""Largest database whose every page is checked at each start, bytes.
 
-4.4 GB with 1,000,000 scenes took 7 s from memory and 54 s from a busy disk, this much takes half a
-second and 3 s. Of a larger one the scenes are left out, which are nearly all of it; `doctor` checks
-them as well.
+4.4 GB with 1,000,000 scenes took 7 s from memory and 54 s from a busy disk, this size takes 0.5 s
+and 3 s. In a larger one the scenes, which are nearly all of it, are skipped; `doctor` checks them
+as well.
 """
 
 _LARGE: Final = "scenes"
@@ -23,10 +23,10 @@ _FRAME_HEADER_BYTES: Final = 24
 
 
 def traces_of_loss(path: Path) -> str:
-    """Return what shows that a database was here and is gone, and what to do; empty: nothing does.
+    """Return traces of a lost database, and what to do; empty: there are none.
 
     Args:
-        path: Of the database file.
+        path: Path of the database file.
     """
     if path.exists():
         return ""
@@ -44,10 +44,10 @@ def traces_of_loss(path: Path) -> str:
 
 
 def require_whole(path: Path) -> None:
-    """Check that a file is no empty or cut database; one that does not exist is fine.
+    """Check that a file is no empty or truncated database; a missing file is accepted.
 
     Raises:
-        StateUnusableError: If pages are missing that are not in the journal beside it.
+        StateUnusableError: If pages are missing that are not in the journal next to it.
     """
     journal = path.with_name(f"{path.name}-wal")
     if not path.exists():
@@ -74,12 +74,12 @@ def require_whole(path: Path) -> None:
 
 
 def check_pages(connection: Connection, path: Path, *, whole: bool = False) -> None:
-    """Check the structure of every page, or of all but the scenes where there are very many.
+    """Check the structure of every page, or of all but the scenes in a very large database.
 
     Args:
         connection: To read from.
         path: Its file.
-        whole: Leave nothing out, however long it takes.
+        whole: Check every page, however long it takes.
 
     Raises:
         StateUnusableError: If a page is damaged.
@@ -98,7 +98,7 @@ def _looks(connection: Connection) -> list[str]:
 
 
 def _pages_in(journal: Path, page_bytes: int) -> set[int]:
-    """Numbers of the pages that the write-ahead log of a database holds."""
+    """Return the numbers of the pages in the write-ahead log of a database."""
     found: set[int] = set()
     if not journal.exists():
         return found

@@ -1,7 +1,7 @@
 """Watch over the files of an open SQLite database, so that no write to a lost one is acknowledged.
 
-SQLite goes on writing to a file that has been deleted or moved away, and calls it durable. What was
-acknowledged so would be gone at the next start.
+SQLite goes on writing to a file that has been deleted or moved away, and reports success. Such
+writes would be missing at the next start.
 """
 
 import os
@@ -17,11 +17,12 @@ from service.errors import StateUnusableError
 from service.store.faults import StoreUnavailableError
 
 _WRITTEN_BY_US: Final = ("-wal", "-shm")
-"""SQLite makes them beside the database, and keeps them while any connection is open."""
+"""Suffixes of files that SQLite keeps next to the database while a connection is open."""
 
 _CHECKPOINTED: Final = struct.Struct("=8s56xI28xI")
-"""Of the WAL index from byte 32: the salt of the journal, how many of its frames checkpoints have
-copied into the database, and how many they set out to copy (sqlite.org/walformat.html, 2.2)."""
+"""Layout of the WAL index from byte 32: the salt of the journal, how many of its frames checkpoints
+have copied into the database, and how many they began to copy (sqlite.org/walformat.html, 2.2).
+"""
 
 _CHECKPOINTED_AT: Final = 32
 
@@ -30,12 +31,12 @@ _STAMP: Final = "SELECT rootpage FROM sqlite_schema WHERE name = 'write_proof'"
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    """One file as it was last.
+    """Last known state of one file.
 
     Attributes:
         identity: Device and inode.
-        size: Bytes. None of the files ever shrinks while we have them open.
-        written_ns: When its content was last changed.
+        size: Bytes. No file shrinks while it is open.
+        written_ns: Time of the last change of its content, nanoseconds.
     """
 
     identity: tuple[int, int]
@@ -44,14 +45,14 @@ class _Seen:
 
 
 class FileWatch:
-    """The files of one database, as they were when a transaction of ours last ended.
+    """State of a database's files at the end of our last transaction.
 
     Called under the writer's lock, except `look`. The main file is written by nothing but the
     checkpoints within our own transactions.
     """
 
     def __init__(self, path: Path) -> None:
-        """Take the path of the database; nothing is watched before `begin`."""
+        """Keep the path of the database; nothing is watched before `begin`."""
         self._path = path
         self._others = tuple(path.with_name(path.name + suffix) for suffix in _WRITTEN_BY_US)
         self._seen: dict[Path, _Seen] = {}
@@ -62,10 +63,10 @@ class FileWatch:
         self._checkpoint = (b"", 0, 0)
 
     def begin(self, connection: Connection) -> None:
-        """Take the files as they are for those of this connection, and watch them from now on.
+        """Record the current files as those of this connection, and watch them from now on.
 
         Args:
-            connection: In a transaction, so that all of its files are there.
+            connection: In a transaction, so that all of its files exist.
         """
         self._page_bytes = connection.exec_driver_sql("PRAGMA page_size").scalar_one()
         self._pages = (1, connection.exec_driver_sql(_STAMP).scalar_one())
@@ -75,20 +76,20 @@ class FileWatch:
         self._stamp, self._checkpoint = self._read_stamp(), self._read_checkpoint()
 
     def look(self) -> None:
-        """Check that the files are still those that we have open, and none was cut.
+        """Check that the files are still the open ones, and none was truncated.
 
         Raises:
-            StateUnusableError: If one was deleted, replaced or cut.
+            StateUnusableError: If one was deleted, replaced or truncated.
             StoreUnavailableError: If the file system does not answer now.
         """
         for path, before in tuple(self._seen.items()):
             self._require_same(path, before, _seen(path))
 
     def before_write(self) -> None:
-        """Check this at the beginning of a transaction, and that no one else wrote the main file.
+        """Check the files before a transaction, and that no other process wrote the main file.
 
         Raises:
-            StateUnusableError: If a file was deleted, replaced, cut or overwritten.
+            StateUnusableError: If a file was deleted, replaced, truncated or overwritten.
             StoreUnavailableError: If the file system does not answer now.
         """
         self.look()
@@ -101,13 +102,13 @@ class FileWatch:
         self._checkpoint = self._read_checkpoint()
 
     def after_write(self) -> None:
-        """Check it again after the commit, and note how the files are now.
+        """Check the files after the commit, and record their new state.
 
-        A commit writes to the journal. The main file changes only where a checkpoint came with it,
-        which the WAL index tells: any other change of it is not ours.
+        A commit writes to the journal. The main file changes only in a checkpoint, which the WAL
+        index records; any other change of it comes from elsewhere.
 
         Raises:
-            StateUnusableError: If a file was deleted, replaced, cut or overwritten meanwhile.
+            StateUnusableError: If a file was deleted, replaced, truncated or overwritten meanwhile.
             StoreUnavailableError: If the file system does not answer now.
         """
         for path, before in tuple(self._seen.items()):
@@ -120,7 +121,7 @@ class FileWatch:
                 self._take_stamp()
 
     def after_failure(self) -> None:
-        """Note how the main file is after a transaction that was undone."""
+        """Record the state of the main file after a transaction that was undone."""
         if self._seen:
             with suppress(StoreUnavailableError, StateUnusableError):
                 now = _seen(self._path)
@@ -129,10 +130,10 @@ class FileWatch:
                     self._take_stamp()
 
     def close(self) -> None:
-        """Watch no more; call it after the last connection is closed.
+        """Stop watching; call it after the last connection is closed.
 
-        The kernel takes all locks of a process from a file of which it closes any descriptor, those
-        of SQLite among them: so this one is opened once.
+        When a process closes any descriptor of a file, the kernel drops all of its locks on that
+        file, including SQLite's; so this descriptor is opened once.
         """
         self._seen = {}
         for opened in (self._file, self._index):
@@ -147,7 +148,7 @@ class FileWatch:
             raise _unusable(path, f"was cut from {before.size} to {now.size} bytes")
 
     def _take_stamp(self) -> None:
-        """Take the main file as it is now, if a checkpoint wrote it since the transaction began."""
+        """Record the current main file, if a checkpoint wrote it since the transaction began."""
         checkpoint = self._read_checkpoint()
         if checkpoint == self._checkpoint:
             self._require_only_touched()
@@ -158,7 +159,7 @@ class FileWatch:
             raise _unusable(self._path, "was overwritten by another program")
 
     def _read_checkpoint(self) -> tuple[bytes, int, int]:
-        """Read how far checkpoints have come; it stays the same where none has written."""
+        """Read the progress of checkpoints, which only a checkpoint changes."""
         found = os.pread(self._index, _CHECKPOINTED.size, _CHECKPOINTED_AT)
         if len(found) < _CHECKPOINTED.size:
             raise _unusable(self._others[-1], "was cut")
@@ -179,7 +180,7 @@ def _seen(path: Path) -> _Seen:
     except OSError as error:
         raise StoreUnavailableError(
             f"cannot use the database: {error.strerror} ({path}); "
-            "nothing acknowledged is lost, try again when that is mended"
+            "nothing acknowledged is lost, try again when that is fixed"
         ) from error
     return _Seen((found.st_dev, found.st_ino), found.st_size, found.st_mtime_ns)
 

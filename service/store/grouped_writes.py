@@ -1,4 +1,4 @@
-"""Writers that come at once share one transaction, and with it one wait for the disk."""
+"""Group commit: concurrent writers share one transaction, and with it one wait for the disk."""
 
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -15,35 +15,35 @@ from service.errors import StatementFailedError
 Result = TypeVar("Result")
 
 MOST_IN_GROUP: Final = 64
-"""Bounds how long the first of a group waits for the last; the disk is shared well before that."""
+"""Writes per group; bounds the delay of the first, and the disk is shared well before that."""
 
 
 class GroupedWrites:
-    """Gathers writes while the ones before are on their way to the disk.
+    """Groups the writes that arrive while earlier ones are on their way to the disk.
 
-    Nobody waits for company: a writer that comes alone begins at once, and those that come
-    meanwhile are the next group. One of its writers leads it, so that no thread is needed.
+    No write waits for others: one that arrives alone begins at once, and those that arrive
+    meanwhile form the next group. One of its writers leads it, so that no thread is needed.
     """
 
     def __init__(self, transaction: Callable[[], AbstractContextManager[Connection]]) -> None:
-        """Take what begins a transaction, which is on disk when its block is left."""
+        """Keep the function that begins a transaction, which is on disk when its block is left."""
         self._transaction = transaction
         self._waiting: deque[_Write[Any]] = deque()
         self._is_led = False
         self._lock = Lock()
 
     def do(self, work: Callable[[Connection], Result]) -> Result:
-        """Have it done with whatever else is waiting; return when it is on disk.
+        """Run a write together with other waiting ones; return when it is on disk.
 
-        What goes wrong in the work of one undoes the whole group, and each of it is done again in
-        a transaction of its own, where the one at fault fails alone. A database that takes no
-        transaction at all refuses every one of them.
+        An error in one write undoes the whole group. Each write is then repeated in a transaction
+        of its own, in which only the faulty one fails. A database that accepts no transaction
+        refuses all of them.
 
         Args:
             work: Called again, in another transaction, if the first was undone.
 
         Raises:
-            Exception: What the work raised.
+            Exception: Error of the work.
             CounterpointError: If the database refused the transaction.
         """
         write = _Write(work)
@@ -91,7 +91,7 @@ class GroupedWrites:
 
 
 class _UndoneError(Exception):
-    """The work of one went wrong, and with it the transaction of all."""
+    """A write failed, and with it the transaction of its group."""
 
 
 @dataclass(eq=False)
@@ -99,11 +99,11 @@ class _Write(Generic[Result]):
     """One writer's part of a group.
 
     Attributes:
-        work: What it wants done.
+        work: The write.
         woken: Set when its group is over, or when it has to lead the next one.
-        was_in_group: Whether its group is over.
-        results: What the work returned, once it is on disk; empty if it was undone.
-        refusal: Why the database took no transaction.
+        was_in_group: True if its group is over.
+        results: Result of the work, once it is on disk; empty if it was undone.
+        refusal: Error for which the database accepted no transaction.
     """
 
     work: Callable[[Connection], Result]
@@ -113,7 +113,7 @@ class _Write(Generic[Result]):
     refusal: CounterpointError | None = None
 
     def begin(self, connection: Connection) -> Result:
-        """Do the work, as part of the group's transaction."""
+        """Run the write within the group's transaction."""
         try:
             return self.work(connection)
         except Exception as error:

@@ -1,4 +1,4 @@
-"""Leases: who works on what until when, and what becomes of work whose lease ends badly."""
+"""Leases: a worker's time-limited right to a plan or shard, and retries after failures."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -15,27 +15,27 @@ from service.store.work_items import Work, WorkState, change, row_of
 from service.store.worker_deaths import History
 
 LEASES_KEPT_S: Final = 7 * 86_400.0
-"""Longer than any worker goes on with a result that it cannot get rid of."""
+"""Time for which ended leases are kept, seconds; longer than any worker retries a commit."""
 
 DEATHS_PER_ATTEMPT: Final = 2
-"""So many times as many deaths as attempts end the work on which workers die, at the latest."""
+"""Deaths per attempt: this many times `max_attempts` deaths park the work at the latest."""
 
 
 @dataclass(frozen=True, slots=True)
 class LeasePolicy:
-    """How long a lease lasts, and how often work is tried before it is parked.
+    """Duration of leases, and number of attempts before work is parked.
 
     Attributes:
-        lease_s: A lease lives this long unrenewed.
-        max_attempts: Leases of one plan or shard that may end badly; then it is parked. Deaths that
-            are likelier the fault of the worker are not among them, but for the first.
-        backoff_s: Pause after the first failure or death; doubles with each.
-        max_backoff_s: Longest pause.
+        lease_s: Duration of a lease without renewal, seconds.
+        max_attempts: Leases of one plan or shard that may end badly before it is parked. Deaths
+            that are more likely the fault of the worker do not count, except the first.
+        backoff_s: Pause after the first failure or death, seconds; doubles with each.
+        max_backoff_s: Longest pause, seconds.
         plan_ahead: Logs are planned before shards are mined while fewer shards than this wait.
-            Mining starts early, yet no worker idles while there is a log to open; and a plan is
-            made shortly before it is used, so that few go stale in a bucket that changes.
-        settle_s: A revision that was first listed so long ago is planned as it stands; before, only
-            if it is complete.
+            Mining starts early, yet no worker idles while there is a log to open. A plan is also
+            made shortly before its use, so few become stale in a bucket that changes.
+        settle_s: Age of a first listing after which a revision is planned in any state, seconds;
+            before, only if it is complete.
     """
 
     lease_s: float = 30.0
@@ -47,27 +47,30 @@ class LeasePolicy:
 
     @property
     def max_deaths(self) -> int:
-        """So many workers may die on one plan or shard, whoever is to blame; then it is parked."""
+        """Worker deaths on one plan or shard, of any cause, after which it is parked."""
         return DEATHS_PER_ATTEMPT * self.max_attempts
 
     @property
     def heard_s(self) -> float:
-        """A worker that finished something so long ago is still here: no rest takes longer."""
+        """Time after its last finished work for which a worker counts as present, seconds.
+
+        No pause is longer.
+        """
         return self.max_backoff_s + self.lease_s
 
     def is_settled(self, listed_s: float, *, now_s: float) -> bool:
-        """Whether a revision has not changed for long enough; one listed in the future has not."""
+        """Return true if a revision has settled; one listed in the future has not."""
         return now_s - min(listed_s, now_s) >= self.settle_s
 
     def pause_s(self, attempts: int) -> float:
-        """How long work rests after this many failures."""
+        """Return the pause of work after this many failures, seconds."""
         return float(min(self.max_backoff_s, self.backoff_s * 2.0 ** min(attempts - 1, 30)))
 
 
 def renew(
     connection: Connection, request: RenewRequest, *, now_s: float, policy: LeasePolicy
 ) -> Answer:
-    """Lengthen a lease that is still held."""
+    """Extend a lease that is still held."""
     lease = lease_of(connection, request.lease_id, worker_id=request.worker_id)
     if isinstance(lease, str):
         return Answer(ok=False, problem=lease)
@@ -80,7 +83,7 @@ def renew(
 def fail(
     connection: Connection, request: FailRequest, *, now_s: float, policy: LeasePolicy
 ) -> Answer:
-    """Take a lease back with the error of its worker; a lease that is over is left alone."""
+    """End a lease with the error of its worker; a lease that is over is left alone."""
     lease = lease_of(connection, request.lease_id, worker_id=request.worker_id)
     if isinstance(lease, str):
         return Answer(ok=False, problem=lease)
@@ -105,7 +108,7 @@ def fail(
 
 
 def expire(connection: Connection, *, now_s: float, policy: LeasePolicy) -> int:
-    """Take back the leases whose time is over."""
+    """End the leases whose time is over."""
     # An end further ahead than any lease reaches was set before the clock stepped back.
     connection.execute(
         update(LEASES)
@@ -121,7 +124,7 @@ def expire(connection: Connection, *, now_s: float, policy: LeasePolicy) -> int:
 def worker_died(
     connection: Connection, worker_id: str, *, now_s: float, policy: LeasePolicy
 ) -> int:
-    """Take back the leases of one worker: an attempt, unless the worker is to blame (`blame`)."""
+    """End the leases of one dead worker; an attempt each, unless the worker is to blame."""
     its = select(LEASES).where(LEASES.c.is_held, LEASES.c.worker_id == worker_id)
     return _worker_died(
         connection, connection.execute(its), by="worker died", now_s=now_s, policy=policy
@@ -129,7 +132,7 @@ def worker_died(
 
 
 def free_leases(connection: Connection, worker_prefix: str) -> int:
-    """Take back the leases of a pool that was ended from outside: no attempt is counted."""
+    """End the leases of a pool that was stopped from outside; no attempt is counted."""
     theirs = connection.execute(
         select(LEASES).where(
             LEASES.c.is_held, LEASES.c.worker_id.startswith(worker_prefix, autoescape=True)
@@ -141,21 +144,21 @@ def free_leases(connection: Connection, worker_prefix: str) -> int:
 
 
 def prune(connection: Connection, *, now_s: float) -> None:
-    """Forget leases that ended long ago; a commit under one is told to claim again."""
+    """Delete leases that ended long ago; a commit under one is refused, and must claim again."""
     connection.execute(
         delete(LEASES).where(~LEASES.c.is_held, LEASES.c.expires_s < now_s - LEASES_KEPT_S)
     )
 
 
 def resume(connection: Connection, *, now_s: float, policy: LeasePolicy) -> None:
-    """Give every held lease a full term: while no service ran, nobody could renew."""
+    """Extend every held lease to a full term, since none could be renewed while no service ran."""
     connection.execute(
         update(LEASES).where(LEASES.c.is_held).values(expires_s=now_s + policy.lease_s)
     )
 
 
 def lease_of(connection: Connection, lease_id: str, *, worker_id: str) -> Row[Any] | str:
-    """Find a lease, or say in one sentence why this worker cannot use it.
+    """Find a lease, or return the sentence for which this worker cannot use it.
 
     Returns:
         A row of `LEASES`, with `is_current` and `listed_s` of its recording; or the sentence.
@@ -169,12 +172,12 @@ def lease_of(connection: Connection, lease_id: str, *, worker_id: str) -> Row[An
 
 
 def work_of(lease: Row[Any]) -> Work:
-    """What a lease is for."""
+    """Return the plan or shard of a lease."""
     return Work(lease.log_id, lease.revision, lease.pipeline_version, lease.shard)
 
 
 def end_lease(connection: Connection, lease_id: str, *, by: str) -> None:
-    """Note that a lease is over, and why."""
+    """Record the end of a lease, and its cause."""
     _END.rows(connection, {"at_lease": lease_id, "by": by})
     effects_of(connection).leases_ended[by] += 1
 
@@ -194,7 +197,7 @@ _LEASE: Final = Statement(
 
 
 def _free(connection: Connection, lease: Row[Any], *, by: str) -> None:
-    """End a lease whose work is not to blame: it is ready at once, no attempt is counted."""
+    """End a lease whose work is not to blame: it is ready at once, and no attempt is counted."""
     end_lease(connection, lease.lease_id, by=by)
     work = work_of(lease)
     if row_of(connection, work).lease_id == lease.lease_id:
@@ -204,7 +207,7 @@ def _free(connection: Connection, lease: Row[Any], *, by: str) -> None:
 def _let_settle(
     connection: Connection, lease: Row[Any], *, now_s: float, policy: LeasePolicy
 ) -> None:
-    """Let the plan of a recording rest that still grows, until it has not changed for a while."""
+    """Postpone the plan of a recording that still grows, until it is unchanged for a while."""
     end_lease(connection, lease.lease_id, by="growing")
     work = work_of(lease)
     if row_of(connection, work).lease_id != lease.lease_id:
@@ -268,16 +271,16 @@ def _give_back(
 
     Args:
         connection: In a transaction that writes.
-        work: What the lease was for.
+        work: Plan or shard of the lease.
         lease_id: The lease that ended; work that has gone on to another is left alone.
-        error: What its worker said; empty when it died.
-        policy: When to park, how long to rest.
-        ready_at_s: From when on it may be claimed, before any rest.
-        pauses: Whether it rests, longer with each attempt.
-        parks: Whether it is parked at once.
-        stale: Whether it waits for the next listing instead.
-        deaths: How many workers have died on it, this one among them.
-        counts: Whether the work is to blame; where it is not, only its first attempt is counted.
+        error: Error of its worker; empty when it died.
+        policy: Number of attempts and pauses.
+        ready_at_s: Earliest time of the next claim, before any pause, seconds.
+        pauses: True to pause, longer with each attempt.
+        parks: True to park at once.
+        stale: True to wait for the next listing instead.
+        deaths: Workers that have died on it, including this one.
+        counts: True if the work is to blame; otherwise only its first attempt is counted.
     """
     row = row_of(connection, work)
     if row.lease_id != lease_id:

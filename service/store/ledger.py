@@ -1,4 +1,4 @@
-"""The record of every recording, shard and scene: what was acknowledged here is on disk."""
+"""Ledger of every recording, shard and scene; whatever it acknowledges is on disk."""
 
 import math
 import uuid
@@ -52,22 +52,22 @@ from service.store.transaction_effects import StoreObserver
 __all__ = ["LeasePolicy", "Ledger", "StoredScene"]
 
 PROOF_INTERVAL_S: Final = 30.0
-"""A daemon with nothing to write finds out within this whether it could."""
+"""Interval at which an idle daemon proves that the database can be written, seconds."""
 
 PRUNE_INTERVAL_S: Final = 3600.0
-"""Between two looks at all leases for those that may be forgotten."""
+"""Interval of the deletion of old leases, seconds."""
 
 log = structlog.get_logger(__name__)
 
 
 class Ledger:
-    """Every write is one transaction, and returns after it is on disk.
+    """Ledger on a store; every write is one transaction, and is on disk when it returns.
 
-    May be called from any thread: writers wait for each other on the store's one lock (one writer
-    is what SQLite allows anyway), readers wait for nobody and see the last commit.
+    May be called from any thread: writers take turns on the store's one lock (SQLite allows only
+    one writer), readers never wait and see the last commit.
 
     Attributes:
-        retired_overlays: Since when which overlays are not needed any more.
+        retired_overlays: Overlays that are no longer needed, and since when.
 
     Raises (every method):
         StoreUnavailableError: Transient: disk full, database locked for too long.
@@ -83,43 +83,43 @@ class Ledger:
         policy: LeasePolicy | None = None,
         new_lease_id: Callable[[], str] = lambda: uuid.uuid4().hex,
     ) -> None:
-        """Take what the ledger needs of the world.
+        """Keep the store, the clock and the terms of leases.
 
         Args:
-            store: The database, open for writing; to read it, one open for reading will do.
-            now_s: A clock in seconds, best the wall clock: leases outlive the process. It may
-                step, which at worst lets leases end early or last one term more.
+            store: The database, open for writing, or only for reading if nothing is written.
+            now_s: Clock in seconds, best the wall clock, since leases outlive the process. It may
+                step, by which leases at worst end early or last one term more.
             policy: Terms of leases and of parking.
-            new_lease_id: Names a lease like no other before.
+            new_lease_id: Returns a unique id for a lease.
         """
         self._store, self._now_s, self._policy = store, now_s, policy or LeasePolicy()
         self._new_lease_id = new_lease_id
         self.retired_overlays = RetiredOverlays(store, now_s=now_s)
         self._listing = 0
-        """Counts the listings taken over, so that claims know whether plans may be wanting."""
+        """Number of listings received, from which claims know that plans may be missing."""
         self._seeded: dict[str, int] = {}
-        """Pipeline version to the listing for which it is known to have every plan."""
+        """Last listing for which each pipeline version has every plan."""
         self._pruned_s = self._proved_s = -math.inf
 
     def now_s(self) -> float:
-        """Read the clock that everything durable goes by."""
+        """Return the time of the clock for everything durable, seconds."""
         return self._now_s()
 
     @property
     def cannot_write(self) -> str:
-        """Why the last write failed, if none has worked since; empty: writing works."""
+        """Error of the last write; empty: writing works."""
         return self._store.cannot_write
 
     def observe(self, observer: StoreObserver) -> None:
-        """Tell one observer, after each transaction, what it did."""
+        """Add an observer, which is called after each transaction."""
         self._store.observe(observer)
 
     # What lies in the bucket.
 
     def serve_bucket(self, url: str, listed: Sequence[Recording]) -> None:
-        """Make sure that this is the bucket whose logs are recorded here.
+        """Check that this is the bucket whose logs are recorded here.
 
-        Call it before its first listing is taken over: that withdraws the scenes of all logs that
+        Call it before the first listing is received, which withdraws the scenes of all logs that
         are not in it.
 
         Raises:
@@ -130,7 +130,7 @@ class Ledger:
                 served_bucket.note_served(connection, url)
 
     def sync_recordings(self, listed: Sequence[Recording]) -> SyncResult:
-        """Take over a complete listing: new, replaced and deleted recordings.
+        """Apply a complete listing: new, replaced and deleted recordings.
 
         Raises:
             ValueError: If two of them have one log id.
@@ -141,24 +141,27 @@ class Ledger:
             return recordings.sync_recordings(connection, by_log, now_s=self._now_s())
 
     def has_recordings(self) -> bool:
-        """Whether the last listing that was taken over held any recording."""
+        """Return true if the last listing contained a recording."""
         with self._store.reading() as connection:
             return recordings.has_recordings(connection)
 
     def stale_logs(self) -> list[str]:
-        """Logs whose object changed under a reader: the next `sync_recordings` decides on them."""
+        """Return logs that changed under a reader; the next `sync_recordings` decides on them."""
         with self._store.reading() as connection:
             return recordings.stale_logs(connection)
 
     # Leases.
 
     def resume(self) -> None:
-        """Call once when a service starts: held leases get a full term, nobody could renew them."""
+        """Extend held leases to a full term, once at the start of a service.
+
+        None could be renewed while no service ran.
+        """
         with self._store.writing() as connection:
             leases.resume(connection, now_s=self._now_s(), policy=self._policy)
 
     def register_pipeline(self, pipeline_version: str) -> None:
-        """Note a pipeline version; the one first seen last is the newest. `claim` does it too."""
+        """Register a pipeline version; the last one registered is the newest. `claim` calls it."""
         with self._store.writing() as connection:
             recordings.register_pipeline(connection, pipeline_version)
 
@@ -166,7 +169,7 @@ class Ledger:
         """Lease a recording to plan or a shard to mine.
 
         Work under a pipeline version exists because one of its workers asks. `expires_s` of the
-        grant is the term of the lease, counted from the answer: clocks of machines differ.
+        grant is the duration of the lease from the answer on, since clocks of machines differ.
         """
         version = request.pipeline_version
 
@@ -189,14 +192,14 @@ class Ledger:
         self._seeded[version], before, grant = self._store.write(granted)
         if before:
             log.warning(
-                "new pipeline version: every log is mined anew",
+                "new pipeline version: every log is mined again",
                 pipeline_version=version,
                 before=before,
             )
         return ClaimReply(grant=grant)
 
     def renew(self, request: RenewRequest) -> Answer:
-        """Lengthen a lease; not ok: it is over, stop working on it."""
+        """Extend a lease; not ok: it is over, and its worker must stop."""
         return self._store.write(
             lambda connection: leases.renew(
                 connection, request, now_s=self._now_s(), policy=self._policy
@@ -208,11 +211,11 @@ class Ledger:
 
         Args:
             request: A plan, or the manifest of a mined shard.
-            staged: Digest to bytes, of the records that arrived on the bus.
+            staged: Records that arrived on the bus, by digest.
 
         Returns:
-            ok: it is on disk, also when it was already. `missing`: send those records along and
-            ask again. `problem`: it can never be taken, the work is void or wrong.
+            ok: it is on disk, perhaps since an earlier commit. `missing`: send those records along
+            and ask again. `problem`: it can never be accepted, since the work is void or wrong.
         """
         verified = manifest.verify(request, staged)
         return self._store.write(
@@ -220,7 +223,7 @@ class Ledger:
         )
 
     def fail(self, request: FailRequest) -> Answer:
-        """Take a lease back with its error: tried again later, or parked."""
+        """End a lease with its error; its work is retried later, or parked."""
         return self._store.write(
             lambda connection: leases.fail(
                 connection, request, now_s=self._now_s(), policy=self._policy
@@ -228,13 +231,13 @@ class Ledger:
         )
 
     def expire(self) -> int:
-        """Take back leases whose time is over, as if their workers had died; call each second.
+        """End leases whose time is over, as if their workers had died; call each second.
 
-        Now and then it also forgets leases that ended days ago, and proves that the database can
+        At intervals it also deletes leases that ended days ago, and proves that the database can
         still be written.
 
         Returns:
-            How many there were.
+            Number of ended leases.
         """
         now_s = self._now_s()
         proves = abs(now_s - self._proved_s) >= PROOF_INTERVAL_S
@@ -248,25 +251,25 @@ class Ledger:
         return expired
 
     def free_leases(self, worker_prefix: str) -> int:
-        """Take back leases of workers whose ids begin so, attempt not counted."""
+        """End the leases of workers with this id prefix, without counting an attempt."""
         with self._store.writing() as connection:
             return leases.free_leases(connection, worker_prefix)
 
     def worker_died(self, worker_id: str) -> int:
-        """Take back the leases of one worker; attempts, where its work may have killed it."""
+        """End the leases of one dead worker; count attempts where the work may have killed it."""
         with self._store.writing() as connection:
             return leases.worker_died(
                 connection, worker_id, now_s=self._now_s(), policy=self._policy
             )
 
     def retry(self, log_ids: Sequence[str] | None = None) -> list[ParkedWork]:
-        """Open parked work again, with all of its attempts; what is done stays done.
+        """Open parked work again, with all of its attempts; finished work stays done.
 
         Args:
-            log_ids: Only that of these logs; None: all that `status` names as parked.
+            log_ids: Only work of these logs; None: all that `status` lists as parked.
 
         Returns:
-            What was parked until now; once more, and nothing is.
+            Work that was parked; a second call returns none.
 
         Raises:
             NothingFoundError: If one of these logs is not in the bucket; then nothing is changed.
@@ -277,7 +280,7 @@ class Ledger:
     # Scenes and outbox.
 
     def unpublished(self, limit: int) -> list[StoredScene]:
-        """Events after the cursor in the order of their numbers, withdrawals among them."""
+        """Return events after the cursor in the order of their numbers, including withdrawals."""
         with self._store.reading() as connection:
             return scenes.unpublished(connection, limit=limit, on_damaged=self._store.note_damaged)
 
@@ -287,38 +290,38 @@ class Ledger:
             events.mark_published(connection, seq)
 
     def last_seq(self) -> int:
-        """Number of the newest event, 0 when there is none."""
+        """Return the number of the newest event, 0 when there is none."""
         with self._store.reading() as connection:
             return events.counter(connection, "seq")
 
     def scenes_since(self, seq: int, limit: int | None = None) -> list[StoredScene]:
-        """Current scenes with a greater number, in the order of their numbers."""
+        """Return current scenes with a greater number, in the order of their numbers."""
         with self._store.reading() as connection:
             return scenes.current_scenes(
                 connection, after=seq, limit=limit, on_damaged=self._store.note_damaged
             )
 
     def events_since(self, seq: int, limit: int) -> list[StoredScene]:
-        """Current scenes and withdrawals with a greater number, in the order of their numbers."""
+        """Return current scenes and withdrawals with a greater number, in that order."""
         with self._store.reading() as connection:
             return scenes.events_since(
                 connection, after=seq, limit=limit, on_damaged=self._store.note_damaged
             )
 
     def newest_scenes(self, limit: int) -> list[StoredScene]:
-        """The current scenes with the highest numbers, in the order of their numbers."""
+        """Return the current scenes with the highest numbers, in the order of their numbers."""
         with self._store.reading() as connection:
             return scenes.current_scenes(
                 connection, limit=limit, newest=True, on_damaged=self._store.note_damaged
             )
 
     def current_scenes(self) -> list[StoredScene]:
-        """Every current scene, in the order of their numbers."""
+        """Return every current scene, in the order of their numbers."""
         with self._store.reading() as connection:
             return scenes.current_scenes(connection, on_damaged=self._store.note_damaged)
 
     def scene(self, scene_id: str) -> StoredScene | None:
-        """The current scene of this id.
+        """Return the current scene of this id.
 
         Raises:
             RecordDamagedError: If its record is damaged.
@@ -327,12 +330,12 @@ class Ledger:
             return scenes.current_scene(connection, scene_id, on_damaged=self._store.note_damaged)
 
     def ranking(self, *, most: int | None = None) -> list[RankedScene]:
-        """Rank current scenes, best first, and list so many; None: all."""
+        """Rank current scenes, best first, and return at most `most`; None: all."""
         with self._store.reading() as connection:
             return list(ranking.ranked(connection, most=most, on_damaged=self._store.note_damaged))
 
     def best_distinct(self, *, budget: int) -> list[RankedScene]:
-        """Choose the scenes that a selection of this budget takes, best first.
+        """Choose the scenes of a selection with this budget, best first.
 
         Raises:
             ValueError: If the budget is below 1.
@@ -344,7 +347,7 @@ class Ledger:
             return select(ranked, budget=budget)
 
     def rate_sums(self, request: RatesRequest) -> list[RateSums]:
-        """Sums over the groups of current scenes that this asks for, in no order."""
+        """Return sums over the requested groups of current scenes, in no order."""
         with self._store.reading() as connection:
             return rates.rate_sums(connection, request)
 
@@ -366,32 +369,32 @@ class Ledger:
             )
 
     def selection(self, name: str) -> Selection | None:
-        """The selection of this name."""
+        """Return the selection of this name."""
         with self._store.reading() as connection:
             return selections.selection(connection, name)
 
     def selections(self) -> list[Selection]:
-        """Every selection, oldest first."""
+        """Return every selection, oldest first."""
         with self._store.reading() as connection:
             return selections.selections(connection)
 
     # How far it is.
 
     def backlog(self) -> Backlog:
-        """What waits, runs and is stuck, under the newest pipeline version."""
+        """Count waiting, running and parked work, under the newest pipeline version."""
         with self._store.reading() as connection:
             return backlog.backlog(connection, now_s=self._now_s())
 
     def status(self, pipeline_version: str | None = None) -> Status:
-        """How far everything is under this pipeline version; by default the newest."""
+        """Return the progress of all work under this pipeline version; by default the newest."""
         with self._store.reading() as connection:
             return overview.status(connection, pipeline_version, now_s=self._now_s())
 
     def settled(self, pipeline_version: str) -> bool:
-        """Whether nothing is left to do under this pipeline version.
+        """Return true if no work is left under this pipeline version.
 
-        True when every current recording is planned, refused or parked, and every shard done or
-        parked.
+        That is the case when every current recording is planned, refused or parked, and every shard
+        done or parked.
         """
         with self._store.reading() as connection:
             return overview.settled(connection, pipeline_version)

@@ -1,7 +1,7 @@
 """Lineage of a database: an id of its own and a count of its writes, which never goes back.
 
 A database that is dropped, replaced, or restored from an older copy under a running service would
-give numbers out a second time. It is recognized by the one row that every write counts up.
+issue numbers a second time. One row, which every write increments, makes that visible.
 """
 
 import uuid
@@ -23,10 +23,10 @@ RESTORED: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Lineage:
-    """Which database it is, and how far.
+    """Identity of a database, and its count of writes.
 
     Attributes:
-        incarnation: Random id, given when its tables were made.
+        incarnation: Random id, assigned when its tables were made.
         writes: Transactions that changed something.
     """
 
@@ -34,11 +34,11 @@ class Lineage:
     writes: int
 
     def require_not_before(self, known: "Lineage | None", *, name: str) -> "Lineage":
-        """Check that this comes after what was known of the same database.
+        """Check that this is a later state of the same database.
 
         Args:
-            known: As it was seen last; None: never.
-            name: Which database, for the message.
+            known: Last known lineage; None: none.
+            name: Name of the database, for the message.
 
         Returns:
             This.
@@ -49,7 +49,7 @@ class Lineage:
         if known is None:
             return self
         if self.incarnation != known.incarnation:
-            what = "another one has taken its place"
+            what = "another one has replaced it"
         elif self.writes < known.writes:
             what = f"it has gone back from write {known.writes} to write {self.writes}"
         else:
@@ -58,12 +58,12 @@ class Lineage:
 
 
 def give_incarnation(connection: Connection) -> None:
-    """Name a database that has no id yet: a new one, or one of an earlier version."""
+    """Assign an id to a database without one: a new one, or one of an earlier version."""
     _NAME.rows(connection, {"new": uuid.uuid4().hex})
 
 
 def read_lineage(connection: Connection) -> Lineage:
-    """Read how far the database is."""
+    """Read the lineage of a database."""
     row = _READ.one(connection, {})
     return Lineage(row.incarnation, row.writes)
 
@@ -73,11 +73,11 @@ def count_write(connection: Connection, *, changed_before: int, always: bool) ->
 
     Args:
         connection: At the end of a transaction that writes.
-        changed_before: What `changes` gave at its beginning.
+        changed_before: Result of `changes` at its beginning.
         always: Count it in any case.
 
     Returns:
-        How far the database is with it; None if it was not counted.
+        Lineage including this transaction; None if it was not counted.
     """
     if connection.dialect.name == "sqlite":
         counts = always or changes(connection) != changed_before
@@ -88,7 +88,7 @@ def count_write(connection: Connection, *, changed_before: int, always: bool) ->
 
 
 def changes(connection: Connection) -> int:
-    """Rows that this connection of SQLite has changed since it was opened; 0 elsewhere."""
+    """Return the rows that this SQLite connection has changed since it was opened; 0 elsewhere."""
     driver: Any = connection.connection.driver_connection
     return int(getattr(driver, "total_changes", 0))
 
@@ -105,4 +105,4 @@ _COUNT: Final = Statement(_COUNTING)
 _COUNT_IF_CHANGED: Final = Statement(
     _COUNTING.where(text("txid_current_if_assigned() IS NOT NULL"))
 )
-"""A transaction of PostgreSQL gets its number with the first row that it changes or locks."""
+"""Condition on the id of a transaction, which PostgreSQL assigns at its first change or lock."""

@@ -1,4 +1,4 @@
-"""Checks the records that a commit's manifest names, before any transaction."""
+"""Check of a manifest's records, before any transaction."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,11 +14,11 @@ from schemas.work import CommitRequest
 
 @dataclass(frozen=True, slots=True)
 class Verified:
-    """What could be said of a shard's manifest before the transaction.
+    """Result of checking a shard's manifest before the transaction.
 
     Attributes:
-        scenes: Id to score, record and digest, of the entries whose bytes are there and right.
-        problem: Why the commit can never be taken; empty when it can.
+        scenes: Id to score, record and digest, of the entries whose bytes are present and right.
+        problem: Error for which the commit can never be accepted; empty if it can.
     """
 
     scenes: Mapping[str, tuple[SceneScore, bytes, str]]
@@ -26,9 +26,9 @@ class Verified:
 
 
 def verify(request: CommitRequest, staged: Mapping[str, bytes]) -> Verified:
-    """Find and check the records that a manifest names. Pure, so that the transaction is short.
+    """Find and check the records of a manifest. Pure, so that the transaction is short.
 
-    Bytes that are not what their digest says count as missing: they were damaged on the way.
+    Bytes that do not match their digest count as missing: they were damaged on the way.
     """
     sent = {sha256(text.encode()): text.encode() for text in request.records}
     scenes: dict[str, tuple[SceneScore, bytes, str]] = {}

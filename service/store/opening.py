@@ -1,4 +1,4 @@
-"""Opens the database that the settings name: PostgreSQL by URL, else SQLite in the state folder."""
+"""Opening of the configured database: PostgreSQL by URL, else SQLite in the state folder."""
 
 import re
 from collections.abc import Iterator
@@ -21,12 +21,13 @@ _NO: Final = re.compile(
     r"password authentication failed for user \"[^\"]*\"|no password supplied"
     r"|no pg_hba\.conf entry for [^\n]*|(?:role|database) \"[^\"]*\" does not exist"
 )
-"""How PostgreSQL refuses a login: its driver has no number for that. A server that speaks another
-language is taken for one that is away."""
+"""Messages of a refused PostgreSQL login, which has no error number in its driver. A server with
+messages in another language is treated as one that does not answer.
+"""
 
 
 class WhereStateLies(Protocol):
-    """What of the settings matters here."""
+    """Settings that locate the state."""
 
     @property
     def state(self) -> Path:
@@ -35,14 +36,14 @@ class WhereStateLies(Protocol):
 
     @property
     def database(self) -> str:
-        """URL of a PostgreSQL; empty: SQLite."""
+        """URL of a PostgreSQL database; empty: SQLite."""
         ...
 
 
 def open_ledger_store(settings: WhereStateLies) -> Store:
-    """Open for writing; made, or brought up to date, as needed.
+    """Open the database for writing; create or migrate it as needed.
 
-    Whoever writes holds the lock of the state folder, and `sole_service` for PostgreSQL.
+    The caller holds the lock of the state folder, and `sole_service` for PostgreSQL.
 
     Raises:
         StateUnusableError: If a newer version wrote it, it is no database, or refuses the login.
@@ -55,7 +56,7 @@ def open_ledger_store(settings: WhereStateLies) -> Store:
 
 
 def open_ledger_store_to_read(settings: WhereStateLies) -> Store:
-    """Open for reading only, beside a running service or without one.
+    """Open the database for reading only, with or without a running service.
 
     Raises:
         StateUnusableError: If there is none, its version is not this program's, or it refuses the
@@ -69,7 +70,7 @@ def open_ledger_store_to_read(settings: WhereStateLies) -> Store:
 
 
 def sole_service(settings: WhereStateLies) -> AbstractContextManager[SoleService | None]:
-    """Take the exclusive right to serve the database; of SQLite the state folder's lock is enough.
+    """Take the exclusive right to serve a PostgreSQL database; SQLite needs only the folder's lock.
 
     Raises:
         StateInUseError: If another service holds it.
@@ -84,7 +85,7 @@ def sole_service(settings: WhereStateLies) -> AbstractContextManager[SoleService
 
 @contextmanager
 def _refusals_said(url: str) -> Iterator[None]:
-    """Tell a server that says no from one that is away: at the start nobody is there to wait."""
+    """Turn a refused login into a permanent error; a missing server stays transient."""
     try:
         yield
     except StoreUnavailableError as error:
@@ -92,6 +93,6 @@ def _refusals_said(url: str) -> Iterator[None]:
         if refusal is None:
             raise
         raise StateUnusableError(
-            f"the database refuses us: {refusal.group()} ({shown(url)}); mend user, password "
-            "(in `database`, PGPASSWORD or .pgpass) or the database's name"
+            f"the database refuses the login: {refusal.group()} ({shown(url)}); correct user, "
+            "password (in `database`, PGPASSWORD or .pgpass) or the database's name"
         ) from error

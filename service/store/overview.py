@@ -1,4 +1,4 @@
-"""Counts over the ledger: how far each log is, what is damaged, what is parked."""
+"""Status counts over the ledger: progress of each log, damaged stretches, parked work."""
 
 import json
 from collections import Counter, defaultdict
@@ -25,11 +25,11 @@ from service.store.tables import COUNTERS, DAMAGE, PIPELINES, PLANS, RECORDINGS,
 from service.store.work_items import OPEN, WorkState
 
 RATE_WINDOW_S: Final = 60.0
-"""Rates are over the commits of the last minute: long against a shard, short against a night."""
+"""Window of rates over commits, seconds; long against a shard, short against a night."""
 
 
 def settled(connection: Connection, pipeline_version: str) -> bool:
-    """Whether nothing is left to do for any current recording under this pipeline version."""
+    """Return true if no work is left for any current recording under this pipeline version."""
     is_planned = exists().where(
         _same_log(PLANS), PLANS.c.pipeline_version == pipeline_version, PLANS.c.state.not_in(OPEN)
     )
@@ -43,7 +43,7 @@ def settled(connection: Connection, pipeline_version: str) -> bool:
 
 
 def status(connection: Connection, pipeline_version: str | None, *, now_s: float) -> Status:
-    """Count everything under one pipeline version; by default the newest."""
+    """Return the status under one pipeline version; by default the newest."""
     if pipeline_version is None:
         pipeline_version = newest_pipeline(connection)
     plans = {
@@ -98,7 +98,7 @@ def _current_rows(table: Table, pipeline_version: str, *columns: Any) -> Any:
 
 
 def _shard_sums(pipeline_version: str) -> Any:
-    """Sum up the shards of each log and state in the database: a log of a day has hundreds."""
+    """Select sums over the shards of each log and state; a log of a day has hundreds of shards."""
     sums = (func.sum(SHARDS.c[name]).label(name) for name in _SUMMED)
     return (
         select(
@@ -119,13 +119,13 @@ _SUMMED: Final = ("frames", "bytes_read", "bytes_needed", "range_reads")
 
 
 def newest_pipeline(connection: Connection) -> str:
-    """Name the newest pipeline version; empty before any worker has asked for work."""
+    """Return the newest pipeline version; empty before any worker has claimed work."""
     newest = select(PIPELINES.c.pipeline_version).order_by(PIPELINES.c.ordinal.desc()).limit(1)
     return connection.execute(newest).scalar_one_or_none() or ""
 
 
 def _damage(connection: Connection, pipeline_version: str) -> defaultdict[str, list[Damage]]:
-    """Each damaged stretch once: planning and several shards may have met the same one."""
+    """Return each damaged stretch once; planning and several shards may have found the same one."""
     found: defaultdict[str, list[Damage]] = defaultdict(list)
     for row in connection.execute(_current_rows(DAMAGE, pipeline_version, DAMAGE)):
         piece = Damage(
@@ -169,7 +169,7 @@ def _log_status(
 
 
 def _rests(plan: Row[Any], *, now_s: float) -> bool:
-    """Whether a plan waits for its recording to settle: the only rest that no failure ordered."""
+    """Return true if a plan waits for its recording to settle, the only pause without a failure."""
     return plan.state == WorkState.READY and not plan.error and bool(plan.ready_at_s > now_s)
 
 
@@ -208,14 +208,14 @@ def _is_parked(table: Table) -> ColumnElement[bool]:
 
 
 def _is_retried(table: Table) -> ColumnElement[bool]:
-    """Whether this was parked and opened again: only then is there an error without an attempt."""
+    """Select work that was parked and opened again, which has an error without an attempt."""
     return and_(table.c.state.in_(OPEN), table.c.attempts == 0, table.c.error != "")
 
 
 def _frames_per_s(connection: Connection, pipeline_version: str, *, now_s: float) -> float:
-    """Frames committed since the oldest commit of the window, over the time since then.
+    """Return the rate of frames since the oldest commit of the window, frames per second.
 
-    That commit's own frames do not count: when mining them began is not known.
+    The frames of that commit do not count, since the start of their mining is unknown.
     """
     recent = and_(
         SHARDS.c.pipeline_version == pipeline_version,

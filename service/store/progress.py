@@ -1,4 +1,4 @@
-"""How far each revision of each log is under one pipeline version: what a dry run need not mine."""
+"""Progress of each revision of each log under one pipeline version, for dry runs."""
 
 import json
 from collections import defaultdict
@@ -11,19 +11,23 @@ from service.store.tables import PLANS, SHARDS
 from service.store.work_items import OPEN, WorkState
 
 LogStanding = Literal["new", "changed", "anew", "in part", "mined", "refused", "parked"]
-"""Never mined here; mined as other objects; mined, but not by this pipeline version; mined in part;
-nothing left; cannot be mined; planning is given up. A run mines all of the first three."""
+"""State of a log in words.
+
+`new`: never mined here. `changed`: mined with other objects. `anew`: mined, but not by this
+pipeline version. `in part`: mined in part. `mined`: nothing left. `refused`: cannot be mined.
+`parked`: planning was given up. A run mines all of the first three.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """One log as it lies in the bucket, and what a state knows of it.
+    """One log in the bucket, and its progress in a state.
 
     Attributes:
-        standing: In a word.
+        standing: State in words.
         left_share: Share of its bytes that a run would mine, 0 to 1.
         frames: Frames mined under this version.
-        parked: Plans and shards of it that are not tried again.
+        parked: Plans and shards of it that are not retried.
     """
 
     standing: LogStanding
@@ -33,20 +37,20 @@ class Standing:
 
 
 class Standings:
-    """What a state knows under one pipeline version."""
+    """Progress of all logs under one pipeline version."""
 
     def __init__(self, connection: Connection, pipeline_version: str) -> None:
-        """Read it, once.
+        """Read the progress, once.
 
         Args:
             connection: To read from.
-            pipeline_version: The one that would mine.
+            pipeline_version: Version that would mine.
         """
         self._known: dict[tuple[str, str], Standing] = {}
         self._mined: set[tuple[str, str]] = set()
-        """Planned under another version."""
+        """Revisions planned under another version."""
         self._mined_logs: set[str] = set()
-        """Planned under any, as whatever objects."""
+        """Logs planned under any version, with any objects."""
         shards = _shards(connection, pipeline_version)
         plans = select(
             PLANS.c.log_id, PLANS.c.revision, PLANS.c.pipeline_version, PLANS.c.state
@@ -61,7 +65,7 @@ class Standings:
                 self._known[key] = _standing(plan.state, shards[key])
 
     def of(self, log_id: str, revision: str) -> Standing:
-        """Say how far a log is that lies in the bucket as this revision."""
+        """Return the progress of a log in the bucket at this revision."""
         known = self._known.get((log_id, revision))
         if known is not None and known.left_share < 1.0:
             return known
@@ -104,4 +108,4 @@ def _needed_bytes(shards: Any) -> int:
 
 
 _LEFT: Final = (*OPEN, WorkState.CANCELLED)
-"""What is cancelled is taken up again when its revision is listed."""
+"""States of work that a run would do; cancelled work is resumed when its revision is listed."""

@@ -1,4 +1,4 @@
-"""The ranking of current scenes, read in its order: what nobody asks for is not touched."""
+"""Ranking of current scenes, read lazily in its order."""
 
 import json
 from collections.abc import Generator
@@ -12,7 +12,7 @@ from service.store.statements import Statement
 from service.store.tables import SCENES
 
 _AT_ONCE: Final = 500
-"""Rows that are held at a time, however many are ranked."""
+"""Rows in memory at a time, however many are ranked."""
 
 
 def ranked(
@@ -21,9 +21,9 @@ def ranked(
     """Rank current scenes, best first, ranks from 1; each is compared with its record.
 
     Args:
-        connection: In the transaction that shall be seen; it is read as long as this is iterated.
-        most: Only the first so many; None: all.
-        on_damaged: Takes what is damaged, and is left out.
+        connection: In the transaction to read from; it is read while this is iterated.
+        most: Number of rows; None: all.
+        on_damaged: Called for damaged scenes, which are left out.
     """
     query = (
         select(*_READ, _C.lidar_topic, _C.reasons, _C.sha256, _C.record)
@@ -76,7 +76,7 @@ def _input(row: Any) -> RankedInput:
 
 
 def _bytewise(connection: Connection) -> ColumnElement[str]:
-    """Order logs as Python orders text; SQLite does, PostgreSQL by the locale unless told."""
+    """Return log ids in Python's order of text, for which PostgreSQL needs a collation."""
     return _C.log_id if connection.dialect.name == "sqlite" else _C.log_id.collate("C")
 
 
@@ -84,7 +84,7 @@ _C: Final = SCENES.c
 _READ: Final = (_C.scene_id, _C.log_id, _C.start_ns, _C.end_ns, _C.score, _C.state)
 
 _UNJUDGED: Final[ColumnElement[bool]] = literal_column("(state <> 'scored')")
-"""Spelled as in the index, or it would not serve."""
+"""Condition in the spelling of the index, which is not used otherwise."""
 
 _OF_LIDAR: Final = select(*_READ).where(
     _C.is_current, _C.log_id == bindparam("log"), _C.lidar_topic == bindparam("topic")

@@ -10,7 +10,7 @@ from service.store.tables import SCENES
 
 
 def rate_sums(connection: Connection, request: RatesRequest) -> list[RateSums]:
-    """Sum over each group of the current scenes that were recorded in the time asked for."""
+    """Sum over each group of the current scenes that were recorded in the requested time."""
     group = _GROUPS[request.by]
     query = select(group.label("grouped"), *_SUMS).where(SCENES.c.is_current)
     if request.since_ns:  # a condition that always holds would lead the database to its index

@@ -1,4 +1,4 @@
-"""Stored records against their digests: what a disk has damaged is named, and never shown."""
+"""Check of stored records against their digests; damaged ones are reported, and never shown."""
 
 import json
 from collections.abc import Callable
@@ -8,7 +8,7 @@ from typing import Any, Final
 from schemas.canonical import sha256
 
 OnDamaged = Callable[[str, str], None]
-"""Takes the id of the scene and a sentence."""
+"""Callback for a damaged record, with the id of the scene and a sentence."""
 
 _TEXTS: Final = ("scene_id", "log_id", "state")
 _NUMBERS: Final = ("start_ns", "end_ns", "score")
@@ -22,7 +22,7 @@ def problem_of(row: Any) -> str:
         row: With `record` and `sha256`, and any of the columns that are copied from the record.
 
     Returns:
-        A sentence; empty when the record is what was acknowledged.
+        A sentence on the damage; empty for an intact record.
     """
     record = bytes(row.record)
     if sha256(record) != row.sha256:
@@ -33,7 +33,7 @@ def problem_of(row: Any) -> str:
 
 
 def _is_found(row: Any, record: bytes) -> bool:
-    """Whether each column is in the record as our encoder writes it: quick, and nearly always."""
+    """Return true if the record contains each column in our encoder's form; a fast check."""
     columns = row._mapping
     for name in _COPIED & columns.keys():
         value = columns[name]

@@ -1,4 +1,4 @@
-"""What lies in the bucket, as the ledger knows it: listings come in, work and scenes follow."""
+"""Recordings in the ledger: applies listings of the bucket, and updates work and scenes."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ from service.store.work_items import OPEN, WorkState
 
 @dataclass(frozen=True, slots=True)
 class Listed:
-    """A recording that was listed, and its revision, which takes a while to compute."""
+    """A listed recording, and its revision, which takes a while to compute."""
 
     recording: Recording
     revision: str
@@ -61,14 +61,14 @@ def sync_recordings(
 ) -> SyncResult:
     """Make the current recordings those of a complete listing.
 
-    Open work on a recording that was replaced or deleted is cancelled. The scenes of a deleted one
-    go at once, those of a replaced one stay until the plan of the new revision is finished, refused
-    or parked. All of it is kept, and comes back if that revision does.
+    Open work on a recording that was replaced or deleted is cancelled. Scenes of a deleted one are
+    withdrawn at once. Those of a replaced one stay until the plan of the new revision is finished,
+    refused or parked. All of it is kept, and is restored if that revision returns.
 
     Args:
         connection: In a transaction that writes.
-        listed: All that the bucket holds.
-        now_s: When it was listed, by the service's clock.
+        listed: All recordings of the bucket.
+        now_s: Time of the listing by the service's clock, seconds.
     """
     known = {
         row.log_id: row.revision
@@ -93,22 +93,22 @@ def sync_recordings(
 
 
 def has_recordings(connection: Connection) -> bool:
-    """Whether any recording is current."""
+    """Return true if any recording is current."""
     any_current = select(RECORDINGS.c.log_id).where(RECORDINGS.c.is_current).limit(1)
     return connection.execute(any_current).one_or_none() is not None
 
 
 def stale_logs(connection: Connection) -> list[str]:
-    """Logs whose object changed under a reader, since the last listing."""
+    """Return logs whose object changed under a reader since the last listing."""
     plans, shards = (select(table.c.log_id).where(_is_stale(table)) for table in (PLANS, SHARDS))
     return sorted(connection.execute(plans.union(shards)).scalars())
 
 
 def register_pipeline(connection: Connection, pipeline_version: str) -> str:
-    """Note a pipeline version; of several, the one first seen last is the newest.
+    """Register a pipeline version; of several, the one registered last is the newest.
 
     Returns:
-        The one that was the newest, if this takes its place just now; else empty.
+        The newest version before, if this one has just taken its place; else empty.
     """
     known = select(PIPELINES.c.ordinal).where(PIPELINES.c.pipeline_version == pipeline_version)
     if connection.execute(known).one_or_none() is not None:
@@ -121,7 +121,7 @@ def register_pipeline(connection: Connection, pipeline_version: str) -> str:
 
 
 def seed_plans(connection: Connection, pipeline_version: str) -> None:
-    """Give every current recording a plan to be made under this pipeline version."""
+    """Create a plan to be made for every current recording under this pipeline version."""
     has_plan = exists().where(
         PLANS.c.log_id == RECORDINGS.c.log_id,
         PLANS.c.revision == RECORDINGS.c.revision,
@@ -152,10 +152,9 @@ def seed_plans(connection: Connection, pipeline_version: str) -> None:
 
 
 def _retire(connection: Connection, going: Mapping[str, str]) -> None:
-    """End the revisions of these logs: their open work is cancelled.
+    """End the revisions of these logs, and cancel their open work.
 
-    One that nothing was made of, and on which nobody works, is forgotten: an upload makes one with
-    every listing.
+    A revision without results and leases is deleted, since an upload makes one with every listing.
     """
     if not going:
         return
@@ -179,7 +178,7 @@ def _retire(connection: Connection, going: Mapping[str, str]) -> None:
 
 
 def _enter_all(connection: Connection, entering: Sequence[Listed], *, now_s: float) -> None:
-    """Make revisions the current ones of their logs; those known before are taken up again."""
+    """Make revisions the current ones of their logs; known ones are resumed."""
     if not entering:
         return
     past = select(RECORDINGS.c.log_id, RECORDINGS.c.revision).where(~RECORDINGS.c.is_current)
@@ -203,14 +202,14 @@ def _enter_all(connection: Connection, entering: Sequence[Listed], *, now_s: flo
 
 
 def _enter_again(connection: Connection, *, log_id: str, revision: str) -> None:
-    """Take up a revision that was current before."""
+    """Resume a revision that was current before."""
     for statement in (_BEGIN, *_GO_ON):
         connection.execute(statement, {"at_log": log_id, "at_revision": revision})
     enter_again(connection, log_id=log_id, revision=revision)
 
 
 def _take_up_stale(connection: Connection) -> None:
-    """Try again what was seen to change but is listed as it was: the reader met a passing state."""
+    """Retry recordings that changed under a reader but are listed unchanged."""
     for table in (PLANS, SHARDS):
         connection.execute(update(table).where(_is_stale(table)).values(state=WorkState.READY))
 

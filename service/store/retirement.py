@@ -1,4 +1,4 @@
-"""Overlays that no current scene needs any more: since when, and which of them may go."""
+"""Queries on overlays that no current scene needs: since when, and which may be deleted."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -26,7 +26,7 @@ from service.store.work_items import WorkState
 
 @dataclass(frozen=True, slots=True, order=True)
 class SceneOverlay:
-    """Names one overlay, as `schemas.overlay.overlay_key` does.
+    """Identity of one overlay, in the terms of `schemas.overlay.overlay_key`.
 
     Two revisions of a log may have made the same record: their scenes share it.
     """
@@ -38,7 +38,7 @@ class SceneOverlay:
 
 
 def newly_retired(connection: Connection, *, portion: int) -> Iterator[list[SceneOverlay]]:
-    """Find overlays of scenes that are not current, of which that is not noted yet."""
+    """Find unused overlays that are not recorded yet."""
     known = exists().where(_same_overlay(SCENES, RETIRED_OVERLAYS))
     query = select(*_of(SCENES)).distinct()
     return _portions(
@@ -47,27 +47,27 @@ def newly_retired(connection: Connection, *, portion: int) -> Iterator[list[Scen
 
 
 def needed_again(connection: Connection, *, portion: int) -> Iterator[list[SceneOverlay]]:
-    """Find those noted whose scene has become current again."""
+    """Find recorded overlays whose scene has become current again."""
     query = select(*_of(RETIRED_OVERLAYS))
     return _portions(connection, query.where(_is_current(RETIRED_OVERLAYS)), portion)
 
 
 def note_retired(connection: Connection, overlays: Sequence[SceneOverlay], *, now_s: float) -> None:
-    """Begin to count for these."""
+    """Record these overlays as unused from now on."""
     rows = [asdict(each) | {"since_s": now_s, "is_deleted": False} for each in overlays]
     connection.execute(insert(RETIRED_OVERLAYS), rows)
 
 
 def forget(connection: Connection, overlays: Sequence[SceneOverlay]) -> None:
-    """Forget that it ever began for these."""
+    """Remove these overlays from the record."""
     connection.execute(delete(RETIRED_OVERLAYS).where(_AT), _keys(overlays))
 
 
 def to_delete(connection: Connection, *, before_s: float, limit: int) -> list[SceneOverlay]:
-    """Find overlays that nobody has needed since then, the oldest first.
+    """Find overlays that have been unused since a time, the oldest first.
 
-    Not those of a log that is being worked on: a shard that is mined anew may come to the same
-    record as one that was withdrawn, and its worker writes the overlay before it commits.
+    Overlays of a log with pending work are left out. A shard that is mined again may produce the
+    same record as a withdrawn one, and its worker writes the overlay before it commits.
     """
     c = RETIRED_OVERLAYS.c
     found = connection.execute(
@@ -85,7 +85,7 @@ def to_delete(connection: Connection, *, before_s: float, limit: int) -> list[Sc
 
 
 def note_deleted(connection: Connection, overlays: Sequence[SceneOverlay]) -> None:
-    """Note that these are gone."""
+    """Record the deletion of these overlays."""
     connection.execute(update(RETIRED_OVERLAYS).where(_AT).values(is_deleted=True), _keys(overlays))
 
 
@@ -100,7 +100,7 @@ def _of(table: FromClause) -> list[Any]:
 def _portions(
     connection: Connection, query: Select[Any], portion: int
 ) -> Iterator[list[SceneOverlay]]:
-    """Read on while others write: what is found is that of the moment when it began."""
+    """Read in portions while others write; the result is that of the moment of its start."""
     found = connection.execute(query, execution_options={"yield_per": portion})
     for rows in found.partitions():
         yield [SceneOverlay(*row) for row in rows]
@@ -120,7 +120,7 @@ def _is_current(table: FromClause) -> ColumnElement[bool]:
 
 
 def _is_worked_on(version: str) -> ColumnElement[bool]:
-    """Whether the log of an overlay lies in the bucket and is not all done under this version."""
+    """Return true if the log of an overlay is in the bucket, with work left under this version."""
     its = and_(RECORDINGS.c.log_id == RETIRED_OVERLAYS.c.log_id, RECORDINGS.c.is_current)
     planned = exists().where(
         PLANS.c.log_id == RECORDINGS.c.log_id,

@@ -1,4 +1,4 @@
-"""Parked work that a person has tried again, after mending what made it fail."""
+"""Retry of parked work on request, after the cause of its failure is fixed."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -14,20 +14,20 @@ from service.store.work_items import Work, WorkState, change
 from service.store.worker_deaths import pardon
 
 MOST_NAMED = 5
-"""Unknown logs in one sentence."""
+"""Unknown logs named in one sentence."""
 
 
 def retry(connection: Connection, log_ids: Sequence[str] | None) -> list[ParkedWork]:
-    """Make parked work ready again as if it had never been tried; its error stays to be read.
+    """Make parked work ready again without earlier attempts; its error is kept.
 
-    Under the newest pipeline version, of current recordings: what `status` names as parked.
+    It applies to current recordings under the newest pipeline version, as listed by `status`.
 
     Args:
         connection: In a transaction that writes.
-        log_ids: Only that of these logs; None: of all.
+        log_ids: Only work of these logs; None: of all.
 
     Returns:
-        What was parked, in the order of log and shard, as it was.
+        Work that was parked, in the order of log and shard.
 
     Raises:
         NothingFoundError: If one of these logs is not in the bucket.
@@ -52,7 +52,7 @@ def retry(connection: Connection, log_ids: Sequence[str] | None) -> list[ParkedW
 
 
 def _parked(connection: Connection, table: Table, version: str) -> Sequence[Any]:
-    """Rows of parked work of current recordings, locked against whoever asks for the same."""
+    """Return rows of parked work of current recordings, locked against concurrent retries."""
     same_log = and_(
         table.c.log_id == RECORDINGS.c.log_id, table.c.revision == RECORDINGS.c.revision
     )

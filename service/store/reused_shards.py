@@ -1,4 +1,4 @@
-"""Shards that another revision of a log has mined from the same bytes are not mined again."""
+"""Reuse of shards that another revision of a log has mined from the same bytes."""
 
 import json
 from collections import defaultdict
@@ -14,9 +14,10 @@ from service.store.work_items import TAKEN_AND_GIVEN, Work, WorkState, change
 
 
 def enter_plan(connection: Connection, work: Work) -> None:
-    """Let a revision whose plan has just been finished have the scenes of its log.
+    """Make the scenes of a newly planned revision current.
 
-    What other revisions mined from the same bytes is adopted; the rest of theirs goes.
+    Shards that other revisions mined from the same bytes are adopted; their other scenes are
+    withdrawn.
     """
     if _other_revisions(connection, work):
         _adopt(connection, work)
@@ -24,7 +25,7 @@ def enter_plan(connection: Connection, work: Work) -> None:
 
 
 def enter_again(connection: Connection, *, log_id: str, revision: str) -> None:
-    """Let a revision that has come back have its scenes again, if it had been planned."""
+    """Make the scenes of a returned revision current again, if it had been planned."""
     plans = connection.execute(
         select(PLANS.c.pipeline_version, PLANS.c.state).where(
             PLANS.c.log_id == log_id, PLANS.c.revision == revision
@@ -48,7 +49,7 @@ def _other_revisions(connection: Connection, work: Work) -> bool:
 
 
 def _adopt(connection: Connection, work: Work) -> None:
-    """Note as done what another revision mined under this pipeline version from the same bytes."""
+    """Mark shards as done that another revision mined from the same bytes and version."""
     for shard, mined in list(_same_shards(connection, work)):
         adopted = Work(work.log_id, work.revision, work.pipeline_version, shard.name)
         kept = {name: mined._mapping[name] for name in TAKEN_AND_GIVEN}
@@ -65,7 +66,7 @@ def _adopt(connection: Connection, work: Work) -> None:
 
 
 def _same_shards(connection: Connection, work: Work) -> Iterator[tuple[Row[Any], Row[Any]]]:
-    """Pairs of a shard that waits and one of the same content, done by another revision."""
+    """Yield pairs of a waiting shard and one of the same content, done by another revision."""
     its = and_(SHARDS.c.log_id == work.log_id, SHARDS.c.pipeline_version == work.pipeline_version)
     done: defaultdict[str, list[Row[Any]]] = defaultdict(list)
     for row in connection.execute(
@@ -103,10 +104,10 @@ def _same_shards(connection: Connection, work: Work) -> Iterator[tuple[Row[Any],
 
 
 def _content(shard: str, parts: tuple[Part, ...]) -> dict[str, Any] | None:
-    """All that mining a shard depends on, the same whichever other parts the recording has.
+    """Return all that mining a shard depends on, independent of other parts of the recording.
 
-    Parts are named by key, size and etag instead of counted, and of a channel's ids only those in
-    parts that the shard reads are told. None for a shard that reads nothing.
+    Parts are named by key, size and etag instead of counted. Of a channel's ids only those in parts
+    that the shard reads are included. None for a shard that reads nothing.
     """
     # Not as a `Shard`: to check what was checked before it was stored takes most of the time.
     content: dict[str, Any] = json.loads(shard)

@@ -1,4 +1,4 @@
-"""Which revision's scenes are current, of a recording that was replaced or came back."""
+"""Choice of the revision with current scenes, for a recording that was replaced or returned."""
 
 from sqlalchemy import ColumnElement, Connection, and_, exists, false, func, or_, select
 
@@ -8,11 +8,11 @@ from service.store.work_items import WorkState
 
 
 def take_over(connection: Connection, *, log_id: str, revision: str) -> None:
-    """Let one revision have every scene of its log: its own return, those of others go.
+    """Make one revision the source of every current scene of its log; withdraw those of others.
 
-    Called when its plan is finished, refused or parked: until then the scenes of the revision
-    before stay, since there is nothing yet to show in their place. Of its own scenes those are
-    current that no newer pipeline version has mined anew.
+    Called when its plan is finished, refused or parked. Until then the scenes of the previous
+    revision stay, since there are none yet to replace them. Of its own scenes those become current
+    that no newer pipeline version has mined again.
     """
     ours = _belongs_to(log_id=log_id, revision=revision)
     beaten = _beaten(connection, log_id=log_id, revision=revision)
@@ -25,7 +25,7 @@ def take_over(connection: Connection, *, log_id: str, revision: str) -> None:
 
 
 def _belongs_to(*, log_id: str, revision: str) -> ColumnElement[bool]:
-    """Whether a scene is of a revision: mined under it, or in a shard that it has adopted."""
+    """Return true for a scene of a revision: mined under it, or in a shard that it has adopted."""
     adopted = exists().where(
         SHARDS.c.log_id == log_id,
         SHARDS.c.revision == revision,
@@ -37,7 +37,7 @@ def _belongs_to(*, log_id: str, revision: str) -> ColumnElement[bool]:
 
 
 def _beaten(connection: Connection, *, log_id: str, revision: str) -> ColumnElement[bool]:
-    """Whether a newer pipeline version has mined a scene's stretch of this revision, or all."""
+    """Return true if a newer pipeline version has mined a scene's stretch, or all of it."""
     ordinals = {row.pipeline_version: row.ordinal for row in connection.execute(select(PIPELINES))}
     shards = connection.execute(
         select(SHARDS.c.pipeline_version, func.min(SHARDS.c.state), func.max(SHARDS.c.state))

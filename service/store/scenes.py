@@ -1,6 +1,7 @@
-"""Scenes as readers get them: the outbox, the history, and one by one.
+"""Queries of scenes for the outbox, the history, and single requests.
 
-Each record is compared with its digest before anyone gets it; a damaged one is left out, and said.
+Each record is compared with its digest before it is returned; a damaged one is left out, and
+reported.
 """
 
 from collections.abc import Callable
@@ -24,15 +25,15 @@ class StoredScene:
     """A durable, numbered scene.
 
     Attributes:
-        seq: Rises by one per event over the whole store; travels in the attachment.
+        seq: Number of the event, which rises by one over the whole store; sent in the attachment.
         log_id: Its recording.
         scene_id: `<log_id>/<lidar>/<start_ns>`.
-        pipeline_version: What mined it.
-        score: As in the record.
+        pipeline_version: Pipeline version that mined it.
+        score: Score in the record.
         record: Bytes as published; empty when withdrawn.
         sha256: Digest of the record as published.
-        withdrawn: Only among events: the one with this number says that the scene is no longer
-            current: delete its key instead of putting the record.
+        withdrawn: True for the event of a withdrawal: the key is deleted instead of putting the
+            record.
     """
 
     seq: int
@@ -62,17 +63,17 @@ def unpublished(connection: Connection, *, limit: int, on_damaged: OnDamaged) ->
 def events_since(
     connection: Connection, *, after: int, limit: int, on_damaged: OnDamaged
 ) -> list[StoredScene]:
-    """Read, in order, what leads from the scenes that were current then to those that are now.
+    """Read, in order, the events that lead from the scenes current then to those current now.
 
     Those are the current scenes with a greater number, and every withdrawal with one. A scene that
-    came and went has its withdrawal only: whether an asker knows it cannot be told here, since a
-    scene that returns, or is replaced under its key, gets a new number.
+    was added and withdrawn has its withdrawal only. It is not known here if the client has seen the
+    scene, since one that returns, or is replaced under its key, gets a new number.
 
     Args:
         connection: To read from.
         after: Only greater numbers.
-        limit: At most so many, the first ones.
-        on_damaged: Takes what is damaged, and is left out.
+        limit: Number of events at most, the first ones.
+        on_damaged: Called for damaged scenes, which are left out.
     """
     return _sound_events(
         lambda after: _events(
@@ -102,7 +103,7 @@ def _events(
 def _sound_events(
     read: Callable[[int], list[Row[Any]]], *, after: int, limit: int | None, on_damaged: OnDamaged
 ) -> list[StoredScene]:
-    """Read on where all of a page are damaged: an empty list means the end."""
+    """Read on while all scenes of a page are damaged, since an empty list means the end."""
     while True:
         rows = read(after)
         events = [_scene(row) for row in rows if _is_sound(row, on_damaged)]
@@ -124,9 +125,9 @@ def current_scenes(
     Args:
         connection: To read from.
         after: Only greater numbers.
-        limit: At most so many: the first ones, or the last ones with `newest`.
-        newest: Which end `limit` keeps.
-        on_damaged: Takes what is damaged, and is left out.
+        limit: Number of scenes at most: the first ones, or the last ones with `newest`.
+        newest: True to keep the last ones.
+        on_damaged: Called for damaged scenes, which are left out.
     """
     order = SCENES.c.seq.desc() if newest else SCENES.c.seq
     query = _stored().where(SCENES.c.is_current).order_by(order).limit(limit)
@@ -173,7 +174,7 @@ def _is_sound(row: Row[Any], on_damaged: OnDamaged) -> bool:
 def _stored(
     seq: ColumnElement[int] = SCENES.c.seq, *, record: ColumnElement[bytes] | None = None
 ) -> Select[Any]:
-    """Select scenes as they were put; given another record, as they were withdrawn."""
+    """Select scenes in their published form; with another record, in their withdrawn form."""
     c = SCENES.c
     return select(
         seq.label("number"),

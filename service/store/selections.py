@@ -11,7 +11,7 @@ from service.store.tables import COUNTERS, SELECTION_SCENES, SELECTIONS
 
 
 class SelectionExistsError(UsageError):
-    """Another selection has this name, and the labellers may be at work on it."""
+    """Another selection has this name, and labellers may be working on it."""
 
 
 def save_selection(
@@ -22,9 +22,9 @@ def save_selection(
     scenes: Sequence[RankedScene],
     now_s: float,
 ) -> Selection:
-    """Store a selection under a name nothing else has.
+    """Store a selection under an unused name.
 
-    The same selection once more is no error: the answer to the first request may have been lost.
+    Storing the same selection again is no error, since the answer to the first request may be lost.
 
     Raises:
         SelectionExistsError: If a different selection has this name.

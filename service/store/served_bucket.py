@@ -1,4 +1,4 @@
-"""Whose logs these are: a state belongs to one bucket, which may move but not be another."""
+"""Check that a state is used with its own bucket, which may move to another URL."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -10,11 +10,11 @@ from service.errors import OtherBucketError
 from service.store.tables import RECORDINGS, SERVED_BUCKET
 
 LEAST_SHARE: Final = 0.5
-"""A bucket that has moved holds at least so much of the logs it held: some may have gone since."""
+"""Share of its logs that a bucket still has after a move, at least; some may have been deleted."""
 
 
 def served_bucket(connection: Connection) -> str:
-    """Read the URL of the bucket this state belongs to; empty: of none so far."""
+    """Return the URL of the bucket this state belongs to; empty: of none so far."""
     return connection.execute(select(SERVED_BUCKET.c.url)).scalar_one_or_none() or ""
 
 
@@ -23,17 +23,17 @@ def require_served(
 ) -> bool:
     """Check that a bucket is the one that this state belongs to.
 
-    At the same URL it is. At another one it is where it holds at least half of the logs, by key and
-    size: copies have etags of their own. A state without logs belongs to any.
+    A bucket at the same URL is. One at another URL is accepted if it has at least half of the logs,
+    by key and size, since copies have etags of their own. A state without logs accepts any.
 
     Args:
         connection: In a transaction.
-        url: Where the bucket lies.
-        listed: All logs that it holds.
-        name: Of the database, for the message.
+        url: URL of the bucket.
+        listed: All logs in it.
+        name: Name of the database, for the message.
 
     Returns:
-        Whether the URL is the one that is noted.
+        True if the URL is the recorded one.
 
     Raises:
         OtherBucketError: If it is another bucket.
@@ -54,7 +54,7 @@ def require_served(
 
 
 def note_served(connection: Connection, url: str) -> None:
-    """Note where the bucket lies from now on."""
+    """Record the URL of the bucket."""
     connection.execute(delete(SERVED_BUCKET))
     connection.execute(insert(SERVED_BUCKET).values(url=url))
 

@@ -1,7 +1,7 @@
-"""One service at a time on one PostgreSQL: the server holds a lock for as long as we are connected.
+"""Single-writer lock of a PostgreSQL database, held by the server while its connection lasts.
 
-A lock on a file keeps a second service from a state folder; a database can be reached from many
-machines, each with a folder of its own, so the right to write it must lie where it is.
+A lock on a file keeps a second service from a state folder. A database can be reached from many
+machines, each with a folder of its own, so the lock must be in the database.
 """
 
 import time
@@ -22,10 +22,10 @@ from service.store.engine import StoreUnavailableError, postgres_engine
 log = structlog.get_logger(__name__)
 
 _LOCK: Final = 0x436E7470
-"""Of this program, as one of the two halves of PostgreSQL's key; the other is the schema's name."""
+"""First half of PostgreSQL's lock key, of this program; the second is the schema's name."""
 
 _PATIENCE_S: Final = (0.1, 0.2, 0.4, 0.0)
-"""The connection of one that was just killed is gone in a moment."""
+"""Waits between attempts, seconds; the connection of a killed process is gone in a moment."""
 
 _TAKE: Final = text("SELECT pg_try_advisory_lock(:lock, hashtext(current_schema()))")
 _HOLDER: Final = text(
@@ -37,25 +37,25 @@ _HOLDER: Final = text(
 
 
 class DatabaseTakenError(PermanentError):
-    """While our connection was away, another service took the database over."""
+    """Another service took over the database while our connection was lost."""
 
 
 class SoleService:
-    """The exclusive right to be the service of a database, for as long as the block lasts.
+    """Exclusive right to serve a database, within a `with` block.
 
-    The server frees it when our connection ends, however it ends. `check` now and then takes it
-    back after an outage of the server; only one of two services gets it.
+    The server frees it when our connection ends, for any cause. `check` takes it again after an
+    outage of the server; only one of two services gets it.
     """
 
     def __init__(self, url: str, *, endpoint: str = "") -> None:
         """Take the lock.
 
         Args:
-            url: Of the database, as SQLAlchemy takes it.
-            endpoint: Where this service can be reached, told to whoever is refused.
+            url: URL of the database, as SQLAlchemy takes it.
+            endpoint: Endpoint of this service, reported to a refused one.
 
         Raises:
-            StateInUseError: If another service holds it; the message says which.
+            StateInUseError: If another service holds it; the message names it.
             StoreUnavailableError: If the server does not answer.
         """
         self._endpoint = endpoint
@@ -70,14 +70,14 @@ class SoleService:
             raise
 
     def announce(self, endpoint: str) -> None:
-        """Say where this service can be reached; empty: not yet."""
+        """Publish the endpoint of this service; empty: not yet known."""
         self._endpoint = endpoint
         with self._one_at_a_time, suppress(DBAPIError):  # `check` notices, and tells it again
             if self._connection is not None:
-                self._connection.execute(_NAME, {"name": _told(endpoint)})
+                self._connection.execute(_NAME, {"name": _application_name(endpoint)})
 
     def check(self) -> None:
-        """Make sure that the lock is still ours; take it again if the server was away.
+        """Check that the lock is still held; take it again after an outage of the server.
 
         Raises:
             StoreUnavailableError: If the server does not answer now.
@@ -98,7 +98,7 @@ class SoleService:
             log.info("lock on the database taken again")
 
     def release(self) -> None:
-        """Give it back."""
+        """Release the lock."""
         self._forget()
         self._engine.dispose()
 
@@ -117,7 +117,7 @@ class SoleService:
         try:
             connection = self._engine.connect()
             self._connection = connection
-            connection.execute(_NAME, {"name": _told(self._endpoint)})
+            connection.execute(_NAME, {"name": _application_name(self._endpoint)})
             for wait_s in _PATIENCE_S:
                 if connection.execute(_TAKE, {"lock": _LOCK}).scalar_one():
                     return
@@ -127,11 +127,11 @@ class SoleService:
             self._forget()
             raise StoreUnavailableError(
                 f"cannot use the database: {_first(error)} ({self._name}); "
-                "nothing acknowledged is lost, try again when that is mended"
+                "nothing acknowledged is lost, try again when that is fixed"
             ) from error
         self._forget()
-        told, where = holder if holder is not None else ("", "an unknown address")
-        endpoint = str(told).partition(" ")[2]
+        name, where = holder if holder is not None else ("", "an unknown address")
+        endpoint = str(name).partition(" ")[2]
         at = f" at {endpoint}" if endpoint else ""
         raise StateInUseError(
             f"a service already holds this database: one{at} connected from {where} ({self._name})"
@@ -149,13 +149,14 @@ _KEEPALIVE: Final = " ".join(
     f"-c tcp_keepalives_{name}={number}"
     for name, number in (("idle", 10), ("interval", 5), ("count", 3))
 )
-"""The server shall notice within half a minute that our machine is gone; by default it takes hours,
-and as long nobody else could serve."""
+"""TCP keepalive of the server, by which it notices a lost machine within 30 s. Its default takes
+hours, in which no other service could start.
+"""
 
 _NAME: Final = text("SELECT set_config('application_name', :name, false)")
 
 
-def _told(endpoint: str) -> str:
+def _application_name(endpoint: str) -> str:
     return f"counterpoint {endpoint}".strip()[:63]  # PostgreSQL keeps no more
 
 
@@ -169,5 +170,5 @@ def _engine(url: str) -> Engine:
 
 
 def _first(error: DBAPIError) -> str:
-    """Keep the first line of what the driver says: the rest repeats the query."""
+    """Keep the first line of the driver's message, since the rest repeats the query."""
     return str(error.orig).splitlines()[0] if str(error.orig) else type(error.orig).__name__

@@ -1,4 +1,4 @@
-"""The state folder: one service at a time holds it, anyone may ask who does."""
+"""State folder: its lock for one service at a time, which any process may query."""
 
 import fcntl
 import json
@@ -14,11 +14,11 @@ from service.errors import StateInUseError, StateUnusableError
 
 LOCK_NAME: Final = "service.lock"
 _PATIENCE_S: Final = 0.5
-"""A glance of `endpoint_of_running` holds the lock for an instant: not a second service."""
+"""Time to retry the lock, seconds; `endpoint_of_running` holds it for an instant."""
 
 
 def prepare_state(folder: Path) -> None:
-    """Make the folder if need be, and check that files can be made in it.
+    """Make the folder if it is missing, and check that files can be made in it.
 
     Raises:
         StateUnusableError: If it cannot be made or written.
@@ -35,12 +35,12 @@ def prepare_state(folder: Path) -> None:
     except OSError as error:
         raise StateUnusableError(
             f"cannot write the state folder: {error.strerror} ({folder}); "
-            "mend its permissions or name another with --state"
+            "fix its permissions or name another with --state"
         ) from error
 
 
 def free_bytes(folder: Path) -> int | None:
-    """Say how much room the disk of a folder has; None while it cannot be asked."""
+    """Return the free bytes on the disk of a folder; None if it cannot be queried now."""
     try:
         return shutil.disk_usage(folder).free
     except OSError:
@@ -48,14 +48,14 @@ def free_bytes(folder: Path) -> int | None:
 
 
 class StateLock:
-    """The exclusive right to write a state folder, for the life of the process at most.
+    """Exclusive right to write a state folder, for the life of the process at most.
 
-    A kernel lock on an open file: it cannot outlive its process, however that ends. Only for local
+    It is a kernel lock on an open file, which cannot outlive its process. It works only on local
     file systems, like SQLite's own locks.
     """
 
     def __init__(self, folder: Path, *, endpoint: str = "") -> None:
-        """Take the lock; `announce` the endpoint later when it is not known yet.
+        """Take the lock; `announce` the endpoint later if it is not known yet.
 
         Raises:
             StateInUseError: If another process holds it; the message names its endpoint.
@@ -75,13 +75,13 @@ class StateLock:
         self.announce(endpoint)
 
     def announce(self, endpoint: str) -> None:
-        """Write down where this service can be reached; empty: not yet."""
-        told = json.dumps({"pid": os.getpid(), "endpoint": endpoint}).encode()
+        """Write the endpoint of this service into the lock file; empty: not yet known."""
+        content = json.dumps({"pid": os.getpid(), "endpoint": endpoint}).encode()
         os.ftruncate(self._file, 0)
-        os.pwrite(self._file, told, 0)
+        os.pwrite(self._file, content, 0)
 
     def release(self) -> None:
-        """Give the folder back; the file stays, since removing it would race with the next one."""
+        """Release the lock; the file stays, since removing it would race with the next service."""
         if self._file >= 0:
             os.ftruncate(self._file, 0)
             os.close(self._file)
@@ -100,7 +100,7 @@ class StateLock:
 
 
 def endpoint_of_running(folder: Path) -> str | None:
-    """Say where the service that holds this folder can be reached.
+    """Return the endpoint of the service that holds this folder.
 
     Returns:
         Its endpoint; "" when it runs but has not announced one yet; None when no service runs.
@@ -108,7 +108,7 @@ def endpoint_of_running(folder: Path) -> str | None:
     try:
         file = os.open(folder / LOCK_NAME, os.O_RDONLY | os.O_CLOEXEC)
     except OSError:
-        return None  # no folder, no lock file, or not ours to read: nobody we could name
+        return None  # no folder, no lock file, or not ours to read: no process to name
     try:
         if _locked(file, fcntl.LOCK_SH, patience_s=0.0):
             return None
@@ -133,8 +133,8 @@ def _locked(file: int, kind: int, *, patience_s: float) -> bool:
 def _holder(file: int) -> tuple[int, str]:
     """Return process id and endpoint; 0 and "" while the holder is just writing them."""
     try:
-        told = json.loads(os.pread(file, 65_536, 0))
-        return int(told["pid"]), str(told["endpoint"])
+        content = json.loads(os.pread(file, 65_536, 0))
+        return int(content["pid"]), str(content["endpoint"])
     except (ValueError, KeyError, TypeError):
         return 0, ""
 

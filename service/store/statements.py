@@ -1,7 +1,7 @@
 """Statements of the hot path, compiled once for each kind of server and run by its driver.
 
-SQLAlchemy writes them, so that they fit the tables and are spelled for either server; to run them
-through it as well costs several times what the database takes for them.
+SQLAlchemy generates them, so that they fit the tables and the dialect of either server. Running
+them through it would cost several times what the database takes.
 """
 
 from collections import namedtuple
@@ -16,11 +16,11 @@ from sqlalchemy.engine import Dialect
 class Statement:
     """One statement with named parameters, all of them text, numbers, flags or bytes.
 
-    What a driver raises is not wrapped here; `Store` says what it means.
+    Errors of the driver are not wrapped here; `Store` translates them.
     """
 
     def __init__(self, statement: Select[Any] | Insert | Update | Delete) -> None:
-        """Take a statement whose parameters are `bindparam`s, or the columns of an insert."""
+        """Keep a statement whose parameters are `bindparam`s, or the columns of an insert."""
         self._statement = statement
         self._compiled: dict[str, _Compiled] = {}
 
@@ -40,7 +40,7 @@ class Statement:
             cursor.close()
 
     def one(self, connection: Connection, parameters: Mapping[str, Any]) -> Any:
-        """Run it where exactly one row must come."""
+        """Run it and return the row, where there is exactly one."""
         (row,) = self.rows(connection, parameters)
         return row
 
@@ -66,13 +66,13 @@ class Statement:
 
 @dataclass(frozen=True, slots=True)
 class _Compiled:
-    """A statement as one driver takes it.
+    """A statement compiled for one driver.
 
     Attributes:
         text: SQL with the driver's placeholders.
-        constants: Values that the statement itself holds.
-        order: Names by position, for a driver that counts; None for one that names.
-        row: Makes a row of its columns; None when none come back.
+        constants: Values that the statement itself contains.
+        order: Names by position, for a driver with positional parameters; None for named ones.
+        row: Makes a row of its columns; None for a statement that returns none.
     """
 
     text: str

@@ -1,4 +1,4 @@
-"""Which pipeline version's scenes are current where several have mined the same stretch."""
+"""Choice of the pipeline version with current scenes, where several have mined the same stretch."""
 
 from collections.abc import Mapping
 from typing import Any, Final
@@ -14,16 +14,16 @@ from service.store.work_items import Work, WorkState
 def give_way(
     connection: Connection, work: Work, row: Row[Any], starts_ns: Mapping[str, int]
 ) -> set[str]:
-    """Let the newest pipeline version have each stretch of a log that it has mined.
+    """Make the newest pipeline version current in each stretch of a log that it has mined.
 
     Args:
-        connection: In a transaction that writes; the shard is noted as done in it.
+        connection: In a transaction that writes, in which the shard is marked as done.
         work: The shard whose scenes are about to be stored.
-        row: Its row.
-        starts_ns: Id to start of those scenes.
+        row: Row of that shard.
+        starts_ns: Start of those scenes by id, nanoseconds since the Unix epoch.
 
     Returns:
-        Ids of those that become current; what they replace is withdrawn.
+        Ids of those that become current; the scenes they replace are withdrawn.
     """
     versions = {
         version.pipeline_version: version.ordinal for version in _VERSIONS.rows(connection, {})
@@ -47,7 +47,7 @@ def _mined(
     *,
     by: list[str],
 ) -> set[str]:
-    """Ids of scenes in stretches that one of these versions has mined.
+    """Return ids of scenes in stretches that one of these versions has mined.
 
     A worker of the old version may finish after one of the new, while both run.
     """
@@ -70,10 +70,10 @@ def _mined(
 def _supersede(
     connection: Connection, work: Work, row: Row[Any], *, older: list[str], replaced: set[str]
 ) -> None:
-    """Withdraw what older pipeline versions made of the stretch that this shard covers.
+    """Withdraw the scenes of older pipeline versions in the stretch of this shard.
 
-    With the last shard of the log, everything older goes: another grid or another choice of lidar
-    may have left scenes that no shard of ours covers.
+    With the last shard of the log all older scenes are withdrawn: another grid or another choice of
+    lidar may have left scenes that no shard of this version covers.
     """
     unfinished = exists().where(
         SHARDS.c.log_id == work.log_id,

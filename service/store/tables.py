@@ -1,4 +1,4 @@
-"""The tables as queries see them; `migrations` makes them, and a test holds the two together."""
+"""Table definitions for queries; `migrations` creates them, and a test compares the two."""
 
 from typing import Any, Final
 

@@ -1,4 +1,4 @@
-"""How long mining has taken so far in this ledger: what an estimate of the rest can stand on."""
+"""Mining speed measured in this ledger, for estimates."""
 
 import json
 from dataclasses import dataclass
@@ -10,17 +10,17 @@ from service.store.tables import SHARDS
 from service.store.work_items import WorkState
 
 MOST_SHARDS = 1000
-"""The newest ones tell enough, and reading them takes milliseconds."""
+"""Newest shards that are read; they are enough, and reading them takes milliseconds."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """What mining took, one worker at a time.
+    """Mining speed of one worker.
 
     Attributes:
-        frames: Frames scored in the shards that were looked at.
-        seconds_per_frame: Time of all stages over the frames that were scored; the warm-up before a
-            window and waiting for the bucket are in it.
+        frames: Frames scored in the shards that were read.
+        seconds_per_frame: Time of all stages over the scored frames; it includes the warm-up before
+            a window and waits for the bucket.
     """
 
     frames: int

@@ -1,4 +1,4 @@
-"""What one transaction did, kept beside its connection and told once it is on disk."""
+"""Effects of one transaction, collected per connection and reported once it is on disk."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -10,23 +10,25 @@ from schemas.score import SceneScore
 from schemas.work import Answer
 
 WorkKind = Literal["plan", "shard"]
-"""What a lease is for."""
+"""Kind of the work of a lease."""
 
 CommitOutcome = Literal["stored", "repeated", "missing", "refused"]
-"""How a commit was answered: taken; had been taken before; records wanting; void or wrong."""
+"""Outcome of a commit. `stored`: accepted. `repeated`: accepted before. `missing`: records are
+missing. `refused`: void or wrong.
+"""
 
 
 @dataclass(slots=True)
 class Effects:
-    """What a transaction is about to change for good.
+    """Effects of a transaction.
 
     Attributes:
         scenes: Scores stored for the first time.
         stored: Plans and shards finished for the first time, by kind.
         commits: Answers to commits, by kind and outcome.
-        leases_ended: Leases ended, by reason as the ledger writes it.
-        parked: Plans and shards that are not tried again, by kind.
-        retried: Parked ones that are tried again after all, since a person asked for it, by kind.
+        leases_ended: Leases ended, by the reason in the ledger.
+        parked: Plans and shards that are not retried, by kind.
+        retried: Parked ones that are retried on request, by kind.
     """
 
     scenes: list[SceneScore] = field(default_factory=list)
@@ -45,35 +47,35 @@ class Effects:
 
 
 class StoreObserver(Protocol):
-    """Whoever counts what happens to a store; called from any thread, and must be quick."""
+    """Observer of a store; called from any thread, and must be quick."""
 
     def on_effects(self, effects: Effects) -> None:
-        """Take what a transaction did; it is on disk."""
+        """Receive the effects of a transaction that is on disk."""
         ...
 
     def on_database_error(self) -> None:
-        """Note that a transaction could not be finished."""
+        """Receive the notice of a failed transaction."""
         ...
 
     def on_damaged_record(self) -> None:
-        """Note that a stored record is not what its digest says."""
+        """Receive the notice of a stored record that does not match its digest."""
         ...
 
 
 def effects_of(connection: Connection) -> Effects:
-    """Return what the transaction of this connection has noted so far, to note more."""
+    """Return the effects of this connection's transaction so far, to add to them."""
     effects: Effects | None = connection.info.get(_KEY)
     return begin_effects(connection) if effects is None else effects
 
 
 def begin_effects(connection: Connection) -> Effects:
-    """Start a transaction's notes: connections are used again, their notes are not."""
+    """Start a transaction with empty effects, since connections are reused."""
     effects = connection.info[_KEY] = Effects()
     return effects
 
 
 def kind_of(shard: str) -> WorkKind:
-    """Say what the work is, whose shard has this name; empty for a plan."""
+    """Return the kind of work of a shard's name; empty for a plan."""
     return "shard" if shard else "plan"
 
 

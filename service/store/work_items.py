@@ -1,4 +1,4 @@
-"""What a lease is for: the plan of a log or one of its shards, and the states these go through."""
+"""Work items of leases: the plan of a log or one of its shards, and their states."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -12,11 +12,11 @@ from service.store.tables import PLANS, SHARDS
 
 
 class WorkState(StrEnum):
-    """Where a plan or a shard stands.
+    """State of a plan or a shard.
 
-    ready -> leased -> done (a plan may end refused instead) is the way; a lease that ends badly
-    leads back to ready, at last to parked. stale waits for the next listing of the bucket,
-    cancelled for its revision to come back.
+    The normal order is ready -> leased -> done (a plan may end refused instead). A lease that ends
+    badly leads back to ready, and finally to parked. stale waits for the next listing of the
+    bucket, cancelled for its revision to return.
     """
 
     READY = "ready"
@@ -39,10 +39,10 @@ TAKEN_AND_GIVEN: Final = (
     "peak_memory_bytes",
     "stage_s",
 )
-"""What mining a shard took and gave: set at its commit, told of whoever adopts it, too."""
+"""Columns with cost and results of mining, set at a shard's commit and copied at its adoption."""
 
 OPEN: Final = (WorkState.READY, WorkState.LEASED, WorkState.STALE)
-"""States from which something is still to come."""
+"""States in which work is still to be done."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class Work:
     shard: str = ""
 
     def __str__(self) -> str:
-        """As messages name it."""
+        """Return the name in messages."""
         what = f"shard {self.shard}" if self.shard else "the plan"
         return f"{what} of {self.log_id}"
 
@@ -99,7 +99,7 @@ _SELECT: Final = {
 
 @cache
 def _update(is_shard: bool, columns: tuple[str, ...]) -> Statement:
-    """Set these columns; there are as many sets of them as places that change work."""
+    """Return a cached update of these columns; there are as many sets of them as callers."""
     table = _TABLES[is_shard]
     values: dict[str, Any] = {column: bindparam(column) for column in columns}
     return Statement(update(table).where(_at(table)).values(**values))

@@ -1,9 +1,9 @@
-"""Who is to blame for a death: the work, or the worker that died on it; read from the leases.
+"""Attribution of worker deaths to the work or to the worker, from past leases.
 
 A death counts against its work, unless the worker, or its whole machine, has died on other work
 since it last finished something. Work that ended badly before waits for a worker that has finished
 something since it last died, as long as there is one. Work on which `LeasePolicy.max_deaths`
-workers died is parked, whoever they were.
+workers died is parked, for any cause.
 """
 
 import math
@@ -18,14 +18,14 @@ from service.store.tables import LEASES
 from service.store.work_items import Work
 
 DEATHS: Final = ("worker died", "expired")
-"""How leases end whose worker is not heard of any more."""
+"""Ends of leases whose worker is no longer heard of."""
 
 PARDONED: Final = "pardoned"
-"""How the lease of a death ended once a person has its work tried again."""
+"""End of a death's lease after its work was retried on request."""
 
 
 def machine_of(worker_id: str) -> str:
-    """Name where a worker runs: its id without the last two parts, which are pool and place."""
+    """Return the machine of a worker: its id without the last two parts, pool and place."""
     parts = worker_id.rsplit("-", 2)
     return parts[0] if len(parts) == 3 else worker_id
 
@@ -35,9 +35,9 @@ class Death:
     """A lease that ended with its worker.
 
     Attributes:
-        worker_id: Who died.
-        work: What it was working on.
-        at_s: When its lease was over, seconds.
+        worker_id: Id of the dead worker.
+        work: Its plan or shard.
+        at_s: End of its lease, seconds.
     """
 
     worker_id: str
@@ -46,17 +46,18 @@ class Death:
 
 
 class History:
-    """What became of the leases of one pipeline version, as far back as leases are kept."""
+    """Ends of the leases of one pipeline version, as far back as leases are kept."""
 
     def __init__(
         self, finished: dict[tuple[str, bool], float], deaths: Iterable[Death], heard: set[str]
     ) -> None:
-        """Take what was read.
+        """Keep the result of a query.
 
         Args:
-            finished: When a worker last finished work, by its id and whether that was a shard.
-            deaths: All of them.
-            heard: Ids of the workers that were heard of a moment ago.
+            finished: Time of a worker's last finished work, by its id and a flag for shards,
+                seconds.
+            deaths: All deaths.
+            heard: Ids of the workers that were heard of recently.
         """
         self._finished, self._deaths, self._heard = finished, list(deaths), heard
         self._machine: defaultdict[str, set[str]] = defaultdict(set)
@@ -69,8 +70,8 @@ class History:
 
         Args:
             connection: In a transaction.
-            version: Which.
-            from_s: Whose lease ends later than this is heard of, seconds.
+            version: Pipeline version.
+            from_s: A worker counts as heard of if its lease ends later than this, seconds.
             to_s: No lease ends later than this, unless the clock has stepped back.
         """
         is_shard = (LEASES.c.shard != "").label("is_shard")
@@ -109,12 +110,12 @@ class History:
         return sum(death.work == work for death in self._deaths)
 
     def blames_worker(self, worker_id: str, work: Work) -> bool:
-        """Whether a death on this work is likelier the fault of its worker, or of its machine."""
+        """Return true if a death on this work is more likely the fault of its worker or machine."""
         mates = self._machine[machine_of(worker_id)]
         return any(self._died_elsewhere(who, work) for who in ({worker_id}, mates))
 
     def is_to_wait(self, worker_id: str, *, is_shard: bool) -> bool:
-        """Whether work that ended badly is better left to another worker that is around."""
+        """Return true if work that ended badly is better left to another active worker."""
         return not self._is_proven(worker_id, is_shard=is_shard) and any(
             self._is_proven(other, is_shard=is_shard) for other in self._heard - {worker_id}
         )
@@ -132,7 +133,10 @@ class History:
         return died_s > self._last_finished_s(workers, is_shard=is_shard)
 
     def _last_finished_s(self, workers: set[str], *, is_shard: bool) -> float:
-        """Say when one of them last finished such work; a plan says nothing about mining."""
+        """Return the last time at which one of them finished such work, seconds.
+
+        A finished plan does not count for shards: it proves nothing about mining.
+        """
         kinds = (True,) if is_shard else (False, True)
         each = (self._finished.get((who, kind), -math.inf) for who in workers for kind in kinds)
         return max(each, default=-math.inf)
@@ -149,7 +153,7 @@ class History:
 
 
 def pardon(connection: Connection, work: Work) -> None:
-    """Forget who died on this work: it is tried as if for the first time."""
+    """Delete the deaths on this work, so that it is tried as if for the first time."""
     connection.execute(
         update(LEASES)
         .where(

@@ -70,6 +70,7 @@ _SECTION: Final = re.compile(
     r"^\s*(Args|Attributes|Returns|Raises|Yields|Note|Example|Examples|Source):\s*$", re.MULTILINE
 )
 _ITEM: Final = re.compile(r"^\s*(?:\*{0,2}\w+\*{0,2}(?: \([^)]*\))?:\s|[-*] |\d+\. |\|)")
+_DRAWING: Final = re.compile(r"[\u2500-\u257f]")
 _SENTENCE_END: Final = re.compile(r"(?<=[.!?])[\"')]*\s+(?=[A-Z`\"(])|[:;](?=\s)")
 
 
@@ -126,7 +127,12 @@ def breaches_of_page(path: Path) -> Iterator[Breach]:
 
 
 def breaches_of_text(text: str, where: str) -> Iterator[Breach]:
-    """Yield the breaches in a text of the command line."""
+    """Yield the breaches in a text of the command line.
+
+    Click keeps the lines of a text that begins with a backspace: each unindented one is an item.
+    """
+    if text.startswith("\b\n"):
+        text = re.sub(r"\n(?=\S)", "\n\n", text)
     yield from _breaches(text, where)
 
 
@@ -144,6 +150,8 @@ def _sentences(text: str) -> Iterator[str]:
     text = _SECTION.sub("", re.sub(r"https?://\S+", "URL", text))
     block: list[str] = []
     for line in [*text.splitlines(), ""]:
+        if _DRAWING.search(line):
+            line = ""
         if not line.strip() or _ITEM.match(line) or line.lstrip().startswith("#"):
             yield from _split(" ".join(block))
             block = []

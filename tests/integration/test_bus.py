@@ -274,9 +274,9 @@ def test_the_verbs_answer_what_the_ledger_knows(running: Running) -> None:
 
 def test_a_question_that_is_no_question_is_refused_and_the_service_lives(running: Running) -> None:
     with client_session([running.endpoint]) as session:
-        with pytest.raises(PermanentError, match="not a question"):
+        with pytest.raises(PermanentError, match="not a request"):
             ask(session, keys.control(root=ROOT, verb="commit"), b"{}")
-        with pytest.raises(PermanentError, match="not a question"):
+        with pytest.raises(PermanentError, match="not a request"):
             ask(session, keys.control(root=ROOT, verb="claim"), b"\xff")
         assert ask(session, keys.control(root=ROOT, verb="hello")) == encode(running.settings)
 

@@ -61,7 +61,7 @@ def test_a_daemon_deletes_the_overlays_of_a_log_that_is_gone_and_no_other(tmp_pa
             text = reply.read().decode()
         (counted,) = re.findall(r"^counterpoint_overlays_deleted_total (\S+)$", text, re.MULTILINE)
         assert float(counted) > 0
-        assert "overlays of scenes withdrawn long ago deleted" in system.service.said()
+        assert "overlays of withdrawn scenes deleted" in system.service.said()
         assert sorted(bucket.rglob("*")) == [path for path in logs if path != going]
         for row in system.client.top():
             system.client.overlay(row.scene_id)  # what is current has its picture

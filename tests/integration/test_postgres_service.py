@@ -207,7 +207,7 @@ def test_a_wrong_password_is_a_mistake_at_the_start_and_waited_out_in_mid_run(
         ):
             wrong = load_settings(database=url, state=tmp_path)
             for opening in (open_ledger_store, open_ledger_store_to_read, sole_service):
-                with pytest.raises(StateUnusableError, match="the database refuses us") as refused:
+                with pytest.raises(StateUnusableError, match="refuses the login") as refused:
                     opening(wrong)
                 assert said in str(refused.value)
             assert main(["top", "--database", url]) == 1

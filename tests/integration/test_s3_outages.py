@@ -240,7 +240,7 @@ def test_keys_that_expire_are_waited_for_and_new_ones_work_without_a_restart(
         outpost.credentials.user = outpost.ceph.give_new_key(expired)
 
     outpost.trouble_is_said_counted_and_over(
-        "the store allows these credentials no ",  # what this store says of keys from a service
+        "the store denies these credentials ",  # what this store says of keys from a service
         "refused",
         begins=lambda: outpost.ceph.remove_key(expired),
         ends=renew,

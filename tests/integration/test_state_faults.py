@@ -36,12 +36,12 @@ LOG_IDS = [f"log-{number:02d}" for number in range(10)]
 SHARDS = len(LOG_IDS) * SHARDS_PER_LOG
 DEADLINE_S = 240.0
 
-TROUBLE = r"(trying again|question not answered now) .*cannot use the database: "
+TROUBLE = r"(trying again|request not answered now) .*cannot use the database: "
 FULL = f"{TROUBLE}database or disk is full"
 UNWRITABLE = f"{TROUBLE}(attempt to write a readonly database|disk I/O error)"
 LOCKED = f"{TROUBLE}database is locked"
-SENTENCE_ENDS = r" \(.*\); nothing acknowledged is lost, try again when that is mended"
-AGAIN = "works again|questions answered again"
+SENTENCE_ENDS = r" \(.*\); nothing acknowledged is lost, try again when that is fixed"
+AGAIN = "works again|requests answered again"
 
 DATABASE_ERRORS = "counterpoint_database_errors_total"
 CLOCK_SET_BACK = 'counterpoint_clock_steps_total{direction="back"}'
@@ -353,7 +353,7 @@ def test_a_clock_that_is_set_back_and_forward_is_said_and_loses_nothing(tmp_path
             run.kill_miner()  # its lease ends within a term, not within an hour
             run.until_counted(counter)
             assert run.metric(counter) == 1
-        back, forward = run.lines("the clock was set: leases and waits are cut to their terms")
+        back, forward = run.lines("the clock was set: leases and waits are limited to their terms")
         assert "step_s=-3600.0" in back
         assert "step_s=3600.0" in forward
         run.assert_complete()

@@ -1,4 +1,4 @@
-"""Brings a database from any earlier version to this program's, one numbered step at a time."""
+"""Migration of a database from any earlier version to this program's, in numbered steps."""
 
 from importlib.resources import files
 from typing import Final
@@ -17,7 +17,7 @@ STEPS: Final[tuple[str, ...]] = (
     "0007_served_bucket.sql",
     "0008_incarnation.sql",
 )
-"""Step i leads from version i to i + 1. A step that has been released is never edited."""
+"""Step i migrates version i to i + 1. A step that has been released is never edited."""
 
 SCHEMA_VERSION: Final = len(STEPS)
 
@@ -30,8 +30,10 @@ _SPELLINGS: Final = {
         "{bytewise}": 'COLLATE "C"',
     },
 }
-"""What the two servers spell differently; the steps are otherwise plain SQL. SQLite uses a partial
-index only where its condition is spelled as the query spells it, hence `= 1` and `= 0`."""
+"""SQL fragments that differ between the two servers; the steps are otherwise plain SQL. SQLite uses
+a partial index only where its condition has the same spelling as in the query, hence `= 1` and `=
+0`.
+"""
 
 
 def schema_version(connection: Connection) -> int:
@@ -42,11 +44,11 @@ def schema_version(connection: Connection) -> int:
 
 
 def migrate(connection: Connection, *, name: str) -> None:
-    """Run the steps that this database has not seen, all within the caller's transaction.
+    """Run the pending steps of this database, all within the caller's transaction.
 
     Args:
         connection: In a transaction that writes.
-        name: Which database, for the message.
+        name: Name of the database, for the message.
 
     Raises:
         StateUnusableError: If a newer version of the program wrote it.
@@ -62,7 +64,7 @@ def migrate(connection: Connection, *, name: str) -> None:
 
 
 def require_current(connection: Connection, *, name: str) -> None:
-    """Check that a database that may only be read needs no step.
+    """Check that a database that is only read needs no migration.
 
     Raises:
         StateUnusableError: If its version is another; `StateOutdatedError` if it is older.

@@ -140,7 +140,7 @@ def s3_error(code: str) -> str:
     ("status", "code", "says"),
     [
         pytest.param(403, "SignatureDoesNotMatch", r"refuses these credentials", id="secret"),
-        pytest.param(403, "AccessDenied", "no listing here", id="acl"),
+        pytest.param(403, "AccessDenied", "listing here", id="acl"),
         pytest.param(403, "InvalidAccessKeyId", "does not know these credentials", id="key"),
         pytest.param(403, "RequestTimeTooSkewed", "set this machine's clock", id="clock"),
         pytest.param(400, "ExpiredToken", r"expired \(ExpiredToken\): set AWS_", id="token"),

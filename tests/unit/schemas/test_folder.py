@@ -78,7 +78,7 @@ def test_links_are_followed_but_not_round_in_a_loop(folder: Path) -> None:
         "car/itself": loop,
         "other/back": loop,
         "other/itself": loop,
-        "nothing.mcap": "is a link to nothing",
+        "nothing.mcap": "is a broken link",
     }
 
 

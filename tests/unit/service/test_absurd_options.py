@@ -179,7 +179,7 @@ def test_a_full_disk_under_the_results_is_said(world: Path) -> None:
             check=False,
         )
     assert ran.returncode == 75
-    assert ran.stderr.startswith("error: this machine refuses: No space left on device")
+    assert ran.stderr.startswith("error: the operating system refuses: No space left on device")
     assert ran.stderr.count("\n") == 1
 
 

@@ -8,7 +8,7 @@ from schemas.score import SceneScore
 from service.cli.demo import say_demo_ranking
 from service.cli.output import results
 from service.curation.ranking import RankedScene
-from service.demo.planted import DemoScene, beside_truth
+from service.demo.planted import DemoScene, with_truth
 from service.demo.retrieval import found_in
 from tests.demo_truth import one_thing, write_truth
 from tests.factories import BEGIN_NS, LOG_ID, scene_score, track_record
@@ -82,7 +82,7 @@ def scenes(tmp_path: Path) -> list[DemoScene]:
     ]
     ranking = [_row(rank, record) for rank, record in enumerate(records, start=1)]
     by_id = {record.scene_id: record for record in records}
-    return beside_truth(ranking, by_id, tmp_path, overlay_of=one_thing)
+    return with_truth(ranking, by_id, tmp_path, overlay_of=one_thing)
 
 
 def _row(rank: int, record: SceneScore) -> RankedScene:
@@ -120,7 +120,7 @@ def test_whether_the_first_reason_names_what_was_planted_is_marked(
     assert [scene.named for scene in scenes] == [True, None, None, False]
     say_demo_ranking(scenes)
     said = capsys.readouterr().out
-    assert "why names" in said
+    assert "reason names" in said
     assert (said.count("yes"), said.count("no ")) == (1, 1)
 
 
@@ -153,6 +153,6 @@ def test_a_table_tells_what_was_seen_the_picture_what_speaks_for_it(
     record = scenes[0].record.model_copy(update={"reasons": (f"{seen}; {verdict}", "odometry")})
     assert replace(scenes[0], record=record).why == seen
     lost = record.model_copy(update={"reasons": ("odometry lost (a; b): not judged",)})
-    untold = replace(scenes[0], record=lost, told=False)
-    assert untold.why == "odometry lost (a; b): not judged"
-    assert untold.wrong == "-", "no verdict on what is not told"
+    gated = replace(scenes[0], record=lost, is_about_track=False)
+    assert gated.why == "odometry lost (a; b): not judged"
+    assert gated.wrong == "-", "no attribution without a track"

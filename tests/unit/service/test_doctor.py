@@ -95,7 +95,7 @@ def test_a_state_that_cannot_be_written_is_a_problem() -> None:
     # Nobody can make files in /proc, not even root, for whom permissions mean nothing.
     ((verdict, says),) = told(doctor_stores.state(settings(state=Path("/proc/1"))))
     assert verdict == "problem"
-    assert "mend its permissions" in says
+    assert "fix its permissions" in says
 
 
 def test_whoever_holds_the_state_is_named() -> None:
@@ -171,9 +171,7 @@ def test_a_service_that_does_not_know_the_question_is_an_older_one() -> None:
     ):
         _, (verdict, says), _ = told(doctor_network.router(settings(connect=endpoint)))
     assert verdict == "warning"
-    assert (
-        "but is of an older version, which does not say itself, and this command of version" in says
-    )
+    assert "but is of an older version that does not report its own number, and this" in says
 
 
 def test_a_port_that_is_taken_is_named() -> None:

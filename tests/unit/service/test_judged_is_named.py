@@ -29,7 +29,7 @@ def test_top_names_the_streams_of_the_best_scene(
     state = state_of(tmp_path)
     assert main(["top", "--state", str(state)]) == 0
     said = capsys.readouterr()
-    assert "judged, in the best scene: supervised stream s@1, held against r@1" in said.err
+    assert "streams of the best scene: supervised stream s@1, compared with r@1" in said.err
     assert main(["top", "--state", str(state), "--json"]) == 0
     assert capsys.readouterr().err == "", "machines read the record"
 
@@ -39,18 +39,18 @@ def test_an_empty_ranking_names_none(tmp_path: Path, capsys: pytest.CaptureFixtu
     with closing(open_store(tmp_path / "state")):
         pass
     assert main(["top", "--state", str(tmp_path / "state")]) == 0
-    assert "judged" not in capsys.readouterr().err
+    assert "streams of" not in capsys.readouterr().err
 
 
 def test_a_summary_counts_scenes_where_streams_differ(capsys: pytest.CaptureFixture[str]) -> None:
     one = Judged(supervised="recorded@2", selfsupervised="r@1", scenes=3)
     say_what_was_found(Status(pipeline_version="p", judged=(one,)))
-    assert "judged: supervised stream recorded@2, held against r@1\n" in capsys.readouterr().err
+    assert "streams: supervised stream recorded@2, compared with r@1\n" in capsys.readouterr().err
     two = one.model_copy(update={"supervised": "s@1", "scenes": 2})
     say_what_was_found(Status(pipeline_version="p", judged=(one, two)))
     assert (
-        "judged: supervised stream recorded@2, held against r@1 in 3 scenes; supervised stream "
-        "s@1, held against r@1 in 2 scenes\n"
+        "streams: supervised stream recorded@2, compared with r@1 in 3 scenes; supervised stream "
+        "s@1, compared with r@1 in 2 scenes\n"
     ) in capsys.readouterr().err
 
 
@@ -59,7 +59,7 @@ def test_scores_name_their_streams_once(capsys: pytest.CaptureFixture[str]) -> N
     say_judged([score, score])
     made_by = score.producers
     assert capsys.readouterr().err == (
-        f"judged: supervised stream {made_by.supervised}, held against {made_by.selfsupervised}\n"
+        f"streams: supervised stream {made_by.supervised}, compared with {made_by.selfsupervised}\n"
     )
     say_judged([])
     assert capsys.readouterr().err == ""

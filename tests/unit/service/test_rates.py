@@ -107,5 +107,5 @@ def test_a_row_travels_and_comes_back() -> None:
 def test_a_time_beyond_the_range_of_nanoseconds_is_refused_in_a_sentence(
     late: str, side: str
 ) -> None:
-    with pytest.raises(UsageError, match=f"{side} is too late: '{late}'; the last .* April 2262"):
+    with pytest.raises(UsageError, match=f"{side} is too late: '{late}'; times end in April 2262"):
         rates_request("hour", now_s=1e9, **{side: late})

@@ -121,5 +121,5 @@ def test_a_payload_beyond_its_bound_is_refused_unread() -> None:
     with Asking(answer) as asking:
         problem = asking.ask(b" " * (MAX_QUESTION_BYTES + 1))
     assert isinstance(problem, Problem)
-    assert "too large a question" in problem.problem
+    assert "request too large" in problem.problem
     assert (read, asking.outcomes) == ([], ["refused"])

@@ -62,7 +62,7 @@ def test_names_tell_what_is_listed_apart(rows: list[RankedScene], names: list[st
 def test_a_name_of_a_shorter_listing_may_mean_several() -> None:
     rows = [row("car-1/a", rank=3), row("car-2/a", rank=8)]
     (name,) = short_names(rows[:1]).values()
-    with pytest.raises(UsageError, match=r"means several scenes.*rank: 3 \(car-1/a.*8 \(car-2"):
+    with pytest.raises(UsageError, match=r"matches several scenes.*rank: 3 \(car-1/a.*8 \(car-2"):
         named(name, rows)
     with pytest.raises(NothingFoundError, match="no current scene"):
         named("a@2026-03-02T09:01:05.0", rows)

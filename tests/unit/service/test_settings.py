@@ -70,7 +70,7 @@ def test_a_pattern_in_brackets_is_no_json(monkeypatch: pytest.MonkeyPatch) -> No
         pytest.param("[nonsense]\nx = 1", "unknown setting nonsense.x", id="unknown table"),
         pytest.param("grid = 5", "grid is a table: write [grid]", id="table as value"),
         pytest.param("workers = ", "is not TOML: ", id="no TOML"),
-        pytest.param("workers = true", "fleet.toml: workers = true: is not a yes or no", id="yes"),
+        pytest.param("workers = true", "fleet.toml: workers = true: is not a boolean", id="yes"),
         pytest.param("lease_s = inf", "lease_s = inf: must be a number above 1", id="endless"),
         pytest.param("workers = 0", "fleet.toml: workers = 0: must be a whole number", id="zero"),
         pytest.param('log_level = "loud"', 'log_level = "loud": must be debug or', id="no level"),

@@ -41,7 +41,7 @@ def test_score_names_what_it_judged_and_hints_at_what_it_did_not(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = str(street_log(tmp_path / "drive.mcap", frames=12))
-    hint = f"this log holds recorded labels on {LIDAR_TOPIC}; judge them by --supervised recorded\n"
+    hint = f"this log has recorded labels on {LIDAR_TOPIC}; compare them by --supervised recorded\n"
     assert main(["score", log]) == 0
     said = capsys.readouterr().err
     assert hint in said
@@ -55,5 +55,5 @@ def test_score_names_what_it_judged_and_hints_at_what_it_did_not(
 def test_a_worker_logs_the_hint(capsys: pytest.CaptureFixture[str]) -> None:
     tell_unread_labels([LIDAR_TOPIC])
     said = capsys.readouterr()
-    assert "judge them by --supervised recorded" in said.out + said.err
+    assert "compare them by --supervised recorded" in said.out + said.err
     assert LIDAR_TOPIC in said.out + said.err
