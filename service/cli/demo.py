@@ -54,12 +54,12 @@ def demo(
     failing = sum(bool(scene.failures) for scene in result.scenes)
     named = sum(scene.named is True for scene in result.scenes)
     remark(
-        f"the first reason is about the injected failure in {named} of "
+        f"the first reason is about the planted failure in {named} of "
         f"{counted(failing, 'scene')} with a failure"
     )
     table(
         f"how well rankings find the {failing} of {len(result.scenes)} scenes with an "
-        "injected failure",
+        "planted failure",
         ("ranked by", "average precision", "precision of the first 10 %", "of the first 20 %"),
         (
             (each.name, each.ap, each.precision_at["10"], each.precision_at["20"])
@@ -76,7 +76,7 @@ def demo(
 
 
 def say_demo_ranking(scenes: "Sequence[DemoScene]", *, most: int = DEMO_ROWS) -> None:
-    """Print the best scenes, and below them the others with an injected failure."""
+    """Print the best scenes, and below them the others with a planted failure."""
     rank_of = {scene.row.scene_id: scene.row.rank for scene in scenes}
     shown = [scene for scene in scenes if scene.row.rank <= most or scene.failures]
     table(

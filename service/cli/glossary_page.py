@@ -31,7 +31,7 @@ def glossary_page() -> str:
     lines = [
         _HEAD,
         *_section(
-            "Injected failures",
+            "Planted failures",
             "Errors that `simulate` and `demo` inject into the labels of the model on a "
             "simulated car.",
             ("kind", "the model on the car"),

@@ -1,4 +1,4 @@
-"""Verb `simulate`: a fleet of simulated logs with injected failures, and its truth."""
+"""Verb `simulate`: a fleet of simulated logs with planted failures, and its truth."""
 
 import time
 from typing import Annotated, Any
@@ -30,7 +30,7 @@ def simulate(
     failures: Annotated[
         float,
         typer.Option(
-            "--failures", min=0.0, max=1.0, help="Share of scenes with an injected failure."
+            "--failures", min=0.0, max=1.0, help="Share of scenes with a planted failure."
         ),
     ] = 0.05,
     columns: Annotated[
@@ -54,7 +54,7 @@ def simulate(
         bool, typer.Option("--force", help="Write next to logs that were not simulated.")
     ] = False,
 ) -> None:
-    """Simulate a fleet's logs and their truth, with failures injected into the labels."""
+    """Simulate a fleet's logs and their truth, with failures planted into the labels."""
     if not force:
         _need_no_other_logs(out)
     from workers.lab.simulation.faults.plan import plan_fleet

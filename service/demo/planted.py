@@ -1,4 +1,4 @@
-"""Scenes of the demo's fleet, each with its injected failures and disturbances."""
+"""Scenes of the demo's fleet, each with its planted failures and disturbances."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -32,10 +32,10 @@ class DemoScene:
         row: Its row of the ranking.
         record: Its published record.
         at_s: Seconds from the first scene of its log.
-        failures: Kinds of failures injected into the labels of the model on the car, in words.
+        failures: Kinds of failures planted into the labels of the model on the car, in words.
         disturbances: Kinds of disturbances that are no failures, in words.
         is_about_track: True if its first reason is about a track, false if it explains a low score.
-        named: True if its first reason is about an injected failure; None without one.
+        named: True if its first reason is about a planted failure; None without one.
     """
 
     row: RankedScene
@@ -63,7 +63,7 @@ class DemoScene:
 
     @property
     def planted(self) -> str:
-        """Injected failures, then disturbances; a dash for none."""
+        """Planted failures, then disturbances; a dash for none."""
         words = [", ".join(self.failures)] if self.failures else []
         if self.disturbances:
             words.append(f"disturbed: {', '.join(self.disturbances)}")
@@ -89,7 +89,7 @@ def with_truth(
     *,
     overlay_of: Callable[[str], Overlay],
 ) -> list[DemoScene]:
-    """Join the scenes of a simulated fleet with the failures injected into them.
+    """Join the scenes of a simulated fleet with the failures planted into them.
 
     Args:
         ranking: All of its scenes, best first.

@@ -1,4 +1,4 @@
-"""Retrieval quality of the demo's ranking for injected failures, compared with other rankings."""
+"""Retrieval quality of the demo's ranking for planted failures, compared with other rankings."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ class RankingFound:
 
     Attributes:
         name: Name of the ranking.
-        ap: Average precision; None without injected failures.
+        ap: Average precision; None without planted failures.
         precision_at: By budget in percent: share of the scenes within it that contain a failure.
     """
 
@@ -29,7 +29,7 @@ class RankingFound:
 
 
 def found_in(scenes: Sequence[DemoScene]) -> list[RankingFound]:
-    """Compute the retrieval quality of each ranking for scenes with an injected failure."""
+    """Compute the retrieval quality of each ranking for scenes with a planted failure."""
     from workers.lab.evaluation.failures.retrieval import Retrieval, random_retrieval, retrieve
 
     wanted = np.array([bool(scene.failures) for scene in scenes], dtype=np.bool_)

@@ -32,9 +32,9 @@ class DemoResult:
 
     Attributes:
         status: Status of the ledger after mining.
-        scenes: All scenes, best first, each with its injected failures.
+        scenes: All scenes, best first, each with its planted failures.
         pictures: Pictures of the best ones.
-        found: Retrieval quality of the rankings for injected failures.
+        found: Retrieval quality of the rankings for planted failures.
     """
 
     status: Status
@@ -77,7 +77,7 @@ def run_demo(
 ) -> DemoResult:
     """Simulate street logs, mine them with `run --once`, rank the scenes, draw the best.
 
-    The model on the simulated cars is right except for a few injected mistakes; the self-supervised
+    The model on the simulated cars is right except for a few planted mistakes; the self-supervised
     stream was not trained on them.
 
     Args:
@@ -105,7 +105,7 @@ def run_demo(
         )
     planted = [each.kind.value.replace("_", " ") for log in logs for each in log.planted.failures]
     remark(
-        f"{len(logs)} simulated logs; the model on these cars has {len(planted)} injected failures "
+        f"{len(logs)} simulated logs; the model on these cars has {len(planted)} planted failures "
         f"({', '.join(sorted(set(planted)))}). Mining them takes a few minutes."
     )
     with progress() as bar:

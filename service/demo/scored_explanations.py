@@ -1,4 +1,4 @@
-"""Evaluation of first reasons against truth: is the track of the reason an injected failure?"""
+"""Evaluation of first reasons against truth: is the track of the reason a planted failure?"""
 
 import json
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class PlantedPoints:
-    """Truth of one simulated log: the points of each injected failure."""
+    """Truth of one simulated log: the points of each planted failure."""
 
     def __init__(self, folder: Path) -> None:
         """Keep the folder of the log's truth; frames are read on demand."""
@@ -33,7 +33,7 @@ class PlantedPoints:
 
         Args:
             overlay: Overlay of the scene.
-            failures: Failures injected into its log.
+            failures: Failures planted into its log.
             track_id: The track; the first reason is about the first one.
         """
         planted = points = 0

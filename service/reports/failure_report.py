@@ -83,7 +83,7 @@ def _planted(found: "PlantedTable") -> list[str]:
         "<h2>Planted</h2>",
         _paragraph(
             f"{found.failures} failures in {found.failing_scenes} of {found.scenes} scenes; "
-            f"{found.planted - found.unseen} of {found.planted} injected ones show in the "
+            f"{found.planted - found.unseen} of {found.planted} planted ones show in the "
             "labels."
         ),
         _paragraph(f"{COLUMNS_MEAN}."),
@@ -100,7 +100,7 @@ def _planted(found: "PlantedTable") -> list[str]:
             [
                 (
                     *(kind, row.scenes, row.ap, *row.recall_at.values(), row.median_rank_share),
-                    failures.get(kind, "errs without an injected failure"),
+                    failures.get(kind, "errs without a planted failure"),
                 )
                 for kind, row in found.kinds.items()
             ],
