@@ -1,4 +1,4 @@
-"""How a lidar is laid out as an image: rows, columns, field of view, measured from frames."""
+"""Sensor layout: rows, columns and field of view of a range image, measured from frames."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ from workers.lidar.sensor_rows import (
 _WIDTHS: Final = (512, 1024, 2048, 4096)
 _JUDGED_FRAMES: Final = 3
 _STEP_RAD: Final = (np.radians(0.02), np.radians(1.5))
-"""Smaller steps are second returns of one shot, larger ones gaps in what was seen."""
+"""Azimuth steps of one beam, radians: smaller ones are second returns, larger ones gaps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,14 +32,14 @@ class SensorLayout:
     """Rows and columns of a sensor.
 
     Attributes:
-        rows: Of the image, a multiple of 16.
-        columns: Of the image.
+        rows: Rows of the image, a multiple of 16.
+        columns: Columns of the image.
         fov_up_deg: Upper edge of the first row.
-        fov_down_deg: Lower edge of the last.
-        elevations_deg: Each row's beam, falling; None if rows are evenly spaced.
-        beams: How many there are; further rows lie above the topmost.
-        steps_per_turn: Measured steps of azimuth of a whole turn.
-        remarks: What the user should know of how this was found.
+        fov_down_deg: Lower edge of the last row.
+        elevations_deg: Beam elevation of each row, falling; None if rows are evenly spaced.
+        beams: Number of beams; further rows lie above the topmost.
+        steps_per_turn: Measured azimuth steps per revolution.
+        remarks: Remarks for the user on how this was measured.
     """
 
     rows: int
@@ -55,16 +55,16 @@ class SensorLayout:
 def measure_layout(frames: Sequence[LidarFrame]) -> SensorLayout:
     """Measure rows and columns.
 
-    Beams are told apart by their recorded numbers, else by the order of the cloud where it runs
-    along one beam after the other, else by how elevations are spaced. A row for each beam is taken
-    if more points are seen then than in evenly spaced rows: where beams do not meet in the origin
-    of the cloud, even rows may be better.
+    Beams are identified by their recorded numbers, else by the order of the cloud if it is stored
+    beam by beam, else by the spacing of elevations. Each beam gets a row if more points are visible
+    then than with evenly spaced rows. Where beams do not meet in the origin of the cloud, even rows
+    may be better.
 
     Args:
-        frames: Some frames of one sensor, none without a valid point.
+        frames: Some frames of one sensor, each with a valid point.
 
     Raises:
-        ValueError: If they hold too few points to tell.
+        ValueError: If they contain too few points.
     """
     if not frames:
         raise ValueError("no frame has a valid point")
@@ -115,7 +115,7 @@ def measure_layout(frames: Sequence[LidarFrame]) -> SensorLayout:
 
 
 def _steps_per_turn(clouds: Sequence[Points], rings: Sequence[NDArray[np.int64] | None]) -> int:
-    """Median step from a return to the next of its beam, else in the cloud, per turn."""
+    """Return the azimuth steps per turn, from the median step along a beam or along the cloud."""
     steps = []
     for cloud, ring in zip(clouds, rings, strict=True):
         azimuth = np.arctan2(cloud[:, 1], cloud[:, 0])

@@ -1,4 +1,4 @@
-"""Judge tables of who is wrong: each log left out in turn, its tracks and its scenes."""
+"""Leave-one-log-out evaluation of attribution tables, over tracks and over scenes."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final
@@ -14,14 +14,14 @@ from workers.lab.evaluation.failures.retrieval import retrieve
 from workers.lab.evaluation.failures.rows import MinedLog, SceneRow, TrackRow
 
 MIN_FRAMES: Final = 3
-"""Shorter tracks teach nothing about who is wrong."""
+"""Frames of a track for use in the fit."""
 
 Fit = Callable[[Sequence[MinedLog]], Mapping[str, Mapping[str, Any]]]
-"""Makes the rows of all kinds from mined logs."""
+"""Fits the rows of all kinds on mined logs."""
 
 
 def usable(logs: Sequence[MinedLog]) -> list[TrackRow]:
-    """List the tracks that are long enough, and of which truth knows who was wrong."""
+    """List the tracks that are long enough and have a true verdict."""
     return [
         track
         for log in logs
@@ -32,11 +32,11 @@ def usable(logs: Sequence[MinedLog]) -> list[TrackRow]:
 
 
 def left_out(logs: Sequence[MinedLog], fit: Fit) -> dict[str, Any]:
-    """Judge by leaving one log out in turn.
+    """Evaluate a fit by leaving one log out in turn.
 
     Returns:
-        By kind, and for all, the tracks by who was wrong, how many of each were told rightly, and
-        the mean of that; under `scenes` how well scenes would be ranked.
+        By kind, and for all: tracks by true verdict, the recall of each verdict, and their mean.
+        `scenes` contains the retrieval figures of the rescored scenes.
     """
     told: list[tuple[TrackRow, Wrong]] = []
     scores: list[float] = []
@@ -67,7 +67,7 @@ def left_out(logs: Sequence[MinedLog], fit: Fit) -> dict[str, Any]:
 
 
 def rescored(scene: SceneRow, tables: Mapping[str, Table]) -> float:
-    """Score a scene as it would be with other tables."""
+    """Compute the score of a scene with other attribution tables."""
     strengths = []
     for track in scene.tracks:
         chance = chances(tables[track.kind], track.evidence)

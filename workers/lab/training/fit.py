@@ -1,4 +1,4 @@
-"""The training loop of one network: schedule, batches, scores now and then."""
+"""Training loop of one segmentation network: schedule, batches, periodic scores."""
 
 import logging
 from collections.abc import Mapping, Sequence
@@ -24,33 +24,33 @@ from workers.supervised.weights import LoadedWeights, WeightsCard, save_weights
 log = logging.getLogger(__name__)
 
 DRIVING_M_PER_S: Final = 0.5
-"""From here on the car drives, and static things no longer look the same in every frame."""
+"""Ego speed from which the car drives, m/s: static objects then look different in every frame."""
 
 _SCORED_EVERY: Final = 1000
 
 _NORM_MOMENTUM: Final = 0.02
-"""Running means over some fifty batches: those of one batch depend on which sensors it holds."""
+"""Momentum of the batch norm's running means: some fifty batches, since one has few sensors."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrainingSettings:
-    """What a training run depends on, beside its data.
+    """Settings of a training run, in addition to its data.
 
     Attributes:
         steps: Optimiser steps of the schedule.
         balance: Exponent of the class weights.
         batch: Windows per step.
-        driving_weight: How many times more often a frame is drawn in which the car drives.
+        driving_weight: Factor by which frames of a driving car are drawn more often.
         columns: Width of a window.
         peak_rate: Highest learning rate of the one-cycle schedule.
-        weight_decay: Of AdamW.
+        weight_decay: Weight decay of AdamW.
         dropout: Share of channels dropped.
         fixed_norms: Share of the steps, the last ones, that normalise by the running means and
-            deviations, as in use. Sensors differ so much that those of one batch flatter: a network
-            learns by them first, and is then taught to live with those of all sensors.
-        lovasz_every: Of the labelled pixels, which count for the Lovász loss: each that many-th.
-        bfloat16: Convolve in bfloat16, a third faster on a processor that has it.
-        seed: Of everything random.
+            deviations, as in use. Sensors differ so much that batch statistics flatter the scores:
+            a network first learns with them, and then adapts to the statistics of all sensors.
+        lovasz_every: Every n-th labelled pixel counts for the Lovász loss.
+        bfloat16: Convolve in bfloat16, a third faster on a processor that supports it.
+        seed: Seed of everything random.
     """
 
     steps: int = 2400
@@ -69,11 +69,11 @@ class TrainingSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lesson:
-    """Images of one sensor to learn from.
+    """Training images of one sensor, with their sampling weight.
 
     Attributes:
-        images: Of one layout.
-        weight: How often they are drawn beside those of the other sensors.
+        images: Images of one layout.
+        weight: Sampling weight relative to the other sensors.
     """
 
     images: TrainingImages
@@ -89,14 +89,14 @@ def train(
     initial: LoadedWeights | None = None,
     out: Path,
 ) -> None:
-    """Run the schedule, writing weights now and then and at the end.
+    """Run the schedule, writing weights at intervals and at the end.
 
     Args:
-        lessons: What to learn from; a batch is of sensors with as many rows.
-        judged: Images to score by name, never learnt from.
+        lessons: Training images; a batch contains sensors with equally many rows.
+        judged: Held-out images to score, by name.
         card: Sidecar of the weights; the scores are added.
         settings: The schedule.
-        initial: Weights to go on from; None for random ones.
+        initial: Weights to continue from; None for random ones.
         out: The `.safetensors` file.
     """
     torch.manual_seed(settings.seed)
@@ -162,7 +162,7 @@ def _labels(images: TrainingImages, card: WeightsCard) -> NDArray[np.uint8]:
 
 
 def _drawn_labels(lessons: Sequence[Lesson], card: WeightsCard) -> NDArray[np.float64]:
-    """How often each class is drawn, as shares of all labelled pixels."""
+    """Return the frequency of each class in the drawn images, as shares of labelled pixels."""
     drawn = np.zeros(len(card.classes))
     for lesson in lessons:
         counts = np.bincount(_labels(lesson.images, card).ravel(), minlength=len(drawn))
@@ -177,7 +177,7 @@ def _batch(
     settings: TrainingSettings,
     rng: np.random.Generator,
 ) -> tuple[Tensor, Tensor]:
-    """Draw windows of several sensors with as many rows."""
+    """Draw windows of several sensors with equally many rows."""
     inputs, targets = [], []
     drawable = list(lessons)
     for _ in range(settings.batch):

@@ -1,4 +1,4 @@
-"""Train one network of the supervised stream: `python -m workers.lab.training.train --help`."""
+"""Trains one network of the supervised stream: `python -m workers.lab.training.train --help`."""
 
 import argparse
 import logging
@@ -21,7 +21,7 @@ from workers.supervised.weights import LoadedWeights, WeightsCard, load_weights
 log = logging.getLogger(__name__)
 
 CHANNELS: Final = ("range", "x", "y", "z")
-"""No intensity: its scale differs tenfold between sensors, and motion does not need it."""
+"""Input channels. Intensity is absent: its scale differs tenfold between sensors."""
 
 ATTRIBUTION: Final = "PandaSet by Hesai and Scale AI (https://pandaset.org); simulated streets"
 LICENCE: Final = (
@@ -83,12 +83,12 @@ def _run(args: argparse.Namespace) -> None:
 
 
 def _as_before(initial: LoadedWeights) -> SensorProfile:
-    """Means and deviations of the weights to go on from, which their kernels are used to."""
+    """Return the means and deviations of the initial weights, which fit their kernels."""
     return replace(PROFILE, means=initial.profile.means, stds=initial.profile.stds)
 
 
 def _measured(lessons: Sequence[Lesson]) -> SensorProfile:
-    """Means and deviations over all sensors, each with its weight."""
+    """Compute means and deviations over all sensors, each with its weight."""
     means, squares, weights = [], [], []
     for lesson in lessons:
         images = lesson.images
@@ -120,13 +120,13 @@ def _parser() -> argparse.ArgumentParser:
         nargs="+",
         required=True,
         metavar="FOLDER[=WEIGHT]",
-        help="images to learn from, of one sensor each, and how often they are drawn",
+        help="training images of one sensor each, and their sampling weight",
     )
     parser.add_argument("--judge", nargs="*", default=[], metavar="FOLDER", help="images to score")
     parser.add_argument("--width", type=int, default=8, help="channels of the first stage")
     parser.add_argument("--steps", type=int, default=2400)
-    parser.add_argument("--batch", type=int, default=2, help="windows a step")
-    parser.add_argument("--initial", type=Path, help="weights to go on from")
+    parser.add_argument("--batch", type=int, default=2, help="windows per step")
+    parser.add_argument("--initial", type=Path, help="weights to continue from")
     parser.add_argument(
         "--driving-weight", type=float, default=2.0, help="weight of frames in which the car drives"
     )
@@ -137,7 +137,7 @@ def _parser() -> argparse.ArgumentParser:
         type=float,
         default=0.0,
         metavar="SHARE",
-        help="of the steps, the last ones, that normalise by running means, as in use",
+        help="share of the last steps that normalise by running means, as in use",
     )
     parser.add_argument(
         "--lovasz-every", type=int, default=1, metavar="N", help="each N-th pixel counts for it"

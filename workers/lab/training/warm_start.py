@@ -1,4 +1,4 @@
-"""Go on from weights of a network that saw more: what it learnt of the shared channels is kept."""
+"""Warm start: continues from weights of a network with more input channels."""
 
 from typing import Final
 
@@ -12,26 +12,26 @@ _FIRST: Final = "downCntx.conv1.weight"
 
 
 def started(initial: LoadedWeights, card: WeightsCard) -> dict[str, Tensor]:
-    """Fit weights to a network that sees fewer of the measurements.
+    """Convert weights to a network with fewer input channels.
 
-    A measurement that is no longer seen counts as if it always were at its mean: its kernel is
-    left out, and nothing else changes. This holds only where both normalise alike.
+    A removed channel counts as if it were always at its mean: its kernel is dropped, and nothing
+    else changes. This is exact only where both networks normalise in the same way.
 
     Args:
-        initial: Weights to go on from.
-        card: Of the network that is to learn.
+        initial: Weights to continue from.
+        card: Card of the network to train.
 
     Returns:
         Every parameter of that network.
 
     Raises:
-        WeightsUnusableError: If anything but the choice of measurements differs.
+        WeightsUnusableError: If anything but the choice of channels differs.
     """
     before = initial.card
     same = ("network", "classes", "width", "residual")
     if any(getattr(before, what) != getattr(card, what) for what in same):
         raise WeightsUnusableError(
-            f"initial weights must agree with what is trained in {', '.join(same)}"
+            f"initial weights and the trained network must agree in {', '.join(same)}"
         )
     if unknown := [channel for channel in card.channels if channel not in before.channels]:
         raise WeightsUnusableError(f"initial weights do not know {', '.join(unknown)}")

@@ -1,4 +1,4 @@
-"""A picture of frames beside each other: from above, and as range images below."""
+"""Comparison picture: frames side by side, bird's-eye view above, range image below."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -33,7 +33,7 @@ def draw_beside(frames: Sequence[tuple[str, Seen]]) -> Image.Image:
 
 
 def _above(seen: Seen) -> NDArray[np.uint8]:
-    """Look down: the colour is the height, the brightness how many points fall into a pixel."""
+    """Draw a bird's-eye view: colour is height, of the highest point in a pixel."""
     scale = _SIDE_PX / (2 * _HALF_M)
     column = ((seen.points_m[:, 0] + _HALF_M) * scale).astype(np.int64)
     row = ((_HALF_M - seen.points_m[:, 1]) * scale).astype(np.int64)
@@ -52,7 +52,7 @@ def _coloured(ranges: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 
 def _ramp(share: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """From violet over green to yellow."""
+    """Map 0 to 1 to a colour ramp from violet over green to yellow."""
     stops = np.array(
         [(90, 70, 200), (40, 130, 190), (50, 180, 120), (170, 210, 70), (250, 230, 90)]
     )

@@ -1,4 +1,4 @@
-"""Some frames of a real log, to hold simulated ones against."""
+"""Frames of a real log, for comparison with simulated ones."""
 
 from schemas.mining import MiningSettings
 from schemas.transport.bucket import Bucket
@@ -12,10 +12,10 @@ _STEP = 5
 
 
 def real_look(bucket: Bucket, recording: Recording, settings: MiningSettings) -> tuple[Seen, Look]:
-    """Read every fifth frame of the beginning of a log.
+    """Read every fifth frame from the start of a log.
 
     Returns:
-        The first, and what they look like.
+        The first frame, and the statistics of all.
 
     Raises:
         CounterpointError: If the log cannot be read.

@@ -1,4 +1,4 @@
-"""How often the record says rightly who is wrong about a contradicting track."""
+"""Accuracy of attribution: the recorded verdict of a contradicting track against ground truth."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -17,29 +17,29 @@ MIN_POINTS: Final = 25
 
 
 class WhoIsWrong(BaseModel):
-    """Who is wrong: said against true, over contradicting tracks of some length and size."""
+    """Recorded against true verdicts, over contradicting tracks that are long and large enough."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     accuracy: float | None = Field(
-        description="Mean recall over the verdicts that occur ten times; null: nothing was said."
+        description="Mean recall over the verdicts that occur ten times; null: no verdicts."
     )
-    commonest: float | None = Field(description="The same, always answering the commonest verdict.")
-    plain_accuracy: float | None = Field(description="Share of the tracks that are right.")
+    commonest: float | None = Field(description="The same for a constant answer.")
+    plain_accuracy: float | None = Field(description="Share of the tracks attributed correctly.")
     cases: dict[str, int] = Field(description="Tracks by true verdict.")
     recall: dict[str, float | None] = Field(description="By true verdict.")
-    confusion: dict[str, dict[str, int]] = Field(description="True verdict, then said.")
-    calibration: Calibration = Field(description="Of what was said most, against its being right.")
+    confusion: dict[str, dict[str, int]] = Field(description="True verdict, then recorded verdict.")
+    calibration: Calibration = Field(description="Of the recorded verdict's probability.")
 
 
 def is_judged(track: TrackRow) -> bool:
-    """Whether a track is long and large enough, and truth knows who is wrong about it."""
+    """Test that a track is long and large enough, and that truth has a verdict on it."""
     enough = track.frames >= MIN_FRAMES and track.points >= MIN_POINTS * track.frames
     return enough and track.verdict is not None
 
 
 def attribute(tracks: Iterable[TrackRow]) -> WhoIsWrong:
-    """Compare what records say with the truth."""
+    """Compare the recorded verdicts with the true ones."""
     judged = [track for track in tracks if is_judged(track)]
     cases = Counter(track.verdict for track in judged)
     confusion: dict[Wrong, Counter[Wrong]] = {verdict: Counter() for verdict in Wrong}

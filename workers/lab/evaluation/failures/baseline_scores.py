@@ -1,4 +1,4 @@
-"""What a user would rank scenes by instead: one number a scene, higher is more suspicious."""
+"""Baseline scores that rank scenes: one number per scene, higher is more suspicious."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final
@@ -12,21 +12,21 @@ from schemas.contradiction import LabelledFrame, Scene
 from schemas.labels import Agreement, MotionLabel
 
 FLICKER_M: Final = 0.3
-"""A label is compared with that of the nearest point of the frame before, if it lies so close."""
+"""Distance within which the nearest point of the previous frame is the same place, metres."""
 
 LEAST_SURE_SHARE: Final = 0.01
 
 
 def views_of(scene: Scene) -> Mapping[str, float]:
-    """Rank a scene as others would.
+    """Compute the baseline scores of a scene.
 
     Returns:
-        `flicker`, labels of the supervised stream that change from one frame to the next, as a
-        share of points off the ground; `point_share`, the share of compared points on which the
-        streams differ (the paper's view), and the same off the ground; `free_space`, points that
-        were seen through, which the supervised stream calls static, as a share; `confidence`, how
-        unsure the supervised stream is of the least sure hundredth of the points off the ground,
-        and `mean_confidence`, of all of them.
+        `flicker`, the share of points off the ground whose supervised label changes from one frame
+        to the next; `point_share`, the share of compared points on which the streams differ (the
+        paper's measure); `point_share_off_ground`, the same off the ground; `free_space`, the share
+        of points seen through that the supervised stream labels static; `confidence`, one minus the
+        confidence of the supervised stream over the least confident hundredth of the points off the
+        ground; `mean_confidence`, the same over all of them.
     """
     frames = scene.frames
     compared = differing = standing = standing_differing = 0
@@ -49,10 +49,10 @@ def views_of(scene: Scene) -> Mapping[str, float]:
 
 
 def flicker_share(frames: Sequence[LabelledFrame]) -> float:
-    """Share of points off the ground whose label is not that of the frame before, at their place.
+    """Return the share of points off the ground whose label differs from the frame before.
 
-    Both ways, so that it counts as well what was called dynamic and no longer is. Places are
-    compared in odom space.
+    Both directions count, so a point that is no longer dynamic counts too. Positions are compared
+    in odom space.
     """
     changed = asked = 0
     before: tuple[NDArray[np.float64], Mask] | None = None
@@ -68,7 +68,7 @@ def flicker_share(frames: Sequence[LabelledFrame]) -> float:
 
 
 def free_space_share(frames: Sequence[LabelledFrame]) -> float:
-    """Share of judged points that were proved to move and the supervised stream says stand."""
+    """Return the share of compared points that free space proves moving and labels call static."""
     against = judged = 0
     for frame in frames:
         proved = proved_of(frame)
@@ -81,7 +81,7 @@ def free_space_share(frames: Sequence[LabelledFrame]) -> float:
 
 
 def unsureness(frames: Sequence[LabelledFrame], *, share: float) -> float:
-    """How unsure the supervised stream is: mean over the least sure points of every frame."""
+    """Return one minus the confidence, averaged over the least confident points of each frame."""
     means = []
     for frame in frames:
         told = _off_ground(frame) & (frame.semantic.labels != MotionLabel.UNKNOWN)
@@ -93,9 +93,10 @@ def unsureness(frames: Sequence[LabelledFrame], *, share: float) -> float:
 
 
 def proved_of(frame: LabelledFrame) -> Mask | None:
-    """(N,) points that free space proved to move; None where nobody tells.
+    """Return (N,) points that free space proved to move; None where no part reports it.
 
-    The third witness where there is one; else what the self-supervised stream confirmed.
+    They come from the third witness where there is one, else from the confirmed points of the
+    self-supervised stream.
     """
     if frame.witness is not None:
         proved: Mask = frame.witness.labels == MotionLabel.DYNAMIC
@@ -106,7 +107,7 @@ def proved_of(frame: LabelledFrame) -> Mask | None:
 def _changes(
     places: NDArray[np.float64], dynamic: Mask, others: NDArray[np.float64], others_dynamic: Mask
 ) -> int:
-    """Points called dynamic whose nearest point of the other frame is called static."""
+    """Count the dynamic points whose nearest point of the other frame is static."""
     if not dynamic.any() or not len(others):
         return 0
     tree = cKDTree(others, balanced_tree=False, compact_nodes=False)

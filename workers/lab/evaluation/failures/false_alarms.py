@@ -1,4 +1,4 @@
-"""Whether disturbances that are no failure of the model rise in the ranking: they must not."""
+"""False alarms: scores of scenes whose disturbance is no failure of the model."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -14,24 +14,24 @@ NOTHING: Final = "none"
 
 
 class DisturbedShare(BaseModel):
-    """Scenes without failure that a reviewer with a 5 % budget would have been shown."""
+    """Scenes without failure that a reviewer with a 5 % budget would be shown."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     scenes: int = Field(description="Without failure.")
     above: int = Field(description="Of them, above the score that marks the budget.")
     share: float | None
-    threshold: float = Field(description="That score, of the scenes that nothing disturbs.")
+    threshold: float = Field(description="Score of the budget over undisturbed scenes.")
 
 
 def threshold_of(scenes: Sequence[SceneRow]) -> float:
-    """Find the score that marks the 5 % budget of the scenes that nothing disturbs."""
+    """Find the score that marks the 5 % budget among undisturbed scenes."""
     scores = np.sort([scene.score for scene in scenes if not scene.disturbance])[::-1]
     return float(scores[looked_at(BUDGET, len(scores)) - 1]) if len(scores) else 1.0
 
 
 def by_disturbance(scenes: Sequence[SceneRow]) -> dict[str, DisturbedShare]:
-    """Count scenes without failure above that score, by what disturbs them; hard ones apart."""
+    """Count failure-free scenes above that score, by disturbance; scenes of hard logs apart."""
     threshold = threshold_of(scenes)
     quiet = [scene for scene in scenes if not scene.fails]
     groups: dict[str, list[SceneRow]] = {}

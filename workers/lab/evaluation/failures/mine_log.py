@@ -1,4 +1,4 @@
-"""One log, mined as a worker would and compared with its truth, scene by scene."""
+"""Mining of one log with the worker's pipeline, compared with its truth per scene."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,13 +24,13 @@ from workers.version import pipeline_version
 
 @dataclass(frozen=True, slots=True)
 class LogJob:
-    """A log that is to be mined.
+    """A log to mine.
 
     Attributes:
         recording: The log.
         truth: Folder of the truth of its bucket.
-        frames: How many its truth knows.
-        slips: What is put into its poses beside those that its truth lists.
+        frames: Number of frames in its truth.
+        slips: Pose slips to inject in addition to those that its truth lists.
     """
 
     recording: Recording
@@ -40,13 +40,13 @@ class LogJob:
 
 
 def mine_log(bucket: Bucket, job: LogJob, settings: MiningSettings, parts: Parts) -> MinedLog:
-    """Mine a log and judge what was found.
+    """Mine a log and compare the result with its truth.
 
     Args:
-        bucket: Where it lies.
-        job: The log, its truth, and what slips.
-        settings: How it is mined.
-        parts: Odometry, streams, and whoever else has an opinion.
+        bucket: Bucket of the log.
+        job: The log, its truth and its slips.
+        settings: Mining settings.
+        parts: Odometry, streams and witness.
 
     Raises:
         TruthUnusableError: If the log has no truth, or that of another log.
@@ -98,7 +98,7 @@ def _with_truth(
 
 
 def _slips_in(planted: PlantedTruth) -> tuple[Slip, ...]:
-    """Which slips of the odometry the truth of a log asks for."""
+    """Return the odometry slips that the truth of a log lists."""
     return tuple(
         Slip(each.start_ns, each.end_ns, each.strength, each.shift_m)
         for each in planted.disturbances

@@ -1,4 +1,4 @@
-"""Many logs mined in processes of their own; what was mined before is not mined again."""
+"""Parallel mining of many logs; cached results are not mined again."""
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -19,14 +19,14 @@ from workers.version import parts_of
 
 @dataclass(frozen=True, slots=True)
 class Mining:
-    """How logs are mined.
+    """Settings of a mining run over many logs.
 
     Attributes:
-        bucket_url: Where they lie.
-        settings: As a worker would mine them.
-        processes: How many at once; 1 mines in this one.
-        kept: Folder of what was mined; None keeps nothing.
-        probing: What is asked of networks beside their labels.
+        bucket_url: Bucket of the logs.
+        settings: Mining settings of a worker.
+        processes: Number of parallel processes; 1 mines in this one.
+        kept: Folder of cached results; None caches nothing.
+        probing: Uncertainty measures to compute in addition to the labels.
     """
 
     bucket_url: str
@@ -39,15 +39,15 @@ class Mining:
 def mine_logs(
     mining: Mining, jobs: Sequence[LogJob], *, on_log: Callable[[MinedLog], None]
 ) -> list[MinedLog]:
-    """Mine logs, each as it would be mined alone; the order is theirs.
+    """Mine logs, each one independently of the others, and return them in the order of the jobs.
 
     Args:
-        mining: How.
-        jobs: Which, and what slips in them.
-        on_log: Told of each, as it is done.
+        mining: Settings of the run.
+        jobs: Logs to mine, with their slips.
+        on_log: Called with each mined log when it is done.
 
     Raises:
-        PermanentError: If a log cannot be mined, or its truth is not its own.
+        PermanentError: If a log cannot be mined, or its truth belongs to another log.
     """
     done: dict[int, MinedLog] = {}
     for number, job in enumerate(jobs):
@@ -91,7 +91,7 @@ def _mine(mining: Mining, job: LogJob) -> MinedLog:
 
 @lru_cache(maxsize=2)
 def _parts(settings_json: str, probing: Probing) -> Parts:
-    """Build the parts; weights are loaded once in each process."""
+    """Build the parts; each process loads the weights once."""
     settings = MiningSettings.model_validate_json(settings_json)
     parts = parts_of(settings)
     probed = ProbedStream.of(settings, probing)

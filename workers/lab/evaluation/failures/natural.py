@@ -1,4 +1,4 @@
-"""The table *natural*: the failures of the shipped networks, found thing by thing."""
+"""The table *natural*: failures of a supervised network per object of interest."""
 
 from collections.abc import Sequence
 
@@ -20,37 +20,37 @@ from workers.lab.evaluation.failures.rows import MinedLog, SceneRow, ThingRow
 
 
 class ClassRow(BaseModel):
-    """Failures on things of one class."""
+    """Failures on objects of one class."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     things: int
     failing: int
-    found: int = Field(description="Of the failing ones, those that contradict at all.")
+    found: int = Field(description="Failing ones with a contradicting track.")
 
 
 class NaturalTable(RankingRow):
-    """How well contradictions rank the things of a fleet, and what else would have."""
+    """Ranking of the objects of a fleet by contradiction, compared with the baseline scores."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    things: int = Field(description="Objects of the truth, phantoms, and what else contradicts.")
-    failing_things: int = Field(description="Things, scene by scene, on which the stream fails.")
+    things: int = Field(description="True objects, phantoms and other contradicting clusters.")
+    failing_things: int = Field(description="Objects per scene on which the stream fails.")
     failing_scenes: int
     baselines: dict[str, RankingRow] = Field(
-        description="Other ways to rank, by name, each on the things that it says something of."
+        description="Baseline rankings by name, each over the objects that it scores."
     )
     best_baseline: str
     attribution_accuracy: float | None
     attribution: WhoIsWrong
-    calibration: Calibration = Field(description="Of a thing's strength against its failing.")
-    classes: dict[str, ClassRow] = Field(description="By class of the truth and what goes wrong.")
+    calibration: Calibration = Field(description="Of an object's strength against its failing.")
+    classes: dict[str, ClassRow] = Field(description="By true class and motion.")
 
 
 def natural_table(logs: Sequence[MinedLog], *, draws: int) -> NaturalTable:
-    """Make the table of logs that were mined with a network; things are ranked, not scenes.
+    """Compute the table from logs that were mined with a network; it ranks objects, not scenes.
 
-    A thing is as suspicious as the strongest contradicting track on it, 0 without any.
+    The score of an object is the strength of its strongest contradicting track, 0 without any.
     """
     listed = [
         (number, scene, thing)
@@ -91,7 +91,7 @@ def natural_table(logs: Sequence[MinedLog], *, draws: int) -> NaturalTable:
 
 
 def strength_of(scene: SceneRow, thing: ThingRow) -> float:
-    """How suspicious a thing is: as the strongest track on it, strength already weighs blame."""
+    """Return the strength of an object's strongest track, which already weighs attribution."""
     return max((each.strength for each in scene.tracks if each.thing == thing.key), default=0.0)
 
 

@@ -1,4 +1,4 @@
-"""What a user would rank things by instead: how unsure of them the networks are."""
+"""Baseline scores that rank objects: uncertainty, flicker and disagreement of the networks."""
 
 from collections.abc import Mapping, Sequence
 
@@ -13,18 +13,18 @@ from workers.lab.evaluation.failures.frame_truth import SeenFrame
 def thing_views(
     points: Mapping[int, NDArray[np.int64]], seen: Sequence[SeenFrame]
 ) -> Mapping[str, float]:
-    """Rank a thing as others would, by means over its points.
+    """Compute the baseline scores of an object as means over its points.
 
     Args:
-        points: Its points by frame of the scene.
-        seen: The frames.
+        points: Its points, by frame of the scene.
+        seen: Frames of the scene with their truth.
 
     Returns:
-        `confidence`, one minus what the supervised stream says; `flicker`, how often the label of
-        most of it changes; `point_share`, the share of its points on which the streams differ;
-        `free_space`, the share that free space proved to move and the supervised stream says
-        stands; and what networks that were probed told, `entropy`, `margin`, `mc_dropout`,
-        `ensemble`, as far as they told it.
+        `confidence`, one minus the supervised stream's confidence; `flicker`, the share of frame
+        pairs in which the majority label changes; `point_share`, the share of its points on which
+        the streams differ; `free_space`, the share that free space proves moving and the supervised
+        stream labels static; of probed networks also `entropy`, `margin`, `mc_dropout` and
+        `ensemble`, where they are finite.
     """
     unsure: list[NDArray[np.float64]] = []
     labels: list[bool] = []

@@ -1,8 +1,8 @@
-"""The things of a scene that the supervised stream can be right or wrong about, by truth.
+"""Objects of interest: the objects of a scene on which the supervised stream can be judged.
 
-A *failure* is a thing on which it errs: at least 25 points of it wrong, most of the thing, in
-frames that together last half a second. Things are the objects of the truth, and where points
-belong to none, what the wrong labels themselves make up: a phantom on a wall, a mover without box.
+A *failure* is an object with at least 25 wrong points that are most of its points, in frames that
+together last half a second. Objects come from the truth. Wrong points without an object are
+clustered into objects of their own: a phantom on a wall, a mover without a box.
 """
 
 from collections.abc import Iterator, Sequence
@@ -33,17 +33,17 @@ Points = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Thing:
-    """One thing of a scene.
+    """One object of interest of a scene.
 
     Attributes:
         key: Its name in the scene: `track 7`, `phantom 0`, `missed 1`.
-        track: Of the truth; -1 none.
-        class_name: What truth calls it; empty where it does not say.
+        track: True track number; -1 none.
+        class_name: True class; empty where truth has none.
         moves: Whether it truly moves, in most frames.
-        points: By frame of the scene, its points whose true motion is known; frames in which it
-            has 25 at least.
-        failing: Frames in which the supervised stream errs on most of it.
-        fails: Whether these last long enough.
+        points: By frame of the scene, its points whose true motion is known; frames with 25 or
+            more.
+        failing: Frames in which the supervised stream is wrong on most of its points.
+        fails: Whether these frames last long enough.
     """
 
     key: str
@@ -56,16 +56,16 @@ class Thing:
 
 
 def frames_of(seconds: float, period_s: float) -> int:
-    """How many frames last so long; one at least."""
+    """Return the number of frames that last this long, at least one."""
     return max(1, ceil(seconds / period_s - _TOLERANCE)) if period_s > 0 else 1
 
 
 def find_things(scene: Scene, seen: Sequence[SeenFrame]) -> list[Thing]:
-    """Find what the supervised stream can be judged by in a scene.
+    """Find the objects of interest of a scene.
 
     Args:
         scene: The labelled frames.
-        seen: The same with their truth.
+        seen: The same frames with their truth.
     """
     enough = frames_of(MIN_S, frame_period_s(scene))
     return [*_objects(seen, enough), *_of_nobody(scene, seen, enough)]
@@ -105,7 +105,7 @@ def _errs(wrong: Mask) -> bool:
 
 
 def _of_nobody(scene: Scene, seen: Sequence[SeenFrame], enough: int) -> Iterator[Thing]:
-    """Wrong points that belong to no object, clustered and tied over frames, long enough ones."""
+    """Cluster and track wrong points without an object; yield the tracks that last long enough."""
     for moves, name in ((False, "phantom"), (True, "missed")):
         instances: list[Instance] = []
         for number, frame in enumerate(seen):
@@ -147,7 +147,7 @@ def _instances(frame: SeenFrame, number: int, candidates: Points) -> Iterator[In
 
 
 def _is_rim(points_m: NDArray[np.float32], movers_m: NDArray[np.float32]) -> bool:
-    """Whether most points lie against a true mover: labels that bleed are no thing."""
+    """Test whether most points lie within 0.5 m of a true mover: bled labels are no object."""
     if not len(movers_m):
         return False
     near, _ = cKDTree(movers_m).query(points_m, distance_upper_bound=_RIM_M)

@@ -1,4 +1,4 @@
-"""The table *planted*: does the score put scenes in which the model on the car errs first?"""
+"""The table *planted*: ranking of scenes by score, against failures planted in a fleet."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ from workers.lab.evaluation.failures.rows import MinedLog, SceneRow
 
 
 class PlantedTable(RankingRow):
-    """How well the score ranks scenes of a fleet, and what else would have.
+    """Ranking of the scenes of a fleet by score, compared with the baseline scores.
 
     The figures at the top are those of the score.
     """
@@ -38,26 +38,26 @@ class PlantedTable(RankingRow):
     failing_scenes: int
     planted: int = Field(description="Failures that were planted.")
     unseen: int = Field(description="Of them, those that the labels do not show.")
-    baselines: dict[str, RankingRow] = Field(description="Other ways to rank, by name.")
-    best_baseline: str = Field(description="Of those, the one of the highest average precision.")
+    baselines: dict[str, RankingRow] = Field(description="Baseline rankings, by name.")
+    best_baseline: str = Field(description="The baseline of highest average precision.")
     gain: float | None = Field(
         description="(AP - b) / (1 - b) against the best baseline's average precision b."
     )
     gain_interval: Interval | None = Field(description="95 %, against that baseline.")
     attribution_accuracy: float | None = Field(
-        description="Mean recall over {supervised, selfsupervised, both, neither} as far as they "
-        "occur ten times; null: records do not say who is wrong."
+        description="Mean recall over {supervised, selfsupervised, both, neither} that "
+        "occur ten times; null: records without attribution."
     )
     attribution: WhoIsWrong
     common_mode_recall: float | None = Field(
         description="Share of planted failures on which both streams are wrong that surface."
     )
     common_mode: CommonMode
-    calibration: Calibration = Field(description="Of the score against the scene's holding one.")
+    calibration: Calibration = Field(description="Of the score against the scene's failing.")
     kinds: dict[str, KindRow] = Field(description="By kind of failure.")
     disturbances: dict[str, DisturbedShare] = Field(
         description="Scenes without failure above the score that marks the 5 % budget of the "
-        "scenes that nothing disturbs, by what disturbs them."
+        "undisturbed scenes, by kind of disturbance."
     )
     slips: DisturbedShare | None = Field(
         description="The same for scenes that were mined again with a slip in each; null: not run."
@@ -67,12 +67,12 @@ class PlantedTable(RankingRow):
 def planted_table(
     logs: Sequence[MinedLog], *, slipping: Sequence[MinedLog] = (), draws: int
 ) -> PlantedTable:
-    """Make the table.
+    """Compute the table.
 
     Args:
-        logs: Of the fleet, mined with its recorded labels.
+        logs: Logs of the fleet, mined with their recorded labels.
         slipping: Some of them, mined again with a slip in every scene.
-        draws: Of the bootstrap; 0 makes no intervals.
+        draws: Bootstrap draws; 0 computes no intervals.
     """
     scenes = [scene for log in logs for scene in log.scenes]
     items = items_of(logs)
@@ -106,7 +106,7 @@ def planted_table(
 
 
 def items_of(logs: Sequence[MinedLog]) -> Items:
-    """Make scenes what is ranked; a failure that goes on over several scenes is one."""
+    """Make scenes the ranked items; a failure that lasts over several scenes counts once."""
     scenes = [scene for log in logs for scene in log.scenes]
     return Items(
         logs=np.repeat(np.arange(len(logs)), [len(log.scenes) for log in logs]),
@@ -118,9 +118,10 @@ def items_of(logs: Sequence[MinedLog]) -> Items:
 
 
 def names_of(scene: SceneRow, log_id: str) -> list[str]:
-    """Name the failures of a scene: one thing of a log failing in one way is one failure.
+    """Name the failures of a scene: one object of a log failing in one way is one failure.
 
-    A swap fails on two things, a limit of range on all beyond it: by kind they are one.
+    A label swap fails on two objects and a range limit on all beyond it: each is one failure per
+    kind.
     """
     names = Counter(
         f"{log_id} {each.kind} {'' if each.kind in _OF_MANY else each.track} "

@@ -1,4 +1,4 @@
-"""Rows of one scene: what contradicts in it, the things it holds, and who was wrong about them."""
+"""Rows of one scene: contradicting tracks, objects of interest, and true verdicts on the tracks."""
 
 from collections.abc import Mapping, Sequence
 
@@ -21,16 +21,16 @@ from workers.pipeline import MinedScene
 def scene_row(
     mined: MinedScene, seen: Sequence[SeenFrame], planted: PlantedTruth, cell: int
 ) -> tuple[SceneRow, set[int]]:
-    """Judge a mined scene.
+    """Compare a mined scene with its truth.
 
     Args:
         mined: The scene with its record.
         seen: Its frames with their truth.
-        planted: What was planted in its log.
-        cell: Which scene of its log it is.
+        planted: Failures and disturbances planted in its log.
+        cell: Number of the scene in its log.
 
     Returns:
-        Its row, and which of the planted failures its labels show.
+        Its row, and the planted failures that its labels show.
     """
     scene = mined.scene
     things = find_things(scene, seen)
@@ -61,7 +61,7 @@ def scene_row(
 
 
 def _planted_as(thing: Thing, scene: Scene, planted: PlantedTruth) -> int | None:
-    """Which planted failure a failing thing is: its track or partner, or a ghost, at the time."""
+    """Match a failing object to a planted failure by track, partner track or ghost, and time."""
     stamps = [scene.frames[number].stamp_ns for number in thing.failing]
     for number, each in enumerate(planted.failures):
         during = sum(each.start_ns <= stamp < each.end_ns for stamp in stamps)
@@ -100,9 +100,9 @@ def _thing_row(thing: Thing, seen: Sequence[SeenFrame], planted: FailureRow | No
 def _track_rows(
     mined: MinedScene, seen: Sequence[SeenFrame], things: Sequence[Thing], *, counts: float
 ) -> tuple[list[TrackRow], list[ThingRow]]:
-    """Rows of the contradicting tracks, and of what they lie on where that is no thing yet.
+    """Build rows of the contradicting tracks, and of objects below them that are not listed yet.
 
-    A stray is what the supervised stream is right about, or too little to be a failure.
+    Such a stray is an object that the stream labels correctly, or a failure that is too small.
     """
     rows: list[TrackRow] = []
     strays: list[ThingRow] = []

@@ -1,6 +1,6 @@
-"""How unsure the networks are of every point: entropy, margin, MC-dropout, a second network.
+"""Per-point network uncertainty: entropy, margin, MC-dropout and ensemble.
 
-What a user without a second stream would rank by; none of it changes a label.
+These are the baselines of a user without a second stream; none of them changes a label.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -26,17 +26,17 @@ from workers.supervised.weights import LoadedWeights
 
 PASSES: Final = 8
 PROBED: Final = "salsanext-lmnet"
-"""The stream that can be."""
+"""Name of the only stream that can be probed."""
 
 Views = Mapping[str, NDArray[np.float32]]
 
 
 @dataclass(frozen=True, slots=True)
 class Probing:
-    """What is asked of the networks beside their labels.
+    """Uncertainty measures to compute in addition to the labels.
 
     Attributes:
-        dropout_every: MC-dropout on one frame in so many; 0: none.
+        dropout_every: MC-dropout on one frame in this many; 0: none.
         second: Folder of the weights of a second pair of networks; empty: none.
     """
 
@@ -48,9 +48,9 @@ NO_PROBING: Final = Probing()
 
 
 class ProbedStream:
-    """A stream of two networks that keeps, for a while, how unsure it was of each point.
+    """A stream of two networks that buffers its uncertainty of each point for recent frames.
 
-    Labels, and the version, are those of the stream itself.
+    Labels and version are those of the stream itself.
     """
 
     def __init__(self, inner: "_Noting", second: RangeImageStream | None) -> None:
@@ -59,7 +59,7 @@ class ProbedStream:
 
     @classmethod
     def of(cls, settings: MiningSettings, probing: Probing) -> Self | None:
-        """Probe the stream that the settings name; None where it is none of two networks."""
+        """Probe the stream that the settings name; None where it has no two networks."""
         if settings.supervised != PROBED:
             return None
         folder = Path(settings.weights) if settings.weights else SHIPPED
@@ -70,17 +70,17 @@ class ProbedStream:
 
     @property
     def version(self) -> str:
-        """That of the stream that is probed."""
+        """Version of the probed stream."""
         return self._inner.version
 
     @property
     def task(self) -> Task:
-        """That of the stream that is probed."""
+        """Task of the probed stream."""
         return self._inner.task
 
     @property
     def class_names(self) -> tuple[str, ...]:
-        """Those of the stream that is probed."""
+        """Class names of the probed stream."""
         return self._inner.class_names
 
     def __call__(self, frames: Iterable[PosedFrame]) -> Iterator[FrameLabels]:
@@ -97,7 +97,7 @@ class ProbedStream:
             yield said
 
     def take(self, stamp_ns: int) -> Views:
-        """Hand over what was kept of a frame, and forget it and all earlier ones."""
+        """Return the uncertainty of a frame, and discard it with all earlier ones."""
         views = self._kept.get(stamp_ns, {})
         for stamp in [each for each in self._kept if each <= stamp_ns]:
             del self._kept[stamp]
@@ -105,19 +105,19 @@ class ProbedStream:
 
 
 class _Noting(RangeImageStream):
-    """The stream itself, which notes of each frame what its networks say pixel by pixel."""
+    """The stream itself; it also records per-pixel uncertainty of the networks for each frame."""
 
     noted: Views = MappingProxyType({})
     _asked_again: Sequence["_AskedAgain"] = ()
 
     def ask_again(self, *, every: int) -> None:
-        """Let the networks drop channels at random on one frame in so many; 0: never."""
+        """Apply MC-dropout on one frame in this many; 0: never."""
         if every:
             self._asked_again = [_AskedAgain(each, every) for each in self._networks]
             self._networks = list(self._asked_again)
 
     def begin(self) -> None:
-        """Begin a log anew."""
+        """Reset the frame counters at the start of a log."""
         for network in self._asked_again:
             network.frame = 0
 
@@ -135,11 +135,11 @@ class _Noting(RangeImageStream):
 
 
 class _AskedAgain:
-    """A network that is asked eight times more now and then, without some of its channels.
+    """A network with eight extra MC-dropout passes on every n-th frame.
 
     Attributes:
-        frame: How many frames it has seen.
-        spread: (H, W) how much these answers to the last frame differ; None if it was not asked.
+        frame: Number of frames so far.
+        spread: (H, W) spread of these passes on the last frame; None if there were none.
     """
 
     def __init__(self, inner: RangeImageNetwork, every: int) -> None:
@@ -151,7 +151,7 @@ class _AskedAgain:
         self.spread: NDArray[np.float32] | None = None
 
     def probabilities(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Answer as the network does, and note how much the other answers spread."""
+        """Return the network's probabilities, and record the spread of the dropout passes."""
         self.spread = None
         if isinstance(self._inner, LoadedWeights) and self.frame % self._every == 0:
             asked = torch.from_numpy(image)[None]
@@ -162,28 +162,28 @@ class _AskedAgain:
 
 
 def _dynamic(said: FrameLabels) -> NDArray[np.float32]:
-    """How likely each point is dynamic, from label and confidence; a half where it is unknown."""
+    """Return the probability of dynamic of each point from label and confidence; unknown is 0.5."""
     sure = said.confidence.astype(np.float32)
     likely = np.where(said.labels == MotionLabel.DYNAMIC, sure, 1.0 - sure)
     return np.where(said.labels == MotionLabel.UNKNOWN, 0.5, likely).astype(np.float32)
 
 
 def _entropy(answer: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Entropy of (K, H, W) probabilities over that of knowing nothing, 0 to 1."""
+    """Return the entropy of (K, H, W) probabilities over that of a uniform answer, 0 to 1."""
     safe = np.clip(answer, 1e-7, 1.0)
     entropy: NDArray[np.float32] = -(safe * np.log(safe)).sum(axis=0) / np.log(len(answer))
     return entropy
 
 
 def _narrowness(answer: NDArray[np.float32]) -> NDArray[np.float32]:
-    """One minus the lead of the best class over the second, (H, W)."""
+    """Return one minus the margin of the best class over the second, (H, W)."""
     best = np.partition(answer, -2, axis=0)[-2:]
     narrow: NDArray[np.float32] = 1.0 - (best[1] - best[0])
     return narrow
 
 
 def _at(image: RangeImage, values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Value of the pixel of each point; NaN where it is in none."""
+    """Return the pixel value of each point; NaN outside the image."""
     inside = image.row >= 0
     of_points = np.full(len(image.row), np.nan, np.float32)
     of_points[inside] = values[image.row[inside], image.column[inside]]

@@ -1,4 +1,4 @@
-"""Who is wrong about a contradicting track, by truth: one stream, the other, both or neither."""
+"""True verdicts on contradicting tracks: one stream is wrong, the other, both or neither."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -16,13 +16,13 @@ from workers.lab.evaluation.truth.truth import TRUTH_DYNAMIC, TRUTH_STATIC, TRUT
 Points = NDArray[np.int64]
 
 MOST: Final = 0.5
-"""Share of a thing about which a stream must be wrong."""
+"""Share of an object's points on which a stream must be wrong."""
 
 
 def thing_under(
     members: Sequence[Instance], seen: Sequence[SeenFrame], things: Sequence[Thing]
 ) -> tuple[str, int]:
-    """Say which thing a contradicting track lies on.
+    """Find the object that a contradicting track lies on.
 
     Returns:
         Its key, empty for none, and the true object that half of the points belong to, -1 none.
@@ -54,10 +54,10 @@ def thing_under(
 def verdict_of(
     members: Sequence[Instance], seen: Sequence[SeenFrame], *, track: int
 ) -> Wrong | None:
-    """Judge a contradicting track by the thing it lies on, in the frames in which it contradicts.
+    """Compute the verdict on a track from the object below it, over the frames of the track.
 
-    A stream is wrong if it says the opposite of the truth about most of the thing. Where the points
-    belong to no object, the thing is the contradicting points themselves.
+    A stream is wrong if it labels most of the object opposite to the truth. Where the points belong
+    to no object, the contradicting points themselves are the object.
 
     Args:
         members: Its instances.
@@ -65,7 +65,7 @@ def verdict_of(
         track: True object it lies on, -1 none.
 
     Returns:
-        None where truth knows less than half of the points.
+        The verdict; None where truth knows less than half of the points.
     """
     said: list[NDArray[np.uint8]] = [np.zeros((3, 0), np.uint8)]
     for member in members:
@@ -83,7 +83,7 @@ def verdict_of(
 def wrong_about(
     semantic: NDArray[np.uint8], predictive: NDArray[np.uint8], true: NDArray[np.uint8]
 ) -> Wrong:
-    """Say who is wrong about most of some points; a stream that says nothing is not wrong.
+    """Return the stream that is wrong on most of the points; an UNKNOWN label is not wrong.
 
     Args:
         semantic: (N,) labels of the supervised stream, N >= 1.

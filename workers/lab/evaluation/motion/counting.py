@@ -1,4 +1,4 @@
-"""Counts what one stream got right in one frame."""
+"""Per-frame counts of motion labels against truth: hits, misses, false alarms, objects."""
 
 from typing import Final
 
@@ -18,13 +18,13 @@ from workers.lab.evaluation.truth.truth import (
 )
 
 MIN_OBJECT_POINTS: Final = 20
-"""Moving objects with fewer points in range are not asked for."""
+"""Points in range that a moving object needs to be counted."""
 
 CLUSTER_EPS_M: Final = 1.0
 CLUSTER_MIN_POINTS: Final = 10
 FALSE_CLUSTER_POINTS: Final = 25
 MAX_TRUE_SHARE: Final = 0.3
-"""A cluster is false when a smaller share of it is dynamic, or of unknown truth."""
+"""True share below which a dynamic cluster is false; points of unknown truth count as true."""
 
 
 def count_frame(
@@ -37,15 +37,14 @@ def count_frame(
 ) -> StreamCounts:
     """Count a frame's labels against its truth, under each range.
 
-    Points of unknown truth are not judged; a predicted UNKNOWN counts as not dynamic.
+    Points of unknown truth are not counted; a predicted UNKNOWN counts as not dynamic.
 
     Args:
         said: Labels of the stream for N points.
-        truth: Of the same points.
-        points_m: (N, 3) sensor space; the horizontal range is taken from it.
-        log_id: Whose frame it is; tracks of different logs are different objects.
-        odom_from_sensor: (4, 4) pose that the stream was given; without it, velocities are not
-            judged.
+        truth: Truth of the same points.
+        points_m: (N, 3) sensor space; the horizontal range is computed from it.
+        log_id: Log of the frame; tracks of different logs are different objects.
+        odom_from_sensor: (4, 4) pose given to the stream; without it, velocities are not evaluated.
     """
     range_m = np.hypot(points_m[:, 0], points_m[:, 1])
     called = said.labels == MotionLabel.DYNAMIC
@@ -85,7 +84,7 @@ def _count_points(called: Mask, unknown: Mask, truth: FrameTruth, near: Mask) ->
 def _objects(
     called: Mask, dynamic: Mask, track: NDArray[np.int16] | None
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Moving objects with enough points: id, points, and points called dynamic; (K,) each.
+    """Find moving objects with enough points: id, points, and points labelled dynamic; (K,) each.
 
     An object is in range where its points are.
     """
@@ -102,7 +101,7 @@ def _objects(
 def _count_objects(
     counts: StreamCounts, called: Mask, truth: FrameTruth, near: Mask, log_id: str
 ) -> None:
-    """Count objects under the farthest range by class, speed, size and points."""
+    """Count objects under the largest range by class, speed, size and points."""
     dynamic = near & (truth.motion == TRUTH_DYNAMIC)
     found = zip(*(each.tolist() for each in _objects(called, dynamic, truth.track)), strict=True)
     for track, points, hits in found:
@@ -122,7 +121,7 @@ def _count_velocities(
     truth: FrameTruth,
     odom_from_sensor: Transform,
 ) -> None:
-    """Compare velocities in the sensor's space, which truth and stream have in common."""
+    """Compare velocities in sensor space, which truth and stream have in common."""
     if said.cluster is None or said.cluster_velocity_m_per_s is None:
         return
     if truth.world_from_sensor is None or truth.track is None:

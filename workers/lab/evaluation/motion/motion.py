@@ -1,4 +1,4 @@
-"""Judges motion labels against truth, on the very path that mining takes."""
+"""Motion segmentation evaluation: labels against truth, on the same path that mining takes."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -25,22 +25,22 @@ from workers.parts.registry import build_odometry
 UNDISTURBED = Disturbance()
 
 _DIFFERING = [kind.code for kind in MOTION.kinds if not kind.of_witness]
-"""Outcomes in which the two streams differ; where only the witness does, they agree."""
+"""Outcomes in which the two streams differ; where only the witness differs, they agree."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JudgedFrame:
-    """One frame that was judged: M points, those of the beams that were kept.
+    """One evaluated frame: M points, those of the beams that were kept.
 
     Attributes:
-        stream: Whose labels they are.
-        log_id: Whose it is.
-        name: As its truth is named, `x/y/NNNNNN`.
+        stream: Stream of the labels.
+        log_id: Log of the frame.
+        name: Its name in the truth, `x/y/NNNNNN`.
         points_m: (M, 3) sensor space.
-        labels: (M,) of the judged stream.
-        confirmed: (M,) which of them it confirms; None where it does not tell.
+        labels: (M,) labels of the stream.
+        confirmed: (M,) points that it confirms; None where it does not report them.
         truth: (M,) true motion, in codes of the truth.
-        kept: (N,) which points of the recorded cloud they are; None for all.
+        kept: (N,) points of the recorded cloud that these are; None for all.
     """
 
     stream: StreamName
@@ -65,28 +65,28 @@ def evaluate_motion(
     on_frame: Callable[[JudgedFrame], None] = lambda judged: None,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[LogEvaluation]:
-    """Judge a stream's motion labels on every log of a bucket that has truth.
+    """Evaluate a stream's motion labels on every log of a bucket that has truth.
 
-    Each log is one shard, so that streams keep their state from its first frame on; odometry and
-    streams are those of the settings, read and posed as a worker would.
+    Each log is one shard, so that streams keep their state from its first frame on. Odometry and
+    streams are those of the settings, on frames read and posed as in a worker.
 
     Args:
         bucket_url: URL or path of the bucket.
-        truth: Folder of truth: that of `x/y.mcap` lies in `x/y`.
-        frames: First frame that is judged and the first that is not any more (None: all the rest),
-            counted in each log; earlier ones run through the streams unjudged.
-        settings: Names of the parts and how logs are read.
-        stream: Whose figures stand at the top of each row: `selfsupervised` or `supervised` as the
-            settings name them, or a part by name; several are judged side by side, on the same
-            frames and poses.
-        both: Where one of the first two is judged, run the other too, for its table and for the
-            share of contradicted points.
-        disturbance: What the logs are made worse by before anything sees them.
-        on_frame: Told of each judged frame what each stream at the top said about it.
-        on_progress: Told how many frames are done, and of about how many.
+        truth: Folder of truth: that of `x/y.mcap` is in `x/y`.
+        frames: First evaluated frame and the end, exclusive (None: the rest), counted in each log;
+            earlier frames run through the streams and are not counted.
+        settings: Names of the parts, and ingest settings.
+        stream: Stream of the figures at the top of each row: `selfsupervised` or `supervised` as
+            the settings name them, or a part by name. Several run together on the same frames and
+            poses.
+        both: With one of the first two, run the other too, for its table and for the share of
+            contradicted points.
+        disturbance: Degradation applied to the logs before all stages.
+        on_frame: Called with each evaluated frame, once for each stream at the top.
+        on_progress: Called with the number of frames done, and about how many there are.
 
     Returns:
-        One row for each log and stream, and last ones, `all`, of the counts of all logs.
+        One row for each log and stream, and last ones, `all`, over all logs.
 
     Raises:
         TruthUnusableError: If no log has truth, or truth does not fit its log.

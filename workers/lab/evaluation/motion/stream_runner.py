@@ -1,4 +1,4 @@
-"""Runs the streams over a whole log, disturbed or not, frame by frame, with the time they take."""
+"""Stream runner: runs the streams over a whole log and times them, with degraded input if asked."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -28,15 +28,15 @@ from workers.stage_timing import Stage, StageClock
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answered:
-    """What the streams say about one frame.
+    """Labels of the streams for one frame.
 
     Attributes:
-        number: Of the frame in the truth.
-        whole: The frame as it was recorded.
-        posed: The frame as the streams saw it, with the pose they were given.
-        kept: (N,) which of the recorded points they saw; None for all.
-        labels: What each of them says about those.
-        stage_ms: How long each stage took for it.
+        number: Number of the frame in the truth.
+        whole: The frame with all its recorded points.
+        posed: The frame given to the streams, with its pose.
+        kept: (N,) recorded points given to them; None for all.
+        labels: Labels of those points, by stream.
+        stage_ms: Time of each stage for this frame, milliseconds.
     """
 
     number: int
@@ -60,16 +60,16 @@ def answers_of(
     """Run streams over a whole log, from its first frame on.
 
     Args:
-        bucket: Where the log lies.
+        bucket: Bucket of the log.
         recording: The log.
-        truth: Of the log; it says which lidar is judged, and numbers the frames.
-        odometry: What poses the frames.
-        streams: What labels them, by name; all see the same frames and poses.
-        settings: How the log is read.
-        disturbance: What the log is made worse by.
+        truth: Truth of the log; it names the lidar and numbers the frames.
+        odometry: Odometry that poses the frames.
+        streams: Streams by name; all get the same frames and poses.
+        settings: Ingest settings.
+        disturbance: Degradation of the log.
 
     Raises:
-        LogUnusableError: If the log cannot be mined, or tells no beams where some are left out.
+        LogUnusableError: If the log cannot be mined, or beams are to be removed and it has none.
         TruthUnusableError: If the truth does not know a frame.
     """
     number_of_stamp: dict[int, int] = {}
@@ -102,7 +102,7 @@ def answers_of(
 
 
 def _read_for(streams: Iterable[StreamName], settings: MiningSettings) -> MiningSettings:
-    """Have what the log recorded read as well, where one of the streams is that."""
+    """Enable reading of recorded labels where one of the streams needs them."""
     asked = [settings.model_copy(update={"supervised": name}) for name in streams]
     return next((each for each in asked if each.takes_recorded), settings)
 
@@ -110,7 +110,7 @@ def _read_for(streams: Iterable[StreamName], settings: MiningSettings) -> Mining
 def _numbered(
     frames: Iterable[LidarFrame], truth: LogTruth, number_of_stamp: dict[int, int]
 ) -> Iterator[Numbered]:
-    """Number frames as the truth does; the warm-up of a shard has its numbers already."""
+    """Number frames as the truth does; warm-up frames of a shard keep their numbers."""
     for frame in frames:
         number = number_of_stamp.get(frame.stamp_ns)
         if number is None:

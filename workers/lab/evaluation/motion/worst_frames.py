@@ -1,4 +1,4 @@
-"""Remembers the frames that a stream labelled worst."""
+"""Worst frames: the frames in which a stream labels most points wrong."""
 
 import heapq
 
@@ -11,7 +11,7 @@ from workers.lab.evaluation.truth.truth import TRUTH_DYNAMIC, TRUTH_STATIC
 
 
 def wrong_points(judged: JudgedFrame) -> int:
-    """Count the points under 80 m that move and were not found, or stand and were called dynamic.
+    """Count wrong points under 80 m: movers that were not found, static points labelled dynamic.
 
     Points of unknown truth are never wrong.
     """
@@ -22,7 +22,7 @@ def wrong_points(judged: JudgedFrame) -> int:
 
 
 class WorstFrames:
-    """Keeps the frames with most wrong points, and no more of them than asked for."""
+    """Keeps the frames with most wrong points, up to a given number."""
 
     def __init__(self, count: int) -> None:
         self._count = count
@@ -30,7 +30,7 @@ class WorstFrames:
         self._seen = 0
 
     def add(self, judged: JudgedFrame) -> None:
-        """Look at one more frame; of two that are equally bad, the earlier is kept."""
+        """Add a frame; of two equally bad ones, the earlier is kept."""
         self._seen += 1
         entry = (wrong_points(judged), -self._seen, judged)
         if len(self._heap) < self._count:
@@ -40,5 +40,5 @@ class WorstFrames:
 
     @property
     def frames(self) -> list[JudgedFrame]:
-        """What is kept, worst first."""
+        """The kept frames, worst first."""
         return [judged for _, _, judged in sorted(self._heap, key=lambda e: e[:2], reverse=True)]

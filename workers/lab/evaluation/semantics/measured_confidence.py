@@ -1,7 +1,7 @@
-"""Measures how sure the supervised stream is where it is right and where it is wrong.
+"""Confidence of the supervised stream, measured where it is right and where it is wrong.
 
-`python -m workers.lab.evaluation.semantics.measured_confidence OUT.json` writes the table that
-simulated models on cars draw their confidence from (`workers.lab.simulation.faults.confidence`).
+`python -m workers.lab.evaluation.semantics.measured_confidence OUT.json` writes the table from
+which simulated on-board models draw their confidence (`workers.lab.simulation.faults.confidence`).
 """
 
 import json
@@ -30,7 +30,7 @@ from workers.lab.simulation.world.street_builder import build_street
 from workers.parts.registry import build_odometry, build_supervised
 
 SEEDS: Final = (5_001, 5_002, 5_003, 5_004)
-"""Streets that no weights were trained on and no fleet is made of."""
+"""Seeds of held-out streets: no weights were trained on them and no fleet contains them."""
 
 SECONDS: Final = 6.0
 LEAST_POINTS: Final = 25
@@ -39,10 +39,10 @@ WARM_UP_FRAMES: Final = 15
 
 
 def things_in(said: FrameLabels, truth: FrameTruth) -> Iterator[tuple[bool, float]]:
-    """Yield, for each thing of a frame, whether its labels are right, and their mean confidence.
+    """Yield, for each object of a frame, whether its labels are right, and their mean confidence.
 
-    A thing is an object of the truth, and the ground and what stands of a frame are one more. Its
-    right and its wrong points count apart, each if they are at least `LEAST_POINTS`.
+    Objects come from the truth; all points without one, ground included, count as one more. Right
+    and wrong points of an object count apart, each if they are at least `LEAST_POINTS`.
     """
     known = (truth.motion != TRUTH_UNKNOWN) & (said.labels != MotionLabel.UNKNOWN)
     right = (said.labels == MotionLabel.DYNAMIC) == (truth.motion == TRUTH_DYNAMIC)

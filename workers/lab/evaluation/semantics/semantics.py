@@ -1,4 +1,4 @@
-"""Classes of the supervised stream against truth: intersection over union, class by class."""
+"""Semantic segmentation metrics: intersection over union of the supervised stream per class."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -21,16 +21,16 @@ from workers.parts.registry import build_odometry
 
 
 class SemanticsEvaluation(BaseModel):
-    """How a stream's classes fit the truth of one log, or of all."""
+    """Segmentation metrics of a stream on one log, or on all."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     log: str = Field(description="Log id, or `all`.")
-    frames: int = Field(description="How many were judged.")
-    points: int = Field(description="Points whose class truth tells.")
+    frames: int = Field(description="Number of evaluated frames.")
+    points: int = Field(description="Points whose true class is known.")
     miou: float | None = Field(description="Mean over the classes that truth has.")
     iou: dict[str, float] = Field(description="Of each coarse class that truth has.")
-    movable_iou: float | None = Field(description="All classes that can move, taken together.")
+    movable_iou: float | None = Field(description="All movable classes, merged into one.")
     unanswered_share: float | None = Field(description="Of those points, without a class.")
 
 
@@ -43,25 +43,25 @@ def evaluate_semantics(
     stream: str = "supervised",
     on_progress: Callable[[int], None] = lambda done: None,
 ) -> list[SemanticsEvaluation]:
-    """Judge a stream's classes on every log of a bucket whose truth has some.
+    """Evaluate a stream's classes on every log of a bucket whose truth has classes.
 
-    Classes are compared in the coarse ones of `class_table`; a point without an answer is a miss of
-    its class. Every log runs from its first frame on.
+    Classes are compared in the coarse ones of `class_table`; a point without a predicted class is a
+    miss of its true class. Every log runs from its first frame on.
 
     Args:
         bucket_url: URL or path of the bucket.
-        truth: Folder of truth: that of `x/y.mcap` lies in `x/y`.
-        frames: Which frames are judged, counted in each log; None for all.
-        settings: Names of the parts and how logs are read.
+        truth: Folder of truth: that of `x/y.mcap` is in `x/y`.
+        frames: Frames to evaluate, counted in each log; None for all.
+        settings: Names of the parts, and ingest settings.
         stream: `supervised`, as the settings name it, or a part by name.
-        on_progress: Told how many frames are done.
+        on_progress: Called with the number of frames done.
 
     Returns:
-        One row for each log, and a last one, `all`, of the points of all logs.
+        One row for each log, and a last one, `all`, over the points of all logs.
 
     Raises:
         TruthUnusableError: If no log has truth with classes.
-        UnknownPartError: If the stream does not exist or knows no classes.
+        UnknownPartError: If the stream does not exist or has no classes.
     """
     judged = build_streams([stream], settings)
     bucket, odometry = open_bucket(bucket_url), build_odometry(settings.odometry)
@@ -113,7 +113,7 @@ def _empty() -> NDArray[np.int64]:
 
 
 def _row(log: str, confusion: NDArray[np.int64], frames: int) -> SemanticsEvaluation:
-    """Sum up: rows of the confusion are truth, columns answers."""
+    """Build the row of a confusion matrix: its rows are truth, its columns predictions."""
     iou = class_iou(confusion, COARSE)
     points = int(confusion.sum())
     return SemanticsEvaluation(

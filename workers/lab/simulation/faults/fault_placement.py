@@ -1,7 +1,7 @@
-"""Finds the tracks of a street that can carry the failures that were planned for its scenes.
+"""Fault placement: assigns the planned failures of a log to tracks of its street.
 
-What is wanted in a scene that holds no thing for it moves to another scene of the log; where no
-scene has one, another kind is drawn, and both are written down.
+A failure without a candidate in its scene moves to another scene of the log. Where no scene has
+one, another kind is drawn. Both are recorded.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -23,23 +23,23 @@ from workers.lab.simulation.sensor.lidar import SimulatedFrame
 from workers.lab.simulation.world.street import Street
 
 LEAST_S: Final = 0.6
-"""What is shorter than half a second is no failure, and frames lie up to 0.1 s apart."""
+"""Shortest failure, seconds: half a second makes a failure, and frames are up to 0.1 s apart."""
 
 _FLICKER_LEAST_S: Final = 1.2
-"""A flickering thing is wrong for two thirds of its time only."""
+"""Shortest flicker, seconds: a flickering object is wrong for two thirds of the time only."""
 
 _SETTLED_S: Final = 1.2
-"""Before, the streams of a log have no past: nothing could contradict, nothing is planted."""
+"""Start of the first failure, seconds: before it, the streams have no past to contradict with."""
 
 
 @dataclass(frozen=True, slots=True)
 class Redraw:
-    """What became of a failure for which no thing was found.
+    """A planned failure without a candidate in its scene.
 
     Attributes:
-        planned: As the fleet's plan had it.
-        kind: What was planted instead; None: nothing.
-        cell: In which scene.
+        planned: The failure in the fleet's plan.
+        kind: Kind planted instead; None: nothing.
+        cell: Its scene.
     """
 
     planned: PlannedFailure
@@ -54,17 +54,17 @@ def plant(
     look: Callable[[int], SimulatedFrame],
     period_s: float,
 ) -> tuple[tuple[PlantedFailure, ...], tuple[Redraw, ...]]:
-    """Choose a thing and a window for every failure that is planned for a log.
+    """Choose an object and a time window for every planned failure of a log.
 
     Args:
         street: The street of the log.
-        plan: What is wanted in it.
-        look: The frame of a number, as it will be written, disturbances included.
+        plan: Planned failures of the log.
+        look: Returns the frame of a number, with its disturbances.
         period_s: Time between frames.
 
     Returns:
-        The failures, one for each that was planned unless nothing at all was found, and what was
-        moved or drawn anew.
+        One failure for each planned one that has a candidate anywhere, and the moved or redrawn
+        ones.
     """
     rng = np.random.default_rng([plan.seed, 0xBAD])
     views: dict[int, CellView] = {}
@@ -101,7 +101,7 @@ def plant(
 def _tries(
     planned: PlannedFailure, free: Sequence[int], rng: np.random.Generator
 ) -> Iterator[tuple[FailureKind, int]]:
-    """The kind in its scene, the kind in others of the log, then other kinds in its scene."""
+    """Yield the kind in its scene, the kind in other scenes, then other kinds in its scene."""
     yield planned.kind, planned.cell
     for cell in rng.permutation(len(free)):
         yield planned.kind, free[cell]
@@ -141,7 +141,7 @@ def _plant(
 
 
 def _pace(view: CellView, each: Candidate) -> tuple[float, int]:
-    """How fast a mover truly goes, metres a second in a straight line, and its number."""
+    """Return the true straight-line speed of a mover, m/s, and its number."""
     early, late = (
         view.street.actor_poses(time_s)[each.track, :2]
         for time_s in (each.start_s, each.start_s + each.lasts_s)
