@@ -71,7 +71,7 @@ def simulation(
         return
     table(
         "64 beams, 1800 columns: time of one core",
-        ("step", "ms", "a second"),
+        ("step", "ms", "per second"),
         ((row.what, f"{row.ms:.0f}", f"{row.per_s:.1f}") for row in rates),
     )
     if looks:
@@ -82,7 +82,7 @@ def _say_looks(looks: "Sequence[Look]") -> None:
     from workers.lab.evaluation.benchmarks.bench_simulation import RANGES_M
 
     table(
-        "share of the points by range, percent",
+        "share of points by range, percent",
         ("frames of", "points", *(f"-{far} m" for far in RANGES_M[1:])),
         (
             (look.name, round(look.points), *(f"{100 * share:.1f}" for share in look.range_share))
@@ -90,8 +90,8 @@ def _say_looks(looks: "Sequence[Look]") -> None:
         ),
     )
     table(
-        "beams, drop-outs and intensity",
-        ("frames of", "points of a beam over 1800, every 6th beam", "lone gaps", "intensity"),
+        "beams, dropouts and intensity",
+        ("frames of", "points per beam over 1800, every 6th beam", "single gaps", "intensity"),
         (
             (
                 look.name,

@@ -179,9 +179,9 @@ def semantics(
         ("class", *(row.log for row in evaluated)),
         (
             ("mean of the classes", *(row.miou for row in evaluated)),
-            ("all that can move", *(row.movable_iou for row in evaluated)),
+            ("all movable classes", *(row.movable_iou for row in evaluated)),
             *((name, *(row.iou.get(name) for row in evaluated)) for name in classes),
-            ("share without an answer", *(row.unanswered_share for row in evaluated)),
+            ("share without a class", *(row.unanswered_share for row in evaluated)),
             ("frames", *(row.frames for row in evaluated)),
         ),
     )
@@ -211,7 +211,7 @@ def _say(evaluated: "list[LogEvaluation]", streams: tuple[str, ...]) -> None:
         ),
     )
     table(
-        "moving objects of 20 points and more; clusters of 25 points where nothing moves",
+        "moving objects of 20 or more points; false clusters of 25 or more points",
         (
             *(*first, "found 25", "found 50", "found 80 m", "false clusters per frame"),
             *("confirmed: IoU 80 m", "false clusters", "velocity error m/s", "ms per frame"),

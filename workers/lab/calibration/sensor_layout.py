@@ -87,21 +87,23 @@ def measure_layout(frames: Sequence[LidarFrame]) -> SensorLayout:
         guessed = min(len(table.tangents), MAX_BEAMS)
         beams = max(round(guessed / MULTIPLE), 1) * MULTIPLE if guessed > 1 else 0
     if beams < 2:
-        raise ValueError("no beams can be told apart")
+        raise ValueError("no beams can be distinguished")
     even = evenly_spaced(elevation_deg, beams, columns)
     profiles = [one_row_each(listed, columns), even] if listed else [even]
     seen = [seen_share(clouds[:_JUDGED_FRAMES], profile) for profile in profiles]
     chosen = profiles[int(np.argmax(seen))]
     remarks = []
     if not told_apart:
-        remarks.append("beams are neither numbered nor in order: rows are as many as gaps suggest")
+        remarks.append(
+            "beams are neither numbered nor in order: the number of rows follows from gaps"
+        )
     elif chosen is even:
         remarks.append(
-            f"rows are evenly spaced: {seen[1]:.1%} of the points are seen then, with a row for "
+            f"rows are evenly spaced: {seen[1]:.1%} of the points are visible then, with a row for "
             f"each beam {seen[0]:.1%}; the beams do not meet in the origin of the cloud"
         )
     if chosen.rows != beams:
-        remarks.append(f"{chosen.rows} rows, {beams} beams: networks want a multiple of {MULTIPLE}")
+        remarks.append(f"{chosen.rows} rows, {beams} beams: networks need a multiple of {MULTIPLE}")
     return SensorLayout(
         rows=chosen.rows,
         columns=columns,
@@ -127,5 +129,5 @@ def _steps_per_turn(clouds: Sequence[Points], rings: Sequence[NDArray[np.int64] 
         steps.append(apart[(apart > _STEP_RAD[0]) & (apart < _STEP_RAD[1])])
     every = np.concatenate(steps)
     if not len(every):
-        raise ValueError("no steps of azimuth can be told apart: the clouds are too thin")
+        raise ValueError("no azimuth steps can be measured: the clouds are too sparse")
     return round(2 * np.pi / float(np.median(every)))

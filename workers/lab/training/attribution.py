@@ -87,11 +87,11 @@ def read_kept(folders: Sequence[Path]) -> list[MinedLog]:
             logs.append(MinedLog.model_validate_json(file.read_text(encoding="utf-8")))
         except ValidationError as error:
             raise PermanentError(
-                f"{file} is not what this version keeps of a mined log ({error.error_count()} "
+                f"{file} is no mined log of this version ({error.error_count()} "
                 "fields differ); mine it again with `bench failures --kept`"
             ) from error
     if not logs:
-        raise PermanentError(f"nothing was kept in {', '.join(map(str, folders))}")
+        raise PermanentError(f"no mined logs in {', '.join(map(str, folders))}")
     return sorted(logs, key=lambda each: (each.log_id, each.pipeline_version))
 
 
@@ -152,7 +152,7 @@ def _unwitnessed(row: TrackRow) -> TrackRow:
 
 def _verdict(row: TrackRow) -> Wrong:
     if row.verdict is None:
-        raise ValueError("truth does not know who is wrong about this track")
+        raise ValueError("this track has no true verdict")
     return row.verdict
 
 

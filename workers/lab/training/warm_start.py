@@ -34,9 +34,9 @@ def started(initial: LoadedWeights, card: WeightsCard) -> dict[str, Tensor]:
             f"initial weights and the trained network must agree in {', '.join(same)}"
         )
     if unknown := [channel for channel in card.channels if channel not in before.channels]:
-        raise WeightsUnusableError(f"initial weights do not know {', '.join(unknown)}")
+        raise WeightsUnusableError(f"initial weights lack the channels {', '.join(unknown)}")
     if (before.profile.means, before.profile.stds) != (card.profile.means, card.profile.stds):
-        raise WeightsUnusableError("initial weights must be normalised alike")
+        raise WeightsUnusableError("initial weights must have the same normalisation")
     residuals = 0 if before.residual is None else len(before.residual.ages_s)
     kept = [before.channels.index(channel) for channel in card.channels]
     kept += [len(before.channels) + age for age in range(residuals)]

@@ -105,10 +105,10 @@ def bench_rates(*, frames: int, on_progress: Callable[[int, int], None]) -> list
         write_log(BytesIO(), street, lidar=lidar, truth=Path(folder), frames=frames, progress=count)
         ended = time.process_time()
     steps = (
-        ("street built, once a log", built - began, 1),
-        ("beams made ready, once a log", indexed - built, 1),
-        ("frame cast and measured", swept - indexed, frames),
-        ("the same, written with its truth", ended - written, frames),
+        ("street construction, once per log", built - began, 1),
+        ("beam directions, once per log", indexed - built, 1),
+        ("frame, ray casting and sensor model", swept - indexed, frames),
+        ("frame, written with its truth", ended - written, frames),
     )
     return [Rate(what, 1e3 * s / n, n / max(s, 1e-9)) for what, s, n in steps]
 

@@ -42,7 +42,7 @@ def build_streams(
     for name, stream in streams.items():
         if stream.task != MOTION:
             raise UnknownPartError(
-                f"stream {name!r} answers the task {stream.task.name}; motion is judged here"
+                f"stream {name!r} has the task {stream.task.name}; motion is evaluated here"
             )
     return streams
 

@@ -50,7 +50,7 @@ class BeamRows:
         known = np.flatnonzero(np.isfinite(tangents))
         if not _MIN_BEAMS <= len(known) <= _MAX_BEAMS:
             raise LogUnusableError(
-                f"cannot leave out beams of {frame.log_id}: its points name no beam, and are not "
+                f"cannot leave out beams of {frame.log_id}: its points have no ring, and are not "
                 "in the order of beams"
             )
         order = known[np.argsort(tangents[known], kind="stable")]

@@ -88,12 +88,12 @@ def evaluate_semantics(
                 continue
             said = answered.labels[stream].class_id
             if said is None:
-                raise UnknownPartError(f"the stream {stream!r} knows no classes to be judged")
+                raise UnknownPartError(f"the stream {stream!r} has no classes to evaluate")
             true = found.classes_of(answered.whole, number=answered.number)
             if true is None:
                 continue
             told = true > 0
-            names = judged[stream].class_names  # of a recorded model, each log tells its own
+            names = judged[stream].class_names  # a recorded model has its own per log
             of_class = np.concatenate([coarse_of_names(names), np.zeros(1, np.uint8)])  # -1: none
             np.add.at(confusion, (true[told], of_class[said[told]]), 1)
             counted += 1
@@ -102,8 +102,8 @@ def evaluate_semantics(
             total, all_frames = total + confusion, all_frames + counted
     if not rows:
         raise TruthUnusableError(
-            f"no log of {bucket.url} has truth of classes in {truth}: arrays semantic19, or "
-            "semantic and a classes.json; their form is on the page deploy/TRUTH.md"
+            f"no log of {bucket.url} has semantic truth in {truth}: arrays semantic19, or "
+            "semantic and a classes.json; deploy/TRUTH.md defines the format"
         )
     return [*rows, _row("all", total, all_frames)]
 

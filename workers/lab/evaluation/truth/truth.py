@@ -198,7 +198,7 @@ def logs_with_truth(bucket: Bucket, truth: Path) -> list[tuple[Recording, LogTru
     ]
     if not found:
         raise TruthUnusableError(
-            f"no log of {bucket.url} has truth in {truth}; its form is on the page deploy/TRUTH.md"
+            f"no log of {bucket.url} has truth in {truth}; deploy/TRUTH.md defines the format"
         )
     return found
 
