@@ -12,7 +12,7 @@ from service.cli.output import json_line, progress, table
 from service.output_files import need_writable, save_picture
 
 if TYPE_CHECKING:
-    from workers.lab.evaluation.benchmarks.bench_simulation import Look
+    from workers.lab.evaluation.benchmarks.bench_simulation import FrameStatistics
 
 
 def simulation(
@@ -34,8 +34,8 @@ def simulation(
 ) -> None:
     """Time the simulator on one core; with a log, say how like it simulated frames are."""
     from service.cli.logs import locate
-    from workers.lab.evaluation.benchmarks.bench_simulation import bench_rates, simulated_looks
-    from workers.lab.evaluation.benchmarks.real_frames import real_look
+    from workers.lab.evaluation.benchmarks.bench_simulation import bench_rates, simulated_statistics
+    from workers.lab.evaluation.benchmarks.real_frames import real_statistics
     from workers.lab.simulation.sensor.sensors import SENSORS
 
     chosen = next((name for name in SENSORS if name == sensor), None)
@@ -55,13 +55,13 @@ def simulation(
         if url is not None:
             settings = settings_for(config)
             store, recording = locate(url, root_url=settings.bucket)
-            real, real_one = real_look(store, recording, settings.mining())
-            simulated, others = simulated_looks(chosen)
+            real, real_one = real_statistics(store, recording, settings.mining())
+            simulated, others = simulated_statistics(chosen)
             looks = [real_one, *others]
             if picture is not None:
-                from workers.lab.evaluation.benchmarks.comparison_picture import draw_beside
+                from workers.lab.evaluation.benchmarks.comparison_picture import draw_side_by_side
 
-                beside = draw_beside([(real_one.name, real), *simulated[:2]])
+                beside = draw_side_by_side([(real_one.name, real), *simulated[:2]])
                 save_picture(beside, picture, option="--picture", force=force)
     if json:
         for rate in rates:
@@ -78,7 +78,7 @@ def simulation(
         _say_looks(looks)
 
 
-def _say_looks(looks: "Sequence[Look]") -> None:
+def _say_looks(looks: "Sequence[FrameStatistics]") -> None:
     from workers.lab.evaluation.benchmarks.bench_simulation import RANGES_M
 
     table(

@@ -98,7 +98,7 @@ def motion(
     from service.pictures.evaluation_frames import draw_worst
     from service.pictures.table import draw_table
     from workers.lab.evaluation.motion.disturbance import Disturbance
-    from workers.lab.evaluation.motion.motion import JudgedFrame, evaluate_motion
+    from workers.lab.evaluation.motion.motion import EvaluatedFrame, evaluate_motion
     from workers.lab.evaluation.motion.worst_frames import WorstFrames
     from workers.lab.evaluation.motion.written_labels import write_labels
 
@@ -107,7 +107,7 @@ def motion(
     def of_stream(folder: Path, name: str) -> Path:
         return folder if len(streams) == 1 else folder / name.replace(":", "-")
 
-    def keep(judged: JudgedFrame) -> None:
+    def keep(judged: EvaluatedFrame) -> None:
         if labels is not None:
             write_labels(of_stream(labels, judged.stream), judged)
         if pictures is not None:

@@ -219,13 +219,15 @@ def _say_who(found: "PlantedTable | NaturalTable") -> None:
 
 def _say_what_it_is_too_small_for(bench: "FailureBench") -> None:
     """Say what a fleet is too small for, before figures are read that mean little."""
-    from workers.lab.evaluation.failures.intervals import FEWEST_LOGS
-    from workers.lab.evaluation.failures.retrieval import looked_at
+    from workers.lab.evaluation.failures.intervals import MIN_LOGS
+    from workers.lab.evaluation.failures.retrieval import budget_size
 
-    if bench.logs < FEWEST_LOGS:
-        remark(f"no intervals: {counted(bench.logs, 'log')}, and at least {FEWEST_LOGS} are needed")
+    if bench.logs < MIN_LOGS:
+        remark(f"no intervals: {counted(bench.logs, 'log')}, and at least {MIN_LOGS} are needed")
     for ranked, what in ((bench.planted, "scene"), (bench.natural, "object")):
-        if ranked is not None and looked_at(0.01, ranked.ranked) == looked_at(0.05, ranked.ranked):
+        if ranked is not None and budget_size(0.01, ranked.ranked) == budget_size(
+            0.05, ranked.ranked
+        ):
             remark(
                 f"{counted(ranked.ranked, what)}: budgets of 1 % and 5 % contain the same, and "
                 "each one changes the figures"

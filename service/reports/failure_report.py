@@ -10,7 +10,7 @@ from service.output_files import PAGE_MARK, save_text
 from service.reports.failure_plots import html_table, plot
 
 if TYPE_CHECKING:
-    from workers.lab.evaluation.failures.attribution import WhoIsWrong
+    from workers.lab.evaluation.failures.attribution import AttributionAccuracy
     from workers.lab.evaluation.failures.bench import FailureBench
     from workers.lab.evaluation.failures.calibration import Calibration
     from workers.lab.evaluation.failures.natural import NaturalTable
@@ -173,7 +173,7 @@ def _reliability(title: str, found: "Calibration") -> str:
     return plot(f"{title}{error}", line, x="predicted", y="observed", dots=True, diagonal=True)
 
 
-def _who(found: "WhoIsWrong") -> list[str]:
+def _who(found: "AttributionAccuracy") -> list[str]:
     return [
         "<h3>Attribution</h3>",
         _paragraph(f"Balanced accuracy {found.accuracy}; of a constant answer {found.commonest}."),

@@ -24,7 +24,7 @@ from schemas.errors import CounterpointError, PermanentError, TransientError
 from workers.contradiction.track_features import NAMES
 from workers.lab.evaluation.failures.rows import MinedLog, TrackRow
 from workers.lab.training.attribution_prior import PRIOR
-from workers.lab.training.attribution_scores import left_out, usable
+from workers.lab.training.attribution_scores import leave_one_log_out, usable_tracks
 
 log = logging.getLogger(__name__)
 
@@ -57,14 +57,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     logging.basicConfig(format="%(asctime)s %(message)s", level=logging.INFO)
     try:
-        logs = read_kept(args.kept)
+        logs = read_mined_logs(args.kept)
         card = {
             "logs": len(logs),
             "scenes": sum(len(each.scenes) for each in logs),
             "tracks": sum(len(scene.tracks) for each in logs for scene in each.scenes),
             "data": args.data,
             "settings": {"regularisation": REGULARISATION, "balance": BALANCE},
-            "left_out": left_out(logs, fit),
+            "left_out": leave_one_log_out(logs, fit),
         }
         text = json.dumps({"card": card, "kinds": fit(logs)}, indent=1)
         args.out.write_text(text + "\n", encoding="utf-8")
@@ -75,7 +75,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def read_kept(folders: Sequence[Path]) -> list[MinedLog]:
+def read_mined_logs(folders: Sequence[Path]) -> list[MinedLog]:
     """Read the cached results of the benchmark, in the order of the names of the logs.
 
     Raises:
@@ -97,7 +97,7 @@ def read_kept(folders: Sequence[Path]) -> list[MinedLog]:
 
 def fit(logs: Sequence[MinedLog]) -> dict[str, Rows]:
     """Fit the tables of all kinds on the tracks of mined logs."""
-    tracks = usable(logs)
+    tracks = usable_tracks(logs)
     return {kind: fit_kind(kind, [each for each in tracks if each.kind == kind]) for kind in PRIOR}
 
 
@@ -112,7 +112,7 @@ def fit_kind(kind: str, rows: Sequence[TrackRow]) -> dict[str, Any]:
         rows: Tracks of that kind with a true verdict.
     """
     answers, prior = tuple(PRIOR[kind]), _prior_of(kind)
-    rows = [*rows, *(_unwitnessed(row) for row in rows if kind not in _OF_WITNESS)]
+    rows = [*rows, *(_without_witness(row) for row in rows if kind not in _OF_WITNESS)]
     if rows:
         seen = _matrix(rows)
         true = np.eye(len(answers))[[answers.index(_verdict(row)) for row in rows]]
@@ -144,7 +144,7 @@ def fit_kind(kind: str, rows: Sequence[TrackRow]) -> dict[str, Any]:
     }
 
 
-def _unwitnessed(row: TrackRow) -> TrackRow:
+def _without_witness(row: TrackRow) -> TrackRow:
     """Copy a track without witness evidence, so that the fit covers `--witness none`."""
     silent = {"witness_moving": 0.0, "witness_still": 0.0}
     return row.model_copy(update={"evidence": {**row.evidence, **silent}})

@@ -17,7 +17,7 @@ from workers.lab.datasets.images import TrainingImages
 from workers.lab.training.augment import Sample, augment, network_input
 from workers.lab.training.loss import IGNORED, class_weights, segmentation_loss
 from workers.lab.training.scores import score_images
-from workers.lab.training.warm_start import started
+from workers.lab.training.warm_start import warm_start_parameters
 from workers.supervised.salsanext import SalsaNext
 from workers.supervised.weights import LoadedWeights, WeightsCard, save_weights
 
@@ -68,7 +68,7 @@ class TrainingSettings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lesson:
+class TrainingSet:
     """Training images of one sensor, with their sampling weight.
 
     Attributes:
@@ -81,7 +81,7 @@ class Lesson:
 
 
 def train(
-    lessons: Sequence[Lesson],
+    training_sets: Sequence[TrainingSet],
     judged: Mapping[str, TrainingImages],
     card: WeightsCard,
     settings: TrainingSettings,
@@ -92,7 +92,7 @@ def train(
     """Run the schedule, writing weights at intervals and at the end.
 
     Args:
-        lessons: Training images; a batch contains sensors with equally many rows.
+        training_sets: Training images; a batch contains sensors with equally many rows.
         judged: Held-out images to score, by name.
         card: Sidecar of the weights; the scores are added.
         settings: The schedule.
@@ -109,8 +109,8 @@ def train(
             module.momentum = _NORM_MOMENTUM
     net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # missing in the stub
     if initial is not None:
-        net.load_state_dict(started(initial, card))
-    weights = class_weights(_drawn_labels(lessons, card), balance=settings.balance)
+        net.load_state_dict(warm_start_parameters(initial, card))
+    weights = class_weights(_drawn_labels(training_sets, card), balance=settings.balance)
     optimiser = torch.optim.AdamW(
         net.parameters(), lr=settings.peak_rate, weight_decay=settings.weight_decay
     )
@@ -124,7 +124,7 @@ def train(
             net.train()
             if step > settings.steps * (1 - settings.fixed_norms):
                 _fix_norms(net)
-            x, y = _batch(lessons, card, settings, rng)
+            x, y = _batch(training_sets, card, settings, rng)
             with torch.autocast("cpu", torch.bfloat16, enabled=settings.bfloat16):
                 logits = net.forward_logits(x)
             loss = segmentation_loss(logits.float(), y, weights, lovasz_every=settings.lovasz_every)
@@ -161,30 +161,30 @@ def _labels(images: TrainingImages, card: WeightsCard) -> NDArray[np.uint8]:
     return images.semantic if card.network == "salsanext" else images.motion
 
 
-def _drawn_labels(lessons: Sequence[Lesson], card: WeightsCard) -> NDArray[np.float64]:
+def _drawn_labels(training_sets: Sequence[TrainingSet], card: WeightsCard) -> NDArray[np.float64]:
     """Return the frequency of each class in the drawn images, as shares of labelled pixels."""
     drawn = np.zeros(len(card.classes))
-    for lesson in lessons:
-        counts = np.bincount(_labels(lesson.images, card).ravel(), minlength=len(drawn))
+    for training_set in training_sets:
+        counts = np.bincount(_labels(training_set.images, card).ravel(), minlength=len(drawn))
         counts[IGNORED] = 0
-        drawn += lesson.weight * counts / max(counts.sum(), 1)
+        drawn += training_set.weight * counts / max(counts.sum(), 1)
     return drawn
 
 
 def _batch(
-    lessons: Sequence[Lesson],
+    training_sets: Sequence[TrainingSet],
     card: WeightsCard,
     settings: TrainingSettings,
     rng: np.random.Generator,
 ) -> tuple[Tensor, Tensor]:
     """Draw windows of several sensors with equally many rows."""
     inputs, targets = [], []
-    drawable = list(lessons)
+    drawable = list(training_sets)
     for _ in range(settings.batch):
-        weights = np.array([lesson.weight for lesson in drawable])
+        weights = np.array([training_set.weight for training_set in drawable])
         images = drawable[int(rng.choice(len(drawable), p=weights / weights.sum()))].images
         rows = images.channels.shape[2]
-        drawable = [each for each in lessons if each.images.channels.shape[2] == rows]
+        drawable = [each for each in training_sets if each.images.channels.shape[2] == rows]
         drives = images.ego_speed_m_per_s > DRIVING_M_PER_S
         share = np.where(drives, settings.driving_weight, 1.0)
         labels = _labels(images, card)

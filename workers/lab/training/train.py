@@ -14,7 +14,7 @@ from schemas.errors import CounterpointError, TransientError
 from workers.lab.datasets.classes import meanings
 from workers.lab.datasets.dataset import EXIT_TRANSIENT, PROFILE, RESIDUAL
 from workers.lab.datasets.stored_images import read_images
-from workers.lab.training.fit import Lesson, TrainingSettings, train
+from workers.lab.training.fit import TrainingSet, TrainingSettings, train
 from workers.lidar.range_image import SensorProfile
 from workers.supervised.weights import LoadedWeights, WeightsCard, load_weights
 
@@ -54,11 +54,11 @@ def _run(args: argparse.Namespace) -> None:
         bfloat16=args.bfloat16,
         seed=args.seed,
     )
-    lessons, sources = [], []
+    training_sets, sources = [], []
     for text in args.learn:
         folder, _, weight = text.rpartition("=") if "=" in text else (text, "", "1")
         images, source = read_images(Path(folder))
-        lessons.append(Lesson(images, float(weight)))
+        training_sets.append(TrainingSet(images, float(weight)))
         sources.append(
             " ".join(f"{name} {value}" for name, value in source.items()) + f" x{weight}"
         )
@@ -68,7 +68,7 @@ def _run(args: argparse.Namespace) -> None:
         network=args.model,
         classes=meanings(args.model),
         width=args.width,
-        profile=_measured(lessons) if initial is None else _as_before(initial),
+        profile=_measured(training_sets) if initial is None else _as_before(initial),
         channels=CHANNELS,
         residual=None if args.model == "salsanext" else RESIDUAL,
         attribution=ATTRIBUTION,
@@ -79,7 +79,7 @@ def _run(args: argparse.Namespace) -> None:
             "initial": "" if initial is None else initial.digest,
         },
     )
-    train(lessons, judged, card, settings, initial=initial, out=args.out)
+    train(training_sets, judged, card, settings, initial=initial, out=args.out)
 
 
 def _as_before(initial: LoadedWeights) -> SensorProfile:
@@ -87,18 +87,18 @@ def _as_before(initial: LoadedWeights) -> SensorProfile:
     return replace(PROFILE, means=initial.profile.means, stds=initial.profile.stds)
 
 
-def _measured(lessons: Sequence[Lesson]) -> SensorProfile:
+def _measured(training_sets: Sequence[TrainingSet]) -> SensorProfile:
     """Compute means and deviations over all sensors, each with its weight."""
     means, squares, weights = [], [], []
-    for lesson in lessons:
-        images = lesson.images
+    for training_set in training_sets:
+        images = training_set.images
         chosen = range(0, len(images.channels), max(len(images.channels) // 50, 1))
         values = np.concatenate(
             [images.channels[i].astype(np.float64)[:, images.seen_mask[i]] for i in chosen], axis=1
         )
         means.append(values.mean(axis=1))
         squares.append((values**2).mean(axis=1))
-        weights.append(lesson.weight)
+        weights.append(training_set.weight)
     mean = np.average(means, axis=0, weights=weights)
     std = np.sqrt(np.average(squares, axis=0, weights=weights) - mean**2)
     return replace(

@@ -11,7 +11,7 @@ _FIRST: Final = "downCntx.conv1.weight"
 """The only kernel that reads the image."""
 
 
-def started(initial: LoadedWeights, card: WeightsCard) -> dict[str, Tensor]:
+def warm_start_parameters(initial: LoadedWeights, card: WeightsCard) -> dict[str, Tensor]:
     """Convert weights to a network with fewer input channels.
 
     A removed channel counts as if it were always at its mean: its kernel is dropped, and nothing

@@ -38,7 +38,7 @@ THREADED: Final = f"folded, {THREADS} threads"
 
 
 @dataclass(slots=True)
-class _Watched:
+class _RecordingNetwork:
     """A network that records its input images."""
 
     weights: LoadedWeights
@@ -97,21 +97,30 @@ def bench_images(
         A row per network and implementation.
     """
     semantic, motion = (
-        _Watched(load_weights(SHIPPED / f"{name}.safetensors")) for name in ("salsanext", "lmnet")
+        _RecordingNetwork(load_weights(SHIPPED / f"{name}.safetensors"))
+        for name in ("salsanext", "lmnet")
     )
     shard, *_ = shards_of_log(bucket, recording, settings)
     read = read_shard(bucket, recording, shard, settings).frames()
     posed = islice(build_odometry(settings.odometry)(read), 10 + frames)
     for _ in RangeImageStream(semantic, motion, name="bench")(posed):
         pass
-    names: tuple[tuple[Network, _Watched], ...] = (("salsanext", semantic), ("lmnet", motion))
+    names: tuple[tuple[Network, _RecordingNetwork], ...] = (
+        ("salsanext", semantic),
+        ("lmnet", motion),
+    )
     for name, watched in names:
         on_progress(name)
         yield from _timed_images(name, watched, frames=frames, rounds=rounds, clock=clock)
 
 
 def _timed_images(
-    name: Network, watched: _Watched, *, frames: int, rounds: int, clock: Callable[[], float]
+    name: Network,
+    watched: _RecordingNetwork,
+    *,
+    frames: int,
+    rounds: int,
+    clock: Callable[[], float],
 ) -> Iterator[NetworkTime]:
     net = watched.weights.net
     folded = FoldedSalsaNext(net)
@@ -173,8 +182,8 @@ def _paired(
                 took = clock() - start
             if number > 0:
                 seconds[way].append(took / (BATCH if way == BATCHED else 1))
-                said = np.asarray(answer)
-                said = said[0] if said.ndim == 4 else said
-                labels[way].append(said[1:].argmax(axis=0))
+                scores = np.asarray(answer)
+                scores = scores[0] if scores.ndim == 4 else scores
+                labels[way].append(scores[1:].argmax(axis=0))
     torch.set_num_threads(1)
     return seconds, labels

@@ -43,7 +43,7 @@ class Rate:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
+class SensorFrame:
     """One frame of a sensor, simulated or real.
 
     Attributes:
@@ -58,7 +58,7 @@ class Seen:
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class FrameStatistics:
     """Statistics of the frames of one sensor.
 
     Attributes:
@@ -113,7 +113,7 @@ def bench_rates(*, frames: int, on_progress: Callable[[int, int], None]) -> list
     return [Rate(what, 1e3 * s / n, n / max(s, 1e-9)) for what, s, n in steps]
 
 
-def look_at(name: str, frames: Sequence[Seen]) -> Look:
+def statistics_of(name: str, frames: Sequence[SensorFrame]) -> FrameStatistics:
     """Compute the statistics of the frames of one sensor."""
     ringed = bool(len(frames)) and all((each.ring >= 0).all() for each in frames)
     ranges, elevations, rings, gaps, shines = [], [], [], [], []
@@ -127,7 +127,7 @@ def look_at(name: str, frames: Sequence[Seen]) -> Look:
             rings.append(np.bincount(each.ring, minlength=64) / _COLUMNS)
             gaps.append(_single_gaps(range_image(each)))
     low, median, high = np.mean(shines, axis=0).tolist()
-    return Look(
+    return FrameStatistics(
         name,
         float(np.mean([len(each.points_m) for each in frames])),
         _rounded(ranges),
@@ -138,27 +138,29 @@ def look_at(name: str, frames: Sequence[Seen]) -> Look:
     )
 
 
-def simulated(sensor: SensorName, place: PlaceName, *, seed: int = FIRST_SEED) -> Seen:
+def simulated(sensor: SensorName, place: PlaceName, *, seed: int = FIRST_SEED) -> SensorFrame:
     """Simulate a frame in a street of this kind; an HDL-64 is on a mast, others are on a roof."""
     street = build_street(seed, seconds=_SECONDS, plan=StreetPlan(place=place, style="drives"))
     lidar = mounted(sensor, "mast" if sensor == "hdl64" else "roof")
     frame = sweep(street, replace(lidar, columns=_COLUMNS), 20)
-    return Seen(frame.points_m, frame.intensity / 255.0, frame.ring.astype(np.int16))
+    return SensorFrame(frame.points_m, frame.intensity / 255.0, frame.ring.astype(np.int16))
 
 
-def simulated_looks(sensor: SensorName) -> tuple[list[tuple[str, Seen]], list[Look]]:
+def simulated_statistics(
+    sensor: SensorName,
+) -> tuple[list[tuple[str, SensorFrame]], list[FrameStatistics]]:
     """Simulate two frames in each kind of street; return the first of each, and the statistics."""
     places: tuple[PlaceName, ...] = ("town", "suburb", "country", "highway")
-    shown, looks = [], []
+    shown, statistics = [], []
     for place in places:
         name = f"simulated {sensor}, {place}"
         frames = [simulated(sensor, place, seed=FIRST_SEED + k) for k in range(2)]
         shown.append((name, frames[0]))
-        looks.append(look_at(name, frames))
-    return shown, looks
+        statistics.append(statistics_of(name, frames))
+    return shown, statistics
 
 
-def range_image(seen: Seen, *, rows: int = 64) -> NDArray[np.float32]:
+def range_image(seen: SensorFrame, *, rows: int = 64) -> NDArray[np.float32]:
     """Build (rows, 1800) ranges, 0 where empty: rows by beam, or by elevation without beams."""
     range_m = np.linalg.norm(seen.points_m, axis=1)
     azimuth = np.arctan2(seen.points_m[:, 1], seen.points_m[:, 0])

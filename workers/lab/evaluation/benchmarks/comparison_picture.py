@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from workers.lab.evaluation.benchmarks.bench_simulation import Seen, range_image
+from workers.lab.evaluation.benchmarks.bench_simulation import SensorFrame, range_image
 
 _SIDE_PX: Final = 620
 _HALF_M: Final = 45.0
@@ -17,7 +17,7 @@ _INK: Final = (235, 238, 242)
 _BACK: Final = (16, 18, 24)
 
 
-def draw_beside(frames: Sequence[tuple[str, Seen]]) -> Image.Image:
+def draw_side_by_side(frames: Sequence[tuple[str, SensorFrame]]) -> Image.Image:
     """Draw frames in a row, each under its name."""
     width, height = _SIDE_PX * len(frames), _TEXT_PX + _SIDE_PX + _IMAGE_PX
     picture = Image.new("RGB", (width, height), _BACK)
@@ -32,7 +32,7 @@ def draw_beside(frames: Sequence[tuple[str, Seen]]) -> Image.Image:
     return picture
 
 
-def _above(seen: Seen) -> NDArray[np.uint8]:
+def _above(seen: SensorFrame) -> NDArray[np.uint8]:
     """Draw a bird's-eye view: colour is height, of the highest point in a pixel."""
     scale = _SIDE_PX / (2 * _HALF_M)
     column = ((seen.points_m[:, 0] + _HALF_M) * scale).astype(np.int64)

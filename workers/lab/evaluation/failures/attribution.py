@@ -16,7 +16,7 @@ MIN_FRAMES: Final = 5
 MIN_POINTS: Final = 25
 
 
-class WhoIsWrong(BaseModel):
+class AttributionAccuracy(BaseModel):
     """Recorded against true verdicts, over contradicting tracks that are long and large enough."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -32,15 +32,15 @@ class WhoIsWrong(BaseModel):
     calibration: Calibration = Field(description="Of the recorded verdict's probability.")
 
 
-def is_judged(track: TrackRow) -> bool:
+def is_evaluated(track: TrackRow) -> bool:
     """Test that a track is long and large enough, and that truth has a verdict on it."""
     enough = track.frames >= MIN_FRAMES and track.points >= MIN_POINTS * track.frames
     return enough and track.verdict is not None
 
 
-def attribute(tracks: Iterable[TrackRow]) -> WhoIsWrong:
+def evaluate_attribution(tracks: Iterable[TrackRow]) -> AttributionAccuracy:
     """Compare the recorded verdicts with the true ones."""
-    judged = [track for track in tracks if is_judged(track)]
+    judged = [track for track in tracks if is_evaluated(track)]
     cases = Counter(track.verdict for track in judged)
     confusion: dict[Wrong, Counter[Wrong]] = {verdict: Counter() for verdict in Wrong}
     sure: list[float] = []
@@ -48,11 +48,11 @@ def attribute(tracks: Iterable[TrackRow]) -> WhoIsWrong:
     for track in judged:
         if track.said is None or track.verdict is None:
             continue
-        said = track.said.wrong
-        confusion[track.verdict][said] += 1
-        sure.append(getattr(track.said, said.value))
-        right.append(said is track.verdict)
-    told = sum(sum(row.values()) for row in confusion.values())
+        recorded = track.said.wrong
+        confusion[track.verdict][recorded] += 1
+        sure.append(getattr(track.said, recorded.value))
+        right.append(recorded is track.verdict)
+    total = sum(sum(row.values()) for row in confusion.values())
     recall = {
         verdict: confusion[verdict][verdict] / sum(confusion[verdict].values())
         if sum(confusion[verdict].values())
@@ -61,14 +61,15 @@ def attribute(tracks: Iterable[TrackRow]) -> WhoIsWrong:
     }
     common = [verdict for verdict in Wrong if cases[verdict] >= MIN_CASES]
     recalls = [value for verdict in common if (value := recall[verdict]) is not None]
-    return WhoIsWrong(
+    return AttributionAccuracy(
         accuracy=round(float(np.mean(recalls)), 4) if recalls else None,
         commonest=round(1.0 / len(common), 4) if common else None,
-        plain_accuracy=round(sum(right) / told, 4) if told else None,
+        plain_accuracy=round(sum(right) / total, 4) if total else None,
         cases={verdict.value: cases[verdict] for verdict in Wrong},
         recall={v.value: None if r is None else round(r, 4) for v, r in recall.items()},
         confusion={
-            true.value: {said.value: row[said] for said in Wrong} for true, row in confusion.items()
+            true.value: {recorded.value: row[recorded] for recorded in Wrong}
+            for true, row in confusion.items()
         },
         calibration=calibrate(sure, np.array(right, dtype=np.bool_)),
     )

@@ -17,7 +17,7 @@ FLICKER_M: Final = 0.3
 LEAST_SURE_SHARE: Final = 0.01
 
 
-def views_of(scene: Scene) -> Mapping[str, float]:
+def scene_baselines(scene: Scene) -> Mapping[str, float]:
     """Compute the baseline scores of a scene.
 
     Returns:
@@ -31,20 +31,20 @@ def views_of(scene: Scene) -> Mapping[str, float]:
     frames = scene.frames
     compared = differing = standing = standing_differing = 0
     for frame in frames:
-        told = frame.agreements != Agreement.NOT_COMPARED
-        differs = told & (frame.agreements != Agreement.BOTH_STATIC)
+        valid = frame.agreements != Agreement.NOT_COMPARED
+        differs = valid & (frame.agreements != Agreement.BOTH_STATIC)
         differs &= frame.agreements != Agreement.BOTH_DYNAMIC
         off = _off_ground(frame)
-        compared, differing = compared + int(told.sum()), differing + int(differs.sum())
-        standing += int((told & off).sum())
+        compared, differing = compared + int(valid.sum()), differing + int(differs.sum())
+        standing += int((valid & off).sum())
         standing_differing += int((differs & off).sum())
     return {
         "flicker": flicker_share(frames),
         "point_share": _ratio(differing, compared),
         "point_share_off_ground": _ratio(standing_differing, standing),
         "free_space": free_space_share(frames),
-        "confidence": unsureness(frames, share=LEAST_SURE_SHARE),
-        "mean_confidence": unsureness(frames, share=1.0),
+        "confidence": mean_uncertainty(frames, share=LEAST_SURE_SHARE),
+        "mean_confidence": mean_uncertainty(frames, share=1.0),
     }
 
 
@@ -57,9 +57,9 @@ def flicker_share(frames: Sequence[LabelledFrame]) -> float:
     changed = asked = 0
     before: tuple[NDArray[np.float64], Mask] | None = None
     for frame in frames:
-        told = _off_ground(frame) & (frame.semantic.labels != MotionLabel.UNKNOWN)
-        places = _in_odom(frame)[told]
-        dynamic = frame.semantic.labels[told] == MotionLabel.DYNAMIC
+        valid = _off_ground(frame) & (frame.semantic.labels != MotionLabel.UNKNOWN)
+        places = _in_odom(frame)[valid]
+        dynamic = frame.semantic.labels[valid] == MotionLabel.DYNAMIC
         if before is not None:
             asked += len(places)
             changed += _changes(places, dynamic, *before) + _changes(*before, places, dynamic)
@@ -71,28 +71,28 @@ def free_space_share(frames: Sequence[LabelledFrame]) -> float:
     """Return the share of compared points that free space proves moving and labels call static."""
     against = judged = 0
     for frame in frames:
-        proved = proved_of(frame)
-        told = frame.agreements != Agreement.NOT_COMPARED
-        judged += int(told.sum())
+        proved = proven_moving(frame)
+        valid = frame.agreements != Agreement.NOT_COMPARED
+        judged += int(valid.sum())
         if proved is not None:
             static = frame.semantic.labels == MotionLabel.STATIC
             against += int((proved & static & _off_ground(frame)).sum())
     return _ratio(against, judged)
 
 
-def unsureness(frames: Sequence[LabelledFrame], *, share: float) -> float:
+def mean_uncertainty(frames: Sequence[LabelledFrame], *, share: float) -> float:
     """Return one minus the confidence, averaged over the least confident points of each frame."""
     means = []
     for frame in frames:
-        told = _off_ground(frame) & (frame.semantic.labels != MotionLabel.UNKNOWN)
-        unsure = 1.0 - frame.semantic.confidence[told].astype(np.float64)
+        valid = _off_ground(frame) & (frame.semantic.labels != MotionLabel.UNKNOWN)
+        unsure = 1.0 - frame.semantic.confidence[valid].astype(np.float64)
         if len(unsure):
             count = max(1, round(share * len(unsure)))
             means.append(float(np.partition(unsure, -count)[-count:].mean()))
     return float(np.mean(means)) if means else 0.0
 
 
-def proved_of(frame: LabelledFrame) -> Mask | None:
+def proven_moving(frame: LabelledFrame) -> Mask | None:
     """Return (N,) points that free space proved to move; None where no part reports it.
 
     They come from the third witness where there is one, else from the confirmed points of the

@@ -13,7 +13,7 @@ from schemas.mining import MiningSettings
 from schemas.transport.bucket import open_bucket
 from workers.lab.evaluation.failures.intervals import DRAWS
 from workers.lab.evaluation.failures.mine_log import LogJob
-from workers.lab.evaluation.failures.mining import Mining, mine_logs
+from workers.lab.evaluation.failures.mining import MiningRun, mine_logs
 from workers.lab.evaluation.failures.natural import NaturalTable, natural_table
 from workers.lab.evaluation.failures.planted import PlantedTable, planted_table
 from workers.lab.evaluation.failures.pose_slips import Slip
@@ -80,14 +80,14 @@ def bench_failures(
         LogUnusableError: If a log cannot be mined.
     """
     jobs = jobs_of(bucket_url, truth)
-    sowed = [job for job in jobs if (truth / job.recording.log_id / PLANTED).is_file()]
-    if "planted" in tables and not sowed and len(tables) == 1:
+    with_faults = [job for job in jobs if (truth / job.recording.log_id / PLANTED).is_file()]
+    if "planted" in tables and not with_faults and len(tables) == 1:
         raise TruthUnusableError(
             f"nothing was planted in the logs of {bucket_url}: no {PLANTED} in {truth}; "
             "--table natural judges a network on any truth"
         )
-    plant = "planted" in tables and bool(sowed)
-    passes = [sowed, sowed[:slip_logs]] if plant else []
+    plant = "planted" in tables and bool(with_faults)
+    passes = [with_faults, with_faults[:slip_logs]] if plant else []
     passes += [jobs] if "natural" in tables else []
     total = sum(job.frames for each in passes for job in each)
     done = 0
@@ -100,14 +100,14 @@ def bench_failures(
     on_progress(0, total)
     planted = natural = None
     judged: dict[str, str] = {}
-    mining = Mining(bucket_url, settings, processes, kept)
+    mining = MiningRun(bucket_url, settings, processes, kept)
     if plant:
         recorded = settings.model_copy(update={"supervised": "recorded", "model": ""})
         of_car = replace(mining, settings=recorded)
-        mined = mine_logs(of_car, sowed, on_log=on_log)
+        mined = mine_logs(of_car, with_faults, on_log=on_log)
         again = [
             with_slips(job, log, scene_s=settings.grid.scene_s)
-            for job, log in list(zip(sowed, mined, strict=True))[:slip_logs]
+            for job, log in list(zip(with_faults, mined, strict=True))[:slip_logs]
         ]
         slipping = mine_logs(of_car, again, on_log=on_log)
         judged["planted"] = recorded.supervised

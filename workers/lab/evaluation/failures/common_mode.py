@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.contradiction import ContradictionKind
-from workers.lab.evaluation.failures.retrieval import looked_at, order_of
+from workers.lab.evaluation.failures.retrieval import budget_size, order_of
 from workers.lab.evaluation.failures.rows import SceneRow
 
 BUDGET: Final = 0.10
@@ -33,7 +33,7 @@ class CommonMode(BaseModel):
 def common_mode(scenes: Sequence[SceneRow]) -> CommonMode:
     """Count common-mode failures, and those that the witness and the ranking surface."""
     scores = np.array([scene.score for scene in scenes])
-    best = set(order_of(scores)[: looked_at(BUDGET, len(scenes))].tolist()) if scenes else set()
+    best = set(order_of(scores)[: budget_size(BUDGET, len(scenes))].tolist()) if scenes else set()
     planted = both = surfaced = witnessed = within = 0
     for place, scene in enumerate(scenes):
         spoken = {track.thing for track in scene.tracks if track.kind == WITNESS_ALONE}

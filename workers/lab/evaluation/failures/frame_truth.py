@@ -14,7 +14,7 @@ from workers.lab.evaluation.truth.truth import TRUTH_DYNAMIC, TRUTH_UNKNOWN, Fra
 
 
 @runtime_checkable
-class TellsUnsureness(Protocol):
+class UncertaintyBuffer(Protocol):
     """A stream that buffers per-point uncertainty for recent frames."""
 
     def take(self, stamp_ns: int) -> Mapping[str, NDArray[np.float32]]:
@@ -23,7 +23,7 @@ class TellsUnsureness(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SeenFrame:
+class FrameWithTruth:
     """A labelled frame of a scene with its truth.
 
     Attributes:
@@ -62,10 +62,10 @@ class SeenFrame:
             return np.full(len(self.labelled.agreements), -1, np.int64)
         return self.truth.track.astype(np.int64)
 
-    def wrong(self, said: FrameLabels) -> Mask:
+    def wrong(self, predicted: FrameLabels) -> Mask:
         """(N,) points that a stream labels opposite to the truth; UNKNOWN is not wrong."""
-        told = self.known & (said.labels != MotionLabel.UNKNOWN)
-        wrong: Mask = told & ((said.labels == MotionLabel.DYNAMIC) != self.moving)
+        compared = self.known & (predicted.labels != MotionLabel.UNKNOWN)
+        wrong: Mask = compared & ((predicted.labels == MotionLabel.DYNAMIC) != self.moving)
         return wrong
 
     def class_of(self, track: int) -> str:

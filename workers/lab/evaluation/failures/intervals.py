@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 DRAWS: Final = 1000
 LEVEL: Final = 0.95
 
-FEWEST_LOGS: Final = 3
+MIN_LOGS: Final = 3
 """Logs needed for an interval: one resampled log is itself; of two, half the draws repeat one."""
 
 Interval = tuple[float, float]
@@ -40,7 +40,7 @@ def bootstrap(
     of = np.asarray(groups)
     names = np.unique(of)
     members = [np.flatnonzero(of == name) for name in names]
-    if len(members) < FEWEST_LOGS:
+    if len(members) < MIN_LOGS:
         return [None for _ in figures(np.arange(len(of)))]
     rng = np.random.default_rng(seed)
     drawn = []

@@ -8,8 +8,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from workers.lab.evaluation.failures.retrieval import (
     BUDGETS,
-    looked_at,
-    name_of,
+    budget_name,
+    budget_size,
     order_of,
     retrieve,
 )
@@ -29,7 +29,7 @@ class KindRow(BaseModel):
     median_rank_share: float = Field(description="0: at the top of all scenes; 1: at the bottom.")
 
 
-def by_kind(scenes: Sequence[SceneRow], scores: NDArray[np.float64]) -> dict[str, KindRow]:
+def figures_by_kind(scenes: Sequence[SceneRow], scores: NDArray[np.float64]) -> dict[str, KindRow]:
     """Compute the ranking figures of each kind."""
     order = order_of(scores)
     rank = np.empty(len(order), np.int64)
@@ -43,7 +43,9 @@ def by_kind(scenes: Sequence[SceneRow], scores: NDArray[np.float64]) -> dict[str
             scenes=int(mine.sum()),
             ap=retrieve(scores[asked], mine[asked], ()).ap,
             recall_at={
-                name_of(budget): round(float((rank[mine] < looked_at(budget, len(rank))).mean()), 4)
+                budget_name(budget): round(
+                    float((rank[mine] < budget_size(budget, len(rank))).mean()), 4
+                )
                 for budget in BUDGETS
             },
             median_rank_share=round(float(np.median(rank[mine])) / max(1, len(rank) - 1), 4),

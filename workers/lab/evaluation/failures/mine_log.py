@@ -9,7 +9,7 @@ from schemas.mining import MiningSettings
 from schemas.transport.bucket import Bucket
 from schemas.work import Recording
 from workers.ingest.read import read_shard
-from workers.lab.evaluation.failures.frame_truth import SeenFrame, TellsUnsureness
+from workers.lab.evaluation.failures.frame_truth import FrameWithTruth, UncertaintyBuffer
 from workers.lab.evaluation.failures.pose_slips import Slip, SlippingOdometry
 from workers.lab.evaluation.failures.rows import MinedLog, SceneRow
 from workers.lab.evaluation.failures.scene_rows import scene_row
@@ -63,11 +63,11 @@ def mine_log(bucket: Bucket, job: LogJob, settings: MiningSettings, parts: Parts
     version = pipeline_version(settings, parts)
     scenes: list[SceneRow] = []
     frames, shown = 0, set[int]()
-    told = parts.supervised if isinstance(parts.supervised, TellsUnsureness) else None
+    buffer = parts.supervised if isinstance(parts.supervised, UncertaintyBuffer) else None
     for shard in shards_of_log(bucket, recording, settings, topic=truth.topic):
         reader = read_shard(bucket, recording, shard, settings)
         for mined in mine_shard(shard, reader.frames(), parts, pipeline_version=version):
-            seen = _with_truth(mined.scene, truth, before=frames, told=told)
+            seen = _with_truth(mined.scene, truth, before=frames, buffer=buffer)
             cell = (mined.scene.start_ns - shard.anchor_ns) // round(
                 settings.grid.scene_s * NS_PER_S
             )
@@ -86,14 +86,14 @@ def mine_log(bucket: Bucket, job: LogJob, settings: MiningSettings, parts: Parts
 
 
 def _with_truth(
-    scene: Scene, truth: LogTruth, *, before: int, told: TellsUnsureness | None
-) -> list[SeenFrame]:
+    scene: Scene, truth: LogTruth, *, before: int, buffer: UncertaintyBuffer | None
+) -> list[FrameWithTruth]:
     seen = []
     for number, labelled in enumerate(scene.frames):
         frame = labelled.posed.frame
         place = truth.number_of(frame, position=before + number)
-        unsure = {} if told is None else told.take(frame.stamp_ns)
-        seen.append(SeenFrame(labelled, truth.of(frame, number=place), unsure))
+        unsure = {} if buffer is None else buffer.take(frame.stamp_ns)
+        seen.append(FrameWithTruth(labelled, truth.of(frame, number=place), unsure))
     return seen
 
 

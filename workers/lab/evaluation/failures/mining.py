@@ -10,7 +10,7 @@ from pathlib import Path
 from schemas.mining import MiningSettings
 from schemas.transport.bucket import open_bucket
 from workers.lab.evaluation.failures.mine_log import LogJob, mine_log
-from workers.lab.evaluation.failures.result_cache import keep_log, kept_log
+from workers.lab.evaluation.failures.result_cache import load_mined_log, store_mined_log
 from workers.lab.evaluation.failures.rows import MinedLog
 from workers.lab.evaluation.failures.uncertainty import NO_PROBING, ProbedStream, Probing
 from workers.parts.protocols import Parts
@@ -18,7 +18,7 @@ from workers.version import parts_of
 
 
 @dataclass(frozen=True, slots=True)
-class Mining:
+class MiningRun:
     """Settings of a mining run over many logs.
 
     Attributes:
@@ -37,7 +37,7 @@ class Mining:
 
 
 def mine_logs(
-    mining: Mining, jobs: Sequence[LogJob], *, on_log: Callable[[MinedLog], None]
+    mining: MiningRun, jobs: Sequence[LogJob], *, on_log: Callable[[MinedLog], None]
 ) -> list[MinedLog]:
     """Mine logs, each one independently of the others, and return them in the order of the jobs.
 
@@ -51,20 +51,20 @@ def mine_logs(
     """
     done: dict[int, MinedLog] = {}
     for number, job in enumerate(jobs):
-        found = kept_log(mining.kept, job, mining.settings, mining.probing)
+        found = load_mined_log(mining.kept, job, mining.settings, mining.probing)
         if found is not None:
             done[number] = found
             on_log(found)
     left = [number for number in range(len(jobs)) if number not in done]
     for number, log in _mined(mining, jobs, left):
-        keep_log(mining.kept, jobs[number], mining.settings, mining.probing, log)
+        store_mined_log(mining.kept, jobs[number], mining.settings, mining.probing, log)
         done[number] = log
         on_log(log)
     return [done[number] for number in range(len(jobs))]
 
 
 def _mined(
-    mining: Mining, jobs: Sequence[LogJob], left: Sequence[int]
+    mining: MiningRun, jobs: Sequence[LogJob], left: Sequence[int]
 ) -> Iterator[tuple[int, MinedLog]]:
     if mining.processes <= 1 or len(left) <= 1:
         for number in left:
@@ -84,7 +84,7 @@ def _mined(
                 future.cancel()
 
 
-def _mine(mining: Mining, job: LogJob) -> MinedLog:
+def _mine(mining: MiningRun, job: LogJob) -> MinedLog:
     parts = _parts(mining.settings.model_dump_json(), mining.probing)
     return mine_log(open_bucket(mining.bucket_url), job, mining.settings, parts)
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from workers.lab.evaluation.failures.attribution import WhoIsWrong, attribute
+from workers.lab.evaluation.failures.attribution import AttributionAccuracy, evaluate_attribution
 from workers.lab.evaluation.failures.calibration import Calibration, calibrate
 from workers.lab.evaluation.failures.ranking import (
     MINUTE_S,
@@ -16,7 +16,7 @@ from workers.lab.evaluation.failures.ranking import (
     random_row,
     row_of,
 )
-from workers.lab.evaluation.failures.rows import MinedLog, SceneRow, ThingRow
+from workers.lab.evaluation.failures.rows import MinedLog, ObjectRow, SceneRow
 
 
 class ClassRow(BaseModel):
@@ -42,7 +42,7 @@ class NaturalTable(RankingRow):
     )
     best_baseline: str
     attribution_accuracy: float | None
-    attribution: WhoIsWrong
+    attribution: AttributionAccuracy
     calibration: Calibration = Field(description="Of an object's strength against its failing.")
     classes: dict[str, ClassRow] = Field(description="By true class and motion.")
 
@@ -71,11 +71,11 @@ def natural_table(logs: Sequence[MinedLog], *, draws: int) -> NaturalTable:
     )
     baselines = {RANDOM: random_row(items)}
     for name in sorted({name for _, _, thing in listed for name in thing.views}):
-        told = np.array([name in thing.views for _, _, thing in listed], dtype=np.bool_)
+        scored = np.array([name in thing.views for _, _, thing in listed], dtype=np.bool_)
         view = np.array([thing.views[name] for _, _, thing in listed if name in thing.views])
-        baselines[name] = row_of(view, _only(items, told), draws=draws)
+        baselines[name] = row_of(view, _only(items, scored), draws=draws)
     scenes = [scene for log in logs for scene in log.scenes]
-    said = attribute(track for scene in scenes for track in scene.tracks)
+    attribution = evaluate_attribution(track for scene in scenes for track in scene.tracks)
     return NaturalTable(
         **row_of(strengths, items, draws=draws).model_dump(),
         things=len(listed),
@@ -83,34 +83,34 @@ def natural_table(logs: Sequence[MinedLog], *, draws: int) -> NaturalTable:
         failing_scenes=sum(scene.fails for scene in scenes),
         baselines=baselines,
         best_baseline=best_of(baselines),
-        attribution_accuracy=said.accuracy,
-        attribution=said,
+        attribution_accuracy=attribution.accuracy,
+        attribution=attribution,
         calibration=calibrate(strengths, items.wanted),
         classes=_classes([(scene, thing) for _, scene, thing in listed]),
     )
 
 
-def strength_of(scene: SceneRow, thing: ThingRow) -> float:
+def strength_of(scene: SceneRow, thing: ObjectRow) -> float:
     """Return the strength of an object's strongest track, which already weighs attribution."""
     return max((each.strength for each in scene.tracks if each.thing == thing.key), default=0.0)
 
 
-def _name(scene: SceneRow, thing: ThingRow) -> str:
+def _name(scene: SceneRow, thing: ObjectRow) -> str:
     return thing.key if thing.track >= 0 else f"{scene.scene_id} {thing.key}"
 
 
-def _only(items: Items, told: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Items:
+def _only(items: Items, scored: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Items:
     return Items(
-        items.logs[told],
-        items.wanted[told],
-        [names for names, kept in zip(items.failures, told.tolist(), strict=True) if kept],
-        items.minutes[told],
+        items.logs[scored],
+        items.wanted[scored],
+        [names for names, kept in zip(items.failures, scored.tolist(), strict=True) if kept],
+        items.minutes[scored],
         items.scenes,
     )
 
 
-def _classes(listed: Sequence[tuple[SceneRow, ThingRow]]) -> dict[str, ClassRow]:
-    groups: dict[str, list[tuple[SceneRow, ThingRow]]] = {}
+def _classes(listed: Sequence[tuple[SceneRow, ObjectRow]]) -> dict[str, ClassRow]:
+    groups: dict[str, list[tuple[SceneRow, ObjectRow]]] = {}
     for scene, thing in listed:
         what = thing.class_name or ("nobody's" if thing.track < 0 else "unknown")
         state = "moving" if thing.moves else "standing"

@@ -21,7 +21,7 @@ from workers.contradiction.boxes import fit_box
 from workers.contradiction.instances import cluster_places
 from workers.contradiction.settings import DEFAULT_INSTANCES
 from workers.contradiction.tracks import frame_period_s, tie_tracks
-from workers.lab.evaluation.failures.frame_truth import SeenFrame
+from workers.lab.evaluation.failures.frame_truth import FrameWithTruth
 
 MIN_POINTS: Final = 25
 MIN_S: Final = 0.5
@@ -32,7 +32,7 @@ Points = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Thing:
+class ObjectOfInterest:
     """One object of interest of a scene.
 
     Attributes:
@@ -55,23 +55,23 @@ class Thing:
     fails: bool
 
 
-def frames_of(seconds: float, period_s: float) -> int:
+def frames_in(seconds: float, period_s: float) -> int:
     """Return the number of frames that last this long, at least one."""
     return max(1, ceil(seconds / period_s - _TOLERANCE)) if period_s > 0 else 1
 
 
-def find_things(scene: Scene, seen: Sequence[SeenFrame]) -> list[Thing]:
+def find_objects(scene: Scene, seen: Sequence[FrameWithTruth]) -> list[ObjectOfInterest]:
     """Find the objects of interest of a scene.
 
     Args:
         scene: The labelled frames.
         seen: The same frames with their truth.
     """
-    enough = frames_of(MIN_S, frame_period_s(scene))
-    return [*_objects(seen, enough), *_of_nobody(scene, seen, enough)]
+    enough = frames_in(MIN_S, frame_period_s(scene))
+    return [*_objects(seen, enough), *_unowned(scene, seen, enough)]
 
 
-def _objects(seen: Sequence[SeenFrame], enough: int) -> Iterator[Thing]:
+def _objects(seen: Sequence[FrameWithTruth], enough: int) -> Iterator[ObjectOfInterest]:
     points: dict[int, dict[int, Points]] = {}
     for number, frame in enumerate(seen):
         track = np.where(frame.known, frame.track, -1)
@@ -89,7 +89,7 @@ def _objects(seen: Sequence[SeenFrame], enough: int) -> Iterator[Thing]:
             if _errs(seen[number].wrong(seen[number].labelled.semantic)[mine])
         ]
         moving = [bool(seen[number].moving[mine].mean() > 0.5) for number, mine in by_frame.items()]
-        yield Thing(
+        yield ObjectOfInterest(
             key=f"track {track_id}",
             track=track_id,
             class_name=seen[next(iter(by_frame))].class_of(track_id),
@@ -104,7 +104,9 @@ def _errs(wrong: Mask) -> bool:
     return bool(wrong.sum() >= MIN_POINTS and 2 * wrong.sum() > len(wrong))
 
 
-def _of_nobody(scene: Scene, seen: Sequence[SeenFrame], enough: int) -> Iterator[Thing]:
+def _unowned(
+    scene: Scene, seen: Sequence[FrameWithTruth], enough: int
+) -> Iterator[ObjectOfInterest]:
     """Cluster and track wrong points without an object; yield the tracks that last long enough."""
     for moves, name in ((False, "phantom"), (True, "missed")):
         instances: list[Instance] = []
@@ -121,11 +123,11 @@ def _of_nobody(scene: Scene, seen: Sequence[SeenFrame], enough: int) -> Iterator
                 continue
             by_frame = {each.frame_index: each.point_index for each in members}
             frames = tuple(by_frame)
-            yield Thing(f"{name} {number}", -1, "", moves, by_frame, frames, fails=True)
+            yield ObjectOfInterest(f"{name} {number}", -1, "", moves, by_frame, frames, fails=True)
             number += 1
 
 
-def _instances(frame: SeenFrame, number: int, candidates: Points) -> Iterator[Instance]:
+def _instances(frame: FrameWithTruth, number: int, candidates: Points) -> Iterator[Instance]:
     cloud = frame.labelled.posed.frame.points_m
     clusters = cluster_places(cloud[candidates], settings=DEFAULT_INSTANCES)
     movers = np.flatnonzero(frame.moving & (frame.track >= 0))

@@ -8,12 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
-from workers.lab.evaluation.failures.attribution import WhoIsWrong, attribute
+from workers.lab.evaluation.failures.attribution import AttributionAccuracy, evaluate_attribution
 from workers.lab.evaluation.failures.calibration import Calibration, calibrate
 from workers.lab.evaluation.failures.common_mode import CommonMode, common_mode
-from workers.lab.evaluation.failures.false_alarms import DisturbedShare, by_disturbance, slipped
+from workers.lab.evaluation.failures.false_alarms import (
+    FalseAlarmShare,
+    by_disturbance,
+    slip_false_alarms,
+)
 from workers.lab.evaluation.failures.intervals import Interval, bootstrap
-from workers.lab.evaluation.failures.kinds import KindRow, by_kind
+from workers.lab.evaluation.failures.kinds import KindRow, figures_by_kind
 from workers.lab.evaluation.failures.ranking import (
     MINUTE_S,
     RANDOM,
@@ -48,18 +52,18 @@ class PlantedTable(RankingRow):
         description="Mean recall over {supervised, selfsupervised, both, neither} that "
         "occur ten times; null: records without attribution."
     )
-    attribution: WhoIsWrong
+    attribution: AttributionAccuracy
     common_mode_recall: float | None = Field(
         description="Share of planted failures on which both streams are wrong that surface."
     )
     common_mode: CommonMode
     calibration: Calibration = Field(description="Of the score against the scene's failing.")
     kinds: dict[str, KindRow] = Field(description="By kind of failure.")
-    disturbances: dict[str, DisturbedShare] = Field(
+    disturbances: dict[str, FalseAlarmShare] = Field(
         description="Scenes without failure above the score that marks the 5 % budget of the "
         "undisturbed scenes, by kind of disturbance."
     )
-    slips: DisturbedShare | None = Field(
+    slips: FalseAlarmShare | None = Field(
         description="The same for scenes that were mined again with a slip in each; null: not run."
     )
 
@@ -83,7 +87,7 @@ def planted_table(
     baselines |= {name: row_of(view, items, draws=draws) for name, view in others.items()}
     mine = row_of(scores, items, draws=draws)
     best = best_of(baselines)
-    said = attribute(track for scene in scenes for track in scene.tracks)
+    attribution = evaluate_attribution(track for scene in scenes for track in scene.tracks)
     shared = common_mode(scenes)
     return PlantedTable(
         **mine.model_dump(),
@@ -94,14 +98,14 @@ def planted_table(
         best_baseline=best,
         gain=_gain(mine.ap, baselines[best].ap),
         gain_interval=_gain_interval(scores, others.get(best), items, draws),
-        attribution_accuracy=said.accuracy,
-        attribution=said,
+        attribution_accuracy=attribution.accuracy,
+        attribution=attribution,
         common_mode_recall=shared.recall,
         common_mode=shared,
         calibration=calibrate(scores, items.wanted),
-        kinds=by_kind(scenes, scores),
+        kinds=figures_by_kind(scenes, scores),
         disturbances=by_disturbance(scenes),
-        slips=slipped(scenes, [scene for log in slipping for scene in log.scenes]),
+        slips=slip_false_alarms(scenes, [scene for log in slipping for scene in log.scenes]),
     )
 
 
@@ -111,13 +115,13 @@ def items_of(logs: Sequence[MinedLog]) -> Items:
     return Items(
         logs=np.repeat(np.arange(len(logs)), [len(log.scenes) for log in logs]),
         wanted=np.array([scene.fails for scene in scenes], dtype=np.bool_),
-        failures=[names_of(scene, log.log_id) for log in logs for scene in log.scenes],
+        failures=[failure_names(scene, log.log_id) for log in logs for scene in log.scenes],
         minutes=np.array([scene.seconds / MINUTE_S for scene in scenes]),
         scenes=len(scenes),
     )
 
 
-def names_of(scene: SceneRow, log_id: str) -> list[str]:
+def failure_names(scene: SceneRow, log_id: str) -> list[str]:
     """Name the failures of a scene: one object of a log failing in one way is one failure.
 
     A label swap fails on two objects and a range limit on all beyond it: each is one failure per

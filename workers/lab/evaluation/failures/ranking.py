@@ -14,9 +14,9 @@ from workers.lab.evaluation.failures.retrieval import (
     BUDGETS,
     Retrieval,
     area_under,
+    budget_name,
+    budget_size,
     found_curve,
-    looked_at,
-    name_of,
     random_retrieval,
     retrieve,
 )
@@ -82,7 +82,7 @@ def row_of(scores: Values, items: Items, *, draws: int) -> RankingRow:
         items: The ranked items.
         draws: Bootstrap draws; 0 computes no intervals.
     """
-    main = name_of(MAIN_BUDGET)
+    main = budget_name(MAIN_BUDGET)
 
     def figures(drawn: NDArray[np.int64]) -> tuple[float | None, ...]:
         found = retrieve(scores[drawn], items.wanted[drawn], (MAIN_BUDGET,))
@@ -115,9 +115,9 @@ def _row(found: Retrieval, curve: Values, items: Items, **intervals: Interval | 
     minute = float(items.minutes.mean()) if len(items.minutes) else 0.0
     rates = {}
     for budget in BUDGETS:
-        looks = looked_at(budget, len(items.wanted))
+        looks = budget_size(budget, len(items.wanted))
         spent = looks * minute
-        rates[name_of(budget)] = round(float(curve[looks]) * total / spent, 4) if spent else 0.0
+        rates[budget_name(budget)] = round(float(curve[looks]) * total / spent, 4) if spent else 0.0
     places = np.linspace(0, len(curve) - 1, _CURVE_POINTS).round().astype(np.int64)
     return RankingRow(
         scenes=items.scenes,

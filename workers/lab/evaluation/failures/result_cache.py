@@ -15,7 +15,7 @@ from workers.lab.simulation.faults.fault_truth import FILE as PLANTED
 from workers.version import version_of
 
 
-def kept_log(
+def load_mined_log(
     folder: Path | None, job: LogJob, settings: MiningSettings, probing: Probing
 ) -> MinedLog | None:
     """Read a cached log of the same code, settings and slips; None where there is none."""
@@ -30,7 +30,7 @@ def kept_log(
         return None
 
 
-def keep_log(
+def store_mined_log(
     folder: Path | None, job: LogJob, settings: MiningSettings, probing: Probing, log: MinedLog
 ) -> None:
     """Write a mined log to the cache, if a folder is given; the file is replaced atomically."""

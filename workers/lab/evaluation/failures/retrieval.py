@@ -34,7 +34,7 @@ class Retrieval:
     lift_at: dict[str, float | None]
 
 
-def name_of(budget: float) -> str:
+def budget_name(budget: float) -> str:
     """Name a budget as tables do: `0.5`, `5`."""
     return f"{_PERCENT * budget:g}"
 
@@ -49,8 +49,8 @@ def retrieve(scores: Values, wanted: Mask, budgets: Sequence[float] = BUDGETS) -
     """
     count = len(scores)
     base = float(wanted.mean()) if count else 0.0
-    found = {name_of(b): found_within(scores, wanted, looked_at(b, count)) for b in budgets}
-    looks = {name_of(b): looked_at(b, count) for b in budgets}
+    found = {budget_name(b): found_within(scores, wanted, budget_size(b, count)) for b in budgets}
+    looks = {budget_name(b): budget_size(b, count) for b in budgets}
     precision = {name: hits / looks[name] if looks[name] else 0.0 for name, hits in found.items()}
     total = int(wanted.sum())
     return Retrieval(
@@ -74,8 +74,8 @@ def random_retrieval(wanted: Mask, budgets: Sequence[float] = BUDGETS) -> Retrie
         harmonic = float(np.sum(1.0 / np.arange(1, count + 1)))
         rest = (total - 1) / (count - 1) if count > 1 else 1.0
         ap = (rest * (count - harmonic) + harmonic) / count
-    names = [name_of(budget) for budget in budgets]
-    looks = [looked_at(budget, count) / count if count else 0.0 for budget in budgets]
+    names = [budget_name(budget) for budget in budgets]
+    looks = [budget_size(budget, count) / count if count else 0.0 for budget in budgets]
     return Retrieval(
         ap=ap,
         precision_at=dict.fromkeys(names, base),
@@ -84,7 +84,7 @@ def random_retrieval(wanted: Mask, budgets: Sequence[float] = BUDGETS) -> Retrie
     )
 
 
-def looked_at(budget: float, count: int) -> int:
+def budget_size(budget: float, count: int) -> int:
     """Return the number of items in a budget, at least one."""
     return min(count, max(1, round(budget * count)))
 

@@ -15,7 +15,7 @@ OTHER_KIND: Final = "other"
 """Kind of a failure that was not planted: a side effect, or the network's own."""
 
 
-class ThingRow(BaseModel):
+class ObjectRow(BaseModel):
     """An object of interest of a scene, on which the supervised stream can be judged."""
 
     model_config = _STRICT
@@ -71,7 +71,7 @@ class SceneRow(BaseModel):
     seconds: float
     blind_share: float = Field(description="Share of frames without self-supervised labels.")
     views: dict[str, float]
-    things: tuple[ThingRow, ...]
+    things: tuple[ObjectRow, ...]
     tracks: tuple[TrackRow, ...]
     disturbance: str = Field(default="", description="Its kind; empty: none.")
     hard: bool = False
@@ -82,7 +82,7 @@ class SceneRow(BaseModel):
         return any(thing.fails for thing in self.things)
 
     @property
-    def failing(self) -> tuple[ThingRow, ...]:
+    def failing(self) -> tuple[ObjectRow, ...]:
         """Failing objects of the scene."""
         return tuple(thing for thing in self.things if thing.fails)
 

@@ -28,7 +28,7 @@ PASSES: Final = 8
 PROBED: Final = "salsanext-lmnet"
 """Name of the only stream that can be probed."""
 
-Views = Mapping[str, NDArray[np.float32]]
+Measures = Mapping[str, NDArray[np.float32]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,9 +53,9 @@ class ProbedStream:
     Labels and version are those of the stream itself.
     """
 
-    def __init__(self, inner: "_Noting", second: RangeImageStream | None) -> None:
+    def __init__(self, inner: "_RecordingStream", second: RangeImageStream | None) -> None:
         self._inner, self._second = inner, second
-        self._kept: dict[int, Views] = {}
+        self._buffer: dict[int, Measures] = {}
 
     @classmethod
     def of(cls, settings: MiningSettings, probing: Probing) -> Self | None:
@@ -63,8 +63,8 @@ class ProbedStream:
         if settings.supervised != PROBED:
             return None
         folder = Path(settings.weights) if settings.weights else SHIPPED
-        inner = _Noting.salsanext_lmnet(folder)
-        inner.ask_again(every=probing.dropout_every)
+        inner = _RecordingStream.salsanext_lmnet(folder)
+        inner.enable_dropout(every=probing.dropout_every)
         other = RangeImageStream.salsanext_lmnet(Path(probing.second)) if probing.second else None
         return cls(inner, other)
 
@@ -85,40 +85,40 @@ class ProbedStream:
 
     def __call__(self, frames: Iterable[PosedFrame]) -> Iterator[FrameLabels]:
         """Yield the labels of each frame, in order."""
-        self._kept.clear()
+        self._buffer.clear()
         self._inner.begin()
         stamped, mine, others = tee(frames, 3)
         second = self._second(others) if self._second is not None else None
-        for posed, said in zip(stamped, self._inner(mine), strict=True):
-            unsure = dict(self._inner.noted)
+        for posed, labels in zip(stamped, self._inner(mine), strict=True):
+            unsure = dict(self._inner.measures)
             if second is not None:
-                unsure["ensemble"] = np.abs(_dynamic(said) - _dynamic(next(second)))
-            self._kept[posed.frame.stamp_ns] = unsure
-            yield said
+                unsure["ensemble"] = np.abs(_dynamic(labels) - _dynamic(next(second)))
+            self._buffer[posed.frame.stamp_ns] = unsure
+            yield labels
 
-    def take(self, stamp_ns: int) -> Views:
+    def take(self, stamp_ns: int) -> Measures:
         """Return the uncertainty of a frame, and discard it with all earlier ones."""
-        views = self._kept.get(stamp_ns, {})
-        for stamp in [each for each in self._kept if each <= stamp_ns]:
-            del self._kept[stamp]
+        views = self._buffer.get(stamp_ns, {})
+        for stamp in [each for each in self._buffer if each <= stamp_ns]:
+            del self._buffer[stamp]
         return views
 
 
-class _Noting(RangeImageStream):
+class _RecordingStream(RangeImageStream):
     """The stream itself; it also records per-pixel uncertainty of the networks for each frame."""
 
-    noted: Views = MappingProxyType({})
-    _asked_again: Sequence["_AskedAgain"] = ()
+    measures: Measures = MappingProxyType({})
+    _probes: Sequence["_DropoutProbe"] = ()
 
-    def ask_again(self, *, every: int) -> None:
+    def enable_dropout(self, *, every: int) -> None:
         """Apply MC-dropout on one frame in this many; 0: never."""
         if every:
-            self._asked_again = [_AskedAgain(each, every) for each in self._networks]
-            self._networks = list(self._asked_again)
+            self._probes = [_DropoutProbe(each, every) for each in self._networks]
+            self._networks = list(self._probes)
 
     def begin(self) -> None:
         """Reset the frame counters at the start of a log."""
-        for network in self._asked_again:
+        for network in self._probes:
             network.frame = 0
 
     def _fused(
@@ -126,15 +126,15 @@ class _Noting(RangeImageStream):
     ) -> FrameLabels:
         entropy = np.mean([_entropy(each) for each in answers], axis=0)
         margin = np.max([_narrowness(each) for each in answers], axis=0)
-        noted = {"entropy": _at(image, entropy), "margin": _at(image, margin)}
-        spreads = [each.spread for each in self._asked_again if each.spread is not None]
+        measures = {"entropy": _at(image, entropy), "margin": _at(image, margin)}
+        spreads = [each.spread for each in self._probes if each.spread is not None]
         if spreads:
-            noted["mc_dropout"] = _at(image, np.max(spreads, axis=0))
-        self.noted = noted
+            measures["mc_dropout"] = _at(image, np.max(spreads, axis=0))
+        self.measures = measures
         return super()._fused(image, answers, has_past=has_past)
 
 
-class _AskedAgain:
+class _DropoutProbe:
     """A network with eight extra MC-dropout passes on every n-th frame.
 
     Attributes:
@@ -155,17 +155,17 @@ class _AskedAgain:
         self.spread = None
         if isinstance(self._inner, LoadedWeights) and self.frame % self._every == 0:
             asked = torch.from_numpy(image)[None]
-            said = mc_dropout(self._inner.net, asked, passes=PASSES, seed=self.frame)
-            self.spread = said.uncertainty[0].numpy()
+            sampled = mc_dropout(self._inner.net, asked, passes=PASSES, seed=self.frame)
+            self.spread = sampled.uncertainty[0].numpy()
         self.frame += 1
         return self._inner.probabilities(image)
 
 
-def _dynamic(said: FrameLabels) -> NDArray[np.float32]:
+def _dynamic(labels: FrameLabels) -> NDArray[np.float32]:
     """Return the probability of dynamic of each point from label and confidence; unknown is 0.5."""
-    sure = said.confidence.astype(np.float32)
-    likely = np.where(said.labels == MotionLabel.DYNAMIC, sure, 1.0 - sure)
-    return np.where(said.labels == MotionLabel.UNKNOWN, 0.5, likely).astype(np.float32)
+    sure = labels.confidence.astype(np.float32)
+    likely = np.where(labels.labels == MotionLabel.DYNAMIC, sure, 1.0 - sure)
+    return np.where(labels.labels == MotionLabel.UNKNOWN, 0.5, likely).astype(np.float32)
 
 
 def _entropy(answer: NDArray[np.float32]) -> NDArray[np.float32]:

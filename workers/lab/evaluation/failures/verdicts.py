@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from schemas.attribution import Wrong
 from schemas.contradiction import Instance
 from schemas.labels import MotionLabel
-from workers.lab.evaluation.failures.frame_truth import SeenFrame
-from workers.lab.evaluation.failures.objects_of_interest import Thing
+from workers.lab.evaluation.failures.frame_truth import FrameWithTruth
+from workers.lab.evaluation.failures.objects_of_interest import ObjectOfInterest
 from workers.lab.evaluation.truth.truth import TRUTH_DYNAMIC, TRUTH_STATIC, TRUTH_UNKNOWN
 
 Points = NDArray[np.int64]
@@ -19,8 +19,8 @@ MOST: Final = 0.5
 """Share of an object's points on which a stream must be wrong."""
 
 
-def thing_under(
-    members: Sequence[Instance], seen: Sequence[SeenFrame], things: Sequence[Thing]
+def object_under(
+    members: Sequence[Instance], seen: Sequence[FrameWithTruth], things: Sequence[ObjectOfInterest]
 ) -> tuple[str, int]:
     """Find the object that a contradicting track lies on.
 
@@ -52,7 +52,7 @@ def thing_under(
 
 
 def verdict_of(
-    members: Sequence[Instance], seen: Sequence[SeenFrame], *, track: int
+    members: Sequence[Instance], seen: Sequence[FrameWithTruth], *, track: int
 ) -> Wrong | None:
     """Compute the verdict on a track from the object below it, over the frames of the track.
 
@@ -67,13 +67,13 @@ def verdict_of(
     Returns:
         The verdict; None where truth knows less than half of the points.
     """
-    said: list[NDArray[np.uint8]] = [np.zeros((3, 0), np.uint8)]
+    labels: list[NDArray[np.uint8]] = [np.zeros((3, 0), np.uint8)]
     for member in members:
         frame = seen[member.frame_index]
         mine: Points = np.flatnonzero(frame.track == track) if track >= 0 else member.point_index
         streams = frame.labelled.semantic.labels[mine], frame.labelled.predictive.labels[mine]
-        said.append(np.stack([*streams, frame.motion[mine]]))
-    semantic, predictive, true = np.concatenate(said, axis=1)
+        labels.append(np.stack([*streams, frame.motion[mine]]))
+    semantic, predictive, true = np.concatenate(labels, axis=1)
     known = true != TRUTH_UNKNOWN
     if not known.any() or 2 * known.sum() < len(known):
         return None
@@ -99,7 +99,7 @@ def wrong_about(
     return Wrong.SELFSUPERVISED if selfsupervised else Wrong.NEITHER
 
 
-def _wrong_share(said: NDArray[np.uint8], true: NDArray[np.uint8]) -> float:
-    missed = (said == MotionLabel.STATIC) & (true == TRUTH_DYNAMIC)
-    phantom = (said == MotionLabel.DYNAMIC) & (true == TRUTH_STATIC)
+def _wrong_share(labels: NDArray[np.uint8], true: NDArray[np.uint8]) -> float:
+    missed = (labels == MotionLabel.STATIC) & (true == TRUTH_DYNAMIC)
+    phantom = (labels == MotionLabel.DYNAMIC) & (true == TRUTH_STATIC)
     return float((missed | phantom).mean())

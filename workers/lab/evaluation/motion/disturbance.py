@@ -32,7 +32,7 @@ class Disturbance:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Numbered:
+class NumberedFrame:
     """A frame with its number and its degradation.
 
     Attributes:
@@ -48,7 +48,7 @@ class Numbered:
     kept: Mask | None = None
 
 
-def without_beams(frames: Iterable[Numbered], rows: slice | None) -> Iterator[Numbered]:
+def without_beams(frames: Iterable[NumberedFrame], rows: slice | None) -> Iterator[NumberedFrame]:
     """Keep only some of the beams of every frame.
 
     Raises:

@@ -17,7 +17,7 @@ from workers.lab.evaluation.motion.alternatives import OF_SETTINGS, build_stream
 from workers.lab.evaluation.motion.counting import count_frame
 from workers.lab.evaluation.motion.counts import LogCounts, StreamCounts, StreamName, total_of
 from workers.lab.evaluation.motion.disturbance import Disturbance
-from workers.lab.evaluation.motion.stream_runner import Answered, answers_of
+from workers.lab.evaluation.motion.stream_runner import StreamOutput, run_streams
 from workers.lab.evaluation.motion.table import LogEvaluation, evaluation_of
 from workers.lab.evaluation.truth.truth import FrameTruth, LogTruth, logs_with_truth
 from workers.parts.registry import build_odometry
@@ -29,7 +29,7 @@ _DIFFERING = [kind.code for kind in MOTION.kinds if not kind.of_witness]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class JudgedFrame:
+class EvaluatedFrame:
     """One evaluated frame: M points, those of the beams that were kept.
 
     Attributes:
@@ -62,7 +62,7 @@ def evaluate_motion(
     stream: StreamName | Sequence[StreamName] = "selfsupervised",
     both: bool = True,
     disturbance: Disturbance = UNDISTURBED,
-    on_frame: Callable[[JudgedFrame], None] = lambda judged: None,
+    on_frame: Callable[[EvaluatedFrame], None] = lambda judged: None,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[LogEvaluation]:
     """Evaluate a stream's motion labels on every log of a bucket that has truth.
@@ -95,8 +95,8 @@ def evaluate_motion(
     """
     chosen = (stream,) if isinstance(stream, str) else tuple(dict.fromkeys(stream))
     alone = chosen[0] if len(chosen) == 1 else ""
-    beside = tuple(name for name in OF_SETTINGS if both and alone in OF_SETTINGS and name != alone)
-    streams = build_streams((*chosen, *beside), settings)
+    others = tuple(name for name in OF_SETTINGS if both and alone in OF_SETTINGS and name != alone)
+    streams = build_streams((*chosen, *others), settings)
     bucket = open_bucket(bucket_url)
     known = logs_with_truth(bucket, truth)
     odometry = build_odometry(settings.odometry)
@@ -105,7 +105,7 @@ def evaluate_motion(
     rows, counts, done = [], [], 0
     for (recording, found), numbers in zip(known, judged, strict=True):
         counted = LogCounts(streams={name: StreamCounts() for name in streams})
-        run = answers_of(
+        run = run_streams(
             bucket,
             recording,
             found,
@@ -114,26 +114,26 @@ def evaluate_motion(
             settings=settings,
             disturbance=disturbance,
         )
-        for answered in run if numbers else ():
-            if answered.number >= numbers.stop:
+        for output in run if numbers else ():
+            if output.number >= numbers.stop:
                 break
             done += disturbance.every
             on_progress(done, total)
-            true = found.of(answered.whole, number=answered.number)
-            if answered.number in numbers and true is not None:
-                true = true if answered.kept is None else true.of_points(answered.kept)
-                _count(counted, answered, true, recording.log_id)
+            true = found.of(output.whole, number=output.number)
+            if output.number in numbers and true is not None:
+                true = true if output.kept is None else true.of_points(output.kept)
+                _count(counted, output, true, recording.log_id)
                 for each in chosen:
-                    on_frame(_judged(answered, each, true, recording.log_id, found))
+                    on_frame(_judged(output, each, true, recording.log_id, found))
         counts.append(counted)
-        rows.extend(_rows(recording.log_id, counted, chosen, beside))
-    return [*rows, *_rows("all", total_of(counts), chosen, beside)]
+        rows.extend(_rows(recording.log_id, counted, chosen, others))
+    return [*rows, *_rows("all", total_of(counts), chosen, others)]
 
 
 def _rows(
-    log: str, counts: LogCounts, chosen: Sequence[StreamName], beside: Sequence[StreamName]
+    log: str, counts: LogCounts, chosen: Sequence[StreamName], others: Sequence[StreamName]
 ) -> list[LogEvaluation]:
-    return [evaluation_of(log, counts, stream=name, beside=beside) for name in chosen]
+    return [evaluation_of(log, counts, stream=name, others=others) for name in chosen]
 
 
 def _clipped(frames: tuple[int, int | None], length: int) -> range:
@@ -142,39 +142,39 @@ def _clipped(frames: tuple[int, int | None], length: int) -> range:
 
 
 def _judged(
-    answered: Answered, stream: StreamName, true: FrameTruth, log_id: str, truth: LogTruth
-) -> JudgedFrame:
-    said = answered.labels[stream]
-    return JudgedFrame(
+    output: StreamOutput, stream: StreamName, true: FrameTruth, log_id: str, truth: LogTruth
+) -> EvaluatedFrame:
+    predicted = output.labels[stream]
+    return EvaluatedFrame(
         stream=stream,
         log_id=log_id,
-        name=truth.name_of(answered.number),
-        points_m=answered.posed.frame.points_m,
-        labels=said.labels,
-        confirmed=said.confirmed,
+        name=truth.name_of(output.number),
+        points_m=output.posed.frame.points_m,
+        labels=predicted.labels,
+        confirmed=predicted.confirmed,
         truth=true.motion,
-        kept=answered.kept,
+        kept=output.kept,
     )
 
 
-def _count(counts: LogCounts, answered: Answered, true: FrameTruth, log_id: str) -> None:
+def _count(counts: LogCounts, output: StreamOutput, true: FrameTruth, log_id: str) -> None:
     counts.frames += 1
-    for stage, took_ms in answered.stage_ms.items():
+    for stage, took_ms in output.stage_ms.items():
         counts.stage_ms.setdefault(stage, []).append(took_ms)
-    for name, said in answered.labels.items():
+    for name, predicted in output.labels.items():
         counts.streams[name].add(
             count_frame(
-                said,
+                predicted,
                 true,
-                answered.posed.frame.points_m,
+                output.posed.frame.points_m,
                 log_id=log_id,
-                odom_from_sensor=answered.posed.odom_from_sensor,
+                odom_from_sensor=output.posed.odom_from_sensor,
             )
         )
-    supervised = [name for name in answered.labels if is_supervised(name)]
-    others = [name for name in answered.labels if not is_supervised(name)]
+    supervised = [name for name in output.labels if is_supervised(name)]
+    others = [name for name in output.labels if not is_supervised(name)]
     for semantic, predictive in product(supervised, others):
-        agreements = compare(answered.labels[semantic].labels, answered.labels[predictive].labels)
+        agreements = compare(output.labels[semantic].labels, output.labels[predictive].labels)
         differs = np.isin(agreements, _DIFFERING)
         compared = np.count_nonzero(agreements != MOTION.not_compared)
         counts.compared[semantic, predictive] += int(compared)

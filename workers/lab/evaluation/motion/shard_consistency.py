@@ -44,14 +44,14 @@ class ShardsEvaluation(BaseModel):
     )
 
 
-class _Counted:
+class _LabelAgreement:
     """Points in windows, and those among them with the same label."""
 
     def __init__(self) -> None:
         self.shards = self.points = self.equal = 0
         self.by_second = np.zeros((len(FROM_S), 2), np.int64)
 
-    def add(self, other: "_Counted") -> None:
+    def add(self, other: "_LabelAgreement") -> None:
         """Add the counts of another log."""
         self.shards, self.points = self.shards + other.shards, self.points + other.points
         self.equal += other.equal
@@ -104,19 +104,24 @@ def evaluate_shards(
         NoShardsError: If no log has more than one.
         UnknownPartError: If a part does not exist.
     """
-    bucket, rows, total, done = open_bucket(bucket_url), list[ShardsEvaluation](), _Counted(), 0
+    bucket, rows, total, done = (
+        open_bucket(bucket_url),
+        list[ShardsEvaluation](),
+        _LabelAgreement(),
+        0,
+    )
     odometry = build_odometry(settings.odometry)
     stream = build_selfsupervised(settings.selfsupervised)
 
     def labels(recording: Recording, shard: Shard) -> Labels:
         nonlocal done
-        said = Labels()
+        collected = Labels()
         for stamp_ns, of_frame in _labelled(bucket, recording, shard, settings, odometry, stream):
             done += 1
             on_progress(done)
             if shard.start_ns <= stamp_ns < shard.end_ns:
-                said[stamp_ns] = of_frame
-        return said
+                collected[stamp_ns] = of_frame
+        return collected
 
     for recording in group_recordings(bucket.list()):
         plan = plan_recording(bucket, recording, settings)
@@ -126,7 +131,7 @@ def evaluate_shards(
         whole = Labels()
         for shard in shards_of_log(bucket, recording, settings):
             whole |= labels(recording, shard)
-        counted = _Counted()
+        counted = _LabelAgreement()
         for shard in shards:
             counted.compare(shard, whole, labels(recording, shard))
         rows.append(counted.row(recording.log_id))

@@ -16,7 +16,7 @@ from workers.lab.evaluation.benchmarks.lower_bounds import MS_PER_S
 from workers.lab.evaluation.motion.counts import StreamName
 from workers.lab.evaluation.motion.disturbance import (
     Disturbance,
-    Numbered,
+    NumberedFrame,
     with_yaw_noise,
     without_beams,
 )
@@ -27,7 +27,7 @@ from workers.stage_timing import Stage, StageClock
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Answered:
+class StreamOutput:
     """Labels of the streams for one frame.
 
     Attributes:
@@ -47,7 +47,7 @@ class Answered:
     stage_ms: Mapping[str, float]
 
 
-def answers_of(
+def run_streams(
     bucket: Bucket,
     recording: Recording,
     truth: LogTruth,
@@ -56,7 +56,7 @@ def answers_of(
     streams: Mapping[StreamName, Stream],
     settings: MiningSettings,
     disturbance: Disturbance,
-) -> Iterator[Answered]:
+) -> Iterator[StreamOutput]:
     """Run streams over a whole log, from its first frame on.
 
     Args:
@@ -97,23 +97,23 @@ def answers_of(
             took_ms = {k: MS_PER_S * (s - before.get(k, 0.0)) for k, s in seconds.items()}
             before = seconds
             if shard.start_ns <= each.whole.stamp_ns < shard.end_ns:
-                said = dict(zip(streams, labels, strict=True))
-                yield Answered(each.number, each.whole, frame, each.kept, said, took_ms)
+                by_stream = dict(zip(streams, labels, strict=True))
+                yield StreamOutput(each.number, each.whole, frame, each.kept, by_stream, took_ms)
 
 
 def _read_for(streams: Iterable[StreamName], settings: MiningSettings) -> MiningSettings:
     """Enable reading of recorded labels where one of the streams needs them."""
-    asked = [settings.model_copy(update={"supervised": name}) for name in streams]
-    return next((each for each in asked if each.takes_recorded), settings)
+    candidates = [settings.model_copy(update={"supervised": name}) for name in streams]
+    return next((each for each in candidates if each.takes_recorded), settings)
 
 
 def _numbered(
     frames: Iterable[LidarFrame], truth: LogTruth, number_of_stamp: dict[int, int]
-) -> Iterator[Numbered]:
+) -> Iterator[NumberedFrame]:
     """Number frames as the truth does; warm-up frames of a shard keep their numbers."""
     for frame in frames:
         number = number_of_stamp.get(frame.stamp_ns)
         if number is None:
             number = truth.number_of(frame, position=len(number_of_stamp))
             number_of_stamp[frame.stamp_ns] = number
-        yield Numbered(number, frame, frame)
+        yield NumberedFrame(number, frame, frame)

@@ -67,7 +67,7 @@ class StreamTable(BaseModel):
     )
 
 
-class JudgedLog(BaseModel):
+class EvaluatedLog(BaseModel):
     """Log, stream and frames of a table."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -80,7 +80,7 @@ class JudgedLog(BaseModel):
     frames: int = Field(ge=0, description="Evaluated frames.")
 
 
-class LogEvaluation(StreamTable, JudgedLog):
+class LogEvaluation(StreamTable, EvaluatedLog):
     """The table of one log, or of all: figures of the evaluated stream, then of every stream."""
 
     ms_per_frame: dict[str, float | None] = Field(
@@ -98,7 +98,7 @@ def evaluation_of(
     counts: LogCounts,
     *,
     stream: StreamName,
-    beside: Sequence[StreamName] | None = None,
+    others: Sequence[StreamName] | None = None,
 ) -> LogEvaluation:
     """Compute the table of a log from its counts.
 
@@ -106,9 +106,9 @@ def evaluation_of(
         log: Log id, or `all`.
         counts: Counts of the log.
         stream: Stream of the figures at the top.
-        beside: Other streams of the row; all that were counted by default.
+        others: Other streams of the row; all that were counted by default.
     """
-    shown = {stream, *(counts.streams if beside is None else beside)}
+    shown = {stream, *(counts.streams if others is None else others)}
     tables = {
         name: _table(stream_counts, frames=counts.frames)
         for name, stream_counts in sorted(counts.streams.items())

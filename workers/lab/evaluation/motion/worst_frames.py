@@ -6,11 +6,11 @@ import numpy as np
 
 from schemas.labels import MotionLabel
 from workers.lab.evaluation.motion.counts import RANGES_M
-from workers.lab.evaluation.motion.motion import JudgedFrame
+from workers.lab.evaluation.motion.motion import EvaluatedFrame
 from workers.lab.evaluation.truth.truth import TRUTH_DYNAMIC, TRUTH_STATIC
 
 
-def wrong_points(judged: JudgedFrame) -> int:
+def wrong_points(judged: EvaluatedFrame) -> int:
     """Count wrong points under 80 m: movers that were not found, static points labelled dynamic.
 
     Points of unknown truth are never wrong.
@@ -26,10 +26,10 @@ class WorstFrames:
 
     def __init__(self, count: int) -> None:
         self._count = count
-        self._heap: list[tuple[int, int, JudgedFrame]] = []
+        self._heap: list[tuple[int, int, EvaluatedFrame]] = []
         self._seen = 0
 
-    def add(self, judged: JudgedFrame) -> None:
+    def add(self, judged: EvaluatedFrame) -> None:
         """Add a frame; of two equally bad ones, the earlier is kept."""
         self._seen += 1
         entry = (wrong_points(judged), -self._seen, judged)
@@ -39,6 +39,6 @@ class WorstFrames:
             heapq.heappushpop(self._heap, entry)
 
     @property
-    def frames(self) -> list[JudgedFrame]:
+    def frames(self) -> list[EvaluatedFrame]:
         """The kept frames, worst first."""
         return [judged for _, _, judged in sorted(self._heap, key=lambda e: e[:2], reverse=True)]

@@ -5,14 +5,14 @@ from typing import Final
 
 import numpy as np
 
-from workers.lab.evaluation.motion.motion import JudgedFrame
+from workers.lab.evaluation.motion.motion import EvaluatedFrame
 from workers.lab.evaluation.truth.truth import TRUTH_DYNAMIC, TRUTH_STATIC, TRUTH_UNKNOWN
 
 TRUTH_CODES: Final = np.array([TRUTH_STATIC, TRUTH_DYNAMIC, TRUTH_UNKNOWN], dtype=np.uint8)
 """Truth code of each `MotionLabel`, in the order of their values."""
 
 
-def write_labels(folder: Path, judged: JudgedFrame) -> Path:
+def write_labels(folder: Path, judged: EvaluatedFrame) -> Path:
     """Write the labels of one frame to `folder/x/y/NNNNNN.npz`.
 
     The arrays have an entry for every point of the recorded cloud: `motion` in codes of the truth,

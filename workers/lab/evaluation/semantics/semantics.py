@@ -13,7 +13,7 @@ from schemas.transport.recordings import group_recordings
 from workers.errors import UnknownPartError
 from workers.lab.evaluation.motion.alternatives import build_streams
 from workers.lab.evaluation.motion.disturbance import Disturbance
-from workers.lab.evaluation.motion.stream_runner import answers_of
+from workers.lab.evaluation.motion.stream_runner import run_streams
 from workers.lab.evaluation.semantics.confusion import class_iou, joint_iou
 from workers.lab.evaluation.truth.class_table import COARSE, MOVABLE, coarse_of_names
 from workers.lab.evaluation.truth.truth import LogTruth, TruthUnusableError
@@ -71,7 +71,7 @@ def evaluate_semantics(
         if found is None:
             continue
         confusion, counted = _empty(), 0
-        for answered in answers_of(
+        for output in run_streams(
             bucket,
             recording,
             found,
@@ -80,22 +80,22 @@ def evaluate_semantics(
             settings=settings,
             disturbance=Disturbance(),
         ):
-            if frames is not None and answered.number >= frames.stop:
+            if frames is not None and output.number >= frames.stop:
                 break
             done += 1
             on_progress(done)
-            if frames is not None and answered.number not in frames:
+            if frames is not None and output.number not in frames:
                 continue
-            said = answered.labels[stream].class_id
-            if said is None:
+            predicted = output.labels[stream].class_id
+            if predicted is None:
                 raise UnknownPartError(f"the stream {stream!r} has no classes to evaluate")
-            true = found.classes_of(answered.whole, number=answered.number)
+            true = found.classes_of(output.whole, number=output.number)
             if true is None:
                 continue
-            told = true > 0
+            known = true > 0
             names = judged[stream].class_names  # a recorded model has its own per log
             of_class = np.concatenate([coarse_of_names(names), np.zeros(1, np.uint8)])  # -1: none
-            np.add.at(confusion, (true[told], of_class[said[told]]), 1)
+            np.add.at(confusion, (true[known], of_class[predicted[known]]), 1)
             counted += 1
         if counted:
             rows.append(_row(recording.log_id, confusion, counted))

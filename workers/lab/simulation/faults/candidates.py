@@ -36,7 +36,7 @@ _GHOST_TRIES: Final = 24
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CellView:
+class SceneVisibility:
     """Visibility of every actor in some frames of a scene.
 
     Attributes:
@@ -88,17 +88,17 @@ class Candidate:
     class_name: str = ""
 
 
-def look_at(
+def measure_visibility(
     street: Street,
-    look: Callable[[int], SimulatedFrame],
+    frame_at: Callable[[int], SimulatedFrame],
     *,
     from_s: float,
     to_s: float,
     period_s: float,
-) -> CellView:
+) -> SceneVisibility:
     """Measure the visibility of every actor in every second frame of an interval of a log."""
     numbers = range(round(from_s / period_s), round(to_s / period_s), LOOK_EVERY)
-    frames = tuple(look(number) for number in numbers)
+    frames = tuple(frame_at(number) for number in numbers)
     shape = (len(frames), len(street.actors))
     points = np.zeros(shape, np.int64)
     motion = np.zeros(shape, np.uint8)
@@ -122,19 +122,19 @@ def look_at(
                 gaps, _ = structure.query(frame.points_m[some])
                 gap_m[i, track] = np.quantile(gaps, 0.1)
     times_s = np.array([frame.time_s for frame in frames])
-    return CellView(
+    return SceneVisibility(
         street, times_s, LOOK_EVERY * period_s, points, motion, centre_m, nearest_m, gap_m, frames
     )
 
 
 def candidates_of(
-    view: CellView, kind: FailureKind, *, common_mode: bool = False
+    view: SceneVisibility, kind: FailureKind, *, common_mode: bool = False
 ) -> list[Candidate]:
     """Find the objects of a scene that can carry a failure of this kind, in a fixed order."""
     return list(_candidates(view, kind, common_mode))
 
 
-def _candidates(view: CellView, kind: FailureKind, common_mode: bool) -> Iterator[Candidate]:
+def _candidates(view: SceneVisibility, kind: FailureKind, common_mode: bool) -> Iterator[Candidate]:
     seen = view.points >= ENOUGH_POINTS
     moves, stands = seen & (view.motion == DYNAMIC), seen & (view.motion == STATIC)
     names = [actor.street_class.name.lower() for actor in view.street.actors]
@@ -176,7 +176,7 @@ def _candidates(view: CellView, kind: FailureKind, common_mode: bool) -> Iterato
         yield from _ghosts(view)
 
 
-def _longest_run(view: CellView, usable: Mask) -> tuple[float, float] | None:
+def _longest_run(view: SceneVisibility, usable: Mask) -> tuple[float, float] | None:
     """Return start and length of the longest usable interval of an object; None without any."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], usable.astype(np.int8), [0]])))
     if not len(edges):
@@ -187,7 +187,7 @@ def _longest_run(view: CellView, usable: Mask) -> tuple[float, float] | None:
     return start_s, float(ends[longest] - starts[longest]) * view.step_s
 
 
-def _why_missed(view: CellView, candidate: Candidate) -> str:
+def _why_missed(view: SceneVisibility, candidate: Candidate) -> str:
     """Return the reason why the self-supervised stream misses a mover too; empty without one."""
     track = candidate.track
     if view.street.actors[track].size_m[0] > LONG_M:
@@ -206,7 +206,7 @@ def _why_missed(view: CellView, candidate: Candidate) -> str:
 
 
 def _swaps(
-    view: CellView, moving: list[Candidate], standing: list[Candidate]
+    view: SceneVisibility, moving: list[Candidate], standing: list[Candidate]
 ) -> Iterator[Candidate]:
     """Yield pairs of a mover and a nearby standing object, while both are visible."""
     for mover in moving:
@@ -227,7 +227,7 @@ def _swaps(
                 )
 
 
-def _ghosts(view: CellView) -> Iterator[Candidate]:
+def _ghosts(view: SceneVisibility) -> Iterator[Candidate]:
     """Yield places of static structure that is visible in every examined frame."""
     first = view.frames[0]
     range_m = np.hypot(first.points_m[:, 0], first.points_m[:, 1])

@@ -10,7 +10,12 @@ from typing import Final
 
 import numpy as np
 
-from workers.lab.simulation.faults.candidates import Candidate, CellView, candidates_of, look_at
+from workers.lab.simulation.faults.candidates import (
+    Candidate,
+    SceneVisibility,
+    candidates_of,
+    measure_visibility,
+)
 from workers.lab.simulation.faults.faults import PlantedFailure
 from workers.lab.simulation.faults.plan import (
     DRAWN_KINDS,
@@ -47,11 +52,11 @@ class Redraw:
     cell: int
 
 
-def plant(
+def place_failures(
     street: Street,
     plan: LogPlan,
     *,
-    look: Callable[[int], SimulatedFrame],
+    frame_at: Callable[[int], SimulatedFrame],
     period_s: float,
 ) -> tuple[tuple[PlantedFailure, ...], tuple[Redraw, ...]]:
     """Choose an object and a time window for every planned failure of a log.
@@ -59,7 +64,7 @@ def plant(
     Args:
         street: The street of the log.
         plan: Planned failures of the log.
-        look: Returns the frame of a number, with its disturbances.
+        frame_at: Returns the frame of a number, with its disturbances.
         period_s: Time between frames.
 
     Returns:
@@ -67,13 +72,13 @@ def plant(
         ones.
     """
     rng = np.random.default_rng([plan.seed, 0xBAD])
-    views: dict[int, CellView] = {}
+    views: dict[int, SceneVisibility] = {}
 
-    def view(cell: int) -> CellView:
+    def view(cell: int) -> SceneVisibility:
         if cell not in views:
             first = max(cell * SCENE_S, _SETTLED_S)
-            views[cell] = look_at(
-                street, look, from_s=first, to_s=(cell + 1) * SCENE_S, period_s=period_s
+            views[cell] = measure_visibility(
+                street, frame_at, from_s=first, to_s=(cell + 1) * SCENE_S, period_s=period_s
             )
         return views[cell]
 
@@ -111,7 +116,7 @@ def _tries(
 
 
 def _plant(
-    view: CellView, kind: FailureKind, common_mode: bool, cell: int, rng: np.random.Generator
+    view: SceneVisibility, kind: FailureKind, common_mode: bool, cell: int, rng: np.random.Generator
 ) -> PlantedFailure | None:
     shared = common_mode and kind is FailureKind.MISSED_MOVER
     least_s = _FLICKER_LEAST_S if kind is FailureKind.FLICKER else LEAST_S
@@ -140,7 +145,7 @@ def _plant(
     )
 
 
-def _pace(view: CellView, each: Candidate) -> tuple[float, int]:
+def _pace(view: SceneVisibility, each: Candidate) -> tuple[float, int]:
     """Return the true straight-line speed of a mover, m/s, and its number."""
     early, late = (
         view.street.actor_poses(time_s)[each.track, :2]

@@ -85,7 +85,7 @@ class PlantedTruth(BaseModel):
 
 
 @dataclass(frozen=True, slots=True)
-class Planted:
+class PlantedFaults:
     """Faults to plant in a log.
 
     Attributes:
@@ -118,7 +118,7 @@ class Planted:
         )
 
 
-NOTHING_PLANTED: Final = Planted()
+NOTHING_PLANTED: Final = PlantedFaults()
 
 
 def _failure_row(each: PlantedFailure, start_ns: int) -> FailureRow:

@@ -16,8 +16,8 @@ import numpy as np
 from schemas.arrays import NS_PER_S
 from schemas.transport.bucket import Bucket, open_bucket
 from workers.lab.simulation.faults.disturbances import disturb, draw_disturbance
-from workers.lab.simulation.faults.fault_placement import plant
-from workers.lab.simulation.faults.fault_truth import Planted
+from workers.lab.simulation.faults.fault_placement import place_failures
+from workers.lab.simulation.faults.fault_truth import PlantedFaults
 from workers.lab.simulation.faults.plan import LogPlan
 from workers.lab.simulation.output.write import Identity, RecordedAs, write_log
 from workers.lab.simulation.sensor.lidar import Lidar, sweep
@@ -52,7 +52,7 @@ class SimulatedLog:
 
     log_id: str
     frames: int
-    planted: Planted
+    planted: PlantedFaults
     log: Path
     truth: Path
 
@@ -147,7 +147,7 @@ def write_planned(
     car = plan.number % len(VEHICLES)
     lidar = options.lidar or mounted(*VEHICLES[car], columns=options.columns)
     street = planned_street(plan)
-    planted = put_into(street, plan, lidar=lidar)
+    planted = draw_faults(street, plan, lidar=lidar)
     day = _FIRST_DAY + timedelta(days=plan.number // len(VEHICLES))
     vehicle = f"sim-{car + 1:02d}"
     key = f"{vehicle}/{day.isoformat()}/street-{plan.number:03d}"
@@ -184,13 +184,13 @@ def planned_street(plan: LogPlan) -> Street:
     )
 
 
-def put_into(street: Street, plan: LogPlan, *, lidar: Lidar) -> Planted:
+def draw_faults(street: Street, plan: LogPlan, *, lidar: Lidar) -> PlantedFaults:
     """Draw the faults of a log, once its street is known."""
     disturbances = tuple(draw_disturbance(each) for each in plan.disturbances)
-    failures, redraws = plant(
+    failures, redraws = place_failures(
         street,
         plan,
-        look=lambda index: disturb(sweep(street, lidar, index), disturbances),
+        frame_at=lambda index: disturb(sweep(street, lidar, index), disturbances),
         period_s=lidar.period_s,
     )
-    return Planted(failures, disturbances, redraws, plan.hard)
+    return PlantedFaults(failures, disturbances, redraws, plan.hard)

@@ -10,7 +10,7 @@ from typing import IO, Final, Literal
 from mcap_ros2.writer import Writer
 
 from workers.lab.simulation.faults.disturbances import delay_ns, disturb
-from workers.lab.simulation.faults.fault_truth import NOTHING_PLANTED, Planted
+from workers.lab.simulation.faults.fault_truth import NOTHING_PLANTED, PlantedFaults
 from workers.lab.simulation.faults.recorded import record, recorded_classes
 from workers.lab.simulation.output.cloud import (
     POINT_CLOUD2,
@@ -51,7 +51,7 @@ def write_log(
     identity: Identity | None = None,
     recorded: RecordedAs = "fields",
     odometry: bool = False,
-    planted: Planted = NOTHING_PLANTED,
+    planted: PlantedFaults = NOTHING_PLANTED,
     truth: Path | None = None,
     log_key: str = "",
     chunk_bytes: int = 4 << 20,
@@ -96,16 +96,16 @@ def write_log(
         moved = OdometryWriter(writer, street, start_ns=identity.start_ns) if odometry else None
         for index in range(count):
             frame = disturb(sweep(street, lidar, index), planted.disturbances)
-            said = None if recorded == "nothing" else record(street, frame, planted.failures)
+            onboard = None if recorded == "nothing" else record(street, frame, planted.failures)
             late_ns = delay_ns(index, frame.time_s, planted.disturbances)
             stamp_ns = identity.start_ns + index * lidar.period_ns + late_ns
             if moved is not None:
                 moved.write_until(stamp_ns)
-            rows = cloud_of(frame, said if recorded == "fields" else None)
+            rows = cloud_of(frame, onboard if recorded == "fields" else None)
             message = message_of(rows, stamp_ns=stamp_ns, space=LIDAR_SPACE)
             writer.write_message(LIDAR_TOPIC, schema, message, stamp_ns, stamp_ns, index)
-            if recorded == "topic" and said is not None:
-                labels = message_of(labels_of(said), stamp_ns=stamp_ns, space=LIDAR_SPACE)
+            if recorded == "topic" and onboard is not None:
+                labels = message_of(labels_of(onboard), stamp_ns=stamp_ns, space=LIDAR_SPACE)
                 writer.write_message(LABEL_TOPIC, schema, labels, stamp_ns, stamp_ns, index)
             if truth_writer is not None:
                 truth_writer.add(frame, stamp_ns=stamp_ns, data_crc32=zlib.crc32(message["data"]))

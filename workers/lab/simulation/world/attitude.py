@@ -53,7 +53,7 @@ def ride(drive: Drive, terrain: Terrain, *, seconds: float) -> Floats:
     return np.stack([x, y, z, yaw, pitch, roll], axis=1)
 
 
-def stand_on(poses: Floats, terrain: Terrain, *, tilts: NDArray[np.bool_]) -> Floats:
+def place_on_terrain(poses: Floats, terrain: Terrain, *, tilts: NDArray[np.bool_]) -> Floats:
     """Place (A, 3) world x, y, yaw on the ground: (A, 6); bodies that do not tilt are upright."""
     x, y, yaw = poses.T
     cos, sin = np.cos(yaw), np.sin(yaw)

@@ -47,7 +47,7 @@ class Network:
 
 
 @dataclass(frozen=True, slots=True)
-class _Put:
+class _Placement:
     along_m: float
     across_m: float
     turned_rad: float
@@ -64,7 +64,7 @@ class Builder:
         self.network, self.number, self.green, self.rng = network, number, green, rng
         self.road, self.place, _, _ = network.roads[number]
         self.whole: list[Mesh] = []
-        self._put: dict[int, tuple[Mesh, list[_Put]]] = {}
+        self._put: dict[int, tuple[Mesh, list[_Placement]]] = {}
         _, _, low, high = network.roads[number]
         self._free_at: dict[tuple[float, float], NDArray[np.bool_]] = {}
         self._steps = np.arange(low - 40.0, high + 40.0)
@@ -93,7 +93,7 @@ class Builder:
         """Put a mesh at a roadside place, on the ground."""
         three = scale if isinstance(scale, tuple) else (scale, scale, scale)
         _, places = self._put.setdefault(id(mesh), (mesh, []))
-        places.append(_Put(along_m, across_m, turned_rad, three, sunk_m))
+        places.append(_Placement(along_m, across_m, turned_rad, three, sunk_m))
 
     def block(
         self,

@@ -15,7 +15,7 @@ _NARROW_M: Final = 5.0
 """Sampling step for clearance tests, metres: less than the width of the narrowest carriageway."""
 
 
-def fronts(build: Builder, from_m: float, to_m: float, side: int) -> None:
+def build_facades(build: Builder, from_m: float, to_m: float, side: int) -> None:
     """Place houses in a row, or apart where there are gardens."""
     place, rng, at = build.place, build.rng, from_m
     rural = place.name == "country"

@@ -8,7 +8,7 @@ from workers.lab.simulation.models.kinds import Material, StreetClass
 from workers.lab.simulation.models.meshes import Mesh, grid
 from workers.lab.simulation.models.plants import SORTS, bush, grass, tree
 from workers.lab.simulation.world.builder import Builder, Network
-from workers.lab.simulation.world.facades import barriers, fronts, gardens
+from workers.lab.simulation.world.facades import barriers, build_facades, gardens
 from workers.lab.simulation.world.furniture import furniture
 from workers.lab.simulation.world.terrain import BUMP_HALF_M, Terrain, bump_profile
 
@@ -33,7 +33,7 @@ def build_scenery(network: Network, *, green: float, rng: np.random.Generator) -
             if place.pavement_m > 0:
                 _pavement(build, from_m, to_m, side)
             if place.facade_m > 0:
-                fronts(build, from_m, to_m, side)
+                build_facades(build, from_m, to_m, side)
             if place.gardens:
                 gardens(build, from_m, to_m, side)
             if place.barriers:

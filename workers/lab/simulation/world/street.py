@@ -11,7 +11,7 @@ from workers.lab.simulation.models.kinds import Material, StreetClass
 from workers.lab.simulation.models.meshes import Mesh, grid
 from workers.lab.simulation.models.model import Model
 from workers.lab.simulation.models.models import models_of
-from workers.lab.simulation.world.attitude import ride, rotations, stand_on
+from workers.lab.simulation.world.attitude import place_on_terrain, ride, rotations
 from workers.lab.simulation.world.motion_along_road import TIME_STEP_S, Drive, Floats
 from workers.lab.simulation.world.ray_casting import (
     GROUND_OWNER,
@@ -169,7 +169,7 @@ class Street:
         index = np.arange(len(self.actors)) if of is None else of
         poses = self.actor_poses(time_s)[index]
         tilts = np.array([self.actors[i].street_class not in _UPRIGHT for i in index], np.bool_)
-        return stand_on(poses, self.terrain, tilts=tilts)
+        return place_on_terrain(poses, self.terrain, tilts=tilts)
 
     def actor_velocities(self, time_s: float) -> Floats:
         """Return (A, 2) world velocity of every actor, the mean over a tenth of a second."""
@@ -221,7 +221,7 @@ def _standing_scene(
     parked = [i for i, actor in enumerate(actors) if actor.parked]
     if parked:
         tilts = np.array([actors[i].street_class not in _UPRIGHT for i in parked], np.bool_)
-        bodies = stand_on(start[parked], terrain, tilts=tilts)
+        bodies = place_on_terrain(start[parked], terrain, tilts=tilts)
         turns = rotations(bodies[:, 3], bodies[:, 4], bodies[:, 5])
         for i, body, turn in zip(parked, bodies, turns, strict=True):
             mesh = actors[i].shape.phases[0]

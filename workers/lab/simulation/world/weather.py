@@ -61,14 +61,14 @@ class Weather:
             nearer[ends] = far[ends]
         for x, y, z, radius, first, last in self.puffs:
             if first <= time_s < last:
-                self._puff(
+                self._dust_returns(
                     np.array([x, y, z]), radius * (0.5 + time_s - first), ends, nearer,
                     origins_m, directions, rng,
                 )  # fmt: skip
         return ends, nearer
 
     @staticmethod
-    def _puff(
+    def _dust_returns(
         centre_m: Floats,
         radius_m: float,
         ends: NDArray[np.bool_],
