@@ -250,7 +250,7 @@ def test_the_report_holds_its_tables_and_plots(tmp_path: Path) -> None:
     page = file.read_text()
     assert page.count("<svg") == 6
     assert "fleet/&lt;logs&gt;" in page
-    assert "Judged in <i>natural</i>: the supervised stream &lt;own&gt;" in page
+    assert "Evaluated in <i>natural</i>: the supervised stream &lt;own&gt;" in page
     assert "unseen_class" in page
     assert FAILURE_MEANS[FailureKind.UNSEEN_CLASS] in page
     assert DISTURBANCE_MEANS[DisturbanceKind.ODOMETRY_SLIP] in page

@@ -52,7 +52,7 @@ def test_a_network_that_sees_less_answers_as_if_the_rest_were_at_its_mean(tmp_pa
     [
         ({"width": 8}, "agree"),
         ({"residual": ResidualSettings(ages_s=(0.1,), max_range_m=100)}, "agree"),
-        ({"profile": replace(CARD.profile, means=(0, 0, 0, 0, 0))}, "normalised"),
+        ({"profile": replace(CARD.profile, means=(0, 0, 0, 0, 0))}, "same normalisation"),
     ],
 )
 def test_weights_of_another_network_are_refused(
