@@ -121,7 +121,7 @@ def _load(data: bytes, path: Path, *, convert: bool) -> Any:
             torch.serialization.safe_globals(list(STAND_INS) if convert else []),
             warnings.catch_warnings(action="ignore"),
         ):
-            # From memory: what was checked is what is read, and no archive of tar is looked for.
+            # From memory: the checked bytes are the ones read, and torch tries no tar archive.
             return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
     except _DAMAGED as error:
         named = _NAMED_GLOBAL.search(str(error))

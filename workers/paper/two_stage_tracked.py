@@ -67,7 +67,7 @@ def _by_rule(posed: PosedFrame, said: FrameLabels, dt_s: float, rule: TwoStageRu
     places = transform(posed.odom_from_sensor, posed.frame.points_m[asked])
     voxels = voxelize(places)
     weights = np.bincount(voxels.of_point, minlength=len(voxels.centroids_m))
-    # a voxel lies in one cluster: whichever point is taken tells its velocity
+    # a voxel is in one cluster: any of its points gives the velocity
     some = np.zeros(len(weights), np.int64)
     some[voxels.of_point] = asked
     of_voxel = np.where(moves[some] & (cluster[some] >= 0), cluster[some], -1)

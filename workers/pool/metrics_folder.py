@@ -43,7 +43,7 @@ class MetricsFolder:
             return False
         for left in self._home.glob(f"{PREFIX}*"):
             _remove_if_left(left)
-        # Under another name until it is locked, so that no other pool takes it for left behind.
+        # Under another name until it is locked, so that no other pool removes it as left behind.
         fresh = self._home / f".{self.path.name}"
         fresh.mkdir(parents=True, exist_ok=True)
         self._let_go()
@@ -72,7 +72,7 @@ def _remove_if_left(folder: Path) -> None:
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         shutil.rmtree(folder, ignore_errors=True)
-    except OSError:  # held, or on a file system that knows no locks
+    except OSError:  # held, or on a file system without locks
         return
     finally:
         os.close(lock)

@@ -133,10 +133,10 @@ def count_in(folder: Path, place: int) -> None:
         folder: Folder of the files that `SharedMetrics` created.
         place: Number of the place; no two processes may have one at the same time.
     """
-    if not os.access(folder, os.W_OK):  # somebody took it away, or its disk went read-only
+    if not os.access(folder, os.W_OK):  # it was removed, or its disk became read-only
         log.warning("what this worker counts is not served", folder=str(folder), place=place)
         return
-    # The library takes the folder from nowhere else.
+    # The library reads the folder from this variable only.
     os.environ["PROMETHEUS_MULTIPROC_DIR"] = str(folder)  # noqa: TID251
     values.ValueClass = values.MultiProcessValue(lambda: place)  # type: ignore[no-untyped-call]
 

@@ -82,7 +82,7 @@ def measure_layout(frames: Sequence[LidarFrame]) -> SensorLayout:
         listed = elevation_of_beams(elevation_deg, beam)
         beams = len(listed)
     else:
-        # of a single frame: in two, points would lie closer to each other than beams do
+        # from a single frame: in two, points are closer to each other than beams are
         table = estimate_beam_table(clouds[0], np.full(len(clouds[0]), -1, np.int16))
         guessed = min(len(table.tangents), MAX_BEAMS)
         beams = max(round(guessed / MULTIPLE), 1) * MULTIPLE if guessed > 1 else 0

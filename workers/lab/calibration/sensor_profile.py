@@ -182,7 +182,9 @@ def profile_text(profile: SensorProfile, ending: str) -> str:
     fields = {name: value for name, value in asdict(profile).items() if value is not None}
     if ending == ".json":
         return json.dumps(fields, indent=1) + "\n"
-    if ending == ".toml":  # strings, numbers, booleans and lists are written alike
+    if (
+        ending == ".toml"
+    ):  # strings, numbers, booleans and lists have the same form in TOML and JSON
         lines = [f"{name} = {json.dumps(value)}" for name, value in fields.items()]
         return "\n".join(("[profile]", *lines)) + "\n"
     raise ValueError(f"a profile is written to .json or .toml, not {ending!r}")

@@ -108,7 +108,7 @@ def _real(args: argparse.Namespace) -> None:
     rng = np.random.default_rng(args.seed)
     clouds = list(read_clouds(args.log, args.truth, range(frames.stop)))
     profile = lay_out(PROFILE, clouds[0].frame)
-    # to judge, the past may lie before the frames; to learn, nothing outside of them is seen
+    # evaluation may use a past before the frames; training uses nothing outside of them
     known = clouds if args.judge else clouds[frames.start :]
     only = frames if args.judge else None
     variants = (1,) if args.judge else (1, -1, 2, -2)

@@ -36,7 +36,7 @@ def score_images(net: SalsaNext, images: TrainingImages, card: WeightsCard) -> d
         x = torch.from_numpy(network_input(sample, card.profile, card.channels))[None]
         with torch.inference_mode():
             shares = net(x.contiguous(memory_format=torch.channels_last))[0]
-        found = shares[1:].argmax(0).numpy() + 1  # class 0 was never taught and never wins
+        found = shares[1:].argmax(0).numpy() + 1  # class 0 is not trained and never wins
         counted = labels > 0
         np.add.at(confusion, (labels[counted], found[counted]), 1)
     scores = class_iou(confusion, [meaning.name for meaning in card.classes])

@@ -95,7 +95,7 @@ def bench_motion(
     shard, *_ = shards_of_log(bucket, recording, settings)
     parts = build_parts(
         odometry=settings.odometry,
-        # not run: the part that loads nothing, so that it takes no memory
+        # not run: this part loads nothing, so it needs no memory
         supervised="recorded",
         selfsupervised=settings.selfsupervised,
     )
@@ -111,7 +111,7 @@ def bench_motion(
     before: Mapping[str, float] = {}
     answers = run.selfsupervised(run.odometry(own))
     while True:
-        # the floors take the same steps, so that nobody may watch them
+        # the lower bounds run the same steps, which must not be timed as the stream's
         with watched(stages):
             labels = next(answers, None)
         if labels is None:

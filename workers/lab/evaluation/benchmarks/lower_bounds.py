@@ -72,7 +72,7 @@ def patchwork_ms(
 
 def networks_ms(frames: Sequence[LidarFrame]) -> Iterator[float]:
     """Time the forward passes of the shipped SalsaNext and LMNet on prepared images, one thread."""
-    # here, not above: whoever times the other floors need not hold torch
+    # imported here, so that the other lower bounds run without torch in memory
     import torch
 
     from workers.supervised.stream import SHIPPED

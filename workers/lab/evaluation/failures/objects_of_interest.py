@@ -1,4 +1,4 @@
-"""Objects of interest: the objects of a scene on which the supervised stream can be judged.
+"""Objects of interest: the objects of a scene on which the supervised stream is evaluated.
 
 A *failure* is an object with at least 25 wrong points that are most of its points, in frames that
 together last half a second. Objects come from the truth. Wrong points without an object are

@@ -16,7 +16,7 @@ OTHER_KIND: Final = "other"
 
 
 class ObjectRow(BaseModel):
-    """An object of interest of a scene, on which the supervised stream can be judged."""
+    """An object of interest of a scene, on which the supervised stream is evaluated."""
 
     model_config = _STRICT
 
@@ -71,7 +71,7 @@ class SceneRow(BaseModel):
     seconds: float
     blind_share: float = Field(description="Share of frames without self-supervised labels.")
     views: dict[str, float]
-    things: tuple[ObjectRow, ...]
+    things: tuple[ObjectRow, ...] = Field(description="Objects of interest of the scene.")
     tracks: tuple[TrackRow, ...]
     disturbance: str = Field(default="", description="Its kind; empty: none.")
     hard: bool = False

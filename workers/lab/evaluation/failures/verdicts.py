@@ -22,7 +22,7 @@ MOST: Final = 0.5
 def object_under(
     members: Sequence[Instance], seen: Sequence[FrameWithTruth], things: Sequence[ObjectOfInterest]
 ) -> tuple[str, int]:
-    """Find the object that a contradicting track lies on.
+    """Find the object below a contradicting track.
 
     Returns:
         Its key, empty for none, and the true object that half of the points belong to, -1 none.

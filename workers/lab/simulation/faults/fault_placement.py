@@ -125,7 +125,7 @@ def _plant(
     ]
     if not able:
         return None
-    if shared:  # a stream that answers at once misses what goes slowly, whatever else it is
+    if shared:  # a stream without lookahead misses slow movers of every class
         chosen = min(able, key=lambda each: _pace(view, each))
     else:
         chosen = able[int(rng.integers(len(able)))]
