@@ -1,4 +1,8 @@
-"""DeLORA: learned lidar odometry, trained without labels."""
+"""DeLORA: learned lidar odometry, trained without labels.
+
+Source: Nubert, Khattak, Hutter, "Self-supervised Learning of LiDAR Odometry for Robotic
+Applications", ICRA 2021, section III-B (network); BSD-3-Clause code, published parameter names.
+"""
 
 from dataclasses import dataclass
 from typing import Final

@@ -1,4 +1,14 @@
-"""FlowStep3D: learned scene flow by iterative refinement."""
+"""FlowStep3D: learned scene flow by iterative refinement.
+
+Source: Kittenplon, Eldar, Raviv, "FlowStep3D: Model Unrolling for Self-Supervised Scene Flow
+Estimation", CVPR 2021, section 3; MIT code, published parameter names. Encoders as in PointNet++,
+the global correlation as in FLOT (Puy et al., ECCV 2020). The flow embedding is as in FlowNet3D
+(Liu et al., CVPR 2019), the updates by a gated recurrent unit as in RAFT (Teed, Deng, ECCV 2020).
+
+Tensors: positions (B, N, 3) in metres, features (B, C, N). The published code searches
+neighbourhoods again in every layer; here they are searched once. At one level, the nearest 4 of a
+point are the first of its nearest 32, so the numbers are the same.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,9 @@
-"""GndNet: learned ground elevation on a grid of 1 m cells, from pillars of points."""
+"""GndNet: learned ground elevation on a grid of 1 m cells, from pillars of points.
+
+Source: Paigwar, Erkent, Sierra-Gonzalez, Laugier, "GndNet: Fast Ground Plane Estimation and Point
+Cloud Segmentation for Autonomous Vehicles", IROS 2020, section III; MIT code, published parameter
+names. Pillars as in PointPillars (Lang et al., CVPR 2019), the head as in SegNet.
+"""
 
 from typing import Final
 

@@ -1,4 +1,4 @@
-"""Ground labels from semantic classes: some class names mean ground, the others do not."""
+"""Ground labels from semantic classes, the task `ground`: some class names mean ground."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

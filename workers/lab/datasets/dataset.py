@@ -1,4 +1,7 @@
-"""Builds training images from simulated streets and real logs."""
+"""Builds training images from simulated streets and real logs.
+
+`python -m workers.lab.datasets.dataset --help` lists the options.
+"""
 
 import argparse
 import logging

@@ -1,4 +1,9 @@
-"""Self-supervised loss of FlowStep3D, as published: chamfer distance plus flow smoothness."""
+"""Self-supervised loss of FlowStep3D, as published: chamfer distance plus flow smoothness.
+
+Source: Kittenplon, Eldar, Raviv, "FlowStep3D: Model Unrolling for Self-Supervised Scene Flow
+Estimation", CVPR 2021, and its code, which has no Laplacian term. All functions take one pair of
+clouds and are differentiable in the flow; neighbours are searched without gradient.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

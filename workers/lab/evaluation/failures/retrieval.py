@@ -64,7 +64,7 @@ def retrieve(scores: Values, wanted: Mask, budgets: Sequence[float] = BUDGETS) -
 def random_retrieval(wanted: Mask, budgets: Sequence[float] = BUDGETS) -> Retrieval:
     """Return the expected figures of a random order.
 
-    The expected average precision is `((R-1)/(N-1)(N-H)+H)/N`, for R wanted of N items, with `H`
+    The expected average precision is `((R-1)/(N-1) (N-H) + H)/N`, for R wanted of N items, with `H`
     the N-th harmonic number.
     """
     count, total = len(wanted), int(wanted.sum())

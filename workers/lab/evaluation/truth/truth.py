@@ -154,7 +154,14 @@ class LogTruth:
         )
 
     def classes_of(self, frame: LidarFrame, *, number: int) -> NDArray[np.uint8] | None:
-        """Read the coarse class of each point (`class_table`); 0 where truth has none."""
+        """Read the coarse class of each point (`class_table`); 0 where truth has none.
+
+        Returns:
+            (N,) classes; None where the truth of this frame has none, or no table of their ids.
+
+        Raises:
+            TruthUnusableError: If it labels a different number of points.
+        """
         path, arrays = self._arrays_of(frame, number, ("semantic19", "semantic"))
         if "semantic19" in arrays:
             table, ids = coarse_of_names(SEMANTIC_KITTI), arrays["semantic19"]

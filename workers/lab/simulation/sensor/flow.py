@@ -10,7 +10,7 @@ from workers.lab.simulation.world.attitude import rotations
 from workers.lab.simulation.world.street import Street
 
 _PER_M = 256
-"""Resolution of the flow, 1/m: as fine as float16 is at the speed of a car."""
+"""Steps of the flow per metre: 1/256 m is the resolution of float16 at the speed of a car."""
 
 
 def flow_of(street: Street, lidar: Lidar, frame: SimulatedFrame) -> NDArray[np.float16]:

@@ -29,7 +29,7 @@ _LEAST_FACING: Final = 0.02
 _CREEPING_M_PER_S: Final = 0.2
 _MOVING_M_PER_S: Final = 0.5
 _GRID_PER_M: Final = 512
-"""Resolution of positions, 1/m, far below the noise: it keeps logs small."""
+"""Steps of a position per metre: 1/512 m is far below the noise, and keeps logs small."""
 
 UNIFORM_64: Final = tuple(np.linspace(3.0, -25.0, 64).round(4).tolist())
 """Evenly spaced beams, similar to those of an HDL-64E, degrees."""
