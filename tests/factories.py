@@ -20,7 +20,7 @@ from schemas.frame import LidarFrame, OdometryState, PosedFrame, RecordedLabels
 from schemas.labels import FrameLabels
 from schemas.score import AgreementShares, KindTotal, OdometryHealth, Producers, SceneScore
 from workers.contradiction.agreement import compare
-from workers.lab.simulation.faults.fault_truth import Planted
+from workers.lab.simulation.faults.fault_truth import PlantedFaults
 from workers.lab.simulation.faults.faults import PlantedFailure
 from workers.lab.simulation.faults.plan import FailureKind
 from workers.lab.simulation.output.write import Identity, RecordedAs, write_log
@@ -226,7 +226,7 @@ def street_log(
         identity=Identity(**identity),
         recorded=recorded_as,
         odometry=odometry,
-        planted=Planted(failures=tuple(failures)),
+        planted=PlantedFaults(failures=tuple(failures)),
         truth=truth,
         chunk_bytes=chunk_bytes,
         frames=frames,
@@ -234,7 +234,7 @@ def street_log(
     return path
 
 
-def missed_and_phantom(street: Street) -> Planted:
+def missed_and_phantom(street: Street) -> PlantedFaults:
     """Let the model on the car miss every second mover, and call every fourth parked car moving."""
     failures = [
         PlantedFailure(
@@ -246,4 +246,4 @@ def missed_and_phantom(street: Street) -> Planted:
         for track, actor in enumerate(street.actors)
         if track % (4 if actor.parked else 2) == 0
     ]
-    return Planted(failures=tuple(failures))
+    return PlantedFaults(failures=tuple(failures))

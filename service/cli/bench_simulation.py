@@ -12,7 +12,7 @@ from service.cli.output import json_line, progress, table
 from service.output_files import need_writable, save_picture
 
 if TYPE_CHECKING:
-    from workers.lab.evaluation.benchmarks.bench_simulation import Look
+    from workers.lab.evaluation.benchmarks.bench_simulation import FrameStatistics
 
 
 def simulation(
@@ -34,8 +34,8 @@ def simulation(
 ) -> None:
     """Time the simulator on one core; with a log, compare simulated frames to its real ones."""
     from service.cli.logs import locate
-    from workers.lab.evaluation.benchmarks.bench_simulation import bench_rates, simulated_looks
-    from workers.lab.evaluation.benchmarks.real_frames import real_look
+    from workers.lab.evaluation.benchmarks.bench_simulation import bench_rates, simulated_statistics
+    from workers.lab.evaluation.benchmarks.real_frames import real_statistics
     from workers.lab.simulation.sensor.sensors import SENSORS
 
     chosen = next((name for name in SENSORS if name == sensor), None)
@@ -55,13 +55,13 @@ def simulation(
         if url is not None:
             settings = settings_for(config)
             store, recording = locate(url, root_url=settings.bucket)
-            real, real_one = real_look(store, recording, settings.mining())
-            simulated, others = simulated_looks(chosen)
+            real, real_one = real_statistics(store, recording, settings.mining())
+            simulated, others = simulated_statistics(chosen)
             looks = [real_one, *others]
             if picture is not None:
-                from workers.lab.evaluation.benchmarks.comparison_picture import draw_beside
+                from workers.lab.evaluation.benchmarks.comparison_picture import draw_side_by_side
 
-                beside = draw_beside([(real_one.name, real), *simulated[:2]])
+                beside = draw_side_by_side([(real_one.name, real), *simulated[:2]])
                 save_picture(beside, picture, option="--picture", force=force)
     if json:
         for rate in rates:
@@ -71,18 +71,18 @@ def simulation(
         return
     table(
         "64 beams, 1800 columns: time of one core",
-        ("step", "ms", "a second"),
+        ("step", "ms", "per second"),
         ((row.what, f"{row.ms:.0f}", f"{row.per_s:.1f}") for row in rates),
     )
     if looks:
         _say_looks(looks)
 
 
-def _say_looks(looks: "Sequence[Look]") -> None:
+def _say_looks(looks: "Sequence[FrameStatistics]") -> None:
     from workers.lab.evaluation.benchmarks.bench_simulation import RANGES_M
 
     table(
-        "share of the points by range, percent",
+        "share of points by range, percent",
         ("frames of", "points", *(f"-{far} m" for far in RANGES_M[1:])),
         (
             (look.name, round(look.points), *(f"{100 * share:.1f}" for share in look.range_share))
@@ -90,8 +90,8 @@ def _say_looks(looks: "Sequence[Look]") -> None:
         ),
     )
     table(
-        "beams, drop-outs and intensity",
-        ("frames of", "points of a beam over 1800, every 6th beam", "lone gaps", "intensity"),
+        "beams, dropouts and intensity",
+        ("frames of", "points per beam over 1800, every 6th beam", "single gaps", "intensity"),
         (
             (
                 look.name,

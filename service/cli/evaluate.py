@@ -101,7 +101,7 @@ def motion(
     from service.pictures.evaluation_frames import draw_worst
     from service.pictures.table import draw_table
     from workers.lab.evaluation.motion.disturbance import Disturbance
-    from workers.lab.evaluation.motion.motion import JudgedFrame, evaluate_motion
+    from workers.lab.evaluation.motion.motion import EvaluatedFrame, evaluate_motion
     from workers.lab.evaluation.motion.worst_frames import WorstFrames
     from workers.lab.evaluation.motion.written_labels import write_labels
 
@@ -110,7 +110,7 @@ def motion(
     def of_stream(folder: Path, name: str) -> Path:
         return folder if len(streams) == 1 else folder / name.replace(":", "-")
 
-    def keep(judged: JudgedFrame) -> None:
+    def keep(judged: EvaluatedFrame) -> None:
         if labels is not None:
             write_labels(of_stream(labels, judged.stream), judged)
         if pictures is not None:
@@ -182,9 +182,9 @@ def semantics(
         ("class", *(row.log for row in evaluated)),
         (
             ("mean of the classes", *(row.miou for row in evaluated)),
-            ("all that can move", *(row.movable_iou for row in evaluated)),
+            ("all movable classes", *(row.movable_iou for row in evaluated)),
             *((name, *(row.iou.get(name) for row in evaluated)) for name in classes),
-            ("share without an answer", *(row.unanswered_share for row in evaluated)),
+            ("share without a class", *(row.unanswered_share for row in evaluated)),
             ("frames", *(row.frames for row in evaluated)),
         ),
     )
@@ -214,7 +214,7 @@ def _say(evaluated: "list[LogEvaluation]", streams: tuple[str, ...]) -> None:
         ),
     )
     table(
-        "moving objects of 20 points and more; clusters of 25 points where nothing moves",
+        "moving objects of 20 or more points; false clusters of 25 or more points",
         (
             *(*first, "found 25", "found 50", "found 80 m", "false clusters per frame"),
             *("confirmed: IoU 80 m", "false clusters", "velocity error m/s", "ms per frame"),

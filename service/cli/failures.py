@@ -144,7 +144,7 @@ def failures(
     for judged_in, stream in bench.judged.items():
         remark(f"evaluated in {judged_in}: supervised stream {stream}")
     if report is None:
-        remark("a page with plots, and with what each kind means: --report FILE.html")
+        remark("a page with plots and a description of each kind: --report FILE.html")
     else:
         write_report(report, bench, force=force)
         remark(f"report: {report}")
@@ -175,7 +175,7 @@ def _say_planted(found: "PlantedTable") -> None:
         [_row("score", found)] + [_row(name, row) for name, row in _best_first(found.baselines)],
     )
     table(
-        "by kind of failure, against scenes without",
+        "by kind of failure, against scenes without failure",
         ("kind", "scenes", "AP", "recall 5 %", "10 %", "median rank"),
         (
             (
@@ -187,7 +187,7 @@ def _say_planted(found: "PlantedTable") -> None:
     )
     shares = dict(found.disturbances) | ({"slips": found.slips} if found.slips else {})
     table(
-        "false alarms: scenes without failure above the 5 % mark of the undisturbed",
+        "false alarms: scenes without failure above the 5 % budget of undisturbed scenes",
         ("disturbed by", "scenes", "above", "share"),
         ((name, row.scenes, row.above, row.share) for name, row in shares.items()),
     )
@@ -195,22 +195,22 @@ def _say_planted(found: "PlantedTable") -> None:
     shared = found.common_mode
     remark(
         f"gain over {found.best_baseline}: {found.gain} {found.gain_interval or ''}; "
-        f"{found.planted - found.unseen} of {found.planted} planted failures show in the labels; "
-        f"of {shared.planted} chosen to escape both streams {shared.both_wrong} did, of these the "
-        f"witness and the first 10 % show {shared.surfaced}"
+        f"the labels show {found.planted - found.unseen} of {found.planted} planted failures; both "
+        f"streams are wrong on {shared.both_wrong} of {shared.planted} common-mode ones, and "
+        f"{shared.surfaced} of these are in the first 10 % with the witness against both"
     )
 
 
 def _say_natural(found: "NaturalTable") -> None:
     table(
-        f"natural: the stream fails on {found.failing_things} of {found.things} things, in "
+        f"natural: the stream fails on {found.failing_things} of {found.things} objects, in "
         f"{found.failing_scenes} of {counted(found.scenes, 'scene')}",
         (*COLUMNS, "found per minute", "found area"),
         [_row("strength", found)] + [_row(name, row) for name, row in _best_first(found.baselines)],
     )
     table(
         "by class",
-        ("things", "count", "failing", "of them contradicting"),
+        ("objects", "count", "failing", "failing and contradicting"),
         ((name, row.things, row.failing, row.found) for name, row in found.classes.items()),
     )
     _say_who(found)
@@ -219,8 +219,8 @@ def _say_natural(found: "NaturalTable") -> None:
 def _say_who(found: "PlantedTable | NaturalTable") -> None:
     said = found.attribution
     table(
-        f"attribution: balanced accuracy {said.accuracy}, of a constant {said.commonest}",
-        ("true", "tracks", "recall", *(f"said {name}" for name in said.cases)),
+        f"attribution: balanced accuracy {said.accuracy}, of a constant answer {said.commonest}",
+        ("true", "tracks", "recall", *(f"verdict {name}" for name in said.cases)),
         (
             (name, count, said.recall[name], *said.confusion[name].values())
             for name, count in said.cases.items()
@@ -230,16 +230,18 @@ def _say_who(found: "PlantedTable | NaturalTable") -> None:
 
 def _say_what_it_is_too_small_for(bench: "FailureBench") -> None:
     """Warn about figures for which the fleet is too small."""
-    from workers.lab.evaluation.failures.intervals import FEWEST_LOGS
-    from workers.lab.evaluation.failures.retrieval import looked_at
+    from workers.lab.evaluation.failures.intervals import MIN_LOGS
+    from workers.lab.evaluation.failures.retrieval import budget_size
 
-    if bench.logs < FEWEST_LOGS:
-        remark(f"no intervals: {counted(bench.logs, 'log')} cannot say what others would give")
-    for ranked, what in ((bench.planted, "scene"), (bench.natural, "thing")):
-        if ranked is not None and looked_at(0.01, ranked.ranked) == looked_at(0.05, ranked.ranked):
+    if bench.logs < MIN_LOGS:
+        remark(f"no intervals: {counted(bench.logs, 'log')}, and at least {MIN_LOGS} are needed")
+    for ranked, what in ((bench.planted, "scene"), (bench.natural, "object")):
+        if ranked is not None and budget_size(0.01, ranked.ranked) == budget_size(
+            0.05, ranked.ranked
+        ):
             remark(
-                f"{counted(ranked.ranked, what)}: 1 % and 5 % are the same ones; figures of so few "
-                "move with each"
+                f"{counted(ranked.ranked, what)}: budgets of 1 % and 5 % contain the same, and "
+                "each one changes the figures"
             )
 
 

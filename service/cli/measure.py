@@ -182,7 +182,7 @@ def networks(
         return
     table(
         "networks, one thread, in pairs with the published forward pass (plain)",
-        ("network", "way", "size", "median ms", "times as fast", "changed", "memory MiB"),
+        ("network", "variant", "size", "median ms", "speed-up", "changed", "memory MiB"),
         (
             (
                 row.network,

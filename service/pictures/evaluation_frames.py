@@ -23,7 +23,7 @@ from service.pictures.style import (
 from service.pictures.view import View
 
 if TYPE_CHECKING:
-    from workers.lab.evaluation.motion.motion import JudgedFrame
+    from workers.lab.evaluation.motion.motion import EvaluatedFrame
 
 HALF_M: Final = 80.0
 SIZE_PX: Final = 1200
@@ -39,7 +39,9 @@ _MISSED: Final[Colour] = (250, 210, 40)
 _FALSE: Final[Colour] = (255, 70, 70)
 
 
-def draw_worst(folder: Path, frames: Sequence["JudgedFrame"], *, force: bool = False) -> list[Path]:
+def draw_worst(
+    folder: Path, frames: Sequence["EvaluatedFrame"], *, force: bool = False
+) -> list[Path]:
     """Draw frames from above, one file for each and a sheet of all of them.
 
     Args:
@@ -68,7 +70,7 @@ def draw_worst(folder: Path, frames: Sequence["JudgedFrame"], *, force: bool = F
     return [sheet, *paths]
 
 
-def draw_judged(judged: "JudgedFrame") -> Image.Image:
+def draw_judged(judged: "EvaluatedFrame") -> Image.Image:
     """Draw one evaluated frame: 80 m around, with the count of each colour."""
     view = View(0, (0.0, 0.0), HALF_M, SIZE_PX)
     near = np.hypot(judged.points_m[:, 0], judged.points_m[:, 1]) < HALF_M
@@ -96,7 +98,7 @@ def draw_judged(judged: "JudgedFrame") -> Image.Image:
     return image
 
 
-def _kinds(judged: "JudgedFrame") -> list[tuple[str, Colour, NDArray[np.bool_], int]]:
+def _kinds(judged: "EvaluatedFrame") -> list[tuple[str, Colour, NDArray[np.bool_], int]]:
     """Return name, colour, mask and dot radius of each kind of point."""
     from schemas.labels import MotionLabel
     from workers.lab.evaluation.truth.truth import TRUTH_DYNAMIC, TRUTH_STATIC, TRUTH_UNKNOWN

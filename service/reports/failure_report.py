@@ -10,7 +10,7 @@ from service.output_files import PAGE_MARK, save_text
 from service.reports.failure_plots import html_table, plot
 
 if TYPE_CHECKING:
-    from workers.lab.evaluation.failures.attribution import WhoIsWrong
+    from workers.lab.evaluation.failures.attribution import AttributionAccuracy
     from workers.lab.evaluation.failures.bench import FailureBench
     from workers.lab.evaluation.failures.calibration import Calibration
     from workers.lab.evaluation.failures.natural import NaturalTable
@@ -27,14 +27,14 @@ svg { margin: .5em 1em .5em 0 } .title { font-weight: 600; font-size: 14px }
 """
 
 COLUMNS_MEAN: Final = (
-    "AP: average precision; 95 %: where it would lie, had other logs been recorded; precision, "
-    "recall and lift (precision over a random order's) of the first so many percent; found a "
-    "minute: distinct failures for each minute of recording that is looked at; found area: under "
-    "the share of failures found, 0.5 for a random order; median rank: 0 is first, 1 is last"
+    "AP: average precision; 95 %: bootstrap interval over logs; precision, recall and lift "
+    "(precision over that of a random order) at a budget in percent of the ranked items; found per "
+    "minute: distinct failures per minute of reviewed recording; found area: area under the share "
+    "of failures found, 0.5 for a random order; median rank: 0 is first, 1 is last"
 )
 """Meaning of the columns of a ranking, on the page and in the terminal."""
 
-_DOES: Final = "error of the model on the car"
+_DOES: Final = "effect on the labels of the on-board model"
 _BUDGETS: Final = ("0.5", "1", "2", "5", "10")
 
 
@@ -83,8 +83,7 @@ def _planted(found: "PlantedTable") -> list[str]:
         "<h2>Planted</h2>",
         _paragraph(
             f"{found.failures} failures in {found.failing_scenes} of {found.scenes} scenes; "
-            f"{found.planted - found.unseen} of {found.planted} planted ones show in the "
-            "labels."
+            f"the labels show {found.planted - found.unseen} of {found.planted} planted ones."
         ),
         _paragraph(f"{COLUMNS_MEAN}."),
         _ranking({"score": found, **found.baselines}),
@@ -100,25 +99,24 @@ def _planted(found: "PlantedTable") -> list[str]:
             [
                 (
                     *(kind, row.scenes, row.ap, *row.recall_at.values(), row.median_rank_share),
-                    failures.get(kind, "errs without a planted failure"),
+                    failures.get(kind, "wrong labels where nothing was planted"),
                 )
                 for kind, row in found.kinds.items()
             ],
         ),
-        "<h3>False alarms: scenes without failure above the score that ends the first 5 % of the "
-        "undisturbed</h3>",
+        "<h3>False alarms: scenes without failure above the 5 % budget of undisturbed scenes</h3>",
         html_table(
-            ("disturbed by", "scenes", "above", "share", "disturbance of the recording"),
+            ("disturbed by", "scenes", "above", "share", "effect on the recording"),
             [
                 (name, row.scenes, row.above, row.share, disturbances.get(name))
                 for name, row in shares.items()
             ],
         ),
         _paragraph(
-            f"Common mode, failures chosen to escape both streams: both wrong on "
-            f"{shared.both_wrong} of {shared.planted}; the witness contradicts both on "
-            f"{shared.witnessed}, {shared.in_budget} are in the first 10 %, {shared.surfaced} are "
-            "both."
+            f"Common mode, failures that both streams should miss: both are wrong on "
+            f"{shared.both_wrong} of {shared.planted}. The witness contradicts both on "
+            f"{shared.witnessed}; {shared.in_budget} are in the first 10 %, {shared.surfaced} "
+            "fulfil both conditions."
         ),
         *_who(found.attribution),
     ]
@@ -128,15 +126,15 @@ def _natural(found: "NaturalTable") -> list[str]:
     return [
         "<h2>Natural</h2>",
         _paragraph(
-            f"The stream fails on {found.failing_things} of {found.things} things, "
+            f"The stream fails on {found.failing_things} of {found.things} objects, "
             f"in {found.failing_scenes} of {found.scenes} scenes."
         ),
         _paragraph(f"{COLUMNS_MEAN}."),
         _ranking({"strength": found, **found.baselines}),
-        _curves({"strength": found, **found.baselines}, "things"),
+        _curves({"strength": found, **found.baselines}, "objects"),
         _reliability("strength: share of objects that fail", found.calibration),
         html_table(
-            ("things", "count", "failing", "of them contradicting"),
+            ("objects", "count", "failing", "failing and contradicting"),
             [(name, r.things, r.failing, r.found) for name, r in found.classes.items()],
         ),
         *_who(found.attribution),
@@ -145,7 +143,7 @@ def _natural(found: "NaturalTable") -> list[str]:
 
 def _ranking(rows: "Mapping[str, RankingRow]") -> str:
     columns = ("ranked by", "of", "AP", "95 %", *(f"precision {b} %" for b in _BUDGETS))
-    columns += (*(f"recall {b} %" for b in _BUDGETS), "lift 5 %", "found a minute", "found area")
+    columns += (*(f"recall {b} %" for b in _BUDGETS), "lift 5 %", "found per minute", "found area")
     return html_table(
         columns,
         [
@@ -166,25 +164,25 @@ def _curves(rows: "Mapping[str, RankingRow]", what: str) -> str:
         name: [(place / (len(row.curve) - 1), y) for place, y in enumerate(row.curve)]
         for name, row in rows.items()
     }
-    return plot("failures found", lines, x=f"share of {what} looked at", y="share of failures")
+    return plot("failures found", lines, x=f"share of {what} reviewed", y="share of failures")
 
 
 def _reliability(title: str, found: "Calibration") -> str:
-    error = "" if found.ece is None else f", expected error {found.ece:.3f}"
+    error = "" if found.ece is None else f", expected calibration error {found.ece:.3f}"
     line = {title: [(each.said, each.was) for each in found.bins]}
-    return plot(f"{title}{error}", line, x="said", y="was", dots=True, diagonal=True)
+    return plot(f"{title}{error}", line, x="predicted", y="observed", dots=True, diagonal=True)
 
 
-def _who(found: "WhoIsWrong") -> list[str]:
+def _who(found: "AttributionAccuracy") -> list[str]:
     return [
         "<h3>Attribution</h3>",
-        _paragraph(f"Balanced accuracy {found.accuracy}, of a constant label {found.commonest}."),
+        _paragraph(f"Balanced accuracy {found.accuracy}; of a constant answer {found.commonest}."),
         html_table(
-            ("true", "tracks", "recall", *(f"said {name}" for name in found.cases)),
+            ("true", "tracks", "recall", *(f"verdict {name}" for name in found.cases)),
             [
                 (name, count, found.recall[name], *found.confusion[name].values())
                 for name, count in found.cases.items()
             ],
         ),
-        _reliability("attribution: share that is correct", found.calibration),
+        _reliability("attribution: share of correct ones", found.calibration),
     ]

@@ -1,1 +1,1 @@
-"""Weights on disk: read, checked by name, and loaded whole or not at all; below every stage."""
+"""Checkpoints: weights on disk, validated by name and loaded whole or not at all."""

@@ -1,7 +1,8 @@
-"""Checks the zip archives that torch writes, before torch opens them.
+"""Validation of zip archives that torch writes, before torch opens them.
 
-An archive's own table of contents is read in bounds: what its members grow to, and that every
-reader sees the same table. Tensors lie in it as they are; only code and names may be compressed.
+An archive's own table of contents is read within bounds: the decompressed size of its members, and
+that every reader sees the same table. Tensors must be uncompressed; only code and names may be
+compressed.
 """
 
 import re
@@ -16,21 +17,21 @@ from workers.checkpoints.model_files import MAX_STRUCTURE_BYTES
 from workers.checkpoints.pickles import MAX_PICKLE_BYTES
 
 MAX_CONTENTS_BYTES: Final = 4 << 20
-"""Table of contents: some 40,000 members; a network has one for each of its hundreds of tensors."""
+"""Largest table of contents, bytes: some 40,000 members, one per tensor; networks have hundreds."""
 
 _NUMBERS: Final = re.compile(r"(weight_|tensor_)?\d+", re.ASCII)
-"""Last part of the name of a member that holds a tensor's bytes."""
+"""Last part of the name of a member that contains a tensor's bytes."""
 
 _PICKLE: Final = re.compile(r".*(\.|_)pkl", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """A member of an archive that was checked.
+    """A member of a validated archive.
 
     Attributes:
         name: Path inside the archive's one folder, in lower case, as torch looks it up.
-        read: Decompresses it, in the bounds that were checked.
+        read: Decompresses it within the validated bounds.
     """
 
     name: str
@@ -38,17 +39,17 @@ class Member:
 
 
 def check_archive(file: BinaryIO, *, source: object) -> tuple[Member, ...]:
-    """Check an archive of torch.
+    """Validate an archive that torch wrote.
 
     Args:
         file: The archive; its members can be read while it is open.
-        source: What messages call it.
+        source: Its name in messages.
 
     Returns:
         Its members, in the order of its table of contents.
 
     Raises:
-        WeightsUnusableError: If it is no such archive, is damaged, or grows too much.
+        WeightsUnusableError: If it is no such archive, is damaged, or too large when decompressed.
     """
     try:
         size = _check_end(file)
@@ -66,7 +67,7 @@ def check_archive(file: BinaryIO, *, source: object) -> tuple[Member, ...]:
 
 
 def _check_end(file: BinaryIO) -> int:
-    """Check that the one table of contents lies right before the end; return the size."""
+    """Check that the only table of contents is right before the end; return the size."""
     size = file.seek(0, 2)
     file.seek(max(0, size - 98))
     tail = file.read()

@@ -1,4 +1,4 @@
-"""Opens the files of networks: regular ones of a bounded size, checked before they are read."""
+"""Safe opening of network files: regular files of a bounded size, checked before they are read."""
 
 import os
 from pathlib import Path
@@ -8,30 +8,31 @@ from schemas.runtime.named_file import open_named_file
 from workers.checkpoints.errors import WeightsUnusableError
 
 MAX_NETWORK_BYTES: Final = 2 << 30
-"""All files of one network, or one checkpoint: what protobuf can hold, and ten times the largest
-network that is published for lidar. Its numbers are held once or twice while it is opened."""
+"""Largest size of all files of one network, or of one checkpoint, bytes. It is the limit of
+protobuf, and ten times the largest published lidar network. While a network is opened, its numbers
+are in memory once or twice."""
 
 MAX_STRUCTURE_BYTES: Final = 32 << 20
-"""What is not numbers in a network's file: graph, code, names. It grows up to thirtyfold as it is
-parsed; the networks of the method have less than 1 MiB."""
+"""Largest size of the graph, code and names in a network's file, bytes. They grow up to thirtyfold
+when parsed; the networks of the method have less than 1 MiB."""
 
 MAX_TEXT_BYTES: Final = 1 << 20
-"""An adapter, a profile, a card: text of a few KiB."""
+"""Largest adapter, profile or card, bytes: texts of a few KiB."""
 
 _CHUNK: Final = 1 << 20
 
 
 def open_regular(path: Path, *, what: str, most: int = MAX_NETWORK_BYTES) -> BinaryIO:
-    """Open a file for reading, unless it is none that could be meant.
+    """Open a file for reading, if it can be a network's file.
 
     Args:
-        path: Its path; a device or a pipe is not waited for.
-        what: What it should be, for errors, with its article.
-        most: Bytes it may have.
+        path: Its path; a device or a pipe does not block.
+        what: Its kind, for errors, with the article.
+        most: Largest size, bytes.
 
     Raises:
         WeightsUnusableError: If it cannot be opened, is no regular file, is empty or too large, or
-            is a web page or the pointer that Git LFS leaves in a file's place.
+            is a web page or a Git LFS pointer.
     """
     try:
         file = open_named_file(path)
@@ -46,7 +47,7 @@ def open_regular(path: Path, *, what: str, most: int = MAX_NETWORK_BYTES) -> Bin
 
 
 def read_regular(path: Path, *, what: str, most: int = MAX_NETWORK_BYTES) -> bytes:
-    """Read a whole file, as `open_regular` takes it; also if it grows meanwhile.
+    """Read a whole file under the checks of `open_regular`, even if it grows meanwhile.
 
     Raises:
         WeightsUnusableError: As `open_regular`, or if reading fails.

@@ -1,4 +1,4 @@
-"""Loads parameters into a network: all of them, or none and a sentence that names what differs."""
+"""Parameter loading: all parameters of a network, or none and an error that names differences."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final
@@ -9,19 +9,19 @@ from torch import Tensor, nn
 from workers.checkpoints.errors import UnfitWeightsError
 
 _NAMED: Final = 5
-"""So many names fit into a sentence; the error has them all."""
+"""Names listed in a message; the error's attributes contain all of them."""
 
 
 def load_into(net: nn.Module, stored: Mapping[str, Tensor], *, source: object) -> None:
-    """Load parameters after every name, shape and number was checked.
+    """Load parameters after a check of every name, shape and number.
 
-    Floating point numbers of any precision become what the network has. The network is left as it
-    was when anything does not fit.
+    Floating point numbers of any precision are converted to the network's. The network is unchanged
+    when anything does not fit.
 
     Args:
         net: The network.
-        stored: By name, without a prefix.
-        source: What messages call the weights: a path.
+        stored: Parameters by name, without a prefix.
+        source: Name of the weights in messages: a path.
 
     Raises:
         UnfitWeightsError: If a name is missing or unexpected, a shape or a kind of number differs,
@@ -73,7 +73,7 @@ def _counted(names: Sequence[str]) -> str:
 
 
 def _named(names: Sequence[str]) -> str:
-    """Name the first few."""
+    """List the first few names."""
     more = len(names) - _NAMED
     listed = ", ".join(names[:_NAMED]) or "nothing"
     return f"{listed} and {more} more" if more > 0 else listed

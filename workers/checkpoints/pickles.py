@@ -1,7 +1,7 @@
-"""Looks through pickles before torch's unpickler does: their size, and every name in them.
+"""Static check of pickles before torch's unpickler runs: their size, and every name in them.
 
-Nothing is built here. Only names that parameters need are taken: torch's own list is longer, and
-holds for instance `bytearray`, of which a pickle of thirty bytes makes one of ten gigabytes.
+Nothing is built here. Only names that parameters need are allowed. Torch's own list is longer: it
+contains `bytearray`, of which a pickle of thirty bytes builds one of ten gigabytes.
 """
 
 import io
@@ -15,12 +15,12 @@ from workers.checkpoints.errors import WeightsUnusableError
 from workers.checkpoints.training_state import STAND_INS
 
 MAX_PICKLE_BYTES: Final = 4 << 20
-"""A pickle without its tensors' numbers: names and shapes. It takes up to a hundred times that as
-objects; a checkpoint of the method, training state included, has less than 200 KiB."""
+"""Largest pickle without its tensors' numbers, bytes: names and shapes. As objects it takes up to a
+hundred times that; a checkpoint of the method, training state included, has less than 200 KiB."""
 
 _LEGACY_PICKLES: Final = 5
-"""In a file that torch wrote before it wrote archives: two numbers, the platform, the document, and
-which numbers follow."""
+"""Pickles in a file that torch wrote before it wrote archives: two numbers, the platform, the
+document, and the list of tensors."""
 
 _TAKEN: Final = re.compile(
     r"""
@@ -40,18 +40,18 @@ def check_pickle(data: bytes, *, convert: bool, source: object) -> None:
     """Check one pickle.
 
     Args:
-        data: The pickle; what follows it is not read.
-        convert: Whether the training state of older scripts may be named, too.
-        source: What messages call it.
+        data: The pickle; bytes after it are not read.
+        convert: Whether names of the training state of older scripts are allowed too.
+        source: Its name in messages.
 
     Raises:
-        WeightsUnusableError: If it is damaged, too large, or names anything else.
+        WeightsUnusableError: If it is damaged, too large, or contains any other name.
     """
     _check(data, count=1, convert=convert, source=source)
 
 
 def check_legacy(data: bytes, *, convert: bool, source: object) -> None:
-    """Check the pickles at the beginning of a file that torch wrote without an archive.
+    """Check the pickles at the start of a file that torch wrote without an archive.
 
     Raises:
         WeightsUnusableError: As `check_pickle`.
@@ -60,7 +60,7 @@ def check_legacy(data: bytes, *, convert: bool, source: object) -> None:
 
 
 def refused_name(name: str, *, is_known: bool, source: object) -> WeightsUnusableError:
-    """Make the error about a name that is not taken."""
+    """Build the error about a name that is not allowed."""
     advice = (
         "convert it with counterpoint weights import"
         if is_known

@@ -1,9 +1,8 @@
-"""Reads checkpoints as their authors published them; no code in one is ever run.
+"""Reader of published checkpoints; it never runs their code.
 
-Names and sizes are looked through first. Then everything goes through torch's unpickler that builds
-nothing but tensors, containers and numbers (`weights_only=True`). Older training scripts also
-stored their scheduler or numpy numbers; the converter knows these by name and puts something inert
-in their place. Any other name is refused.
+Names and sizes are checked first. Then torch's unpickler builds nothing but tensors, containers and
+numbers (`weights_only=True`). Older training scripts also stored their scheduler or numpy numbers;
+the converter replaces these by inert objects, by name. Any other name is refused.
 """
 
 import io
@@ -28,11 +27,11 @@ from workers.checkpoints.pickles import check_legacy, check_pickle, refused_name
 from workers.checkpoints.training_state import STAND_INS
 
 PREFIXES: Final = ("module.", "model.")
-"""Of every name, when the network was wrapped for several GPUs (SalsaNext, LMNet) or by Lightning
+"""Prefixes of every name, from a wrapper for several GPUs (SalsaNext, LMNet) or from Lightning
 (FlowStep3D)."""
 
 PLACES: Final = ("state_dict", "model_state_dict")
-"""Where in a checkpoint the parameters are: SalsaNext, LMNet, GndNet, FlowStep3D; DeLORA."""
+"""Keys of the parameters in a checkpoint: SalsaNext, LMNet, GndNet, FlowStep3D; DeLORA."""
 
 _NAMED_GLOBAL: Final = re.compile(r"GLOBAL (\S+) was not an allowed|unsupported GLOBAL (\S+) whose")
 
@@ -51,10 +50,10 @@ _DAMAGED: Final = (
     struct.error,
     zipfile.BadZipFile,
 )
-"""What torch raises, beside its own, on bytes that are no checkpoint."""
+"""Exceptions of torch, in addition to its own, on bytes that are no checkpoint."""
 
 MAX_HEADER_BYTES: Final = 4 << 20
-"""Names and shapes of a safetensors file; those that ship have 30 KiB."""
+"""Largest header of a safetensors file, bytes: names and shapes; the shipped ones have 30 KiB."""
 
 _ARCHIVE: Final = b"PK\3\4"
 _PICKLE: Final = b"\x80"
@@ -65,13 +64,14 @@ def read_checkpoint(path: Path, *, convert: bool = False) -> dict[str, Tensor]:
 
     Args:
         path: A file that `torch.save` wrote (.pth, .pt, .ckpt, .tar, or none), or safetensors.
-        convert: Accept the training state of older scripts, and leave it out.
+        convert: Accept the training state of older scripts, and drop it.
 
     Returns:
         Parameters by name without prefix, on the CPU, in the order of the file.
 
     Raises:
-        WeightsUnusableError: If the file cannot be read, is damaged, holds code, or no parameters.
+        WeightsUnusableError: If the file cannot be read, is damaged, contains code, or no
+            parameters.
     """
     data = read_regular(path, what="the checkpoint")
     if path.suffix == ".safetensors":
@@ -82,15 +82,15 @@ def read_checkpoint(path: Path, *, convert: bool = False) -> dict[str, Tensor]:
 
 
 def read_safetensors(data: bytes, *, what: str, path: Path) -> dict[str, Tensor]:
-    """Read tensors from the bytes of a safetensors file, whatever its header says.
+    """Read tensors from the bytes of a safetensors file, with a bounded header.
 
     Args:
         data: The whole file.
-        what: What messages call it, with its verb: "weights are".
-        path: Where it lies, for messages.
+        what: Its name in messages, with the verb: "weights are".
+        path: Its path, for messages.
 
     Raises:
-        WeightsUnusableError: If it is damaged, or its header is none.
+        WeightsUnusableError: If it is damaged, or has no valid header.
     """
     length = int.from_bytes(data[:8], "little")
     if length > MAX_HEADER_BYTES:
@@ -121,7 +121,7 @@ def _load(data: bytes, path: Path, *, convert: bool) -> Any:
             torch.serialization.safe_globals(list(STAND_INS) if convert else []),
             warnings.catch_warnings(action="ignore"),
         ):
-            # From memory: what was checked is what is read, and no archive of tar is looked for.
+            # From memory: the checked bytes are the ones read, and torch tries no tar archive.
             return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
     except _DAMAGED as error:
         named = _NAMED_GLOBAL.search(str(error))
@@ -133,7 +133,7 @@ def _load(data: bytes, path: Path, *, convert: bool) -> Any:
 
 
 def _first_sentence(error: BaseException) -> str:
-    """Say what torch found; its advice would have the reader turn protection off."""
+    """Return torch's finding without its advice, which would turn protection off."""
     text = str(error).rpartition("WeightsUnpickler error: ")[2]
     return (text.strip().splitlines() or [type(error).__name__])[0].split(". ")[0] or type(
         error
@@ -141,7 +141,7 @@ def _first_sentence(error: BaseException) -> str:
 
 
 def _parameters(document: Any, path: Path) -> dict[str, Tensor]:
-    """Find the parameters in what was read."""
+    """Find the parameters in a loaded document."""
     if isinstance(document, Mapping):
         for place in PLACES:
             if place in document:
@@ -162,7 +162,7 @@ def _parameters(document: Any, path: Path) -> dict[str, Tensor]:
 
 
 def without_prefix(parameters: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Take prefixes off the names, each only if every name has it."""
+    """Remove prefixes from the names, each only if every name has it."""
     named = dict(parameters)
     while prefix := next(
         (prefix for prefix in PREFIXES if all(name.startswith(prefix) for name in named)), None

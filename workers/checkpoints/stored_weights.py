@@ -1,4 +1,4 @@
-"""Weights as this project keeps them: a safetensors file, beside it a card that says of what."""
+"""Weights in the project's format: a safetensors file with a JSON card in the same folder."""
 
 import hashlib
 import json
@@ -19,7 +19,7 @@ from workers.checkpoints.published import read_safetensors
 
 
 class Card(BaseModel, ABC):
-    """What every network's card says; those of the networks add what theirs needs."""
+    """Card of any network: origin, licence, training and scores; networks add their own fields."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -50,8 +50,8 @@ class Stored(Generic[NetType, CardType]):
     """Weights that fit their network.
 
     Attributes:
-        net: In evaluation mode, float32.
-        card: What stands beside the weights.
+        net: The network in evaluation mode, float32.
+        card: Card of the weights.
         digest: Hex sha256 of both files' bytes.
     """
 
@@ -61,12 +61,12 @@ class Stored(Generic[NetType, CardType]):
 
 
 def save(path: Path, tensors: Mapping[str, Tensor], card: Card) -> None:
-    """Write both files; neither is ever there in half.
+    """Write both files, each atomically.
 
     Args:
         path: The `.safetensors` file; the card has the suffix `.json`.
-        tensors: By published name.
-        card: What they belong to.
+        tensors: Parameters by published name.
+        card: Card of the weights.
 
     Raises:
         WeightsUnusableError: If the folder cannot be written.
@@ -94,12 +94,12 @@ def _write(path: Path, content: bytes) -> None:
 def load(
     path: Path, card_type: type[CardType], build: Callable[[CardType], NetType]
 ) -> Stored[NetType, CardType]:
-    """Load weights after checking that every parameter is there and fits; nothing is half loaded.
+    """Load weights after checking that every parameter is there and fits; no partial load.
 
     Args:
-        path: The `.safetensors` file, its card beside it.
-        card_type: What the card must be.
-        build: Makes the network that a card is of.
+        path: The `.safetensors` file; its card is in the same folder.
+        card_type: Type of the card.
+        build: Builds the network of a card.
 
     Returns:
         The network in evaluation mode.
@@ -123,7 +123,7 @@ def read_card(said: str | bytes, card_type: type[CardType], *, source: object) -
     """Read a card.
 
     Raises:
-        WeightsUnusableError: If it is no JSON, or not all of the card is there, or more.
+        WeightsUnusableError: If it is no JSON, or has missing or extra fields.
     """
     try:
         return card_type.model_validate_json(said)

@@ -1,8 +1,8 @@
-"""What known training scripts store beside the parameters, and the inert things put in its place.
+"""Training state in checkpoints of known scripts, and the inert objects that replace it.
 
-The scripts of SalsaNext and LiDAR-MOS pickle their learning rate schedule as it is: with the
-optimiser in it, a cyclic schedule, methods bound to them, and scores as numpy numbers. None of it
-is needed, and none of it is built.
+The scripts of SalsaNext and LiDAR-MOS pickle their whole learning rate schedule: with the optimiser
+in it, a cyclic schedule, methods bound to them, and scores as numpy numbers. None of it is needed,
+and none of it is built.
 """
 
 from collections.abc import Callable
@@ -10,17 +10,17 @@ from typing import Any, Final
 
 
 class SetAside:
-    """Stands for an object that is not built."""
+    """Placeholder of an object that is not built."""
 
     def __init__(self, *_: object) -> None:
-        """Take whatever the object would have been made of."""
+        """Accept the constructor arguments of the object."""
 
     def __setstate__(self, state: object) -> None:
-        """Take whatever it would have held."""
+        """Accept the state of the object."""
 
 
 def _empty(*_: object) -> dict[Any, Any]:
-    """Stand for a dict with a factory: what it held is put into a plain one."""
+    """Replace a dict with a factory by a plain dict for its items."""
     return {}
 
 
@@ -47,7 +47,7 @@ _CLASSES: Final = (
     "weakref.WeakMethod",
 )
 _BUILTINS: Final = ("getattr", "object", "dict", "list")
-"""A bound method is pickled as `getattr(object, name)`; what stands for it looks nothing up."""
+"""Names in pickled bound methods, `getattr(object, name)`; the replacement looks nothing up."""
 
 STAND_INS: Final[tuple[tuple[Callable[..., object], str], ...]] = (
     *((SetAside, name) for name in _CLASSES),
@@ -58,4 +58,4 @@ STAND_INS: Final[tuple[tuple[Callable[..., object], str], ...]] = (
     ),
     (_empty, "collections.defaultdict"),
 )
-"""Each with the name it stands for; everything else is refused."""
+"""Replacement and name of each object of the training state; every other name is refused."""

@@ -1,1 +1,1 @@
-"""What makes and judges the streams; mining never imports it."""
+"""Simulation, training, calibration and evaluation of the streams; mining never imports it."""

@@ -1,1 +1,1 @@
-"""The published chain: DeLORA, GndNet, FlowStep3D, two-stage clustering, the camera's view."""
+"""Published chain of the paper: DeLORA, GndNet, FlowStep3D, two-stage clustering, camera view."""

@@ -1,4 +1,4 @@
-"""The part of a cloud that the paper compares: near, off the ground, in the camera's view."""
+"""Camera filter: the points that the paper compares, near, off the ground, in the camera's view."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -12,22 +12,22 @@ from workers.lidar.fidelity import Form
 from workers.paper.ground_rule import NOT_GROUND
 
 BOX_M: Final = 35.0
-"""The published code keeps points less than this aside and ahead of the camera."""
+"""Largest distance aside and ahead of the camera in the published code, metres."""
 
 REACH_M: Final = 25.0
-"""The paper compares points nearer than this."""
+"""Largest range of points that the paper compares, metres."""
 
 _FLOW_SIGNS: Final = np.array([-1, -1, 1], np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FilteredPoints:
-    """What is left of a cloud after each step, as rising indices of its points.
+    """Points that remain of a cloud after each step, as rising indices.
 
     Attributes:
-        in_view: Of those in the image.
-        in_range: Of those of them that are near.
-        kept: Of those of them that are off the ground: they are compared.
+        in_view: Points in the image.
+        in_range: Those of `in_view` that are near.
+        kept: Those of `in_range` that are off the ground; these are compared.
     """
 
     in_view: NDArray[np.int64]
@@ -42,23 +42,23 @@ def camera_filter(
     *,
     form: Form = Form.CORRECTED,
 ) -> FilteredPoints:
-    """Keep what the camera sees, near it and off the ground.
+    """Keep the points that are visible to the camera, near it, and off the ground.
 
     The corrected form differs from the published code in this:
 
-    - points must lie ahead of the camera (published: ahead of the lidar, so that one beside the
+    - points must lie ahead of the camera (published: ahead of the lidar, so that one next to the
       camera may be mirrored into the image);
     - near is horizontally nearer than 25 m, as the paper says (published: less than 35 m aside and
-      ahead in the camera's space, and after the flow less than 25 m ahead of the lidar, however
-      far aside: `is_ahead_within`);
+      ahead in the camera's space, and after the flow less than 25 m ahead of the lidar, however far
+      aside: `is_ahead_within`);
     - the rotation between camera and rectified image counts.
 
     Args:
         points_m: (N, 3) lidar's sensor space, metres.
-        ground: (N,) as `ground_labels` gives it; what is outside of its map is left out, as is the
-            ground.
+        ground: (N,) result of `ground_labels`; the ground and points outside of its map are
+            removed.
         calibration: The camera.
-        form: Which of the two.
+        form: Corrected or published form.
     """
     camera_m = _in_camera(points_m, calibration)
     paper = form is Form.PAPER
@@ -82,16 +82,16 @@ def camera_filter(
 
 
 def is_ahead_within(points_m: Points, *, reach_m: float = REACH_M) -> Mask:
-    """Say which points the published code compares after the flow: less than 25 m ahead."""
+    """Test which points the published code compares after the flow: less than 25 m ahead."""
     return points_m[:, 0] < reach_m
 
 
 def to_flow_space(points_m: Points, calibration: CameraCalibration) -> Points:
-    """Bring points to the space in which FlowStep3D was trained: x left, y up, z ahead.
+    """Transform points to the training space of FlowStep3D: x left, y up, z ahead.
 
     Args:
         points_m: (N, 3) lidar's sensor space, metres.
-        calibration: The camera; the flow's space is its own with x and y negated.
+        calibration: The camera; the flow's space is the camera's with x and y negated.
     """
     return (_in_camera(points_m, calibration) * _FLOW_SIGNS).astype(np.float32)
 
@@ -99,7 +99,7 @@ def to_flow_space(points_m: Points, calibration: CameraCalibration) -> Points:
 def from_flow_space(
     flow_points_m: NDArray[np.floating], calibration: CameraCalibration
 ) -> NDArray[np.float64]:
-    """Bring points of the flow's space back to the lidar's; in double precision, as flow needs."""
+    """Transform points of the flow's space back to the lidar's, in double precision."""
     back = np.linalg.inv(calibration.extrinsics)  # printed to 13 digits: no exact rotation
     in_camera = flow_points_m.astype(np.float64) * _FLOW_SIGNS
     in_lidar: NDArray[np.float64] = in_camera @ back[:3, :3].T + back[:3, 3]

@@ -1,4 +1,4 @@
-"""DeLORA: the motion of the sensor between two frames, learned without labels.
+"""DeLORA: learned lidar odometry, trained without labels.
 
 Source: Nubert, Khattak, Hutter, "Self-supervised Learning of LiDAR Odometry for Robotic
 Applications", ICRA 2021, section III-B (network); BSD-3-Clause code, published parameter names.
@@ -14,7 +14,7 @@ from torch.nn import functional
 from workers.lidar.fidelity import Form
 
 IMAGE_CHANNELS: Final = ("x", "y", "z", "range")
-"""Of each of the two images, metres, zero in empty pixels; not normalised."""
+"""Channels of each of the two images, metres, zero in empty pixels; not normalised."""
 
 _FEATURES: Final = 1000
 _HIDDEN: Final = 100
@@ -22,7 +22,7 @@ _HIDDEN: Final = 100
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """What the network says of each pair of frames.
+    """Estimated motion of each pair of frames.
 
     Attributes:
         translation_m: (B, 3) metres.
@@ -36,7 +36,7 @@ class Motion:
 
 
 def _wrap(x: Tensor) -> Tensor:
-    """Continue the image on both sides: its left and right edges are neighbours."""
+    """Pad the image circularly: its left and right edges are neighbours."""
     return functional.pad(x, (1, 1, 0, 0), mode="circular")
 
 
@@ -107,7 +107,7 @@ class DeLORA(nn.Module):
         self.fully_connected_translation = _head(3)
 
     def forward(self, image: Tensor, next_image: Tensor) -> Motion:
-        """Say how the sensor moved.
+        """Estimate the motion of the sensor.
 
         Args:
             image: (B, 4, H, W) first frame, channels of `IMAGE_CHANNELS`; 64 x 720 as published.

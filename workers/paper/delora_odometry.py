@@ -1,4 +1,4 @@
-"""Odometry of the paper: DeLORA says how the sensor moved from one frame to the next."""
+"""Odometry of the paper: DeLORA estimates the motion between consecutive frames."""
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -17,13 +17,13 @@ from workers.part_version import release, version_of
 
 
 class DeLORAOdometry:
-    """Poses by composing what the network says of each pair of frames.
+    """Poses composed of the network's motion of each pair of frames.
 
-    The published chain projects twice, to an image of 2,250 columns and that to 720; here once. A
-    network does not say how sure it is: every pose is called healthy.
+    The published chain projects twice, to an image of 2,250 columns and from that to 720; here
+    once. The network reports no confidence, so every pose is healthy.
 
     Args:
-        weights: Of DeLORA.
+        weights: Weights of DeLORA.
     """
 
     def __init__(self, weights: Stored[DeLORA, DeLORACard]) -> None:
@@ -67,7 +67,7 @@ class DeLORAOdometry:
             yield PosedFrame(frame, odom_from_sensor.copy())
 
     def image(self, frame: LidarFrame) -> NDArray[np.float32]:
-        """Lay a frame out as the network sees it: (4, H, W) x, y, z and range, zero where empty."""
+        """Project a frame to the network's input: (4, H, W) x, y, z and range, zero where empty."""
         image = project(frame.points_m, self._profile, valid_mask=frame.valid_mask)
         shown = image.index[image.seen_mask]
         channels = np.zeros((4, *image.index.shape), np.float32)
@@ -77,7 +77,7 @@ class DeLORAOdometry:
 
 
 def _rigid(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Make single precision's rotation exact again, so that poses of long logs stay rigid."""
+    """Project a single-precision rotation to SO(3), so that poses of long logs stay rigid."""
     left, _, right = np.linalg.svd(matrix[:3, :3])
     rigid = matrix.copy()
     rigid[:3, :3] = left @ right

@@ -1,13 +1,13 @@
-"""FlowStep3D: where every point of a cloud goes until the next, by iterative refinement.
+"""FlowStep3D: learned scene flow by iterative refinement.
 
 Source: Kittenplon, Eldar, Raviv, "FlowStep3D: Model Unrolling for Self-Supervised Scene Flow
 Estimation", CVPR 2021, section 3; MIT code, published parameter names. Encoders as in PointNet++,
-the global correlation as in FLOT (Puy et al., ECCV 2020), the flow embedding as in FlowNet3D (Liu
-et al., CVPR 2019), the updates by a gated recurrent unit as in RAFT (Teed, Deng, ECCV 2020).
+the global correlation as in FLOT (Puy et al., ECCV 2020). The flow embedding is as in FlowNet3D
+(Liu et al., CVPR 2019), the updates by a gated recurrent unit as in RAFT (Teed, Deng, ECCV 2020).
 
-Tensors: positions (B, N, 3) in metres, features (B, C, N). Neighbourhoods that the published code
-searches again in every layer are searched once here: at one level the nearest 4 of a point are the
-first of its nearest 32. The numbers are the same.
+Tensors: positions (B, N, 3) in metres, features (B, C, N). The published code searches
+neighbourhoods again in every layer; here they are searched once. At one level, the nearest 4 of a
+point are the first of its nearest 32, so the numbers are the same.
 """
 
 from collections.abc import Sequence
@@ -35,12 +35,12 @@ _SHARPEST = 0.03  # lower limit of the temperature of the first guess, published
 
 
 class SetConv(nn.Module):
-    """Describe points by the features of their neighbours: shared layers, then the maximum.
+    """Encodes points by the features of their neighbours: shared layers, then max pooling.
 
     Args:
-        inputs: Channels of the features; three are added for the way to each neighbour.
+        inputs: Channels of the features; three are added for the offset of each neighbour.
         outputs: Channels of each layer.
-        neighbours: How many.
+        neighbours: Number of neighbours.
         act: Normalise and rectify after each layer. Without, the normalisation is stored but not
             used, as published.
     """
@@ -57,10 +57,10 @@ class SetConv(nn.Module):
         self.mlp_bns = nn.ModuleList(nn.BatchNorm2d(after) for after in outputs)
 
     def forward(self, positions: Tensor, features: Tensor, around: "Around") -> Tensor:
-        """Describe the centres of neighbourhoods.
+        """Encode the centres of neighbourhoods.
 
         Args:
-            positions: (B, N, 3) of the points that carry the features.
+            positions: (B, N, 3) points with features.
             features: (B, inputs, N).
             around: M neighbourhoods among these points.
 
@@ -132,7 +132,7 @@ class GlobalEncoder(nn.Module):
 
 
 class GlobalCorrelation(nn.Module):
-    """A first guess of the flow: which distant parts of the two clouds look alike."""
+    """Initial estimate of the flow, from the feature correlation of distant parts of two clouds."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -172,11 +172,11 @@ def _unit(features: Tensor) -> Tensor:
 
 
 class FlowEmbedding(SetConv):
-    """Compare each moved point with the points of the other cloud around it.
+    """Compares each moved point with the points of the other cloud around it.
 
     Args:
-        neighbours: How many are compared.
-        radius_m: One that is farther away than this is replaced by the nearest.
+        neighbours: Number of compared points.
+        radius_m: A farther neighbour is replaced by the nearest.
     """
 
     def __init__(self, *, neighbours: int, radius_m: float) -> None:
@@ -195,7 +195,7 @@ class FlowEmbedding(SetConv):
 
 
 class HiddenStart(nn.Module):
-    """What the recurrent unit remembers at first."""
+    """Initial hidden state of the recurrent unit."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -219,7 +219,7 @@ class Gru(nn.Module):
         self.convq = SetConv(channels, (128,), neighbours=4, act=False)
 
     def forward(self, hidden: Tensor, x: Tensor, points: Tensor, around: Around) -> Tensor:
-        """Map the memory (B, 128, M) and what is new (B, 211, M) to the memory."""
+        """Map the hidden state (B, 128, M) and the input (B, 211, M) to the new hidden state."""
         both = torch.cat((hidden, x), dim=1)
         update = torch.sigmoid(self.convz(points, both, around))
         reset = torch.sigmoid(self.convr(points, both, around))
@@ -242,7 +242,7 @@ class FirstRegressor(nn.Module):
 
 
 class Regressor(nn.Module):
-    """A step of the flow from the memory."""
+    """Regresses a step of the flow from the hidden state."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -261,14 +261,14 @@ class FlowStep3D(nn.Module):
     """The whole network.
 
     Args:
-        points: Size of cloud that the network was trained for; level `n` keeps `points / 2^n`.
+        points: Size of the training clouds; level `n` keeps `points / 2^n`.
         neighbours: Points of the second cloud that each moved point is compared with.
-        radius_m: How far away they may be.
+        radius_m: Largest distance of those points.
         decay: Step `i` of the flow is divided by `decay * i + 1`.
-        form: Corrected: a cloud of fewer than `points` points is sampled as one of its own size,
-            so that each level halves the one before; larger clouds are sampled as published.
-            Paper: the levels have the sizes of `points` whatever the cloud has; one with fewer
-            than half of them has points sampled twice.
+        form: Corrected: a cloud of fewer than `points` points is sampled as one of its own size, so
+            that each level halves the one before; larger clouds are sampled as published. Paper:
+            the levels have the sizes of `points` for any cloud; a cloud of less than half that size
+            has points sampled twice.
     """
 
     def __init__(
@@ -294,12 +294,12 @@ class FlowStep3D(nn.Module):
         self.flow_conv2 = SetConv(32, (16, 16, 16), neighbours=8)
 
     def level_sizes(self, count: int) -> tuple[int, ...]:
-        """How many points each of the five levels of a cloud of `count` points keeps."""
+        """Return the number of points in each of the five levels of a cloud of `count` points."""
         size = self.points if self.form is Form.PAPER else min(self.points, count)
         return tuple(max(1, size >> level) for level in range(1, _LEVELS + 1))
 
     def sample(self, cloud: Tensor) -> list[Tensor]:
-        """Choose the points of each level, indices into the level before it.
+        """Sample the points of each level, as indices into the level before it.
 
         Args:
             cloud: (B, N, 3).
@@ -314,18 +314,18 @@ class FlowStep3D(nn.Module):
         return chosen
 
     def forward(self, cloud: Tensor, next_cloud: Tensor, *, iterates: int = 5) -> list[Tensor]:
-        """Estimate where each point goes.
+        """Estimate the flow of each point.
 
         Args:
             cloud: (B, N, 3) float32 metres; x left, y up, z forward as published.
-            next_cloud: (B, M, 3) the cloud it goes to, in the same space.
-            iterates: How often the flow is estimated, the first guess included; 5 as published.
+            next_cloud: (B, M, 3) the target cloud, in the same space.
+            iterates: Number of estimates, the initial one included; 5 as published.
 
         Returns:
             Every estimate, (B, N, 3) metres, the last one best.
 
         Raises:
-            ValueError: If a cloud is empty or no estimate is asked for.
+            ValueError: If a cloud is empty, or `iterates` is less than 1.
         """
         if iterates < 1 or min(cloud.shape[1], next_cloud.shape[1]) < 1:
             raise ValueError(
@@ -373,7 +373,7 @@ class FlowStep3D(nn.Module):
         then: tuple[Tensor, Tensor],
         around: Around,
     ) -> Tensor:
-        """Look at the moved cloud beside the next one, and keep what is new."""
+        """Compare the moved cloud with the next one, and update the hidden state."""
         moved, chosen, _, low_flow = now
         moved_levels = _levels(moved, chosen[:2])
         features = self.encoder_loc(moved_levels)
@@ -386,7 +386,7 @@ class FlowStep3D(nn.Module):
 
 
 def _levels(cloud: Tensor, chosen: Sequence[Tensor]) -> list[Tensor]:
-    """Positions of a cloud and of its levels."""
+    """Return the positions of a cloud and of its levels."""
     levels = [cloud]
     for index in chosen:
         levels.append(gather_points(levels[-1], index))

@@ -1,4 +1,4 @@
-"""GndNet: the height of the ground in every metre cell, from pillars of points.
+"""GndNet: learned ground elevation on a grid of 1 m cells, from pillars of points.
 
 Source: Paigwar, Erkent, Sierra-Gonzalez, Laugier, "GndNet: Fast Ground Plane Estimation and Point
 Cloud Segmentation for Autonomous Vehicles", IROS 2020, section III; MIT code, published parameter
@@ -41,7 +41,7 @@ class PfnLayer(nn.Module):
 
 
 class PillarEncoder(nn.Module):
-    """Describe each point within its pillar, and each pillar by its points."""
+    """Encodes each point within its pillar, and each pillar by its points."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -54,13 +54,13 @@ class PillarEncoder(nn.Module):
 
 
 def decorate(pillars: Tensor, points_in_pillar: Tensor, coords_zyx: Tensor) -> Tensor:
-    """Add to each point where it lies from its pillar's mean and middle.
+    """Append to each point its offsets from the mean and the middle of its pillar.
 
     Places without a point stay zero; the layer after this gives them its bias, published.
 
     Args:
         pillars: (M, P, 4), zero where there is no point.
-        points_in_pillar: (M,) how many there are.
+        points_in_pillar: (M,) number of points.
         coords_zyx: (M, 3) the cell of each pillar.
 
     Returns:
@@ -93,7 +93,7 @@ class ConvBnRelu(nn.Module):
 
 
 class BatchStatistics(nn.BatchNorm2d):
-    """Normalises by the batch at hand in every mode, and learns nothing from it."""
+    """Batch normalisation by the statistics of the current batch in every mode; learns nothing."""
 
     def forward(self, x: Tensor) -> Tensor:
         """Map (B, C, H, W) to the same."""
@@ -103,7 +103,7 @@ class BatchStatistics(nn.BatchNorm2d):
 
 
 class Down(nn.Module):
-    """Two convolutions, then halve the map and remember where each maximum stood."""
+    """Two convolutions, then max pooling with the indices of the maxima."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
@@ -119,7 +119,7 @@ class Down(nn.Module):
 
 
 class Up(nn.Module):
-    """Put each value back where its maximum stood, then two convolutions."""
+    """Max unpooling with stored indices, then two convolutions."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
@@ -152,16 +152,16 @@ class SegNetHead(nn.Module):
 
 
 class GndNet(nn.Module):
-    """The whole network: encode pillars, lay them out as a map, regress the height of the ground.
+    """The whole network: encodes pillars, scatters them to a map, regresses the ground elevation.
 
     Args:
         form: Corrected: normalises by the statistics of the training. Paper: the published pipeline
-            never leaves training mode, so every batch normalisation takes mean and variance of the
-            one cloud at hand; the statistics of the training are not used.
+            never leaves training mode, so every batch normalisation uses mean and variance of the
+            current cloud; the statistics of the training are not used.
 
-    Where two of four neighbours are equally high, rounding decides which place the maximum has, and
-    with it where the decoder puts the value: cells without points move by centimetres from one
-    processor to another. In float64 (`net.double()`) the answer is the same on all.
+    Where two of four neighbours are equally high, rounding decides the index of the maximum, and so
+    the decoder's cell for the value. Cells without points then differ by centimetres between
+    processors. In float64 (`net.double()`) the result is the same on all.
     """
 
     def __init__(self, *, form: Form = Form.CORRECTED) -> None:
@@ -180,7 +180,7 @@ class GndNet(nn.Module):
         Args:
             pillars: (M, P, 4) float32, x, y, z and intensity of up to P points of each pillar, zero
                 where there is none; metres, z raised by the height of the sensor over the road.
-            points_in_pillar: (M,) int64, how many points each has, 1 to P.
+            points_in_pillar: (M,) int64, number of points of each, 1 to P.
             coords_zyx: (M, 3) int64, the cell of each pillar; z is 0, no cell twice.
 
         Returns:

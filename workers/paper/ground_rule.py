@@ -1,4 +1,4 @@
-"""Which points rise above an elevation map: GndNet's answer, point by point."""
+"""Ground rule of the paper: points above GndNet's elevation map are off the ground."""
 
 from typing import Final
 
@@ -14,7 +14,7 @@ GROUND: Final = 0
 NOT_GROUND: Final = 1
 
 ABOVE_GROUND_M: Final = 0.2
-"""Points this little above the map are ground still; published."""
+"""Height above the map up to which points are ground, metres; published."""
 
 _PAPER_ORIGIN_M: Final = -50.0
 
@@ -31,15 +31,15 @@ def ground_labels(
 
     The corrected form differs from the published code in this:
 
-    - the map is read where the network drew it, from x = -47 m (published: from -50 m, 3 m aside);
+    - the map is read at the network's own origin, x = -47 m (published: -50 m, an offset of 3 m);
     - all cells count (published: those of the first row and column are outside).
 
     Args:
         points_m: (N, 3) sensor space, metres.
         elevation_m: (R, C) height of the ground over the road below the sensor, rows by y.
-        lidar_height_m: Of the sensor over the ground; added to z.
-        grid: Where the map lies.
-        form: Which of the two.
+        lidar_height_m: Height of the sensor over the ground; added to z.
+        grid: Grid of the map.
+        form: Corrected or published form.
 
     Returns:
         (N,) int8 `OUTSIDE` of the map, `GROUND` or `NOT_GROUND`.

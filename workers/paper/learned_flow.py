@@ -1,4 +1,4 @@
-"""Scene flow of a network: FlowStep3D on what lies near, after ego-motion."""
+"""Scene flow of FlowStep3D for nearby points, after ego-motion compensation."""
 
 from pathlib import Path
 from typing import Final, Self
@@ -14,23 +14,23 @@ from workers.paper.weights import FlowStep3DCard, load_flowstep3d
 from workers.points.se3 import transform
 
 REACH_M: Final = 35.0
-"""To each side and ahead, as in the training of the published weights; nothing farther moves."""
+"""Reach to each side and ahead, metres, as in training; farther points get no flow."""
 
 _FLOW_AXES: Final = (1, 2, 0)
-"""x left, y up, z ahead of the network, from x ahead, y left, z up of a sensor."""
+"""Axes of the network (x left, y up, z ahead) from those of a sensor (x ahead, y left, z up)."""
 
 _SENSOR_AXES: Final = (2, 0, 1)
 
 
 class FlowStep3DFlow:
-    """A `SceneFlowSource`: how far each point goes beyond what ego-motion explains.
+    """A `SceneFlowSource` of FlowStep3D: the network estimates the flow beyond ego-motion.
 
-    The published chain hands both clouds over as they were measured, so that the network has to
-    find ego-motion again, which odometry knows to a centimetre. Here the first cloud is moved to
-    where a standing world would be, and the network is asked for the rest.
+    The published chain gives both clouds to the network as measured, so that it has to estimate
+    ego-motion again, which odometry knows to a centimetre. Here the first cloud is first moved by
+    ego-motion, and the network estimates the rest.
 
     Args:
-        stored: The network and what its card says.
+        stored: The network and its card.
     """
 
     def __init__(self, stored: Stored[FlowStep3D, FlowStep3DCard]) -> None:
@@ -53,7 +53,7 @@ class FlowStep3DFlow:
     def __call__(
         self, points_m: Points, other_points_m: Points, other_from_this: Transform
     ) -> Flow:
-        """Say where each point goes; see `SceneFlowSource`."""
+        """Estimate the flow of each point; see `SceneFlowSource`."""
         torch.set_num_threads(1)  # a worker owns one core, and sums keep their order
         expected = transform(other_from_this, points_m).astype(np.float32)
         near, other_near = _is_near(expected), _is_near(other_points_m)

@@ -1,4 +1,4 @@
-"""The motion of the objects themselves: scene flow without the part that ego-motion explains."""
+"""Object flow: scene flow without the part that ego-motion explains."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,8 @@ from workers.points.se3 import transform
 def object_flow(scene_flow: Flow, points_m: Points, other_from_this: Transform) -> Flow:
     """Remove ego-motion from scene flow, leaving the motion of the objects themselves.
 
-    A point of the static world seems to move because the sensor does; where it would land is known
-    from odometry alone. What the flow saw beyond that is object motion.
+    A static point seems to move because the sensor does; odometry alone gives that displacement.
+    The remaining flow is object motion.
 
     Args:
         scene_flow: (N, 3) displacement from this frame to the other, metres, both ends in the
@@ -32,13 +32,13 @@ def object_flow(scene_flow: Flow, points_m: Points, other_from_this: Transform) 
 def flow_ends(
     flow_points_m: Points, flow_m: Flow, calibration: CameraCalibration, this_from_other: Transform
 ) -> NDArray[np.float64]:
-    """Say where points of the flow's space end, seen from where they began: the published chain.
+    """Return the ends of the flow in the sensor space of its start, as in the published chain.
 
-    `object_flow` expresses the same motion in the axes of the other frame, in single precision, and
-    knows no camera.
+    `object_flow` expresses the same motion in the axes of the other frame, in single precision and
+    without a camera.
 
     Args:
-        flow_points_m: (N, 3) as `to_flow_space` gives them, metres.
+        flow_points_m: (N, 3) points of `to_flow_space`, metres.
         flow_m: (N, 3) displacement to the other frame in that space, ego-motion included.
         calibration: The camera.
         this_from_other: (4, 4) ego-motion: the other frame's sensor space to this one's.

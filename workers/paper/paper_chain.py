@@ -1,4 +1,4 @@
-"""The paper's self-supervised stream: what the camera sees, learned flow, two-stage clustering."""
+"""Self-supervised stream of the paper: camera view, learned flow, two-stage clustering."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -31,12 +31,12 @@ from workers.selfsupervised.labelling import ALONE
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chain:
-    """How the compared points of one frame went to the next.
+    """Flow and clusters of the compared points of one frame.
 
     Attributes:
-        flow_m: (K, 3) float32 the flow's space, ego-motion included.
-        near: (K,) compared after the flow: less than 25 m ahead.
-        found: Of the near ones, in order.
+        flow_m: (K, 3) float32 in the flow's space, ego-motion included.
+        near: (K,) points compared after the flow: less than 25 m ahead.
+        found: Clustering of the near points, in order.
     """
 
     flow_m: NDArray[np.float32]
@@ -45,18 +45,18 @@ class Chain:
 
 
 class PaperChain:
-    """GndNet, camera filter, FlowStep3D, odometry and two-stage clustering, bug for bug.
+    """GndNet, camera filter, FlowStep3D, odometry and two-stage clustering, bug-compatible.
 
-    Source: arXiv 2407.14306, section III-B, and its published code. A frame waits for the next one;
-    the last has none. Everything outside the camera's view, farther than 25 m ahead, or on the
-    ground is UNKNOWN: the paper compares about a fourteenth of a scan.
+    Source: arXiv 2407.14306, section III-B, and its published code. A frame is labelled when the
+    next one arrives; the last stays unlabelled. Everything outside the camera's view, farther than
+    25 m ahead, or on the ground is UNKNOWN: the paper compares about a fourteenth of a scan.
 
     Args:
         gndnet: Weights of GndNet.
         flowstep3d: Weights of FlowStep3D.
 
     Attributes:
-        view: Finds what of a frame is compared.
+        view: Selects the compared points of a frame.
     """
 
     task: ClassVar[Task] = MOTION
@@ -87,11 +87,11 @@ class PaperChain:
 
     @property
     def class_names(self) -> tuple[str, ...]:
-        """No classes are known."""
+        """The stream has no classes."""
         return ()
 
     def __call__(self, frames: Iterable[PosedFrame]) -> Iterator[FrameLabels]:
-        """Yield the labels of each frame, in order, once the next one is there.
+        """Yield the labels of each frame, in order, once the next one has arrived.
 
         Raises:
             NoCameraError: If a frame has no camera's calibration.
@@ -108,13 +108,13 @@ class PaperChain:
             yield _labels(before[0].frame, before[1], None, last)
 
     def chain(self, this: PosedFrame, seen: Compared, other: PosedFrame, after: Compared) -> Chain:
-        """Follow the compared points to the next frame, and cluster what moves.
+        """Estimate the flow of the compared points to the next frame, and cluster the moving ones.
 
         Args:
             this: The frame.
-            seen: What of it is compared.
+            seen: Its compared points.
             other: The next frame.
-            after: What of that is compared.
+            after: The compared points of the next frame.
         """
         card = self._flowstep3d.card
         with torch.inference_mode():

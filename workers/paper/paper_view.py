@@ -1,4 +1,4 @@
-"""What of a frame the paper compares: seen by the camera, near, off GndNet's ground."""
+"""Compared points of a frame in the paper: visible to the camera, near, off GndNet's ground."""
 
 from dataclasses import dataclass
 
@@ -20,12 +20,12 @@ from workers.paper.weights import GndNetCard
 
 
 class NoCameraError(PermanentError):
-    """The log has no camera whose view could be compared."""
+    """The log has no camera calibration, which the paper's view needs."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Compared:
-    """What of one frame the paper compares.
+    """Compared points of one frame.
 
     Attributes:
         ground: (N,) int8 of every point: -1 outside of GndNet's map, 0 ground, 1 not ground.
@@ -43,7 +43,7 @@ class Compared:
 
 
 class PaperView:
-    """Finds what is compared, frame by frame; bug for bug.
+    """Selects the compared points of each frame, bug-compatible with the published code.
 
     Args:
         gndnet: Weights of GndNet, in the paper's form.
@@ -54,7 +54,7 @@ class PaperView:
         self._net = gndnet.net.double()
 
     def compared(self, frame: LidarFrame) -> Compared:
-        """Find what of a frame is compared.
+        """Select the compared points of a frame.
 
         Raises:
             NoCameraError: If the frame has no camera's calibration.
@@ -82,10 +82,10 @@ class PaperView:
         )
 
     def elevation(self, points_m: Points, intensity: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Ask GndNet for the ground: (100, 100) metres over the road below the sensor, [y, x].
+        """Estimate the ground: (100, 100) metres over the road below the sensor, indexed [y, x].
 
-        In double precision: normalised by the statistics of one cloud, single precision differs by
-        7 cm between processors.
+        The network runs in double precision: with the statistics of one cloud, single precision
+        differs by 7 cm between processors.
         """
         cut = pillars(points_m, intensity, lidar_height_m=self._height_m)
         with torch.inference_mode():

@@ -1,4 +1,4 @@
-"""Pillars: a cloud cut into upright columns of points, GndNet's input."""
+"""Pillars: upright columns of points, the input of GndNet."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -9,20 +9,20 @@ from numpy.typing import NDArray
 from schemas.arrays import Points
 
 LIDAR_HEIGHT_M: Final = 1.733
-"""Of KITTI's sensor over the road: GndNet wants heights over the ground, not over the sensor."""
+"""Height of KITTI's sensor over the road, metres; GndNet needs heights over the ground."""
 
 
 @dataclass(frozen=True, slots=True)
 class PillarGrid:
-    """Where pillars stand, in metres, and how many points each keeps; GndNet's published numbers.
+    """Grid of pillars in metres, and the number of points in each; published numbers of GndNet.
 
     Attributes:
-        x_m: From where to where, first included; forwards.
-        y_m: The same to the left.
-        z_m: The same upwards, over the ground.
-        side_m: Of a pillar.
-        max_points: That one pillar keeps: the first that come.
-        max_pillars: That there are: the first that come. As many as the published grid has cells.
+        x_m: Extent forwards, lower bound included.
+        y_m: Extent to the left, lower bound included.
+        z_m: Extent upwards, over the ground.
+        side_m: Side of a pillar.
+        max_points: Points of a pillar, at most: the first in the cloud.
+        max_pillars: Pillars, at most: the first in the cloud. The published grid has as many cells.
     """
 
     x_m: tuple[float, float] = (-47.0, 53.0)
@@ -34,7 +34,7 @@ class PillarGrid:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows (y) and columns (x) of the grid."""
+        """Return the rows (y) and columns (x) of the grid."""
         return (
             round((self.y_m[1] - self.y_m[0]) / self.side_m),
             round((self.x_m[1] - self.x_m[0]) / self.side_m),
@@ -49,11 +49,11 @@ class Pillars:
     """The columns of one cloud that have points, in the order of their first point.
 
     Attributes:
-        points: (M, K, 4) float32 x, y, z, intensity of each pillar's points, zeros behind; what
-            GndNet's encoder adds to them is `workers.paper.gndnet.decorate`.
+        points: (M, K, 4) float32 x, y, z, intensity of each pillar's points, padded with zeros;
+            `workers.paper.gndnet.decorate` adds the encoder's offsets.
         coordinates_zyx: (M, 3) int32 cell of each pillar; z is always 0.
         counts: (M,) int32 points kept.
-        grid: Where they stand.
+        grid: Grid of the pillars.
     """
 
     points: NDArray[np.float32]
@@ -69,17 +69,17 @@ def pillars(
     lidar_height_m: float = LIDAR_HEIGHT_M,
     grid: PillarGrid = GNDNET_GRID,
 ) -> Pillars:
-    """Cut a cloud into pillars, as GndNet's loader does.
+    """Group a cloud into pillars, as GndNet's loader does.
 
-    Published and here alike: of a pillar with too many points the first in the cloud are kept, so
-    that the recording's order of points has a say. The published height of the sensor is a
-    constant, wrong for every car but KITTI's; here it can be given.
+    As published, a pillar with too many points keeps the first in the cloud, so the result depends
+    on the order of the points. The published sensor height is a constant for KITTI's car; here it
+    is a parameter.
 
     Args:
         points_m: (N, 3) sensor space, metres; x forward, y left, z up.
         intensity: (N,) 0 to 1.
-        lidar_height_m: Of the sensor over the ground; added to z.
-        grid: Where pillars stand.
+        lidar_height_m: Height of the sensor over the ground; added to z.
+        grid: Grid of the pillars.
 
     Returns:
         The pillars that have points; z of their points is over the ground.

@@ -1,8 +1,8 @@
-"""Sets of points in plain torch: furthest point sampling, nearest neighbours, interpolation.
+"""Point set operations in plain torch: furthest point sampling, nearest neighbours, interpolation.
 
-What PointNet++ (Qi et al., NeurIPS 2017) does on unordered points and FlowStep3D needs. Distances
-are sums of squared differences, never `|a|^2 - 2ab + |b|^2`: far from the origin that form loses
-centimetres. Memory is bounded: no more than `CHUNK` distances are held at a time.
+FlowStep3D needs them as in PointNet++ (Qi et al., NeurIPS 2017). Distances are sums of squared
+differences, never `|a|^2 - 2ab + |b|^2`: far from the origin, that form loses centimetres. Memory
+is bounded: at most `CHUNK` distances exist at a time.
 """
 
 from typing import Final
@@ -11,22 +11,21 @@ import torch
 from torch import Tensor
 
 CHUNK: Final = 1 << 22
-"""Distances held at a time, 16 MiB in float32: 100,000 points then need no more than 1,000."""
+"""Distances in memory at a time, 16 MiB in float32: 100,000 points then need no more than 1,000."""
 
 NEAREST_M: Final = 1e-10
-"""Interpolation takes smaller distances for this one, so that a point on a sample takes its value;
-published."""
+"""Smallest distance in interpolation, so that a point on a sample takes its value; published."""
 
 
 def sample_furthest(points: Tensor, count: int) -> Tensor:
-    """Choose points far from each other: each is the furthest from all chosen before it.
+    """Sample points by furthest point sampling: each is the furthest from all before it.
 
-    Starts with index 0; of equally far points the lowest index is taken. When more are wanted than
-    there are, index 0 is repeated once no distance is left.
+    Starts with index 0; of equally far points the lowest index is taken. If `count` exceeds the
+    number of points, index 0 repeats once no distance is left.
 
     Args:
         points: (B, N, 3).
-        count: How many to choose.
+        count: Number of samples.
 
     Returns:
         (B, count) int64 indices, in the order they were chosen.
@@ -48,7 +47,7 @@ def sample_furthest(points: Tensor, count: int) -> Tensor:
 
 
 def squared_distances(queries: Tensor, points: Tensor) -> Tensor:
-    """Square of the distance from every query to every point, by differences.
+    """Return the squared distance from every query to every point, by differences.
 
     Args:
         queries: (B, M, 3).
@@ -67,12 +66,12 @@ def squared_distances(queries: Tensor, points: Tensor) -> Tensor:
 def find_nearest(queries: Tensor, points: Tensor, count: int) -> tuple[Tensor, Tensor]:
     """Find the nearest points of each query, nearest first; of equally near ones the lowest index.
 
-    Nothing is learnt through it: which points are near does not change smoothly.
+    There is no gradient: the choice of neighbours is not differentiable.
 
     Args:
         queries: (B, M, 3).
         points: (B, N, 3), not empty.
-        count: How many; no more than there are points are found.
+        count: Number of neighbours; at most N are found.
 
     Returns:
         (B, M, min(count, N)) squared distances, and int64 indices of the points.
@@ -90,7 +89,7 @@ def find_nearest(queries: Tensor, points: Tensor, count: int) -> tuple[Tensor, T
 
 
 def _nearest(queries: Tensor, points: Tensor, count: int, scratch: Tensor) -> tuple[Tensor, Tensor]:
-    """Search once, and search queries with ties again, slowly: selection alone breaks no ties."""
+    """Search by selection, and again by sorting for queries with ties, which selection ignores."""
     distances, along = scratch[:, :, : queries.shape[1]]
     torch.sub(queries[:, :, None, 0], points[:, None, :, 0], out=distances).square_()
     for axis in (1, 2):
@@ -137,7 +136,7 @@ def gather_features(values: Tensor, index: Tensor) -> Tensor:
 
 
 def interpolation(queries: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
-    """Weigh the three nearest points of each query by the inverse of their distance.
+    """Return inverse-distance weights of the three nearest points of each query.
 
     Args:
         queries: (B, M, 3).
@@ -152,7 +151,7 @@ def interpolation(queries: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def interpolate(values: Tensor, weights: Tensor, index: Tensor) -> Tensor:
-    """Carry values from points to queries.
+    """Interpolate values from points to queries.
 
     Args:
         values: (B, C, N) at the points.

@@ -1,4 +1,4 @@
-"""Scene flow of bodies: each cluster goes to where it fits the other frame best, as a whole."""
+"""Rigid flow: registers each cluster to the other frame by translation."""
 
 from typing import Final
 
@@ -13,10 +13,10 @@ from workers.selfsupervised.registration import MAX_EXTENT_M, MIN_POINTS
 from workers.selfsupervised.translation_search import Reference, build_reference, energy_of, search
 
 REACH_M: Final = 0.5
-"""Between points of one body: that of the default stream."""
+"""Distance between points of one cluster, metres, as in the default stream."""
 
 MAX_SHIFT_M: Final = 4.5
-"""80 km/h, all that the two-stage rule looks at, for 0.2 s; a source is not told the interval."""
+"""Largest translation, metres: 80 km/h, the limit of the two-stage rule, for 0.2 s."""
 
 _MIN_VOXELS: Final = 3
 _SAMPLES: Final = 150
@@ -24,11 +24,11 @@ _MIN_GAIN_M: Final = 0.01
 
 
 def rigid_flow(points_m: Points, other_points_m: Points, other_from_this: Transform) -> Flow:
-    """Move every cluster of one frame on to the other frame, by translation.
+    """Register every cluster of one frame to the other frame, by translation.
 
-    The registration of the default stream, on one interval of frames and without what makes it
-    trusted there: no second frame, no free space that must confirm it. Within a cluster all flow
-    is the same but for ego-motion, so that the two-stage rule finds no spread in it.
+    This is the registration of the default stream on one frame interval, without its checks: no
+    second frame, and no confirmation by free space. Within a cluster, all flow is equal except for
+    ego-motion, so the two-stage rule finds no spread in it.
 
     Args:
         points_m: (N, 3) points off the ground, sensor space of their frame.
@@ -36,8 +36,8 @@ def rigid_flow(points_m: Points, other_points_m: Points, other_from_this: Transf
         other_from_this: (4, 4) ego-motion between the two.
 
     Returns:
-        (N, 3) displacement to the other frame, metres; that of ego-motion alone where a point is
-        in no cluster, or in one that fits no better elsewhere.
+        (N, 3) displacement to the other frame, metres; ego-motion alone where a point is in no
+        cluster, or a translation improves its fit too little.
     """
     expected = transform(other_from_this, points_m)
     clusters = connected(expected, reach_m=REACH_M, min_points=_MIN_VOXELS)
@@ -58,7 +58,7 @@ def _shifts(
     start: NDArray[np.int32],
     reference: Reference,
 ) -> NDArray[np.float32]:
-    """Best shift of each cluster; none for specks, and for what is longer than a lorry."""
+    """Return the best translation of each cluster; zero for tiny ones, and ones beyond a lorry."""
     shifts = np.zeros((len(start) - 1, 3), np.float32)
     best = np.empty(4, np.float64)
     origin = np.zeros(3, np.float64)

@@ -1,4 +1,4 @@
-"""Where scene flow comes from: sources by name, each a function of two clouds."""
+"""Scene flow sources by name, each a function of two clouds."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -10,18 +10,18 @@ from schemas.arrays import Flow, Points, Transform
 from workers.points.se3 import transform
 
 SceneFlowSource = Callable[[Points, Points, Transform], Flow]
-"""(N, 3) points of this frame, (M, 3) points of the other, each in its own sensor space, and the
-ego-motion `other_from_this` as a first guess; returns (N, 3) displacement to the other frame,
-ego-motion included, metres."""
+"""Function from (N, 3) points of this frame, (M, 3) points of the other, each in its own sensor
+space, and the ego-motion `other_from_this` as initial estimate. It returns (N, 3) displacement to
+the other frame, ego-motion included, metres."""
 
 
 def nearest_neighbour_flow(
     points_m: Points, other_points_m: Points, other_from_this: Transform
 ) -> Flow:
-    """Let every point go to the nearest one of the other frame, after ego-motion.
+    """Return the flow to the nearest point of the other frame, after ego-motion compensation.
 
-    The simplest source. It locks on to overlapping surfaces: a car that moves a metre still finds
-    neighbours at no distance on itself, so most of its motion is missed.
+    This is the simplest source. It matches overlapping surfaces: a car that moves a metre still has
+    neighbours at zero distance on itself, so most of its motion is missed.
     """
     from scipy.spatial import cKDTree
 
@@ -36,7 +36,7 @@ def nearest_neighbour_flow(
 def registered_clusters_flow(
     points_m: Points, other_points_m: Points, other_from_this: Transform
 ) -> Flow:
-    """Let every cluster go, as a whole, to where it fits the other frame best."""
+    """Return the flow of rigid clusters, each registered to the other frame."""
     from workers.paper.rigid_flow import rigid_flow
 
     return rigid_flow(points_m, other_points_m, other_from_this)
@@ -46,7 +46,7 @@ SCENE_FLOWS: Final[Mapping[str, SceneFlowSource]] = {
     "nearest-neighbour": nearest_neighbour_flow,
     "registered-clusters": registered_clusters_flow,
 }
-"""Those that need nothing: each is a stream `two-stage:NAME` too."""
+"""Sources without weights; each is also a stream `two-stage:NAME`."""
 
 
 class LearnedFlow(Protocol):
@@ -54,13 +54,13 @@ class LearnedFlow(Protocol):
 
     @property
     def version(self) -> str:
-        """Everything that changes its output besides code."""
+        """Return the version of everything but code that changes the output."""
         ...
 
     def __call__(
         self, points_m: Points, other_points_m: Points, other_from_this: Transform
     ) -> Flow:
-        """Answer as a `SceneFlowSource`."""
+        """Estimate flow as a `SceneFlowSource`."""
         ...
 
 
@@ -71,7 +71,7 @@ def _flowstep3d(folder: Path) -> LearnedFlow:
 
 
 LEARNED_FLOWS: Final[Mapping[str, Callable[[Path], LearnedFlow]]] = {"flowstep3d": _flowstep3d}
-"""Those that need weights, of the network of the same name: each is a stream `two-stage:NAME`."""
+"""Sources with weights of the network of the same name; each is a stream `two-stage:NAME`."""
 
 
 def scene_flow_source(name: str) -> SceneFlowSource:

@@ -1,4 +1,4 @@
-"""The paper's stream by name: scene flow, ego compensation, two-stage clustering."""
+"""Two-stage stream of the paper by flow name: scene flow, ego compensation, clustering."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -22,14 +22,14 @@ from workers.selfsupervised.labelling import ALONE, GROUND, nothing_known
 
 @dataclass(frozen=True, slots=True)
 class TwoStage:
-    """Labels each frame by the flow from it to the frame before, so that none has to wait.
+    """Labels each frame by the flow from it to the frame before, without delay.
 
-    The published chain looks at the next frame instead. With simple flows it finds next to nothing:
-    it needs flow that is good to a centimetre per frame.
+    The published chain uses the next frame instead. Its rule needs flow that is accurate to a
+    centimetre per frame, and finds almost nothing with simple flows.
 
     Attributes:
         flow: Name of the scene flow.
-        rule: Numbers of the clustering.
+        rule: Thresholds of the clustering.
         learned: The network of that name; None for a flow that needs none.
     """
 
@@ -46,7 +46,7 @@ class TwoStage:
 
     @property
     def class_names(self) -> tuple[str, ...]:
-        """No classes are known."""
+        """The stream has no classes."""
         return ()
 
     def __call__(self, frames: Iterable[PosedFrame]) -> Iterator[FrameLabels]:

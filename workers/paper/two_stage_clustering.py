@@ -1,4 +1,4 @@
-"""Two-stage clustering of object flow into what moves: the rule of the paper."""
+"""Two-stage clustering of object flow into moving objects: the rule of the paper."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -13,15 +13,15 @@ KMH: Final = 1 / 3.6
 
 @dataclass(frozen=True, slots=True)
 class TwoStageRule:
-    """The numbers of the rule, as published (arXiv 2407.14306, its code), per second.
+    """Thresholds of the rule, as published (arXiv 2407.14306, its code), per second.
 
     Attributes:
-        reach_m: Stage 1 joins points this near.
+        reach_m: Neighbour distance of stage 1.
         min_points: Neighbours, itself included, that make a core point of stage 1.
-        max_spread: Standard deviation of speed over its mean, above which a cluster is no body.
+        max_spread: Standard deviation of speed over its mean, above which a cluster is not rigid.
         max_speed_m_per_s: Faster points are left out of stage 1's statistics.
-        flow_reach_m_per_s: Stage 2 joins velocities this near.
-        flow_reach_m: The same per frame interval, whatever its length; None to go by the second.
+        flow_reach_m_per_s: Neighbour distance of velocities in stage 2.
+        flow_reach_m: The same per frame interval of any length; None to use the value per second.
             The published code has 0.015 m per frame, which is 0.15 m/s at 10 Hz only.
         min_flow_points: Neighbours, itself included, that make a core point of stage 2.
         min_speed_m_per_s: Slower clusters are static.
@@ -43,15 +43,15 @@ PAPER: Final = TwoStageRule(flow_reach_m=0.015)
 
 @dataclass(frozen=True, slots=True)
 class ClusterSpeed:
-    """What a stage knew of a cluster when it decided.
+    """Statistics of a cluster in the decision of a stage.
 
     Attributes:
         cluster: Its number, -1 for the noise.
-        points: That it has.
-        judged_points: Of them, those that count; in stage 1 the ones over 80 km/h do not.
+        points: Its points.
+        judged_points: Points in the statistics; stage 1 leaves out those over 80 km/h.
         median_m_per_s: Speed of those; 0 if there are none.
-        spread: Standard deviation of their speed over its mean; 0 if there are none, NaN if they
-            stand still.
+        spread: Standard deviation of their speed over its mean; 0 if there are none, NaN if their
+            mean speed is zero.
         moves: Potentially dynamic (stage 1), dynamic (stage 2).
     """
 
@@ -65,14 +65,14 @@ class ClusterSpeed:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TwoStageResult:
-    """What both stages found.
+    """Clusters and decisions of both stages.
 
     Attributes:
         first_cluster: (N,) cluster of stage 1, -1 noise.
         candidate: (N,) member of a potentially dynamic cluster of stage 1.
         second_cluster: (N,) cluster of stage 2, -1 noise, -2 not in stage 2.
-        dynamic: (N,) what moves.
-        first_speeds: Every cluster of stage 1 by number, the noise first where there is some.
+        dynamic: (N,) moving points.
+        first_speeds: Every cluster of stage 1 by number, noise first if there is any.
         second_speeds: The same of stage 2.
     """
 
@@ -92,18 +92,19 @@ def two_stage(
     rule: TwoStageRule = PER_SECOND,
     weights: NDArray[np.integer] | None = None,
 ) -> TwoStageResult:
-    """Find bodies of one speed, then velocities that many of their points share.
+    """Cluster points of one speed, then cluster their velocities.
 
-    Bug for bug as published: the noise of stage 1 counts as one cluster; points over 80 km/h leave
-    the statistics of stage 1 but stay in its cluster, so that a cluster of nothing else is static;
-    stage 1 compares with <, stage 2 with <=; where the mean speed is zero nothing moves.
+    It is bug-compatible with the published code. The noise of stage 1 counts as one cluster. Points
+    over 80 km/h leave the statistics of stage 1 but stay in its cluster, so that a cluster of such
+    points alone is static. Stage 1 compares with <, stage 2 with <=. Where the mean speed is zero,
+    nothing moves.
 
     Args:
         points_m: (N, 3) points off the ground, metres.
         flow_m: (N, 3) object flow over the frame interval, metres.
         dt_s: Length of the interval.
-        rule: The numbers.
-        weights: (N,) how many points each of them stands for; one by default.
+        rule: The thresholds.
+        weights: (N,) number of points that each of them represents; one by default.
     """
     n = len(points_m)
     first = np.full(n, -1, np.int64)
@@ -150,7 +151,7 @@ def _speed_of(
     inside: Mask,
     counted: Mask,
 ) -> ClusterSpeed:
-    """Measure a cluster; whether it moves is said later."""
+    """Compute the statistics of a cluster; the caller decides whether it moves."""
     speed, points, weight = speed[counted], float(weight[inside].sum()), weight[counted]
     if len(speed) == 0:
         return ClusterSpeed(cluster, points, 0.0, 0.0, 0.0, moves=False)
@@ -170,7 +171,7 @@ def _dbscan(
 
 
 def _spread(speed: NDArray[np.float64], weight: NDArray[np.float64]) -> float:
-    """Standard deviation over mean; NaN, which compares false, when there is no mean."""
+    """Return standard deviation over mean; NaN, which compares false, for a mean of zero."""
     mean = np.average(speed, weights=weight)
     if mean == 0.0:
         return float("nan")

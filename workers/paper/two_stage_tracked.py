@@ -1,4 +1,4 @@
-"""The paper's rule on velocities that the default stream proved: what the rule alone would keep."""
+"""Two-stage rule on the tracked velocities of the default stream: an upper bound of the rule."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -21,13 +21,13 @@ from workers.selfsupervised.stream import Registration
 
 @dataclass(frozen=True, slots=True)
 class TrackedTwoStage:
-    """Labels what the default stream sees move only where the two-stage rule agrees.
+    """Labels a point dynamic where both the default stream and the two-stage rule do.
 
-    The flow is as good as it gets here: verified by free space, over half a second, smoothed by
-    the tracker, and exactly zero for all else. What is still missed is the rule's own doing.
+    Its flow is verified by free space over half a second, smoothed by the tracker, and exactly zero
+    for all other points. The remaining misses are due to the rule alone.
 
     Attributes:
-        rule: Numbers of the clustering.
+        rule: Thresholds of the clustering.
     """
 
     rule: TwoStageRule = PER_SECOND
@@ -40,7 +40,7 @@ class TrackedTwoStage:
 
     @property
     def class_names(self) -> tuple[str, ...]:
-        """No classes are known."""
+        """The stream has no classes."""
         return ()
 
     def __call__(self, frames: Iterable[PosedFrame]) -> Iterator[FrameLabels]:
@@ -67,7 +67,7 @@ def _by_rule(posed: PosedFrame, said: FrameLabels, dt_s: float, rule: TwoStageRu
     places = transform(posed.odom_from_sensor, posed.frame.points_m[asked])
     voxels = voxelize(places)
     weights = np.bincount(voxels.of_point, minlength=len(voxels.centroids_m))
-    # a voxel lies in one cluster: whichever point is taken tells its velocity
+    # a voxel is in one cluster: any of its points gives the velocity
     some = np.zeros(len(weights), np.int64)
     some[voxels.of_point] = asked
     of_voxel = np.where(moves[some] & (cluster[some] >= 0), cluster[some], -1)

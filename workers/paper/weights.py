@@ -1,4 +1,4 @@
-"""Weights of the learned parts of the self-supervised stream, and what their cards say."""
+"""Weights of the learned parts of the self-supervised stream, with their cards."""
 
 from pathlib import Path
 from typing import Literal
@@ -14,7 +14,7 @@ from workers.paper.gndnet import GndNet
 
 
 class GndNetCard(Card):
-    """What GndNet was trained for."""
+    """Card of GndNet: parameters of its training."""
 
     network: Literal["gndnet"] = "gndnet"
     sensor_height_m: float = Field(
@@ -27,7 +27,7 @@ class GndNetCard(Card):
 
 
 class FlowStep3DCard(Card):
-    """What FlowStep3D was trained for."""
+    """Card of FlowStep3D: parameters of its training."""
 
     network: Literal["flowstep3d"] = "flowstep3d"
     points: int = Field(ge=32, le=1 << 17, description="Size of cloud; level n keeps points / 2^n.")
@@ -50,7 +50,7 @@ class FlowStep3DCard(Card):
 
 
 class DeLORACard(Card):
-    """What DeLORA was trained for."""
+    """Card of DeLORA: parameters of its training."""
 
     network: Literal["delora"] = "delora"
     rows: int = Field(ge=16, le=1024, description="Height of the range image.")
@@ -64,10 +64,10 @@ class DeLORACard(Card):
 
 
 def load_gndnet(path: Path, *, form: Form = Form.CORRECTED) -> Stored[GndNet, GndNetCard]:
-    """Load GndNet from a `.safetensors` file and the card beside it.
+    """Load GndNet from a `.safetensors` file and its card in the same folder.
 
     Raises:
-        WeightsUnusableError: If they are missing, damaged or do not fit; nothing is half loaded.
+        WeightsUnusableError: If they are missing, damaged or do not fit; no partial load.
     """
     return stored_weights.load(path, GndNetCard, lambda card: card.build(form))
 
@@ -75,18 +75,18 @@ def load_gndnet(path: Path, *, form: Form = Form.CORRECTED) -> Stored[GndNet, Gn
 def load_flowstep3d(
     path: Path, *, form: Form = Form.CORRECTED
 ) -> Stored[FlowStep3D, FlowStep3DCard]:
-    """Load FlowStep3D from a `.safetensors` file and the card beside it.
+    """Load FlowStep3D from a `.safetensors` file and its card in the same folder.
 
     Raises:
-        WeightsUnusableError: If they are missing, damaged or do not fit; nothing is half loaded.
+        WeightsUnusableError: If they are missing, damaged or do not fit; no partial load.
     """
     return stored_weights.load(path, FlowStep3DCard, lambda card: card.build(form))
 
 
 def load_delora(path: Path, *, form: Form = Form.CORRECTED) -> Stored[DeLORA, DeLORACard]:
-    """Load DeLORA from a `.safetensors` file and the card beside it.
+    """Load DeLORA from a `.safetensors` file and its card in the same folder.
 
     Raises:
-        WeightsUnusableError: If they are missing, damaged or do not fit; nothing is half loaded.
+        WeightsUnusableError: If they are missing, damaged or do not fit; no partial load.
     """
     return stored_weights.load(path, DeLORACard, lambda card: card.build(form))

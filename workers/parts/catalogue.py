@@ -1,7 +1,7 @@
-"""What each replaceable part is: its source, its licence, and what weights it needs.
+"""Catalogue of replaceable parts: source, licence, and required weights of each.
 
-`workers.parts.registry` builds parts by name, `schemas.parts` says in a line what each does, this
-file the rest, without loading any.
+`workers.parts.registry` builds parts by name, and `schemas.parts` describes each in a line. This
+module describes the rest, without loading any part.
 """
 
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ PartKind = PartSetting | Literal["network"]
 
 
 class PartCard(BaseModel):
-    """A part that can be chosen by name, or a network that parts are made of."""
+    """A part that can be chosen by name, or a network that parts are built from."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

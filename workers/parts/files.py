@@ -1,4 +1,4 @@
-"""What parts read beside the package, and which of it is missing."""
+"""Files that parts read outside of the package, and a check for missing ones."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,11 +11,11 @@ from workers.paper.scene_flow import LEARNED_FLOWS
 
 @dataclass(frozen=True, slots=True)
 class PartFiles:
-    """What parts read beside the package.
+    """Files that parts read outside of the package.
 
     Attributes:
         model: Adapter of the user's own model; empty: none.
-        weights: Folder of imported weights; empty: what ships.
+        weights: Folder of imported weights; empty: those that ship.
     """
 
     model: str = ""
@@ -31,11 +31,12 @@ NETWORKS_OF: Final[Mapping[str, tuple[str, ...]]] = {
     **{f"two-stage:{flow}": (flow,) for flow in LEARNED_FLOWS},
     **{f"two-stage:{flow}:published": (flow,) for flow in LEARNED_FLOWS},
 }
-"""Whose weights a part loads; SalsaNext and LMNet ship, and are taken if no folder is named."""
+"""Networks whose weights a part loads; SalsaNext and LMNet ship, and are the default without a
+folder."""
 
 
 def all_there(files: PartFiles, *parts: str) -> None:
-    """Name every network that the folder of weights lacks, not one after the other."""
+    """Raise an error that names every network missing in the folder of weights at once."""
     needed = [network for part in parts for network in NETWORKS_OF.get(part, ())]
     folder = Path(files.weights)
     if files.weights and not folder.is_dir():
@@ -50,12 +51,12 @@ def all_there(files: PartFiles, *parts: str) -> None:
 
 
 def weights_of(files: PartFiles, what: str, name: str) -> Path:
-    """Give the folder of weights of a part whose networks do not ship.
+    """Return the folder of weights of a part whose networks do not ship.
 
     Args:
-        files: What the settings name.
+        files: Files that the settings name.
         what: Kind of the part, for the message.
-        name: Of the part.
+        name: Name of the part.
 
     Raises:
         UnknownPartError: If no folder is named.

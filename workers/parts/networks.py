@@ -1,4 +1,4 @@
-"""Which networks there are, and how a published checkpoint becomes weights of this project."""
+"""Networks of the parts, and import of published checkpoints as weights of this project."""
 
 import hashlib
 import json
@@ -19,14 +19,14 @@ from workers.checkpoints.stored_weights import Card
 from workers.errors import UnknownPartError
 
 NETWORKS: Final = ("salsanext", "lmnet", "gndnet", "flowstep3d", "delora")
-"""Of the paper; the names of their files in a folder of weights, too."""
+"""Networks of the paper; these are also the names of their files in a folder of weights."""
 
 _CONFIGS: Final = resources.files("workers.checkpoints") / "configs"
 
 
 @cache
 def _card_type(network: str) -> type[Card]:
-    """Find what the card of a network must be; the networks load only when one is wanted."""
+    """Return the card type of a network; its module is imported on demand."""
     if network in ("salsanext", "lmnet"):
         from workers.supervised.weights import WeightsCard
 
@@ -45,12 +45,12 @@ def _card_type(network: str) -> type[Card]:
 
 
 def known_configs() -> tuple[str, ...]:
-    """Names of the configurations that come with the package: those of published checkpoints."""
+    """Return the names of the configurations in the package: those of published checkpoints."""
     return tuple(sorted(file.name.removesuffix(".json") for file in _CONFIGS.iterdir()))
 
 
 def read_known(name: str) -> Card:
-    """Read a configuration that comes with the package.
+    """Read a configuration of the package.
 
     Raises:
         WeightsUnusableError: If there is none of that name.
@@ -64,14 +64,14 @@ def read_known(name: str) -> Card:
 
 
 def read_config(config: str, network: str) -> Card:
-    """Read what a network needs beside its parameters.
+    """Read the configuration of a network.
 
     Args:
-        config: Name of one that comes with the package, path of a JSON file, or JSON.
+        config: Name of one in the package, path of a JSON file, or JSON.
         network: The network it is for.
 
     Returns:
-        The card that will stand beside the weights.
+        The card of the weights.
 
     Raises:
         WeightsUnusableError: If it is missing, no JSON, for another network, or incomplete.
@@ -106,7 +106,7 @@ def read_config(config: str, network: str) -> Card:
 
 
 def _named(said: str, network: str, source: str) -> str:
-    """Let a configuration leave out which network it is for: the user has said so."""
+    """Add the network to a configuration that does not name it: the user has named it."""
     try:
         document: Any = json.loads(said)
     except (ValueError, RecursionError) as error:
@@ -116,14 +116,14 @@ def _named(said: str, network: str, source: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """What an import has written.
+    """Result of an import.
 
     Attributes:
-        path: The `.safetensors` file; its card beside it has the suffix `.json`.
-        network: Which network.
-        parameters: How many tensors.
-        digest: Hex sha256 of both files, as it enters the version of what uses them.
-        converted: Whether the checkpoint held training state that was left out.
+        path: The `.safetensors` file; its card has the suffix `.json`.
+        network: Name of the network.
+        parameters: Number of tensors.
+        digest: Hex sha256 of both files, which enters the version of the part that uses them.
+        converted: Whether the checkpoint contained training state, which was dropped.
     """
 
     path: Path
@@ -134,21 +134,21 @@ class Imported:
 
 
 def import_weights(checkpoint: Path, *, network: str, config: str, out: Path) -> Imported:
-    """Turn a published checkpoint into weights that parts can load: `out/NETWORK.safetensors`.
+    """Convert a published checkpoint to weights that parts can load: `out/NETWORK.safetensors`.
 
-    Nothing is written unless every parameter fits. The numbers stay as they are.
+    Nothing is written unless every parameter fits. The numbers are unchanged.
 
     Args:
-        checkpoint: As `read_checkpoint` takes it.
+        checkpoint: Input of `read_checkpoint`.
         network: Name in `NETWORKS`.
-        config: As `read_config` takes it.
-        out: Folder, made if need be.
+        config: Input of `read_config`.
+        out: Folder; created if needed.
 
     Returns:
-        What was written.
+        Path, digest and origin of the weights.
 
     Raises:
-        WeightsUnusableError: If anything is missing, damaged, does not fit, or holds code.
+        WeightsUnusableError: If anything is missing, damaged, does not fit, or contains code.
         UnknownPartError: If there is no such network.
     """
     card = read_config(config, network)
@@ -172,11 +172,11 @@ def need_no_other_weights(path: Path, checkpoint: Path) -> None:
     """Refuse to replace weights unless they were imported from this very checkpoint.
 
     Args:
-        path: Where the import would write.
-        checkpoint: What would be imported.
+        path: Target of the import.
+        checkpoint: Checkpoint to import.
 
     Raises:
-        WeightsUnusableError: If other weights lie there, or the checkpoint cannot be read.
+        WeightsUnusableError: If the target has other weights, or the checkpoint cannot be read.
     """
     card = path.with_suffix(".json")
     there = next((each for each in (path, card) if each.exists()), None)

@@ -1,7 +1,7 @@
-"""What each replaceable part of the pipeline does: an iterator in, an iterator out.
+"""Protocols of the replaceable parts: each maps an iterator of frames to an iterator of results.
 
-A part may keep state over the frames of one shard, hold back frames that it needs to look ahead,
-and still use bounded memory. It yields exactly one answer per frame, in order.
+A part may keep state over the frames of one shard, and delay frames for lookahead, within bounded
+memory. It yields exactly one result per frame, in order.
 """
 
 from collections.abc import Iterable, Iterator
@@ -17,7 +17,7 @@ from workers.errors import TasksDifferError
 
 
 class Odometry(Protocol):
-    """Says where the sensor was at each frame."""
+    """Odometry: estimates the sensor pose of each frame."""
 
     @property
     def version(self) -> str:
@@ -25,7 +25,7 @@ class Odometry(Protocol):
         ...
 
     def __call__(self, frames: Iterable[LidarFrame]) -> Iterator[PosedFrame]:
-        """Yield each frame with its pose, in order; state begins anew with every call."""
+        """Yield each frame with its pose, in order; every call starts with fresh state."""
         ...
 
 
@@ -34,7 +34,7 @@ class Stream(Protocol):
 
     @property
     def task(self) -> Task:
-        """What it answers about every point: `FrameLabels.labels` index its classes."""
+        """Task of its labels: `FrameLabels.labels` index the classes of the task."""
         ...
 
     @property
@@ -44,16 +44,16 @@ class Stream(Protocol):
 
     @property
     def class_names(self) -> tuple[str, ...]:
-        """Names that `FrameLabels.class_id` indexes; empty when the stream knows no classes."""
+        """Names that `FrameLabels.class_id` indexes; empty without classes."""
         ...
 
     def __call__(self, frames: Iterable[PosedFrame]) -> Iterator[FrameLabels]:
-        """Yield the labels of each frame, in order; state begins anew with every call."""
+        """Yield the labels of each frame, in order; every call starts with fresh state."""
         ...
 
 
 class Witness(Protocol):
-    """A third opinion on motion, which sees what both streams said, and what came after."""
+    """Third opinion on motion, from the labels of both streams and later frames."""
 
     @property
     def version(self) -> str:
@@ -61,17 +61,17 @@ class Witness(Protocol):
         ...
 
     def __call__(self, frames: Iterable[LabelledFrame]) -> Iterator[LabelledFrame]:
-        """Yield each frame with what it says of it, in order; state begins anew every time."""
+        """Yield each frame with the witness's labels, in order; every call starts afresh."""
         ...
 
 
 class NoWitness:
-    """Nobody is asked."""
+    """Witness that gives no opinion."""
 
     version = "none"
 
     def __call__(self, frames: Iterable[LabelledFrame]) -> Iterator[LabelledFrame]:
-        """Yield the frames as they come."""
+        """Yield the frames unchanged."""
         yield from frames
 
 
@@ -86,7 +86,7 @@ class Parts:
     instances: InstanceSettings = DEFAULT_INSTANCES
 
     def __post_init__(self) -> None:
-        """Refuse two streams that answer different questions."""
+        """Refuse two streams of different tasks."""
         said, other = self.supervised.task, self.selfsupervised.task
         if said != other:
             raise TasksDifferError(
@@ -97,5 +97,5 @@ class Parts:
 
     @property
     def task(self) -> Task:
-        """What both streams answer."""
+        """Task of both streams."""
         return self.supervised.task

@@ -1,4 +1,4 @@
-"""Which implementations exist for each replaceable part: plain tables, loaded when chosen."""
+"""Registry of replaceable parts: tables of constructors by name; parts are imported when chosen."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -125,9 +125,9 @@ SELFSUPERVISED: Final[Mapping[str, Callable[[PartFiles], Stream]]] = {
     },
     "ground": _ground,
 }
-"""`two-stage:FLOW` is the rule of the paper on a scene flow, `…:published` with its numbers as
-published, per frame; `two-stage` alone takes the nearest neighbour. What enters `SCENE_FLOWS`
-or `LEARNED_FLOWS` is a stream of that name here."""
+"""`two-stage:FLOW` is the rule of the paper on a scene flow, `…:published` with the published
+thresholds per frame; `two-stage` alone uses the nearest neighbour. Each entry of `SCENE_FLOWS` or
+`LEARNED_FLOWS` is a stream of that name."""
 
 
 def _free_space() -> Witness:
@@ -172,13 +172,13 @@ def build_parts(
         odometry: One of `ODOMETRIES`.
         supervised: One of `SUPERVISED`.
         selfsupervised: One of `SELFSUPERVISED`.
-        witness: One of `WITNESSES`; nobody is asked where the task is not about motion.
+        witness: One of `WITNESSES`; unused where the task is not motion.
         instances: One of `INSTANCES`.
-        files: What they read beside the package.
+        files: Files that they read outside of the package.
 
     Raises:
-        UnknownPartError: If one does not exist, the message lists those that do; or if it needs a
-            file that is not named.
+        UnknownPartError: If one does not exist, with the known names in the message; or if it needs
+            a file that is not named.
         PermanentError: If its weights or its model cannot be used.
     """
     files = files or PartFiles()

@@ -1,1 +1,1 @@
-"""What keeps N workers alive; the ledger alone knows what is done."""
+"""Worker pool: keeps N worker processes alive; completed work is recorded in the ledger alone."""

@@ -1,4 +1,4 @@
-"""Worker processes on this machine, kept alive."""
+"""Local pool: worker processes on this machine, restarted when they die."""
 
 import re
 import socket
@@ -22,23 +22,23 @@ from workers.worker.config import DRAIN_S, Accepted, WorkerConfig
 log = structlog.get_logger(__name__)
 
 LEASE_DEADLINE_S: Final = 1800.0
-"""No honest shard takes this long: twenty seconds of lidar at a hundredth of real time."""
+"""Longest time on one lease, seconds: twenty seconds of lidar at a hundredth of real time."""
 
 LOOK_S: Final = 0.1
 MEND_S: Final = 1.0
-"""How often to look for files that somebody took away."""
+"""Interval of the check for removed files, seconds."""
 
 
 class LocalPool:
-    """Keeps workers alive until it is stopped, or until they say that it is of no use.
+    """Keeps workers alive until it is stopped, or until they all give up.
 
-    The workers end with this process, however it ends.
+    The workers end with this process, even if it is killed.
 
     Attributes:
-        prefix: What the ids of its workers begin with: leases of a dead pool are found by it. It is
-            name, machine and a number of its own; with the place it is an id, which outlives the
-            processes in that place, so that the service knows who dies again and again.
-        registry: What its workers count, summed up, and the pool's own metrics.
+        prefix: Prefix of the ids of its workers, by which leases of a dead pool are found. It is
+            name, machine and a unique number. With the place it is an id, which outlives the
+            processes in that place, so that the service can recognise repeated deaths.
+        registry: Metrics of its workers, summed up, and the pool's own.
     """
 
     def __init__(
@@ -55,23 +55,24 @@ class LocalPool:
         on_death: Callable[[str], None] = lambda _: None,
         accepts: Accepted | None = None,
     ) -> None:
-        """Prepare; `start` starts.
+        """Prepare the pool; `start` starts the workers.
 
         Args:
             size: Workers to keep alive.
             connect: Endpoints of routers.
             root: First part of every key.
-            home: Where the files in which the workers count may lie: a local disk, no place that
-                is cleaned while we live, as `/tmp` is.
-            name: What the ids of its workers begin with.
-            drain_s: How long a worker told to stop may go on with its lease, seconds.
+            home: Folder for the metrics files of the workers: a local disk that no cleaner empties
+                while the pool runs, unlike `/tmp`.
+            name: First part of the ids of its workers.
+            drain_s: Time a stopping worker may continue with its lease, seconds.
             lease_deadline_s: A worker longer than this on one lease is killed.
-            style: How the workers log.
-            on_death: Told the id of every worker that died, so that its lease need not expire.
-            accepts: Which places a service may name, where a router is on another machine.
+            style: Log style of the workers.
+            on_death: Called with the id of every worker that died, so that its lease need not
+                expire.
+            accepts: Locations that a service may name, where a router is on another machine.
 
         Raises:
-            TransientError: If there is no room for the files in which the workers count.
+            TransientError: If there is no room for the metrics files.
         """
         self.prefix = f"{name}-{_machine()}-{uuid.uuid4().hex[:12]}-"
         self._on_death, self._drain_s = on_death, drain_s
@@ -99,7 +100,7 @@ class LocalPool:
         self._watcher = Thread(target=self._watch, name="pool", daemon=True)
 
     def start(self) -> None:
-        """Start the workers, and watch them."""
+        """Start the workers, and monitor them."""
         self._watcher.start()
 
     def alive(self) -> int:
@@ -111,28 +112,28 @@ class LocalPool:
         return [pid for slot in self._slots if (pid := slot.pid) is not None]
 
     def pipeline_version(self) -> str:
-        """Say as what its workers mine; empty until the first of them is equipped."""
+        """Return the pipeline version of its workers; empty until the first of them is equipped."""
         versions = (slot.signs.version.value.decode() for slot in self._slots)
         return next((version for version in versions if version), "")
 
     def check(self) -> None:
-        """Raise why, if nothing will be mined here any more.
+        """Raise the reason if nothing will be mined here any more.
 
         Raises:
-            PermanentError: If every worker has given up; with what the first of them said.
-            TransientError: If the pool no longer looks after its workers.
+            PermanentError: If every worker has given up; with the message of the first one.
+            TransientError: If the pool no longer monitors its workers.
         """
         if self._slots and all(slot.gave_up for slot in self._slots):
             raise PermanentError(self._slots[0].gave_up)
         self.check_alive()
 
     def check_alive(self) -> None:
-        """Raise why, if the pool no longer looks after its workers.
+        """Raise the reason if the pool no longer monitors its workers.
 
-        One that was told to stop has not failed, however long its workers take to drain.
+        A stopped pool has not failed, however long its workers take to drain.
 
         Raises:
-            TransientError: In one sentence.
+            TransientError: With the reason in one sentence.
         """
         if self._stopping.is_set() and self._failure is None:
             return
@@ -143,10 +144,10 @@ class LocalPool:
             raise TransientError(f"every worker has given up: {self._slots[0].gave_up}")
 
     def check_ready(self) -> None:
-        """Raise why, if no worker could take a lease now.
+        """Raise the reason if no worker could take a lease now.
 
         Raises:
-            TransientError: In one sentence.
+            TransientError: With the reason in one sentence.
         """
         self.check_alive()
         signs = [slot.signs for slot in self._slots if slot.is_alive()]
@@ -159,7 +160,7 @@ class LocalPool:
             )
 
     def stop(self) -> None:
-        """Tell the workers to finish what is soon done, and wait; kill those that do not listen."""
+        """Ask the workers to finish nearly done work, and wait; kill those that do not stop."""
         self._stopping.set()
         if self._watcher.ident is not None:
             self._watcher.join()
@@ -171,7 +172,7 @@ class LocalPool:
         self._metrics.remove()
 
     def __enter__(self) -> Self:
-        """Start."""
+        """Start the workers."""
         self.start()
         return self
 
@@ -181,11 +182,11 @@ class LocalPool:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Stop."""
+        """Stop the workers."""
         self.stop()
 
     def _watch(self) -> None:
-        """Look after the workers; whatever ends this is remembered, for `check_alive` to raise."""
+        """Monitor the workers; an exception is stored for `check_alive` to raise."""
         mend_at_s = time.monotonic() + MEND_S
         try:
             while not self._stopping.wait(LOOK_S):
@@ -213,5 +214,5 @@ class LocalPool:
 
 
 def _machine() -> str:
-    """Name this machine, or container, as a part of a key: it may be known by it in the ledger."""
+    """Return the name of this machine, or container, as a part of a key in the ledger."""
     return re.sub(r"[^A-Za-z0-9_-]", "_", socket.gethostname())[:64] or "machine"

@@ -1,4 +1,4 @@
-"""The folder in which the workers of one pool count, where no cleaner of `/tmp` comes."""
+"""Folder of a pool's metrics files, outside of `/tmp` and its cleaners."""
 
 import fcntl
 import os
@@ -12,38 +12,38 @@ _LOCK_NAME: Final = "lock"
 
 
 class MetricsFolder:
-    """A folder for as long as its pool lives.
+    """A folder with the lifetime of its pool.
 
     A pool that was killed at the same moment as all of its workers leaves its folder behind. The
-    next pool with the same home takes it away; a living pool is known by the lock that it holds.
+    next pool with the same home removes it; a living pool is recognised by its lock.
 
     Attributes:
-        path: Stays the same when the folder has to be made again.
+        path: Path of the folder; it stays the same when the folder is created again.
     """
 
     def __init__(self, home: Path) -> None:
-        """Choose a name; `hold` makes it.
+        """Choose a name; `hold` creates the folder.
 
         Args:
-            home: Where such folders lie; made if need be. A local disk.
+            home: Parent of such folders on a local disk; created if needed.
         """
         self._home, self._lock = home, -1
         self.path = home / f"{PREFIX}{uuid.uuid4().hex[:12]}"
 
     def hold(self) -> bool:
-        """Make the folder unless it is there.
+        """Create and lock the folder unless it exists.
 
         Returns:
-            Whether it had to be made.
+            Whether it was created.
 
         Raises:
-            OSError: If it cannot be.
+            OSError: If it cannot be created.
         """
         if self.path.is_dir():
             return False
         for left in self._home.glob(f"{PREFIX}*"):
             _remove_if_left(left)
-        # Under another name until it is locked, so that no other pool takes it for left behind.
+        # Under another name until it is locked, so that no other pool removes it as left behind.
         fresh = self._home / f".{self.path.name}"
         fresh.mkdir(parents=True, exist_ok=True)
         self._let_go()
@@ -53,7 +53,7 @@ class MetricsFolder:
         return True
 
     def remove(self) -> None:
-        """Take the folder away, if it is there."""
+        """Remove the folder, if it exists."""
         shutil.rmtree(self.path, ignore_errors=True)
         self._let_go()
 
@@ -64,7 +64,7 @@ class MetricsFolder:
 
 
 def _remove_if_left(folder: Path) -> None:
-    """Remove a folder that no living pool holds, or leave it: that is no reason not to start."""
+    """Remove a folder without a living pool; a failure is ignored, so that the pool can start."""
     try:
         lock = os.open(folder / _LOCK_NAME, os.O_RDWR | os.O_CLOEXEC)
     except OSError:
@@ -72,7 +72,7 @@ def _remove_if_left(folder: Path) -> None:
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         shutil.rmtree(folder, ignore_errors=True)
-    except OSError:  # held, or on a file system that knows no locks
+    except OSError:  # held, or on a file system without locks
         return
     finally:
         os.close(lock)

@@ -1,4 +1,4 @@
-"""The pages that a pool of workers serves to whoever watches it."""
+"""HTTP pages of a pool for monitoring: metrics, liveness, readiness."""
 
 from collections.abc import Callable, Mapping
 
@@ -22,7 +22,7 @@ def pool_pages(pool: LocalPool) -> Mapping[str, Handler]:
 
 
 def _unless_it_raises(check: Callable[[], None]) -> Handler:
-    """Answer `ok`; what the check raises is answered by the endpoint, as not available."""
+    """Return a handler that answers `ok`; the endpoint turns an exception into "unavailable"."""
 
     def answer(_request: HttpRequest) -> HttpResponse:
         check()

@@ -1,4 +1,4 @@
-"""One worker process: what the pool tells it, what it tells the pool, and how it ends."""
+"""Worker process: its state in shared memory, its signals, and its exit codes."""
 
 import os
 import shutil
@@ -27,38 +27,39 @@ log = structlog.get_logger(__name__)
 EX_DONE: Final = 0
 EX_TEMPFAIL: Final = 75
 EX_CONFIG: Final = 78
-"""Ends that are no crash: told to stop; may work later; will never work here (sysexits.h)."""
+"""Exit codes that are no crash: stopped on request; may work later; will never work here
+(sysexits.h)."""
 
 
 @dataclass(frozen=True, slots=True)
 class LogStyle:
-    """How a worker process logs; a spawned process inherits nothing."""
+    """Log style of a worker process; a spawned process inherits nothing."""
 
     level: str = "info"
     as_json: bool = False
 
 
 _REMOVALS: Final = 5
-"""Another thread, or another worker, may just be making a file in what is taken away."""
+"""Attempts to remove a folder, in which another thread or worker may be creating a file."""
 
 VERSION_BYTES: Final = 64
-"""Room for a pipeline version, and an end."""
+"""Bytes for a pipeline version and a terminator."""
 
 NO_LEASE_YET: Final = 0.0
 BETWEEN_LEASES: Final = -1.0
-"""What stands where the time is told when work on the current lease began."""
+"""Values of `Signs.since_s` without a current lease."""
 
 
 @dataclass(frozen=True, slots=True)
 class Signs:
-    """What a worker shows its pool, in memory that both share.
+    """State of a worker in memory that it shares with its pool.
 
     Attributes:
         since_s: When work on the current lease began, monotonic seconds, or one of `NO_LEASE_YET`
             and `BETWEEN_LEASES`.
         finished: Leases that ended before it did.
-        connected: Whether it has a router.
-        version: As what it mines what the service asks for; empty until it can.
+        connected: Whether it is connected to a router.
+        version: Its pipeline version; empty until it is equipped.
     """
 
     since_s: "Synchronized[float]"
@@ -67,18 +68,18 @@ class Signs:
     version: "SynchronizedString"
 
     def clear(self) -> None:
-        """Nothing is known of the worker that comes next."""
+        """Reset the state for the next worker."""
         self.since_s.value, self.finished.value = NO_LEASE_YET, 0
         self.connected.value, self.version.value = 0, b""
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where in its pool a worker is.
+    """Place of a worker in its pool.
 
     Attributes:
-        number: Unique in the pool.
-        metrics_folder: Where the workers of the pool count.
+        number: Number of the place, unique in the pool.
+        metrics_folder: Folder of the pool's metrics files.
     """
 
     number: int
@@ -107,14 +108,14 @@ def worker_process(
     signs: Signs,
     problem: "Connection[str, str]",
 ) -> None:
-    """Run a worker in a process of its own.
+    """Run a worker in its own process.
 
     Args:
-        config: For the worker.
-        style: For its log.
-        place: Where in the pool it is.
-        signs: What it shows of itself.
-        problem: Takes why it gives up for good.
+        config: Configuration of the worker.
+        style: Log style.
+        place: Its place in the pool.
+        signs: Its shared state.
+        problem: Receives the reason when it gives up for good.
     """
     from workers.worker.loop import run_worker  # the pool, which never mines, does without numba
 
@@ -138,11 +139,10 @@ def worker_process(
 
 
 def _stop_on_signals() -> Event:
-    """Turn signals into a set event, however many come.
+    """Turn any number of signals into a set event.
 
-    A service manager may signal every process of ours, and then the pool tells its workers once
-    more: that must not cut the drain short. The pool kills those that take too long, and all die
-    with it.
+    A service manager may signal all processes, and then the pool signals its workers again. That
+    must not cut the drain short. The pool kills workers that take too long, and all die with it.
     """
     stop = Event()
 
@@ -155,15 +155,15 @@ def _stop_on_signals() -> Event:
 
 
 def _leave(code: int) -> NoReturn:
-    """End at once: everything is closed, and taking torch and numba apart takes seconds."""
+    """Exit at once: everything is closed, and teardown of torch and numba takes seconds."""
     sys.stderr.flush()
     os._exit(code)
 
 
 def _end_with_parent(place: Place) -> None:
-    """Die when the pool's process dies, even of kill -9: nobody would stop or restart us.
+    """Exit when the pool's process dies, even of kill -9: no process would restart the worker.
 
-    Nobody would take its files away either.
+    The worker also removes the pool's files, which would remain otherwise.
     """
     parent = parent_process()
     if parent is not None:

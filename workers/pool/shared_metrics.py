@@ -1,8 +1,8 @@
-"""The metrics of all workers of a pool: each counts in files of its own, the pool serves the sum.
+"""Shared metrics of a pool: each worker counts in its own files, and the pool serves the sum.
 
-The files belong to places in the pool, not to processes: a worker that fills a place after another
-counts on where that one ended, so that weeks of restarts leave as many files as there are places.
-Whatever becomes of the files, mining goes on: what cannot be counted is said once.
+The files belong to places in the pool, not to processes. A worker that replaces another continues
+its counts, so that weeks of restarts leave as many files as there are places. Mining continues
+whatever happens to the files; a failure is logged once.
 """
 
 import os
@@ -20,31 +20,31 @@ from workers.worker.metrics import PoolMetrics
 log = structlog.get_logger(__name__)
 
 FILE_BYTES: Final = 128 * 1024
-"""Several times what a worker's metrics take, and really there: a disk that fills up later would
-end whoever writes to a mapped file without room for it."""
+"""Size of a metrics file, bytes: several times what a worker needs. It is allocated in full, since
+a full disk would end any process that writes to a sparse mapped file."""
 
 _KINDS: Final = ("counter", "histogram", "gauge_livesum", "gauge_livemax")
-"""First part of the names that `prometheus_client` gives its files, for the metrics there are."""
+"""First part of the file names of `prometheus_client`, by kind of metric."""
 
 _NOTHING: Final = bytes(8)
-"""At the start of such a file: nothing is in it."""
+"""Bytes at the start of an empty file."""
 
 
 class SharedMetrics:
-    """What a pool knows of its workers' metrics, and its own.
+    """Metrics of a pool's workers, and the pool's own.
 
     Attributes:
-        folder: Where the workers count.
+        folder: Folder of the metrics files.
         registry: Sums over the workers, and the pool's own metrics.
         pool: The pool's own metrics.
     """
 
     def __init__(self, home: Path, *, places: int) -> None:
-        """Make the files.
+        """Create the files.
 
         Args:
-            home: Where the folder of the files shall lie: a local disk that nobody cleans.
-            places: Workers at a time.
+            home: Parent of their folder: a local disk that no cleaner empties.
+            places: Number of workers at a time.
 
         Raises:
             TransientError: If there is no room for the files.
@@ -66,10 +66,10 @@ class SharedMetrics:
         self._in_trouble = False
 
     def mend(self) -> None:
-        """Make again what somebody has taken away, and say so.
+        """Create removed files again, and log it.
 
-        A worker that is at work counts on in files that no longer have a name: what it counts is
-        missing from the sum until another takes its place.
+        A running worker continues to count in unlinked files: its counts are missing from the sum
+        until another worker takes its place.
         """
         try:
             made = self._make_missing()
@@ -85,7 +85,7 @@ class SharedMetrics:
             self._in_trouble = False
 
     def forget_gauges(self, place: int) -> None:
-        """Take a dead worker's gauges away: it is neither busy nor waiting. Its counts remain."""
+        """Clear a dead worker's gauges: it is neither busy nor waiting. Its counts remain."""
         self.mend()
         try:
             for kind in _KINDS:
@@ -96,11 +96,11 @@ class SharedMetrics:
             self._say_trouble(error)
 
     def remove(self) -> None:
-        """Take the files away: no worker is left to count."""
+        """Remove the files when no worker is left."""
         self._folder.remove()
 
     def _make_missing(self) -> int:
-        """Make the files that are not there; return how many."""
+        """Create the missing files; return their number."""
         self._folder.hold()
         made = 0
         for place in range(self._places):
@@ -125,24 +125,24 @@ class SharedMetrics:
 
 
 def count_in(folder: Path, place: int) -> None:
-    """Let every metric that this process makes from now on live in the files of a place.
+    """Store every metric that this process creates from now on in the files of a place.
 
-    Where they cannot be written the process counts for itself alone, and says so.
+    Where they cannot be written, the process counts in its own memory and logs a warning.
 
     Args:
-        folder: Where `SharedMetrics` made them.
+        folder: Folder of the files that `SharedMetrics` created.
         place: Number of the place; no two processes may have one at the same time.
     """
-    if not os.access(folder, os.W_OK):  # somebody took it away, or its disk went read-only
+    if not os.access(folder, os.W_OK):  # it was removed, or its disk became read-only
         log.warning("what this worker counts is not served", folder=str(folder), place=place)
         return
-    # The library takes the folder from nowhere else.
+    # The library reads the folder from this variable only.
     os.environ["PROMETHEUS_MULTIPROC_DIR"] = str(folder)  # noqa: TID251
     values.ValueClass = values.MultiProcessValue(lambda: place)  # type: ignore[no-untyped-call]
 
 
 def _make(file: Path) -> None:
-    """Make a file that is there as a whole or not at all: it may be read at any moment."""
+    """Create a file atomically: it may be read at any moment."""
     fresh = file.with_suffix(".new")
     try:
         fresh.write_bytes(bytes(FILE_BYTES))

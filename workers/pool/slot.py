@@ -1,4 +1,4 @@
-"""A place for one worker in a pool: filled, watched, and filled again after a death."""
+"""Slot: a place for one worker in a pool; starts it, monitors it, and restarts it after a death."""
 
 import multiprocessing
 import time
@@ -31,30 +31,30 @@ FIRST_RESTART_S: Final = 0.5
 MOST_RESTART_S: Final = 60.0
 
 MOST_IDLE_DEATHS: Final = 6
-"""So many deaths in a row without a lease, over about half a minute, and a place that never saw a
-worker at work is given up. One that did is filled again for ever: what is wrong now will be mended
-by somebody, and then nobody should have to start the pool again."""
+"""Deaths in a row without a lease, over about half a minute, after which a place that never had a
+working worker gives up. A place that had one restarts for ever: the present problem will be solved,
+and then the pool must not need a restart by hand."""
 
 STEADY_S: Final = 60.0
-"""A worker that lived this long was not ended by how it starts: its next restart is quick again,
-unless it died in a lease and had finished none."""
+"""Lifetime after which a death is not blamed on the start, seconds. The next restart is quick
+again, unless the worker died in a lease and had finished none."""
 
 DEATHS_WORTH_SAYING: Final = 3
-"""So many workers in a row died in their first lease: it is not always the work that kills."""
+"""Deaths in a row in the first lease after which it is logged: the work is not always the cause."""
 
 KILL_MARGIN_S: Final = 8.0
-"""After the drain: saying that a lease is given back, closing the session. With it a pool of the
-usual drain ends before service managers lose patience, after 30 s."""
+"""Time after the drain, seconds, to return the lease and close the session. With it, a pool of the
+usual drain ends before service managers kill it, after 30 s."""
 
 
 class Slot:
-    """One worker process at a time, spawned, since a forked Zenoh session hangs.
+    """Runs one worker process at a time, spawned, since a forked Zenoh session hangs.
 
     Attributes:
-        worker_id: Of every worker that fills this place.
-        place: Which one it is.
-        signs: What the worker in it shows of itself.
-        gave_up: Why nothing will fill it any more; empty while something may.
+        worker_id: Id of every worker in this place.
+        place: Place in the pool.
+        signs: Shared state of the worker in it.
+        gave_up: Reason for no further restarts; empty while there are.
     """
 
     def __init__(
@@ -63,9 +63,9 @@ class Slot:
         """Prepare an empty place.
 
         Args:
-            config: For the worker.
-            style: For its log.
-            place: Which one it is.
+            config: Configuration of the worker.
+            style: Log style.
+            place: Place in the pool.
             deadline_s: A worker longer than this on one lease is killed.
         """
         self.worker_id, self.place, self.gave_up = config.worker_id, place, ""
@@ -86,20 +86,20 @@ class Slot:
 
     @property
     def pid(self) -> int | None:
-        """Process id of the worker that runs now."""
+        """Process id of the running worker."""
         process = self._process
         return process.pid if process is not None and process.is_alive() else None
 
     def is_alive(self) -> bool:
-        """Whether a worker runs now."""
+        """Test whether a worker runs now."""
         process = self._process
         return process is not None and process.is_alive()
 
     def look(self) -> Death | None:
-        """Start a worker that is due, kill one that is stuck, bury one that died.
+        """Start a worker that is due, kill one that is stuck, and clean up after one that died.
 
         Returns:
-            Why one was found dead; None when none was.
+            Cause of a death found now; None without one.
         """
         if self._process is None:
             if not self.gave_up and time.monotonic() >= self._restart_at_s:
@@ -117,15 +117,15 @@ class Slot:
         return None
 
     def tell_to_stop(self) -> None:
-        """Ask the worker to finish what is soon done."""
+        """Ask the worker to finish work that is nearly done."""
         if self._process is not None:
             self._process.terminate()
 
     def wait_until_stopped(self, until_s: float) -> None:
-        """Wait for its end; kill it if it takes longer than it may.
+        """Wait for its end; kill it at the deadline.
 
         Args:
-            until_s: How long it may take, monotonic.
+            until_s: Deadline, monotonic seconds.
         """
         if self._process is None:
             return
@@ -208,7 +208,7 @@ class Slot:
         return cause
 
     def _hopeless(self, code: int | None) -> str:
-        """Say why no worker will ever get to work here; empty while one may."""
+        """Return why no worker will ever start work here; empty while one may."""
         if code == EX_CONFIG:
             return _said(self._last_words) or "a worker gave up without saying why"
         if self._idle_deaths < MOST_IDLE_DEATHS:

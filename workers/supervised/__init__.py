@@ -1,1 +1,1 @@
-"""The supervised stream: what networks trained on labels say about the motion of every point."""
+"""Supervised stream: networks trained on labels that label the motion of every point."""

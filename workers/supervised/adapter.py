@@ -1,6 +1,7 @@
-"""The adapter of your own model: a small TOML file that says what its networks take and give.
+"""Adapter of a user's own model: a TOML file that describes inputs and outputs of its networks.
 
-It lies beside the exported networks that it names; `deploy/OWN_MODEL.md` explains each entry.
+It is in the folder of the exported networks that it names; `deploy/OWN_MODEL.md` explains each
+entry.
 """
 
 import tomllib
@@ -16,10 +17,11 @@ from workers.supervised.classes import ClassMeaning
 from workers.supervised.residual_image import ResidualSettings
 
 MAX_CHANNELS: Final = 16
-"""Channels of measurements; there are five."""
+"""Largest number of input channels; there are five measurements."""
 
 MAX_SCORES: Final = 1 << 26
-"""Scores of one image: 254 classes on the largest lidars, 128 x 2048, are 256 MiB of float32."""
+"""Largest number of scores of one image: 254 classes on the largest lidars, 128 x 2048, are 256 MiB
+of float32."""
 
 _STRICT: Final = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -70,7 +72,7 @@ class NetworkEntry(BaseModel):
 
 
 class Adapter(BaseModel):
-    """What a model of one's own is."""
+    """A user's own model: its networks, classes and range image."""
 
     model_config = _STRICT
 
@@ -113,8 +115,8 @@ class Adapter(BaseModel):
         """Read an adapter.
 
         Raises:
-            WeightsUnusableError: If it cannot be read or says something impossible; the message
-                names file and entry.
+            WeightsUnusableError: If it cannot be read or is contradictory; the message names file
+                and entry.
         """
         try:
             said = _toml(path, what="the adapter of your own model")

@@ -1,4 +1,4 @@
-"""What the outputs of a network mean, and how its likeliest class becomes a code in an image."""
+"""Classes of a network's outputs, and the codes of the most probable class in an image."""
 
 from collections.abc import Sequence
 
@@ -22,7 +22,7 @@ class ClassMeaning(BaseModel):
 
 
 class ClassSet:
-    """The classes of one network, and their codes in an image, where 0 stands for none.
+    """The classes of one network, and their codes in an image, where 0 is none.
 
     Args:
         classes: In the order of outputs.
@@ -41,21 +41,21 @@ class ClassSet:
 
     @property
     def tells_motion(self) -> bool:
-        """Whether any class says that something moves."""
+        """True if any class means moving."""
         return bool(self.moving.any())
 
     def best(self, probabilities: NDArray[np.float32]) -> NDArray[np.uint8]:
-        """Likeliest class of each pixel, as a code; of equals the first.
+        """Return the most probable class of each pixel, as a code; the first on a tie.
 
         Args:
             probabilities: (K, ...) of the classes.
 
         Returns:
-            (...) one more than the rank of the class among those that were taught.
+            (...) one plus the rank of the class among the trained ones.
         """
         taught = np.ascontiguousarray(probabilities[self._outputs])
         return likeliest(taught.reshape(len(taught), -1)).reshape(probabilities.shape[1:])
 
     def class_of(self, codes: NDArray[np.uint8]) -> NDArray[np.int16]:
-        """Index of the class behind each code; 0 gives the first ignored class, or -1."""
+        """Return the class index of each code; 0 gives the first ignored class, or -1."""
         return np.concatenate(([self._untaught], self._taught)).astype(np.int16)[codes]

@@ -1,7 +1,7 @@
-"""Looks through an archive of torch.export before torch opens it.
+"""Validation of torch.export archives, before torch opens them.
 
-Such an archive is a program of torch's functions. Whatever else it may hold is refused: compiled
-libraries, pickled objects, and pickles of anything but tensors, whose code torch would run.
+Such an archive is a program of torch's functions. Any other content is refused: compiled libraries,
+pickled objects, and pickles of anything but tensors, whose code torch would run.
 """
 
 import io
@@ -23,7 +23,7 @@ def check_exported(members: Sequence[Member], *, source: object) -> None:
     """Check the members of an archive.
 
     Raises:
-        WeightsUnusableError: If it holds a library, an object, or a pickle of more than tensors.
+        WeightsUnusableError: If it contains a library, an object, or a pickle of more than tensors.
     """
     for member in members:
         if member.name.startswith("data/aotinductor"):
@@ -41,7 +41,7 @@ def check_exported(members: Sequence[Member], *, source: object) -> None:
 def pickles_hold_tensors_alone() -> Iterator[None]:
     """Make torch read pickles with its restricted unpickler alone, within the block.
 
-    torch.export would try the unrestricted one where that fails, and run what is in them.
+    Otherwise, torch.export falls back to the unrestricted one and runs the code in them.
     """
     variables = os.environ  # noqa: TID251 -- torch's switch, no setting of ours
     before = {name: variables.get(name) for name in (_FORCE, _FORCE_NOT)}
@@ -58,7 +58,7 @@ def pickles_hold_tensors_alone() -> Iterator[None]:
 
 
 def _check_payloads(member: Member, source: object) -> None:
-    """Check what a table of weights or constants says of each."""
+    """Check the entries of a table of weights or constants."""
     try:
         entries: Any = json.loads(member.read())["config"].values()
         odd = [
@@ -81,7 +81,7 @@ _TENSORS: Final = ("weight_", "tensor_")
 
 
 def _check_saved(data: bytes, source: object) -> None:
-    """Check what torch.save wrote: example inputs, and tensors of older versions."""
+    """Check a file of torch.save: example inputs, and tensors of older versions."""
     if not data.startswith(b"PK"):
         if data:
             check_legacy(data, convert=False, source=source)

@@ -1,10 +1,11 @@
-"""SalsaNext and LMNet for inference on a CPU: the same function in fewer passes over memory.
+"""SalsaNext and LMNet for CPU inference, with batch normalisation folded into convolutions.
 
-A convolution is followed by LeakyReLU and then by batch normalisation, which in evaluation is one
-scale and one offset per channel. Both are folded into the weights of the convolutions that read the
-result. One that pads sees zeros beyond the edge, not offsets, so its outermost pixels are computed
-a second time from the unfolded input. LeakyReLU is done by oneDNN within the convolution, by the
-operator that torch's own compiler uses. All of it is exact but for rounding.
+The function is the same, in fewer passes over memory. A convolution is followed by LeakyReLU and
+then by batch normalisation, which in evaluation is one scale and one offset per channel. Both are
+folded into the weights of the convolutions that read the result. A padded convolution reads zeros
+beyond the edge, not offsets, so its outermost pixels are computed a second time from the unfolded
+input. LeakyReLU runs in oneDNN within the convolution, by the operator that torch's own compiler
+uses. All of it is exact but for rounding.
 """
 
 from collections.abc import Sequence
@@ -18,18 +19,18 @@ from torch.nn import functional
 from workers.supervised.salsanext import SLOPE, ResBlock, ResContextBlock, SalsaNext, UpBlock
 
 _SMALL: Final = 4096
-"""Pixels of an image for which one pass more costs less than computing its edges again."""
+"""Pixels of an image up to which one more pass is cheaper than recomputing its edges."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pending:
-    """What is still to be done to a tensor: `scale * x + offset`, per channel, in float64."""
+    """Pending affine map of a tensor: `scale * x + offset`, per channel, in float64."""
 
     scale: Tensor
     offset: Tensor
 
     def beside(self, *others: "Pending") -> "Pending":
-        """Of channels that are joined."""
+        """Return the pending map of concatenated channels."""
         parts = (self, *others)
         return Pending(
             torch.cat([part.scale for part in parts]), torch.cat([part.offset for part in parts])
@@ -42,7 +43,7 @@ def _nothing(channels: int) -> Pending:
 
 
 def _pending(norm: nn.BatchNorm2d) -> Pending:
-    """Scale and offset of a normalisation in evaluation."""
+    """Return scale and offset of a normalisation in evaluation mode."""
     if norm.running_mean is None or norm.running_var is None:
         raise ValueError("a normalisation without statistics cannot be folded")
     scale = norm.weight.double() / torch.sqrt(norm.running_var.double() + norm.eps)
@@ -50,12 +51,12 @@ def _pending(norm: nn.BatchNorm2d) -> Pending:
 
 
 def _row(values: Tensor) -> Tensor:
-    """Lay numbers per channel out for an image."""
+    """Reshape numbers per channel for an image."""
     return values.float()[None, :, None, None].contiguous(memory_format=torch.channels_last)
 
 
 class _Convolution:
-    """A convolution that does what its input still waits for, and LeakyReLU."""
+    """A convolution with the pending map of its input folded in, and LeakyReLU."""
 
     def __init__(self, conv: nn.Conv2d, before: Pending, *, act: bool = True) -> None:
         if conv.bias is None or isinstance(conv.padding, str):
@@ -111,7 +112,7 @@ class _Convolution:
 
 
 class _Merge:
-    """A 1 x 1 convolution over joined images, one after the other, so that none is copied."""
+    """A 1 x 1 convolution over concatenated images, applied to each in turn without a copy."""
 
     def __init__(self, conv: nn.Conv2d, before: Sequence[Pending]) -> None:
         joined = before[0].beside(*before[1:])
@@ -155,7 +156,7 @@ class _Context:
 
 
 class _Three:
-    """Three convolutions of growing reach, and one over all that they found."""
+    """Three convolutions of growing receptive field, and one over all their outputs."""
 
     def __init__(
         self, convs: tuple[nn.Conv2d, ...], norms: tuple[nn.BatchNorm2d, ...], before: Pending
@@ -191,7 +192,7 @@ class _Encoder:
         return torch.addcmul(self._shortcut(x), self._three(x), self._scale)
 
     def pool(self, skip: Tensor) -> Tensor:
-        """Halve the image; windows at its upper and left edge hold fewer offsets than others."""
+        """Halve the image; windows at its upper and left edge contain fewer offsets than others."""
         pooled = functional.avg_pool2d(skip, 3, stride=2, padding=1)
         pooled[:, :, :1] -= self._offset / 3
         pooled[:, :, :, :1] -= self._offset / 3
@@ -247,7 +248,7 @@ class FoldedSalsaNext:
             self._logits = _Convolution(net.logits, pending, act=False)
 
     def __call__(self, x: Tensor) -> Tensor:
-        """Say how likely every class is in every pixel, as `SalsaNext.forward`.
+        """Return the probability of every class in every pixel, as `SalsaNext.forward` does.
 
         Args:
             x: (B, in_channels, H, W) normalised; H and W multiples of 16.

@@ -1,4 +1,4 @@
-"""Fusion of both networks to semantic motion labels: what can move, and does, is dynamic."""
+"""Fusion of both networks to semantic motion labels: movable and moving points are dynamic."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Final, Protocol
@@ -19,23 +19,23 @@ MOVING_CLASS: Final = 2
 SEMANTIC_KITTI_STATIC: Final = 9
 SEMANTIC_KITTI_MOVING: Final = 251
 SEMANTIC_KITTI_FIXED: Final = 40
-"""Classes from here on cannot move by themselves."""
+"""First raw label of classes that cannot move by themselves."""
 
 
 def fuse(*, judged_mask: Mask, movable_mask: Mask, moving_mask: Mask | None) -> MotionLabels:
-    """Combine semantics and motion, point by point.
+    """Combine semantics and motion per point.
 
     The paper's rule (section III-A): a point is dynamic if its class is movable and the motion
-    network says that it moves; everything else that was judged is static. A house that "moves" is a
-    slip of the motion network, not a dynamic house.
+    network labels it moving; every other labelled point is static. A house labelled "moving" is an
+    error of the motion network, not a dynamic house.
 
-    Without a past frame the motion network cannot know. Then a movable point is UNKNOWN, while any
-    other stays STATIC, because no answer of the motion network could have changed that.
+    Without a past frame, the motion network has no evidence. Then a movable point is UNKNOWN, while
+    any other stays STATIC, because the motion network could not change that.
 
     Args:
-        judged_mask: (N,) points the networks saw.
+        judged_mask: (N,) points in the input of the networks.
         movable_mask: (N,) points of a class that can move by itself.
-        moving_mask: (N,) points the motion network calls moving; None without a past frame.
+        moving_mask: (N,) points that the motion network labels moving; None without a past frame.
 
     Returns:
         (N,) labels; UNKNOWN where not judged.
@@ -52,7 +52,7 @@ def fuse(*, judged_mask: Mask, movable_mask: Mask, moving_mask: Mask | None) -> 
 def semantic_motion_labels(
     semantic: NDArray[np.integer], motion: NDArray[np.integer]
 ) -> NDArray[np.int16]:
-    """Write both answers as the published code does: one class id that also tells motion.
+    """Encode both labels as the published code does: one class id that includes motion.
 
     Args:
         semantic: (N,) class ids of KITTI-360 (Cityscapes).
@@ -69,7 +69,7 @@ def semantic_motion_labels(
 
 
 def is_dynamic_label(semantic_motion: NDArray[np.integer]) -> Mask:
-    """Say which semantic motion labels are dynamic; what is unlabelled counts as static."""
+    """Test which semantic motion labels are dynamic; unlabelled points count as static."""
     last = FIRST_DYNAMIC + len(KITTI360_MOVABLE)
     dynamic: Mask = (semantic_motion >= FIRST_DYNAMIC) & (semantic_motion < last)
     return dynamic
@@ -78,7 +78,7 @@ def is_dynamic_label(semantic_motion: NDArray[np.integer]) -> Mask:
 def semantic_kitti_motion(
     semantic: NDArray[np.integer], motion: NDArray[np.integer]
 ) -> NDArray[np.uint32]:
-    """Write both answers as LiDAR-MOS does for SemanticKITTI: moving, or not.
+    """Encode both labels as LiDAR-MOS does for SemanticKITTI: moving, or not.
 
     Args:
         semantic: (N,) raw labels, the class in the lower 16 bits.
@@ -95,27 +95,27 @@ def semantic_kitti_motion(
 
 
 def confidence_of(labels: Labels, second_share: NDArray[np.float32]) -> Confidences:
-    """Say how sure the stream is of each label of a task of two classes.
+    """Compute the confidence of each label of a task of two classes.
 
     Args:
         labels: (N,) labels.
-        second_share: (N,) how likely each point is of the second class, 0 to 1; for motion the
-            probability of a movable class times the probability of moving.
+        second_share: (N,) probability of the second class, 0 to 1; for motion the probability of a
+            movable class times the probability of moving.
 
     Returns:
         (N,) float16: that probability for the second class, its complement for the first, 0 for
-        what is unknown.
+        unknown points.
     """
     sure = np.where(labels == 1, second_share, 1 - second_share)
     return np.where(labels > 1, 0, np.clip(sure, 0, 1)).astype(np.float16)
 
 
 class Fusion(Protocol):
-    """What becomes of the answers of the networks: labels of a task."""
+    """Combines the probabilities of the networks to labels of a task."""
 
     @property
     def task(self) -> Task:
-        """What is answered."""
+        """Task of the labels."""
         ...
 
     @property
@@ -136,22 +136,22 @@ class Fusion(Protocol):
         motion: NDArray[np.int16] | None,
         second_share: NDArray[np.float32],
     ) -> FrameLabels:
-        """Combine what was said of each point; see `MotionFusion.labels`."""
+        """Combine the classes of each point; see `MotionFusion.labels`."""
         ...
 
     def second_share(
         self, semantic: NDArray[np.float32] | None, motion: NDArray[np.float32] | None
     ) -> NDArray[np.float32]:
-        """Say how likely each pixel or point is of the task's second class."""
+        """Return the probability of the task's second class of each pixel or point."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class MotionFusion:
-    """What two networks, or one, make of each point.
+    """Motion labels of each point from one or two networks.
 
-    What moves is said by the motion network, or by the semantic one where its classes tell it;
-    where nobody says it, movable points are UNKNOWN.
+    Motion comes from the motion network, or from the semantic one where its classes include motion.
+    Without either, movable points are UNKNOWN.
 
     Attributes:
         kinds: Classes of the semantic network; None without one: everything can move.
@@ -170,13 +170,13 @@ class MotionFusion:
         motion: NDArray[np.int16] | None,
         second_share: NDArray[np.float32],
     ) -> FrameLabels:
-        """Combine what was said of each point.
+        """Combine the classes of each point.
 
         Args:
-            judged_mask: (N,) points the networks saw.
+            judged_mask: (N,) points in the input of the networks.
             kind: (N,) class index of the semantic network; None without one.
             motion: (N,) class index of the motion network; None without one, or without a past.
-            second_share: (N,) how likely each point is dynamic, 0 to 1.
+            second_share: (N,) probability of dynamic, 0 to 1.
 
         Returns:
             Labels, confidences and classes of the frame.
@@ -198,15 +198,15 @@ class MotionFusion:
     def second_share(
         self, semantic: NDArray[np.float32] | None, motion: NDArray[np.float32] | None
     ) -> NDArray[np.float32]:
-        """Say how likely each pixel or point is dynamic.
+        """Return the probability of dynamic of each pixel or point.
 
         Args:
             semantic: (K, ...) probabilities of the semantic network; None without one.
             motion: (L, ...) probabilities of the motion network; None without one.
 
         Returns:
-            (...) probability of a movable class times the probability of moving, each as far as it
-            is known.
+            (...) probability of a movable class times the probability of moving; one of them if the
+            other is not known.
         """
         shares = []
         if self.kinds is not None and semantic is not None:

@@ -1,4 +1,4 @@
-"""The task `ground` answered by semantic classes: some names mean ground, the others do not."""
+"""Ground labels from semantic classes, the task `ground`: some class names mean ground."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -34,14 +34,14 @@ GROUND_NAMES: Final = frozenset(
         "terrain",
     )
 )
-"""As SemanticKITTI, KITTI-360, nuScenes, PandaSet and the weights that ship name ground."""
+"""Names of ground in SemanticKITTI, KITTI-360, nuScenes, PandaSet and the shipped weights."""
 
 UNTOLD_NAMES: Final = frozenset(("ignored", "unknown", "unlabeled", "unlabelled", "void"))
-"""Classes that say nothing."""
+"""Names of classes without information."""
 
 
 def ground_labels_of(class_names: Sequence[str]) -> Labels:
-    """Say of each class whether it is ground.
+    """Return the ground label of each class.
 
     Returns:
         (K,) labels of the task `ground`; case, spaces, dashes and underscores do not matter.
@@ -62,7 +62,7 @@ def ground_labels_of(class_names: Sequence[str]) -> Labels:
 
 @dataclass(frozen=True, slots=True)
 class GroundFusion:
-    """What a semantic network says of the ground; no motion network is asked.
+    """Ground labels of each point from a semantic network, without a motion network.
 
     Attributes:
         kinds: Classes of the semantic network.
@@ -76,7 +76,7 @@ class GroundFusion:
     task: ClassVar[Task] = GROUND
 
     def __post_init__(self) -> None:
-        """Check that the network knows ground."""
+        """Check that the network has a ground class."""
         if not self._ground_mask.any():
             names = ", ".join(meaning.name for meaning in self.kinds.classes)
             raise WeightsUnusableError(f"no class of the semantic network is ground: {names}")
@@ -89,13 +89,13 @@ class GroundFusion:
         motion: NDArray[np.int16] | None,
         second_share: NDArray[np.float32],
     ) -> FrameLabels:
-        """Say of each point whether its class is ground.
+        """Return the ground label of each point by its class.
 
         Args:
-            judged_mask: (N,) points the network saw.
+            judged_mask: (N,) points in the input of the network.
             kind: (N,) class index of the semantic network.
-            motion: Not asked.
-            second_share: (N,) how likely each point is ground, 0 to 1.
+            motion: Not used.
+            second_share: (N,) probability of ground, 0 to 1.
         """
         if kind is None:
             raise ValueError("ground is told by the semantic network, which said nothing")
@@ -110,7 +110,7 @@ class GroundFusion:
     def second_share(
         self, semantic: NDArray[np.float32] | None, motion: NDArray[np.float32] | None
     ) -> NDArray[np.float32]:
-        """Say how likely each pixel or point is ground, from (K, ...) probabilities."""
+        """Return the probability of ground of each pixel or point, from (K, ...) probabilities."""
         if semantic is None:
             raise ValueError("ground is told by the semantic network, which said nothing")
         share: NDArray[np.float32] = semantic[self._ground_mask].sum(axis=0)

@@ -10,7 +10,7 @@ from workers.lidar.range_image import CHANNELS
 from workers.supervised.salsanext import SalsaNext
 
 MOTION_CLASSES: Final = ("unlabeled", "static", "moving")
-"""What the three outputs mean; published order."""
+"""Meaning of the three outputs; published order."""
 
 MOVING: Final = MOTION_CLASSES.index("moving")
 
@@ -19,8 +19,8 @@ class LMNet(SalsaNext):
     """SalsaNext over a range image and its residuals against past frames.
 
     Args:
-        measured: How many channels of the current frame it sees.
-        residuals: How many past frames are compared; 8 in the paper, 1 in its small variant.
+        measured: Number of channels of the current frame.
+        residuals: Number of past frames; 8 in the paper, 1 in its small variant.
         width: Channels of the first stage; 32 as published.
         dropout: Share of channels dropped in training; 0.2 as published.
     """

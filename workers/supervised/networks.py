@@ -1,4 +1,4 @@
-"""What the supervised stream asks of a network, whoever trained it and whatever runs it."""
+"""Protocol of range image networks of the supervised stream, for any training and any runtime."""
 
 from collections.abc import Callable
 from typing import Protocol
@@ -17,10 +17,10 @@ class RangeImageNetwork(Protocol):
 
     Attributes:
         profile: Layout and normalisation of the image.
-        channels: Which of `workers.lidar.range_image.CHANNELS` it sees, in which order.
+        channels: Its input channels among `workers.lidar.range_image.CHANNELS`, in order.
         residual: The past frames whose residuals follow these channels; None for none.
         classes: Meaning of each output.
-        digest: Hex digest of everything that changes its answers.
+        digest: Hex digest of everything that changes its output.
     """
 
     @property
@@ -30,12 +30,12 @@ class RangeImageNetwork(Protocol):
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Which of the measurements it sees, in which order."""
+        """Input channels, in order."""
         ...
 
     @property
     def residual(self) -> ResidualSettings | None:
-        """The past frames it sees."""
+        """Past frames of its residual images."""
         ...
 
     @property
@@ -45,7 +45,7 @@ class RangeImageNetwork(Protocol):
 
     @property
     def digest(self) -> str:
-        """Hex digest of everything that changes its answers."""
+        """Hex digest of everything that changes its output."""
         ...
 
     def probabilities(self, image: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -1,7 +1,7 @@
-"""Looks through an ONNX file before the runtime opens it: its size, and the files it names.
+"""Validation of ONNX files before the runtime opens them: their size, and the files they name.
 
-A file of ONNX is a message of protobuf. Only those of its fields are followed under which tensors
-lie; their numbers are not read.
+An ONNX file is a protobuf message. Only fields that contain tensors are followed; the numbers of
+the tensors are not read.
 """
 
 import mmap
@@ -19,7 +19,7 @@ from workers.checkpoints.model_files import (
 
 
 def check_onnx(path: Path) -> tuple[Path, ...]:
-    """Check an ONNX file and the files beside it that hold its numbers.
+    """Check an ONNX file and its external data files.
 
     Args:
         path: The `.onnx` file.
@@ -57,7 +57,7 @@ def check_onnx(path: Path) -> tuple[Path, ...]:
 
 
 class _NoOnnxError(Exception):
-    """Bytes are no message, or hold what is not taken."""
+    """Bytes are no message, or contain an unsupported field."""
 
 
 class _Found:
@@ -65,7 +65,7 @@ class _Found:
         self.names: set[str] = set()
         self.fields = 0
         self.numbers = 0
-        """Bytes of tensors' numbers, of those that take as much in memory as in the file."""
+        """Bytes of tensor data whose size in memory equals that in the file."""
 
 
 _UNDER: Final[Mapping[str, Mapping[int, str]]] = {
@@ -85,17 +85,18 @@ _UNDER: Final[Mapping[str, Mapping[int, str]]] = {
     "tensor": {4: "numbers", 9: "numbers", 10: "numbers", 13: "external"},
     "external": {},
 }
-"""Messages of onnx.proto, and what lies under which of their fields."""
+"""Messages of onnx.proto, and the message type of each followed field."""
 
 _DEPTH: Final = 64
-"""Graphs in graphs; the runtime's own reader follows a hundred messages."""
+"""Largest nesting of graphs; the runtime's own reader follows a hundred messages."""
 
 _FIELDS: Final = 1 << 20
-"""Fields that are followed, in seconds; a network of a thousand operators has 20,000."""
+"""Largest number of followed fields, which takes seconds; a network of a thousand operators has
+20,000."""
 
 
 def _walk(data: mmap.mmap, at: int, end: int, kind: str, found: _Found, depth: int = 0) -> None:
-    """Follow one message, of this kind, between two places."""
+    """Follow one message of this kind between two offsets."""
     if depth > _DEPTH:
         raise _NoOnnxError("its graphs lie too deep in one another")
     under = _UNDER[kind]
@@ -131,7 +132,7 @@ def _name(text: bytes) -> str:
 
 
 def _fields(data: mmap.mmap, at: int, end: int) -> Iterator[tuple[int, int, int]]:
-    """Yield number, begin and end of each field; a number's begin is its end."""
+    """Yield number, start and end of each field; start and end of a number are equal."""
     while at < end:
         tag, at = _varint(data, at, end)
         field, wire = tag >> 3, tag & 7
@@ -166,7 +167,7 @@ def _varint(data: mmap.mmap, at: int, end: int) -> tuple[int, int]:
 
 
 def _beside(name: str, path: Path) -> Path:
-    """Find a file of weights: in the folder of the network, or below it."""
+    """Find an external data file, in the folder of the network or below it."""
     folder = real_path(path.parent)
     given = Path(name)
     if given.is_absolute() or ".." in given.parts:

@@ -1,4 +1,4 @@
-"""Your own model as the supervised stream: exported networks, and what their adapter says."""
+"""A user's own model as the supervised stream: exported networks, described by their adapter."""
 
 from pathlib import Path
 from typing import Any
@@ -17,15 +17,15 @@ from workers.supervised.stream import RangeImageStream
 
 
 class OwnNetwork:
-    """An exported network with its meaning.
+    """An exported network with the classes of its outputs.
 
     Args:
-        entry: What the adapter says of it.
-        folder: Where the adapter lies.
+        entry: Its entry in the adapter.
+        folder: Folder of the adapter.
         profile: Layout of the range image; None for a network over points.
 
     Raises:
-        WeightsUnusableError: If it cannot be opened, or answers in another shape than it says.
+        WeightsUnusableError: If it cannot be opened, or its output has another shape than stated.
     """
 
     def __init__(self, entry: NetworkEntry, folder: Path, profile: SensorProfile | None) -> None:
@@ -48,12 +48,12 @@ class OwnNetwork:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """What it sees, in this order."""
+        """Input channels, in order."""
         return self._entry.channels
 
     @property
     def residual(self) -> ResidualSettings | None:
-        """The past frames it sees."""
+        """Past frames of its residual images."""
         return self._entry.residual
 
     @property
@@ -62,17 +62,17 @@ class OwnNetwork:
         return self._entry.classes
 
     def probabilities(self, array: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Ask the network.
+        """Run the network.
 
         Args:
             array: (C, H, W) image, or (N, C) points.
 
         Returns:
-            (K, H, W), or (K, N): probabilities of the classes; certain where it gives class
+            (K, H, W), or (K, N): probabilities of the classes; 0 or 1 where its output is class
             numbers.
 
         Raises:
-            WeightsUnusableError: If it fails, or answers otherwise than its adapter says.
+            WeightsUnusableError: If it fails, or its output differs from its adapter.
         """
         answer = self._run(array[None])
         self._check_kind(answer)
@@ -105,7 +105,7 @@ class OwnNetwork:
         return _softmax(scores) if self._entry.answer == "logits" else scores
 
     def _check_kind(self, answer: object) -> None:
-        """Check that the answer is an array of the numbers that its adapter says; cast nothing."""
+        """Check that the output is an array of the number type in its adapter; nothing is cast."""
         wanted, name = (
             (np.integer, "integers") if self._entry.answer == "labels" else (np.floating, "floats")
         )
@@ -147,8 +147,7 @@ def open_own_model(path: Path) -> RangeImageStream | PointStream:
     """Open the model that an adapter describes.
 
     Raises:
-        WeightsUnusableError: If the adapter says something impossible, or a network is not what it
-            says.
+        WeightsUnusableError: If the adapter is contradictory, or a network differs from it.
     """
     adapter = Adapter.read(path)
     semantic, motion = (

@@ -1,4 +1,4 @@
-"""Residual images as the published loader has them: of the last frames, however old they are."""
+"""Residual images of the published loader: one per past frame, regardless of its age."""
 
 from collections import deque
 
@@ -18,15 +18,15 @@ class PaperResiduals:
 
     `ResidualHistory` is the corrected form; it differs in this:
 
-    - channels go by age in seconds, here by the count of frames, so that a sensor at 20 Hz, or a
-      dropped frame, gives residuals the network has never seen;
-    - the current frame is the image that the network sees, here one of its own, gated: what is
-      hidden behind returns of the own car is compared.
+    - its channels are ages in seconds, here counts of frames, so that a sensor at 20 Hz, or a
+      dropped frame, gives residuals unlike the training data;
+    - its current frame is the network's input image, here a separate gated one, so that points
+      hidden behind returns of the own car are compared.
 
     Args:
         profile: Layout of the image.
-        settings: The range gate, and as many ages as frames are compared; how old they are does not
-            count.
+        settings: The range gate, and one age per compared frame; the values of the ages are not
+            used.
     """
 
     def __init__(
@@ -40,28 +40,28 @@ class PaperResiduals:
         self._past: deque[tuple[Transform, Points]] = deque(maxlen=self._count)
 
     def compare(self, posed: PosedFrame, image: RangeImage) -> tuple[NDArray[np.float32], int]:
-        """Compare a frame with those before it, then remember it.
+        """Compare a frame with those before it, then store it.
 
         Args:
             posed: The frame.
-            image: Not used: the published loader makes its own.
+            image: Not used: the published loader projects its own.
 
         Returns:
-            As `__call__`, and how many of them there are.
+            The result of `__call__`, and the number of past frames.
         """
         there = len(self._past)
         frame = posed.frame
         return self(frame.points_m[frame.valid_mask], posed.odom_from_sensor), there
 
     def __call__(self, points_m: Points, odom_from_sensor: Transform) -> NDArray[np.float32]:
-        """Compare a frame with those before it, then remember it.
+        """Compare a frame with those before it, then store it.
 
         Args:
             points_m: (N, 3) valid points, sensor space, metres.
             odom_from_sensor: (4, 4) pose of the frame.
 
         Returns:
-            (K, H, W) float32, the youngest past frame first; zero where there is none yet.
+            (K, H, W) float32, the youngest past frame first; zero without one.
         """
         settings, profile = self._settings, self._profile
         image = project(

@@ -1,4 +1,4 @@
-"""Networks over bare points as the supervised stream: no image, no way back to be found."""
+"""Supervised stream of networks over points, without a range image."""
 
 import hashlib
 from collections.abc import Iterable, Iterator
@@ -15,7 +15,7 @@ from workers.supervised.classes import ClassMeaning, ClassSet
 from workers.supervised.fusion import MotionFusion
 
 _REVISION: Final = "1"
-"""Rises when the same networks give other answers."""
+"""Revision of the code; increases when the same networks give other labels."""
 
 
 class PointNetwork(Protocol):
@@ -23,7 +23,7 @@ class PointNetwork(Protocol):
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Which of range, x, y, z (metres, sensor space) and intensity it sees, in which order."""
+        """Input channels among range, x, y, z (metres, sensor space) and intensity, in order."""
         ...
 
     @property
@@ -33,7 +33,7 @@ class PointNetwork(Protocol):
 
     @property
     def digest(self) -> str:
-        """Hex digest of everything that changes its answers."""
+        """Hex digest of everything that changes its output."""
         ...
 
     def probabilities(self, array: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -45,9 +45,9 @@ class PointStream:
     """Networks over the valid points of each frame; the others are UNKNOWN.
 
     Args:
-        semantic: Says of each point what it is; None if only motion is known.
-        motion: Says of each point whether it moves; None if the classes of the other say so.
-        name: What versions call the stream.
+        semantic: Network of semantic classes; None if only motion is known.
+        motion: Network of motion; None if the semantic classes include motion.
+        name: Name of the stream in versions.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class PointStream:
 
     @property
     def task(self) -> Task:
-        """What it answers about every point."""
+        """Task of its labels."""
         return self._fusion.task
 
     @property

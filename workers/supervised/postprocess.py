@@ -1,4 +1,4 @@
-"""From pixels back to points: k nearest neighbours vote where a pixel cannot speak for all."""
+"""Label back-projection from pixels to points by k-nearest-neighbour voting."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,17 +20,17 @@ from workers.lidar.range_image import RangeImage
 
 @dataclass(frozen=True, slots=True)
 class KnnSettings:
-    """The published numbers of RangeNet++, used by SalsaNext and LiDAR-MOS.
+    """Published parameters of RangeNet++, used by SalsaNext and LiDAR-MOS.
 
     Attributes:
-        neighbours: How many nearest pixels vote.
+        neighbours: Number of voting pixels.
         window: Side of the square that is searched, pixels, odd.
-        sigma: Of the Gaussian that discounts near pixels, pixels.
+        sigma: Width of the Gaussian that discounts near pixels, pixels.
         cutoff_m: Pixels farther than this in (discounted) range do not vote.
         form: CORRECTED differs from the published code in this: the first and last column are
-            neighbours, as they are on the sensor; beyond the image there is nothing (published:
-            returns at range 0, whose votes are lost, for what is nearer than the cutoff); who has
-            no voter has no class (published: class 1).
+            neighbours, as on the sensor; pixels beyond the image are empty (published: returns at
+            range 0, whose votes are lost, for points nearer than the cutoff); a point without a
+            voter has no class (published: class 1).
     """
 
     neighbours: int = 5
@@ -41,19 +41,20 @@ class KnnSettings:
 
     @property
     def wrap(self) -> bool:
-        """Whether the first column continues the last."""
+        """True if the first column continues the last."""
         return self.form is Form.CORRECTED
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Voters:
-    """Who decides for which point.
+    """Voting pixels of each point.
 
     Attributes:
         own_pixel: (N,) flat pixel of each point, -1 where it is not projected.
-        contested: (M,) points whose surroundings disagree; all others follow their own pixel.
-        pixel: (M, k) flat pixels that vote for them, -1 where fewer are near enough.
-        form: What becomes of points without a vote.
+        contested: (M,) points whose window contains several classes; all others take that of their
+            own pixel.
+        pixel: (M, k) flat indices of their voting pixels, -1 where fewer are near enough.
+        form: Form of the rule for points without a vote.
     """
 
     own_pixel: NDArray[np.int32]
@@ -62,18 +63,18 @@ class Voters:
     form: Form = Form.CORRECTED
 
     def look_up(self, class_image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Give each point the class of its own pixel, as without this step; 0 where it has none."""
+        """Return the class of each point's own pixel, without voting; 0 where it has none."""
         return look_up(class_image, self.own_pixel, np.uint8(0))
 
     def vote(self, class_image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Give each point the commonest class of its voters, the lowest id on a tie.
+        """Return the most frequent class of each point's voters, the lowest id on a tie.
 
         Args:
             class_image: (H, W) class of each pixel, 0 for none; one of those given to
                 `find_voters`.
 
         Returns:
-            (N,) class of each point; 0 where it is not projected, or (corrected) nobody votes.
+            (N,) class of each point; 0 where it is not projected, or (corrected) has no voter.
         """
         labels = self.look_up(class_image)
         nobody = np.uint8(1 if self.form is Form.PAPER else 0)
@@ -81,13 +82,13 @@ class Voters:
         return labels
 
     def average(self, value_image: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Give each point the mean value of its voters.
+        """Return the mean value of each point's voters.
 
         Args:
             value_image: (H, W).
 
         Returns:
-            (N,) float32; zero where a point is not projected or nobody votes.
+            (N,) float32; zero where a point is not projected or has no voter.
         """
         values = look_up(value_image, self.own_pixel, np.float32(0))
         values[self.contested] = mean_of(value_image, self.pixel)
@@ -99,9 +100,9 @@ def find_voters(
 ) -> Voters:
     """Find, for each point, the pixels near it in the image and in range.
 
-    Source: Milioto et al., "RangeNet++", IROS 2019, algorithm 1. Points whose whole window shows
-    one class are not searched: the centre always votes (its distance is zero), so the vote could
-    only have that outcome.
+    Source: Milioto et al., "RangeNet++", IROS 2019, algorithm 1. Points whose window contains one
+    class are not searched: the centre always votes (its distance is zero), so the outcome is
+    certain.
 
     Args:
         image: Projection of the points.
@@ -123,7 +124,7 @@ def find_voters(
 def _nearest(
     image: RangeImage, points: NDArray[np.intp], settings: KnnSettings
 ) -> NDArray[np.int32]:
-    """Flat pixels of the k nearest neighbours of each point, -1 beyond the cutoff."""
+    """Find the flat pixels of the k nearest neighbours of each point, -1 beyond the cutoff."""
     reach = settings.window // 2
     beyond = np.float32(0 if settings.form is Form.PAPER else np.inf)
     return nearest_in_window(
@@ -140,7 +141,7 @@ def _nearest(
 
 
 def _discount(steps: NDArray[np.int_], sigma: float) -> NDArray[np.float32]:
-    """One minus the normalised Gaussian of each place in the window, (S, S)."""
+    """Return one minus the normalised Gaussian of each place in the window, (S, S)."""
     bell = np.exp(-(steps[:, None] ** 2 + steps[None, :] ** 2) / (2 * sigma**2))
     discount: NDArray[np.float32] = (1 - bell / bell.sum()).astype(np.float32)
     return discount

@@ -1,4 +1,4 @@
-"""The supervised stream that ran on the car: labels recorded in the log instead of networks."""
+"""Recorded supervised stream: the labels of the on-board model in the log, instead of networks."""
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -14,24 +14,24 @@ from schemas.task import GROUND, MOTION, Task
 from workers.supervised.ground_classes import ground_labels_of
 
 _REVISION: Final = b"recorded 1"
-"""Rises when the same recorded labels give other answers."""
+"""Revision of the code; increases when the same recorded labels give other labels."""
 
 _LABEL_OF_CODE: Final = (MotionLabel.UNKNOWN, MotionLabel.STATIC, MotionLabel.DYNAMIC)
-"""Recorded motion codes 0, 1, 2; any other code says nothing."""
+"""Labels of the recorded motion codes 0, 1, 2; any other code is unknown."""
 
 
 class Recorded:
-    """What the log says that the car's own model said.
+    """Labels of the car's own model, as recorded in the log.
 
-    Recorded motion is taken as it is. Where only classes are recorded, a class that means moving
-    is dynamic, any other known class static. Ground is told by the names of the classes. Frames
+    Recorded motion is used unchanged. Where only classes are recorded, a class that means moving is
+    dynamic, any other known class static. Ground follows from the names of the classes. Frames
     without recorded labels are unknown throughout.
 
     Args:
-        task: What the recorded labels are asked: motion, or ground.
+        task: Task of the labels: motion, or ground.
 
     Attributes:
-        task: What it answers about every point.
+        task: Task of its labels.
     """
 
     def __init__(self, task: Task = MOTION) -> None:
@@ -49,8 +49,8 @@ class Recorded:
     def class_names(self) -> tuple[str, ...]:
         """Names that `FrameLabels.class_id` indexes, ordered by the model's own id.
 
-        Empty before the first labelled frame. Classes that a later frame declares anew are added at
-        the end, so that indices given out stay true.
+        Empty before the first labelled frame. Classes first declared by a later frame are appended,
+        so that earlier indices stay valid.
         """
         return tuple(name for _, name in self._classes.values())
 
@@ -122,7 +122,7 @@ def _confidence(recorded: RecordedLabels, labels: Labels, task: Task) -> Confide
 def _per_id(
     ids: NDArray[np.uint16], meaning: Mapping[int, int], otherwise: int
 ) -> NDArray[np.int32]:
-    """Look every id up; ids without meaning get `otherwise`."""
+    """Map every id; ids without meaning get `otherwise`."""
     table = np.full(np.iinfo(np.uint16).max + 1, otherwise, dtype=np.int32)
     for key, value in meaning.items():
         table[key] = value

@@ -1,4 +1,4 @@
-"""Residual images: how the ranges of the static world changed, streamed from a ring buffer."""
+"""Residual images: range differences of each frame to past frames, from a ring buffer."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -14,24 +14,24 @@ from workers.points.point_kernels import moved
 from workers.points.se3 import inverse
 
 MAX_AGES: Final = 16
-"""Past frames that a frame is compared with; published networks take eight."""
+"""Largest number of past frames per frame; published networks use eight."""
 
 MAX_AGE_S: Final = 10.0
-"""Frames so old are kept: a hundred at 10 Hz."""
+"""Largest age of a stored frame, seconds: a hundred frames at 10 Hz."""
 
 
 @dataclass(frozen=True, slots=True)
 class ResidualSettings:
-    """Which past frames are compared, and up to where.
+    """Ages of the past frames, and the range gate.
 
     Attributes:
-        ages_s: How long ago each compared frame was, youngest first; one channel each.
-        tolerance_s: How far a frame's age may be from the wanted one.
+        ages_s: Age of each past frame, youngest first; one channel each.
+        tolerance_s: Largest difference of a frame's age from the wanted one.
         min_range_m: Nearer returns have no residual: the own car.
         max_range_m: Farther returns have no residual: too sparse to compare.
 
     Raises:
-        ValueError: If the numbers cannot be meant.
+        ValueError: If a number is outside its bounds.
     """
 
     ages_s: tuple[float, ...] = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
@@ -40,7 +40,7 @@ class ResidualSettings:
     max_range_m: float = 50.0
 
     def __post_init__(self) -> None:
-        """Refuse what no network was trained with, or would keep too many frames."""
+        """Refuse settings that no network was trained with, or that would store too many frames."""
         if not 1 <= len(self.ages_s) <= MAX_AGES or not all(
             0 < age_s <= MAX_AGE_S for age_s in self.ages_s
         ):
@@ -56,8 +56,8 @@ def residual_image(
 ) -> NDArray[np.float32]:
     """Compare the current ranges with those that a past frame predicts.
 
-    LiDAR-MOS: ``|range - past range| / range`` where both lie inside the range gate, zero
-    elsewhere. The past frame is projected in the form that the current one was.
+    LiDAR-MOS: ``|range - past range| / range`` where both are inside the range gate, zero
+    elsewhere. The past frame is projected in the form of the current one.
 
     Args:
         image: Projection of the current frame.
@@ -80,11 +80,11 @@ def residual_image(
 def with_residuals(
     image: RangeImage, channels: NDArray[np.float32], residuals: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Lay LMNet's input out: the channels of the frame, then its residuals where it is seen.
+    """Build LMNet's input: the channels of the frame, then its residuals in non-empty pixels.
 
     Args:
         image: Projection of the frame.
-        channels: (5, H, W) as `image_channels` gives them.
+        channels: (5, H, W) result of `image_channels`.
         residuals: (K, H, W) one residual image per age; they are not normalised.
 
     Returns:
@@ -94,18 +94,18 @@ def with_residuals(
 
 
 class Past(Protocol):
-    """Past frames to compare the current one with."""
+    """Buffer of past frames for comparison with the current one."""
 
     def compare(self, posed: PosedFrame, image: RangeImage) -> tuple[NDArray[np.float32], int]:
-        """Give the (K, H, W) residuals of a frame, and how many of them there are so far."""
+        """Return the (K, H, W) residuals of a frame, and the number of them with a past frame."""
         ...
 
 
 class ResidualHistory:
-    """The last second of frames, ready to be compared with the next one.
+    """Buffer of the frames of the last second, for comparison with the next one.
 
-    Frames are chosen by time, not by count, so that a sensor at 5 or 20 Hz and a log with dropped
-    frames give the residuals the network was trained on. A jump back in time empties the buffer.
+    Frames are chosen by time, not by count. A sensor at 5 or 20 Hz and a log with dropped frames
+    therefore give residuals like the training data. A jump back in time empties the buffer.
     """
 
     def __init__(self, profile: SensorProfile, settings: ResidualSettings) -> None:
@@ -114,7 +114,7 @@ class ResidualHistory:
         self._past: deque[tuple[int, Transform, Points]] = deque()
 
     def __len__(self) -> int:
-        """Count the frames remembered."""
+        """Count the stored frames."""
         return len(self._past)
 
     def residuals(
@@ -128,8 +128,8 @@ class ResidualHistory:
             odom_from_sensor: (4, 4) its pose.
 
         Returns:
-            (K, H, W) float32, one residual image per age, zero where no frame is that old; and how
-            many ages had a frame.
+            (K, H, W) float32, one residual image per age, zero where no frame is that old; and the
+            number of ages with a frame.
         """
         settings = self._settings
         stack = np.zeros((len(settings.ages_s), *image.range_m.shape), dtype=np.float32)
@@ -146,14 +146,14 @@ class ResidualHistory:
         return stack, found
 
     def compare(self, posed: PosedFrame, image: RangeImage) -> tuple[NDArray[np.float32], int]:
-        """Compare a frame with the past, then remember it.
+        """Compare a frame with the past, then store it.
 
         Args:
             posed: The frame.
             image: Its projection.
 
         Returns:
-            As `residuals`.
+            The result of `residuals`.
         """
         when = {"stamp_ns": posed.frame.stamp_ns}
         compared = self.residuals(image, **when, odom_from_sensor=posed.odom_from_sensor)
@@ -162,7 +162,7 @@ class ResidualHistory:
         return compared
 
     def push(self, points_m: Points, *, stamp_ns: int, odom_from_sensor: Transform) -> None:
-        """Remember a frame for later ones.
+        """Store a frame for later ones.
 
         Args:
             points_m: (M, 3) its points, own sensor space, metres; valid ones only.
@@ -177,7 +177,7 @@ class ResidualHistory:
             self._past.popleft()
 
     def _at(self, wanted_ns: int) -> tuple[Transform, Points] | None:
-        """Frame nearest to a time, if near enough; of two equally near ones the older."""
+        """Return the frame nearest to a time, if near enough; of equally near ones the older."""
         if not self._past:
             return None
         stamp_ns, pose, points_m = min(self._past, key=lambda past: abs(past[0] - wanted_ns))

@@ -1,4 +1,4 @@
-"""Networks that their owner exported, ONNX, TorchScript or torch.export, run on one core."""
+"""Runtimes of exported networks, ONNX, TorchScript or torch.export, on one core."""
 
 import hashlib
 import warnings
@@ -21,21 +21,21 @@ Run = Callable[[NDArray[np.float32]], NDArray[Any]]
 
 
 def open_network(path: Path, *, output: str = "") -> tuple[Run, "hashlib._Hash"]:
-    """Open an exported network, once its files were checked.
+    """Open an exported network after a check of its files.
 
     Args:
         path: `.onnx`, `.pt` (TorchScript) or `.pt2` (torch.export). The last two are programs: open
             them from people you trust.
-        output: Name of an ONNX file's output that counts, or the key of a dictionary that a torch
+        output: Name of the output to use: of an ONNX file, or the key of a dictionary that a torch
             network returns; empty if there is only one.
 
     Returns:
-        The network, and the sha256 of all files that it is stored in.
+        The network, and the sha256 of all its files.
 
     Raises:
-        WeightsUnusableError: If a file cannot be read, is not regular, too large, of another kind
-            than its suffix says, or outside the network's folder, or if the network has not one
-            input and the named output.
+        WeightsUnusableError: If a file cannot be read, is not regular, too large, or outside the
+            network's folder. Also if its kind differs from its suffix, or the network does not have
+            exactly one input and the named output.
     """
     try:
         checks, opens = _KINDS[path.suffix]
@@ -132,7 +132,7 @@ _KINDS: Final[dict[str, tuple[Callable[[Path], tuple[Path, ...]], Callable[[Path
     ".pt": (_check_torchscript, _open_torchscript),
     ".pt2": (_check_exported, _open_exported),
 }
-"""How a file is checked, which gives the files beside it that count, and how it is opened."""
+"""Check and open functions by suffix; the check returns the additional files of the network."""
 
 
 def _run_torch(module: torch.nn.Module, output: str, path: Path) -> Run:
@@ -160,7 +160,7 @@ def _chosen(outputs: list[str], output: str, path: Path) -> str:
 
 
 def _explained(run: Run, path: Path) -> Run:
-    """Say of which file a network's own error comes."""
+    """Add the name of the file to errors of a network."""
 
     def explained(array: NDArray[np.float32]) -> NDArray[Any]:
         try:

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 SLOPE: Final = 0.01
-"""Of LeakyReLU, published."""
+"""Slope of LeakyReLU, published."""
 
 
 def _act(x: Tensor) -> Tensor:
@@ -21,7 +21,7 @@ def _act(x: Tensor) -> Tensor:
 
 
 class ResContextBlock(nn.Module):
-    """Widen the view with dilated convolutions at full resolution."""
+    """Widens the receptive field with dilated convolutions at full resolution."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
@@ -40,7 +40,7 @@ class ResContextBlock(nn.Module):
 
 
 class ResBlock(nn.Module):
-    """Encoder step: three kernels of growing reach, then halve the image."""
+    """Encoder step: three kernels of growing receptive field, then halves the image."""
 
     def __init__(
         self, inputs: int, outputs: int, *, dropout: float, drop: bool = True, pool: bool = True
@@ -69,7 +69,7 @@ class ResBlock(nn.Module):
 
 
 class UpBlock(nn.Module):
-    """Decoder step: double the image by pixel shuffling and join the encoder's skip."""
+    """Decoder step: doubles the image by pixel shuffling and concatenates the encoder's skip."""
 
     def __init__(self, inputs: int, skips: int, outputs: int, *, dropout: float) -> None:
         super().__init__()
@@ -154,7 +154,7 @@ class SalsaNext(nn.Module):
         return scores
 
     def forward(self, x: Tensor) -> Tensor:
-        """Say how likely every class is in every pixel; softmax inside, as published.
+        """Return the probability of every class in every pixel; softmax inside, as published.
 
         Args:
             x: (B, in_channels, H, W) normalised; H and W multiples of 16.

@@ -1,4 +1,4 @@
-"""The supervised stream: one network says what can move, another what moves, together what does."""
+"""Supervised stream: fuses a semantic and a motion network over a range image to motion labels."""
 
 import hashlib
 from collections.abc import Iterable, Iterator, Sequence
@@ -27,10 +27,10 @@ from workers.supervised.residual_image import Past, ResidualHistory, with_residu
 from workers.supervised.weights import load_weights
 
 SHIPPED: Final = Path(__file__).parent / "weights"
-"""Folder of the weights that come with the package; its MODEL_CARD.md says what they are."""
+"""Folder of the weights in the package; its MODEL_CARD.md describes them."""
 
 _REVISION: Final = "2"
-"""Rises when the same weights and settings give other answers."""
+"""Revision of the code; increases when the same weights and settings give other labels."""
 
 
 class RangeImageStream:
@@ -40,15 +40,15 @@ class RangeImageStream:
     UNKNOWN.
 
     Args:
-        semantic: Says of each point what it is; None if only motion is known.
-        motion: Says of each point whether it moves, for the same range image; None if the classes
-            of the other say so, or nobody.
-        name: What versions call the stream.
-        form: Of image, residuals and votes; see `project`, `PaperResiduals` and `KnnSettings`.
-        task: Motion, or ground, which the semantic network tells alone.
+        semantic: Network of semantic classes; None if only motion is known.
+        motion: Network of motion, for the same range image; None if the semantic classes include
+            motion, or motion is not known.
+        name: Name of the stream in versions.
+        form: Form of image, residuals and votes; see `project`, `PaperResiduals` and `KnnSettings`.
+        task: Motion, or ground, which needs the semantic network alone.
 
     Raises:
-        WeightsUnusableError: If there is no network, or the two do not belong together.
+        WeightsUnusableError: If there is no network, or the two do not fit together.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class RangeImageStream:
 
     @classmethod
     def shipped(cls) -> Self:
-        """Build SalsaNext and LMNet from the weights that come with the package.
+        """Build SalsaNext and LMNet from the weights in the package.
 
         Raises:
             WeightsUnusableError: If they are missing or damaged.
@@ -93,8 +93,9 @@ class RangeImageStream:
         """Build the stream from `salsanext.safetensors` and `lmnet.safetensors` of a folder.
 
         Args:
-            folder: Of weights, imported or trained.
-            form: Of image, residuals and votes; the paper's runs networks layer by layer, too.
+            folder: Folder of weights, imported or trained.
+            form: Form of image, residuals and votes; the paper's form also runs networks layer by
+                layer.
 
         Raises:
             WeightsUnusableError: If one is missing, damaged, or belongs to another network.
@@ -111,7 +112,7 @@ class RangeImageStream:
 
     @classmethod
     def salsanext_ground(cls, folder: Path) -> Self:
-        """Build the stream that tells ground, from `salsanext.safetensors` of a folder.
+        """Build the ground stream from `salsanext.safetensors` of a folder.
 
         Raises:
             WeightsUnusableError: If it is missing, damaged, or no class of it is ground.
@@ -121,7 +122,7 @@ class RangeImageStream:
 
     @property
     def task(self) -> Task:
-        """What it answers about every point."""
+        """Task of its labels."""
         return self._fusion.task
 
     @property
@@ -138,7 +139,7 @@ class RangeImageStream:
         return () if kinds is None else tuple(meaning.name for meaning in kinds.classes)
 
     def __call__(self, frames: Iterable[PosedFrame]) -> Iterator[FrameLabels]:
-        """Yield the labels of each frame, in order; the past begins anew with every call.
+        """Yield the labels of each frame, in order; every call starts with an empty past.
 
         A frame whose pose is lost empties the past: residuals against it would show the error of
         the pose, not motion.
@@ -182,7 +183,7 @@ class RangeImageStream:
     def _fused(
         self, image: RangeImage, answers: Sequence[NDArray[np.float32]], *, has_past: bool
     ) -> FrameLabels:
-        """Bring the answers from pixels to points and combine them."""
+        """Back-project the network outputs from pixels to points, and combine them."""
         codes = [kinds.best(answer) for kinds, answer in zip(self._classes, answers, strict=True)]
         voters = find_voters(image, codes, self._knn)
         points = [
@@ -209,7 +210,7 @@ def _fusion_of(task: Task, *, kinds: ClassSet | None, motions: ClassSet | None) 
 
 
 def _chosen(measured: NDArray[np.float32], channels: tuple[str, ...]) -> NDArray[np.float32]:
-    """Pick a network's channels from (5, H, W) of `CHANNELS`; no copy where it sees all."""
+    """Select a network's channels from (5, H, W) of `CHANNELS`; no copy if it takes all."""
     if channels == CHANNELS:
         return measured
     return measured[[CHANNELS.index(channel) for channel in channels]]

@@ -1,4 +1,4 @@
-"""How unsure a network is of each pixel: Monte-Carlo dropout over a range image network."""
+"""Monte-Carlo dropout: per-pixel epistemic uncertainty of a range image network."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,12 +12,12 @@ from workers.supervised.salsanext import SalsaNext
 
 @dataclass(frozen=True, slots=True)
 class McDropout:
-    """What several passes with random dropout say together.
+    """Mean and variance over several passes with random dropout.
 
     Attributes:
         mean: (B, classes, H, W) mean of the probabilities; sums to 1 over the classes.
-        uncertainty: (B, H, W) variance over the passes of the probability of the class that is
-            likeliest in the mean; 0 to 0.25, no unit.
+        uncertainty: (B, H, W) variance over the passes of the probability of the most probable
+            class in the mean; 0 to 0.25, no unit.
     """
 
     mean: Tensor
@@ -25,18 +25,18 @@ class McDropout:
 
 
 def mc_dropout(net: SalsaNext, images: Tensor, *, passes: int = 30, seed: int = 0) -> McDropout:
-    """Ask a network several times, each time without a random share of its channels.
+    """Run a network several times, each time without a random share of its channels.
 
     The epistemic uncertainty of SalsaNext (Cortinhal et al., 2020, section III-B; Gal, Ghahramani,
-    ICML 2016): dropout stays on, everything else is as in evaluation, and the spread of the answers
-    is what the network does not know. Two differences from the published script: the class is that
-    of the mean, not the one that won most passes, and a pass before the first is not thrown away.
+    ICML 2016): dropout stays on, everything else is as in evaluation, and the spread of the outputs
+    is the uncertainty. Two differences from the published script: the class is that of the mean,
+    not the one that won most passes, and no pass is discarded before the first.
 
     Args:
-        net: Whose dropout share is above 0; its mode is the same afterwards.
+        net: Network with a dropout share above 0; its mode is restored.
         images: (B, in_channels, H, W) normalised.
-        passes: How often the network is asked; published 30.
-        seed: Of the dropout; the same seed gives the same answer on one device.
+        passes: Number of passes; published 30.
+        seed: Seed of the dropout; results repeat on the same device.
 
     Returns:
         Mean and uncertainty.
@@ -66,7 +66,7 @@ def mc_dropout(net: SalsaNext, images: Tensor, *, passes: int = 30, seed: int = 
 
 @contextmanager
 def _only_dropout(net: nn.Module, dropouts: list[nn.Dropout2d]) -> Iterator[None]:
-    """Drop channels, and normalise by what was learned; restore every mode at the end."""
+    """Enable dropout, and normalise by the learned statistics; restore every mode at the end."""
     modes = [(module, module.training) for module in net.modules()]
     net.eval()
     for dropout in dropouts:

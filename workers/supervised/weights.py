@@ -1,4 +1,4 @@
-"""Weights of the supervised stream: what their card says, how they are kept and loaded."""
+"""Weights of the supervised stream: their card, and how they are stored and loaded."""
 
 from pathlib import Path
 from typing import Final, Literal
@@ -21,11 +21,11 @@ from workers.supervised.residual_image import ResidualSettings
 from workers.supervised.salsanext import SalsaNext
 
 MAX_WIDTH: Final = 128
-"""Four times the published networks: sixteen times their parameters, 430 MB."""
+"""Largest width: four times the published networks, sixteen times their parameters, 430 MB."""
 
 
 class WeightsCard(Card):
-    """Everything beside the numbers that changes what a network says, and whom to thank."""
+    """Card of SalsaNext or LMNet: all settings that change the output, and credits."""
 
     network: Literal["salsanext", "lmnet"]
     classes: tuple[ClassMeaning, ...] = Field(
@@ -44,7 +44,7 @@ class WeightsCard(Card):
     residual: ResidualSettings | None = Field(default=None, description="LMNet's past frames.")
 
     def build(self) -> SalsaNext:
-        """Build the network these weights belong to, with random parameters.
+        """Build the network of these weights, with random parameters.
 
         Raises:
             WeightsUnusableError: If classes or residuals do not fit the network.
@@ -68,10 +68,10 @@ class WeightsCard(Card):
 
 
 class LoadedWeights:
-    """A network ready to answer, with what its weights say about themselves.
+    """A loaded network with its card.
 
     Attributes:
-        net: In evaluation mode, float32.
+        net: The network in evaluation mode, float32.
         card: The sidecar.
         digest: Hex sha256 of both files' bytes.
     """
@@ -90,17 +90,17 @@ class LoadedWeights:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Which measurements it sees, in this order."""
+        """Input channels, in order."""
         return self.card.channels
 
     @property
     def residual(self) -> ResidualSettings | None:
-        """The past frames that LMNet sees."""
+        """Past frames of LMNet's residual images."""
         return self.card.residual
 
     @property
     def classes(self) -> tuple[ClassMeaning, ...]:
-        """Meaning of each output. The first, "unlabelled", was never taught; LMNet tells motion."""
+        """Meaning of each output. The first, "unlabelled", is not trained; LMNet labels motion."""
         tells_motion = self.card.network == "lmnet"
         return tuple(
             meaning.model_copy(
@@ -115,15 +115,15 @@ class LoadedWeights:
 
 
 def save_weights(path: Path, net: SalsaNext, card: WeightsCard) -> None:
-    """Write weights as safetensors and their sidecar beside them.
+    """Write weights as safetensors, with their sidecar in the same folder.
 
-    Convolution kernels are stored in half precision, everything else as it is: half the size, and
-    the outputs move less than one rounding of the confidences.
+    Convolution kernels are stored in half precision, everything else unchanged. This halves the
+    size, and changes the outputs by less than one rounding of the confidences.
 
     Args:
         path: The `.safetensors` file; the sidecar has the suffix `.json`.
         net: The trained network.
-        card: What the weights belong to.
+        card: Card of the weights.
     """
     tensors = {
         key: value.half() if value.ndim == 4 else value for key, value in net.state_dict().items()
@@ -132,12 +132,12 @@ def save_weights(path: Path, net: SalsaNext, card: WeightsCard) -> None:
 
 
 def load_weights(path: Path, *, folded: bool = False) -> LoadedWeights:
-    """Load weights after checking that every parameter is there and fits; nothing is half loaded.
+    """Load weights after checking that every parameter is there and fits; no partial load.
 
     Args:
-        path: The `.safetensors` file, its sidecar beside it.
-        folded: Run it folded, faster on a CPU; the answers differ by rounding, the digest too. A
-            torch without oneDNN cannot, and runs it layer by layer, as its digest then says.
+        path: The `.safetensors` file; its sidecar is in the same folder.
+        folded: Run it folded, faster on a CPU; the outputs differ by rounding, the digest too. A
+            torch without oneDNN runs it layer by layer, with the digest of that form.
 
     Returns:
         The network in evaluation mode.

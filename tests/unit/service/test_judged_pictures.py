@@ -10,15 +10,15 @@ from service.errors import UsageError
 from service.pictures.evaluation_frames import SIZE_PX, draw_worst
 from service.pictures.table import draw_table
 from workers.lab.evaluation.motion.counts import LogCounts, RangeCounts, StreamCounts
-from workers.lab.evaluation.motion.motion import JudgedFrame
+from workers.lab.evaluation.motion.motion import EvaluatedFrame
 from workers.lab.evaluation.motion.table import LogEvaluation, evaluation_of
 
 MISSED, FALSE = (250, 210, 40), (255, 70, 70)
 
 
-def judged(name: str, *, called: bool, moves: bool) -> JudgedFrame:
+def judged(name: str, *, called: bool, moves: bool) -> EvaluatedFrame:
     label = MotionLabel.DYNAMIC if called else MotionLabel.STATIC
-    return JudgedFrame(
+    return EvaluatedFrame(
         stream="selfsupervised",
         log_id="x/y",
         name=name,

@@ -17,10 +17,10 @@ from workers.contradiction.score import score_scene
 from workers.contradiction.track_features import NAMES
 from workers.contradiction.track_score import rank_tracks
 from workers.contradiction.version import contradiction_version
-from workers.lab.evaluation.failures.rows import MinedLog, SceneRow, ThingRow, TrackRow
+from workers.lab.evaluation.failures.rows import MinedLog, ObjectRow, SceneRow, TrackRow
 from workers.lab.training.attribution import fit, fit_kind
 from workers.lab.training.attribution_prior import PRIOR
-from workers.lab.training.attribution_scores import left_out
+from workers.lab.training.attribution_scores import leave_one_log_out
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
 PARKED = Thing((12, -4, 0), DYNAMIC, STATIC)
@@ -187,7 +187,7 @@ def _log(name: str, tracks: list[TrackRow]) -> MinedLog:
     scenes = []
     for cell, track in enumerate(tracks):
         fails = track.verdict is Wrong.SUPERVISED
-        thing = ThingRow(
+        thing = ObjectRow(
             key="track 1",
             track=1,
             class_name="car",
@@ -232,7 +232,7 @@ def test_rows_draw_weights_to_what_they_show_in_logs_that_were_left_out_too() ->
     assert fitted["selfsupervised"]["weights"]["turning"] > 0.5
     known = chances(table_of(fitted), tracks[-1].evidence)
     assert known[Wrong.SELFSUPERVISED] > 0.7
-    judged = left_out(logs, fit)
+    judged = leave_one_log_out(logs, fit)
     assert judged["all"]["recall"] == {"selfsupervised": 1.0, "supervised": 1.0}
     assert judged["scenes"] == {
         "scenes": 120,
@@ -246,7 +246,7 @@ def test_scenes_are_ranked_by_tables_that_never_saw_their_log() -> None:
     """What is true of one log alone does not help to rank it."""
     told = [_row(Wrong.SUPERVISED, far=1.0), _row(Wrong.NEITHER, turning=1.0)] * 10
     lied = [_row(Wrong.SUPERVISED, turning=1.0), _row(Wrong.NEITHER, far=1.0)] * 10
-    judged = left_out([_log("a", told), _log("b", lied)], fit)
+    judged = leave_one_log_out([_log("a", told), _log("b", lied)], fit)
     assert judged["scenes"]["ap"] == pytest.approx(0.5, abs=0.05)
     assert judged["all"]["balanced_accuracy"] < 0.5
 

@@ -10,11 +10,11 @@ from workers.errors import LogUnusableError
 from workers.lab.evaluation.motion.beam_rows import BeamRows
 from workers.lab.evaluation.motion.disturbance import (
     Disturbance,
-    Numbered,
+    NumberedFrame,
     with_yaw_noise,
     without_beams,
 )
-from workers.lab.evaluation.motion.motion import JudgedFrame, evaluate_motion
+from workers.lab.evaluation.motion.motion import EvaluatedFrame, evaluate_motion
 from workers.lab.evaluation.motion.worst_frames import WorstFrames
 from workers.lab.evaluation.motion.written_labels import write_labels
 
@@ -34,11 +34,11 @@ def cloud(*, by_beam: bool = True, azimuths: int = 90) -> np.ndarray:
     return points.reshape(-1, 3).astype(np.float32)
 
 
-def judged(*, wrong: int, name: str = "x/y/000000") -> JudgedFrame:
+def judged(*, wrong: int, name: str = "x/y/000000") -> EvaluatedFrame:
     labels = np.full(20, MotionLabel.STATIC, np.uint8)
     labels[:wrong] = MotionLabel.DYNAMIC
     labels[-1] = MotionLabel.UNKNOWN
-    return JudgedFrame(
+    return EvaluatedFrame(
         stream="selfsupervised",
         log_id="x/y",
         name=name,
@@ -59,7 +59,7 @@ def test_rows_are_counted_from_the_lowest_beam_up(recorded: bool) -> None:
     assert np.allclose(np.arctan(beams.tangents), ELEVATIONS, atol=1e-6)
     assert beams.rows_of(whole)[::90].tolist() == [4, 3, 2, 1, 0]
 
-    (kept,) = without_beams([Numbered(0, whole, whole)], slice(1, None, 2))
+    (kept,) = without_beams([NumberedFrame(0, whole, whole)], slice(1, None, 2))
     assert len(kept.frame) == 180
     assert kept.kept is not None
     assert np.array_equal(kept.frame.points_m, whole.points_m[kept.kept])
@@ -70,7 +70,7 @@ def test_rows_are_counted_from_the_lowest_beam_up(recorded: bool) -> None:
 def test_a_cloud_that_names_no_beams_and_is_not_in_their_order_is_refused() -> None:
     whole = frame(cloud(by_beam=False), ring=np.full(450, -1, np.int16))
     with pytest.raises(LogUnusableError, match="cannot leave out beams"):
-        list(without_beams([Numbered(0, whole, whole)], slice(0, None, 2)))
+        list(without_beams([NumberedFrame(0, whole, whole)], slice(0, None, 2)))
 
 
 def test_yaw_noise_belongs_to_the_frame_whatever_came_before_it() -> None:
@@ -83,12 +83,12 @@ def test_yaw_noise_belongs_to_the_frame_whatever_came_before_it() -> None:
     assert list(with_yaw_noise(poses, range(200), 0.0)) == poses
 
 
-def evaluate(folder: Path, disturbance: Disturbance) -> tuple[list[JudgedFrame], float | None]:
+def evaluate(folder: Path, disturbance: Disturbance) -> tuple[list[EvaluatedFrame], float | None]:
     logs = folder / "logs" / f"{KEY}.mcap"
     if not logs.exists():
         street_log(logs, frames=FRAMES, seed=4, truth=folder / "truth" / KEY)
     bucket = str(folder / "logs")
-    seen: list[JudgedFrame] = []
+    seen: list[EvaluatedFrame] = []
     *_, everything = evaluate_motion(
         bucket,
         folder / "truth",

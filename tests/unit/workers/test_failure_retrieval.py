@@ -6,9 +6,9 @@ from workers.lab.evaluation.failures.intervals import bootstrap
 from workers.lab.evaluation.failures.ranking import Items, random_row, row_of
 from workers.lab.evaluation.failures.retrieval import (
     area_under,
+    budget_size,
     found_curve,
     found_within,
-    looked_at,
     random_retrieval,
     retrieve,
 )
@@ -58,9 +58,9 @@ def test_nothing_to_be_found_has_no_average_precision() -> None:
 
 
 def test_a_budget_pays_for_one_item_at_least() -> None:
-    assert looked_at(0.005, 60) == 1
-    assert looked_at(0.05, 600) == 30
-    assert looked_at(0.1, 0) == 0
+    assert budget_size(0.005, 60) == 1
+    assert budget_size(0.05, 600) == 30
+    assert budget_size(0.1, 0) == 0
 
 
 def test_a_failure_over_two_scenes_is_found_once() -> None:

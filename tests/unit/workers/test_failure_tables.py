@@ -7,15 +7,19 @@ from schemas.attribution import Attribution, Wrong
 from schemas.mining import MiningSettings
 from schemas.work import Part, Recording
 from service.reports.failure_report import write_report
-from workers.lab.evaluation.failures.attribution import attribute
+from workers.lab.evaluation.failures.attribution import evaluate_attribution
 from workers.lab.evaluation.failures.bench import FailureBench, with_slips
 from workers.lab.evaluation.failures.common_mode import WITNESS_ALONE, common_mode
-from workers.lab.evaluation.failures.false_alarms import by_disturbance, slipped, threshold_of
+from workers.lab.evaluation.failures.false_alarms import (
+    budget_threshold,
+    by_disturbance,
+    slip_false_alarms,
+)
 from workers.lab.evaluation.failures.mine_log import LogJob
 from workers.lab.evaluation.failures.natural import natural_table
 from workers.lab.evaluation.failures.planted import planted_table
-from workers.lab.evaluation.failures.result_cache import keep_log, kept_log
-from workers.lab.evaluation.failures.rows import MinedLog, SceneRow, ThingRow, TrackRow
+from workers.lab.evaluation.failures.result_cache import load_mined_log, store_mined_log
+from workers.lab.evaluation.failures.rows import MinedLog, ObjectRow, SceneRow, TrackRow
 from workers.lab.evaluation.failures.uncertainty import Probing
 from workers.lab.simulation.faults.plan import (
     DISTURBANCE_MEANS,
@@ -27,7 +31,7 @@ from workers.lab.simulation.faults.plan import (
 SCENES = 10
 
 
-def thing(key: str = "track 1", **changes: Any) -> ThingRow:
+def thing(key: str = "track 1", **changes: Any) -> ObjectRow:
     fields: dict[str, Any] = {
         "key": key,
         "track": int(key.split()[1]) if key.startswith("track") else -1,
@@ -40,7 +44,7 @@ def thing(key: str = "track 1", **changes: Any) -> ThingRow:
         "other_wrong_share": 0.0,
         "views": {"confidence": 0.1},
     }
-    return ThingRow(**(fields | changes))
+    return ObjectRow(**(fields | changes))
 
 
 def track(verdict: Wrong | None, said: Wrong | None = None, **changes: Any) -> TrackRow:
@@ -64,7 +68,7 @@ def track(verdict: Wrong | None, said: Wrong | None = None, **changes: Any) -> T
     return TrackRow(**(fields | changes))
 
 
-def row(cell: int, score: float, *things: ThingRow, **changes: Any) -> SceneRow:
+def row(cell: int, score: float, *things: ObjectRow, **changes: Any) -> SceneRow:
     fields: dict[str, Any] = {
         "scene_id": f"log/lidar/{cell}",
         "start_ns": cell * 2_000_000_000,
@@ -163,7 +167,7 @@ def test_balanced_accuracy_is_the_mean_recall_of_what_occurs_ten_times() -> None
     tracks += [track(Wrong.BOTH, Wrong.SUPERVISED)] * 9  # too few to count
     tracks += [track(None, Wrong.BOTH)] * 20  # truth does not say
     tracks += [track(Wrong.NEITHER, Wrong.BOTH, frames=2)] * 20  # too short
-    found = attribute(tracks)
+    found = evaluate_attribution(tracks)
     assert found.accuracy == pytest.approx(0.75)
     assert found.commonest == 0.5
     assert found.plain_accuracy == pytest.approx(35 / 49, abs=1e-4)
@@ -173,20 +177,20 @@ def test_balanced_accuracy_is_the_mean_recall_of_what_occurs_ten_times() -> None
 
 
 def test_what_no_record_says_has_no_accuracy() -> None:
-    found = attribute([track(Wrong.SUPERVISED)] * 20)
+    found = evaluate_attribution([track(Wrong.SUPERVISED)] * 20)
     assert found.accuracy is None
     assert found.cases["supervised"] == 20
 
 
 def test_disturbed_scenes_are_held_against_the_undisturbed_budget() -> None:
     quiet = [row(cell, cell / 100) for cell in range(100)]
-    assert threshold_of(quiet) == pytest.approx(0.95)
+    assert budget_threshold(quiet) == pytest.approx(0.95)
     slips = [row(cell, 0.99, disturbance="odometry_slip") for cell in range(3)]
     slips += [row(cell, 0.2, disturbance="odometry_slip") for cell in range(7)]
     found = by_disturbance([*quiet, *slips, row(0, 1.0, thing(), disturbance="odometry_slip")])
     assert found["odometry_slip"].share == pytest.approx(0.3)
     assert found["none"].share == pytest.approx(0.04)
-    again = slipped(quiet, [row(0, 0.97), row(1, 0.5), row(2, 0.99, thing())])
+    again = slip_false_alarms(quiet, [row(0, 0.97), row(1, 0.5), row(2, 0.99, thing())])
     assert again is not None
     assert (again.scenes, again.above) == (2, 1)
 
@@ -211,14 +215,16 @@ def test_what_was_mined_is_read_again_unless_something_changed(tmp_path: Path) -
     settings = MiningSettings(bucket="b", artifacts="memory://", supervised="recorded")
     job = LogJob(recording, tmp_path / "truth")
     mined = log(0, row(0, 0.5))
-    assert kept_log(tmp_path, job, settings, Probing()) is None
-    keep_log(tmp_path, job, settings, Probing(), mined)
-    assert kept_log(tmp_path, job, settings, Probing()) == mined
-    assert kept_log(tmp_path, with_slips(job, mined, scene_s=2.0), settings, Probing()) is None
-    assert kept_log(tmp_path, job, settings, Probing(dropout_every=5)) is None
+    assert load_mined_log(tmp_path, job, settings, Probing()) is None
+    store_mined_log(tmp_path, job, settings, Probing(), mined)
+    assert load_mined_log(tmp_path, job, settings, Probing()) == mined
+    assert (
+        load_mined_log(tmp_path, with_slips(job, mined, scene_s=2.0), settings, Probing()) is None
+    )
+    assert load_mined_log(tmp_path, job, settings, Probing(dropout_every=5)) is None
     (kept,) = tmp_path.glob("*.json")
     kept.write_text("{}")
-    assert kept_log(tmp_path, job, settings, Probing()) is None
+    assert load_mined_log(tmp_path, job, settings, Probing()) is None
 
 
 def test_every_scene_slips_once_and_within_itself() -> None:
@@ -244,7 +250,7 @@ def test_the_report_holds_its_tables_and_plots(tmp_path: Path) -> None:
     page = file.read_text()
     assert page.count("<svg") == 6
     assert "fleet/&lt;logs&gt;" in page
-    assert "Judged in <i>natural</i>: the supervised stream &lt;own&gt;" in page
+    assert "Evaluated in <i>natural</i>: the supervised stream &lt;own&gt;" in page
     assert "unseen_class" in page
     assert FAILURE_MEANS[FailureKind.UNSEEN_CLASS] in page
     assert DISTURBANCE_MEANS[DisturbanceKind.ODOMETRY_SLIP] in page

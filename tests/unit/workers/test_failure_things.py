@@ -11,11 +11,11 @@ from schemas.labels import MotionLabel
 from tests.factories import labelled, scene
 from workers.contradiction.instances import find_instances
 from workers.contradiction.track_score import rank_tracks
-from workers.lab.evaluation.failures.baseline_scores import flicker_share, views_of
-from workers.lab.evaluation.failures.frame_truth import SeenFrame
-from workers.lab.evaluation.failures.object_views import thing_views
-from workers.lab.evaluation.failures.objects_of_interest import find_things
-from workers.lab.evaluation.failures.verdicts import thing_under, verdict_of
+from workers.lab.evaluation.failures.baseline_scores import flicker_share, scene_baselines
+from workers.lab.evaluation.failures.frame_truth import FrameWithTruth
+from workers.lab.evaluation.failures.object_views import object_baselines
+from workers.lab.evaluation.failures.objects_of_interest import find_objects
+from workers.lab.evaluation.failures.verdicts import object_under, verdict_of
 from workers.lab.evaluation.truth.objects import TrueObject
 from workers.lab.evaluation.truth.truth import FrameTruth
 
@@ -36,7 +36,7 @@ def world(
     semantic: Mapping[int, Mapping[int, int]],
     predictive: Mapping[int, Mapping[int, int]] | None = None,
     tracks: Mapping[int, int] | None = None,
-) -> tuple[Scene, list[SeenFrame]]:
+) -> tuple[Scene, list[FrameWithTruth]]:
     """A scene of things in a row: thing -> true motion; thing -> frame -> what a stream says.
 
     What is not said is as the truth is. Things are their own tracks unless `tracks` says otherwise.
@@ -59,7 +59,7 @@ def world(
         frames.append(frame)
         objects = {thing: TrueObject(class_name="car") for thing in truth}
         seen.append(
-            SeenFrame(
+            FrameWithTruth(
                 frame,
                 FrameTruth(
                     number,
@@ -77,7 +77,7 @@ def during(first: int, end: int, label: MotionLabel) -> dict[int, int]:
 
 
 def test_a_stream_that_is_right_fails_on_nothing() -> None:
-    things = find_things(*world(truth={1: 2, 2: 1}, semantic={}))
+    things = find_objects(*world(truth={1: 2, 2: 1}, semantic={}))
     assert [(thing.key, thing.moves, thing.fails) for thing in things] == [
         ("track 1", True, False),
         ("track 2", False, False),
@@ -87,7 +87,7 @@ def test_a_stream_that_is_right_fails_on_nothing() -> None:
 
 @pytest.mark.parametrize(("frames", "fails"), [(4, False), (5, True)])
 def test_a_failure_lasts_half_a_second(frames: int, fails: bool) -> None:
-    missed, standing = find_things(
+    missed, standing = find_objects(
         *world(truth={1: 2, 2: 1}, semantic={1: during(6, 6 + frames, STATIC)})
     )
     assert missed.fails is fails
@@ -97,22 +97,22 @@ def test_a_failure_lasts_half_a_second(frames: int, fails: bool) -> None:
 
 def test_a_label_that_flickers_fails_by_the_sum_of_its_wrong_frames() -> None:
     flickers = {number: int(STATIC) for number in range(0, FRAMES, 3)}
-    (thing,) = find_things(*world(truth={1: 2}, semantic={1: flickers}))
+    (thing,) = find_objects(*world(truth={1: 2}, semantic={1: flickers}))
     assert thing.fails
     assert len(thing.failing) == 7
 
 
 def test_silence_is_no_error_and_neither_is_what_truth_does_not_know() -> None:
-    (silent,) = find_things(*world(truth={1: 2}, semantic={1: during(0, FRAMES, UNKNOWN)}))
+    (silent,) = find_objects(*world(truth={1: 2}, semantic={1: during(0, FRAMES, UNKNOWN)}))
     assert not silent.fails
-    assert find_things(*world(truth={1: 0}, semantic={1: during(0, FRAMES, DYNAMIC)})) == []
+    assert find_objects(*world(truth={1: 0}, semantic={1: during(0, FRAMES, DYNAMIC)})) == []
 
 
 def test_a_phantom_where_nobody_is_is_a_thing_of_its_own() -> None:
     scene_, seen = world(
         truth={1: 2, 4: 1}, semantic={4: during(3, 15, DYNAMIC)}, tracks={1: 1, 4: -1}
     )
-    mover, phantom = find_things(scene_, seen)
+    mover, phantom = find_objects(scene_, seen)
     assert (mover.key, mover.fails) == ("track 1", False)
     assert (phantom.key, phantom.moves, phantom.fails) == ("phantom 0", False, True)
     assert len(phantom.points) == 12
@@ -124,7 +124,7 @@ def test_labels_that_bleed_onto_what_touches_a_mover_are_no_phantom() -> None:
         points = frame.labelled.posed.frame.points_m
         points.flags.writeable = True
         points[SIZE:, 0] += 6.0 - 24.0 + 0.3
-    assert [thing.key for thing in find_things(scene_, seen)] == ["track 1"]
+    assert [thing.key for thing in find_objects(scene_, seen)] == ["track 1"]
 
 
 @pytest.mark.parametrize(
@@ -144,11 +144,11 @@ def test_truth_says_who_is_wrong_about_a_contradicting_track(
         semantic={1: during(0, FRAMES, semantic)},
         predictive={1: during(0, FRAMES, predictive)},
     )
-    things = find_things(scene_, seen)
+    things = find_objects(scene_, seen)
     instances = find_instances(scene_, class_names=())
     (ranked,) = rank_tracks(scene_, instances)
     members = [instances[member] for member in ranked.track.members]
-    key, track = thing_under(members, seen, things)
+    key, track = object_under(members, seen, things)
     assert (key, track) == ("track 1", 1)
     assert verdict_of(members, seen, track=track) is verdict
 
@@ -162,7 +162,7 @@ def test_a_contradiction_at_the_rim_of_what_both_know_blames_neither() -> None:
         frame.labelled.agreements[: SIZE // 4] = 0b10
     instances = find_instances(scene_, class_names=())
     assert instances
-    _, track = thing_under(instances, seen, find_things(scene_, seen))
+    _, track = object_under(instances, seen, find_objects(scene_, seen))
     assert verdict_of(instances, seen, track=track) is Wrong.NEITHER
 
 
@@ -184,19 +184,19 @@ def test_flicker_is_what_changes_at_its_place() -> None:
 def test_other_ways_to_rank_see_what_they_look_at() -> None:
     quiet, _ = world(truth={1: 2, 2: 1}, semantic={})
     loud, seen = world(truth={1: 2, 2: 1}, semantic={1: during(0, 10, STATIC)})
-    assert views_of(quiet)["point_share"] == 0.0
-    assert views_of(loud)["point_share"] == pytest.approx(10 / FRAMES / 2)
-    assert views_of(loud)["confidence"] == 0.0
-    failing, _ = find_things(loud, seen)
-    assert thing_views(failing.points, seen)["point_share"] == pytest.approx(0.5)
-    assert thing_views(failing.points, seen)["flicker"] == pytest.approx(1 / (FRAMES - 1))
+    assert scene_baselines(quiet)["point_share"] == 0.0
+    assert scene_baselines(loud)["point_share"] == pytest.approx(10 / FRAMES / 2)
+    assert scene_baselines(loud)["confidence"] == 0.0
+    failing, _ = find_objects(loud, seen)
+    assert object_baselines(failing.points, seen)["point_share"] == pytest.approx(0.5)
+    assert object_baselines(failing.points, seen)["flicker"] == pytest.approx(1 / (FRAMES - 1))
 
 
 def test_what_a_probed_network_told_becomes_a_mean_over_the_thing() -> None:
     scene_, seen = world(truth={1: 2, 2: 1}, semantic={})
     told = np.full(2 * SIZE, np.nan, np.float32)
     told[: SIZE // 2] = 0.5
-    asked = [SeenFrame(each.labelled, each.truth, {"entropy": told}) for each in seen]
-    one, other = find_things(scene_, asked)
-    assert thing_views(one.points, asked)["entropy"] == pytest.approx(0.5)
-    assert "entropy" not in thing_views(other.points, asked)
+    asked = [FrameWithTruth(each.labelled, each.truth, {"entropy": told}) for each in seen]
+    one, other = find_objects(scene_, asked)
+    assert object_baselines(one.points, asked)["entropy"] == pytest.approx(0.5)
+    assert "entropy" not in object_baselines(other.points, asked)

@@ -3,7 +3,7 @@ import pytest
 
 from tests.factories import SMALL_LIDAR
 from workers.lab.simulation.faults.confidence import draw_confidence, quantiles
-from workers.lab.simulation.faults.fault_placement import Redraw, plant
+from workers.lab.simulation.faults.fault_placement import Redraw, place_failures
 from workers.lab.simulation.faults.faults import DYNAMIC, STATIC, PlantedFailure
 from workers.lab.simulation.faults.plan import (
     DRAWN_KINDS,
@@ -34,7 +34,7 @@ def planted_in(
     street: Street, frames: list[SimulatedFrame], *wanted: PlannedFailure
 ) -> tuple[tuple[PlantedFailure, ...], tuple[Redraw, ...]]:
     plan = LogPlan(0, 11, 4, hard=False, software_version="2026.2", failures=wanted)
-    return plant(street, plan, look=lambda index: frames[index], period_s=0.1)
+    return place_failures(street, plan, frame_at=lambda index: frames[index], period_s=0.1)
 
 
 @pytest.mark.parametrize("kind", DRAWN_KINDS)
@@ -96,7 +96,9 @@ def test_what_no_thing_can_carry_is_drawn_anew_and_written_down() -> None:
     frames = [sweep(empty, SMALL_LIDAR, index) for index in range(40)]  # too few points on any
     wanted = PlannedFailure(1, FailureKind.UNSEEN_CLASS)
     plan = LogPlan(0, 11, 2, hard=False, software_version="2026.1", failures=(wanted,))
-    failures, redraws = plant(empty, plan, look=lambda index: frames[index], period_s=0.1)
+    failures, redraws = place_failures(
+        empty, plan, frame_at=lambda index: frames[index], period_s=0.1
+    )
     assert redraws[0].planned == wanted
     assert redraws[0].kind is (failures[0].kind if failures else None)
 

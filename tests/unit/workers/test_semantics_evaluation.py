@@ -80,11 +80,11 @@ def test_streams_without_classes_and_logs_without_truth_are_refused(
     fleet: Path, tmp_path: Path
 ) -> None:
     settings = _settings(fleet)
-    with pytest.raises(UnknownPartError, match="knows no classes"):
+    with pytest.raises(UnknownPartError, match="has no classes"):
         evaluate_semantics(
             settings.bucket, fleet / "truth", settings=settings, stream="registration"
         )
-    with pytest.raises(TruthUnusableError, match=r"no log of .* has truth of classes"):
+    with pytest.raises(TruthUnusableError, match=r"no log of .* has semantic truth"):
         evaluate_semantics(settings.bucket, tmp_path, settings=settings)
 
 
@@ -94,7 +94,7 @@ def test_the_command_prints_a_table_or_json(
     arguments = ["eval", "semantics", str(fleet / "logs"), "--truth", str(fleet / "truth")]
     assert main([*arguments, "--frames", "0:2", "--stream", "recorded"]) == 0
     said = capsys.readouterr().out
-    assert "all that can move" in said
+    assert "all movable classes" in said
     assert "supervised stream recorded" in said
     assert main([*arguments, "--frames", "0:2", "--stream", "recorded", "--json"]) == 0
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]

@@ -10,7 +10,7 @@ from schemas.mining import MiningSettings
 from tests.factories import SMALL_LIDAR, street_log
 from workers.errors import UnknownPartError
 from workers.lab.evaluation.motion.counts import LogCounts, StreamCounts, total_of
-from workers.lab.evaluation.motion.motion import JudgedFrame, evaluate_motion
+from workers.lab.evaluation.motion.motion import EvaluatedFrame, evaluate_motion
 from workers.lab.evaluation.motion.table import LogEvaluation, evaluation_of
 from workers.lab.simulation.sensor.lidar import Lidar
 from workers.paper.scene_flow import SCENE_FLOWS
@@ -27,12 +27,12 @@ SIDE_BY_SIDE = ("recorded", "two-stage", PUBLISHED)
 
 def evaluate(
     folder: Path, stream: str | tuple[str, ...], *, frames: int = FRAMES, lidar: Lidar = SMALL_LIDAR
-) -> tuple[list[LogEvaluation], list[JudgedFrame]]:
+) -> tuple[list[LogEvaluation], list[EvaluatedFrame]]:
     log = folder / "logs" / f"{KEY}.mcap"
     if not log.exists():
         street_log(log, frames=frames, seed=4, lidar=lidar, truth=folder / "truth" / KEY)
     bucket = str(folder / "logs")
-    seen: list[JudgedFrame] = []
+    seen: list[EvaluatedFrame] = []
     rows = evaluate_motion(
         bucket,
         folder / "truth",
@@ -103,7 +103,7 @@ def test_a_row_is_about_its_own_time_and_that_of_what_all_streams_need() -> None
         )
         for t in (1, 2, 9)
     ]
-    row = evaluation_of("x", total_of(logs), stream="a", beside=())
+    row = evaluation_of("x", total_of(logs), stream="a", others=())
     assert row.ms_per_frame == {"odometry": 2.0, "a": 2.0, "total": 4.0}
 
 

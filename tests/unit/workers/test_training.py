@@ -13,7 +13,7 @@ from workers.lab.datasets.simulated import clouds_of
 from workers.lab.datasets.stored_images import join, read_images, write_images
 from workers.lab.simulation.output.samples import street_samples
 from workers.lab.training.augment import Sample, augment, network_input
-from workers.lab.training.fit import Lesson, TrainingSettings, train
+from workers.lab.training.fit import TrainingSet, TrainingSettings, train
 from workers.lab.training.loss import class_weights, lovasz_softmax, segmentation_loss
 from workers.lab.training.train import main
 from workers.lidar.range_image import SensorProfile
@@ -150,8 +150,11 @@ def test_nothing_is_lost_where_everything_is_ignored() -> None:
 def _trained(path: Path, seed: int) -> bytes:
     torch.set_num_threads(1)
     settings = TrainingSettings(steps=3, columns=32, seed=seed)
-    lessons = [Lesson(images_of_a_wall(), 1.0), Lesson(images_of_a_wall(frames=5), 3.0)]
-    train(lessons, {"held out": images_of_a_wall(variants=(1,))}, CARD, settings, out=path)
+    training_sets = [
+        TrainingSet(images_of_a_wall(), 1.0),
+        TrainingSet(images_of_a_wall(frames=5), 3.0),
+    ]
+    train(training_sets, {"held out": images_of_a_wall(variants=(1,))}, CARD, settings, out=path)
     return path.read_bytes()
 
 
@@ -169,7 +172,7 @@ def test_fixed_norms_stay_what_they_were_while_everything_else_learns(tmp_path: 
     initial = load_weights(tmp_path / "first.safetensors")
     settings = TrainingSettings(steps=2, columns=32, fixed_norms=1.0)
     out = tmp_path / "second.safetensors"
-    train([Lesson(images_of_a_wall(), 1.0)], {}, CARD, settings, initial=initial, out=out)
+    train([TrainingSet(images_of_a_wall(), 1.0)], {}, CARD, settings, initial=initial, out=out)
     before, after = initial.net.state_dict(), load_weights(out).net.state_dict()
     running = [name for name in before if "running" in name]
     assert running
@@ -181,7 +184,9 @@ def test_fixed_norms_stay_what_they_were_while_everything_else_learns(tmp_path: 
 def test_norms_are_fixed_for_the_last_share_of_the_steps(tmp_path: Path, share: float) -> None:
     torch.set_num_threads(1)
     settings = TrainingSettings(steps=4, columns=32, fixed_norms=share)
-    train([Lesson(images_of_a_wall(), 1.0)], {}, CARD, settings, out=tmp_path / "w.safetensors")
+    train(
+        [TrainingSet(images_of_a_wall(), 1.0)], {}, CARD, settings, out=tmp_path / "w.safetensors"
+    )
     parameters = load_weights(tmp_path / "w.safetensors").net.state_dict()
     batches = {int(value) for name, value in parameters.items() if "num_batches" in name}
     assert batches == {round(4 * (1 - share))}
@@ -206,7 +211,7 @@ def test_bfloat16_teaches_much_the_same(tmp_path: Path) -> None:
     for half in (False, True):
         out = tmp_path / f"{half}.safetensors"
         settings = TrainingSettings(steps=3, columns=32, bfloat16=half)
-        train([Lesson(images_of_a_wall(), 1.0)], {}, CARD, settings, out=out)
+        train([TrainingSet(images_of_a_wall(), 1.0)], {}, CARD, settings, out=out)
         trained.append(load_weights(out).net.logits.weight.detach())
     single, half_precise = trained
     assert not torch.equal(single, half_precise)

@@ -10,7 +10,7 @@ from workers.checkpoints.errors import WeightsUnusableError
 from workers.lab.datasets.dataset import RESIDUAL
 from workers.lab.datasets.stored_images import write_images
 from workers.lab.training.train import main
-from workers.lab.training.warm_start import started
+from workers.lab.training.warm_start import warm_start_parameters
 from workers.lidar.range_image import CHANNELS, Channel, SensorProfile
 from workers.supervised.classes import ClassMeaning
 from workers.supervised.lmnet import MOTION_CLASSES
@@ -39,7 +39,7 @@ def test_a_network_that_sees_less_answers_as_if_the_rest_were_at_its_mean(tmp_pa
     initial = _initial(tmp_path)
     card = CARD.model_copy(update={"channels": FEWER})
     net = card.build().eval()
-    net.load_state_dict(started(initial, card))
+    net.load_state_dict(warm_start_parameters(initial, card))
     image = np.random.default_rng(1).normal(size=(1, len(CHANNELS) + 2, 16, 64)).astype(np.float32)
     image[:, CHANNELS.index("intensity")] = 0
     fewer = np.delete(image, CHANNELS.index("intensity"), axis=1)
@@ -52,20 +52,20 @@ def test_a_network_that_sees_less_answers_as_if_the_rest_were_at_its_mean(tmp_pa
     [
         ({"width": 8}, "agree"),
         ({"residual": ResidualSettings(ages_s=(0.1,), max_range_m=100)}, "agree"),
-        ({"profile": replace(CARD.profile, means=(0, 0, 0, 0, 0))}, "normalised"),
+        ({"profile": replace(CARD.profile, means=(0, 0, 0, 0, 0))}, "same normalisation"),
     ],
 )
 def test_weights_of_another_network_are_refused(
     tmp_path: Path, change: dict[str, object], why: str
 ) -> None:
     with pytest.raises(WeightsUnusableError, match=why):
-        started(_initial(tmp_path), CARD.model_copy(update=change))
+        warm_start_parameters(_initial(tmp_path), CARD.model_copy(update=change))
 
 
 def test_a_channel_that_was_never_seen_is_refused(tmp_path: Path) -> None:
     initial = _initial(tmp_path, CARD.model_copy(update={"channels": FEWER}))
     with pytest.raises(WeightsUnusableError, match="intensity"):
-        started(initial, CARD)
+        warm_start_parameters(initial, CARD)
 
 
 def test_whoever_goes_on_keeps_means_and_deviations(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from schemas.transport.recordings import group_recordings
 from tests.factories import SMALL_LIDAR, street_log
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard
-from workers.lab.simulation.faults.fault_truth import Planted
+from workers.lab.simulation.faults.fault_truth import PlantedFaults
 from workers.lab.simulation.faults.faults import PlantedFailure
 from workers.lab.simulation.faults.plan import FailureKind
 from workers.lab.simulation.faults.recorded import record
@@ -100,7 +100,7 @@ def test_a_log_has_a_summary_and_chunks_that_its_index_finds(tmp_path: Path) -> 
 @pytest.mark.parametrize("recorded_as", ["fields", "topic"])
 def test_labels_read_equal_labels_written(tmp_path: Path, recorded_as: RecordedAs) -> None:
     street = build_street(4, seconds=2.0, style="drives")
-    planted = Planted((PlantedFailure(FailureKind.MISSED_MOVER, 0, 0.3, 0.9),))
+    planted = PlantedFaults((PlantedFailure(FailureKind.MISSED_MOVER, 0, 0.3, 0.9),))
     write_log(
         tmp_path / f"{KEY}.mcap", street, lidar=SMALL_LIDAR, recorded=recorded_as, planted=planted
     )

@@ -1,1 +1,1 @@
-"""What is measured of a sensor before a model for it can be trained or used."""
+"""Sensor calibration: measures the layout of a lidar before a model is trained or used for it."""

@@ -1,4 +1,4 @@
-"""How a lidar is laid out as an image: rows, columns, field of view, measured from frames."""
+"""Sensor layout: rows, columns and field of view of a range image, measured from frames."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ from workers.lidar.sensor_rows import (
 _WIDTHS: Final = (512, 1024, 2048, 4096)
 _JUDGED_FRAMES: Final = 3
 _STEP_RAD: Final = (np.radians(0.02), np.radians(1.5))
-"""Smaller steps are second returns of one shot, larger ones gaps in what was seen."""
+"""Azimuth steps of one beam, radians: smaller ones are second returns, larger ones gaps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,14 +32,14 @@ class SensorLayout:
     """Rows and columns of a sensor.
 
     Attributes:
-        rows: Of the image, a multiple of 16.
-        columns: Of the image.
+        rows: Rows of the image, a multiple of 16.
+        columns: Columns of the image.
         fov_up_deg: Upper edge of the first row.
-        fov_down_deg: Lower edge of the last.
-        elevations_deg: Each row's beam, falling; None if rows are evenly spaced.
-        beams: How many there are; further rows lie above the topmost.
-        steps_per_turn: Measured steps of azimuth of a whole turn.
-        remarks: What the user should know of how this was found.
+        fov_down_deg: Lower edge of the last row.
+        elevations_deg: Beam elevation of each row, falling; None if rows are evenly spaced.
+        beams: Number of beams; further rows lie above the topmost.
+        steps_per_turn: Measured azimuth steps per revolution.
+        remarks: Remarks for the user on how this was measured.
     """
 
     rows: int
@@ -55,16 +55,16 @@ class SensorLayout:
 def measure_layout(frames: Sequence[LidarFrame]) -> SensorLayout:
     """Measure rows and columns.
 
-    Beams are told apart by their recorded numbers, else by the order of the cloud where it runs
-    along one beam after the other, else by how elevations are spaced. A row for each beam is taken
-    if more points are seen then than in evenly spaced rows: where beams do not meet in the origin
-    of the cloud, even rows may be better.
+    Beams are identified by their recorded numbers, else by the order of the cloud if it is stored
+    beam by beam, else by the spacing of elevations. Each beam gets a row if more points are visible
+    then than with evenly spaced rows. Where beams do not meet in the origin of the cloud, even rows
+    may be better.
 
     Args:
-        frames: Some frames of one sensor, none without a valid point.
+        frames: Some frames of one sensor, each with a valid point.
 
     Raises:
-        ValueError: If they hold too few points to tell.
+        ValueError: If they contain too few points.
     """
     if not frames:
         raise ValueError("no frame has a valid point")
@@ -82,26 +82,28 @@ def measure_layout(frames: Sequence[LidarFrame]) -> SensorLayout:
         listed = elevation_of_beams(elevation_deg, beam)
         beams = len(listed)
     else:
-        # of a single frame: in two, points would lie closer to each other than beams do
+        # from a single frame: in two, points are closer to each other than beams are
         table = estimate_beam_table(clouds[0], np.full(len(clouds[0]), -1, np.int16))
         guessed = min(len(table.tangents), MAX_BEAMS)
         beams = max(round(guessed / MULTIPLE), 1) * MULTIPLE if guessed > 1 else 0
     if beams < 2:
-        raise ValueError("no beams can be told apart")
+        raise ValueError("no beams can be distinguished")
     even = evenly_spaced(elevation_deg, beams, columns)
     profiles = [one_row_each(listed, columns), even] if listed else [even]
     seen = [seen_share(clouds[:_JUDGED_FRAMES], profile) for profile in profiles]
     chosen = profiles[int(np.argmax(seen))]
     remarks = []
     if not told_apart:
-        remarks.append("beams are neither numbered nor in order: rows are as many as gaps suggest")
+        remarks.append(
+            "beams are neither numbered nor in order: the number of rows follows from gaps"
+        )
     elif chosen is even:
         remarks.append(
-            f"rows are evenly spaced: {seen[1]:.1%} of the points are seen then, with a row for "
+            f"rows are evenly spaced: {seen[1]:.1%} of the points are visible then, with a row for "
             f"each beam {seen[0]:.1%}; the beams do not meet in the origin of the cloud"
         )
     if chosen.rows != beams:
-        remarks.append(f"{chosen.rows} rows, {beams} beams: networks want a multiple of {MULTIPLE}")
+        remarks.append(f"{chosen.rows} rows, {beams} beams: networks need a multiple of {MULTIPLE}")
     return SensorLayout(
         rows=chosen.rows,
         columns=columns,
@@ -115,7 +117,7 @@ def measure_layout(frames: Sequence[LidarFrame]) -> SensorLayout:
 
 
 def _steps_per_turn(clouds: Sequence[Points], rings: Sequence[NDArray[np.int64] | None]) -> int:
-    """Median step from a return to the next of its beam, else in the cloud, per turn."""
+    """Return the azimuth steps per turn, from the median step along a beam or along the cloud."""
     steps = []
     for cloud, ring in zip(clouds, rings, strict=True):
         azimuth = np.arctan2(cloud[:, 1], cloud[:, 0])
@@ -127,5 +129,5 @@ def _steps_per_turn(clouds: Sequence[Points], rings: Sequence[NDArray[np.int64] 
         steps.append(apart[(apart > _STEP_RAD[0]) & (apart < _STEP_RAD[1])])
     every = np.concatenate(steps)
     if not len(every):
-        raise ValueError("no steps of azimuth can be told apart: the clouds are too thin")
+        raise ValueError("no azimuth steps can be measured: the clouds are too sparse")
     return round(2 * np.pi / float(np.median(every)))

@@ -1,4 +1,4 @@
-"""A range image's profile fitted to any lidar: layout, means and deviations of what it measures."""
+"""Sensor profile: a range image fitted to any lidar, with layout, means and deviations."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -24,22 +24,22 @@ from workers.lidar.range_image import CHANNELS, SensorProfile, image_channels, p
 _DIGITS: Final = 4
 _ALIKE: Final = 1.25
 _ALIKE_DEG: Final = 4.0
-"""One sensor's logs differ by less in their beams, and in the elevation of the lowest."""
+"""Tolerance between logs of one sensor: ratio of beams, elevation of the lowest beam in degrees."""
 
 
 class SensorFit(BaseModel):
-    """A fitted profile, and how well frames fit into it."""
+    """A fitted profile, and the shares of points and pixels that it covers."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     profile: SensorProfile = Field(description="Layout and normalisation of the range image.")
-    frames: int = Field(description="How many were measured.")
-    beams: int = Field(description="How many the sensor has; further rows lie above the topmost.")
+    frames: int = Field(description="Number of measured frames.")
+    beams: int = Field(description="Beams of the sensor; further rows lie above the topmost.")
     steps_per_turn: int = Field(description="Measured steps of azimuth of a whole turn.")
     projected_share: float = Field(description="Points that lie in the field of view.")
-    seen_share: float = Field(description="Points that are seen in their pixel, none before them.")
+    seen_share: float = Field(description="Points visible in their pixel.")
     filled_share: float = Field(description="Pixels that show a point.")
-    remarks: tuple[str, ...] = Field(description="What to know of how this was found.")
+    remarks: tuple[str, ...] = Field(description="Remarks on how this was measured.")
 
 
 def sample_frames(
@@ -48,11 +48,11 @@ def sample_frames(
     """Read some frames of a log, from its beginning on.
 
     Args:
-        bucket: Where the log lies.
+        bucket: Bucket of the log.
         recording: The log.
-        settings: How it is read, and of which lidar.
-        frames: At most so many.
-        every: One of so many, so that they are of different places.
+        settings: Ingest settings, with the lidar topic.
+        frames: Largest number of frames.
+        every: Step between frames, so that they are of different places.
 
     Raises:
         LogUnusableError: If none can be read.
@@ -74,7 +74,7 @@ def sample_frames(
 
 
 def different_lidars(logs: Mapping[str, Sequence[LidarFrame]]) -> str:
-    """Say which logs look as if they were of two sensors; empty where none do.
+    """Describe logs that seem to be of two sensors; empty where none do.
 
     Args:
         logs: Frames of each log, by its name.
@@ -98,7 +98,7 @@ def different_lidars(logs: Mapping[str, Sequence[LidarFrame]]) -> str:
 
 
 def _lowest_deg(frames: Sequence[LidarFrame]) -> float:
-    """Elevation of the lowest beam: the road always returns it, as the sky never does the upper."""
+    """Return the elevation of the lowest beam: the road returns it in every frame."""
     points_m = np.concatenate([frame.points_m[frame.valid_mask] for frame in frames])
     across_m = np.hypot(points_m[:, 0], points_m[:, 1])
     elevation_deg = np.degrees(np.arctan2(points_m[:, 2], across_m))[across_m > MIN_RANGE_M]
@@ -115,13 +115,13 @@ def fit_profile(
     """Fit a profile to the frames of one sensor.
 
     Args:
-        frames: Of one sensor, of as many places as there are.
-        name: What messages call the profile.
-        rows: Evenly spaced over the measured field of view, instead of one for each beam.
-        columns: Instead of those measured.
+        frames: Frames of one sensor, from as many places as available.
+        name: Name of the profile in messages.
+        rows: Number of evenly spaced rows over the measured field of view, instead of one per beam.
+        columns: Number of columns, instead of the measured one.
 
     Raises:
-        LogUnusableError: If the frames hold too few points to tell.
+        LogUnusableError: If the frames contain too few points.
     """
     frames = [frame for frame in frames if frame.valid_mask.any()]
     try:
@@ -170,11 +170,11 @@ def fit_profile(
 
 
 def profile_text(profile: SensorProfile, ending: str) -> str:
-    """Write a profile as JSON, as weights carry it, or as TOML, as an adapter does.
+    """Write a profile as JSON, the format in weights, or as TOML, the format in adapters.
 
     Args:
-        profile: What is written.
-        ending: Of the file's name, `.json` or `.toml`.
+        profile: Profile to write.
+        ending: Ending of the file's name, `.json` or `.toml`.
 
     Raises:
         ValueError: If the ending is another.
@@ -182,7 +182,9 @@ def profile_text(profile: SensorProfile, ending: str) -> str:
     fields = {name: value for name, value in asdict(profile).items() if value is not None}
     if ending == ".json":
         return json.dumps(fields, indent=1) + "\n"
-    if ending == ".toml":  # strings, numbers, booleans and lists are written alike
+    if (
+        ending == ".toml"
+    ):  # strings, numbers, booleans and lists have the same form in TOML and JSON
         lines = [f"{name} = {json.dumps(value)}" for name, value in fields.items()]
         return "\n".join(("[profile]", *lines)) + "\n"
     raise ValueError(f"a profile is written to .json or .toml, not {ending!r}")

@@ -1,1 +1,1 @@
-"""Training images of simulated streets and real logs."""
+"""Training images from simulated streets and from real logs."""

@@ -1,4 +1,4 @@
-"""What the supervised stream is taught: the classes of its two networks."""
+"""Training classes of the two networks of the supervised stream."""
 
 from typing import Final
 
@@ -10,13 +10,13 @@ CLASSES: Final[tuple[tuple[str, bool], ...]] = (
     ("unlabeled", False),
     *((name, name in MOVABLE) for name in COARSE[1:]),
 )
-"""Name and whether it can move by itself: those that semantics are judged in."""
+"""Name of each class, and whether it is movable: the classes of the semantic evaluation."""
 
 CLASS_NAMES: Final = tuple(name for name, _ in CLASSES)
 
 
 def meanings(network: str) -> tuple[ClassMeaning, ...]:
-    """Meaning of each output of `salsanext` or `lmnet`."""
+    """Return the meaning of each output of `salsanext` or `lmnet`."""
     if network == "lmnet":
         return tuple(ClassMeaning(name=name) for name in MOTION_CLASSES)
     return tuple(ClassMeaning(name=name, movable=movable) for name, movable in CLASSES)

@@ -1,4 +1,4 @@
-"""Make training images of simulated streets and real logs.
+"""Builds training images from simulated streets and real logs.
 
 `python -m workers.lab.datasets.dataset --help` lists the options.
 """
@@ -34,19 +34,19 @@ PROFILE: Final = SensorProfile(
     fov_down_deg=-25.0,
     fitted=True,
 )
-"""Layout of the images: rows are those of each sensor."""
+"""Layout of the images; the number of rows is that of each sensor."""
 
 RESIDUAL: Final = ResidualSettings(
     ages_s=(0.1, 0.2, 0.3, 0.5, 0.8), min_range_m=2.0, max_range_m=100.0
 )
-"""Young frames show fast things, old ones slow things; nothing is older than the warm-up."""
+"""Ages of the residual images: short for fast objects, long for slow ones, within the warm-up."""
 
 EXIT_TRANSIENT: Final = 75
 """EX_TEMPFAIL of sysexits.h."""
 
 _WINDOWS: Final = 2
 _FRAMES: Final = 10
-"""Of each window of a street: the first two look ahead, the last two look back."""
+"""Frames of each window of a street: the first two look ahead, the last two look back."""
 
 _PAST_AND_FUTURE: Final = ((1, range(8, 10)), (-1, range(2)))
 
@@ -111,7 +111,7 @@ def _real(args: argparse.Namespace) -> None:
     rng = np.random.default_rng(args.seed)
     clouds = list(read_clouds(args.log, args.truth, range(frames.stop)))
     profile = lay_out(PROFILE, clouds[0].frame)
-    # to judge, the past may lie before the frames; to learn, nothing outside of them is seen
+    # evaluation may use a past before the frames; training uses nothing outside of them
     known = clouds if args.judge else clouds[frames.start :]
     only = frames if args.judge else None
     variants = (1,) if args.judge else (1, -1, 2, -2)
@@ -125,19 +125,27 @@ def _parser() -> argparse.ArgumentParser:
         description="Make training images of simulated streets, or of a PandaSet log with truth.",
     )
     parser.add_argument("--out", type=Path, required=True, help="folder to write")
-    parser.add_argument("--seed", type=int, default=1, help="of everything random")
+    parser.add_argument("--seed", type=int, default=1, help="seed of everything random")
     parser.add_argument(
         "--streets", type=int, default=100, help="eight images of each; a folder for each sensor"
     )
     parser.add_argument(
-        "--sensors", nargs="+", choices=DEFAULT_SENSORS, default=DEFAULT_SENSORS, help="drawn from"
+        "--sensors",
+        nargs="+",
+        choices=DEFAULT_SENSORS,
+        default=DEFAULT_SENSORS,
+        help="sensors to draw from",
     )
-    parser.add_argument("--columns", type=int, help="of every lidar, instead of each its own")
+    parser.add_argument(
+        "--columns", type=int, help="columns of every lidar, instead of its own number"
+    )
     parser.add_argument("--log", type=Path, help="the MCAP file, instead of simulated streets")
     parser.add_argument("--truth", type=Path, help="folder of its truth")
     parser.add_argument("--frames", default="0:40", help="frames of the log, half open")
     parser.add_argument(
-        "--judge", action="store_true", help="frames to score: residuals may reach before them"
+        "--judge",
+        action="store_true",
+        help="evaluation frames: residuals may use frames before them",
     )
     return parser
 

@@ -19,7 +19,7 @@ class Cloud:
     """One frame with its truth.
 
     Attributes:
-        frame: As a worker decodes it.
+        frame: The frame, decoded as in a worker.
         semantic: (N,) class, 0 where unlabelled.
         motion: (N,) 0 unknown, 1 static, 2 moving, as LMNet's classes.
         world_from_sensor: (4, 4) true pose at the middle of the sweep.
@@ -33,7 +33,7 @@ class Cloud:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingImages:
-    """Frames as images, ready to be augmented.
+    """Frames as range images, before augmentation.
 
     Attributes:
         channels: (F, 5, H, W) range, x, y, z (metres), intensity (0 to 1); zero where empty.
@@ -41,7 +41,7 @@ class TrainingImages:
         semantic: (F, H, W) class, 0 where unlabelled or empty.
         motion: (F, H, W) 0 unknown or empty, 1 static, 2 moving.
         residuals: (F, V, K, H, W) float16, V variants of the K residual images.
-        ego_speed_m_per_s: (F,) how fast the car drives.
+        ego_speed_m_per_s: (F,) speed of the car.
     """
 
     channels: NDArray[np.float32]
@@ -65,10 +65,10 @@ def build_images(
 ) -> TrainingImages:
     """Project frames and compare each with its past, or with its future.
 
-    A variant of 1 compares with the past, one of -1 with the future: for motion that is the same
-    scene played backwards. One of 2 compares with what was twice as long ago: the same scene played
-    at double speed, in which the car drives as fast as it hardly does in the log. Each variant
-    draws its own pose errors, so that the errors of real odometry come as no surprise.
+    A variant of 1 compares with the past, one of -1 with the future: the same scene played
+    backwards. One of 2 compares with frames twice as old: the same scene at double speed, which
+    adds ego speeds that are rare in the log. Each variant draws its own pose errors, to imitate
+    real odometry.
 
     Args:
         clouds: Consecutive frames.
@@ -76,7 +76,7 @@ def build_images(
         settings: Ages and gate of the residuals; no ages, no residuals.
         variants: Direction and speed in time of each variant, such as 1, -1, 2, -2.
         rng: Source of the pose errors.
-        only: Which of the frames become images; all of them may be compared with. None for all.
+        only: Frames that become images; residuals may use all frames. None for all.
         noise_m: Standard deviation of the position error of each axis, metres.
         noise_deg: Standard deviation of the rotation error about each axis.
 
@@ -127,7 +127,7 @@ def build_images(
 
 
 def _speeds_m_per_s(clouds: Sequence[Cloud]) -> NDArray[np.float64]:
-    """Speed of the car at each frame, by differences of the true positions."""
+    """Return the speed of the car at each frame, by differences of the true positions."""
     if len(clouds) == 1:
         return np.zeros(1)
     times_s = (
@@ -139,12 +139,12 @@ def _speeds_m_per_s(clouds: Sequence[Cloud]) -> NDArray[np.float64]:
 
 
 def _visible(cloud: Cloud, image: RangeImage) -> Points:
-    """Points that the image shows, as the stream remembers them."""
+    """Return the points visible in the image, as the stream's memory contains them."""
     return cloud.frame.points_m[image.index[image.index >= 0]]
 
 
 def _at(clouds: Sequence[Cloud], time_ns: int, settings: ResidualSettings) -> int | None:
-    """Index of the frame nearest to a time, if near enough."""
+    """Return the index of the frame nearest to a time, if near enough."""
     distances = [abs(cloud.frame.stamp_ns - time_ns) for cloud in clouds]
     nearest = int(np.argmin(distances))
     return nearest if distances[nearest] <= settings.tolerance_s * NS_PER_S else None

@@ -1,4 +1,4 @@
-"""Frames of a PandaSet log with their truth: classes, motion and poses."""
+"""Reader of PandaSet logs with their truth: classes, motion and poses."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -36,7 +36,7 @@ _PANDASET_IDS: Final[Mapping[str, tuple[int, ...]]] = {
 """PandaSet's ids of each class; noise (1 to 4) and animals (32, 33) stay unlabelled."""
 
 SWEEP_S: Final = 0.1029
-"""How long one revolution takes."""
+"""Duration of one revolution, seconds."""
 
 
 def read_clouds(log: Path, truth: Path, frames: range) -> Iterator[Cloud]:
@@ -45,7 +45,7 @@ def read_clouds(log: Path, truth: Path, frames: range) -> Iterator[Cloud]:
     Args:
         log: The MCAP file.
         truth: Folder with `NNNNNN.npz` per frame and `poses.npz`.
-        frames: Which frames.
+        frames: Numbers of the frames.
 
     Yields:
         One cloud per frame of `frames`.
@@ -73,7 +73,7 @@ def read_clouds(log: Path, truth: Path, frames: range) -> Iterator[Cloud]:
 
 
 def _frames(log: Path) -> Iterator[LidarFrame]:
-    """Frames of one file, decoded as a worker decodes them: one shard holds the whole log."""
+    """Yield the frames of one file, decoded as in a worker: one shard contains the whole log."""
     bucket = open_bucket(str(real_path(log).parent))
     try:
         recording = recording_of(log.name, bucket.list())
@@ -90,7 +90,7 @@ def _frames(log: Path) -> Iterator[LidarFrame]:
 
 
 def _pose_at(time_ns: int, times_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> Transform:
-    """Interpolate a trajectory; the first and last pose are held beyond its ends."""
+    """Interpolate a trajectory; beyond its ends, the first or last pose is used."""
     seconds = (times_ns - times_ns[0]) / NS_PER_S
     at = float(np.clip((time_ns - times_ns[0]) / NS_PER_S, seconds[0], seconds[-1]))
     pose: Transform = np.eye(4)

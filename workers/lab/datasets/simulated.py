@@ -1,4 +1,4 @@
-"""Frames of short simulated streets with their truth, as clouds to make training images of."""
+"""Frames of short simulated streets with their truth, as clouds for training images."""
 
 from functools import cache
 from itertools import pairwise
@@ -23,7 +23,7 @@ _START_NS: Final = 1_772_445_600 * NS_PER_S
 
 
 def clouds_of(sample: StreetSample) -> list[Cloud]:
-    """Turn a sample's frames into clouds; its last frame only says where the one before went."""
+    """Convert a sample's frames to clouds; the last frame only gives the pose after the others."""
     return [_cloud(this, following, sample.lidar) for this, following in pairwise(sample.frames)]
 
 
@@ -49,10 +49,10 @@ def _cloud(this: SimulatedFrame, following: SimulatedFrame, lidar: Lidar) -> Clo
 
 @cache
 def taught_classes() -> NDArray[np.uint8]:
-    """What is taught of each simulated class: (256,) number in `CLASSES`, 0 where nothing is.
+    """Return the training class of each simulated class: (256,) index in `CLASSES`, 0 for none.
 
-    As its class among those of SemanticKITTI is judged, which knows no things that stand about;
-    animals and dust are not taught.
+    Each class maps as its class of SemanticKITTI does in the evaluation. SemanticKITTI has no class
+    of loose objects, so these become `other_static`; animals and dust are not trained.
     """
     names = tuple(KITTI_NAMES[number] for number in SEMANTIC_KITTI.values())
     taught = np.zeros(256, dtype=np.uint8)
@@ -62,7 +62,7 @@ def taught_classes() -> NDArray[np.uint8]:
 
 
 def _halfway(first: Transform, second: Transform) -> Transform:
-    """Pose at the middle of the revolution, as odometry states it."""
+    """Return the pose at the middle of the revolution, as odometry defines it."""
     moved = inverse(first) @ second
     half = np.eye(4)
     half[:3, :3] = Rotation.from_rotvec(

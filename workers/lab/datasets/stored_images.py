@@ -1,4 +1,4 @@
-"""Training images on disk: one folder a sensor, read by the slice, shared by whoever trains."""
+"""Training images on disk: one folder per sensor, memory-mapped, shared by training processes."""
 
 import json
 from collections.abc import Sequence
@@ -14,11 +14,11 @@ _ARRAYS = tuple(field.name for field in fields(TrainingImages))
 
 
 class ImagesUnusableError(PermanentError):
-    """A folder does not hold training images."""
+    """A folder does not contain training images."""
 
 
 def join(parts: Sequence[TrainingImages]) -> TrainingImages:
-    """Put images of one layout into one."""
+    """Concatenate images of one layout."""
     return TrainingImages(
         **{name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS}
     )
@@ -28,8 +28,8 @@ def write_images(folder: Path, images: TrainingImages, *, source: dict[str, str 
     """Write each array as a file.
 
     Args:
-        folder: Is made.
-        images: What to write; the measurements are kept in half precision.
+        folder: Folder to create.
+        images: Images to write; the measurements are stored in half precision.
         source: How they were made; goes into the model card.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -40,7 +40,7 @@ def write_images(folder: Path, images: TrainingImages, *, source: dict[str, str 
 
 
 def read_images(folder: Path) -> tuple[TrainingImages, dict[str, str | int]]:
-    """Open the images of one sensor; nothing is read before it is asked for.
+    """Open the images of one sensor; arrays are memory-mapped and read on access.
 
     Returns:
         The images, and how they were made.

@@ -1,1 +1,1 @@
-"""What judges the streams: labels against truth, and where the time of the pipeline goes."""
+"""Evaluation of the streams: labels against ground truth, and time per pipeline step."""

@@ -1,1 +1,1 @@
-"""Streets that never were, driven through with a spinning lidar and written as logs with truth."""
+"""Lidar simulation: drives through synthetic streets, written as logs with ground truth."""

@@ -1,1 +1,1 @@
-"""What makes the networks of the supervised stream: data, augmentation, loss, the training loop."""
+"""Training of the supervised stream's networks: data, augmentation, loss, training loop."""

@@ -1,9 +1,8 @@
-"""Fit who is wrong about a track: `python -m workers.lab.training.attribution --help`.
+"""Fits the attribution table: `python -m workers.lab.training.attribution --help`.
 
-What it is fitted on is what the benchmark of failures keeps of the logs it mined
-(`counterpoint bench failures FLEET --kept DIR`): every contradicting track with its evidence and
-who was wrong about it by truth. The table is judged by leaving each log out in turn
-(`attribution_scores.py`) and written with its card.
+Training data are the mined logs in the cache of the failure benchmark (`counterpoint bench failures
+FLEET --kept DIR`): every contradicting track with its evidence and its true verdict. The table is
+evaluated by leave-one-log-out cross-validation (`attribution_scores.py`) and written with its card.
 """
 
 import argparse
@@ -25,47 +24,47 @@ from schemas.errors import CounterpointError, PermanentError, TransientError
 from workers.contradiction.track_features import NAMES
 from workers.lab.evaluation.failures.rows import MinedLog, TrackRow
 from workers.lab.training.attribution_prior import PRIOR
-from workers.lab.training.attribution_scores import left_out, usable
+from workers.lab.training.attribution_scores import leave_one_log_out, usable_tracks
 
 log = logging.getLogger(__name__)
 
 EXIT_TRANSIENT: Final = 75
 REGULARISATION: Final = 0.35
-"""How far from the prior a weight is expected to lie: rows are few, evidence overlaps."""
+"""Prior standard deviation of a weight, log-odds: rows are few, evidence overlaps."""
 
 BALANCE: Final = 0.5
-"""Rare answers weigh more by this power: 0 as they come, 1 all answers alike."""
+"""Exponent that weighs rare verdicts up: 0 for the observed frequencies, 1 for equal weights."""
 
 _FEW: Final = 10
-"""Answers that occur less often than this are not made up for: one track is no rule."""
+"""Count added to each verdict's frequency, so that a few rare tracks do not dominate."""
 
 USED: Final = tuple(name for name in NAMES if name not in ("lasting", "many_points"))
-"""Length and points are terms of a track's strength already, and say little of who is wrong."""
+"""Evidence of the fit: `lasting` and `many_points` are already terms of a track's strength."""
 
 _DIGITS: Final = 3
 _OF_WITNESS: Final = frozenset({ContradictionKind.ONLY_WITNESS_DYNAMIC.value})
 _UNWITNESSED: Final = 0.3
-"""What a track counts again as it would look without a witness."""
+"""Weight of a track whose witness evidence is removed."""
 
 _LEAST: Final = 0.02
 
 Rows = Mapping[str, Any]
-"""The rows of one kind, as `attribution.json` has them."""
+"""The rows of one kind, in the format of `attribution.json`."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Fit, judge and write; exit 0 when done, 1 on bad input, 75 try again."""
+    """Fit, evaluate and write; exit 0 when done, 1 on bad input, 75 try again."""
     args = _parser().parse_args(argv)
     logging.basicConfig(format="%(asctime)s %(message)s", level=logging.INFO)
     try:
-        logs = read_kept(args.kept)
+        logs = read_mined_logs(args.kept)
         card = {
             "logs": len(logs),
             "scenes": sum(len(each.scenes) for each in logs),
             "tracks": sum(len(scene.tracks) for each in logs for scene in each.scenes),
             "data": args.data,
             "settings": {"regularisation": REGULARISATION, "balance": BALANCE},
-            "left_out": left_out(logs, fit),
+            "left_out": leave_one_log_out(logs, fit),
         }
         text = json.dumps({"card": card, "kinds": fit(logs)}, indent=1)
         args.out.write_text(text + "\n", encoding="utf-8")
@@ -76,11 +75,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def read_kept(folders: Sequence[Path]) -> list[MinedLog]:
-    """Read what the benchmark kept, in the order of the names of the logs.
+def read_mined_logs(folders: Sequence[Path]) -> list[MinedLog]:
+    """Read the cached results of the benchmark, in the order of the names of the logs.
 
     Raises:
-        PermanentError: If there is nothing, or it is of another version.
+        PermanentError: If there are none, or they are of another version.
     """
     logs = []
     for file in sorted(file for folder in folders for file in folder.glob("*.json")):
@@ -88,31 +87,32 @@ def read_kept(folders: Sequence[Path]) -> list[MinedLog]:
             logs.append(MinedLog.model_validate_json(file.read_text(encoding="utf-8")))
         except ValidationError as error:
             raise PermanentError(
-                f"{file} is not what this version keeps of a mined log ({error.error_count()} "
+                f"{file} is no mined log of this version ({error.error_count()} "
                 "fields differ); mine it again with `bench failures --kept`"
             ) from error
     if not logs:
-        raise PermanentError(f"nothing was kept in {', '.join(map(str, folders))}")
+        raise PermanentError(f"no mined logs in {', '.join(map(str, folders))}")
     return sorted(logs, key=lambda each: (each.log_id, each.pipeline_version))
 
 
 def fit(logs: Sequence[MinedLog]) -> dict[str, Rows]:
     """Fit the tables of all kinds on the tracks of mined logs."""
-    tracks = usable(logs)
+    tracks = usable_tracks(logs)
     return {kind: fit_kind(kind, [each for each in tracks if each.kind == kind]) for kind in PRIOR}
 
 
 def fit_kind(kind: str, rows: Sequence[TrackRow]) -> dict[str, Any]:
-    """Fit the table of one kind: what is most probable after the prior and the rows.
+    """Fit the table of one kind: the maximum a posteriori weights of prior and rows.
 
-    A multinomial logistic regression whose weights are drawn to those of the prior, not to nothing.
+    The model is a multinomial logistic regression whose weights are regularised towards the prior
+    instead of zero.
 
     Args:
         kind: Name of the kind of contradiction.
-        rows: Tracks of that kind of which truth knows who was wrong.
+        rows: Tracks of that kind with a true verdict.
     """
     answers, prior = tuple(PRIOR[kind]), _prior_of(kind)
-    rows = [*rows, *(_unwitnessed(row) for row in rows if kind not in _OF_WITNESS)]
+    rows = [*rows, *(_without_witness(row) for row in rows if kind not in _OF_WITNESS)]
     if rows:
         seen = _matrix(rows)
         true = np.eye(len(answers))[[answers.index(_verdict(row)) for row in rows]]
@@ -144,15 +144,15 @@ def fit_kind(kind: str, rows: Sequence[TrackRow]) -> dict[str, Any]:
     }
 
 
-def _unwitnessed(row: TrackRow) -> TrackRow:
-    """The same track where no witness is asked: `--witness none` must not be a guess."""
+def _without_witness(row: TrackRow) -> TrackRow:
+    """Copy a track without witness evidence, so that the fit covers `--witness none`."""
     silent = {"witness_moving": 0.0, "witness_still": 0.0}
     return row.model_copy(update={"evidence": {**row.evidence, **silent}})
 
 
 def _verdict(row: TrackRow) -> Wrong:
     if row.verdict is None:
-        raise ValueError("truth does not know who is wrong about this track")
+        raise ValueError("this track has no true verdict")
     return row.verdict
 
 
@@ -171,7 +171,7 @@ def _matrix(rows: Sequence[TrackRow]) -> NDArray[np.float64]:
 
 
 def _weights(rows: Sequence[TrackRow]) -> NDArray[np.float64]:
-    """What is worth a look weighs more, and so do rare answers."""
+    """Weigh rows by duration, size and rarity of their verdict."""
     counts = {answer: sum(row.verdict is answer for row in rows) for answer in Wrong}
     worth = [row.evidence["lasting"] * row.evidence["many_points"] + 0.05 for row in rows]
     rare = [(len(rows) / (counts[_verdict(row)] + _FEW)) ** BALANCE for row in rows]
@@ -186,10 +186,10 @@ def _weights(rows: Sequence[TrackRow]) -> NDArray[np.float64]:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m workers.lab.training.attribution",
-        description="Fit who is wrong about a track, on what `bench failures --kept DIR` kept.",
+        description="Fit the attribution table on results of `bench failures --kept DIR`.",
     )
     parser.add_argument("kept", type=Path, nargs="+", help="folders of mined logs")
-    parser.add_argument("--data", required=True, help="what was mined, in words")
+    parser.add_argument("--data", required=True, help="description of the mined data")
     parser.add_argument("--out", type=Path, required=True, help="the table, with its card")
     return parser
 

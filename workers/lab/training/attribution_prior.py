@@ -1,16 +1,19 @@
-"""What is believed of who is wrong before any truth was seen: what fitting is drawn to.
+"""Prior of the attribution table: weights of the evidence before any truth, in log-odds.
 
-Rows with truth are few and come from a few streets, while physics is known: what the witness sees
-stand does not move, what went a metre in a straight line does, and where the ground itself rises
-nothing is proved by what rises with it. What the supervised stream calls moving and the other one
-does not deny a second earlier or later did not stand in between: it starts or stops. Or, where it
-goes on and the supervised stream calls it static, that stream errs for a while, as it does where
-the witness sees move what it called moving itself. What came from elsewhere or leaves its place
-moves, however slowly; what does both where the witness alone sees it move, neither stops nor sets
-off. What is called moving later as well was moving. What stands from then on has stopped; of what
-stays all along, who calls it moving errs; of what is called moving as the log ends nobody has seen
-whether it sets off. What lies at the rim of what both see move is that
-thing's rim, and nobody's error. Log-odds at full evidence.
+Rows with truth are few and come from a few streets, while these relations are physics:
+
+- An object that the witness sees standing does not move. One that went a metre in a straight line
+  does. Where the ground itself rises, the rise of an object proves nothing.
+- An object labelled moving by the supervised stream, and not denied by the other one a second
+  earlier or later, did not stand in between: it starts or stops.
+- Where it goes on and the supervised stream labels it static, that stream is wrong for a while. It
+  is also wrong where the witness sees an object move that it labelled moving before.
+- An object that came from elsewhere or leaves its place moves, however slowly. One that does both
+  while the witness alone sees it move neither stops nor sets off.
+- An object labelled moving later was moving before. One that stands from then on has stopped.
+- On an object that stays throughout, a label of moving is wrong. At the end of a log, it is unknown
+  whether such an object sets off.
+- Points at the rim of an object that both streams see moving are its rim, and no stream's error.
 """
 
 from collections.abc import Mapping
@@ -20,7 +23,7 @@ from schemas.attribution import Wrong
 from schemas.contradiction import ContradictionKind
 
 Row = tuple[float, Mapping[str, float]]
-"""Intercept and weights."""
+"""Intercept and weights, log-odds at full evidence."""
 
 PRIOR: Final[Mapping[str, Mapping[Wrong, Row]]] = {
     ContradictionKind.ONLY_SEMANTIC_DYNAMIC.value: {

@@ -1,4 +1,4 @@
-"""Judge tables of who is wrong: each log left out in turn, its tracks and its scenes."""
+"""Leave-one-log-out evaluation of attribution tables, over tracks and over scenes."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final
@@ -9,19 +9,19 @@ from schemas.attribution import Wrong
 from workers.contradiction.attribution import Table, chances, table_of
 from workers.contradiction.score import combine
 from workers.contradiction.settings import DEFAULT_SCORE
-from workers.lab.evaluation.failures.attribution import is_judged
+from workers.lab.evaluation.failures.attribution import is_evaluated
 from workers.lab.evaluation.failures.retrieval import retrieve
 from workers.lab.evaluation.failures.rows import MinedLog, SceneRow, TrackRow
 
 MIN_FRAMES: Final = 3
-"""Shorter tracks teach nothing about who is wrong."""
+"""Frames of a track for use in the fit."""
 
 Fit = Callable[[Sequence[MinedLog]], Mapping[str, Mapping[str, Any]]]
-"""Makes the rows of all kinds from mined logs."""
+"""Fits the rows of all kinds on mined logs."""
 
 
-def usable(logs: Sequence[MinedLog]) -> list[TrackRow]:
-    """List the tracks that are long enough, and of which truth knows who was wrong."""
+def usable_tracks(logs: Sequence[MinedLog]) -> list[TrackRow]:
+    """List the tracks that are long enough and have a true verdict."""
     return [
         track
         for log in logs
@@ -31,32 +31,32 @@ def usable(logs: Sequence[MinedLog]) -> list[TrackRow]:
     ]
 
 
-def left_out(logs: Sequence[MinedLog], fit: Fit) -> dict[str, Any]:
-    """Judge by leaving one log out in turn.
+def leave_one_log_out(logs: Sequence[MinedLog], fit: Fit) -> dict[str, Any]:
+    """Evaluate a fit by leaving one log out in turn.
 
     Returns:
-        By kind, and for all, the tracks by who was wrong, how many of each were told rightly, and
-        the mean of that; under `scenes` how well scenes would be ranked.
+        By kind, and for all: tracks by true verdict, the recall of each verdict, and their mean.
+        `scenes` contains the retrieval figures of the rescored scenes.
     """
-    told: list[tuple[TrackRow, Wrong]] = []
+    predictions: list[tuple[TrackRow, Wrong]] = []
     scores: list[float] = []
     wanted: list[bool] = []
     for log in logs:
         rows = fit([other for other in logs if other.log_id != log.log_id])
         tables = {kind: table_of(each) for kind, each in rows.items()}
-        told += [
+        predictions += [
             (track, _likeliest(tables[track.kind], track))
             for scene in log.scenes
             for track in scene.tracks
-            if track.kind in tables and is_judged(track)
+            if track.kind in tables and is_evaluated(track)
         ]
         scores += [rescored(scene, tables) for scene in log.scenes]
         wanted += [scene.fails for scene in log.scenes]
     found = retrieve(np.array(scores), np.array(wanted, dtype=np.bool_))
-    kinds = sorted({track.kind for track, _ in told})
+    kinds = sorted({track.kind for track, _ in predictions})
     return {
-        **{kind: _recalls(each for each in told if each[0].kind == kind) for kind in kinds},
-        "all": _recalls(told),
+        **{kind: _recalls(each for each in predictions if each[0].kind == kind) for kind in kinds},
+        "all": _recalls(predictions),
         "scenes": {
             "scenes": len(scores),
             "failing": sum(wanted),
@@ -67,7 +67,7 @@ def left_out(logs: Sequence[MinedLog], fit: Fit) -> dict[str, Any]:
 
 
 def rescored(scene: SceneRow, tables: Mapping[str, Table]) -> float:
-    """Score a scene as it would be with other tables."""
+    """Compute the score of a scene with other attribution tables."""
     strengths = []
     for track in scene.tracks:
         chance = chances(tables[track.kind], track.evidence)
@@ -76,11 +76,11 @@ def rescored(scene: SceneRow, tables: Mapping[str, Table]) -> float:
     return combine(strengths, decay=DEFAULT_SCORE.decay)
 
 
-def _recalls(told: Iterable[tuple[TrackRow, Wrong]]) -> dict[str, Any]:
+def _recalls(predictions: Iterable[tuple[TrackRow, Wrong]]) -> dict[str, Any]:
     by_answer: dict[Wrong, list[bool]] = {}
-    for track, said in told:
+    for track, predicted in predictions:
         if track.verdict is not None:
-            by_answer.setdefault(track.verdict, []).append(said is track.verdict)
+            by_answer.setdefault(track.verdict, []).append(predicted is track.verdict)
     recall = {a.value: round(float(np.mean(by_answer[a])), 3) for a in sorted(by_answer)}
     return {
         "tracks": {answer.value: len(by_answer[answer]) for answer in sorted(by_answer)},

@@ -1,4 +1,4 @@
-"""Random changes to training images that a network must not mind."""
+"""Data augmentation of training images: rotation, mirroring, jitter, dropped points and rows."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from workers.lidar.range_image import CHANNELS, Channel, SensorProfile
 
 TILT: Final = 0.008
-"""Standard deviation of a mounting's slope, half a degree; on a mast less is level than on a roof.
+"""Standard deviation of the mounting's slope, half a degree; a mast is less level than a roof.
 
-So small a slope moves points by a row at most, which is left out.
+Such a slope moves points by one row at most, which is neglected.
 """
 
 
@@ -22,7 +22,7 @@ class Sample:
 
     Attributes:
         channels: (5, H, W) range, x, y, z, intensity.
-        residuals: (K, H, W).
+        residuals: (K, H, W) residual images.
         seen_mask: (H, W) true where a pixel shows a point.
         labels: (H, W) uint8.
     """
@@ -34,14 +34,14 @@ class Sample:
 
 
 def augment(sample: Sample, rng: np.random.Generator, *, columns: int) -> Sample:
-    """Turn, mirror, jitter and thin out one image, then cut a window of it.
+    """Rotate, mirror, jitter and thin out one image, then crop a window.
 
-    Everything that moves pixels moves residuals and labels alike. Rows are thinned out so that a
-    lidar with fewer beams is no surprise; old residuals are blanked as at the start of a log.
+    Residuals and labels move with the pixels. Rows are dropped to imitate lidars with fewer beams;
+    old residuals are blanked to imitate the start of a log.
 
     Args:
         sample: The whole image.
-        rng: Source of chance.
+        rng: Random generator.
         columns: Width of the window.
 
     Returns:
@@ -86,12 +86,12 @@ def augment(sample: Sample, rng: np.random.Generator, *, columns: int) -> Sample
 def network_input(
     sample: Sample, profile: SensorProfile, channels: Sequence[Channel] = CHANNELS
 ) -> NDArray[np.float32]:
-    """Normalise a sample as the stream does: residuals as they are, empty pixels zero.
+    """Normalise a sample as the stream does: residuals unchanged, empty pixels zero.
 
     Args:
         sample: Raw image.
         profile: Means and standard deviations.
-        channels: Which measurements the network sees.
+        channels: Measurements that are input of the network.
 
     Returns:
         (C + K, H, W) float32.

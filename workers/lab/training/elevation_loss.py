@@ -1,4 +1,4 @@
-"""The published loss of GndNet: near the true elevation, and smooth."""
+"""Elevation loss of GndNet, as published: smooth L1 error plus second-order smoothness."""
 
 from typing import Final
 
@@ -10,11 +10,11 @@ SMOOTHNESS_WEIGHT: Final = 0.1
 
 
 def elevation_loss(elevation_m: Tensor, truth_m: Tensor) -> Tensor:
-    """Weigh closeness and smoothness as published.
+    """Return the weighted sum of error and smoothness.
 
     Args:
-        elevation_m: (B, H, W) what the network drew.
-        truth_m: (B, H, W).
+        elevation_m: (B, H, W) output of the network.
+        truth_m: (B, H, W) true elevation.
 
     Returns:
         Scalar.
@@ -24,13 +24,13 @@ def elevation_loss(elevation_m: Tensor, truth_m: Tensor) -> Tensor:
 
 
 def second_order_smoothness(elevation_m: Tensor) -> Tensor:
-    """Mean size of the second differences along x, along y and across, the latter twice.
+    """Return the mean absolute second difference along x, along y and across, the latter twice.
 
     Args:
         elevation_m: (B, H, W).
 
     Returns:
-        Scalar; zero for a plane, however steep.
+        Scalar; zero for a plane of any slope.
     """
     along_x, along_y = _difference(elevation_m, 2), _difference(elevation_m, 1)
     return (

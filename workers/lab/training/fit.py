@@ -1,4 +1,4 @@
-"""The training loop of one network: schedule, batches, scores now and then."""
+"""Training loop of one segmentation network: schedule, batches, periodic scores."""
 
 import logging
 from collections.abc import Mapping, Sequence
@@ -17,40 +17,40 @@ from workers.lab.datasets.images import TrainingImages
 from workers.lab.training.augment import Sample, augment, network_input
 from workers.lab.training.loss import IGNORED, class_weights, segmentation_loss
 from workers.lab.training.scores import score_images
-from workers.lab.training.warm_start import started
+from workers.lab.training.warm_start import warm_start_parameters
 from workers.supervised.salsanext import SalsaNext
 from workers.supervised.weights import LoadedWeights, WeightsCard, save_weights
 
 log = logging.getLogger(__name__)
 
 DRIVING_M_PER_S: Final = 0.5
-"""From here on the car drives, and static things no longer look the same in every frame."""
+"""Ego speed from which the car drives, m/s: static objects then look different in every frame."""
 
 _SCORED_EVERY: Final = 1000
 
 _NORM_MOMENTUM: Final = 0.02
-"""Running means over some fifty batches: those of one batch depend on which sensors it holds."""
+"""Momentum of the batch norm's running means: some fifty batches, since one has few sensors."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrainingSettings:
-    """What a training run depends on, beside its data.
+    """Settings of a training run, in addition to its data.
 
     Attributes:
         steps: Optimiser steps of the schedule.
         balance: Exponent of the class weights.
         batch: Windows per step.
-        driving_weight: How many times more often a frame is drawn in which the car drives.
+        driving_weight: Factor by which frames of a driving car are drawn more often.
         columns: Width of a window.
         peak_rate: Highest learning rate of the one-cycle schedule.
-        weight_decay: Of AdamW.
+        weight_decay: Weight decay of AdamW.
         dropout: Share of channels dropped.
         fixed_norms: Share of the steps, the last ones, that normalise by the running means and
-            deviations, as in use. Sensors differ so much that those of one batch flatter: a network
-            learns by them first, and is then taught to live with those of all sensors.
-        lovasz_every: Of the labelled pixels, which count for the Lovász loss: each that many-th.
-        bfloat16: Convolve in bfloat16, a third faster on a processor that has it.
-        seed: Of everything random.
+            deviations, as in use. Sensors differ so much that batch statistics flatter the scores:
+            a network first learns with them, and then adapts to the statistics of all sensors.
+        lovasz_every: Every n-th labelled pixel counts for the Lovász loss.
+        bfloat16: Convolve in bfloat16, a third faster on a processor that supports it.
+        seed: Seed of everything random.
     """
 
     steps: int = 2400
@@ -68,12 +68,12 @@ class TrainingSettings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lesson:
-    """Images of one sensor to learn from.
+class TrainingSet:
+    """Training images of one sensor, with their sampling weight.
 
     Attributes:
-        images: Of one layout.
-        weight: How often they are drawn beside those of the other sensors.
+        images: Images of one layout.
+        weight: Sampling weight relative to the other sensors.
     """
 
     images: TrainingImages
@@ -81,7 +81,7 @@ class Lesson:
 
 
 def train(
-    lessons: Sequence[Lesson],
+    training_sets: Sequence[TrainingSet],
     judged: Mapping[str, TrainingImages],
     card: WeightsCard,
     settings: TrainingSettings,
@@ -89,14 +89,14 @@ def train(
     initial: LoadedWeights | None = None,
     out: Path,
 ) -> None:
-    """Run the schedule, writing weights now and then and at the end.
+    """Run the schedule, writing weights at intervals and at the end.
 
     Args:
-        lessons: What to learn from; a batch is of sensors with as many rows.
-        judged: Images to score by name, never learnt from.
+        training_sets: Training images; a batch contains sensors with equally many rows.
+        judged: Held-out images to score, by name.
         card: Sidecar of the weights; the scores are added.
         settings: The schedule.
-        initial: Weights to go on from; None for random ones.
+        initial: Weights to continue from; None for random ones.
         out: The `.safetensors` file.
     """
     torch.manual_seed(settings.seed)
@@ -109,8 +109,8 @@ def train(
             module.momentum = _NORM_MOMENTUM
     net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # missing in the stub
     if initial is not None:
-        net.load_state_dict(started(initial, card))
-    weights = class_weights(_drawn_labels(lessons, card), balance=settings.balance)
+        net.load_state_dict(warm_start_parameters(initial, card))
+    weights = class_weights(_drawn_labels(training_sets, card), balance=settings.balance)
     optimiser = torch.optim.AdamW(
         net.parameters(), lr=settings.peak_rate, weight_decay=settings.weight_decay
     )
@@ -124,7 +124,7 @@ def train(
             net.train()
             if step > settings.steps * (1 - settings.fixed_norms):
                 _fix_norms(net)
-            x, y = _batch(lessons, card, settings, rng)
+            x, y = _batch(training_sets, card, settings, rng)
             with torch.autocast("cpu", torch.bfloat16, enabled=settings.bfloat16):
                 logits = net.forward_logits(x)
             loss = segmentation_loss(logits.float(), y, weights, lovasz_every=settings.lovasz_every)
@@ -161,30 +161,30 @@ def _labels(images: TrainingImages, card: WeightsCard) -> NDArray[np.uint8]:
     return images.semantic if card.network == "salsanext" else images.motion
 
 
-def _drawn_labels(lessons: Sequence[Lesson], card: WeightsCard) -> NDArray[np.float64]:
-    """How often each class is drawn, as shares of all labelled pixels."""
+def _drawn_labels(training_sets: Sequence[TrainingSet], card: WeightsCard) -> NDArray[np.float64]:
+    """Return the frequency of each class in the drawn images, as shares of labelled pixels."""
     drawn = np.zeros(len(card.classes))
-    for lesson in lessons:
-        counts = np.bincount(_labels(lesson.images, card).ravel(), minlength=len(drawn))
+    for training_set in training_sets:
+        counts = np.bincount(_labels(training_set.images, card).ravel(), minlength=len(drawn))
         counts[IGNORED] = 0
-        drawn += lesson.weight * counts / max(counts.sum(), 1)
+        drawn += training_set.weight * counts / max(counts.sum(), 1)
     return drawn
 
 
 def _batch(
-    lessons: Sequence[Lesson],
+    training_sets: Sequence[TrainingSet],
     card: WeightsCard,
     settings: TrainingSettings,
     rng: np.random.Generator,
 ) -> tuple[Tensor, Tensor]:
-    """Draw windows of several sensors with as many rows."""
+    """Draw windows of several sensors with equally many rows."""
     inputs, targets = [], []
-    drawable = list(lessons)
+    drawable = list(training_sets)
     for _ in range(settings.batch):
-        weights = np.array([lesson.weight for lesson in drawable])
+        weights = np.array([training_set.weight for training_set in drawable])
         images = drawable[int(rng.choice(len(drawable), p=weights / weights.sum()))].images
         rows = images.channels.shape[2]
-        drawable = [each for each in lessons if each.images.channels.shape[2] == rows]
+        drawable = [each for each in training_sets if each.images.channels.shape[2] == rows]
         drives = images.ego_speed_m_per_s > DRIVING_M_PER_S
         share = np.where(drives, settings.driving_weight, 1.0)
         labels = _labels(images, card)

@@ -1,8 +1,8 @@
-"""The published loss of FlowStep3D: no labels, the flow must meet the next frame and be smooth.
+"""Self-supervised loss of FlowStep3D, as published: chamfer distance plus flow smoothness.
 
 Source: Kittenplon, Eldar, Raviv, "FlowStep3D: Model Unrolling for Self-Supervised Scene Flow
 Estimation", CVPR 2021, and its code, which has no Laplacian term. All functions take one pair of
-clouds and are differentiable in the flow; which points are neighbours is found without gradient.
+clouds and are differentiable in the flow; neighbours are searched without gradient.
 """
 
 from collections.abc import Sequence
@@ -18,18 +18,18 @@ from workers.paper.point_sets import CHUNK, find_nearest, squared_distances
 
 @dataclass(frozen=True, slots=True)
 class FlowLossSettings:
-    """How the parts are weighed, by iterate of the network, and how neighbours are chosen.
+    """Weights of the loss terms, by iterate of the network, and the choice of neighbours.
 
     Attributes:
         iterate: Weight of each iterate's loss in the total.
         data: Weight of the chamfer distance in each.
         smoothness: Weight of both smoothness terms in each.
-        knn_weight: Of the smoothness over nearest neighbours.
-        knn_neighbours: How many, the point itself among them.
-        knn_radius_m: Farther ones are replaced by the nearest: the point itself.
-        ball_weight: Of the smoothness over the ball.
-        ball_neighbours: How many at most: those with the lowest indices.
-        ball_radius_m: Of the ball.
+        knn_weight: Weight of the smoothness over nearest neighbours.
+        knn_neighbours: Number of nearest neighbours, the point itself included.
+        knn_radius_m: Neighbours beyond it are replaced by the nearest: the point itself.
+        ball_weight: Weight of the smoothness over the ball.
+        ball_neighbours: Largest number in the ball: those with the lowest indices.
+        ball_radius_m: Radius of the ball, metres.
     """
 
     iterate: tuple[float, ...]
@@ -83,11 +83,11 @@ class IterateLoss:
 def flow_loss(
     points_m: Tensor, other_points_m: Tensor, flows_m: Sequence[Tensor], settings: FlowLossSettings
 ) -> tuple[Tensor, list[IterateLoss]]:
-    """Judge every iterate of the flow between two clouds.
+    """Compute the loss of every iterate of the flow between two clouds.
 
     Args:
-        points_m: (N, 3) the cloud that flows.
-        other_points_m: (M, 3) the cloud that it should meet.
+        points_m: (N, 3) source cloud.
+        other_points_m: (M, 3) target cloud.
         flows_m: One (N, 3) flow for each iterate of the network, first to last.
         settings: `PRE_TRAINING`, `FINE_TUNING`, or others with as many iterates.
 
@@ -116,10 +116,10 @@ def flow_loss(
 
 
 def chamfer(points_m: Tensor, other_points_m: Tensor) -> Tensor:
-    """Mean distance from each point to the nearest of the other cloud, both ways added.
+    """Return the mean distance from each point to the nearest of the other cloud, both ways added.
 
-    The published code adds both ways point by point and so needs equally many points; the mean of
-    the sums is the sum of the means, which does not.
+    The published code adds both ways per point and so needs equally many points. The mean of the
+    sums is the sum of the means, which does not need that.
     """
     there = other_points_m[_nearest(points_m, other_points_m, 1)[:, 0]]
     back = points_m[_nearest(other_points_m, points_m, 1)[:, 0]]
@@ -128,7 +128,7 @@ def chamfer(points_m: Tensor, other_points_m: Tensor) -> Tensor:
 
 
 def smoothness(flow_m: Tensor, neighbours: Tensor) -> Tensor:
-    """Mean L1 difference between the flow of each point and of its neighbours.
+    """Return the mean L1 difference between the flow of each point and of its neighbours.
 
     Args:
         flow_m: (N, 3).
@@ -139,10 +139,10 @@ def smoothness(flow_m: Tensor, neighbours: Tensor) -> Tensor:
 
 
 def nearest_neighbours(points_m: Tensor, count: int, *, radius_m: float) -> Tensor:
-    """Find the nearest points of each, itself first; those beyond the radius become the nearest.
+    """Find the nearest points of each, itself first; points beyond the radius become the nearest.
 
     Returns:
-        (N, count) int64, of equally near points the lower index first.
+        (N, count) int64; of equally near points the lower index is first.
     """
     found = _nearest(points_m, points_m, count)
     apart = torch.linalg.vector_norm(points_m[found] - points_m[:, None], dim=2)
@@ -150,7 +150,7 @@ def nearest_neighbours(points_m: Tensor, count: int, *, radius_m: float) -> Tens
 
 
 def ball_neighbours(points_m: Tensor, count: int, *, radius_m: float) -> Tensor:
-    """Find the first points, by index, nearer than the radius; where fewer are, the first again.
+    """Find the first points, by index, inside the radius; the first one pads a smaller number.
 
     Returns:
         (N, count) int64.

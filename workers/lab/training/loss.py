@@ -1,4 +1,4 @@
-"""The published loss of SalsaNext and LMNet: weighted log loss plus Lovász-softmax."""
+"""Segmentation loss of SalsaNext and LMNet, as published: weighted log loss plus Lovász-softmax."""
 
 import numpy as np
 import torch
@@ -7,16 +7,16 @@ from torch import Tensor
 from torch.nn import functional
 
 IGNORED = 0
-"""Class of pixels that nothing is learnt from: unlabelled or empty."""
+"""Class of pixels excluded from the loss: unlabelled or empty."""
 
 
 def class_weights(drawn: NDArray[np.floating], *, balance: float = 1.0) -> Tensor:
-    """Weight rare classes up: ``1 / (share + 0.001)``, nothing for the ignored class.
+    """Return class weights that are high for rare classes: ``1 / (share + 0.001)``, ignored ones 0.
 
     Args:
-        drawn: (classes,) how often each is drawn, or a number in proportion.
-        balance: Exponent of the weights: 1 as published, 0 for none. With few frames the published
-            ones make a small network see pedestrians everywhere.
+        drawn: (classes,) frequency of each class, up to a common factor.
+        balance: Exponent of the weights: 1 as published, 0 for none. With few frames, the published
+            weights make a small network label pedestrians everywhere.
 
     Returns:
         (classes,) float32.
@@ -31,14 +31,14 @@ def class_weights(drawn: NDArray[np.floating], *, balance: float = 1.0) -> Tenso
 def segmentation_loss(
     logits: Tensor, labels: Tensor, weights: Tensor, *, lovasz_every: int = 1
 ) -> Tensor:
-    """Sum of both losses, as SalsaNext and LiDAR-MOS are trained.
+    """Return the sum of both losses, as in the training of SalsaNext and LiDAR-MOS.
 
     Args:
         logits: (B, C, H, W) scores before softmax.
         labels: (B, H, W) int64; `IGNORED` pixels count for neither loss.
         weights: (C,) weight of each class in the log loss, zero for the ignored one.
-        lovasz_every: Only each that many-th pixel counts for the Lovász loss, whose sorting takes
-            longer than the network's answer where all do.
+        lovasz_every: Every n-th pixel counts for the Lovász loss; sorting all of them takes longer
+            than the network's forward pass.
 
     Returns:
         Scalar.
@@ -49,14 +49,14 @@ def segmentation_loss(
 
 
 def lovasz_softmax(shares: Tensor, labels: Tensor, *, every: int = 1) -> Tensor:
-    """Smooth stand-in for one minus the mean IoU of the classes present.
+    """Return a smooth surrogate of one minus the mean IoU of the classes present.
 
     Source: Berman, Rannen Triki, Blaschko, "The Lovász-Softmax loss", CVPR 2018, algorithm 1.
 
     Args:
         shares: (B, C, H, W) softmax output.
         labels: (B, H, W) int64; `IGNORED` pixels are left out.
-        every: Of the others, each that many-th counts.
+        every: Every n-th of the others counts.
 
     Returns:
         Scalar; zero when every pixel is ignored.
@@ -73,7 +73,7 @@ def lovasz_softmax(shares: Tensor, labels: Tensor, *, every: int = 1) -> Tensor:
 
 
 def _jaccard_steps(sorted_truth: Tensor) -> Tensor:
-    """How much each further error, worst first, costs in IoU."""
+    """Return the loss of IoU with each further error, worst first."""
     total = sorted_truth.sum()
     intersection = total - sorted_truth.cumsum(0)
     union = total + (1 - sorted_truth).cumsum(0)

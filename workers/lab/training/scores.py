@@ -1,4 +1,4 @@
-"""How well a network labels the pixels of images that it never learnt from."""
+"""Validation scores of a network: intersection over union on held-out images."""
 
 import numpy as np
 import torch
@@ -11,15 +11,15 @@ from workers.supervised.weights import WeightsCard
 
 
 def score_images(net: SalsaNext, images: TrainingImages, card: WeightsCard) -> dict[str, float]:
-    """Intersection over union of each class, over pixels that show a labelled point.
+    """Return the IoU of each class over pixels that show a labelled point.
 
     Args:
-        net: The network; is put into evaluation mode.
-        images: What to score it on.
+        net: The network; set to evaluation mode.
+        images: Held-out images.
         card: Names of the classes and the normalisation.
 
     Returns:
-        IoU per class present, and of all movable classes taken together for semantics.
+        IoU per class present; for semantics also of all movable classes merged into one.
     """
     net.eval()
     truth = images.semantic if card.network == "salsanext" else images.motion
@@ -36,7 +36,7 @@ def score_images(net: SalsaNext, images: TrainingImages, card: WeightsCard) -> d
         x = torch.from_numpy(network_input(sample, card.profile, card.channels))[None]
         with torch.inference_mode():
             shares = net(x.contiguous(memory_format=torch.channels_last))[0]
-        found = shares[1:].argmax(0).numpy() + 1  # class 0 was never taught and never wins
+        found = shares[1:].argmax(0).numpy() + 1  # class 0 is not trained and never wins
         counted = labels > 0
         np.add.at(confusion, (labels[counted], found[counted]), 1)
     scores = class_iou(confusion, [meaning.name for meaning in card.classes])

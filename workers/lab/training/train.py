@@ -1,4 +1,4 @@
-"""Train one network of the supervised stream: `python -m workers.lab.training.train --help`."""
+"""Trains one network of the supervised stream: `python -m workers.lab.training.train --help`."""
 
 import argparse
 import logging
@@ -14,14 +14,14 @@ from schemas.errors import CounterpointError, TransientError
 from workers.lab.datasets.classes import meanings
 from workers.lab.datasets.dataset import EXIT_TRANSIENT, PROFILE, RESIDUAL
 from workers.lab.datasets.stored_images import read_images
-from workers.lab.training.fit import Lesson, TrainingSettings, train
+from workers.lab.training.fit import TrainingSet, TrainingSettings, train
 from workers.lidar.range_image import SensorProfile
 from workers.supervised.weights import LoadedWeights, WeightsCard, load_weights
 
 log = logging.getLogger(__name__)
 
 CHANNELS: Final = ("range", "x", "y", "z")
-"""No intensity: its scale differs tenfold between sensors, and motion does not need it."""
+"""Input channels. Intensity is absent: its scale differs tenfold between sensors."""
 
 ATTRIBUTION: Final = "PandaSet by Hesai and Scale AI (https://pandaset.org); simulated streets"
 LICENCE: Final = (
@@ -54,11 +54,11 @@ def _run(args: argparse.Namespace) -> None:
         bfloat16=args.bfloat16,
         seed=args.seed,
     )
-    lessons, sources = [], []
+    training_sets, sources = [], []
     for text in args.learn:
         folder, _, weight = text.rpartition("=") if "=" in text else (text, "", "1")
         images, source = read_images(Path(folder))
-        lessons.append(Lesson(images, float(weight)))
+        training_sets.append(TrainingSet(images, float(weight)))
         sources.append(
             " ".join(f"{name} {value}" for name, value in source.items()) + f" x{weight}"
         )
@@ -68,7 +68,7 @@ def _run(args: argparse.Namespace) -> None:
         network=args.model,
         classes=meanings(args.model),
         width=args.width,
-        profile=_measured(lessons) if initial is None else _as_before(initial),
+        profile=_measured(training_sets) if initial is None else _as_before(initial),
         channels=CHANNELS,
         residual=None if args.model == "salsanext" else RESIDUAL,
         attribution=ATTRIBUTION,
@@ -79,26 +79,26 @@ def _run(args: argparse.Namespace) -> None:
             "initial": "" if initial is None else initial.digest,
         },
     )
-    train(lessons, judged, card, settings, initial=initial, out=args.out)
+    train(training_sets, judged, card, settings, initial=initial, out=args.out)
 
 
 def _as_before(initial: LoadedWeights) -> SensorProfile:
-    """Means and deviations of the weights to go on from, which their kernels are used to."""
+    """Return the means and deviations of the initial weights, which fit their kernels."""
     return replace(PROFILE, means=initial.profile.means, stds=initial.profile.stds)
 
 
-def _measured(lessons: Sequence[Lesson]) -> SensorProfile:
-    """Means and deviations over all sensors, each with its weight."""
+def _measured(training_sets: Sequence[TrainingSet]) -> SensorProfile:
+    """Compute means and deviations over all sensors, each with its weight."""
     means, squares, weights = [], [], []
-    for lesson in lessons:
-        images = lesson.images
+    for training_set in training_sets:
+        images = training_set.images
         chosen = range(0, len(images.channels), max(len(images.channels) // 50, 1))
         values = np.concatenate(
             [images.channels[i].astype(np.float64)[:, images.seen_mask[i]] for i in chosen], axis=1
         )
         means.append(values.mean(axis=1))
         squares.append((values**2).mean(axis=1))
-        weights.append(lesson.weight)
+        weights.append(training_set.weight)
     mean = np.average(means, axis=0, weights=weights)
     std = np.sqrt(np.average(squares, axis=0, weights=weights) - mean**2)
     return replace(
@@ -120,13 +120,13 @@ def _parser() -> argparse.ArgumentParser:
         nargs="+",
         required=True,
         metavar="FOLDER[=WEIGHT]",
-        help="images to learn from, of one sensor each, and how often they are drawn",
+        help="training images of one sensor each, and their sampling weight",
     )
     parser.add_argument("--judge", nargs="*", default=[], metavar="FOLDER", help="images to score")
     parser.add_argument("--width", type=int, default=8, help="channels of the first stage")
     parser.add_argument("--steps", type=int, default=2400)
-    parser.add_argument("--batch", type=int, default=2, help="windows a step")
-    parser.add_argument("--initial", type=Path, help="weights to go on from")
+    parser.add_argument("--batch", type=int, default=2, help="windows per step")
+    parser.add_argument("--initial", type=Path, help="weights to continue from")
     parser.add_argument(
         "--driving-weight", type=float, default=2.0, help="weight of frames in which the car drives"
     )
@@ -137,7 +137,7 @@ def _parser() -> argparse.ArgumentParser:
         type=float,
         default=0.0,
         metavar="SHARE",
-        help="of the steps, the last ones, that normalise by running means, as in use",
+        help="share of the last steps that normalise by running means, as in use",
     )
     parser.add_argument(
         "--lovasz-every", type=int, default=1, metavar="N", help="each N-th pixel counts for it"

@@ -1,4 +1,4 @@
-"""Go on from weights of a network that saw more: what it learnt of the shared channels is kept."""
+"""Warm start: continues from weights of a network with more input channels."""
 
 from typing import Final
 
@@ -11,32 +11,32 @@ _FIRST: Final = "downCntx.conv1.weight"
 """The only kernel that reads the image."""
 
 
-def started(initial: LoadedWeights, card: WeightsCard) -> dict[str, Tensor]:
-    """Fit weights to a network that sees fewer of the measurements.
+def warm_start_parameters(initial: LoadedWeights, card: WeightsCard) -> dict[str, Tensor]:
+    """Convert weights to a network with fewer input channels.
 
-    A measurement that is no longer seen counts as if it always were at its mean: its kernel is
-    left out, and nothing else changes. This holds only where both normalise alike.
+    A removed channel counts as if it were always at its mean: its kernel is dropped, and nothing
+    else changes. This is exact only where both networks normalise in the same way.
 
     Args:
-        initial: Weights to go on from.
-        card: Of the network that is to learn.
+        initial: Weights to continue from.
+        card: Card of the network to train.
 
     Returns:
         Every parameter of that network.
 
     Raises:
-        WeightsUnusableError: If anything but the choice of measurements differs.
+        WeightsUnusableError: If anything but the choice of channels differs.
     """
     before = initial.card
     same = ("network", "classes", "width", "residual")
     if any(getattr(before, what) != getattr(card, what) for what in same):
         raise WeightsUnusableError(
-            f"initial weights must agree with what is trained in {', '.join(same)}"
+            f"initial weights and the trained network must agree in {', '.join(same)}"
         )
     if unknown := [channel for channel in card.channels if channel not in before.channels]:
-        raise WeightsUnusableError(f"initial weights do not know {', '.join(unknown)}")
+        raise WeightsUnusableError(f"initial weights lack the channels {', '.join(unknown)}")
     if (before.profile.means, before.profile.stds) != (card.profile.means, card.profile.stds):
-        raise WeightsUnusableError("initial weights must be normalised alike")
+        raise WeightsUnusableError("initial weights must have the same normalisation")
     residuals = 0 if before.residual is None else len(before.residual.ages_s)
     kept = [before.channels.index(channel) for channel in card.channels]
     kept += [len(before.channels) + age for age in range(residuals)]

@@ -1,1 +1,1 @@
-"""Where time goes, and how like real frames simulated ones are."""
+"""Benchmarks: time per pipeline step, and realism of simulated frames."""

@@ -1,4 +1,4 @@
-"""Where the time of `score` goes, beside floors measured in the same run on the same frames."""
+"""Pipeline profile: time of `score` per stage, with lower bounds from the same run and frames."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import islice
@@ -29,7 +29,7 @@ from workers.version import files_of, pipeline_version
 
 WHOLE: Final = "score"
 WARMING_FRAMES: Final = 5
-"""Not counted at the start of each part: libraries load, loops compile, caches fill."""
+"""Frames not counted at the start of each part: libraries load, loops compile, caches fill."""
 
 
 _FLOORS: Final[Mapping[str, Callable[[Sequence[LidarFrame]], Iterator[float]]]] = {
@@ -40,15 +40,15 @@ _FLOORS: Final[Mapping[str, Callable[[Sequence[LidarFrame]], Iterator[float]]]] 
 
 
 class PartTime(BaseModel):
-    """How long one part takes for a frame."""
+    """Time of one part per frame."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     part: str = Field(description="`score` is the whole path, `score: …` its stages.")
     frames: int = Field(ge=0, description="Frames that were timed.")
-    median_ms: float = Field(description="Of one frame; stages that work once a scene show 0.")
+    median_ms: float = Field(description="Per frame; stages that run once per scene show 0.")
     p95_ms: float
-    mean_ms: float = Field(description="Work done once a scene is spread over its frames.")
+    mean_ms: float = Field(description="Work done once per scene is spread over its frames.")
     share: float = Field(description="Mean over that of the whole path.")
 
 
@@ -60,17 +60,17 @@ def bench_pipeline(
     frames: int = 30,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[PartTime]:
-    """Time the whole path of `score`, its stages, and the floors below it, one after the other.
+    """Time the whole path of `score`, its stages, and its lower bounds, one after the other.
 
-    The floors are range read with CRC and decompression, KISS-ICP, Patchwork++ and the two
+    The lower bounds are range read with CRC and decompression, KISS-ICP, Patchwork++ and the two
     networks, each alone, on the same frames and in the same process.
 
     Args:
-        bucket: Where the recording lies.
-        recording: The log; its first frames are taken.
-        settings: Names of the parts and how the log is read.
-        frames: How many are timed, beyond a few that warm up.
-        on_progress: Told how many passes over the frames are done, and of how many.
+        bucket: Bucket of the recording.
+        recording: The log; its first frames are used.
+        settings: Names of the parts, and ingest settings.
+        frames: Number of timed frames, after a few warm-up frames.
+        on_progress: Called with the number of passes done, and their total.
 
     Raises:
         LogUnusableError: If the log cannot be mined.
@@ -93,7 +93,7 @@ def bench_pipeline(
 
 
 def _until(shard: Shard, stamp_ns: int, *, scene_s: float) -> Shard:
-    """Cut a shard after the scene that holds this instant, so that scenes are timed whole."""
+    """Cut a shard after the scene that contains this instant, so that scenes are timed whole."""
     scene_ns = round(scene_s * NS_PER_S)
     end_ns = shard.start_ns + ((stamp_ns - shard.start_ns) // scene_ns + 1) * scene_ns
     if end_ns >= shard.end_ns:
@@ -111,7 +111,7 @@ def _until(shard: Shard, stamp_ns: int, *, scene_s: float) -> Shard:
 def _whole_path(
     bucket: Bucket, recording: Recording, shard: Shard, settings: MiningSettings
 ) -> dict[str, Sequence[float]]:
-    """Mine a shard; split the time from each frame to the next by stage."""
+    """Mine a shard, and split the time between frames by stage."""
     parts = build_parts(
         odometry=settings.odometry,
         supervised=settings.supervised,

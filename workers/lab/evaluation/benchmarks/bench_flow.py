@@ -1,4 +1,4 @@
-"""Times FlowStep3D beside a plain transcription of its published forward pass, in pairs."""
+"""FlowStep3D benchmark: paired times against a transcription of the published forward pass."""
 
 import statistics
 import subprocess
@@ -18,7 +18,7 @@ from workers.memory import peak_memory_bytes
 from workers.paper.flowstep3d import FlowStep3D
 
 FLOW_POINTS: Final = (8_192, 32_768, 100_000)
-"""Sizes of cloud that FlowStep3D is timed at: of its training, four times that, a whole frame."""
+"""Cloud sizes of the benchmark, points: the training size, four times that, a whole frame."""
 
 _MIB: Final = 1 << 20
 _SEED: Final = 1
@@ -30,15 +30,15 @@ def bench_flow(
     rounds: int = 1,
     clock: Callable[[], float] = time.perf_counter,
 ) -> Iterator[NetworkTime]:
-    """Time FlowStep3D on two made-up clouds, one thread; random weights, the times are the same.
+    """Time FlowStep3D on two synthetic clouds with random weights, one thread.
 
     Args:
-        points: Of each cloud.
-        rounds: How often both ways run.
-        clock: Seconds.
+        points: Points of each cloud.
+        rounds: Number of runs of both implementations.
+        clock: Returns seconds.
 
     Yields:
-        The plain way and ours, with the memory that each needs in a process of its own.
+        The plain implementation and ours, with the memory of each in its own process.
     """
     torch.set_num_threads(1)
     ways = _flow_ways()
@@ -73,7 +73,7 @@ def _flow_ways() -> dict[str, Callable[[Tensor, Tensor], Tensor]]:
 
 
 def _street(points: int) -> tuple[Tensor, Tensor]:
-    """Two clouds as wide as a filtered frame: walls, and things before them."""
+    """Build two clouds as wide as a filtered frame: walls, and objects before them."""
     rng = np.random.default_rng(_SEED)
     clouds = []
     for _ in range(2):
@@ -84,7 +84,7 @@ def _street(points: int) -> tuple[Tensor, Tensor]:
 
 
 def _alone(way: str, points: int) -> float:
-    """Memory of one way in a process of its own, MiB."""
+    """Measure the memory of one implementation in its own process, MiB."""
     module = "workers.lab.evaluation.benchmarks.bench_flow"
     code = f"from {module} import hold; print(hold({way!r}, {points}))"
     ran = subprocess.run(  # noqa: S603  # ourselves
@@ -94,7 +94,7 @@ def _alone(way: str, points: int) -> float:
 
 
 def hold(way: str, points: int) -> float:
-    """Run FlowStep3D once; say how much more memory it took than was held before, MiB."""
+    """Run FlowStep3D once, and return the additional peak memory, MiB."""
     torch.set_num_threads(1)
     run, clouds = _flow_ways()[way], _street(points)
     before = peak_memory_bytes()

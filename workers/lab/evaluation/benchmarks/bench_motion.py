@@ -1,4 +1,4 @@
-"""Where the time of the self-supervised stream goes, frame by frame beside its floors."""
+"""Self-supervised stream profile: time per step and frame, with its lower bounds."""
 
 import subprocess
 import sys
@@ -36,7 +36,7 @@ _OWN_MEMORY: Final = "from workers.memory import peak_memory_bytes; print(peak_m
 
 
 class StepTime(BaseModel):
-    """How long one step takes for a frame."""
+    """Time of one step per frame."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -47,7 +47,7 @@ class StepTime(BaseModel):
 
 
 class MotionBench(BaseModel):
-    """The stream's time beside that of its two libraries alone."""
+    """Time of the stream compared with that of its two libraries alone."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -56,12 +56,12 @@ class MotionBench(BaseModel):
     points: int = Field(description="Median number of points of a frame.")
     parts: tuple[StepTime, ...]
     ratio: float = Field(
-        description="Median of the stream without odometry over those of both floors."
+        description="Median of the stream without odometry over that of both libraries."
     )
     ratio_with_odometry: float
     memory_mib: float = Field(
-        description="Most that a process holds that reads the log and labels it, and nothing else, "
-        "beyond an interpreter that does nothing: libraries count, compiled loops are ready."
+        description="Peak memory of a process that reads the log and labels it, "
+        "minus an idle interpreter: with libraries, after compilation of the loops."
     )
 
 
@@ -76,17 +76,17 @@ def bench_motion(
 ) -> MotionBench:
     """Time the steps of the self-supervised stream, KISS-ICP and Patchwork++.
 
-    Each frame runs through odometry, the stream and both floors before the next is read, so that
-    whatever slows the machine down slows all of them down.
+    Each frame runs through odometry, the stream and both libraries before the next is read, so that
+    slowdowns of the machine affect all of them.
 
     Args:
-        bucket: Where the recording lies.
+        bucket: Bucket of the recording.
         recording: The log, from its first frame on.
-        settings: Names of the parts and how the log is read.
-        frames: First frame that is timed and the first that is not any more (None: all the rest);
-            earlier ones run through all the same.
-        clock: Seconds: of the wall, or of the processor where others use it too.
-        on_progress: Told how many frames are done.
+        settings: Names of the parts, and ingest settings.
+        frames: First timed frame and the end, exclusive (None: the rest); earlier frames run
+            untimed.
+        clock: Returns seconds: wall time, or processor time on a shared machine.
+        on_progress: Called with the number of frames done.
 
     Raises:
         LogUnusableError: If the log cannot be mined, or has no frame in the range.
@@ -95,7 +95,7 @@ def bench_motion(
     shard, *_ = shards_of_log(bucket, recording, settings)
     parts = build_parts(
         odometry=settings.odometry,
-        # not run: the part that loads nothing, so that it takes no memory
+        # not run: this part loads nothing, so it needs no memory
         supervised="recorded",
         selfsupervised=settings.selfsupervised,
     )
@@ -111,7 +111,7 @@ def bench_motion(
     before: Mapping[str, float] = {}
     answers = run.selfsupervised(run.odometry(own))
     while True:
-        # the floors take the same steps, so that nobody may watch them
+        # the lower bounds run the same steps, which must not be timed as the stream's
         with watched(stages):
             labels = next(answers, None)
         if labels is None:
@@ -140,13 +140,13 @@ def bench_motion(
 
 
 def _alone(bucket: Bucket, recording: Recording, settings: MiningSettings, stop: int | None) -> int:
-    """Most memory that odometry and stream take in a process of their own, without the floors."""
+    """Measure the peak memory of odometry and stream in their own process."""
     with ProcessPoolExecutor(max_workers=1, mp_context=get_context("spawn")) as pool:
         return pool.submit(_labelled, bucket.url, recording, settings, stop).result()
 
 
 def _labelled(url: str, recording: Recording, settings: MiningSettings, stop: int | None) -> int:
-    """Label the first frames of a log; the most memory that this process held."""
+    """Label the first frames of a log, and return the peak memory of this process."""
     bucket = open_bucket(url)
     shard, *_ = shards_of_log(bucket, recording, settings)
     parts = build_parts(
@@ -160,7 +160,7 @@ def _labelled(url: str, recording: Recording, settings: MiningSettings, stop: in
 def _since(
     before: Mapping[str, float], watch: StageClock
 ) -> tuple[dict[str, float], Mapping[str, float]]:
-    """Milliseconds of each stage and step since the last frame, and what the clock says now."""
+    """Return milliseconds of each stage and step since the last frame, and the clock's reading."""
     now = {str(stage): seconds for stage, seconds in watch.seconds.items()}
     took = {name: MS_PER_S * (s - before.get(name, 0.0)) for name, s in now.items()}
     row = {name: took.pop(name) for name in _BEFORE_THE_STREAM}
@@ -172,7 +172,7 @@ def _since(
 
 
 def _times(rows: Sequence[Mapping[str, float]]) -> Iterator[StepTime]:
-    """Sum up each part; a step that a frame did not need took no time for it."""
+    """Summarise each part; a step that a frame did not run took no time in it."""
     for name in dict.fromkeys(name for row in rows for name in row):
         ms = np.array([row.get(name, 0.0) for row in rows])
         yield StepTime(
@@ -184,7 +184,7 @@ def _times(rows: Sequence[Mapping[str, float]]) -> Iterator[StepTime]:
 
 
 def _idle_bytes() -> int:
-    """What Python holds before it loads any library."""
+    """Measure the memory of an idle Python process, bytes."""
     command = [sys.executable, "-c", _OWN_MEMORY]
     asked = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603 own
     return int(asked.stdout)

@@ -1,4 +1,4 @@
-"""Times the networks beside a plain transcription of their published forward pass, in pairs."""
+"""Network benchmark: paired times against a transcription of the published forward passes."""
 
 import statistics
 import time
@@ -31,15 +31,15 @@ from workers.supervised.weights import LoadedWeights, load_weights
 
 BATCH: Final = 4
 BATCHED: Final = f"folded, {BATCH} frames at once"
-"""Time per frame; labels would wait for the last of them."""
+"""Name of the batched run. Its time is per frame; labels would wait for the last of them."""
 
 THREADS: Final = 2
 THREADED: Final = f"folded, {THREADS} threads"
 
 
 @dataclass(slots=True)
-class _Watched:
-    """A network that keeps the images it is asked about."""
+class _RecordingNetwork:
+    """A network that records its input images."""
 
     weights: LoadedWeights
     images: list[NDArray[np.float32]] = field(default_factory=list)
@@ -81,37 +81,46 @@ def bench_images(
 ) -> Iterator[NetworkTime]:
     """Time the shipped SalsaNext and LMNet on the frames of a log, one thread.
 
-    Each image runs through every way before the next one does, so that whatever slows the machine
-    down slows all of them down.
+    Each image runs through every implementation before the next one does, so that slowdowns of the
+    machine affect all of them.
 
     Args:
-        bucket: Where the recording lies.
+        bucket: Bucket of the recording.
         recording: The log.
-        settings: How the log is read, and which odometry gives the past of LMNet.
-        frames: How many, after ten that fill the past.
-        rounds: How often each image runs.
-        clock: Seconds; `time.process_time` counts those of the processor.
-        on_progress: Told what is being timed.
+        settings: Ingest settings, and the odometry that poses the past frames of LMNet.
+        frames: Number of frames, after ten that fill the past.
+        rounds: Number of runs of each image.
+        clock: Returns seconds; `time.process_time` counts those of the processor.
+        on_progress: Called with the name of the network.
 
     Yields:
-        A row per network and way.
+        A row per network and implementation.
     """
     semantic, motion = (
-        _Watched(load_weights(SHIPPED / f"{name}.safetensors")) for name in ("salsanext", "lmnet")
+        _RecordingNetwork(load_weights(SHIPPED / f"{name}.safetensors"))
+        for name in ("salsanext", "lmnet")
     )
     shard, *_ = shards_of_log(bucket, recording, settings)
     read = read_shard(bucket, recording, shard, settings).frames()
     posed = islice(build_odometry(settings.odometry)(read), 10 + frames)
     for _ in RangeImageStream(semantic, motion, name="bench")(posed):
         pass
-    names: tuple[tuple[Network, _Watched], ...] = (("salsanext", semantic), ("lmnet", motion))
+    names: tuple[tuple[Network, _RecordingNetwork], ...] = (
+        ("salsanext", semantic),
+        ("lmnet", motion),
+    )
     for name, watched in names:
         on_progress(name)
         yield from _timed_images(name, watched, frames=frames, rounds=rounds, clock=clock)
 
 
 def _timed_images(
-    name: Network, watched: _Watched, *, frames: int, rounds: int, clock: Callable[[], float]
+    name: Network,
+    watched: _RecordingNetwork,
+    *,
+    frames: int,
+    rounds: int,
+    clock: Callable[[], float],
 ) -> Iterator[NetworkTime]:
     net = watched.weights.net
     folded = FoldedSalsaNext(net)
@@ -143,7 +152,7 @@ def _timed_images(
 
 
 def _in_bfloat16(weights: LoadedWeights) -> Callable[[NDArray[np.float32]], Tensor]:
-    """Build the network anew in half the bits."""
+    """Build a copy of the network in bfloat16."""
     net = weights.card.build()
     net.load_state_dict(weights.net.state_dict())
     net = net.eval().bfloat16().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -161,7 +170,7 @@ def _paired(
     images: Sequence[NDArray[np.float32]],
     clock: Callable[[], float],
 ) -> tuple[dict[str, list[float]], dict[str, list[NDArray[np.intp]]]]:
-    """Run every image every way; the first image once more before, to warm up."""
+    """Run every image on every implementation; one additional run of the first image warms up."""
     seconds: dict[str, list[float]] = {way: [] for way in ways}
     labels: dict[str, list[NDArray[np.intp]]] = {way: [] for way in ways}
     for number, image in enumerate([images[0], *images]):
@@ -173,8 +182,8 @@ def _paired(
                 took = clock() - start
             if number > 0:
                 seconds[way].append(took / (BATCH if way == BATCHED else 1))
-                said = np.asarray(answer)
-                said = said[0] if said.ndim == 4 else said
-                labels[way].append(said[1:].argmax(axis=0))
+                scores = np.asarray(answer)
+                scores = scores[0] if scores.ndim == 4 else scores
+                labels[way].append(scores[1:].argmax(axis=0))
     torch.set_num_threads(1)
     return seconds, labels

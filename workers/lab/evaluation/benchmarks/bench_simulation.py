@@ -1,4 +1,4 @@
-"""How fast frames are simulated, and how like real ones they are: ranges, beams, gaps."""
+"""Simulation benchmark: frame rate, and statistics of simulated frames next to real ones."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -24,17 +24,17 @@ FIRST_SEED: Final = 90_001
 _SECONDS: Final = 6.0
 _COLUMNS: Final = 1800
 _LIKE: Final = 0.05
-"""Neighbours of a gap that differ by less than this share of their range are one surface."""
+"""Largest range difference of one surface across a gap, as a share of the range."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """How long one step takes on one core.
+    """Time of one step on one core.
 
     Attributes:
         what: The step.
-        ms: Processor time of it, milliseconds.
-        per_s: How many a second.
+        ms: Processor time, milliseconds.
+        per_s: Steps per second.
     """
 
     what: str
@@ -43,13 +43,13 @@ class Rate:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
-    """A frame as a sensor gave it.
+class SensorFrame:
+    """One frame of a sensor, simulated or real.
 
     Attributes:
         points_m: (N, 3) sensor space.
         intensity: (N,) 0 to 1.
-        ring: (N,) beam, 0 the top one; negative where the log does not say.
+        ring: (N,) beam, 0 the top one; negative where the log does not record it.
     """
 
     points_m: NDArray[np.float32]
@@ -58,18 +58,18 @@ class Seen:
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
-    """What frames of a sensor look like, in numbers.
+class FrameStatistics:
+    """Statistics of the frames of one sensor.
 
     Attributes:
-        name: Whose frames.
-        points: Mean number.
-        range_share: Share of the points in each stretch of `RANGES_M`.
-        elevation_share: Share of the points in each band of `ELEVATIONS_DEG`.
-        ring_share: Of each beam, its points over 1800; empty where beams are not known.
-        single_gap_share: Cells of a range image that are empty between two neighbours on one
-            surface, among such pairs; None where beams are not known.
-        intensity: Tenth, median and ninetieth percentile, 0 to 1.
+        name: Source of the frames.
+        points: Mean number of points.
+        range_share: Share of the points in each interval of `RANGES_M`.
+        elevation_share: Share of the points in each interval of `ELEVATIONS_DEG`.
+        ring_share: Points of each beam over 1800; empty where beams are not known.
+        single_gap_share: Share of empty range-image cells among cells between two neighbours on one
+            surface; None where beams are not known.
+        intensity: Tenth percentile, median and ninetieth percentile, 0 to 1.
     """
 
     name: str
@@ -105,16 +105,16 @@ def bench_rates(*, frames: int, on_progress: Callable[[int, int], None]) -> list
         write_log(BytesIO(), street, lidar=lidar, truth=Path(folder), frames=frames, progress=count)
         ended = time.process_time()
     steps = (
-        ("street built, once a log", built - began, 1),
-        ("beams made ready, once a log", indexed - built, 1),
-        ("frame cast and measured", swept - indexed, frames),
-        ("the same, written with its truth", ended - written, frames),
+        ("street construction, once per log", built - began, 1),
+        ("beam directions, once per log", indexed - built, 1),
+        ("frame, ray casting and sensor model", swept - indexed, frames),
+        ("frame, written with its truth", ended - written, frames),
     )
     return [Rate(what, 1e3 * s / n, n / max(s, 1e-9)) for what, s, n in steps]
 
 
-def look_at(name: str, frames: Sequence[Seen]) -> Look:
-    """Describe frames of one sensor."""
+def statistics_of(name: str, frames: Sequence[SensorFrame]) -> FrameStatistics:
+    """Compute the statistics of the frames of one sensor."""
     ringed = bool(len(frames)) and all((each.ring >= 0).all() for each in frames)
     ranges, elevations, rings, gaps, shines = [], [], [], [], []
     for each in frames:
@@ -127,7 +127,7 @@ def look_at(name: str, frames: Sequence[Seen]) -> Look:
             rings.append(np.bincount(each.ring, minlength=64) / _COLUMNS)
             gaps.append(_single_gaps(range_image(each)))
     low, median, high = np.mean(shines, axis=0).tolist()
-    return Look(
+    return FrameStatistics(
         name,
         float(np.mean([len(each.points_m) for each in frames])),
         _rounded(ranges),
@@ -138,28 +138,30 @@ def look_at(name: str, frames: Sequence[Seen]) -> Look:
     )
 
 
-def simulated(sensor: SensorName, place: PlaceName, *, seed: int = FIRST_SEED) -> Seen:
-    """Make a frame in a street of this kind; the 64 beams of an HDL on a mast, others on a roof."""
+def simulated(sensor: SensorName, place: PlaceName, *, seed: int = FIRST_SEED) -> SensorFrame:
+    """Simulate a frame in a street of this kind; an HDL-64 is on a mast, others are on a roof."""
     street = build_street(seed, seconds=_SECONDS, plan=StreetPlan(place=place, style="drives"))
     lidar = mounted(sensor, "mast" if sensor == "hdl64" else "roof")
     frame = sweep(street, replace(lidar, columns=_COLUMNS), 20)
-    return Seen(frame.points_m, frame.intensity / 255.0, frame.ring.astype(np.int16))
+    return SensorFrame(frame.points_m, frame.intensity / 255.0, frame.ring.astype(np.int16))
 
 
-def simulated_looks(sensor: SensorName) -> tuple[list[tuple[str, Seen]], list[Look]]:
-    """Make two frames in each kind of street; give the first of each, and what they look like."""
+def simulated_statistics(
+    sensor: SensorName,
+) -> tuple[list[tuple[str, SensorFrame]], list[FrameStatistics]]:
+    """Simulate two frames in each kind of street; return the first of each, and the statistics."""
     places: tuple[PlaceName, ...] = ("town", "suburb", "country", "highway")
-    shown, looks = [], []
+    shown, statistics = [], []
     for place in places:
         name = f"simulated {sensor}, {place}"
         frames = [simulated(sensor, place, seed=FIRST_SEED + k) for k in range(2)]
         shown.append((name, frames[0]))
-        looks.append(look_at(name, frames))
-    return shown, looks
+        statistics.append(statistics_of(name, frames))
+    return shown, statistics
 
 
-def range_image(seen: Seen, *, rows: int = 64) -> NDArray[np.float32]:
-    """Give (rows, 1800) ranges, 0 where there is none: by beam, or by elevation without beams."""
+def range_image(seen: SensorFrame, *, rows: int = 64) -> NDArray[np.float32]:
+    """Build (rows, 1800) ranges, 0 where empty: rows by beam, or by elevation without beams."""
     range_m = np.linalg.norm(seen.points_m, axis=1)
     azimuth = np.arctan2(seen.points_m[:, 1], seen.points_m[:, 0])
     column = np.round((np.pi - azimuth) / (2 * np.pi) * _COLUMNS).astype(np.int64) % _COLUMNS
@@ -176,10 +178,11 @@ def range_image(seen: Seen, *, rows: int = 64) -> NDArray[np.float32]:
 
 
 def _single_gaps(image: NDArray[np.float32]) -> float:
-    """Share of lone empty cells on surfaces.
+    """Return the share of single empty cells on surfaces.
 
-    Where a sensor's azimuths do not fall on the net of columns, some cells stay empty and their
-    neighbours hold two: both kinds of frames are laid out alike, so what is left is the sensor's.
+    Where a sensor's azimuths do not match the grid of columns, some cells stay empty and their
+    neighbours contain two points. Both kinds of frames share this effect, so a difference comes
+    from the sensor.
     """
     left, middle, right = image[:, :-2], image[:, 1:-1], image[:, 2:]
     pair = (left > 0) & (right > 0) & (np.abs(left - right) < _LIKE * left)

@@ -1,4 +1,4 @@
-"""A picture of frames beside each other: from above, and as range images below."""
+"""Comparison picture: frames side by side, bird's-eye view above, range image below."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from workers.lab.evaluation.benchmarks.bench_simulation import Seen, range_image
+from workers.lab.evaluation.benchmarks.bench_simulation import SensorFrame, range_image
 
 _SIDE_PX: Final = 620
 _HALF_M: Final = 45.0
@@ -17,7 +17,7 @@ _INK: Final = (235, 238, 242)
 _BACK: Final = (16, 18, 24)
 
 
-def draw_beside(frames: Sequence[tuple[str, Seen]]) -> Image.Image:
+def draw_side_by_side(frames: Sequence[tuple[str, SensorFrame]]) -> Image.Image:
     """Draw frames in a row, each under its name."""
     width, height = _SIDE_PX * len(frames), _TEXT_PX + _SIDE_PX + _IMAGE_PX
     picture = Image.new("RGB", (width, height), _BACK)
@@ -32,8 +32,8 @@ def draw_beside(frames: Sequence[tuple[str, Seen]]) -> Image.Image:
     return picture
 
 
-def _above(seen: Seen) -> NDArray[np.uint8]:
-    """Look down: the colour is the height, the brightness how many points fall into a pixel."""
+def _above(seen: SensorFrame) -> NDArray[np.uint8]:
+    """Draw a bird's-eye view: colour is height, of the highest point in a pixel."""
     scale = _SIDE_PX / (2 * _HALF_M)
     column = ((seen.points_m[:, 0] + _HALF_M) * scale).astype(np.int64)
     row = ((_HALF_M - seen.points_m[:, 1]) * scale).astype(np.int64)
@@ -52,7 +52,7 @@ def _coloured(ranges: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 
 def _ramp(share: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """From violet over green to yellow."""
+    """Map 0 to 1 to a colour ramp from violet over green to yellow."""
     stops = np.array(
         [(90, 70, 200), (40, 130, 190), (50, 180, 120), (170, 210, 70), (250, 230, 90)]
     )

@@ -1,4 +1,4 @@
-"""What mining cannot be faster than: its libraries and networks alone, timed frame by frame."""
+"""Lower bounds of the mining time: libraries and networks alone, timed per frame."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from time import perf_counter
@@ -21,7 +21,7 @@ MS_PER_S: Final = 1000.0
 
 
 def reading_ms(bucket: Bucket, recording: Recording, shard: Shard) -> Iterator[float]:
-    """Time range read, CRC, decompression and the walk over messages; nothing is decoded.
+    """Time range read, CRC, decompression and iteration over messages, without decoding.
 
     Yields:
         Milliseconds of each lidar message; messages of one chunk share its time evenly.
@@ -39,7 +39,7 @@ def reading_ms(bucket: Bucket, recording: Recording, shard: Shard) -> Iterator[f
 def kiss_icp_ms(
     frames: Iterable[LidarFrame], clock: Callable[[], float] = perf_counter
 ) -> Iterator[float]:
-    """Time KISS-ICP as it comes: every point, voxels of 1 m, 100 m, no deskewing, one thread."""
+    """Time plain KISS-ICP: every point, voxels of 1 m, 100 m, no deskewing, one thread."""
     from kiss_icp.config import KISSConfig
     from kiss_icp.kiss_icp import KissICP
 
@@ -71,8 +71,8 @@ def patchwork_ms(
 
 
 def networks_ms(frames: Sequence[LidarFrame]) -> Iterator[float]:
-    """Time the forward passes of the shipped SalsaNext and LMNet over ready images, one thread."""
-    # here, not above: whoever times the other floors need not hold torch
+    """Time the forward passes of the shipped SalsaNext and LMNet on prepared images, one thread."""
+    # imported here, so that the other lower bounds run without torch in memory
     import torch
 
     from workers.supervised.stream import SHIPPED

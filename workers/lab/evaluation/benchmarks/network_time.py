@@ -1,4 +1,4 @@
-"""What a bench says of one way to run a network."""
+"""Benchmark row of one implementation of a network."""
 
 import statistics
 from collections.abc import Sequence
@@ -10,23 +10,23 @@ Network = Literal["salsanext", "lmnet", "flowstep3d"]
 
 
 class NetworkTime(BaseModel):
-    """One way to run a network, beside the plain one."""
+    """Time of one implementation of a network, compared with the plain one."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     network: Network
     way: str = Field(description="`plain` is the published forward pass, eager, batch 1, float32.")
-    size: str = Field(description="Of the image or the cloud.")
+    size: str = Field(description="Size of the image or the cloud.")
     median_ms: float
-    faster: float = Field(description="Median over the rounds of plain's time over this one's.")
+    faster: float = Field(description="Speed-up: median over rounds of plain time over this time.")
     changed: float | None = Field(
         default=None, description="Share of labels that differ from plain's; of flow, metres."
     )
     memory_mib: float | None = Field(
-        default=None, description="Most held while running, beyond the process before it."
+        default=None, description="Additional peak memory while running."
     )
 
 
 def times_as_fast(plain: Sequence[float], other: Sequence[float]) -> float:
-    """Median over pairs of the plain time over the other."""
+    """Return the median over pairs of the plain time over the other."""
     return statistics.median(one / two for one, two in zip(plain, other, strict=True))

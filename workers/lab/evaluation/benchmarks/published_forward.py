@@ -1,6 +1,6 @@
-"""The published forward passes, written down as plainly as they were published.
+"""Published forward passes, transcribed operator by operator as a baseline for timing.
 
-What the project's networks are timed against: eager torch, one operator after the other, every
+The project's networks are timed against them: eager torch, one operator after the other, every
 search and every sampling repeated where the published code repeats it. They take the parameters of
 the project's networks, so that both sides of a comparison compute the same function.
 """
@@ -99,7 +99,7 @@ def _near(queries: Tensor, points: Tensor, count: int) -> tuple[Tensor, Tensor]:
 def _set_conv(
     layer: SetConv, points: Tensor, features: Tensor, count: int, chosen: Tensor | None = None
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Sample, group and describe: the centres, what is said of them, and which they are."""
+    """Sample, group and describe: returns the centres, their features, and their indices."""
     chosen = sample_furthest(points, count) if chosen is None else chosen
     positions = points.transpose(1, 2)
     centres = gather_features(positions, chosen)
@@ -168,7 +168,7 @@ def _correlate(
 
 
 def _upsample(values: Tensor, points: Tensor, queries: Tensor) -> Tensor:
-    """Carry (B, N, C) at points to queries."""
+    """Interpolate (B, N, C) from points to queries, weighted by inverse distance."""
     far, index = _near(queries, points, 3)
     inverse = 1.0 / far.clamp(min=NEAREST_M)
     weights = inverse / inverse.sum(dim=2, keepdim=True)

@@ -1,1 +1,1 @@
-"""Whether what contradicts is what fails: retrieval of the supervised stream's failures."""
+"""Failure retrieval: measures how well contradictions rank the supervised stream's failures."""

@@ -1,4 +1,4 @@
-"""How often the record says rightly who is wrong about a contradicting track."""
+"""Accuracy of attribution: the recorded verdict of a contradicting track against ground truth."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -16,31 +16,31 @@ MIN_FRAMES: Final = 5
 MIN_POINTS: Final = 25
 
 
-class WhoIsWrong(BaseModel):
-    """Who is wrong: said against true, over contradicting tracks of some length and size."""
+class AttributionAccuracy(BaseModel):
+    """Recorded against true verdicts, over contradicting tracks that are long and large enough."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     accuracy: float | None = Field(
-        description="Mean recall over the verdicts that occur ten times; null: nothing was said."
+        description="Mean recall over the verdicts that occur ten times; null: no verdicts."
     )
-    commonest: float | None = Field(description="The same, always answering the commonest verdict.")
-    plain_accuracy: float | None = Field(description="Share of the tracks that are right.")
+    commonest: float | None = Field(description="The same for a constant answer.")
+    plain_accuracy: float | None = Field(description="Share of the tracks attributed correctly.")
     cases: dict[str, int] = Field(description="Tracks by true verdict.")
     recall: dict[str, float | None] = Field(description="By true verdict.")
-    confusion: dict[str, dict[str, int]] = Field(description="True verdict, then said.")
-    calibration: Calibration = Field(description="Of what was said most, against its being right.")
+    confusion: dict[str, dict[str, int]] = Field(description="True verdict, then recorded verdict.")
+    calibration: Calibration = Field(description="Of the recorded verdict's probability.")
 
 
-def is_judged(track: TrackRow) -> bool:
-    """Whether a track is long and large enough, and truth knows who is wrong about it."""
+def is_evaluated(track: TrackRow) -> bool:
+    """Test that a track is long and large enough, and that truth has a verdict on it."""
     enough = track.frames >= MIN_FRAMES and track.points >= MIN_POINTS * track.frames
     return enough and track.verdict is not None
 
 
-def attribute(tracks: Iterable[TrackRow]) -> WhoIsWrong:
-    """Compare what records say with the truth."""
-    judged = [track for track in tracks if is_judged(track)]
+def evaluate_attribution(tracks: Iterable[TrackRow]) -> AttributionAccuracy:
+    """Compare the recorded verdicts with the true ones."""
+    judged = [track for track in tracks if is_evaluated(track)]
     cases = Counter(track.verdict for track in judged)
     confusion: dict[Wrong, Counter[Wrong]] = {verdict: Counter() for verdict in Wrong}
     sure: list[float] = []
@@ -48,11 +48,11 @@ def attribute(tracks: Iterable[TrackRow]) -> WhoIsWrong:
     for track in judged:
         if track.said is None or track.verdict is None:
             continue
-        said = track.said.wrong
-        confusion[track.verdict][said] += 1
-        sure.append(getattr(track.said, said.value))
-        right.append(said is track.verdict)
-    told = sum(sum(row.values()) for row in confusion.values())
+        recorded = track.said.wrong
+        confusion[track.verdict][recorded] += 1
+        sure.append(getattr(track.said, recorded.value))
+        right.append(recorded is track.verdict)
+    total = sum(sum(row.values()) for row in confusion.values())
     recall = {
         verdict: confusion[verdict][verdict] / sum(confusion[verdict].values())
         if sum(confusion[verdict].values())
@@ -61,14 +61,15 @@ def attribute(tracks: Iterable[TrackRow]) -> WhoIsWrong:
     }
     common = [verdict for verdict in Wrong if cases[verdict] >= MIN_CASES]
     recalls = [value for verdict in common if (value := recall[verdict]) is not None]
-    return WhoIsWrong(
+    return AttributionAccuracy(
         accuracy=round(float(np.mean(recalls)), 4) if recalls else None,
         commonest=round(1.0 / len(common), 4) if common else None,
-        plain_accuracy=round(sum(right) / told, 4) if told else None,
+        plain_accuracy=round(sum(right) / total, 4) if total else None,
         cases={verdict.value: cases[verdict] for verdict in Wrong},
         recall={v.value: None if r is None else round(r, 4) for v, r in recall.items()},
         confusion={
-            true.value: {said.value: row[said] for said in Wrong} for true, row in confusion.items()
+            true.value: {recorded.value: row[recorded] for recorded in Wrong}
+            for true, row in confusion.items()
         },
         calibration=calibrate(sure, np.array(right, dtype=np.bool_)),
     )

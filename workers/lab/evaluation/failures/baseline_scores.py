@@ -1,4 +1,4 @@
-"""What a user would rank scenes by instead: one number a scene, higher is more suspicious."""
+"""Baseline scores that rank scenes: one number per scene, higher is more suspicious."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final
@@ -12,54 +12,54 @@ from schemas.contradiction import LabelledFrame, Scene
 from schemas.labels import Agreement, MotionLabel
 
 FLICKER_M: Final = 0.3
-"""A label is compared with that of the nearest point of the frame before, if it lies so close."""
+"""Distance within which the nearest point of the previous frame is the same place, metres."""
 
 LEAST_SURE_SHARE: Final = 0.01
 
 
-def views_of(scene: Scene) -> Mapping[str, float]:
-    """Rank a scene as others would.
+def scene_baselines(scene: Scene) -> Mapping[str, float]:
+    """Compute the baseline scores of a scene.
 
     Returns:
-        `flicker`, labels of the supervised stream that change from one frame to the next, as a
-        share of points off the ground; `point_share`, the share of compared points on which the
-        streams differ (the paper's view), and the same off the ground; `free_space`, points that
-        were seen through, which the supervised stream calls static, as a share; `confidence`, how
-        unsure the supervised stream is of the least sure hundredth of the points off the ground,
-        and `mean_confidence`, of all of them.
+        `flicker`, the share of points off the ground whose supervised label changes from one frame
+        to the next; `point_share`, the share of compared points on which the streams differ (the
+        paper's measure); `point_share_off_ground`, the same off the ground; `free_space`, the share
+        of points seen through that the supervised stream labels static; `confidence`, one minus the
+        confidence of the supervised stream over the least confident hundredth of the points off the
+        ground; `mean_confidence`, the same over all of them.
     """
     frames = scene.frames
     compared = differing = standing = standing_differing = 0
     for frame in frames:
-        told = frame.agreements != Agreement.NOT_COMPARED
-        differs = told & (frame.agreements != Agreement.BOTH_STATIC)
+        valid = frame.agreements != Agreement.NOT_COMPARED
+        differs = valid & (frame.agreements != Agreement.BOTH_STATIC)
         differs &= frame.agreements != Agreement.BOTH_DYNAMIC
         off = _off_ground(frame)
-        compared, differing = compared + int(told.sum()), differing + int(differs.sum())
-        standing += int((told & off).sum())
+        compared, differing = compared + int(valid.sum()), differing + int(differs.sum())
+        standing += int((valid & off).sum())
         standing_differing += int((differs & off).sum())
     return {
         "flicker": flicker_share(frames),
         "point_share": _ratio(differing, compared),
         "point_share_off_ground": _ratio(standing_differing, standing),
         "free_space": free_space_share(frames),
-        "confidence": unsureness(frames, share=LEAST_SURE_SHARE),
-        "mean_confidence": unsureness(frames, share=1.0),
+        "confidence": mean_uncertainty(frames, share=LEAST_SURE_SHARE),
+        "mean_confidence": mean_uncertainty(frames, share=1.0),
     }
 
 
 def flicker_share(frames: Sequence[LabelledFrame]) -> float:
-    """Share of points off the ground whose label is not that of the frame before, at their place.
+    """Return the share of points off the ground whose label differs from the frame before.
 
-    Both ways, so that it counts as well what was called dynamic and no longer is. Places are
-    compared in odom space.
+    Both directions count, so a point that is no longer dynamic counts too. Positions are compared
+    in odom space.
     """
     changed = asked = 0
     before: tuple[NDArray[np.float64], Mask] | None = None
     for frame in frames:
-        told = _off_ground(frame) & (frame.semantic.labels != MotionLabel.UNKNOWN)
-        places = _in_odom(frame)[told]
-        dynamic = frame.semantic.labels[told] == MotionLabel.DYNAMIC
+        valid = _off_ground(frame) & (frame.semantic.labels != MotionLabel.UNKNOWN)
+        places = _in_odom(frame)[valid]
+        dynamic = frame.semantic.labels[valid] == MotionLabel.DYNAMIC
         if before is not None:
             asked += len(places)
             changed += _changes(places, dynamic, *before) + _changes(*before, places, dynamic)
@@ -68,34 +68,35 @@ def flicker_share(frames: Sequence[LabelledFrame]) -> float:
 
 
 def free_space_share(frames: Sequence[LabelledFrame]) -> float:
-    """Share of judged points that were proved to move and the supervised stream says stand."""
+    """Return the share of compared points that free space proves moving and labels call static."""
     against = judged = 0
     for frame in frames:
-        proved = proved_of(frame)
-        told = frame.agreements != Agreement.NOT_COMPARED
-        judged += int(told.sum())
+        proved = proven_moving(frame)
+        valid = frame.agreements != Agreement.NOT_COMPARED
+        judged += int(valid.sum())
         if proved is not None:
             static = frame.semantic.labels == MotionLabel.STATIC
             against += int((proved & static & _off_ground(frame)).sum())
     return _ratio(against, judged)
 
 
-def unsureness(frames: Sequence[LabelledFrame], *, share: float) -> float:
-    """How unsure the supervised stream is: mean over the least sure points of every frame."""
+def mean_uncertainty(frames: Sequence[LabelledFrame], *, share: float) -> float:
+    """Return one minus the confidence, averaged over the least confident points of each frame."""
     means = []
     for frame in frames:
-        told = _off_ground(frame) & (frame.semantic.labels != MotionLabel.UNKNOWN)
-        unsure = 1.0 - frame.semantic.confidence[told].astype(np.float64)
+        valid = _off_ground(frame) & (frame.semantic.labels != MotionLabel.UNKNOWN)
+        unsure = 1.0 - frame.semantic.confidence[valid].astype(np.float64)
         if len(unsure):
             count = max(1, round(share * len(unsure)))
             means.append(float(np.partition(unsure, -count)[-count:].mean()))
     return float(np.mean(means)) if means else 0.0
 
 
-def proved_of(frame: LabelledFrame) -> Mask | None:
-    """(N,) points that free space proved to move; None where nobody tells.
+def proven_moving(frame: LabelledFrame) -> Mask | None:
+    """Return (N,) points that free space proved to move; None where no part reports it.
 
-    The third witness where there is one; else what the self-supervised stream confirmed.
+    They come from the third witness where there is one, else from the confirmed points of the
+    self-supervised stream.
     """
     if frame.witness is not None:
         proved: Mask = frame.witness.labels == MotionLabel.DYNAMIC
@@ -106,7 +107,7 @@ def proved_of(frame: LabelledFrame) -> Mask | None:
 def _changes(
     places: NDArray[np.float64], dynamic: Mask, others: NDArray[np.float64], others_dynamic: Mask
 ) -> int:
-    """Points called dynamic whose nearest point of the other frame is called static."""
+    """Count the dynamic points whose nearest point of the other frame is static."""
     if not dynamic.any() or not len(others):
         return 0
     tree = cKDTree(others, balanced_tree=False, compact_nodes=False)

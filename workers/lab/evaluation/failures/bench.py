@@ -1,4 +1,4 @@
-"""The benchmark of failures: mines every log of a bucket that has truth, and makes the tables."""
+"""Failure benchmark: mines every log of a bucket that has truth and computes both tables."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -13,7 +13,7 @@ from schemas.mining import MiningSettings
 from schemas.transport.bucket import open_bucket
 from workers.lab.evaluation.failures.intervals import DRAWS
 from workers.lab.evaluation.failures.mine_log import LogJob
-from workers.lab.evaluation.failures.mining import Mining, mine_logs
+from workers.lab.evaluation.failures.mining import MiningRun, mine_logs
 from workers.lab.evaluation.failures.natural import NaturalTable, natural_table
 from workers.lab.evaluation.failures.planted import PlantedTable, planted_table
 from workers.lab.evaluation.failures.pose_slips import Slip
@@ -26,20 +26,20 @@ _SLIP_SEED: Final = 0x5119
 
 
 class FailureBench(BaseModel):
-    """Both tables of a bucket; null where one was not asked for, or cannot be made."""
+    """Both tables of a bucket; null where one was not requested or cannot be computed."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     bucket: str
     logs: int
     judged: dict[str, str] = Field(
-        default_factory=dict, description="Table to the supervised stream that it judges, by name."
+        default_factory=dict, description="Name of the supervised stream, by table."
     )
     planted: PlantedTable | None = None
     natural: NaturalTable | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """One object: *planted* at the top level, *natural* under its name."""
+        """Return one object: *planted* at the top level, *natural* under its name."""
         planted = {} if self.planted is None else self.planted.model_dump(mode="json")
         natural = None if self.natural is None else self.natural.model_dump(mode="json")
         about = {"bucket": self.bucket, "logs": self.logs, "judged": self.judged}
@@ -59,33 +59,35 @@ def bench_failures(
     draws: int = DRAWS,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> FailureBench:
-    """Mine what has truth, and make the tables that were asked for.
+    """Mine the logs that have truth, and compute the requested tables.
 
     Args:
         bucket_url: URL or path of the bucket of logs.
         truth: Folder of its truth.
-        settings: How logs are mined; *planted* takes the recorded labels, not the network's.
-        tables: `planted`, `natural`, or both; with both, *planted* is left out where nothing was.
-        processes: How many logs are mined at once.
-        kept: Folder of what was mined before; None keeps nothing.
-        slip_logs: Of *planted*: how many logs are mined again with a slip in every scene.
-        probing: Of *natural*: what is asked of the networks beside their labels.
-        draws: Of the bootstrap; 0 makes no intervals.
-        on_progress: Told how many frames are mined, and of how many.
+        settings: Mining settings; *planted* uses the recorded labels instead of the network's.
+        tables: `planted`, `natural`, or both; with both, *planted* is skipped where no failure was
+            planted.
+        processes: Number of logs mined in parallel.
+        kept: Folder of cached results; None caches nothing.
+        slip_logs: Of *planted*: number of logs that are mined again with a slip in every scene.
+        probing: Of *natural*: uncertainty measures to compute in addition to the labels.
+        draws: Bootstrap draws; 0 computes no intervals.
+        on_progress: Called with the number of frames mined and their total.
 
     Raises:
-        TruthUnusableError: If no log has truth, or *planted* alone is asked for where nothing was.
+        TruthUnusableError: If no log has truth, or *planted* alone is requested where no failure
+            was planted.
         LogUnusableError: If a log cannot be mined.
     """
     jobs = jobs_of(bucket_url, truth)
-    sowed = [job for job in jobs if (truth / job.recording.log_id / PLANTED).is_file()]
-    if "planted" in tables and not sowed and len(tables) == 1:
+    with_faults = [job for job in jobs if (truth / job.recording.log_id / PLANTED).is_file()]
+    if "planted" in tables and not with_faults and len(tables) == 1:
         raise TruthUnusableError(
             f"nothing was planted in the logs of {bucket_url}: no {PLANTED} in {truth}; "
             "--table natural judges a network on any truth"
         )
-    plant = "planted" in tables and bool(sowed)
-    passes = [sowed, sowed[:slip_logs]] if plant else []
+    plant = "planted" in tables and bool(with_faults)
+    passes = [with_faults, with_faults[:slip_logs]] if plant else []
     passes += [jobs] if "natural" in tables else []
     total = sum(job.frames for each in passes for job in each)
     done = 0
@@ -98,14 +100,14 @@ def bench_failures(
     on_progress(0, total)
     planted = natural = None
     judged: dict[str, str] = {}
-    mining = Mining(bucket_url, settings, processes, kept)
+    mining = MiningRun(bucket_url, settings, processes, kept)
     if plant:
         recorded = settings.model_copy(update={"supervised": "recorded", "model": ""})
         of_car = replace(mining, settings=recorded)
-        mined = mine_logs(of_car, sowed, on_log=on_log)
+        mined = mine_logs(of_car, with_faults, on_log=on_log)
         again = [
             with_slips(job, log, scene_s=settings.grid.scene_s)
-            for job, log in list(zip(sowed, mined, strict=True))[:slip_logs]
+            for job, log in list(zip(with_faults, mined, strict=True))[:slip_logs]
         ]
         slipping = mine_logs(of_car, again, on_log=on_log)
         judged["planted"] = recorded.supervised
@@ -132,7 +134,7 @@ def jobs_of(bucket_url: str, truth: Path) -> list[LogJob]:
 
 
 def with_slips(job: LogJob, log: MinedLog, *, scene_s: float) -> LogJob:
-    """Let the odometry slip once in every scene of a log, each time otherwise."""
+    """Add an odometry slip of random time and size to every scene of a log."""
     rng = np.random.default_rng([_SLIP_SEED, *job.recording.log_id.encode()])
     slips = []
     for scene in log.scenes:

@@ -1,4 +1,4 @@
-"""Whether a score says how often it is right: reliability in bins, and the expected error."""
+"""Calibration of a score: reliability diagram in bins, and expected calibration error."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -13,17 +13,17 @@ BINS: Final = 10
 
 
 class Bin(BaseModel):
-    """What was said and what was so, for items of about the same score."""
+    """One bin of a reliability diagram: mean score against observed share."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     count: int
     said: float = Field(description="Mean score.")
-    was: float = Field(description="Share that was so.")
+    was: float = Field(description="Observed share of positives.")
 
 
 class Calibration(BaseModel):
-    """How well a score serves as a probability."""
+    """Calibration of a score that is used as a probability."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -31,20 +31,20 @@ class Calibration(BaseModel):
     bins: tuple[Bin, ...] = Field(description="Ten of equal width from 0 to 1, empty ones left out")
 
 
-def calibrate(said: NDArray[np.float64] | Sequence[float], was: Mask) -> Calibration:
-    """Compare scores with what was so, in ten bins of equal width (Guo et al., ICML 2017).
+def calibrate(predicted: NDArray[np.float64] | Sequence[float], observed: Mask) -> Calibration:
+    """Compare scores with outcomes in ten bins of equal width (Guo et al., ICML 2017).
 
     Args:
-        said: (N,) 0 to 1.
-        was: (N,) whether it was so.
+        predicted: (N,) scores, 0 to 1.
+        observed: (N,) outcomes.
     """
-    scores = np.asarray(said, dtype=np.float64)
+    scores = np.asarray(predicted, dtype=np.float64)
     place = np.clip((scores * BINS).astype(np.int64), 0, BINS - 1)
     bins, error = [], 0.0
     for each in range(BINS):
         mine = place == each
         if mine.any():
-            mean, share = float(scores[mine].mean()), float(was[mine].mean())
+            mean, share = float(scores[mine].mean()), float(observed[mine].mean())
             bins.append(Bin(count=int(mine.sum()), said=round(mean, 4), was=round(share, 4)))
             error += float(mine.mean()) * abs(mean - share)
     return Calibration(ece=round(error, 4) if len(scores) else None, bins=tuple(bins))

@@ -1,4 +1,4 @@
-"""Failures on which both streams are wrong: what no comparison of the two can show."""
+"""Common-mode failures: both streams are wrong, so no comparison of the two can show them."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -7,16 +7,16 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.contradiction import ContradictionKind
-from workers.lab.evaluation.failures.retrieval import looked_at, order_of
+from workers.lab.evaluation.failures.retrieval import budget_size, order_of
 from workers.lab.evaluation.failures.rows import SceneRow
 
 BUDGET: Final = 0.10
 WITNESS_ALONE: Final = ContradictionKind.ONLY_WITNESS_DYNAMIC.value
-"""Kind of a contradicting track on which the third witness speaks against both streams."""
+"""Kind of a contradicting track on which the third witness contradicts both streams."""
 
 
 class CommonMode(BaseModel):
-    """How many of the planted failures that both streams share come to light."""
+    """Counts and recall of the planted common-mode failures."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -31,9 +31,9 @@ class CommonMode(BaseModel):
 
 
 def common_mode(scenes: Sequence[SceneRow]) -> CommonMode:
-    """Count common-mode failures and what becomes of them."""
+    """Count common-mode failures, and those that the witness and the ranking surface."""
     scores = np.array([scene.score for scene in scenes])
-    best = set(order_of(scores)[: looked_at(BUDGET, len(scenes))].tolist()) if scenes else set()
+    best = set(order_of(scores)[: budget_size(BUDGET, len(scenes))].tolist()) if scenes else set()
     planted = both = surfaced = witnessed = within = 0
     for place, scene in enumerate(scenes):
         spoken = {track.thing for track in scene.tracks if track.kind == WITNESS_ALONE}

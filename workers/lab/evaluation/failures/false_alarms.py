@@ -1,4 +1,4 @@
-"""Whether disturbances that are no failure of the model rise in the ranking: they must not."""
+"""False alarms: scores of scenes whose disturbance is no failure of the model."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -6,33 +6,33 @@ from typing import Final
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from workers.lab.evaluation.failures.retrieval import looked_at
+from workers.lab.evaluation.failures.retrieval import budget_size
 from workers.lab.evaluation.failures.rows import SceneRow
 
 BUDGET: Final = 0.05
 NOTHING: Final = "none"
 
 
-class DisturbedShare(BaseModel):
-    """Scenes without failure that a reviewer with a 5 % budget would have been shown."""
+class FalseAlarmShare(BaseModel):
+    """Scenes without failure that a reviewer with a 5 % budget would be shown."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     scenes: int = Field(description="Without failure.")
     above: int = Field(description="Of them, above the score that marks the budget.")
     share: float | None
-    threshold: float = Field(description="That score, of the scenes that nothing disturbs.")
+    threshold: float = Field(description="Score of the budget over undisturbed scenes.")
 
 
-def threshold_of(scenes: Sequence[SceneRow]) -> float:
-    """Find the score that marks the 5 % budget of the scenes that nothing disturbs."""
+def budget_threshold(scenes: Sequence[SceneRow]) -> float:
+    """Find the score that marks the 5 % budget among undisturbed scenes."""
     scores = np.sort([scene.score for scene in scenes if not scene.disturbance])[::-1]
-    return float(scores[looked_at(BUDGET, len(scores)) - 1]) if len(scores) else 1.0
+    return float(scores[budget_size(BUDGET, len(scores)) - 1]) if len(scores) else 1.0
 
 
-def by_disturbance(scenes: Sequence[SceneRow]) -> dict[str, DisturbedShare]:
-    """Count scenes without failure above that score, by what disturbs them; hard ones apart."""
-    threshold = threshold_of(scenes)
+def by_disturbance(scenes: Sequence[SceneRow]) -> dict[str, FalseAlarmShare]:
+    """Count failure-free scenes above that score, by disturbance; scenes of hard logs apart."""
+    threshold = budget_threshold(scenes)
     quiet = [scene for scene in scenes if not scene.fails]
     groups: dict[str, list[SceneRow]] = {}
     for scene in quiet:
@@ -41,16 +41,18 @@ def by_disturbance(scenes: Sequence[SceneRow]) -> dict[str, DisturbedShare]:
     return {name: _share(group, threshold) for name, group in sorted(groups.items())}
 
 
-def slipped(scenes: Sequence[SceneRow], again: Sequence[SceneRow]) -> DisturbedShare | None:
+def slip_false_alarms(
+    scenes: Sequence[SceneRow], again: Sequence[SceneRow]
+) -> FalseAlarmShare | None:
     """Count scenes that were mined again with a slip in each, against the same score."""
     if not again:
         return None
-    return _share([scene for scene in again if not scene.fails], threshold_of(scenes))
+    return _share([scene for scene in again if not scene.fails], budget_threshold(scenes))
 
 
-def _share(scenes: Sequence[SceneRow], threshold: float) -> DisturbedShare:
+def _share(scenes: Sequence[SceneRow], threshold: float) -> FalseAlarmShare:
     above = sum(scene.score > threshold for scene in scenes)
-    return DisturbedShare(
+    return FalseAlarmShare(
         scenes=len(scenes),
         above=above,
         share=round(above / len(scenes), 4) if scenes else None,

@@ -1,4 +1,4 @@
-"""One frame as it is judged: what was said of its points, and what they really are."""
+"""Labelled frames with ground truth: both streams' labels next to the true motion."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,22 +14,22 @@ from workers.lab.evaluation.truth.truth import TRUTH_DYNAMIC, TRUTH_UNKNOWN, Fra
 
 
 @runtime_checkable
-class TellsUnsureness(Protocol):
-    """A stream that keeps for a while how unsure it was of each point."""
+class UncertaintyBuffer(Protocol):
+    """A stream that buffers per-point uncertainty for recent frames."""
 
     def take(self, stamp_ns: int) -> Mapping[str, NDArray[np.float32]]:
-        """Hand over what was kept of the frame of this stamp."""
+        """Remove and return the uncertainty buffered for the frame of this stamp."""
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SeenFrame:
+class FrameWithTruth:
     """A labelled frame of a scene with its truth.
 
     Attributes:
-        labelled: What both streams said.
-        truth: What its points are; None where truth does not tell.
-        unsure: How unsure the networks were of each point, (N,) by the name of the measure.
+        labelled: Frame with the labels of both streams.
+        truth: Truth of its points; None where the log has none for this frame.
+        unsure: Uncertainty of the networks per point, (N,) by name of the measure.
     """
 
     labelled: LabelledFrame
@@ -62,13 +62,13 @@ class SeenFrame:
             return np.full(len(self.labelled.agreements), -1, np.int64)
         return self.truth.track.astype(np.int64)
 
-    def wrong(self, said: FrameLabels) -> Mask:
-        """(N,) points of which a stream says the opposite of the truth; silence is not wrong."""
-        told = self.known & (said.labels != MotionLabel.UNKNOWN)
-        wrong: Mask = told & ((said.labels == MotionLabel.DYNAMIC) != self.moving)
+    def wrong(self, predicted: FrameLabels) -> Mask:
+        """(N,) points that a stream labels opposite to the truth; UNKNOWN is not wrong."""
+        compared = self.known & (predicted.labels != MotionLabel.UNKNOWN)
+        wrong: Mask = compared & ((predicted.labels == MotionLabel.DYNAMIC) != self.moving)
         return wrong
 
     def class_of(self, track: int) -> str:
-        """What truth calls an object; empty where it does not say."""
+        """Return the true class of an object; empty where truth has none."""
         known = self.truth.objects.get(track) if self.truth is not None else None
         return "" if known is None else known.class_name

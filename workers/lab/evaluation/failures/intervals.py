@@ -1,4 +1,4 @@
-"""How far a figure would move, had other logs been drawn: bootstrap over whole logs."""
+"""Bootstrap intervals of figures, resampled over whole logs."""
 
 from collections.abc import Callable, Sequence
 from typing import Final
@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 DRAWS: Final = 1000
 LEVEL: Final = 0.95
 
-FEWEST_LOGS: Final = 3
-"""One log drawn anew is itself, of two, half of the draws are one of them twice."""
+MIN_LOGS: Final = 3
+"""Logs needed for an interval: one resampled log is itself; of two, half the draws repeat one."""
 
 Interval = tuple[float, float]
 
@@ -28,17 +28,19 @@ def bootstrap(
 
     Args:
         groups: Log of each item.
-        figures: Of the items of a draw, repeated as they were drawn; None for one that has none.
-        draws: How often, once at least.
-        seed: Of the draws.
+        figures: Computes the figures of a draw from its item indices, which repeat; None where a
+            figure is undefined.
+        draws: Number of draws, at least 1.
+        seed: Seed of the draws.
 
     Returns:
-        For each figure; None where less than half of the draws have it, or of too few logs.
+        One interval per figure; None where less than half of the draws define it, or with too few
+        logs.
     """
     of = np.asarray(groups)
     names = np.unique(of)
     members = [np.flatnonzero(of == name) for name in names]
-    if len(members) < FEWEST_LOGS:
+    if len(members) < MIN_LOGS:
         return [None for _ in figures(np.arange(len(of)))]
     rng = np.random.default_rng(seed)
     drawn = []

@@ -1,4 +1,4 @@
-"""How well each kind of failure is found."""
+"""Ranking figures per kind of failure."""
 
 from collections.abc import Sequence
 
@@ -8,8 +8,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from workers.lab.evaluation.failures.retrieval import (
     BUDGETS,
-    looked_at,
-    name_of,
+    budget_name,
+    budget_size,
     order_of,
     retrieve,
 )
@@ -17,20 +17,20 @@ from workers.lab.evaluation.failures.rows import SceneRow
 
 
 class KindRow(BaseModel):
-    """One kind of failure among scenes that fail in this way or not at all."""
+    """Ranking figures of one kind, among scenes that fail in this way or not at all."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    scenes: int = Field(description="That hold a failure of the kind.")
+    scenes: int = Field(description="Scenes that contain a failure of the kind.")
     ap: float | None = Field(description="Average precision against scenes without failure.")
     recall_at: dict[str, float] = Field(
-        description="By budget of all scenes: share of the kind's scenes that are looked at."
+        description="By budget of all scenes: share of the kind's scenes inside the budget."
     )
     median_rank_share: float = Field(description="0: at the top of all scenes; 1: at the bottom.")
 
 
-def by_kind(scenes: Sequence[SceneRow], scores: NDArray[np.float64]) -> dict[str, KindRow]:
-    """Judge a ranking of scenes kind by kind."""
+def figures_by_kind(scenes: Sequence[SceneRow], scores: NDArray[np.float64]) -> dict[str, KindRow]:
+    """Compute the ranking figures of each kind."""
     order = order_of(scores)
     rank = np.empty(len(order), np.int64)
     rank[order] = np.arange(len(order))
@@ -43,7 +43,9 @@ def by_kind(scenes: Sequence[SceneRow], scores: NDArray[np.float64]) -> dict[str
             scenes=int(mine.sum()),
             ap=retrieve(scores[asked], mine[asked], ()).ap,
             recall_at={
-                name_of(budget): round(float((rank[mine] < looked_at(budget, len(rank))).mean()), 4)
+                budget_name(budget): round(
+                    float((rank[mine] < budget_size(budget, len(rank))).mean()), 4
+                )
                 for budget in BUDGETS
             },
             median_rank_share=round(float(np.median(rank[mine])) / max(1, len(rank) - 1), 4),

@@ -1,4 +1,4 @@
-"""One log, mined as a worker would and compared with its truth, scene by scene."""
+"""Mining of one log with the worker's pipeline, compared with its truth per scene."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,7 +9,7 @@ from schemas.mining import MiningSettings
 from schemas.transport.bucket import Bucket
 from schemas.work import Recording
 from workers.ingest.read import read_shard
-from workers.lab.evaluation.failures.frame_truth import SeenFrame, TellsUnsureness
+from workers.lab.evaluation.failures.frame_truth import FrameWithTruth, UncertaintyBuffer
 from workers.lab.evaluation.failures.pose_slips import Slip, SlippingOdometry
 from workers.lab.evaluation.failures.rows import MinedLog, SceneRow
 from workers.lab.evaluation.failures.scene_rows import scene_row
@@ -24,13 +24,13 @@ from workers.version import pipeline_version
 
 @dataclass(frozen=True, slots=True)
 class LogJob:
-    """A log that is to be mined.
+    """A log to mine.
 
     Attributes:
         recording: The log.
         truth: Folder of the truth of its bucket.
-        frames: How many its truth knows.
-        slips: What is put into its poses beside those that its truth lists.
+        frames: Number of frames in its truth.
+        slips: Pose slips to inject in addition to those that its truth lists.
     """
 
     recording: Recording
@@ -40,13 +40,13 @@ class LogJob:
 
 
 def mine_log(bucket: Bucket, job: LogJob, settings: MiningSettings, parts: Parts) -> MinedLog:
-    """Mine a log and judge what was found.
+    """Mine a log and compare the result with its truth.
 
     Args:
-        bucket: Where it lies.
-        job: The log, its truth, and what slips.
-        settings: How it is mined.
-        parts: Odometry, streams, and whoever else has an opinion.
+        bucket: Bucket of the log.
+        job: The log, its truth and its slips.
+        settings: Mining settings.
+        parts: Odometry, streams and witness.
 
     Raises:
         TruthUnusableError: If the log has no truth, or that of another log.
@@ -63,11 +63,11 @@ def mine_log(bucket: Bucket, job: LogJob, settings: MiningSettings, parts: Parts
     version = pipeline_version(settings, parts)
     scenes: list[SceneRow] = []
     frames, shown = 0, set[int]()
-    told = parts.supervised if isinstance(parts.supervised, TellsUnsureness) else None
+    buffer = parts.supervised if isinstance(parts.supervised, UncertaintyBuffer) else None
     for shard in shards_of_log(bucket, recording, settings, topic=truth.topic):
         reader = read_shard(bucket, recording, shard, settings)
         for mined in mine_shard(shard, reader.frames(), parts, pipeline_version=version):
-            seen = _with_truth(mined.scene, truth, before=frames, told=told)
+            seen = _with_truth(mined.scene, truth, before=frames, buffer=buffer)
             cell = (mined.scene.start_ns - shard.anchor_ns) // round(
                 settings.grid.scene_s * NS_PER_S
             )
@@ -86,19 +86,19 @@ def mine_log(bucket: Bucket, job: LogJob, settings: MiningSettings, parts: Parts
 
 
 def _with_truth(
-    scene: Scene, truth: LogTruth, *, before: int, told: TellsUnsureness | None
-) -> list[SeenFrame]:
+    scene: Scene, truth: LogTruth, *, before: int, buffer: UncertaintyBuffer | None
+) -> list[FrameWithTruth]:
     seen = []
     for number, labelled in enumerate(scene.frames):
         frame = labelled.posed.frame
         place = truth.number_of(frame, position=before + number)
-        unsure = {} if told is None else told.take(frame.stamp_ns)
-        seen.append(SeenFrame(labelled, truth.of(frame, number=place), unsure))
+        unsure = {} if buffer is None else buffer.take(frame.stamp_ns)
+        seen.append(FrameWithTruth(labelled, truth.of(frame, number=place), unsure))
     return seen
 
 
 def _slips_in(planted: PlantedTruth) -> tuple[Slip, ...]:
-    """Which slips of the odometry the truth of a log asks for."""
+    """Return the odometry slips that the truth of a log lists."""
     return tuple(
         Slip(each.start_ns, each.end_ns, each.strength, each.shift_m)
         for each in planted.disturbances

@@ -1,4 +1,4 @@
-"""Many logs mined in processes of their own; what was mined before is not mined again."""
+"""Parallel mining of many logs; cached results are not mined again."""
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -10,7 +10,7 @@ from pathlib import Path
 from schemas.mining import MiningSettings
 from schemas.transport.bucket import open_bucket
 from workers.lab.evaluation.failures.mine_log import LogJob, mine_log
-from workers.lab.evaluation.failures.result_cache import keep_log, kept_log
+from workers.lab.evaluation.failures.result_cache import load_mined_log, store_mined_log
 from workers.lab.evaluation.failures.rows import MinedLog
 from workers.lab.evaluation.failures.uncertainty import NO_PROBING, ProbedStream, Probing
 from workers.parts.protocols import Parts
@@ -18,15 +18,15 @@ from workers.version import parts_of
 
 
 @dataclass(frozen=True, slots=True)
-class Mining:
-    """How logs are mined.
+class MiningRun:
+    """Settings of a mining run over many logs.
 
     Attributes:
-        bucket_url: Where they lie.
-        settings: As a worker would mine them.
-        processes: How many at once; 1 mines in this one.
-        kept: Folder of what was mined; None keeps nothing.
-        probing: What is asked of networks beside their labels.
+        bucket_url: Bucket of the logs.
+        settings: Mining settings of a worker.
+        processes: Number of parallel processes; 1 mines in this one.
+        kept: Folder of cached results; None caches nothing.
+        probing: Uncertainty measures to compute in addition to the labels.
     """
 
     bucket_url: str
@@ -37,34 +37,34 @@ class Mining:
 
 
 def mine_logs(
-    mining: Mining, jobs: Sequence[LogJob], *, on_log: Callable[[MinedLog], None]
+    mining: MiningRun, jobs: Sequence[LogJob], *, on_log: Callable[[MinedLog], None]
 ) -> list[MinedLog]:
-    """Mine logs, each as it would be mined alone; the order is theirs.
+    """Mine logs, each one independently of the others, and return them in the order of the jobs.
 
     Args:
-        mining: How.
-        jobs: Which, and what slips in them.
-        on_log: Told of each, as it is done.
+        mining: Settings of the run.
+        jobs: Logs to mine, with their slips.
+        on_log: Called with each mined log when it is done.
 
     Raises:
-        PermanentError: If a log cannot be mined, or its truth is not its own.
+        PermanentError: If a log cannot be mined, or its truth belongs to another log.
     """
     done: dict[int, MinedLog] = {}
     for number, job in enumerate(jobs):
-        found = kept_log(mining.kept, job, mining.settings, mining.probing)
+        found = load_mined_log(mining.kept, job, mining.settings, mining.probing)
         if found is not None:
             done[number] = found
             on_log(found)
     left = [number for number in range(len(jobs)) if number not in done]
     for number, log in _mined(mining, jobs, left):
-        keep_log(mining.kept, jobs[number], mining.settings, mining.probing, log)
+        store_mined_log(mining.kept, jobs[number], mining.settings, mining.probing, log)
         done[number] = log
         on_log(log)
     return [done[number] for number in range(len(jobs))]
 
 
 def _mined(
-    mining: Mining, jobs: Sequence[LogJob], left: Sequence[int]
+    mining: MiningRun, jobs: Sequence[LogJob], left: Sequence[int]
 ) -> Iterator[tuple[int, MinedLog]]:
     if mining.processes <= 1 or len(left) <= 1:
         for number in left:
@@ -84,14 +84,14 @@ def _mined(
                 future.cancel()
 
 
-def _mine(mining: Mining, job: LogJob) -> MinedLog:
+def _mine(mining: MiningRun, job: LogJob) -> MinedLog:
     parts = _parts(mining.settings.model_dump_json(), mining.probing)
     return mine_log(open_bucket(mining.bucket_url), job, mining.settings, parts)
 
 
 @lru_cache(maxsize=2)
 def _parts(settings_json: str, probing: Probing) -> Parts:
-    """Build the parts; weights are loaded once in each process."""
+    """Build the parts; each process loads the weights once."""
     settings = MiningSettings.model_validate_json(settings_json)
     parts = parts_of(settings)
     probed = ProbedStream.of(settings, probing)

@@ -1,11 +1,11 @@
-"""The table *natural*: the failures of the shipped networks, found thing by thing."""
+"""The table *natural*: failures of a supervised network per object of interest."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from workers.lab.evaluation.failures.attribution import WhoIsWrong, attribute
+from workers.lab.evaluation.failures.attribution import AttributionAccuracy, evaluate_attribution
 from workers.lab.evaluation.failures.calibration import Calibration, calibrate
 from workers.lab.evaluation.failures.ranking import (
     MINUTE_S,
@@ -16,41 +16,41 @@ from workers.lab.evaluation.failures.ranking import (
     random_row,
     row_of,
 )
-from workers.lab.evaluation.failures.rows import MinedLog, SceneRow, ThingRow
+from workers.lab.evaluation.failures.rows import MinedLog, ObjectRow, SceneRow
 
 
 class ClassRow(BaseModel):
-    """Failures on things of one class."""
+    """Failures on objects of one class."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     things: int
     failing: int
-    found: int = Field(description="Of the failing ones, those that contradict at all.")
+    found: int = Field(description="Failing ones with a contradicting track.")
 
 
 class NaturalTable(RankingRow):
-    """How well contradictions rank the things of a fleet, and what else would have."""
+    """Ranking of the objects of a fleet by contradiction, compared with the baseline scores."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    things: int = Field(description="Objects of the truth, phantoms, and what else contradicts.")
-    failing_things: int = Field(description="Things, scene by scene, on which the stream fails.")
+    things: int = Field(description="True objects, phantoms and other contradicting clusters.")
+    failing_things: int = Field(description="Objects per scene on which the stream fails.")
     failing_scenes: int
     baselines: dict[str, RankingRow] = Field(
-        description="Other ways to rank, by name, each on the things that it says something of."
+        description="Baseline rankings by name, each over the objects that it scores."
     )
     best_baseline: str
     attribution_accuracy: float | None
-    attribution: WhoIsWrong
-    calibration: Calibration = Field(description="Of a thing's strength against its failing.")
-    classes: dict[str, ClassRow] = Field(description="By class of the truth and what goes wrong.")
+    attribution: AttributionAccuracy
+    calibration: Calibration = Field(description="Of an object's strength against its failing.")
+    classes: dict[str, ClassRow] = Field(description="By true class and motion.")
 
 
 def natural_table(logs: Sequence[MinedLog], *, draws: int) -> NaturalTable:
-    """Make the table of logs that were mined with a network; things are ranked, not scenes.
+    """Compute the table from logs that were mined with a network; it ranks objects, not scenes.
 
-    A thing is as suspicious as the strongest contradicting track on it, 0 without any.
+    The score of an object is the strength of its strongest contradicting track, 0 without any.
     """
     listed = [
         (number, scene, thing)
@@ -71,11 +71,11 @@ def natural_table(logs: Sequence[MinedLog], *, draws: int) -> NaturalTable:
     )
     baselines = {RANDOM: random_row(items)}
     for name in sorted({name for _, _, thing in listed for name in thing.views}):
-        told = np.array([name in thing.views for _, _, thing in listed], dtype=np.bool_)
+        scored = np.array([name in thing.views for _, _, thing in listed], dtype=np.bool_)
         view = np.array([thing.views[name] for _, _, thing in listed if name in thing.views])
-        baselines[name] = row_of(view, _only(items, told), draws=draws)
+        baselines[name] = row_of(view, _only(items, scored), draws=draws)
     scenes = [scene for log in logs for scene in log.scenes]
-    said = attribute(track for scene in scenes for track in scene.tracks)
+    attribution = evaluate_attribution(track for scene in scenes for track in scene.tracks)
     return NaturalTable(
         **row_of(strengths, items, draws=draws).model_dump(),
         things=len(listed),
@@ -83,34 +83,34 @@ def natural_table(logs: Sequence[MinedLog], *, draws: int) -> NaturalTable:
         failing_scenes=sum(scene.fails for scene in scenes),
         baselines=baselines,
         best_baseline=best_of(baselines),
-        attribution_accuracy=said.accuracy,
-        attribution=said,
+        attribution_accuracy=attribution.accuracy,
+        attribution=attribution,
         calibration=calibrate(strengths, items.wanted),
         classes=_classes([(scene, thing) for _, scene, thing in listed]),
     )
 
 
-def strength_of(scene: SceneRow, thing: ThingRow) -> float:
-    """How suspicious a thing is: as the strongest track on it, strength already weighs blame."""
+def strength_of(scene: SceneRow, thing: ObjectRow) -> float:
+    """Return the strength of an object's strongest track, which already weighs attribution."""
     return max((each.strength for each in scene.tracks if each.thing == thing.key), default=0.0)
 
 
-def _name(scene: SceneRow, thing: ThingRow) -> str:
+def _name(scene: SceneRow, thing: ObjectRow) -> str:
     return thing.key if thing.track >= 0 else f"{scene.scene_id} {thing.key}"
 
 
-def _only(items: Items, told: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Items:
+def _only(items: Items, scored: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Items:
     return Items(
-        items.logs[told],
-        items.wanted[told],
-        [names for names, kept in zip(items.failures, told.tolist(), strict=True) if kept],
-        items.minutes[told],
+        items.logs[scored],
+        items.wanted[scored],
+        [names for names, kept in zip(items.failures, scored.tolist(), strict=True) if kept],
+        items.minutes[scored],
         items.scenes,
     )
 
 
-def _classes(listed: Sequence[tuple[SceneRow, ThingRow]]) -> dict[str, ClassRow]:
-    groups: dict[str, list[tuple[SceneRow, ThingRow]]] = {}
+def _classes(listed: Sequence[tuple[SceneRow, ObjectRow]]) -> dict[str, ClassRow]:
+    groups: dict[str, list[tuple[SceneRow, ObjectRow]]] = {}
     for scene, thing in listed:
         what = thing.class_name or ("nobody's" if thing.track < 0 else "unknown")
         state = "moving" if thing.moves else "standing"

@@ -1,4 +1,4 @@
-"""What a user would rank things by instead: how unsure of them the networks are."""
+"""Baseline scores that rank objects: uncertainty, flicker and disagreement of the networks."""
 
 from collections.abc import Mapping, Sequence
 
@@ -6,25 +6,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.labels import MotionLabel
-from workers.lab.evaluation.failures.baseline_scores import proved_of
-from workers.lab.evaluation.failures.frame_truth import SeenFrame
+from workers.lab.evaluation.failures.baseline_scores import proven_moving
+from workers.lab.evaluation.failures.frame_truth import FrameWithTruth
 
 
-def thing_views(
-    points: Mapping[int, NDArray[np.int64]], seen: Sequence[SeenFrame]
+def object_baselines(
+    points: Mapping[int, NDArray[np.int64]], seen: Sequence[FrameWithTruth]
 ) -> Mapping[str, float]:
-    """Rank a thing as others would, by means over its points.
+    """Compute the baseline scores of an object as means over its points.
 
     Args:
-        points: Its points by frame of the scene.
-        seen: The frames.
+        points: Its points, by frame of the scene.
+        seen: Frames of the scene with their truth.
 
     Returns:
-        `confidence`, one minus what the supervised stream says; `flicker`, how often the label of
-        most of it changes; `point_share`, the share of its points on which the streams differ;
-        `free_space`, the share that free space proved to move and the supervised stream says
-        stands; and what networks that were probed told, `entropy`, `margin`, `mc_dropout`,
-        `ensemble`, as far as they told it.
+        `confidence`, one minus the supervised stream's confidence; `flicker`, the share of frame
+        pairs in which the majority label changes; `point_share`, the share of its points on which
+        the streams differ; `free_space`, the share that free space proves moving and the supervised
+        stream labels static; of probed networks also `entropy`, `margin`, `mc_dropout` and
+        `ensemble`, where they are finite.
     """
     unsure: list[NDArray[np.float64]] = []
     labels: list[bool] = []
@@ -32,23 +32,23 @@ def thing_views(
     for number, mine in sorted(points.items()):
         labelled = seen[number].labelled
         semantic, predictive = labelled.semantic, labelled.predictive
-        told = semantic.labels[mine] != MotionLabel.UNKNOWN
+        valid = semantic.labels[mine] != MotionLabel.UNKNOWN
         total += len(mine)
-        unsure.append(1.0 - semantic.confidence[mine][told].astype(np.float64))
-        if told.any():
-            labels.append(bool((semantic.labels[mine][told] == MotionLabel.DYNAMIC).mean() > 0.5))
-        both = told & (predictive.labels[mine] != MotionLabel.UNKNOWN)
+        unsure.append(1.0 - semantic.confidence[mine][valid].astype(np.float64))
+        if valid.any():
+            labels.append(bool((semantic.labels[mine][valid] == MotionLabel.DYNAMIC).mean() > 0.5))
+        both = valid & (predictive.labels[mine] != MotionLabel.UNKNOWN)
         differing += int((semantic.labels[mine] != predictive.labels[mine])[both].sum())
-        proved = proved_of(labelled)
+        proved = proven_moving(labelled)
         if proved is not None:
             against += int((proved[mine] & (semantic.labels[mine] == MotionLabel.STATIC)).sum())
     every = np.concatenate(unsure) if unsure else np.zeros(0)
     changes = np.diff(np.array(labels, dtype=np.int8))
-    told_of: dict[str, list[NDArray[np.float32]]] = {}
+    by_measure: dict[str, list[NDArray[np.float32]]] = {}
     for number, mine in points.items():
         for name, values in seen[number].unsure.items():
-            told_of.setdefault(name, []).append(values[mine])
-    probed = {name: np.concatenate(values) for name, values in told_of.items()}
+            by_measure.setdefault(name, []).append(values[mine])
+    probed = {name: np.concatenate(values) for name, values in by_measure.items()}
     return {
         **{
             name: float(np.nanmean(values))

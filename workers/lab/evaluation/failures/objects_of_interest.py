@@ -1,8 +1,8 @@
-"""The things of a scene that the supervised stream can be right or wrong about, by truth.
+"""Objects of interest: the objects of a scene on which the supervised stream is evaluated.
 
-A *failure* is a thing on which it errs: at least 25 points of it wrong, most of the thing, in
-frames that together last half a second. Things are the objects of the truth, and where points
-belong to none, what the wrong labels themselves make up: a phantom on a wall, a mover without box.
+A *failure* is an object with at least 25 wrong points that are most of its points, in frames that
+together last half a second. Objects come from the truth. Wrong points without an object are
+clustered into objects of their own: a phantom on a wall, a mover without a box.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,7 +21,7 @@ from workers.contradiction.boxes import fit_box
 from workers.contradiction.instances import cluster_places
 from workers.contradiction.settings import DEFAULT_INSTANCES
 from workers.contradiction.tracks import frame_period_s, tie_tracks
-from workers.lab.evaluation.failures.frame_truth import SeenFrame
+from workers.lab.evaluation.failures.frame_truth import FrameWithTruth
 
 MIN_POINTS: Final = 25
 MIN_S: Final = 0.5
@@ -32,18 +32,18 @@ Points = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Thing:
-    """One thing of a scene.
+class ObjectOfInterest:
+    """One object of interest of a scene.
 
     Attributes:
         key: Its name in the scene: `track 7`, `phantom 0`, `missed 1`.
-        track: Of the truth; -1 none.
-        class_name: What truth calls it; empty where it does not say.
+        track: True track number; -1 none.
+        class_name: True class; empty where truth has none.
         moves: Whether it truly moves, in most frames.
-        points: By frame of the scene, its points whose true motion is known; frames in which it
-            has 25 at least.
-        failing: Frames in which the supervised stream errs on most of it.
-        fails: Whether these last long enough.
+        points: By frame of the scene, its points whose true motion is known; frames with 25 or
+            more.
+        failing: Frames in which the supervised stream is wrong on most of its points.
+        fails: Whether these frames last long enough.
     """
 
     key: str
@@ -55,23 +55,23 @@ class Thing:
     fails: bool
 
 
-def frames_of(seconds: float, period_s: float) -> int:
-    """How many frames last so long; one at least."""
+def frames_in(seconds: float, period_s: float) -> int:
+    """Return the number of frames that last this long, at least one."""
     return max(1, ceil(seconds / period_s - _TOLERANCE)) if period_s > 0 else 1
 
 
-def find_things(scene: Scene, seen: Sequence[SeenFrame]) -> list[Thing]:
-    """Find what the supervised stream can be judged by in a scene.
+def find_objects(scene: Scene, seen: Sequence[FrameWithTruth]) -> list[ObjectOfInterest]:
+    """Find the objects of interest of a scene.
 
     Args:
         scene: The labelled frames.
-        seen: The same with their truth.
+        seen: The same frames with their truth.
     """
-    enough = frames_of(MIN_S, frame_period_s(scene))
-    return [*_objects(seen, enough), *_of_nobody(scene, seen, enough)]
+    enough = frames_in(MIN_S, frame_period_s(scene))
+    return [*_objects(seen, enough), *_unowned(scene, seen, enough)]
 
 
-def _objects(seen: Sequence[SeenFrame], enough: int) -> Iterator[Thing]:
+def _objects(seen: Sequence[FrameWithTruth], enough: int) -> Iterator[ObjectOfInterest]:
     points: dict[int, dict[int, Points]] = {}
     for number, frame in enumerate(seen):
         track = np.where(frame.known, frame.track, -1)
@@ -89,7 +89,7 @@ def _objects(seen: Sequence[SeenFrame], enough: int) -> Iterator[Thing]:
             if _errs(seen[number].wrong(seen[number].labelled.semantic)[mine])
         ]
         moving = [bool(seen[number].moving[mine].mean() > 0.5) for number, mine in by_frame.items()]
-        yield Thing(
+        yield ObjectOfInterest(
             key=f"track {track_id}",
             track=track_id,
             class_name=seen[next(iter(by_frame))].class_of(track_id),
@@ -104,8 +104,10 @@ def _errs(wrong: Mask) -> bool:
     return bool(wrong.sum() >= MIN_POINTS and 2 * wrong.sum() > len(wrong))
 
 
-def _of_nobody(scene: Scene, seen: Sequence[SeenFrame], enough: int) -> Iterator[Thing]:
-    """Wrong points that belong to no object, clustered and tied over frames, long enough ones."""
+def _unowned(
+    scene: Scene, seen: Sequence[FrameWithTruth], enough: int
+) -> Iterator[ObjectOfInterest]:
+    """Cluster and track wrong points without an object; yield the tracks that last long enough."""
     for moves, name in ((False, "phantom"), (True, "missed")):
         instances: list[Instance] = []
         for number, frame in enumerate(seen):
@@ -121,11 +123,11 @@ def _of_nobody(scene: Scene, seen: Sequence[SeenFrame], enough: int) -> Iterator
                 continue
             by_frame = {each.frame_index: each.point_index for each in members}
             frames = tuple(by_frame)
-            yield Thing(f"{name} {number}", -1, "", moves, by_frame, frames, fails=True)
+            yield ObjectOfInterest(f"{name} {number}", -1, "", moves, by_frame, frames, fails=True)
             number += 1
 
 
-def _instances(frame: SeenFrame, number: int, candidates: Points) -> Iterator[Instance]:
+def _instances(frame: FrameWithTruth, number: int, candidates: Points) -> Iterator[Instance]:
     cloud = frame.labelled.posed.frame.points_m
     clusters = cluster_places(cloud[candidates], settings=DEFAULT_INSTANCES)
     movers = np.flatnonzero(frame.moving & (frame.track >= 0))
@@ -147,7 +149,7 @@ def _instances(frame: SeenFrame, number: int, candidates: Points) -> Iterator[In
 
 
 def _is_rim(points_m: NDArray[np.float32], movers_m: NDArray[np.float32]) -> bool:
-    """Whether most points lie against a true mover: labels that bleed are no thing."""
+    """Test whether most points lie within 0.5 m of a true mover: bled labels are no object."""
     if not len(movers_m):
         return False
     near, _ = cKDTree(movers_m).query(points_m, distance_upper_bound=_RIM_M)

@@ -1,4 +1,4 @@
-"""The table *planted*: does the score put scenes in which the model on the car errs first?"""
+"""The table *planted*: ranking of scenes by score, against failures planted in a fleet."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -8,12 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
-from workers.lab.evaluation.failures.attribution import WhoIsWrong, attribute
+from workers.lab.evaluation.failures.attribution import AttributionAccuracy, evaluate_attribution
 from workers.lab.evaluation.failures.calibration import Calibration, calibrate
 from workers.lab.evaluation.failures.common_mode import CommonMode, common_mode
-from workers.lab.evaluation.failures.false_alarms import DisturbedShare, by_disturbance, slipped
+from workers.lab.evaluation.failures.false_alarms import (
+    FalseAlarmShare,
+    by_disturbance,
+    slip_false_alarms,
+)
 from workers.lab.evaluation.failures.intervals import Interval, bootstrap
-from workers.lab.evaluation.failures.kinds import KindRow, by_kind
+from workers.lab.evaluation.failures.kinds import KindRow, figures_by_kind
 from workers.lab.evaluation.failures.ranking import (
     MINUTE_S,
     RANDOM,
@@ -28,7 +32,7 @@ from workers.lab.evaluation.failures.rows import MinedLog, SceneRow
 
 
 class PlantedTable(RankingRow):
-    """How well the score ranks scenes of a fleet, and what else would have.
+    """Ranking of the scenes of a fleet by score, compared with the baseline scores.
 
     The figures at the top are those of the score.
     """
@@ -38,28 +42,28 @@ class PlantedTable(RankingRow):
     failing_scenes: int
     planted: int = Field(description="Failures that were planted.")
     unseen: int = Field(description="Of them, those that the labels do not show.")
-    baselines: dict[str, RankingRow] = Field(description="Other ways to rank, by name.")
-    best_baseline: str = Field(description="Of those, the one of the highest average precision.")
+    baselines: dict[str, RankingRow] = Field(description="Baseline rankings, by name.")
+    best_baseline: str = Field(description="The baseline of highest average precision.")
     gain: float | None = Field(
         description="(AP - b) / (1 - b) against the best baseline's average precision b."
     )
     gain_interval: Interval | None = Field(description="95 %, against that baseline.")
     attribution_accuracy: float | None = Field(
-        description="Mean recall over {supervised, selfsupervised, both, neither} as far as they "
-        "occur ten times; null: records do not say who is wrong."
+        description="Mean recall over {supervised, selfsupervised, both, neither} that "
+        "occur ten times; null: records without attribution."
     )
-    attribution: WhoIsWrong
+    attribution: AttributionAccuracy
     common_mode_recall: float | None = Field(
         description="Share of planted failures on which both streams are wrong that surface."
     )
     common_mode: CommonMode
-    calibration: Calibration = Field(description="Of the score against the scene's holding one.")
+    calibration: Calibration = Field(description="Of the score against the scene's failing.")
     kinds: dict[str, KindRow] = Field(description="By kind of failure.")
-    disturbances: dict[str, DisturbedShare] = Field(
+    disturbances: dict[str, FalseAlarmShare] = Field(
         description="Scenes without failure above the score that marks the 5 % budget of the "
-        "scenes that nothing disturbs, by what disturbs them."
+        "undisturbed scenes, by kind of disturbance."
     )
-    slips: DisturbedShare | None = Field(
+    slips: FalseAlarmShare | None = Field(
         description="The same for scenes that were mined again with a slip in each; null: not run."
     )
 
@@ -67,12 +71,12 @@ class PlantedTable(RankingRow):
 def planted_table(
     logs: Sequence[MinedLog], *, slipping: Sequence[MinedLog] = (), draws: int
 ) -> PlantedTable:
-    """Make the table.
+    """Compute the table.
 
     Args:
-        logs: Of the fleet, mined with its recorded labels.
+        logs: Logs of the fleet, mined with their recorded labels.
         slipping: Some of them, mined again with a slip in every scene.
-        draws: Of the bootstrap; 0 makes no intervals.
+        draws: Bootstrap draws; 0 computes no intervals.
     """
     scenes = [scene for log in logs for scene in log.scenes]
     items = items_of(logs)
@@ -83,7 +87,7 @@ def planted_table(
     baselines |= {name: row_of(view, items, draws=draws) for name, view in others.items()}
     mine = row_of(scores, items, draws=draws)
     best = best_of(baselines)
-    said = attribute(track for scene in scenes for track in scene.tracks)
+    attribution = evaluate_attribution(track for scene in scenes for track in scene.tracks)
     shared = common_mode(scenes)
     return PlantedTable(
         **mine.model_dump(),
@@ -94,33 +98,34 @@ def planted_table(
         best_baseline=best,
         gain=_gain(mine.ap, baselines[best].ap),
         gain_interval=_gain_interval(scores, others.get(best), items, draws),
-        attribution_accuracy=said.accuracy,
-        attribution=said,
+        attribution_accuracy=attribution.accuracy,
+        attribution=attribution,
         common_mode_recall=shared.recall,
         common_mode=shared,
         calibration=calibrate(scores, items.wanted),
-        kinds=by_kind(scenes, scores),
+        kinds=figures_by_kind(scenes, scores),
         disturbances=by_disturbance(scenes),
-        slips=slipped(scenes, [scene for log in slipping for scene in log.scenes]),
+        slips=slip_false_alarms(scenes, [scene for log in slipping for scene in log.scenes]),
     )
 
 
 def items_of(logs: Sequence[MinedLog]) -> Items:
-    """Make scenes what is ranked; a failure that goes on over several scenes is one."""
+    """Make scenes the ranked items; a failure that lasts over several scenes counts once."""
     scenes = [scene for log in logs for scene in log.scenes]
     return Items(
         logs=np.repeat(np.arange(len(logs)), [len(log.scenes) for log in logs]),
         wanted=np.array([scene.fails for scene in scenes], dtype=np.bool_),
-        failures=[names_of(scene, log.log_id) for log in logs for scene in log.scenes],
+        failures=[failure_names(scene, log.log_id) for log in logs for scene in log.scenes],
         minutes=np.array([scene.seconds / MINUTE_S for scene in scenes]),
         scenes=len(scenes),
     )
 
 
-def names_of(scene: SceneRow, log_id: str) -> list[str]:
-    """Name the failures of a scene: one thing of a log failing in one way is one failure.
+def failure_names(scene: SceneRow, log_id: str) -> list[str]:
+    """Name the failures of a scene: one object of a log failing in one way is one failure.
 
-    A swap fails on two things, a limit of range on all beyond it: by kind they are one.
+    A label swap fails on two objects and a range limit on all beyond it: each is one failure per
+    kind.
     """
     names = Counter(
         f"{log_id} {each.kind} {'' if each.kind in _OF_MANY else each.track} "

@@ -1,4 +1,4 @@
-"""Odometry that slips: what no log can hold, put into the poses of the frames as they are mined."""
+"""Odometry slips: pose errors that no log can contain, injected into poses during mining."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -13,13 +13,13 @@ from workers.points.se3 import inverse
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """A stretch of time in which every step between two frames is measured wrong.
+    """An interval in which every step between two frames has the same error.
 
     Attributes:
         start_ns: First instant, nanoseconds since the Unix epoch.
         end_ns: First instant after it.
-        yaw_rad: What each step turns too far.
-        ahead_m: What each step goes too far.
+        yaw_rad: Yaw error of each step, radians.
+        ahead_m: Forward error of each step, metres.
     """
 
     start_ns: int
@@ -29,9 +29,9 @@ class Slip:
 
 
 class SlippingOdometry:
-    """An odometry whose steps slip; what was slipped is never found again, as in a real one.
+    """An odometry whose steps slip; the error stays in all later poses, as in real odometry.
 
-    Its poses still call themselves as the odometry underneath does: to notice is others' work.
+    Its poses carry the quality of the odometry underneath: detecting a slip is left to other parts.
     """
 
     def __init__(self, inner: Odometry, slips: Sequence[Slip]) -> None:
@@ -39,7 +39,7 @@ class SlippingOdometry:
 
     @property
     def version(self) -> str:
-        """That of the odometry underneath, and the slips."""
+        """Version of the odometry underneath, followed by the slips."""
         return f"{self._inner.version} slipping {self._slips}"
 
     def __call__(self, frames: Iterable[LidarFrame]) -> Iterator[PosedFrame]:

@@ -1,4 +1,4 @@
-"""The figures of one way to rank, for the tables and the report."""
+"""Ranking figures of one score, for the tables and the report."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,9 +14,9 @@ from workers.lab.evaluation.failures.retrieval import (
     BUDGETS,
     Retrieval,
     area_under,
+    budget_name,
+    budget_size,
     found_curve,
-    looked_at,
-    name_of,
     random_retrieval,
     retrieve,
 )
@@ -24,7 +24,7 @@ from workers.lab.evaluation.failures.retrieval import (
 MAIN_BUDGET: Final = 0.05
 MINUTE_S: Final = 60.0
 RANDOM: Final = "random"
-"""Name of the random order among other ways to rank."""
+"""Name of the random order among the baselines."""
 
 _CURVE_POINTS: Final = 101
 
@@ -33,14 +33,14 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Items:
-    """What is ranked.
+    """Items to rank: scenes or objects.
 
     Attributes:
         logs: (N,) number of the log of each item.
-        wanted: (N,) which show a failure.
-        failures: Names of the distinct failures that each shows.
-        minutes: (N,) of recording that a look at each takes.
-        scenes: How many scenes they are from.
+        wanted: (N,) items that show a failure.
+        failures: Names of the distinct failures that each item shows.
+        minutes: (N,) minutes of recording that a review of each item takes.
+        scenes: Number of scenes they are from.
     """
 
     logs: NDArray[np.int64]
@@ -51,22 +51,22 @@ class Items:
 
 
 class RankingRow(BaseModel):
-    """How well one way to rank finds failures; budgets by percent of what is ranked."""
+    """Retrieval figures of one ranking; budgets in percent of the ranked items."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     scenes: int = Field(description="Scenes of the fleet.")
     failures: int = Field(description="Distinct failures that the labels show.")
-    ranked: int = Field(description="Scenes, or things, that it says something of.")
-    ap: float | None = Field(description="Average precision; null: nothing to be found.")
-    ap_interval: Interval | None = Field(default=None, description="95 %, logs drawn anew.")
+    ranked: int = Field(description="Scenes or objects that it scores.")
+    ap: float | None = Field(description="Average precision; null: no failures.")
+    ap_interval: Interval | None = Field(default=None, description="95 %, bootstrap over logs.")
     precision_at: dict[str, float]
     precision_interval: Interval | None = Field(default=None, description="Of 5 %.")
     recall_at: dict[str, float | None]
     lift_at: dict[str, float | None] = Field(description="Precision over that of random order.")
     lift_interval: Interval | None = Field(default=None, description="Of 5 %.")
     found_per_minute_at: dict[str, float] = Field(
-        description="Distinct failures found for each minute of recording that is looked at."
+        description="Distinct failures found per minute of reviewed recording."
     )
     found_area: float = Field(description="Under the share of failures found, 0 to 1.")
     curve: tuple[float, ...] = Field(
@@ -75,14 +75,14 @@ class RankingRow(BaseModel):
 
 
 def row_of(scores: Values, items: Items, *, draws: int) -> RankingRow:
-    """Judge one way to rank.
+    """Compute the figures of one ranking.
 
     Args:
-        scores: (N,) of each item; higher is looked at first.
-        items: What is ranked.
-        draws: Of the bootstrap; 0 makes no intervals.
+        scores: (N,) scores of the items; higher ranks first.
+        items: The ranked items.
+        draws: Bootstrap draws; 0 computes no intervals.
     """
-    main = name_of(MAIN_BUDGET)
+    main = budget_name(MAIN_BUDGET)
 
     def figures(drawn: NDArray[np.int64]) -> tuple[float | None, ...]:
         found = retrieve(scores[drawn], items.wanted[drawn], (MAIN_BUDGET,))
@@ -99,14 +99,14 @@ def row_of(scores: Values, items: Items, *, draws: int) -> RankingRow:
 
 
 def random_row(items: Items) -> RankingRow:
-    """What a random order is expected to give; each failure is shown by about one item."""
+    """Return the expected figures of a random order; each failure is shown by about one item."""
     count = len(items.wanted)
     curve = np.linspace(0.0, 1.0 if items.wanted.any() else 0.0, count + 1)
     return _row(random_retrieval(items.wanted, BUDGETS), curve, items)
 
 
 def best_of(rows: Mapping[str, RankingRow]) -> str:
-    """Name of the way to rank of the highest average precision."""
+    """Return the name of the ranking of highest average precision."""
     return max(rows, key=lambda name: (rows[name].ap or 0.0, name))
 
 
@@ -115,9 +115,9 @@ def _row(found: Retrieval, curve: Values, items: Items, **intervals: Interval | 
     minute = float(items.minutes.mean()) if len(items.minutes) else 0.0
     rates = {}
     for budget in BUDGETS:
-        looks = looked_at(budget, len(items.wanted))
+        looks = budget_size(budget, len(items.wanted))
         spent = looks * minute
-        rates[name_of(budget)] = round(float(curve[looks]) * total / spent, 4) if spent else 0.0
+        rates[budget_name(budget)] = round(float(curve[looks]) * total / spent, 4) if spent else 0.0
     places = np.linspace(0, len(curve) - 1, _CURVE_POINTS).round().astype(np.int64)
     return RankingRow(
         scenes=items.scenes,

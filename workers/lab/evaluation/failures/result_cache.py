@@ -1,4 +1,4 @@
-"""What was mined stays beside the benchmark, so that a long one can be run in pieces."""
+"""Cache of mined logs on disk, so that a long benchmark can run in pieces."""
 
 import hashlib
 from functools import lru_cache
@@ -15,10 +15,10 @@ from workers.lab.simulation.faults.fault_truth import FILE as PLANTED
 from workers.version import version_of
 
 
-def kept_log(
+def load_mined_log(
     folder: Path | None, job: LogJob, settings: MiningSettings, probing: Probing
 ) -> MinedLog | None:
-    """Read what was mined of a log by the same code, settings and slips; None where nothing was."""
+    """Read a cached log of the same code, settings and slips; None where there is none."""
     if folder is None:
         return None
     file = _file(folder, job, settings, probing)
@@ -30,10 +30,10 @@ def kept_log(
         return None
 
 
-def keep_log(
+def store_mined_log(
     folder: Path | None, job: LogJob, settings: MiningSettings, probing: Probing, log: MinedLog
 ) -> None:
-    """Write what was mined of a log, where a folder is named; it appears whole or not at all."""
+    """Write a mined log to the cache, if a folder is given; the file is replaced atomically."""
     if folder is None:
         return
     file = _file(folder, job, settings, probing)
@@ -57,7 +57,7 @@ def _file(folder: Path, job: LogJob, settings: MiningSettings, probing: Probing)
 
 
 def _truth_digest(folder: Path) -> str:
-    """What tells two truths apart, without reading every point."""
+    """Digest the truth of a log by file names, sizes and plan, without reading every point."""
     files = sorted(folder.glob("*"))
     names = "\n".join(f"{file.name} {file.stat().st_size}" for file in files)
     planted = folder / PLANTED

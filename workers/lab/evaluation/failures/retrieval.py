@@ -1,4 +1,4 @@
-"""How well a ranking finds what was asked for; what is equally ranked is taken in random order."""
+"""Retrieval figures of a ranking: average precision, precision at k; ties in random order."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,12 +18,13 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Retrieval:
-    """How good a ranking is.
+    """Retrieval figures.
 
     Attributes:
-        ap: Average precision; None where nothing was to be found.
-        precision_at: By budget in percent, `"5"`: share of what is looked at that was asked for.
-        recall_at: Share of what was asked for that is looked at.
+        ap: Average precision; None without wanted items.
+        precision_at: Share of the items inside the budget that are wanted, by budget in percent,
+            `"5"`.
+        recall_at: Share of the wanted items that are inside the budget.
         lift_at: Precision over that of a random order.
     """
 
@@ -33,23 +34,23 @@ class Retrieval:
     lift_at: dict[str, float | None]
 
 
-def name_of(budget: float) -> str:
+def budget_name(budget: float) -> str:
     """Name a budget as tables do: `0.5`, `5`."""
     return f"{_PERCENT * budget:g}"
 
 
 def retrieve(scores: Values, wanted: Mask, budgets: Sequence[float] = BUDGETS) -> Retrieval:
-    """Judge a ranking.
+    """Compute the retrieval figures of a ranking.
 
     Args:
-        scores: (N,) of each item, higher is looked at first.
-        wanted: (N,) which were to be found.
-        budgets: Shares of the items that are looked at; one item at least.
+        scores: (N,) scores of the items, higher ranks first.
+        wanted: (N,) items to retrieve.
+        budgets: Shares of the items that are reviewed; at least one item.
     """
     count = len(scores)
     base = float(wanted.mean()) if count else 0.0
-    found = {name_of(b): found_within(scores, wanted, looked_at(b, count)) for b in budgets}
-    looks = {name_of(b): looked_at(b, count) for b in budgets}
+    found = {budget_name(b): found_within(scores, wanted, budget_size(b, count)) for b in budgets}
+    looks = {budget_name(b): budget_size(b, count) for b in budgets}
     precision = {name: hits / looks[name] if looks[name] else 0.0 for name, hits in found.items()}
     total = int(wanted.sum())
     return Retrieval(
@@ -61,10 +62,10 @@ def retrieve(scores: Values, wanted: Mask, budgets: Sequence[float] = BUDGETS) -
 
 
 def random_retrieval(wanted: Mask, budgets: Sequence[float] = BUDGETS) -> Retrieval:
-    """What a random order is expected to give.
+    """Return the expected figures of a random order.
 
-    The expected average precision of N items of which R are wanted is
-    `((R - 1) / (N - 1) (N - H) + H) / N` with `H` the N-th harmonic number.
+    The expected average precision is `((R-1)/(N-1) (N-H) + H)/N`, for R wanted of N items, with `H`
+    the N-th harmonic number.
     """
     count, total = len(wanted), int(wanted.sum())
     base = total / count if count else 0.0
@@ -73,8 +74,8 @@ def random_retrieval(wanted: Mask, budgets: Sequence[float] = BUDGETS) -> Retrie
         harmonic = float(np.sum(1.0 / np.arange(1, count + 1)))
         rest = (total - 1) / (count - 1) if count > 1 else 1.0
         ap = (rest * (count - harmonic) + harmonic) / count
-    names = [name_of(budget) for budget in budgets]
-    looks = [looked_at(budget, count) / count if count else 0.0 for budget in budgets]
+    names = [budget_name(budget) for budget in budgets]
+    looks = [budget_size(budget, count) / count if count else 0.0 for budget in budgets]
     return Retrieval(
         ap=ap,
         precision_at=dict.fromkeys(names, base),
@@ -83,13 +84,13 @@ def random_retrieval(wanted: Mask, budgets: Sequence[float] = BUDGETS) -> Retrie
     )
 
 
-def looked_at(budget: float, count: int) -> int:
-    """How many items a budget pays for."""
+def budget_size(budget: float, count: int) -> int:
+    """Return the number of items in a budget, at least one."""
     return min(count, max(1, round(budget * count)))
 
 
 def found_within(scores: Values, wanted: Mask, looks: int) -> float:
-    """How many wanted items the first so many hold, in the mean over orders of equal ones."""
+    """Return the mean number of wanted items among the first ones, over all orders of ties."""
     if not looks:
         return 0.0
     edge = np.sort(scores)[::-1][looks - 1]
@@ -99,18 +100,18 @@ def found_within(scores: Values, wanted: Mask, looks: int) -> float:
 
 
 def order_of(scores: Values, seed: int = 0) -> NDArray[np.int64]:
-    """One order of the items, best first; equal ones as a seed shuffles them."""
+    """Return one order of the items, best first; a seed shuffles ties."""
     shuffled = np.random.default_rng(seed).permutation(len(scores))
     order: NDArray[np.int64] = shuffled[np.argsort(-scores[shuffled], kind="stable")]
     return order
 
 
 def found_curve(scores: Values, failures: Sequence[Sequence[str]]) -> Values:
-    """How many distinct failures are found after each item.
+    """Compute the share of distinct failures found after each item.
 
     Args:
-        scores: (N,) of each item.
-        failures: The names of the failures that each item shows.
+        scores: (N,) scores of the items.
+        failures: Names of the failures that each item shows.
 
     Returns:
         (N + 1,) share of all distinct failures found after 0, 1, ... items; zeros without any.
@@ -124,7 +125,7 @@ def found_curve(scores: Values, failures: Sequence[Sequence[str]]) -> Values:
 
 
 def area_under(curve: Values) -> float:
-    """Area under a found curve over the share of items looked at, 0 to 1."""
+    """Integrate a found curve over the share of reviewed items, 0 to 1."""
     if len(curve) < 2:
         return 0.0
     return float(np.trapezoid(curve, dx=1.0 / (len(curve) - 1)))

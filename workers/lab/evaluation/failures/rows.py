@@ -1,4 +1,4 @@
-"""What is kept of a mined log: its scenes, contradicting tracks and things."""
+"""Records of a mined log: scenes, contradicting tracks and objects of interest."""
 
 from typing import Final
 
@@ -7,25 +7,25 @@ from pydantic import BaseModel, ConfigDict, Field
 from schemas.attribution import Attribution, Wrong
 
 REVISION: Final = "4"
-"""Rises when the same log gives other rows."""
+"""Version of the rows; increases when the same log gives other rows."""
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
 
 OTHER_KIND: Final = "other"
-"""A failure that nobody planted: a side effect, or the network's own."""
+"""Kind of a failure that was not planted: a side effect, or the network's own."""
 
 
-class ThingRow(BaseModel):
-    """A thing of a scene that the supervised stream can be right or wrong about."""
+class ObjectRow(BaseModel):
+    """An object of interest of a scene, on which the supervised stream is evaluated."""
 
     model_config = _STRICT
 
     key: str = Field(description="Its name in the scene.")
-    track: int = Field(description="Of the truth; -1 none.")
-    class_name: str = Field(description="What truth calls it; may be empty.")
+    track: int = Field(description="True track number; -1 none.")
+    class_name: str = Field(description="True class; may be empty.")
     moves: bool = Field(description="Whether it truly moves.")
-    frames: int = Field(description="In which it has 25 points.")
-    points: int = Field(description="Median over these frames.")
+    frames: int = Field(description="Frames in which it has 25 points.")
+    points: int = Field(description="Median number over these frames.")
     fails: bool = Field(description="Whether the supervised stream fails on it.")
     kind: str = Field(default="", description="Kind of the failure as planted; empty: no failure.")
     common_mode: bool = Field(default=False, description="Planted as a common-mode failure.")
@@ -34,7 +34,7 @@ class ThingRow(BaseModel):
         "failing frames, or in all where it does not fail."
     )
     views: dict[str, float] = Field(
-        default_factory=dict, description="What other ways to rank say of it; higher is worse."
+        default_factory=dict, description="Baseline scores by name; higher is worse."
     )
 
 
@@ -43,21 +43,19 @@ class TrackRow(BaseModel):
 
     model_config = _STRICT
 
-    kind: str = Field(description="Who alone says that it moves.")
+    kind: str = Field(description="Which stream alone labels it moving.")
     strength: float = Field(description="As recorded.")
     presence: float = Field(
-        description="Strength without gate and blame: how lasting and large it is."
+        description="Strength without gate and attribution: its duration and size."
     )
-    gate: float = Field(description="What doubted poses leave of it; 0 in a scene not scored.")
+    gate: float = Field(description="Factor of doubtful poses; 0 in a scene not scored.")
     frames: int
     points: int = Field(description="Over all frames.")
-    thing: str = Field(description="Key of the thing that it lies on; empty: none.")
-    true_track: int = Field(description="True object that it lies on; -1 none.")
-    verdict: Wrong | None = Field(description="Who is wrong, by truth; null: truth is silent.")
-    said: Attribution | None = Field(
-        default=None, description="Who is said to be wrong; null: that is not said."
-    )
-    evidence: dict[str, float] = Field(description="What is known about it, by name.")
+    thing: str = Field(description="Key of the object below it; empty: none.")
+    true_track: int = Field(description="Track number of that object in truth; -1 none.")
+    verdict: Wrong | None = Field(description="True verdict; null: truth unknown.")
+    said: Attribution | None = Field(default=None, description="Recorded attribution; null: none.")
+    evidence: dict[str, float] = Field(description="Its evidence, by name.")
 
 
 class SceneRow(BaseModel):
@@ -67,25 +65,25 @@ class SceneRow(BaseModel):
 
     scene_id: str
     start_ns: int
-    cell: int = Field(description="Which scene of its log, from 0.")
+    cell: int = Field(description="Number of the scene in its log, from 0.")
     state: str
     score: float
     seconds: float
-    blind_share: float = Field(description="Frames of which the self-supervised stream was blind.")
+    blind_share: float = Field(description="Share of frames without self-supervised labels.")
     views: dict[str, float]
-    things: tuple[ThingRow, ...]
+    things: tuple[ObjectRow, ...] = Field(description="Objects of interest of the scene.")
     tracks: tuple[TrackRow, ...]
     disturbance: str = Field(default="", description="Its kind; empty: none.")
     hard: bool = False
 
     @property
     def fails(self) -> bool:
-        """Whether it holds a failure."""
+        """True if the scene contains a failure."""
         return any(thing.fails for thing in self.things)
 
     @property
-    def failing(self) -> tuple[ThingRow, ...]:
-        """Its failures."""
+    def failing(self) -> tuple[ObjectRow, ...]:
+        """Failing objects of the scene."""
         return tuple(thing for thing in self.things if thing.fails)
 
 

@@ -1,4 +1,4 @@
-"""Rows of one scene: what contradicts in it, the things it holds, and who was wrong about them."""
+"""Rows of one scene: contradicting tracks, objects of interest, and true verdicts on the tracks."""
 
 from collections.abc import Mapping, Sequence
 
@@ -7,39 +7,43 @@ import numpy as np
 from schemas.arrays import NS_PER_S
 from schemas.attribution import Wrong
 from schemas.contradiction import Instance, Scene, SceneState
-from workers.lab.evaluation.failures.baseline_scores import views_of
-from workers.lab.evaluation.failures.frame_truth import SeenFrame
-from workers.lab.evaluation.failures.object_views import thing_views
-from workers.lab.evaluation.failures.objects_of_interest import MIN_POINTS, Thing, find_things
-from workers.lab.evaluation.failures.rows import OTHER_KIND, SceneRow, ThingRow, TrackRow
-from workers.lab.evaluation.failures.verdicts import thing_under, verdict_of
+from workers.lab.evaluation.failures.baseline_scores import scene_baselines
+from workers.lab.evaluation.failures.frame_truth import FrameWithTruth
+from workers.lab.evaluation.failures.object_views import object_baselines
+from workers.lab.evaluation.failures.objects_of_interest import (
+    MIN_POINTS,
+    ObjectOfInterest,
+    find_objects,
+)
+from workers.lab.evaluation.failures.rows import OTHER_KIND, ObjectRow, SceneRow, TrackRow
+from workers.lab.evaluation.failures.verdicts import object_under, verdict_of
 from workers.lab.simulation.faults.fault_truth import FailureRow, PlantedTruth
 from workers.lab.simulation.faults.plan import FailureKind
 from workers.pipeline import MinedScene
 
 
 def scene_row(
-    mined: MinedScene, seen: Sequence[SeenFrame], planted: PlantedTruth, cell: int
+    mined: MinedScene, seen: Sequence[FrameWithTruth], planted: PlantedTruth, cell: int
 ) -> tuple[SceneRow, set[int]]:
-    """Judge a mined scene.
+    """Compare a mined scene with its truth.
 
     Args:
         mined: The scene with its record.
         seen: Its frames with their truth.
-        planted: What was planted in its log.
-        cell: Which scene of its log it is.
+        planted: Failures and disturbances planted in its log.
+        cell: Number of the scene in its log.
 
     Returns:
-        Its row, and which of the planted failures its labels show.
+        Its row, and the planted failures that its labels show.
     """
     scene = mined.scene
-    things = find_things(scene, seen)
+    things = find_objects(scene, seen)
     rows, shown = [], set[int]()
     for thing in things:
-        due = _planted_as(thing, scene, planted) if thing.fails else None
+        due = _planted_match(thing, scene, planted) if thing.fails else None
         if due is not None:
             shown.add(due)
-        rows.append(_thing_row(thing, seen, None if due is None else planted.failures[due]))
+        rows.append(_object_row(thing, seen, None if due is None else planted.failures[due]))
     scored = mined.score.state is SceneState.SCORED
     tracks, strays = _track_rows(mined, seen, things, counts=1.0 if scored else 0.0)
     disturbance = next((each.kind for each in planted.disturbances if each.scene == cell), "")
@@ -51,7 +55,7 @@ def scene_row(
         score=mined.score.score,
         seconds=round((scene.end_ns - scene.start_ns) / NS_PER_S, 3),
         blind_share=0.0 if mined.score.health is None else mined.score.health.blind_share,
-        views=_rounded(views_of(scene)),
+        views=_rounded(scene_baselines(scene)),
         things=tuple(rows + strays),
         tracks=tuple(tracks),
         disturbance=str(disturbance),
@@ -60,8 +64,8 @@ def scene_row(
     return row, shown
 
 
-def _planted_as(thing: Thing, scene: Scene, planted: PlantedTruth) -> int | None:
-    """Which planted failure a failing thing is: its track or partner, or a ghost, at the time."""
+def _planted_match(thing: ObjectOfInterest, scene: Scene, planted: PlantedTruth) -> int | None:
+    """Match a failing object to a planted failure by track, partner track or ghost, and time."""
     stamps = [scene.frames[number].stamp_ns for number in thing.failing]
     for number, each in enumerate(planted.failures):
         during = sum(each.start_ns <= stamp < each.end_ns for stamp in stamps)
@@ -73,7 +77,9 @@ def _planted_as(thing: Thing, scene: Scene, planted: PlantedTruth) -> int | None
     return None
 
 
-def _thing_row(thing: Thing, seen: Sequence[SeenFrame], planted: FailureRow | None) -> ThingRow:
+def _object_row(
+    thing: ObjectOfInterest, seen: Sequence[FrameWithTruth], planted: FailureRow | None
+) -> ObjectRow:
     numbers = thing.failing if thing.fails else tuple(thing.points)
     wrong = points = 0
     for number in numbers:
@@ -82,7 +88,7 @@ def _thing_row(thing: Thing, seen: Sequence[SeenFrame], planted: FailureRow | No
         wrong += int(seen[number].wrong(seen[number].labelled.predictive)[mine].sum())
     kind = "" if not thing.fails else OTHER_KIND if planted is None else planted.kind.value
     sizes = [len(mine) for mine in thing.points.values()]
-    return ThingRow(
+    return ObjectRow(
         key=thing.key,
         track=thing.track,
         class_name=thing.class_name,
@@ -93,22 +99,26 @@ def _thing_row(thing: Thing, seen: Sequence[SeenFrame], planted: FailureRow | No
         kind=kind,
         common_mode=planted is not None and planted.common_mode and thing.track == planted.track,
         other_wrong_share=round(wrong / points, 4) if points else 0.0,
-        views=_rounded(thing_views(thing.points, seen)),
+        views=_rounded(object_baselines(thing.points, seen)),
     )
 
 
 def _track_rows(
-    mined: MinedScene, seen: Sequence[SeenFrame], things: Sequence[Thing], *, counts: float
-) -> tuple[list[TrackRow], list[ThingRow]]:
-    """Rows of the contradicting tracks, and of what they lie on where that is no thing yet.
+    mined: MinedScene,
+    seen: Sequence[FrameWithTruth],
+    things: Sequence[ObjectOfInterest],
+    *,
+    counts: float,
+) -> tuple[list[TrackRow], list[ObjectRow]]:
+    """Build rows of the contradicting tracks, and of objects below them that are not listed yet.
 
-    A stray is what the supervised stream is right about, or too little to be a failure.
+    Such a stray is an object that the stream labels correctly, or a failure that is too small.
     """
     rows: list[TrackRow] = []
-    strays: list[ThingRow] = []
+    strays: list[ObjectRow] = []
     for each in mined.tracks:
         members = [mined.instances[member] for member in each.track.members]
-        key, track = thing_under(members, seen, things)
+        key, track = object_under(members, seen, things)
         verdict = verdict_of(members, seen, track=track)
         if not key and verdict in (Wrong.SELFSUPERVISED, Wrong.NEITHER):
             stray = _stray(f"stray {len(strays)}", members, seen, track)
@@ -133,11 +143,11 @@ def _track_rows(
 
 
 def _stray(
-    key: str, members: Sequence[Instance], seen: Sequence[SeenFrame], track: int
-) -> ThingRow:
+    key: str, members: Sequence[Instance], seen: Sequence[FrameWithTruth], track: int
+) -> ObjectRow:
     points = {each.frame_index: each.point_index for each in members}
     moving = np.concatenate([seen[number].moving[mine] for number, mine in points.items()])
-    thing = Thing(
+    thing = ObjectOfInterest(
         key=key,
         track=track,
         class_name=seen[members[0].frame_index].class_of(track) if track >= 0 else "",
@@ -146,7 +156,7 @@ def _stray(
         failing=(),
         fails=False,
     )
-    return _thing_row(thing, seen, None)
+    return _object_row(thing, seen, None)
 
 
 def _rounded(views: Mapping[str, float]) -> dict[str, float]:

@@ -1,6 +1,6 @@
-"""How unsure the networks are of every point: entropy, margin, MC-dropout, a second network.
+"""Per-point network uncertainty: entropy, margin, MC-dropout and ensemble.
 
-What a user without a second stream would rank by; none of it changes a label.
+These are the baselines of a user without a second stream; none of them changes a label.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -26,17 +26,17 @@ from workers.supervised.weights import LoadedWeights
 
 PASSES: Final = 8
 PROBED: Final = "salsanext-lmnet"
-"""The stream that can be."""
+"""Name of the only stream that can be probed."""
 
-Views = Mapping[str, NDArray[np.float32]]
+Measures = Mapping[str, NDArray[np.float32]]
 
 
 @dataclass(frozen=True, slots=True)
 class Probing:
-    """What is asked of the networks beside their labels.
+    """Uncertainty measures to compute in addition to the labels.
 
     Attributes:
-        dropout_every: MC-dropout on one frame in so many; 0: none.
+        dropout_every: MC-dropout on one frame in this many; 0: none.
         second: Folder of the weights of a second pair of networks; empty: none.
     """
 
@@ -48,77 +48,77 @@ NO_PROBING: Final = Probing()
 
 
 class ProbedStream:
-    """A stream of two networks that keeps, for a while, how unsure it was of each point.
+    """A stream of two networks that buffers its uncertainty of each point for recent frames.
 
-    Labels, and the version, are those of the stream itself.
+    Labels and version are those of the stream itself.
     """
 
-    def __init__(self, inner: "_Noting", second: RangeImageStream | None) -> None:
+    def __init__(self, inner: "_RecordingStream", second: RangeImageStream | None) -> None:
         self._inner, self._second = inner, second
-        self._kept: dict[int, Views] = {}
+        self._buffer: dict[int, Measures] = {}
 
     @classmethod
     def of(cls, settings: MiningSettings, probing: Probing) -> Self | None:
-        """Probe the stream that the settings name; None where it is none of two networks."""
+        """Probe the stream that the settings name; None where it has no two networks."""
         if settings.supervised != PROBED:
             return None
         folder = Path(settings.weights) if settings.weights else SHIPPED
-        inner = _Noting.salsanext_lmnet(folder)
-        inner.ask_again(every=probing.dropout_every)
+        inner = _RecordingStream.salsanext_lmnet(folder)
+        inner.enable_dropout(every=probing.dropout_every)
         other = RangeImageStream.salsanext_lmnet(Path(probing.second)) if probing.second else None
         return cls(inner, other)
 
     @property
     def version(self) -> str:
-        """That of the stream that is probed."""
+        """Version of the probed stream."""
         return self._inner.version
 
     @property
     def task(self) -> Task:
-        """That of the stream that is probed."""
+        """Task of the probed stream."""
         return self._inner.task
 
     @property
     def class_names(self) -> tuple[str, ...]:
-        """Those of the stream that is probed."""
+        """Class names of the probed stream."""
         return self._inner.class_names
 
     def __call__(self, frames: Iterable[PosedFrame]) -> Iterator[FrameLabels]:
         """Yield the labels of each frame, in order."""
-        self._kept.clear()
+        self._buffer.clear()
         self._inner.begin()
         stamped, mine, others = tee(frames, 3)
         second = self._second(others) if self._second is not None else None
-        for posed, said in zip(stamped, self._inner(mine), strict=True):
-            unsure = dict(self._inner.noted)
+        for posed, labels in zip(stamped, self._inner(mine), strict=True):
+            unsure = dict(self._inner.measures)
             if second is not None:
-                unsure["ensemble"] = np.abs(_dynamic(said) - _dynamic(next(second)))
-            self._kept[posed.frame.stamp_ns] = unsure
-            yield said
+                unsure["ensemble"] = np.abs(_dynamic(labels) - _dynamic(next(second)))
+            self._buffer[posed.frame.stamp_ns] = unsure
+            yield labels
 
-    def take(self, stamp_ns: int) -> Views:
-        """Hand over what was kept of a frame, and forget it and all earlier ones."""
-        views = self._kept.get(stamp_ns, {})
-        for stamp in [each for each in self._kept if each <= stamp_ns]:
-            del self._kept[stamp]
+    def take(self, stamp_ns: int) -> Measures:
+        """Return the uncertainty of a frame, and discard it with all earlier ones."""
+        views = self._buffer.get(stamp_ns, {})
+        for stamp in [each for each in self._buffer if each <= stamp_ns]:
+            del self._buffer[stamp]
         return views
 
 
-class _Noting(RangeImageStream):
-    """The stream itself, which notes of each frame what its networks say pixel by pixel."""
+class _RecordingStream(RangeImageStream):
+    """The stream itself; it also records per-pixel uncertainty of the networks for each frame."""
 
-    noted: Views = MappingProxyType({})
-    _asked_again: Sequence["_AskedAgain"] = ()
+    measures: Measures = MappingProxyType({})
+    _probes: Sequence["_DropoutProbe"] = ()
 
-    def ask_again(self, *, every: int) -> None:
-        """Let the networks drop channels at random on one frame in so many; 0: never."""
+    def enable_dropout(self, *, every: int) -> None:
+        """Apply MC-dropout on one frame in this many; 0: never."""
         if every:
-            self._asked_again = [_AskedAgain(each, every) for each in self._networks]
-            self._networks = list(self._asked_again)
+            self._probes = [_DropoutProbe(each, every) for each in self._networks]
+            self._networks = list(self._probes)
 
     def begin(self) -> None:
-        """Begin a log anew."""
-        for network in self._asked_again:
+        """Reset the frame counters at the start of a log."""
+        for network in self._probes:
             network.frame = 0
 
     def _fused(
@@ -126,20 +126,20 @@ class _Noting(RangeImageStream):
     ) -> FrameLabels:
         entropy = np.mean([_entropy(each) for each in answers], axis=0)
         margin = np.max([_narrowness(each) for each in answers], axis=0)
-        noted = {"entropy": _at(image, entropy), "margin": _at(image, margin)}
-        spreads = [each.spread for each in self._asked_again if each.spread is not None]
+        measures = {"entropy": _at(image, entropy), "margin": _at(image, margin)}
+        spreads = [each.spread for each in self._probes if each.spread is not None]
         if spreads:
-            noted["mc_dropout"] = _at(image, np.max(spreads, axis=0))
-        self.noted = noted
+            measures["mc_dropout"] = _at(image, np.max(spreads, axis=0))
+        self.measures = measures
         return super()._fused(image, answers, has_past=has_past)
 
 
-class _AskedAgain:
-    """A network that is asked eight times more now and then, without some of its channels.
+class _DropoutProbe:
+    """A network with eight extra MC-dropout passes on every n-th frame.
 
     Attributes:
-        frame: How many frames it has seen.
-        spread: (H, W) how much these answers to the last frame differ; None if it was not asked.
+        frame: Number of frames so far.
+        spread: (H, W) spread of these passes on the last frame; None if there were none.
     """
 
     def __init__(self, inner: RangeImageNetwork, every: int) -> None:
@@ -151,39 +151,39 @@ class _AskedAgain:
         self.spread: NDArray[np.float32] | None = None
 
     def probabilities(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Answer as the network does, and note how much the other answers spread."""
+        """Return the network's probabilities, and record the spread of the dropout passes."""
         self.spread = None
         if isinstance(self._inner, LoadedWeights) and self.frame % self._every == 0:
             asked = torch.from_numpy(image)[None]
-            said = mc_dropout(self._inner.net, asked, passes=PASSES, seed=self.frame)
-            self.spread = said.uncertainty[0].numpy()
+            sampled = mc_dropout(self._inner.net, asked, passes=PASSES, seed=self.frame)
+            self.spread = sampled.uncertainty[0].numpy()
         self.frame += 1
         return self._inner.probabilities(image)
 
 
-def _dynamic(said: FrameLabels) -> NDArray[np.float32]:
-    """How likely each point is dynamic, from label and confidence; a half where it is unknown."""
-    sure = said.confidence.astype(np.float32)
-    likely = np.where(said.labels == MotionLabel.DYNAMIC, sure, 1.0 - sure)
-    return np.where(said.labels == MotionLabel.UNKNOWN, 0.5, likely).astype(np.float32)
+def _dynamic(labels: FrameLabels) -> NDArray[np.float32]:
+    """Return the probability of dynamic of each point from label and confidence; unknown is 0.5."""
+    sure = labels.confidence.astype(np.float32)
+    likely = np.where(labels.labels == MotionLabel.DYNAMIC, sure, 1.0 - sure)
+    return np.where(labels.labels == MotionLabel.UNKNOWN, 0.5, likely).astype(np.float32)
 
 
 def _entropy(answer: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Entropy of (K, H, W) probabilities over that of knowing nothing, 0 to 1."""
+    """Return the entropy of (K, H, W) probabilities over that of a uniform answer, 0 to 1."""
     safe = np.clip(answer, 1e-7, 1.0)
     entropy: NDArray[np.float32] = -(safe * np.log(safe)).sum(axis=0) / np.log(len(answer))
     return entropy
 
 
 def _narrowness(answer: NDArray[np.float32]) -> NDArray[np.float32]:
-    """One minus the lead of the best class over the second, (H, W)."""
+    """Return one minus the margin of the best class over the second, (H, W)."""
     best = np.partition(answer, -2, axis=0)[-2:]
     narrow: NDArray[np.float32] = 1.0 - (best[1] - best[0])
     return narrow
 
 
 def _at(image: RangeImage, values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Value of the pixel of each point; NaN where it is in none."""
+    """Return the pixel value of each point; NaN outside the image."""
     inside = image.row >= 0
     of_points = np.full(len(image.row), np.nan, np.float32)
     of_points[inside] = values[image.row[inside], image.column[inside]]

@@ -1,4 +1,4 @@
-"""Who is wrong about a contradicting track, by truth: one stream, the other, both or neither."""
+"""True verdicts on contradicting tracks: one stream is wrong, the other, both or neither."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -9,20 +9,20 @@ from numpy.typing import NDArray
 from schemas.attribution import Wrong
 from schemas.contradiction import Instance
 from schemas.labels import MotionLabel
-from workers.lab.evaluation.failures.frame_truth import SeenFrame
-from workers.lab.evaluation.failures.objects_of_interest import Thing
+from workers.lab.evaluation.failures.frame_truth import FrameWithTruth
+from workers.lab.evaluation.failures.objects_of_interest import ObjectOfInterest
 from workers.lab.evaluation.truth.truth import TRUTH_DYNAMIC, TRUTH_STATIC, TRUTH_UNKNOWN
 
 Points = NDArray[np.int64]
 
 MOST: Final = 0.5
-"""Share of a thing about which a stream must be wrong."""
+"""Share of an object's points on which a stream must be wrong."""
 
 
-def thing_under(
-    members: Sequence[Instance], seen: Sequence[SeenFrame], things: Sequence[Thing]
+def object_under(
+    members: Sequence[Instance], seen: Sequence[FrameWithTruth], things: Sequence[ObjectOfInterest]
 ) -> tuple[str, int]:
-    """Say which thing a contradicting track lies on.
+    """Find the object below a contradicting track.
 
     Returns:
         Its key, empty for none, and the true object that half of the points belong to, -1 none.
@@ -52,12 +52,12 @@ def thing_under(
 
 
 def verdict_of(
-    members: Sequence[Instance], seen: Sequence[SeenFrame], *, track: int
+    members: Sequence[Instance], seen: Sequence[FrameWithTruth], *, track: int
 ) -> Wrong | None:
-    """Judge a contradicting track by the thing it lies on, in the frames in which it contradicts.
+    """Compute the verdict on a track from the object below it, over the frames of the track.
 
-    A stream is wrong if it says the opposite of the truth about most of the thing. Where the points
-    belong to no object, the thing is the contradicting points themselves.
+    A stream is wrong if it labels most of the object opposite to the truth. Where the points belong
+    to no object, the contradicting points themselves are the object.
 
     Args:
         members: Its instances.
@@ -65,15 +65,15 @@ def verdict_of(
         track: True object it lies on, -1 none.
 
     Returns:
-        None where truth knows less than half of the points.
+        The verdict; None where truth knows less than half of the points.
     """
-    said: list[NDArray[np.uint8]] = [np.zeros((3, 0), np.uint8)]
+    labels: list[NDArray[np.uint8]] = [np.zeros((3, 0), np.uint8)]
     for member in members:
         frame = seen[member.frame_index]
         mine: Points = np.flatnonzero(frame.track == track) if track >= 0 else member.point_index
         streams = frame.labelled.semantic.labels[mine], frame.labelled.predictive.labels[mine]
-        said.append(np.stack([*streams, frame.motion[mine]]))
-    semantic, predictive, true = np.concatenate(said, axis=1)
+        labels.append(np.stack([*streams, frame.motion[mine]]))
+    semantic, predictive, true = np.concatenate(labels, axis=1)
     known = true != TRUTH_UNKNOWN
     if not known.any() or 2 * known.sum() < len(known):
         return None
@@ -83,7 +83,7 @@ def verdict_of(
 def wrong_about(
     semantic: NDArray[np.uint8], predictive: NDArray[np.uint8], true: NDArray[np.uint8]
 ) -> Wrong:
-    """Say who is wrong about most of some points; a stream that says nothing is not wrong.
+    """Return the stream that is wrong on most of the points; an UNKNOWN label is not wrong.
 
     Args:
         semantic: (N,) labels of the supervised stream, N >= 1.
@@ -99,7 +99,7 @@ def wrong_about(
     return Wrong.SELFSUPERVISED if selfsupervised else Wrong.NEITHER
 
 
-def _wrong_share(said: NDArray[np.uint8], true: NDArray[np.uint8]) -> float:
-    missed = (said == MotionLabel.STATIC) & (true == TRUTH_DYNAMIC)
-    phantom = (said == MotionLabel.DYNAMIC) & (true == TRUTH_STATIC)
+def _wrong_share(labels: NDArray[np.uint8], true: NDArray[np.uint8]) -> float:
+    missed = (labels == MotionLabel.STATIC) & (true == TRUTH_DYNAMIC)
+    phantom = (labels == MotionLabel.DYNAMIC) & (true == TRUTH_STATIC)
     return float((missed | phantom).mean())

@@ -1,1 +1,1 @@
-"""Motion labels against truth, log by log, disturbed or not."""
+"""Motion evaluation: motion labels against truth per log, optionally with degraded input."""

@@ -1,4 +1,4 @@
-"""The streams that are judged, by name: those of the settings, or parts side by side."""
+"""Streams under evaluation, by name: those of the settings, or individual parts."""
 
 from collections.abc import Iterable
 from typing import Final
@@ -17,11 +17,11 @@ from workers.parts.registry import (
 from workers.version import files_of
 
 OF_SETTINGS: Final[tuple[StreamName, ...]] = ("selfsupervised", "supervised")
-"""Whatever parts the settings name for these two."""
+"""Names of the two streams whose parts the settings choose."""
 
 
 def is_supervised(name: StreamName) -> bool:
-    """Say whether a stream's labels come of a supervised model."""
+    """Test whether a stream's labels come from a supervised model."""
     return name == "supervised" or name in SUPERVISED
 
 
@@ -32,17 +32,17 @@ def build_streams(
 
     Args:
         names: `selfsupervised`, `supervised`, or a part of either kind.
-        settings: What the first two stand for.
+        settings: Settings that choose the parts of the first two.
 
     Raises:
-        UnknownPartError: If one does not exist, the message lists those that do; or if it answers
-            another task than motion.
+        UnknownPartError: If a stream does not exist, with the known names in the message; or if its
+            task is not motion.
     """
     streams = {name: _build(name, settings) for name in dict.fromkeys(names)}
     for name, stream in streams.items():
         if stream.task != MOTION:
             raise UnknownPartError(
-                f"stream {name!r} answers the task {stream.task.name}; motion is judged here"
+                f"stream {name!r} has the task {stream.task.name}; motion is evaluated here"
             )
     return streams
 

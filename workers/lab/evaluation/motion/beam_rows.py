@@ -1,4 +1,4 @@
-"""Which beam measured each point, counted from the lowest up, so that beams can be left out."""
+"""Beam rows: the beam of each point in order of elevation, so that beams can be removed."""
 
 from dataclasses import dataclass
 from typing import Final, Self
@@ -10,20 +10,20 @@ from schemas.frame import LidarFrame
 from workers.errors import LogUnusableError
 
 MIN_BEAM_POINTS: Final = 20
-"""Fewer points say nothing about the elevation of a beam."""
+"""Points needed to measure the elevation of a beam."""
 
 _MIN_BEAMS: Final = 4
 _MAX_BEAMS: Final = 512
 _TURN_RAD: Final = np.pi
-"""A beam that is read out as a whole begins where azimuth falls back by more than half a turn."""
+"""Fall of the azimuth that begins a new beam in clouds stored beam by beam, radians."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeamRows:
-    """The beams of a sensor in the order of rising elevation, as its first frame shows them.
+    """The beams of a sensor in order of rising elevation, measured on its first frame.
 
-    Beams are told apart by the recorded one of each point; where none is recorded, by the order of
-    the points, if the sensor was read out beam after beam (as those of KITTI were).
+    Beams come from the recorded ring of each point. Where no ring is recorded, they come from the
+    order of the points, if the cloud is stored beam by beam (as those of KITTI are).
 
     Attributes:
         tangents: (R,) tangent of each row's elevation, rising.
@@ -42,7 +42,7 @@ class BeamRows:
         """Measure the beams of a frame.
 
         Raises:
-            LogUnusableError: If neither a recorded beam nor the order of the points tells them.
+            LogUnusableError: If neither recorded rings nor the order of the points identify beams.
         """
         recorded = bool((frame.ring[frame.valid_mask] >= 0).any())
         beams = frame.ring.astype(np.int64) if recorded else _in_turns(frame)
@@ -50,7 +50,7 @@ class BeamRows:
         known = np.flatnonzero(np.isfinite(tangents))
         if not _MIN_BEAMS <= len(known) <= _MAX_BEAMS:
             raise LogUnusableError(
-                f"cannot leave out beams of {frame.log_id}: its points name no beam, and are not "
+                f"cannot leave out beams of {frame.log_id}: its points have no ring, and are not "
                 "in the order of beams"
             )
         order = known[np.argsort(tangents[known], kind="stable")]
@@ -60,7 +60,7 @@ class BeamRows:
         return cls(tangents[order], row_of_ring)
 
     def rows_of(self, frame: LidarFrame) -> NDArray[np.int64]:
-        """Say which row each point of a frame belongs to, (N,); -1 none."""
+        """Return the row of each point of a frame, (N,); -1 none."""
         if len(self.row_of_ring):
             ring = np.clip(frame.ring, 0, len(self.row_of_ring) - 1)
             inside = (frame.ring >= 0) & (frame.ring < len(self.row_of_ring))
@@ -78,7 +78,7 @@ class BeamRows:
 
 
 def _in_turns(frame: LidarFrame) -> NDArray[np.int64]:
-    """(N,) how many turns of the azimuth came before each point."""
+    """(N,) number of azimuth turns before each point."""
     x, y = frame.points_m[:, 0].astype(np.float64), frame.points_m[:, 1].astype(np.float64)
     azimuth = np.mod(np.arctan2(y, x), 2 * np.pi)
     falls = np.abs(np.diff(azimuth, prepend=azimuth[:1])) > _TURN_RAD
@@ -86,7 +86,7 @@ def _in_turns(frame: LidarFrame) -> NDArray[np.int64]:
 
 
 def _tangents(frame: LidarFrame, beams: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Median tangent of the elevation of each beam; NaN of those with too few points."""
+    """Return the median tangent of elevation of each beam; NaN with too few points."""
     points = frame.points_m.astype(np.float64)
     tangent = points[:, 2] / np.maximum(np.hypot(points[:, 0], points[:, 1]), 0.1)
     usable = np.flatnonzero(frame.valid_mask & (beams >= 0))

@@ -1,4 +1,4 @@
-"""Counts what one stream got right in one frame."""
+"""Per-frame counts of motion labels against truth: hits, misses, false alarms, objects."""
 
 from typing import Final
 
@@ -18,17 +18,17 @@ from workers.lab.evaluation.truth.truth import (
 )
 
 MIN_OBJECT_POINTS: Final = 20
-"""Moving objects with fewer points in range are not asked for."""
+"""Points in range that a moving object needs to be counted."""
 
 CLUSTER_EPS_M: Final = 1.0
 CLUSTER_MIN_POINTS: Final = 10
 FALSE_CLUSTER_POINTS: Final = 25
 MAX_TRUE_SHARE: Final = 0.3
-"""A cluster is false when a smaller share of it is dynamic, or of unknown truth."""
+"""True share below which a dynamic cluster is false; points of unknown truth count as true."""
 
 
 def count_frame(
-    said: FrameLabels,
+    predicted: FrameLabels,
     truth: FrameTruth,
     points_m: Points,
     *,
@@ -37,34 +37,33 @@ def count_frame(
 ) -> StreamCounts:
     """Count a frame's labels against its truth, under each range.
 
-    Points of unknown truth are not judged; a predicted UNKNOWN counts as not dynamic.
+    Points of unknown truth are not counted; a predicted UNKNOWN counts as not dynamic.
 
     Args:
-        said: Labels of the stream for N points.
-        truth: Of the same points.
-        points_m: (N, 3) sensor space; the horizontal range is taken from it.
-        log_id: Whose frame it is; tracks of different logs are different objects.
-        odom_from_sensor: (4, 4) pose that the stream was given; without it, velocities are not
-            judged.
+        predicted: Labels of the stream for N points.
+        truth: Truth of the same points.
+        points_m: (N, 3) sensor space; the horizontal range is computed from it.
+        log_id: Log of the frame; tracks of different logs are different objects.
+        odom_from_sensor: (4, 4) pose given to the stream; without it, velocities are not evaluated.
     """
     range_m = np.hypot(points_m[:, 0], points_m[:, 1])
-    called = said.labels == MotionLabel.DYNAMIC
-    unknown = said.labels == MotionLabel.UNKNOWN
+    called = predicted.labels == MotionLabel.DYNAMIC
+    unknown = predicted.labels == MotionLabel.UNKNOWN
     counts = StreamCounts()
     for limit in RANGES_M:
         near = range_m < limit
         counts.by_range[limit] = _count_points(called, unknown, truth, near)
-        if said.confirmed is not None:
-            counts.confirmed[limit] = _count_points(said.confirmed, unknown, truth, near)
+        if predicted.confirmed is not None:
+            counts.confirmed[limit] = _count_points(predicted.confirmed, unknown, truth, near)
     near = range_m < RANGES_M[-1]
     counts.false_clusters = _false_clusters(called & near, points_m, truth.motion)
-    if said.confirmed is not None:
+    if predicted.confirmed is not None:
         counts.confirms = True
-        confirmed = said.confirmed & near
+        confirmed = predicted.confirmed & near
         counts.confirmed_false_clusters = _false_clusters(confirmed, points_m, truth.motion)
     _count_objects(counts, called, truth, near, log_id)
     if odom_from_sensor is not None:
-        _count_velocities(counts, said, called & near, truth, odom_from_sensor)
+        _count_velocities(counts, predicted, called & near, truth, odom_from_sensor)
     return counts
 
 
@@ -85,7 +84,7 @@ def _count_points(called: Mask, unknown: Mask, truth: FrameTruth, near: Mask) ->
 def _objects(
     called: Mask, dynamic: Mask, track: NDArray[np.int16] | None
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Moving objects with enough points: id, points, and points called dynamic; (K,) each.
+    """Find moving objects with enough points: id, points, and points labelled dynamic; (K,) each.
 
     An object is in range where its points are.
     """
@@ -102,7 +101,7 @@ def _objects(
 def _count_objects(
     counts: StreamCounts, called: Mask, truth: FrameTruth, near: Mask, log_id: str
 ) -> None:
-    """Count objects under the farthest range by class, speed, size and points."""
+    """Count objects under the largest range by class, speed, size and points."""
     dynamic = near & (truth.motion == TRUTH_DYNAMIC)
     found = zip(*(each.tolist() for each in _objects(called, dynamic, truth.track)), strict=True)
     for track, points, hits in found:
@@ -117,24 +116,24 @@ def _count_objects(
 
 def _count_velocities(
     counts: StreamCounts,
-    said: FrameLabels,
+    predicted: FrameLabels,
     called: Mask,
     truth: FrameTruth,
     odom_from_sensor: Transform,
 ) -> None:
-    """Compare velocities in the sensor's space, which truth and stream have in common."""
-    if said.cluster is None or said.cluster_velocity_m_per_s is None:
+    """Compare velocities in sensor space, which truth and stream have in common."""
+    if predicted.cluster is None or predicted.cluster_velocity_m_per_s is None:
         return
     if truth.world_from_sensor is None or truth.track is None:
         return
-    judged = called & (truth.motion == TRUTH_DYNAMIC) & (said.cluster >= 0)
-    of_cluster = said.cluster_velocity_m_per_s.astype(np.float64) @ odom_from_sensor[:3, :3]
+    judged = called & (truth.motion == TRUTH_DYNAMIC) & (predicted.cluster >= 0)
+    of_cluster = predicted.cluster_velocity_m_per_s.astype(np.float64) @ odom_from_sensor[:3, :3]
     for track in np.unique(truth.track[judged]).tolist():
         true = truth.objects.get(track, TrueObject()).velocity_m_per_s
         if true is None:
             continue
         points = judged & (truth.track == track)
-        error = of_cluster[said.cluster[points]] - true @ truth.world_from_sensor
+        error = of_cluster[predicted.cluster[points]] - true @ truth.world_from_sensor
         counts.add_velocity_errors(np.hypot(error[:, 0], error[:, 1]))
 
 

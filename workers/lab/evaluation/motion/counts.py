@@ -1,4 +1,4 @@
-"""What is counted of right and wrong labels: sums that add up over frames and logs."""
+"""Counts of right and wrong labels; they add up over frames and logs."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -9,28 +9,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 StreamName = str
-"""`selfsupervised` or `supervised`, as the settings choose them, or a part's own name."""
+"""`selfsupervised` or `supervised`, chosen by the settings, or the name of a part."""
 
 RANGES_M: Final = (25, 50, 80)
-"""Horizontal ranges under which points are counted."""
+"""Horizontal ranges under which points are counted, metres."""
 
 ERROR_STEP_M_PER_S: Final = 0.01
 _ERROR_STEPS: Final = 6001
-"""Errors of velocity are counted in steps up to 60 m/s, so that memory does not grow with logs."""
+"""Bins of the velocity error histogram, up to 60 m/s, so that memory stays constant over logs."""
 
 
 @dataclass(slots=True)
 class RangeCounts:
-    """What was counted under one range, over frames and logs.
+    """Counts under one range, over frames and logs.
 
     Attributes:
-        hits: Points that are dynamic and were called so.
-        false_alarms: Points that are static and were called dynamic.
-        misses: Points that are dynamic and were not called so; UNKNOWN is no such call.
-        unknown: Points of known truth on which the stream said UNKNOWN.
+        hits: Dynamic points labelled dynamic.
+        false_alarms: Static points labelled dynamic.
+        misses: Dynamic points labelled static or UNKNOWN.
+        unknown: Points of known truth that the stream labels UNKNOWN.
         judged: Points of known truth.
         objects: Moving objects with enough points.
-        objects_found: Those of which more than half the points were called dynamic.
+        objects_found: Those with more than half of their points labelled dynamic.
     """
 
     hits: int = 0
@@ -42,7 +42,7 @@ class RangeCounts:
     objects_found: int = 0
 
     def add(self, other: Self) -> None:
-        """Add another's counts to these."""
+        """Add the counts of another one to these."""
         for name in self.__dataclass_fields__:
             setattr(self, name, getattr(self, name) + getattr(other, name))
 
@@ -56,10 +56,10 @@ class ObjectCounts:
     """Moving objects of one kind under 80 m.
 
     Attributes:
-        observed: Objects with enough points, frame by frame.
-        found: Those of which more than half the points were called dynamic.
+        observed: Object observations with enough points, one per object and frame.
+        found: Those with more than half of their points labelled dynamic.
         tracks: Log and track of each of them.
-        tracks_found: Those found in one frame at least.
+        tracks_found: Tracks found in one frame at least.
     """
 
     observed: int = 0
@@ -68,7 +68,7 @@ class ObjectCounts:
     tracks_found: set[tuple[str, int]] = field(default_factory=set)
 
     def add(self, other: Self) -> None:
-        """Add another's counts to these."""
+        """Add the counts of another one to these."""
         self.observed += other.observed
         self.found += other.found
         self.tracks |= other.tracks
@@ -76,22 +76,22 @@ class ObjectCounts:
 
 
 ObjectKinds = dict[str, dict[str, ObjectCounts]]
-"""By what objects are told apart (`class`, `speed`, `size`, `points`), then by kind."""
+"""Objects by dimension of the breakdown (`class`, `speed`, `size`, `points`), then by bin."""
 
 
 @dataclass(slots=True)
 class StreamCounts:
-    """What was counted of one stream.
+    """Counts of one stream.
 
     Attributes:
         by_range: Counts under each of `RANGES_M`.
-        confirmed: The same if only confirmed points were called dynamic; stays zero where the
-            stream confirms nothing.
+        confirmed: The same if only confirmed points count as dynamic; zero where the stream
+            confirms nothing.
         objects: Moving objects under 80 m by class, speed, size and points.
-        false_clusters: Dynamic clusters of at least 25 points under 80 m with nothing moving in.
-        confirmed_false_clusters: The same of confirmed points only.
-        confirms: Whether the stream tells confirmed points apart.
-        velocity_errors: (E,) dynamic points called so, by the error of their velocity.
+        false_clusters: Dynamic clusters under 80 m of at least 25 points, without a moving object.
+        confirmed_false_clusters: The same for confirmed points only.
+        confirms: Whether the stream marks confirmed points.
+        velocity_errors: (E,) histogram of the velocity error of correctly found dynamic points.
     """
 
     by_range: dict[int, RangeCounts] = field(default_factory=_by_range)
@@ -105,7 +105,7 @@ class StreamCounts:
     )
 
     def add(self, other: Self) -> None:
-        """Add another's counts to these."""
+        """Add the counts of another one to these."""
         for range_m in RANGES_M:
             self.by_range[range_m].add(other.by_range[range_m])
             self.confirmed[range_m].add(other.confirmed[range_m])
@@ -118,25 +118,25 @@ class StreamCounts:
         self.velocity_errors += other.velocity_errors
 
     def objects_of(self, dimension: str, kind: str) -> ObjectCounts:
-        """Counts of one kind of objects, made when first asked for."""
+        """Return the counts of one kind of object, creating them on first use."""
         return self.objects.setdefault(dimension, {}).setdefault(kind, ObjectCounts())
 
     def add_velocity_errors(self, errors_m_per_s: NDArray[np.floating]) -> None:
-        """Count the error of each of some points; those beyond 60 m/s as 60 m/s."""
+        """Add the velocity error of each point to the histogram; errors are capped at 60 m/s."""
         steps = np.minimum(errors_m_per_s / ERROR_STEP_M_PER_S, _ERROR_STEPS - 1).astype(np.int64)
         self.velocity_errors += np.bincount(steps, minlength=_ERROR_STEPS)
 
 
 @dataclass(slots=True)
 class LogCounts:
-    """What was counted in one log, or in all of them.
+    """Counts of one log, or of all of them.
 
     Attributes:
-        frames: Frames that were judged.
+        frames: Evaluated frames.
         streams: Counts of each stream.
         compared: By supervised and self-supervised stream, points that both labelled.
         contradicted: Those on which they differ.
-        stage_ms: Milliseconds of each stage, and of each stream, in each judged frame.
+        stage_ms: Milliseconds of each stage, and of each stream, in each evaluated frame.
     """
 
     frames: int = 0
@@ -146,7 +146,7 @@ class LogCounts:
     stage_ms: dict[str, list[float]] = field(default_factory=dict)
 
     def add(self, other: Self) -> None:
-        """Add another's counts to these."""
+        """Add the counts of another one to these."""
         self.frames += other.frames
         self.compared.update(other.compared)
         self.contradicted.update(other.contradicted)

@@ -1,4 +1,4 @@
-"""What a log is made worse by before it is judged: fewer beams, fewer frames, noise of the pose."""
+"""Degradation of a log before evaluation: fewer beams, fewer frames, yaw noise on poses."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -12,18 +12,18 @@ from workers.lab.evaluation.motion.beam_rows import BeamRows
 from workers.lidar.deskew import motion
 
 YAW_NOISE_SEED: Final = 0
-"""With the number of the frame, so that noise is the same whichever frames are judged."""
+"""Seed of the yaw noise, together with the frame number: any frame range has the same noise."""
 
 
 @dataclass(frozen=True, slots=True)
 class Disturbance:
-    """How a log is disturbed; not at all by default.
+    """Degradation of a log; none by default.
 
     Attributes:
-        rows: Which beams are kept, of all beams in the order of rising elevation.
-        every: One frame in so many is kept, those whose number it divides.
-        yaw_noise_deg: Standard deviation of a turn of each pose about the sensor's vertical axis,
-            independent from frame to frame.
+        rows: Beams that are kept, out of all beams in order of rising elevation.
+        every: Frames whose number this divides are kept.
+        yaw_noise_deg: Standard deviation of a rotation of each pose about the sensor's vertical
+            axis, degrees, independent between frames.
     """
 
     rows: slice | None = None
@@ -32,14 +32,14 @@ class Disturbance:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Numbered:
-    """A frame as the streams see it.
+class NumberedFrame:
+    """A frame with its number and its degradation.
 
     Attributes:
-        number: Of the frame in the truth.
-        whole: As it was recorded.
-        frame: With the beams that are kept.
-        kept: (N,) which of the recorded points are in `frame`; None for all.
+        number: Number of the frame in the truth.
+        whole: The frame with all its recorded points.
+        frame: The frame with the beams that are kept.
+        kept: (N,) recorded points that are in `frame`; None for all.
     """
 
     number: int
@@ -48,11 +48,11 @@ class Numbered:
     kept: Mask | None = None
 
 
-def without_beams(frames: Iterable[Numbered], rows: slice | None) -> Iterator[Numbered]:
+def without_beams(frames: Iterable[NumberedFrame], rows: slice | None) -> Iterator[NumberedFrame]:
     """Keep only some of the beams of every frame.
 
     Raises:
-        LogUnusableError: If the log does not tell which beam measured a point.
+        LogUnusableError: If the log does not identify the beam of a point.
     """
     beams: BeamRows | None = None
     for each in frames:
@@ -68,12 +68,12 @@ def without_beams(frames: Iterable[Numbered], rows: slice | None) -> Iterator[Nu
 def with_yaw_noise(
     posed: Iterable[PosedFrame], numbers: Iterable[int], noise_deg: float
 ) -> Iterator[PosedFrame]:
-    """Turn every pose a little about the sensor's vertical axis.
+    """Rotate every pose about the sensor's vertical axis by Gaussian noise.
 
     Args:
         posed: Frames with their poses.
-        numbers: A number for each of them, which its noise is drawn by.
-        noise_deg: Standard deviation; 0 leaves poses as they are.
+        numbers: A number for each of them that seeds its noise.
+        noise_deg: Standard deviation, degrees; 0 leaves poses unchanged.
     """
     for each, number in zip(posed, numbers, strict=True):
         if noise_deg == 0.0:

@@ -1,4 +1,4 @@
-"""Judges motion labels against truth, on the very path that mining takes."""
+"""Motion segmentation evaluation: labels against truth, on the same path that mining takes."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from workers.lab.evaluation.motion.alternatives import OF_SETTINGS, build_stream
 from workers.lab.evaluation.motion.counting import count_frame
 from workers.lab.evaluation.motion.counts import LogCounts, StreamCounts, StreamName, total_of
 from workers.lab.evaluation.motion.disturbance import Disturbance
-from workers.lab.evaluation.motion.stream_runner import Answered, answers_of
+from workers.lab.evaluation.motion.stream_runner import StreamOutput, run_streams
 from workers.lab.evaluation.motion.table import LogEvaluation, evaluation_of
 from workers.lab.evaluation.truth.truth import FrameTruth, LogTruth, logs_with_truth
 from workers.parts.registry import build_odometry
@@ -25,22 +25,22 @@ from workers.parts.registry import build_odometry
 UNDISTURBED = Disturbance()
 
 _DIFFERING = [kind.code for kind in MOTION.kinds if not kind.of_witness]
-"""Outcomes in which the two streams differ; where only the witness does, they agree."""
+"""Outcomes in which the two streams differ; where only the witness differs, they agree."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class JudgedFrame:
-    """One frame that was judged: M points, those of the beams that were kept.
+class EvaluatedFrame:
+    """One evaluated frame: M points, those of the beams that were kept.
 
     Attributes:
-        stream: Whose labels they are.
-        log_id: Whose it is.
-        name: As its truth is named, `x/y/NNNNNN`.
+        stream: Stream of the labels.
+        log_id: Log of the frame.
+        name: Its name in the truth, `x/y/NNNNNN`.
         points_m: (M, 3) sensor space.
-        labels: (M,) of the judged stream.
-        confirmed: (M,) which of them it confirms; None where it does not tell.
+        labels: (M,) labels of the stream.
+        confirmed: (M,) points that it confirms; None where it does not report them.
         truth: (M,) true motion, in codes of the truth.
-        kept: (N,) which points of the recorded cloud they are; None for all.
+        kept: (N,) points of the recorded cloud that these are; None for all.
     """
 
     stream: StreamName
@@ -62,31 +62,31 @@ def evaluate_motion(
     stream: StreamName | Sequence[StreamName] = "selfsupervised",
     both: bool = True,
     disturbance: Disturbance = UNDISTURBED,
-    on_frame: Callable[[JudgedFrame], None] = lambda judged: None,
+    on_frame: Callable[[EvaluatedFrame], None] = lambda judged: None,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[LogEvaluation]:
-    """Judge a stream's motion labels on every log of a bucket that has truth.
+    """Evaluate a stream's motion labels on every log of a bucket that has truth.
 
-    Each log is one shard, so that streams keep their state from its first frame on; odometry and
-    streams are those of the settings, read and posed as a worker would.
+    Each log is one shard, so that streams keep their state from its first frame on. Odometry and
+    streams are those of the settings, on frames read and posed as in a worker.
 
     Args:
         bucket_url: URL or path of the bucket.
-        truth: Folder of truth: that of `x/y.mcap` lies in `x/y`.
-        frames: First frame that is judged and the first that is not any more (None: all the rest),
-            counted in each log; earlier ones run through the streams unjudged.
-        settings: Names of the parts and how logs are read.
-        stream: Whose figures stand at the top of each row: `selfsupervised` or `supervised` as the
-            settings name them, or a part by name; several are judged side by side, on the same
-            frames and poses.
-        both: Where one of the first two is judged, run the other too, for its table and for the
-            share of contradicted points.
-        disturbance: What the logs are made worse by before anything sees them.
-        on_frame: Told of each judged frame what each stream at the top said about it.
-        on_progress: Told how many frames are done, and of about how many.
+        truth: Folder of truth: that of `x/y.mcap` is in `x/y`.
+        frames: First evaluated frame and the end, exclusive (None: the rest), counted in each log;
+            earlier frames run through the streams and are not counted.
+        settings: Names of the parts, and ingest settings.
+        stream: Stream of the figures at the top of each row: `selfsupervised` or `supervised` as
+            the settings name them, or a part by name. Several run together on the same frames and
+            poses.
+        both: With one of the first two, run the other too, for its table and for the share of
+            contradicted points.
+        disturbance: Degradation applied to the logs before all stages.
+        on_frame: Called with each evaluated frame, once for each stream at the top.
+        on_progress: Called with the number of frames done, and about how many there are.
 
     Returns:
-        One row for each log and stream, and last ones, `all`, of the counts of all logs.
+        One row for each log and stream, and last ones, `all`, over all logs.
 
     Raises:
         TruthUnusableError: If no log has truth, or truth does not fit its log.
@@ -95,8 +95,8 @@ def evaluate_motion(
     """
     chosen = (stream,) if isinstance(stream, str) else tuple(dict.fromkeys(stream))
     alone = chosen[0] if len(chosen) == 1 else ""
-    beside = tuple(name for name in OF_SETTINGS if both and alone in OF_SETTINGS and name != alone)
-    streams = build_streams((*chosen, *beside), settings)
+    others = tuple(name for name in OF_SETTINGS if both and alone in OF_SETTINGS and name != alone)
+    streams = build_streams((*chosen, *others), settings)
     bucket = open_bucket(bucket_url)
     known = logs_with_truth(bucket, truth)
     odometry = build_odometry(settings.odometry)
@@ -105,7 +105,7 @@ def evaluate_motion(
     rows, counts, done = [], [], 0
     for (recording, found), numbers in zip(known, judged, strict=True):
         counted = LogCounts(streams={name: StreamCounts() for name in streams})
-        run = answers_of(
+        run = run_streams(
             bucket,
             recording,
             found,
@@ -114,26 +114,26 @@ def evaluate_motion(
             settings=settings,
             disturbance=disturbance,
         )
-        for answered in run if numbers else ():
-            if answered.number >= numbers.stop:
+        for output in run if numbers else ():
+            if output.number >= numbers.stop:
                 break
             done += disturbance.every
             on_progress(done, total)
-            true = found.of(answered.whole, number=answered.number)
-            if answered.number in numbers and true is not None:
-                true = true if answered.kept is None else true.of_points(answered.kept)
-                _count(counted, answered, true, recording.log_id)
+            true = found.of(output.whole, number=output.number)
+            if output.number in numbers and true is not None:
+                true = true if output.kept is None else true.of_points(output.kept)
+                _count(counted, output, true, recording.log_id)
                 for each in chosen:
-                    on_frame(_judged(answered, each, true, recording.log_id, found))
+                    on_frame(_judged(output, each, true, recording.log_id, found))
         counts.append(counted)
-        rows.extend(_rows(recording.log_id, counted, chosen, beside))
-    return [*rows, *_rows("all", total_of(counts), chosen, beside)]
+        rows.extend(_rows(recording.log_id, counted, chosen, others))
+    return [*rows, *_rows("all", total_of(counts), chosen, others)]
 
 
 def _rows(
-    log: str, counts: LogCounts, chosen: Sequence[StreamName], beside: Sequence[StreamName]
+    log: str, counts: LogCounts, chosen: Sequence[StreamName], others: Sequence[StreamName]
 ) -> list[LogEvaluation]:
-    return [evaluation_of(log, counts, stream=name, beside=beside) for name in chosen]
+    return [evaluation_of(log, counts, stream=name, others=others) for name in chosen]
 
 
 def _clipped(frames: tuple[int, int | None], length: int) -> range:
@@ -142,39 +142,39 @@ def _clipped(frames: tuple[int, int | None], length: int) -> range:
 
 
 def _judged(
-    answered: Answered, stream: StreamName, true: FrameTruth, log_id: str, truth: LogTruth
-) -> JudgedFrame:
-    said = answered.labels[stream]
-    return JudgedFrame(
+    output: StreamOutput, stream: StreamName, true: FrameTruth, log_id: str, truth: LogTruth
+) -> EvaluatedFrame:
+    predicted = output.labels[stream]
+    return EvaluatedFrame(
         stream=stream,
         log_id=log_id,
-        name=truth.name_of(answered.number),
-        points_m=answered.posed.frame.points_m,
-        labels=said.labels,
-        confirmed=said.confirmed,
+        name=truth.name_of(output.number),
+        points_m=output.posed.frame.points_m,
+        labels=predicted.labels,
+        confirmed=predicted.confirmed,
         truth=true.motion,
-        kept=answered.kept,
+        kept=output.kept,
     )
 
 
-def _count(counts: LogCounts, answered: Answered, true: FrameTruth, log_id: str) -> None:
+def _count(counts: LogCounts, output: StreamOutput, true: FrameTruth, log_id: str) -> None:
     counts.frames += 1
-    for stage, took_ms in answered.stage_ms.items():
+    for stage, took_ms in output.stage_ms.items():
         counts.stage_ms.setdefault(stage, []).append(took_ms)
-    for name, said in answered.labels.items():
+    for name, predicted in output.labels.items():
         counts.streams[name].add(
             count_frame(
-                said,
+                predicted,
                 true,
-                answered.posed.frame.points_m,
+                output.posed.frame.points_m,
                 log_id=log_id,
-                odom_from_sensor=answered.posed.odom_from_sensor,
+                odom_from_sensor=output.posed.odom_from_sensor,
             )
         )
-    supervised = [name for name in answered.labels if is_supervised(name)]
-    others = [name for name in answered.labels if not is_supervised(name)]
+    supervised = [name for name in output.labels if is_supervised(name)]
+    others = [name for name in output.labels if not is_supervised(name)]
     for semantic, predictive in product(supervised, others):
-        agreements = compare(answered.labels[semantic].labels, answered.labels[predictive].labels)
+        agreements = compare(output.labels[semantic].labels, output.labels[predictive].labels)
         differs = np.isin(agreements, _DIFFERING)
         compared = np.count_nonzero(agreements != MOTION.not_compared)
         counts.compared[semantic, predictive] += int(compared)

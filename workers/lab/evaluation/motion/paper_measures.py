@@ -1,8 +1,8 @@
-"""The paper's measures, in every published variant: mIoU, AP, AR and F1 of contradictions.
+"""The paper's metrics in every published variant: mIoU, AP, AR and F1 of contradictions.
 
-Source: arXiv 2407.14306, section IV and its code. A contradiction on an anomaly is a hit. What the
-names promise is not always what they are: mIoU is a mean over frames, not over classes, AP and AR
-are means of precision and recall, F1 is made of these two means.
+Source: arXiv 2407.14306, section IV and its code. A contradiction on an anomaly is a hit. The names
+differ from their usual meaning: mIoU is a mean over frames, not over classes; AP and AR are means
+of precision and recall; F1 is computed from these two means.
 """
 
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ from workers.lidar.fidelity import Form
 
 
 class PointSet(StrEnum):
-    """Which points count.
+    """Points that count.
 
     ALL: those of the method and those inside the boxes. BOXES: those inside the boxes. OVERLAP:
     those inside the boxes that the method labelled.
@@ -30,7 +30,7 @@ class PointSet(StrEnum):
 
 
 class Averaging(StrEnum):
-    """INDIVIDUAL: each frame or annotation for itself. AGGREGATED: all points of all together."""
+    """INDIVIDUAL: each frame or annotation by itself. AGGREGATED: all points together."""
 
     INDIVIDUAL = "individual"
     AGGREGATED = "aggregated"
@@ -59,7 +59,7 @@ class Measures:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Confusion:
-    """(N,) counts of each row, and how many points its set has."""
+    """(N,) counts of each row, and the number of points in its set."""
 
     tp: NDArray[np.int64]
     fp: NDArray[np.int64]
@@ -79,21 +79,21 @@ def paper_measures(
     averaging: Averaging,
     form: Form = Form.CORRECTED,
 ) -> Measures:
-    """Compute the measures of one variant.
+    """Compute the metrics of one variant.
 
     The corrected form differs from the published code in this:
 
-    - a frame in which a measure has no denominator is left out of its mean (published: it counts
-      as 0, so that frames without an anomaly make recall worse);
-    - of the points inside boxes, not clustered, those without a category are no miss in the
-      overlap, to which they do not belong (published: they are, and shares sum to more than 1).
+    - a frame in which a measure has no denominator is left out of its mean (published: it counts as
+      0, and frames without an anomaly lower recall);
+    - without clustering, points inside boxes without a category are no misses in the overlap, which
+      excludes them (published: they are, and shares sum to more than 1).
 
     Args:
-        counts: (N, 21) what `COLUMNS` says, a row for each frame or annotation.
-        points: Which points count; `ALL` means nothing for annotations.
+        counts: (N, 21) counts in the order of `COLUMNS`, a row for each frame or annotation.
+        points: Points that count; `ALL` has no meaning for annotations.
         clustered: Whether only the points of the object are the anomaly; else all in its box.
-        averaging: Each row for itself, or all points together.
-        form: Which of the two.
+        averaging: Each row by itself, or all points together.
+        form: Corrected or published form.
 
     Returns:
         The measures; all zero where no row has points in the set.
@@ -126,7 +126,7 @@ def paper_measures(
 
 
 def _mean(part: NDArray[np.float64], whole: NDArray[np.float64], form: Form) -> float:
-    """Mean ratio of the rows; what has no denominator counts as 0, or not at all."""
+    """Return the mean ratio of the rows; a row without denominator counts as 0, or is left out."""
     ratio = np.divide(part, whole, out=np.zeros_like(part), where=whole > 0)
     if form is Form.CORRECTED:
         ratio = ratio[whole > 0]

@@ -1,7 +1,7 @@
-"""Which true point is which labelled point, by coordinates: the paper's evaluation, point by point.
+"""Point matching by coordinates: assigns true points to labelled points for the paper's metrics.
 
-True points lie inside the 2D boxes of CODA's annotations and are part of the object or not; the
-method's points have one of the four categories. Neither knows the other's index.
+True points lie inside the 2D boxes of CODA's annotations and either belong to the object or not.
+The method's points have one of the four categories. The two sets share no index.
 """
 
 from dataclasses import dataclass
@@ -14,13 +14,13 @@ from schemas.arrays import Points
 from workers.lidar.fidelity import Form
 
 TOLERANCE_M: Final = 0.001
-"""True points were rounded to a millimetre when they were written."""
+"""Matching tolerance per axis, metres: true points were rounded to a millimetre on writing."""
 
 COLUMNS: Final = (
     *("c-11", "c-12", "c-13", "c-14", "c11", "c12", "c13", "c14", "c-10", "c10"),
     *("c1", "c2", "c3", "c4", "tp", "fp", "fn", "tn", "total", "gt_total", "method_total"),
 )
-"""What is counted of a frame or an annotation, in the published order.
+"""Counts of a frame or an annotation, in the published order.
 
 `c13` is a point of the object that the method put in category 3, `c-13` one in the box but not of
 the object, `c3` one outside of every box; `c10` and `c-10` have no category.
@@ -32,13 +32,13 @@ _BOGUS_ROW: Final = (-1.0, -1.0, -1.0, -1.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchedPoints:
-    """True points and, behind them, those of the method that are in no box.
+    """True points, followed by the method's points outside every box.
 
     Attributes:
         points_m: (K, 3) coordinates.
-        code: (K,) int8: tens say that a point is in a box and the sign whether it is not of the
-            object, units the category.
-        method_total: How many points the method labelled.
+        code: (K,) int8: the tens mark a point inside a box, a negative sign one that is not of the
+            object; the units are the category.
+        method_total: Number of points that the method labelled.
     """
 
     points_m: Points
@@ -46,15 +46,15 @@ class MatchedPoints:
     method_total: int
 
     def annotation_code(self) -> NDArray[np.int8]:
-        """(N,) codes of the true points alone: what counts for a single annotation."""
+        """(N,) codes of the true points alone, which count for a single annotation."""
         return self.code[np.abs(self.code) >= 10]
 
     def counts(self) -> NDArray[np.int64]:
-        """(21,) what `COLUMNS` says, of a frame."""
+        """(21,) counts of a frame, in the order of `COLUMNS`."""
         return _counts(self.code, self.method_total)
 
     def annotation_counts(self) -> NDArray[np.int64]:
-        """(21,) what `COLUMNS` says, of a single annotation."""
+        """(21,) counts of a single annotation, in the order of `COLUMNS`."""
         return _counts(self.annotation_code(), self.method_total)
 
 
@@ -65,20 +65,20 @@ def match_points(
     *,
     form: Form = Form.CORRECTED,
 ) -> MatchedPoints:
-    """Find for each true point the first of the method's points within a millimetre on each axis.
+    """Match each true point to the first of the method's points within a millimetre on each axis.
 
-    One point of the method may be found by several true ones. The corrected form differs from the
+    Several true points may match one point of the method. The corrected form differs from the
     published code in this:
 
     - the row (-1, -1, -1, -1) with which every published file begins is left out;
-    - a point that lies in two boxes, and so is there twice, counts once; if one box says that it
-      is of the object, it is.
+    - a point inside two boxes, and therefore listed twice, counts once; it is of the object if it
+      is so in one box.
 
     Args:
         true_points: (N, 4) x, y, z in metres, +1 of the object or -1 not.
         method_points_m: (M, 3) points that the method labelled.
         category: (M,) 1 to 4.
-        form: Which of the two.
+        form: Corrected or published form.
     """
     from scipy.spatial import cKDTree
 
@@ -105,7 +105,7 @@ def match_points(
 
 
 def _once(true_points: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Keep one row of each place, the object's if there is one, in the order of the first."""
+    """Keep one row per position, the object's if there is one, in order of first occurrence."""
     _, first, place = np.unique(true_points[:, :3], axis=0, return_index=True, return_inverse=True)
     label = np.full(len(first), -1, dtype=np.float32)
     np.maximum.at(label, place.ravel(), true_points[:, 3])
@@ -122,7 +122,7 @@ def sums_of(each: NDArray[np.int64]) -> NDArray[np.int64]:
         each: (..., 14) the first columns of `COLUMNS`.
 
     Returns:
-        (..., 6).
+        (..., 6) the derived counts.
     """
     of = dict(zip(_CODES, np.moveaxis(each, -1, 0), strict=True))
     tp = of[13] + of[14]

@@ -1,4 +1,4 @@
-"""Whether labels hang on where a log was cut: those of shards beside those of the whole log."""
+"""Shard consistency: labels of separately mined shards against labels of the whole log."""
 
 from collections.abc import Callable, Iterator
 from typing import Final
@@ -21,38 +21,38 @@ from workers.parts.protocols import Odometry, Stream
 from workers.parts.registry import build_odometry, build_selfsupervised
 
 FROM_S: Final = (0, 1, 2, 5, 10)
-"""What is left of a warm-up too short shows in the first seconds of a window."""
+"""Edges of the time bins, seconds after the window begins: a short warm-up shows in the first."""
 
 Labels = dict[int, NDArray[np.uint8]]
 
 
 class NoShardsError(PermanentError):
-    """No log of a bucket is long enough to be cut."""
+    """No log of a bucket is long enough for more than one shard."""
 
 
 class ShardsEvaluation(BaseModel):
-    """How labels of shards agree with those of the whole log."""
+    """Agreement of the labels of shards with those of the whole log."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     log: str = Field(description="Log id, or `all`.")
-    shards: int = Field(description="How many the log was cut into.")
+    shards: int = Field(description="Number of shards of the log.")
     points: int = Field(description="Points in their windows.")
     equal_share: float = Field(description="Of those, with the same label as in the whole log.")
     equal_by_second: dict[str, float] = Field(
-        description="The same of windows that something was read before, from so many seconds on."
+        description="The same for windows with a warm-up, from this many seconds on."
     )
 
 
-class _Counted:
-    """Points in windows, and how many of them have the same label."""
+class _LabelAgreement:
+    """Points in windows, and those among them with the same label."""
 
     def __init__(self) -> None:
         self.shards = self.points = self.equal = 0
         self.by_second = np.zeros((len(FROM_S), 2), np.int64)
 
-    def add(self, other: "_Counted") -> None:
-        """Take in what was counted elsewhere."""
+    def add(self, other: "_LabelAgreement") -> None:
+        """Add the counts of another log."""
         self.shards, self.points = self.shards + other.shards, self.points + other.points
         self.equal += other.equal
         self.by_second += other.by_second
@@ -70,7 +70,7 @@ class _Counted:
             self.by_second[at] += len(labels), equal
 
     def row(self, log: str) -> ShardsEvaluation:
-        """Sum up."""
+        """Build the row of a log."""
         return ShardsEvaluation(
             log=log,
             shards=self.shards,
@@ -90,12 +90,12 @@ def evaluate_shards(
     settings: MiningSettings,
     on_progress: Callable[[int], None] = lambda done: None,
 ) -> list[ShardsEvaluation]:
-    """Label every log whole and in shards, of its first lidar, and compare point by point.
+    """Label every log whole and in shards, of its first lidar, and compare per point.
 
     Args:
         bucket_url: URL or path of the bucket.
-        settings: Odometry, self-supervised stream, and the grid that logs are cut on.
-        on_progress: Told how many frames are done.
+        settings: Odometry, self-supervised stream, and the grid of the shards.
+        on_progress: Called with the number of frames done.
 
     Returns:
         One row for each log of more than one shard, and a last one, `all`.
@@ -104,19 +104,24 @@ def evaluate_shards(
         NoShardsError: If no log has more than one.
         UnknownPartError: If a part does not exist.
     """
-    bucket, rows, total, done = open_bucket(bucket_url), list[ShardsEvaluation](), _Counted(), 0
+    bucket, rows, total, done = (
+        open_bucket(bucket_url),
+        list[ShardsEvaluation](),
+        _LabelAgreement(),
+        0,
+    )
     odometry = build_odometry(settings.odometry)
     stream = build_selfsupervised(settings.selfsupervised)
 
     def labels(recording: Recording, shard: Shard) -> Labels:
         nonlocal done
-        said = Labels()
+        collected = Labels()
         for stamp_ns, of_frame in _labelled(bucket, recording, shard, settings, odometry, stream):
             done += 1
             on_progress(done)
             if shard.start_ns <= stamp_ns < shard.end_ns:
-                said[stamp_ns] = of_frame
-        return said
+                collected[stamp_ns] = of_frame
+        return collected
 
     for recording in group_recordings(bucket.list()):
         plan = plan_recording(bucket, recording, settings)
@@ -126,7 +131,7 @@ def evaluate_shards(
         whole = Labels()
         for shard in shards_of_log(bucket, recording, settings):
             whole |= labels(recording, shard)
-        counted = _Counted()
+        counted = _LabelAgreement()
         for shard in shards:
             counted.compare(shard, whole, labels(recording, shard))
         rows.append(counted.row(recording.log_id))

@@ -1,4 +1,4 @@
-"""Runs the streams over a whole log, disturbed or not, frame by frame, with the time they take."""
+"""Stream runner: runs the streams over a whole log and times them, with degraded input if asked."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from workers.lab.evaluation.benchmarks.lower_bounds import MS_PER_S
 from workers.lab.evaluation.motion.counts import StreamName
 from workers.lab.evaluation.motion.disturbance import (
     Disturbance,
-    Numbered,
+    NumberedFrame,
     with_yaw_noise,
     without_beams,
 )
@@ -27,16 +27,16 @@ from workers.stage_timing import Stage, StageClock
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Answered:
-    """What the streams say about one frame.
+class StreamOutput:
+    """Labels of the streams for one frame.
 
     Attributes:
-        number: Of the frame in the truth.
-        whole: The frame as it was recorded.
-        posed: The frame as the streams saw it, with the pose they were given.
-        kept: (N,) which of the recorded points they saw; None for all.
-        labels: What each of them says about those.
-        stage_ms: How long each stage took for it.
+        number: Number of the frame in the truth.
+        whole: The frame with all its recorded points.
+        posed: The frame given to the streams, with its pose.
+        kept: (N,) recorded points given to them; None for all.
+        labels: Labels of those points, by stream.
+        stage_ms: Time of each stage for this frame, milliseconds.
     """
 
     number: int
@@ -47,7 +47,7 @@ class Answered:
     stage_ms: Mapping[str, float]
 
 
-def answers_of(
+def run_streams(
     bucket: Bucket,
     recording: Recording,
     truth: LogTruth,
@@ -56,20 +56,20 @@ def answers_of(
     streams: Mapping[StreamName, Stream],
     settings: MiningSettings,
     disturbance: Disturbance,
-) -> Iterator[Answered]:
+) -> Iterator[StreamOutput]:
     """Run streams over a whole log, from its first frame on.
 
     Args:
-        bucket: Where the log lies.
+        bucket: Bucket of the log.
         recording: The log.
-        truth: Of the log; it says which lidar is judged, and numbers the frames.
-        odometry: What poses the frames.
-        streams: What labels them, by name; all see the same frames and poses.
-        settings: How the log is read.
-        disturbance: What the log is made worse by.
+        truth: Truth of the log; it names the lidar and numbers the frames.
+        odometry: Odometry that poses the frames.
+        streams: Streams by name; all get the same frames and poses.
+        settings: Ingest settings.
+        disturbance: Degradation of the log.
 
     Raises:
-        LogUnusableError: If the log cannot be mined, or tells no beams where some are left out.
+        LogUnusableError: If the log cannot be mined, or beams are to be removed and it has none.
         TruthUnusableError: If the truth does not know a frame.
     """
     number_of_stamp: dict[int, int] = {}
@@ -97,23 +97,23 @@ def answers_of(
             took_ms = {k: MS_PER_S * (s - before.get(k, 0.0)) for k, s in seconds.items()}
             before = seconds
             if shard.start_ns <= each.whole.stamp_ns < shard.end_ns:
-                said = dict(zip(streams, labels, strict=True))
-                yield Answered(each.number, each.whole, frame, each.kept, said, took_ms)
+                by_stream = dict(zip(streams, labels, strict=True))
+                yield StreamOutput(each.number, each.whole, frame, each.kept, by_stream, took_ms)
 
 
 def _read_for(streams: Iterable[StreamName], settings: MiningSettings) -> MiningSettings:
-    """Have what the log recorded read as well, where one of the streams is that."""
-    asked = [settings.model_copy(update={"supervised": name}) for name in streams]
-    return next((each for each in asked if each.takes_recorded), settings)
+    """Enable reading of recorded labels where one of the streams needs them."""
+    candidates = [settings.model_copy(update={"supervised": name}) for name in streams]
+    return next((each for each in candidates if each.takes_recorded), settings)
 
 
 def _numbered(
     frames: Iterable[LidarFrame], truth: LogTruth, number_of_stamp: dict[int, int]
-) -> Iterator[Numbered]:
-    """Number frames as the truth does; the warm-up of a shard has its numbers already."""
+) -> Iterator[NumberedFrame]:
+    """Number frames as the truth does; warm-up frames of a shard keep their numbers."""
     for frame in frames:
         number = number_of_stamp.get(frame.stamp_ns)
         if number is None:
             number = truth.number_of(frame, position=len(number_of_stamp))
             number_of_stamp[frame.stamp_ns] = number
-        yield Numbered(number, frame, frame)
+        yield NumberedFrame(number, frame, frame)

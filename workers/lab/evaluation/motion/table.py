@@ -1,4 +1,4 @@
-"""The table of ratios that is made of what was counted: one row for each log, one for all."""
+"""Tables of motion metrics: one row for each log, and one over all logs."""
 
 from collections.abc import Callable, Mapping, Sequence, Set
 from typing import Final
@@ -17,24 +17,24 @@ from workers.lab.evaluation.motion.counts import (
 )
 
 Ratios = dict[str, float | None]
-"""By range in metres, `"25"`, `"50"`, `"80"`; null where nothing was there to be counted."""
+"""Ratios by range in metres, `"25"`, `"50"`, `"80"`; null where there was nothing to count."""
 
 _PERCENTILE: Final = 0.9
 
 
 class FoundObjects(BaseModel):
-    """How many moving objects of one kind there were under 80 m, and how many were found."""
+    """Moving objects of one kind under 80 m: how many there are and how many were found."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    observations: int = Field(description="Objects of at least 20 points, frame by frame.")
+    observations: int = Field(description="Objects of at least 20 points, per frame.")
     found: int = Field(description="Those of which more than half the points were found.")
     tracks: int = Field(description="Different objects among the observations.")
     tracks_found: int = Field(description="Those found in one frame at least.")
 
 
 class StreamTable(BaseModel):
-    """How right one stream's motion labels are; ratios by horizontal range."""
+    """Motion metrics of one stream; ratios by horizontal range."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -51,10 +51,10 @@ class StreamTable(BaseModel):
     objects_by_class: dict[str, FoundObjects] = Field(description="The counts behind it.")
     unknown_share: Ratios = Field(description="Points of known truth labelled UNKNOWN.")
     false_clusters_per_frame: float | None = Field(
-        description="Clusters of at least 25 points called dynamic, under 80 m, nothing moving in."
+        description="Dynamic clusters under 80 m of at least 25 points, without a mover."
     )
     confirmed_iou: Ratios = Field(
-        description="IoU if only confirmed points were called dynamic; null without confirmation."
+        description="IoU if only confirmed points counted as dynamic; null without confirmation."
     )
     confirmed_precision: Ratios = Field(description="Precision of confirmed points.")
     confirmed_recall: Ratios = Field(description="Recall of confirmed points.")
@@ -67,24 +67,24 @@ class StreamTable(BaseModel):
     )
 
 
-class JudgedLog(BaseModel):
-    """Which log a table is about."""
+class EvaluatedLog(BaseModel):
+    """Log, stream and frames of a table."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     log: str = Field(description="Log id, or `all`.")
     stream: StreamName = Field(
-        description="Whose figures stand at the top level: `selfsupervised` or "
-        "`supervised`, whatever the settings name, or a part by its own name."
+        description="Stream of the figures at the top level: `selfsupervised` or "
+        "`supervised`, as the settings name them, or a part by its own name."
     )
-    frames: int = Field(ge=0, description="Frames that were judged.")
+    frames: int = Field(ge=0, description="Evaluated frames.")
 
 
-class LogEvaluation(StreamTable, JudgedLog):
-    """The table of one log, or of all: the judged stream's own, then every stream's."""
+class LogEvaluation(StreamTable, EvaluatedLog):
+    """The table of one log, or of all: figures of the evaluated stream, then of every stream."""
 
     ms_per_frame: dict[str, float | None] = Field(
-        description="Median milliseconds of each stage in the judged frames, and of their total."
+        description="Median milliseconds of each stage in the evaluated frames, and of their total."
     )
     contradicted_share: float | None = Field(
         description="Share of compared points on which the stream and the first of the other kind "
@@ -98,17 +98,17 @@ def evaluation_of(
     counts: LogCounts,
     *,
     stream: StreamName,
-    beside: Sequence[StreamName] | None = None,
+    others: Sequence[StreamName] | None = None,
 ) -> LogEvaluation:
-    """Turn what was counted in a log into its table.
+    """Compute the table of a log from its counts.
 
     Args:
         log: Log id, or `all`.
-        counts: What was counted of it.
-        stream: Whose figures stand at the top.
-        beside: The other streams that the row is about; all that were counted by default.
+        counts: Counts of the log.
+        stream: Stream of the figures at the top.
+        others: Other streams of the row; all that were counted by default.
     """
-    shown = {stream, *(counts.streams if beside is None else beside)}
+    shown = {stream, *(counts.streams if others is None else others)}
     tables = {
         name: _table(stream_counts, frames=counts.frames)
         for name, stream_counts in sorted(counts.streams.items())
@@ -130,7 +130,7 @@ def evaluation_of(
 
 
 def _stage_times(counts: LogCounts, shown: Set[StreamName]) -> dict[str, float | None]:
-    """Median of each stage, streams that are not shown left out, and of their sum."""
+    """Return the median of each stage and of their sum, without streams that are not shown."""
     stages = {
         stage: times
         for stage, times in counts.stage_ms.items()
@@ -172,7 +172,7 @@ def _table(counts: StreamCounts, *, frames: int) -> StreamTable:
 
 
 def _in_order(kinds: Mapping[str, ObjectCounts]) -> list[tuple[str, ObjectCounts]]:
-    """Sort names by the alphabet, steps such as `10-20` by where they begin."""
+    """Sort names alphabetically, and bins such as `10-20` by their lower edge."""
 
     def place(entry: tuple[str, ObjectCounts]) -> tuple[float, str]:
         first = entry[0].partition("-")[0]
@@ -210,7 +210,7 @@ def _found(counts: ObjectCounts) -> FoundObjects:
 
 
 def _velocity_error(errors: NDArray[np.int64]) -> dict[str, float | None]:
-    """Median, mean and 90th percentile of errors that were counted in steps."""
+    """Return the median, mean and 90th percentile of a histogram of errors."""
     total = int(errors.sum())
     if not total:
         return {"median": None, "mean": None, "p90": None}

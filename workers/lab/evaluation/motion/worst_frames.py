@@ -1,4 +1,4 @@
-"""Remembers the frames that a stream labelled worst."""
+"""Worst frames: the frames in which a stream labels most points wrong."""
 
 import heapq
 
@@ -6,12 +6,12 @@ import numpy as np
 
 from schemas.labels import MotionLabel
 from workers.lab.evaluation.motion.counts import RANGES_M
-from workers.lab.evaluation.motion.motion import JudgedFrame
+from workers.lab.evaluation.motion.motion import EvaluatedFrame
 from workers.lab.evaluation.truth.truth import TRUTH_DYNAMIC, TRUTH_STATIC
 
 
-def wrong_points(judged: JudgedFrame) -> int:
-    """Count the points under 80 m that move and were not found, or stand and were called dynamic.
+def wrong_points(judged: EvaluatedFrame) -> int:
+    """Count wrong points under 80 m: movers that were not found, static points labelled dynamic.
 
     Points of unknown truth are never wrong.
     """
@@ -22,15 +22,15 @@ def wrong_points(judged: JudgedFrame) -> int:
 
 
 class WorstFrames:
-    """Keeps the frames with most wrong points, and no more of them than asked for."""
+    """Keeps the frames with most wrong points, up to a given number."""
 
     def __init__(self, count: int) -> None:
         self._count = count
-        self._heap: list[tuple[int, int, JudgedFrame]] = []
+        self._heap: list[tuple[int, int, EvaluatedFrame]] = []
         self._seen = 0
 
-    def add(self, judged: JudgedFrame) -> None:
-        """Look at one more frame; of two that are equally bad, the earlier is kept."""
+    def add(self, judged: EvaluatedFrame) -> None:
+        """Add a frame; of two equally bad ones, the earlier is kept."""
         self._seen += 1
         entry = (wrong_points(judged), -self._seen, judged)
         if len(self._heap) < self._count:
@@ -39,6 +39,6 @@ class WorstFrames:
             heapq.heappushpop(self._heap, entry)
 
     @property
-    def frames(self) -> list[JudgedFrame]:
-        """What is kept, worst first."""
+    def frames(self) -> list[EvaluatedFrame]:
+        """The kept frames, worst first."""
         return [judged for _, _, judged in sorted(self._heap, key=lambda e: e[:2], reverse=True)]

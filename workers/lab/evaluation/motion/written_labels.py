@@ -1,23 +1,23 @@
-"""Writes what was judged, numbered and coded as the truth, so that others can count it again."""
+"""Label export: writes evaluated labels in the format of the truth, for checks by others."""
 
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from workers.lab.evaluation.motion.motion import JudgedFrame
+from workers.lab.evaluation.motion.motion import EvaluatedFrame
 from workers.lab.evaluation.truth.truth import TRUTH_DYNAMIC, TRUTH_STATIC, TRUTH_UNKNOWN
 
 TRUTH_CODES: Final = np.array([TRUTH_STATIC, TRUTH_DYNAMIC, TRUTH_UNKNOWN], dtype=np.uint8)
-"""What truth calls each `MotionLabel`, in the order of their values."""
+"""Truth code of each `MotionLabel`, in the order of their values."""
 
 
-def write_labels(folder: Path, judged: JudgedFrame) -> Path:
+def write_labels(folder: Path, judged: EvaluatedFrame) -> Path:
     """Write the labels of one frame to `folder/x/y/NNNNNN.npz`.
 
-    The arrays have an entry for every point of the recorded cloud: `motion` in codes of the truth
-    and `confirmed`, false from a stream that confirms nothing. Points of beams that were left out
-    are unknown; `kept` then says which were not.
+    The arrays have an entry for every point of the recorded cloud: `motion` in codes of the truth,
+    and `confirmed`, false for a stream that confirms nothing. Points of removed beams are unknown;
+    `kept` then marks the others.
     """
     motion = TRUTH_CODES[judged.labels]
     confirmed = judged.confirmed

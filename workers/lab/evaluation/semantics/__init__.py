@@ -1,1 +1,1 @@
-"""Classes of the supervised stream against truth."""
+"""Semantic evaluation: classes of the supervised stream against ground truth."""

@@ -1,4 +1,4 @@
-"""What a confusion of classes says: intersection over union, class by class and taken together."""
+"""Intersection over union from a confusion matrix, per class and for a group of classes."""
 
 from collections.abc import Sequence
 
@@ -11,11 +11,11 @@ _DIGITS = 4
 
 
 def class_iou(confusion: NDArray[np.int64], names: Sequence[str]) -> dict[str, float]:
-    """Intersection over union of each class that truth has; class 0 is none.
+    """Return the intersection over union of each class that occurs in truth; class 0 is none.
 
     Args:
-        confusion: (K, K) counts, rows are truth, columns answers.
-        names: Of the classes.
+        confusion: (K, K) counts, rows are truth, columns predictions.
+        names: Names of the classes.
     """
     hits = confusion.diagonal()
     union = confusion.sum(axis=0) + confusion.sum(axis=1) - hits
@@ -27,11 +27,11 @@ def class_iou(confusion: NDArray[np.int64], names: Sequence[str]) -> dict[str, f
 
 
 def joint_iou(confusion: NDArray[np.int64], chosen: Mask) -> float | None:
-    """Intersection over union of some classes taken for one; None where none of them occurs.
+    """Return the IoU of a group of classes merged into one; None where none of them occurs.
 
     Args:
-        confusion: (K, K) counts, rows are truth, columns answers.
-        chosen: (K,) which classes.
+        confusion: (K, K) counts, rows are truth, columns predictions.
+        chosen: (K,) classes of the group.
     """
     both = int(confusion[np.ix_(chosen, chosen)].sum())
     either = int(confusion[chosen].sum() + confusion[:, chosen].sum()) - both

@@ -1,7 +1,7 @@
-"""Measures how sure the supervised stream is where it is right and where it is wrong.
+"""Confidence of the supervised stream, measured where it is right and where it is wrong.
 
-`python -m workers.lab.evaluation.semantics.measured_confidence OUT.json` writes the table that
-simulated models on cars draw their confidence from (`workers.lab.simulation.faults.confidence`).
+`python -m workers.lab.evaluation.semantics.measured_confidence OUT.json` writes the table from
+which simulated on-board models draw their confidence (`workers.lab.simulation.faults.confidence`).
 """
 
 import json
@@ -18,7 +18,7 @@ from schemas.labels import FrameLabels, MotionLabel
 from schemas.mining import MiningSettings
 from schemas.transport.bucket import open_bucket
 from workers.lab.evaluation.motion.disturbance import Disturbance
-from workers.lab.evaluation.motion.stream_runner import answers_of
+from workers.lab.evaluation.motion.stream_runner import run_streams
 from workers.lab.evaluation.truth.truth import (
     TRUTH_DYNAMIC,
     TRUTH_UNKNOWN,
@@ -30,7 +30,7 @@ from workers.lab.simulation.world.street_builder import build_street
 from workers.parts.registry import build_odometry, build_supervised
 
 SEEDS: Final = (5_001, 5_002, 5_003, 5_004)
-"""Streets that no weights were trained on and no fleet is made of."""
+"""Seeds of held-out streets: no weights were trained on them and no fleet contains them."""
 
 SECONDS: Final = 6.0
 LEAST_POINTS: Final = 25
@@ -38,21 +38,21 @@ QUANTILES: Final = 101
 WARM_UP_FRAMES: Final = 15
 
 
-def things_in(said: FrameLabels, truth: FrameTruth) -> Iterator[tuple[bool, float]]:
-    """Yield, for each thing of a frame, whether its labels are right, and their mean confidence.
+def object_confidences(predicted: FrameLabels, truth: FrameTruth) -> Iterator[tuple[bool, float]]:
+    """Yield, for each object of a frame, whether its labels are right, and their mean confidence.
 
-    A thing is an object of the truth, and the ground and what stands of a frame are one more. Its
-    right and its wrong points count apart, each if they are at least `LEAST_POINTS`.
+    Objects come from the truth; all points without one, ground included, count as one more. Right
+    and wrong points of an object count apart, each if they are at least `LEAST_POINTS`.
     """
-    known = (truth.motion != TRUTH_UNKNOWN) & (said.labels != MotionLabel.UNKNOWN)
-    right = (said.labels == MotionLabel.DYNAMIC) == (truth.motion == TRUTH_DYNAMIC)
+    known = (truth.motion != TRUTH_UNKNOWN) & (predicted.labels != MotionLabel.UNKNOWN)
+    right = (predicted.labels == MotionLabel.DYNAMIC) == (truth.motion == TRUTH_DYNAMIC)
     track = np.zeros(len(known), np.int64) - 1 if truth.track is None else truth.track
     for thing in np.unique(track[known]).tolist():
         mine = known & (track == thing)
         for is_right in (True, False):
             points = mine & (right == is_right)
             if points.sum() >= LEAST_POINTS:
-                yield is_right, float(said.confidence[points].mean(dtype=np.float64))
+                yield is_right, float(predicted.confidence[points].mean(dtype=np.float64))
 
 
 def measure(folder: Path, supervised: str = "salsanext-lmnet") -> dict[str, object]:
@@ -71,7 +71,7 @@ def measure(folder: Path, supervised: str = "salsanext-lmnet") -> dict[str, obje
     stream = build_supervised(supervised)
     sure: dict[bool, list[float]] = {True: [], False: []}
     for recording, truth in logs_with_truth(bucket, folder / "truth"):
-        for answered in answers_of(
+        for output in run_streams(
             bucket,
             recording,
             truth,
@@ -80,10 +80,10 @@ def measure(folder: Path, supervised: str = "salsanext-lmnet") -> dict[str, obje
             settings=settings,
             disturbance=Disturbance(),
         ):
-            true = truth.of(answered.whole, number=answered.number)
-            if true is None or answered.number < WARM_UP_FRAMES:
+            true = truth.of(output.whole, number=output.number)
+            if true is None or output.number < WARM_UP_FRAMES:
                 continue
-            for is_right, mean in things_in(answered.labels["supervised"], true):
+            for is_right, mean in object_confidences(output.labels["supervised"], true):
                 sure[is_right].append(mean)
     return {
         "made_by": "python -m workers.lab.evaluation.semantics.measured_confidence",

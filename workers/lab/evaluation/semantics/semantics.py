@@ -1,4 +1,4 @@
-"""Classes of the supervised stream against truth: intersection over union, class by class."""
+"""Semantic segmentation metrics: intersection over union of the supervised stream per class."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +13,7 @@ from schemas.transport.recordings import group_recordings
 from workers.errors import UnknownPartError
 from workers.lab.evaluation.motion.alternatives import build_streams
 from workers.lab.evaluation.motion.disturbance import Disturbance
-from workers.lab.evaluation.motion.stream_runner import answers_of
+from workers.lab.evaluation.motion.stream_runner import run_streams
 from workers.lab.evaluation.semantics.confusion import class_iou, joint_iou
 from workers.lab.evaluation.truth.class_table import COARSE, MOVABLE, coarse_of_names
 from workers.lab.evaluation.truth.truth import LogTruth, TruthUnusableError
@@ -21,16 +21,16 @@ from workers.parts.registry import build_odometry
 
 
 class SemanticsEvaluation(BaseModel):
-    """How a stream's classes fit the truth of one log, or of all."""
+    """Segmentation metrics of a stream on one log, or on all."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     log: str = Field(description="Log id, or `all`.")
-    frames: int = Field(description="How many were judged.")
-    points: int = Field(description="Points whose class truth tells.")
+    frames: int = Field(description="Number of evaluated frames.")
+    points: int = Field(description="Points whose true class is known.")
     miou: float | None = Field(description="Mean over the classes that truth has.")
     iou: dict[str, float] = Field(description="Of each coarse class that truth has.")
-    movable_iou: float | None = Field(description="All classes that can move, taken together.")
+    movable_iou: float | None = Field(description="All movable classes, merged into one.")
     unanswered_share: float | None = Field(description="Of those points, without a class.")
 
 
@@ -43,25 +43,25 @@ def evaluate_semantics(
     stream: str = "supervised",
     on_progress: Callable[[int], None] = lambda done: None,
 ) -> list[SemanticsEvaluation]:
-    """Judge a stream's classes on every log of a bucket whose truth has some.
+    """Evaluate a stream's classes on every log of a bucket whose truth has classes.
 
-    Classes are compared in the coarse ones of `class_table`; a point without an answer is a miss of
-    its class. Every log runs from its first frame on.
+    Classes are compared in the coarse ones of `class_table`; a point without a predicted class is a
+    miss of its true class. Every log runs from its first frame on.
 
     Args:
         bucket_url: URL or path of the bucket.
-        truth: Folder of truth: that of `x/y.mcap` lies in `x/y`.
-        frames: Which frames are judged, counted in each log; None for all.
-        settings: Names of the parts and how logs are read.
+        truth: Folder of truth: that of `x/y.mcap` is in `x/y`.
+        frames: Frames to evaluate, counted in each log; None for all.
+        settings: Names of the parts, and ingest settings.
         stream: `supervised`, as the settings name it, or a part by name.
-        on_progress: Told how many frames are done.
+        on_progress: Called with the number of frames done.
 
     Returns:
-        One row for each log, and a last one, `all`, of the points of all logs.
+        One row for each log, and a last one, `all`, over the points of all logs.
 
     Raises:
         TruthUnusableError: If no log has truth with classes.
-        UnknownPartError: If the stream does not exist or knows no classes.
+        UnknownPartError: If the stream does not exist or has no classes.
     """
     judged = build_streams([stream], settings)
     bucket, odometry = open_bucket(bucket_url), build_odometry(settings.odometry)
@@ -71,7 +71,7 @@ def evaluate_semantics(
         if found is None:
             continue
         confusion, counted = _empty(), 0
-        for answered in answers_of(
+        for output in run_streams(
             bucket,
             recording,
             found,
@@ -80,30 +80,30 @@ def evaluate_semantics(
             settings=settings,
             disturbance=Disturbance(),
         ):
-            if frames is not None and answered.number >= frames.stop:
+            if frames is not None and output.number >= frames.stop:
                 break
             done += 1
             on_progress(done)
-            if frames is not None and answered.number not in frames:
+            if frames is not None and output.number not in frames:
                 continue
-            said = answered.labels[stream].class_id
-            if said is None:
-                raise UnknownPartError(f"the stream {stream!r} knows no classes to be judged")
-            true = found.classes_of(answered.whole, number=answered.number)
+            predicted = output.labels[stream].class_id
+            if predicted is None:
+                raise UnknownPartError(f"the stream {stream!r} has no classes to evaluate")
+            true = found.classes_of(output.whole, number=output.number)
             if true is None:
                 continue
-            told = true > 0
-            names = judged[stream].class_names  # of a recorded model, each log tells its own
+            known = true > 0
+            names = judged[stream].class_names  # a recorded model has its own per log
             of_class = np.concatenate([coarse_of_names(names), np.zeros(1, np.uint8)])  # -1: none
-            np.add.at(confusion, (true[told], of_class[said[told]]), 1)
+            np.add.at(confusion, (true[known], of_class[predicted[known]]), 1)
             counted += 1
         if counted:
             rows.append(_row(recording.log_id, confusion, counted))
             total, all_frames = total + confusion, all_frames + counted
     if not rows:
         raise TruthUnusableError(
-            f"no log of {bucket.url} has truth of classes in {truth}: arrays semantic19, or "
-            "semantic and a classes.json; their form is on the page deploy/TRUTH.md"
+            f"no log of {bucket.url} has semantic truth in {truth}: arrays semantic19, or "
+            "semantic and a classes.json; deploy/TRUTH.md defines the format"
         )
     return [*rows, _row("all", total, all_frames)]
 
@@ -113,7 +113,7 @@ def _empty() -> NDArray[np.int64]:
 
 
 def _row(log: str, confusion: NDArray[np.int64], frames: int) -> SemanticsEvaluation:
-    """Sum up: rows of the confusion are truth, columns answers."""
+    """Build the row of a confusion matrix: its rows are truth, its columns predictions."""
     iou = class_iou(confusion, COARSE)
     points = int(confusion.sum())
     return SemanticsEvaluation(

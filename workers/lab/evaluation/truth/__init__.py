@@ -1,1 +1,1 @@
-"""Truth beside a log, and the classes that it is counted in."""
+"""Ground truth of a log, and the coarse classes of its evaluation."""

@@ -1,4 +1,4 @@
-"""The classes that semantics are judged in: few, coarse, known to every data set and network."""
+"""Coarse classes of the semantic evaluation, common to all data sets and networks."""
 
 import json
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ COARSE: Final = (
     *("none", "car", "large_vehicle", "two_wheeler", "pedestrian", "road", "sidewalk"),
     *("other_ground", "vegetation", "building", "traffic_facility", "other_static"),
 )
-"""0 is what truth does not tell, or a network does not answer."""
+"""Index 0 is a point without a true class, or without an answer of the network."""
 
 MOVABLE: Final = ("car", "large_vehicle", "two_wheeler", "pedestrian")
 
@@ -48,19 +48,19 @@ SEMANTIC_KITTI: Final = (
 
 
 def coarse_of_names(names: tuple[str, ...]) -> NDArray[np.uint8]:
-    """Coarse class of each name; 0 where there is none."""
+    """Return the coarse class of each name; 0 where there is none."""
     return np.array([COARSE.index(_OF_NAME.get(name, "none")) for name in names], dtype=np.uint8)
 
 
 @cache
 def coarse_of_ids(folder: Path) -> NDArray[np.uint8] | None:
-    """Coarse class of each id of a data set, as the nearest `classes.json` above its truth says.
+    """Return the coarse class of each id of a data set, from the nearest `classes.json` above it.
 
     Args:
-        folder: Of the truth of one log.
+        folder: Folder of the truth of one log.
 
     Returns:
-        (256,) coarse classes; None where no table says what ids mean.
+        (256,) coarse classes; None where no table defines the ids.
     """
     of_kitti = coarse_of_names(SEMANTIC_KITTI)
     for above in (folder, *folder.parents):

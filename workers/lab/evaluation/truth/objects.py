@@ -1,4 +1,4 @@
-"""What the moving objects of a log are: class, size, speed and velocity, frame by frame."""
+"""True moving objects of a log: class, size, speed and velocity per frame."""
 
 import csv
 from collections.abc import Iterator, Mapping
@@ -10,22 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 SPEEDS_M_PER_S: Final = (2.0, 5.0, 10.0)
-"""A pedestrian, a cyclist or a car that turns, a car in a town."""
+"""Edges of the speed bins, m/s: pedestrian, cyclist or turning car, car in town, faster car."""
 
 SIZES_M: Final = (1.5, 3.0, 6.0)
-"""The longest side of a person, of what has two wheels, of a car."""
+"""Edges of the size bins, metres: longest side of a person, of a two-wheeler, of a car."""
 
 POINTS: Final = (20, 50, 100, 300)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrueObject:
-    """One object in one frame, as far as truth tells.
+    """One object in one frame, as far as truth describes it.
 
     Attributes:
-        class_name: As truth calls it; `unknown` where it does not say.
-        speed_m_per_s: Over the ground; None where not known.
-        longest_side_m: Of its box; None where not known.
+        class_name: True class; `unknown` where truth has none.
+        speed_m_per_s: Speed over the ground; None where not known.
+        longest_side_m: Longest side of its box; None where not known.
         velocity_m_per_s: (3,) over the ground, world space of the truth's poses.
     """
 
@@ -35,7 +35,7 @@ class TrueObject:
     velocity_m_per_s: NDArray[np.float64] | None = None
 
     def kinds(self, points: int) -> Iterator[tuple[str, str]]:
-        """Yield what tells it apart, and as which kind: class, speed, size, points."""
+        """Yield each dimension of the breakdown and its bin: class, speed, size, points."""
         yield "class", self.class_name
         if self.speed_m_per_s is not None:
             yield "speed", _step(self.speed_m_per_s, SPEEDS_M_PER_S)
@@ -52,7 +52,7 @@ def objects_in(folder: Path) -> dict[int, dict[int, TrueObject]]:
     """Read the objects of one part of a log from its `tracks.csv`, by frame and track id.
 
     Returns:
-        Nothing where the truth has no such table; columns that it lacks stay unknown.
+        Objects by frame and track id; empty without such a table. Missing columns stay unknown.
     """
     table = folder / "tracks.csv"
     if not table.is_file():
@@ -67,7 +67,7 @@ def objects_in(folder: Path) -> dict[int, dict[int, TrueObject]]:
 def rotations_in(folder: Path) -> dict[int, NDArray[np.float64]]:
     """Read the true attitude of the sensor, (3, 3) world from sensor, by stamp in nanoseconds.
 
-    Poses without truth (`poses_icp.npz`) are not read: their world is another one.
+    Poses without truth (`poses_icp.npz`) are in another world space and are not read.
     """
     file = folder / "poses.npz"
     if not file.is_file():
@@ -93,7 +93,7 @@ def _object(row: Mapping[str, str]) -> TrueObject:
 
 
 def _step(value: float, edges: tuple[float, ...]) -> str:
-    """Name the step that a value lies in: `0-2`, `2-5`, `10-`."""
+    """Name the bin of a value: `0-2`, `2-5`, `10-`."""
     place = int(np.searchsorted(edges, value, side="right"))
     low = edges[place - 1] if place else 0
     return f"{low:g}-{edges[place]:g}" if place < len(edges) else f"{low:g}-"

@@ -1,4 +1,4 @@
-"""What each point of a log really was, as it lies beside the log, message by message."""
+"""Ground truth of each point of a log, per lidar message."""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,7 +24,7 @@ TRUTH_DYNAMIC: Final = 2
 
 
 class TruthUnusableError(PermanentError):
-    """Truth does not fit the log it lies beside, or there is none."""
+    """Truth does not fit its log, or there is none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,10 +32,10 @@ class FrameTruth:
     """The truth of one frame, in the order of its points.
 
     Attributes:
-        number: Of the frame among the lidar messages of its log, from 0.
+        number: Number of the frame among the lidar messages of its log, from 0.
         motion: (N,) `TRUTH_UNKNOWN`, `TRUTH_STATIC` or `TRUTH_DYNAMIC`.
         track: (N,) id of the object a point belongs to, -1 none; None where truth has no tracks.
-        objects: What truth knows of them, by id.
+        objects: Class, size and speed of the objects, by id.
         world_from_sensor: (3, 3) true attitude of the sensor; None where not known.
     """
 
@@ -46,7 +46,7 @@ class FrameTruth:
     world_from_sensor: NDArray[np.float64] | None = None
 
     def of_points(self, kept: Mask) -> "FrameTruth":
-        """The truth of some of the points: where `kept`, (N,), is true."""
+        """Return the truth of the points where `kept`, (N,), is true."""
         track = None if self.track is None else self.track[kept]
         return replace(self, motion=self.motion[kept], track=track)
 
@@ -62,12 +62,11 @@ class _Entry:
 class LogTruth:
     """The truth of one log: a folder for each part, `NNNNNN.npz` for each message of the lidar.
 
-    Its form for those who bring their own is told in `deploy/TRUTH.md`.
-    Frames are matched by their stamps where `frames.json` lists them, so that a cloud that could
-    not be read shifts nothing; else by their order.
+    `deploy/TRUTH.md` defines the format. Frames are matched by their stamps where `frames.json`
+    lists them, so that an unreadable cloud causes no offset; else by their order.
 
     Attributes:
-        topic: The lidar topic that the truth is about; empty where it does not say.
+        topic: Lidar topic of the truth; empty where the truth does not name it.
     """
 
     topic: str
@@ -82,7 +81,7 @@ class LogTruth:
         """Find the truth of a log; None where there is none.
 
         Args:
-            recording: The log; truth of its part `x/y.mcap` lies in `truth/x/y`.
+            recording: The log; truth of its part `x/y.mcap` is in `truth/x/y`.
             truth: Folder of the truth of the whole bucket.
         """
         entries: list[_Entry] = []
@@ -109,15 +108,15 @@ class LogTruth:
         )
 
     def __len__(self) -> int:
-        """Count the frames that the truth knows, those without labels included."""
+        """Count the frames of the truth, including those without labels."""
         return len(self._entries)
 
     def number_of(self, frame: LidarFrame, *, position: int) -> int:
-        """Say which message a frame is.
+        """Return the message number of a frame.
 
         Args:
-            frame: The frame as it was read.
-            position: How many frames of the log were read before it.
+            frame: The frame with all its recorded points.
+            position: Number of frames of the log read before it.
 
         Raises:
             TruthUnusableError: If the truth lists stamps and this one is not among them.
@@ -133,11 +132,11 @@ class LogTruth:
             ) from None
 
     def name_of(self, number: int) -> str:
-        """Name a frame as its truth is named: `x/y/NNNNNN` for a part `x/y.mcap`."""
+        """Return the name of a frame in the truth: `x/y/NNNNNN` for a part `x/y.mcap`."""
         return self._entries[number].path.relative_to(self._root).with_suffix("").as_posix()
 
     def of(self, frame: LidarFrame, *, number: int) -> FrameTruth | None:
-        """Read the truth of one frame; None where it has no labels of motion.
+        """Read the truth of one frame; None without motion labels.
 
         Raises:
             TruthUnusableError: If it labels a different number of points.
@@ -155,7 +154,7 @@ class LogTruth:
         )
 
     def classes_of(self, frame: LidarFrame, *, number: int) -> NDArray[np.uint8] | None:
-        """Read the coarse class of each point (`class_table`), 0 where truth tells none.
+        """Read the coarse class of each point (`class_table`); 0 where truth has none.
 
         Returns:
             (N,) classes; None where the truth of this frame has none, or no table of their ids.
@@ -176,7 +175,7 @@ class LogTruth:
     def _arrays_of(
         self, frame: LidarFrame, number: int, names: Sequence[str]
     ) -> tuple[Path, dict[str, NDArray[Any]]]:
-        """Read what the truth of a frame has of some arrays; nothing where it has no truth."""
+        """Read the named arrays from the truth of a frame; empty where it has none."""
         if number >= len(self._entries):
             return self._root, {}
         path = self._entries[number].path
@@ -206,7 +205,7 @@ def logs_with_truth(bucket: Bucket, truth: Path) -> list[tuple[Recording, LogTru
     ]
     if not found:
         raise TruthUnusableError(
-            f"no log of {bucket.url} has truth in {truth}; its form is on the page deploy/TRUTH.md"
+            f"no log of {bucket.url} has truth in {truth}; deploy/TRUTH.md defines the format"
         )
     return found
 

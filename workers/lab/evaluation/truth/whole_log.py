@@ -1,4 +1,4 @@
-"""A log as one shard, so that what is judged or timed keeps its state from the first frame on."""
+"""Plan of a whole log as one shard, so that streams keep their state from the first frame."""
 
 from typing import Final
 
@@ -9,13 +9,14 @@ from workers.errors import LogUnusableError
 from workers.ingest.plan import plan_recording
 
 LONGEST_SHARD_S: Final = 3600.0
-"""What a grid allows; longer logs come in several shards, each with its warm-up."""
+"""Longest shard that a grid allows, seconds; longer logs have several shards with a warm-up each.
+"""
 
 
 def shards_of_log(
     bucket: Bucket, recording: Recording, settings: MiningSettings, *, topic: str = ""
 ) -> list[Shard]:
-    """Plan a log as mining does, but in one shard, of one lidar; else as `plan_of_log`."""
+    """Plan a log as mining does, in one shard of one lidar; raises as `plan_of_log` does."""
     plan = plan_of_log(bucket, recording, settings, topic=topic)
     return [shard for shard in plan.shards if shard.lidar.topic == plan.lidar_topics[0]]
 
@@ -26,10 +27,10 @@ def plan_of_log(
     """Plan a log as mining does, but in one shard for each lidar.
 
     Args:
-        bucket: Where the recording lies.
+        bucket: Bucket of the recording.
         recording: The log.
-        settings: How it is read.
-        topic: Lidar topic; empty for the settings' own, or the first by evidence.
+        settings: Grid, ingest settings and lidar topic.
+        topic: Lidar topic; empty for that of the settings, or the first by evidence.
 
     Raises:
         LogUnusableError: If the log cannot be mined.

@@ -1,1 +1,1 @@
-"""Failures of the model on the car, and disturbances, planted on purpose."""
+"""Fault injection: planted failures of the on-board model, and disturbances of the recording."""

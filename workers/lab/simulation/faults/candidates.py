@@ -1,4 +1,4 @@
-"""Which things of a scene could be got wrong in which way: what is seen of them, frame by frame."""
+"""Candidates of planted failures: the actors of a scene that can carry each kind, by visibility."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -16,15 +16,15 @@ from workers.lab.simulation.sensor.lidar import SimulatedFrame
 from workers.lab.simulation.world.street import Street
 
 ENOUGH_POINTS: Final = 30
-"""Of a thing in each frame: a failure needs 25, and not every frame is looked at."""
+"""Points of an object per frame: a failure needs 25, and only every second frame is examined."""
 
 LOOK_EVERY: Final = 2
 
 RARE: Final = frozenset({"animal", "bus", "cyclist", "motorcycle", "trailer", "tram", "van"})
-"""Names of classes that a model may never have been shown."""
+"""Names of classes that may be missing in a model's training data."""
 
 REGRESSED: Final = frozenset({"cyclist", "motorcycle", "truck"})
-"""Names of classes that the new version of the model gets wrong."""
+"""Names of classes that the new version of the model labels wrong."""
 
 SLOW_M_PER_S: Final = 1.0
 LONG_M: Final = 18.0
@@ -36,18 +36,19 @@ _GHOST_TRIES: Final = 24
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CellView:
-    """What is seen of every actor in some frames of a scene.
+class SceneVisibility:
+    """Visibility of every actor in some frames of a scene.
 
     Attributes:
         street: The street.
-        times_s: (L,) of the frames looked at.
+        times_s: (L,) times of the examined frames.
         step_s: Time between them.
         points: (L, A) returns of each actor.
-        motion: (L, A) its true motion; 0 where it is not seen.
-        centre_m: (L, A, 3) mean of its returns, world space; NaN where it is not seen.
-        nearest_m: (L, A) its nearest return.
-        gap_m: (L, A) from its returns to what stands, the nearest tenth; inf where it is not seen.
+        motion: (L, A) its true motion; 0 where it is not visible.
+        centre_m: (L, A, 3) mean of its returns, world space; NaN where it is not visible.
+        nearest_m: (L, A) range of its nearest return.
+        gap_m: (L, A) tenth percentile of the distance from its returns to static structure; inf
+            where it is not visible.
         frames: The frames themselves.
     """
 
@@ -64,17 +65,17 @@ class CellView:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A thing that can carry a failure, and when.
+    """An object that can carry a failure, with its time window.
 
     Attributes:
         track: Index into the street's actors; -1 a place.
-        start_s: From when on it is seen well enough.
-        lasts_s: For how long.
+        start_s: Start of sufficient visibility.
+        lasts_s: Duration of sufficient visibility.
         other_track: Partner in a swap; -1 none.
-        place_m: Where a ghost is, world space.
-        range_m: Beyond which the model sees nothing move; 0 no limit.
-        because: Why the self-supervised stream may err on it too; empty else.
-        class_name: What it is.
+        place_m: Position of a ghost, world space.
+        range_m: Range beyond which the model labels no mover; 0 no limit.
+        because: Reason for an error of the self-supervised stream too; empty without one.
+        class_name: Its class.
     """
 
     track: int
@@ -87,17 +88,17 @@ class Candidate:
     class_name: str = ""
 
 
-def look_at(
+def measure_visibility(
     street: Street,
-    look: Callable[[int], SimulatedFrame],
+    frame_at: Callable[[int], SimulatedFrame],
     *,
     from_s: float,
     to_s: float,
     period_s: float,
-) -> CellView:
-    """Look at every second frame of a stretch of a log."""
+) -> SceneVisibility:
+    """Measure the visibility of every actor in every second frame of an interval of a log."""
     numbers = range(round(from_s / period_s), round(to_s / period_s), LOOK_EVERY)
-    frames = tuple(look(number) for number in numbers)
+    frames = tuple(frame_at(number) for number in numbers)
     shape = (len(frames), len(street.actors))
     points = np.zeros(shape, np.int64)
     motion = np.zeros(shape, np.uint8)
@@ -121,19 +122,19 @@ def look_at(
                 gaps, _ = structure.query(frame.points_m[some])
                 gap_m[i, track] = np.quantile(gaps, 0.1)
     times_s = np.array([frame.time_s for frame in frames])
-    return CellView(
+    return SceneVisibility(
         street, times_s, LOOK_EVERY * period_s, points, motion, centre_m, nearest_m, gap_m, frames
     )
 
 
 def candidates_of(
-    view: CellView, kind: FailureKind, *, common_mode: bool = False
+    view: SceneVisibility, kind: FailureKind, *, common_mode: bool = False
 ) -> list[Candidate]:
-    """Find the things of a scene that can carry a failure of this kind, in a fixed order."""
+    """Find the objects of a scene that can carry a failure of this kind, in a fixed order."""
     return list(_candidates(view, kind, common_mode))
 
 
-def _candidates(view: CellView, kind: FailureKind, common_mode: bool) -> Iterator[Candidate]:
+def _candidates(view: SceneVisibility, kind: FailureKind, common_mode: bool) -> Iterator[Candidate]:
     seen = view.points >= ENOUGH_POINTS
     moves, stands = seen & (view.motion == DYNAMIC), seen & (view.motion == STATIC)
     names = [actor.street_class.name.lower() for actor in view.street.actors]
@@ -175,8 +176,8 @@ def _candidates(view: CellView, kind: FailureKind, common_mode: bool) -> Iterato
         yield from _ghosts(view)
 
 
-def _longest_run(view: CellView, usable: Mask) -> tuple[float, float] | None:
-    """Start and length of the longest stretch in which a thing can be used; None without any."""
+def _longest_run(view: SceneVisibility, usable: Mask) -> tuple[float, float] | None:
+    """Return start and length of the longest usable interval of an object; None without any."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], usable.astype(np.int8), [0]])))
     if not len(edges):
         return None
@@ -186,8 +187,8 @@ def _longest_run(view: CellView, usable: Mask) -> tuple[float, float] | None:
     return start_s, float(ends[longest] - starts[longest]) * view.step_s
 
 
-def _why_missed(view: CellView, candidate: Candidate) -> str:
-    """Why the self-supervised stream tends to miss a mover as well; empty where it does not."""
+def _why_missed(view: SceneVisibility, candidate: Candidate) -> str:
+    """Return the reason why the self-supervised stream misses a mover too; empty without one."""
     track = candidate.track
     if view.street.actors[track].size_m[0] > LONG_M:
         return "long"
@@ -205,9 +206,9 @@ def _why_missed(view: CellView, candidate: Candidate) -> str:
 
 
 def _swaps(
-    view: CellView, moving: list[Candidate], standing: list[Candidate]
+    view: SceneVisibility, moving: list[Candidate], standing: list[Candidate]
 ) -> Iterator[Candidate]:
-    """Pairs of a mover and a standing thing close to each other, while both are seen."""
+    """Yield pairs of a mover and a nearby standing object, while both are visible."""
     for mover in moving:
         for other in standing:
             start_s = max(mover.start_s, other.start_s)
@@ -226,8 +227,8 @@ def _swaps(
                 )
 
 
-def _ghosts(view: CellView) -> Iterator[Candidate]:
-    """Places where something stands that is seen in every frame looked at."""
+def _ghosts(view: SceneVisibility) -> Iterator[Candidate]:
+    """Yield places of static structure that is visible in every examined frame."""
     first = view.frames[0]
     range_m = np.hypot(first.points_m[:, 0], first.points_m[:, 1])
     low, high = _GHOST_RANGE_M

@@ -1,4 +1,4 @@
-"""How sure the model on the car says it is: drawn from what networks said when right and wrong."""
+"""Simulated confidence of the on-board model, drawn from measured confidences of real networks."""
 
 import json
 from functools import lru_cache
@@ -9,18 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 TABLE: Final = Path(__file__).parent / "confidence.json"
-"""Quantiles that were measured on held-out simulated streets; says which command made it."""
+"""Quantiles measured on held-out simulated streets; the file names the command that made it."""
 
 _KNOT_S: Final = 0.7
-"""A network that is unsure about a thing is so for about this long."""
+"""Correlation time of a network's confidence on an object, seconds."""
 
 _SHARED: Final = 0.9
-"""Weight of what lasts against what is new in every frame, in standard deviations."""
+"""Weight of the lasting part of the confidence against the per-frame part, standard deviations."""
 
 
 @lru_cache(maxsize=1)
 def quantiles() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Read the confidences, rising, of right and of wrong labels."""
+    """Read the quantiles of confidence, rising, of right and of wrong labels."""
     table = json.loads(TABLE.read_text())
     return np.array(table["right"], dtype=np.float64), np.array(table["wrong"], dtype=np.float64)
 
@@ -28,17 +28,17 @@ def quantiles() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 def draw_confidence(
     *, seed: int, things: int, time_s: float, index: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Draw how sure the model is of each thing in one frame, were it right and were it wrong.
+    """Draw the model's confidence on each object in one frame, for a right and for a wrong label.
 
-    A Gaussian copula over the measured quantiles: each thing has a mood that changes within a
-    second, the same for both answers, with a little noise from frame to frame. It depends on seed,
-    thing and time alone, so frames can be made in any order.
+    A Gaussian copula over the measured quantiles: each object has a latent value that changes
+    within a second, the same for both labels, plus small noise per frame. It depends on seed,
+    object and time alone, so frames can be simulated in any order.
 
     Args:
-        seed: Of the street.
-        things: How many there are.
-        time_s: Of the frame.
-        index: Its number.
+        seed: Seed of the street.
+        things: Number of objects.
+        time_s: Time of the frame.
+        index: Number of the frame.
 
     Returns:
         (things,) if right, (things,) if wrong; 0 to 1.

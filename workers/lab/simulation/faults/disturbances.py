@@ -1,8 +1,7 @@
-"""What disturbs a scene without being a failure of the model: its labels stay right throughout.
+"""Disturbances of the recording that are no failure of the model: its labels stay right.
 
-All but the odometry slip change what the sensor wrote. A slip is nothing that a log can hold: it
-is written into the truth, and put into the poses by whoever mines the log to judge it
-(`workers.lab.evaluation.slips`).
+All but the odometry slip change the sensor data. A log cannot contain a slip: the truth lists it,
+and the failure benchmark injects it into the poses (`workers.lab.evaluation.failures.pose_slips`).
 """
 
 from collections.abc import Iterable, Sequence
@@ -17,7 +16,7 @@ from workers.lab.simulation.faults.plan import SCENE_S, DisturbanceKind, Planned
 from workers.lab.simulation.sensor.lidar import SimulatedFrame
 
 _JITTER_S: Final = 0.04
-"""A stamp comes up to this much late: what an unsynchronised driver on a busy computer does."""
+"""Largest delay of a stamp, seconds, as of an unsynchronised driver on a busy computer."""
 
 _MAX_INTENSITY: Final = 255.0
 
@@ -27,15 +26,15 @@ class Disturbance:
     """One disturbance of one scene.
 
     Attributes:
-        kind: What it is.
-        cell: Which scene of the log.
+        kind: Its kind.
+        cell: Number of the scene in the log.
         start_s: Seconds from the start of the log.
         end_s: First instant after it.
-        seed: Of what is drawn frame by frame.
-        azimuth_rad: Middle of the sector it is about.
-        width_rad: Width of that sector.
-        strength: Of a slip radians for each frame; of a leak metres; of intensity a factor.
-        shift_m: Of a slip metres for each frame, ahead; of a swapped sensor metres upwards.
+        seed: Seed of what is drawn per frame.
+        azimuth_rad: Middle of its sector.
+        width_rad: Width of its sector.
+        strength: Slip: radians per frame. Leak: metres. Intensity: a factor.
+        shift_m: Slip: metres ahead per frame. Swapped sensor: metres upwards.
     """
 
     kind: DisturbanceKind
@@ -50,7 +49,7 @@ class Disturbance:
 
 
 def draw_disturbance(planned: PlannedDisturbance) -> Disturbance:
-    """Draw how strong a planned disturbance is, and where; a slip lasts a few frames only."""
+    """Draw the strength and place of a planned disturbance; a slip lasts a few frames only."""
     rng = np.random.default_rng([planned.seed, 0xD157])
     start_s, end_s = planned.cell * SCENE_S, (planned.cell + 1) * SCENE_S
     sign = 1.0 if rng.random() < 0.5 else -1.0
@@ -74,7 +73,7 @@ def draw_disturbance(planned: PlannedDisturbance) -> Disturbance:
 
 
 def disturb(frame: SimulatedFrame, disturbances: Iterable[Disturbance]) -> SimulatedFrame:
-    """Change what was measured in a frame; what each point really is goes along with it."""
+    """Apply the disturbances to a frame; the truth of each point moves with it."""
     for each in disturbances:
         if each.start_s <= frame.time_s < each.end_s:
             frame = _disturbed(frame, each)
@@ -82,7 +81,7 @@ def disturb(frame: SimulatedFrame, disturbances: Iterable[Disturbance]) -> Simul
 
 
 def delay_ns(index: int, time_s: float, disturbances: Iterable[Disturbance]) -> int:
-    """How late the stamp of a frame is; never the first of a log, by which scenes are counted."""
+    """Return the delay of a frame's stamp; 0 for the first of a log, by which scenes count."""
     jitters = [
         each
         for each in disturbances
@@ -95,12 +94,12 @@ def delay_ns(index: int, time_s: float, disturbances: Iterable[Disturbance]) -> 
 
 
 def slips_of(disturbances: Sequence[Disturbance]) -> tuple[Disturbance, ...]:
-    """Which of them are for the poses."""
+    """Return the odometry slips, which are applied to poses."""
     return tuple(each for each in disturbances if each.kind is DisturbanceKind.ODOMETRY_SLIP)
 
 
 def only_points(frame: SimulatedFrame, kept: Mask) -> SimulatedFrame:
-    """Keep some of the returns of a frame, every array of it cut alike."""
+    """Keep some of the returns of a frame, in all of its arrays."""
     count = len(frame)
     arrays: dict[str, Any] = {}
     for each in fields(frame):
@@ -129,7 +128,7 @@ def _disturbed(frame: SimulatedFrame, by: Disturbance) -> SimulatedFrame:
 
 
 def _leaking(frame: SimulatedFrame, by: Disturbance) -> SimulatedFrame:
-    """Lift patches of the ground, other ones in every frame: puddles and spray do that."""
+    """Lift patches of the ground, different in every frame, as puddles and spray do."""
     rng = np.random.default_rng([by.seed, frame.index])
     points = frame.points_m.copy()
     patches = np.floor(points[:, :2] / 2.0).astype(np.int64)

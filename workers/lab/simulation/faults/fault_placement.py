@@ -1,7 +1,7 @@
-"""Finds the tracks of a street that can carry the failures that were planned for its scenes.
+"""Fault placement: assigns the planned failures of a log to tracks of its street.
 
-What is wanted in a scene that holds no thing for it moves to another scene of the log; where no
-scene has one, another kind is drawn, and both are written down.
+A failure without a candidate in its scene moves to another scene of the log. Where no scene has
+one, another kind is drawn. Both are recorded.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -10,7 +10,12 @@ from typing import Final
 
 import numpy as np
 
-from workers.lab.simulation.faults.candidates import Candidate, CellView, candidates_of, look_at
+from workers.lab.simulation.faults.candidates import (
+    Candidate,
+    SceneVisibility,
+    candidates_of,
+    measure_visibility,
+)
 from workers.lab.simulation.faults.faults import PlantedFailure
 from workers.lab.simulation.faults.plan import (
     DRAWN_KINDS,
@@ -23,23 +28,23 @@ from workers.lab.simulation.sensor.lidar import SimulatedFrame
 from workers.lab.simulation.world.street import Street
 
 LEAST_S: Final = 0.6
-"""What is shorter than half a second is no failure, and frames lie up to 0.1 s apart."""
+"""Shortest failure, seconds: half a second makes a failure, and frames are up to 0.1 s apart."""
 
 _FLICKER_LEAST_S: Final = 1.2
-"""A flickering thing is wrong for two thirds of its time only."""
+"""Shortest flicker, seconds: a flickering object is wrong for two thirds of the time only."""
 
 _SETTLED_S: Final = 1.2
-"""Before, the streams of a log have no past: nothing could contradict, nothing is planted."""
+"""Start of the first failure, seconds: before it, the streams have no past to contradict with."""
 
 
 @dataclass(frozen=True, slots=True)
 class Redraw:
-    """What became of a failure for which no thing was found.
+    """A planned failure without a candidate in its scene.
 
     Attributes:
-        planned: As the fleet's plan had it.
-        kind: What was planted instead; None: nothing.
-        cell: In which scene.
+        planned: The failure in the fleet's plan.
+        kind: Kind planted instead; None: nothing.
+        cell: Its scene.
     """
 
     planned: PlannedFailure
@@ -47,33 +52,33 @@ class Redraw:
     cell: int
 
 
-def plant(
+def place_failures(
     street: Street,
     plan: LogPlan,
     *,
-    look: Callable[[int], SimulatedFrame],
+    frame_at: Callable[[int], SimulatedFrame],
     period_s: float,
 ) -> tuple[tuple[PlantedFailure, ...], tuple[Redraw, ...]]:
-    """Choose a thing and a window for every failure that is planned for a log.
+    """Choose an object and a time window for every planned failure of a log.
 
     Args:
         street: The street of the log.
-        plan: What is wanted in it.
-        look: The frame of a number, as it will be written, disturbances included.
+        plan: Planned failures of the log.
+        frame_at: Returns the frame of a number, with its disturbances.
         period_s: Time between frames.
 
     Returns:
-        The failures, one for each that was planned unless nothing at all was found, and what was
-        moved or drawn anew.
+        One failure for each planned one that has a candidate anywhere, and the moved or redrawn
+        ones.
     """
     rng = np.random.default_rng([plan.seed, 0xBAD])
-    views: dict[int, CellView] = {}
+    views: dict[int, SceneVisibility] = {}
 
-    def view(cell: int) -> CellView:
+    def view(cell: int) -> SceneVisibility:
         if cell not in views:
             first = max(cell * SCENE_S, _SETTLED_S)
-            views[cell] = look_at(
-                street, look, from_s=first, to_s=(cell + 1) * SCENE_S, period_s=period_s
+            views[cell] = measure_visibility(
+                street, frame_at, from_s=first, to_s=(cell + 1) * SCENE_S, period_s=period_s
             )
         return views[cell]
 
@@ -101,7 +106,7 @@ def plant(
 def _tries(
     planned: PlannedFailure, free: Sequence[int], rng: np.random.Generator
 ) -> Iterator[tuple[FailureKind, int]]:
-    """The kind in its scene, the kind in others of the log, then other kinds in its scene."""
+    """Yield the kind in its scene, the kind in other scenes, then other kinds in its scene."""
     yield planned.kind, planned.cell
     for cell in rng.permutation(len(free)):
         yield planned.kind, free[cell]
@@ -111,7 +116,7 @@ def _tries(
 
 
 def _plant(
-    view: CellView, kind: FailureKind, common_mode: bool, cell: int, rng: np.random.Generator
+    view: SceneVisibility, kind: FailureKind, common_mode: bool, cell: int, rng: np.random.Generator
 ) -> PlantedFailure | None:
     shared = common_mode and kind is FailureKind.MISSED_MOVER
     least_s = _FLICKER_LEAST_S if kind is FailureKind.FLICKER else LEAST_S
@@ -120,7 +125,7 @@ def _plant(
     ]
     if not able:
         return None
-    if shared:  # a stream that answers at once misses what goes slowly, whatever else it is
+    if shared:  # a stream without lookahead misses slow movers of every class
         chosen = min(able, key=lambda each: _pace(view, each))
     else:
         chosen = able[int(rng.integers(len(able)))]
@@ -140,8 +145,8 @@ def _plant(
     )
 
 
-def _pace(view: CellView, each: Candidate) -> tuple[float, int]:
-    """How fast a mover truly goes, metres a second in a straight line, and its number."""
+def _pace(view: SceneVisibility, each: Candidate) -> tuple[float, int]:
+    """Return the true straight-line speed of a mover, m/s, and its number."""
     early, late = (
         view.street.actor_poses(time_s)[each.track, :2]
         for time_s in (each.start_s, each.start_s + each.lasts_s)

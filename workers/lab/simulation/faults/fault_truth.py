@@ -1,4 +1,4 @@
-"""What was planted in a log, as it lies beside its truth: `planted.json`."""
+"""Truth of the planted faults of a log: `planted.json` in its truth folder."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,18 +24,20 @@ class FailureRow(BaseModel):
     model_config = _STRICT
 
     kind: FailureKind
-    track: int = Field(description="Of the truth; -1 for a ghost, which is a place.")
-    class_name: str = Field(description="What the thing really is.")
-    scene: int = Field(description="Which scene of the log, from 0.")
+    track: int = Field(description="True track; -1 for a ghost, which is a place.")
+    class_name: str = Field(description="True class of the object.")
+    scene: int = Field(description="Number of the scene in the log, from 0.")
     start_s: float = Field(description="Seconds from the first frame of the log.")
     end_s: float = Field(description="First instant after it.")
     start_ns: int = Field(description="The same, nanoseconds since the Unix epoch.")
     end_ns: int
-    common_mode: bool = Field(description="Chosen so that the other stream tends to err as well.")
-    because: str = Field(description="Why it may: slow, long, touching; empty else.")
-    other_track: int = Field(description="Whose labels it has in a swap; -1 none.")
-    place_m: tuple[float, float, float] | None = Field(description="Of a ghost, world space.")
-    range_m: float = Field(description="Beyond it movers are called static; 0 no limit.")
+    common_mode: bool = Field(description="Chosen so that the other stream tends to fail too.")
+    because: str = Field(description="Reason: slow, long, touching; else empty.")
+    other_track: int = Field(description="Partner in a label swap; -1 none.")
+    place_m: tuple[float, float, float] | None = Field(
+        description="Position of a ghost, world space."
+    )
+    range_m: float = Field(description="Range beyond which movers are labelled static; 0 no limit.")
 
 
 class DisturbanceRow(BaseModel):
@@ -44,28 +46,28 @@ class DisturbanceRow(BaseModel):
     model_config = _STRICT
 
     kind: DisturbanceKind
-    scene: int = Field(description="Which scene of the log, from 0.")
+    scene: int = Field(description="Number of the scene in the log, from 0.")
     start_s: float = Field(description="Seconds from the first frame of the log.")
     end_s: float = Field(description="First instant after it.")
     start_ns: int = Field(description="The same, nanoseconds since the Unix epoch.")
     end_ns: int
-    strength: float = Field(description="Of a slip radians a frame; of a leak metres; a factor.")
-    shift_m: float = Field(description="Of a slip metres a frame; of a swapped sensor upwards.")
+    strength: float = Field(description="Slip: radians per frame; leak: metres; intensity: factor.")
+    shift_m: float = Field(description="Slip: metres per frame; swapped sensor: metres upwards.")
 
 
 class RedrawRow(BaseModel):
-    """A failure for which its scene held no thing."""
+    """A planned failure without a candidate in its scene."""
 
     model_config = _STRICT
 
-    scene: int = Field(description="Where it was planned.")
-    kind: FailureKind = Field(description="What was planned.")
-    became: FailureKind | None = Field(description="What was planted instead; null: nothing.")
-    in_scene: int = Field(description="Where.")
+    scene: int = Field(description="Scene of the plan.")
+    kind: FailureKind = Field(description="Planned kind.")
+    became: FailureKind | None = Field(description="Kind planted instead; null: nothing.")
+    in_scene: int = Field(description="Scene of the planted failure.")
 
 
 class PlantedTruth(BaseModel):
-    """Everything that was put into a log on purpose."""
+    """All faults that were planted in a log."""
 
     model_config = _STRICT
 
@@ -77,19 +79,19 @@ class PlantedTruth(BaseModel):
 
     @classmethod
     def beside(cls, folder: Path) -> "PlantedTruth | None":
-        """Read what was planted in the log of this truth; None where nothing says so."""
+        """Read the planted faults from a truth folder; None without such a file."""
         file = folder / FILE
         return cls.model_validate_json(file.read_text()) if file.is_file() else None
 
 
 @dataclass(frozen=True, slots=True)
-class Planted:
-    """What is put into a log on purpose.
+class PlantedFaults:
+    """Faults to plant in a log.
 
     Attributes:
-        failures: What the model on the car gets wrong.
-        disturbances: What disturbs without being a failure.
-        redraws: What was wanted and not found.
+        failures: Failures of the on-board model.
+        disturbances: Disturbances that are no failure.
+        redraws: Planned failures without a candidate in their scene.
         hard: Whether the log is a hard one.
     """
 
@@ -99,7 +101,7 @@ class Planted:
     hard: bool = False
 
     def truth(self, start_ns: int) -> PlantedTruth:
-        """Make the file of a log whose first frame has this stamp."""
+        """Build the truth file of a log whose first frame has this stamp."""
         return PlantedTruth(
             hard=self.hard,
             failures=tuple(_failure_row(each, start_ns) for each in self.failures),
@@ -116,7 +118,7 @@ class Planted:
         )
 
 
-NOTHING_PLANTED: Final = Planted()
+NOTHING_PLANTED: Final = PlantedFaults()
 
 
 def _failure_row(each: PlantedFailure, start_ns: int) -> FailureRow:

@@ -1,4 +1,4 @@
-"""A planted failure: one wrong answer of the model on the car about one thing, for a while."""
+"""Planted failures: wrong labels of the on-board model on one object, for a limited time."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -18,25 +18,25 @@ DYNAMIC: Final = 2
 GHOST_RADIUS_M: Final = 1.2
 
 _FLICKER_S: Final = 0.3
-"""Wrong for so long, then right for half of it."""
+"""Duration of the wrong labels, seconds; right labels follow for half of it."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlantedFailure:
-    """One wrong answer about one track, for a while.
+    """Wrong labels on one track, for a limited time.
 
     Attributes:
-        kind: What goes wrong.
+        kind: Kind of the failure.
         track: Index into the street's actors; -1 for a ghost, which is a place.
         start_s: Seconds from the start of the log.
         end_s: First instant after it.
-        other_track: Whose labels it has in a swap; -1 none.
-        place_m: Where a ghost is, world space.
-        range_m: Beyond it, movers are called static; 0 no limit.
-        cell: Which scene of the log it was planned in; -1 none.
-        common_mode: Whether it was chosen so that the self-supervised stream tends to err too.
-        because: What makes it common-mode; empty else.
-        class_name: What the thing really is.
+        other_track: Partner in a label swap; -1 none.
+        place_m: Position of a ghost, world space.
+        range_m: Range beyond which movers are labelled static; 0 no limit.
+        cell: Scene of the log in the plan; -1 none.
+        common_mode: Whether it was chosen so that the self-supervised stream tends to fail too.
+        because: Reason for common mode; empty without one.
+        class_name: True class of the object.
     """
 
     kind: FailureKind
@@ -58,13 +58,13 @@ def corrupt(
     label: NDArray[np.uint16],
     failures: Iterable[PlantedFailure],
 ) -> None:
-    """Write the wrong answers that are due in a frame over the right ones.
+    """Overwrite the right labels of a frame with the wrong ones of its failures.
 
     Args:
-        frame: What was measured.
-        motion: (N,) what the model says of motion, changed in place.
-        label: (N,) what it says of the class, changed in place.
-        failures: Those of the log.
+        frame: The frame as measured.
+        motion: (N,) motion labels of the model, changed in place.
+        label: (N,) class labels of the model, changed in place.
+        failures: Failures of the log.
     """
     for each in failures:
         if each.start_s <= frame.time_s < each.end_s:
@@ -72,7 +72,7 @@ def corrupt(
 
 
 def ghost_points(frame: SimulatedFrame, place_m: tuple[float, float, float]) -> Mask:
-    """Which points belong to the thing that stands at a place: nobody's, off the ground."""
+    """Find the points of the static structure at a place: without track, off the ground."""
     rotation, origin = frame.world_from_sensor[:3, :3], frame.world_from_sensor[:3, 3]
     in_sensor = (np.array(place_m) - origin) @ rotation
     away_m = frame.points_m - in_sensor.astype(np.float32)

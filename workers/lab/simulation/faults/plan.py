@@ -1,6 +1,6 @@
-"""Which scenes of a fleet carry a failure or a disturbance, and which logs are hard: drawn first.
+"""Fleet plan: draws the scenes with a failure or a disturbance, and the hard logs.
 
-Nothing here knows a street. The draw says what is wanted where; `fault_placement.py` finds the
+The plan does not depend on streets. It draws what is planted where. `fault_placement.py` finds the
 tracks that can carry it, once the street of the log is known.
 """
 
@@ -23,14 +23,14 @@ HARD_SHARE: Final = 0.4
 
 VERSIONS: Final = ("2026.1", "2026.2")
 REGRESSED_VERSION: Final = VERSIONS[1]
-"""The software that got worse at one class; every other log runs it."""
+"""The software version with a regression in one class; every other log runs it."""
 
 
 class FailureKind(StrEnum):
-    """What the model on the car gets wrong about one thing.
+    """Kind of a failure of the on-board model on one object.
 
-    MISSED_MOVER is not drawn with the others: it is what a common-mode failure is, a mover that
-    the self-supervised stream tends to miss as well.
+    MISSED_MOVER is not drawn with the others. It is the kind of common-mode failures: a mover that
+    the self-supervised stream tends to miss too.
     """
 
     UNSEEN_CLASS = "unseen_class"
@@ -46,25 +46,25 @@ class FailureKind(StrEnum):
 
 
 FAILURE_MEANS: Final[Mapping[FailureKind, str]] = {
-    FailureKind.UNSEEN_CLASS: "calls a mover of a rare class static, and a mere object",
-    FailureKind.MISSED_PEDESTRIAN: "calls somebody on foot static, and a mere object",
-    FailureKind.GHOST_MOVER: "calls what stands and belongs to nobody a moving car",
-    FailureKind.PARKED_CALLED_MOVING: "calls a parked car moving",
-    FailureKind.FLICKER: "is wrong and right about a thing by turns: 0.3 s wrong, 0.15 s right",
-    FailureKind.LATE_DETECTION: "calls a mover static at first, when it comes into sight",
-    FailureKind.LABEL_SWAP: "calls a mover static, and a thing that stands near it moving",
-    FailureKind.RANGE_LIMIT: "calls all movers beyond a distance static",
-    FailureKind.VERSION_REGRESSION: "calls movers static that the version before got right",
-    FailureKind.MISSED_MOVER: "calls a mover static that the self-supervised stream tends to miss",
+    FailureKind.UNSEEN_CLASS: "labels a mover of a rare class static, and an object",
+    FailureKind.MISSED_PEDESTRIAN: "labels a pedestrian static, and an object",
+    FailureKind.GHOST_MOVER: "labels static structure a moving car",
+    FailureKind.PARKED_CALLED_MOVING: "labels a parked car moving",
+    FailureKind.FLICKER: "alternates on an object: 0.3 s wrong, 0.15 s right",
+    FailureKind.LATE_DETECTION: "labels a mover static when it first becomes visible",
+    FailureKind.LABEL_SWAP: "labels a mover static, and a standing object nearby moving",
+    FailureKind.RANGE_LIMIT: "labels all movers beyond a range static",
+    FailureKind.VERSION_REGRESSION: "labels movers static that the version before labelled right",
+    FailureKind.MISSED_MOVER: "labels a mover static that the other stream tends to miss",
 }
-"""What the model on the car does in each kind of failure."""
+"""Effect of each kind of failure on the on-board model's labels."""
 
 DRAWN_KINDS: Final = tuple(kind for kind in FailureKind if kind is not FailureKind.MISSED_MOVER)
-"""What is equally likely, common-mode failures aside."""
+"""Kinds that are drawn with equal probability; common-mode failures are drawn apart."""
 
 
 class DisturbanceKind(StrEnum):
-    """What disturbs a scene without being a failure of the model."""
+    """Kind of a disturbance of the recording that is no failure of the model."""
 
     ODOMETRY_SLIP = "odometry_slip"
     GROUND_LEAK = "ground_leak"
@@ -75,24 +75,24 @@ class DisturbanceKind(StrEnum):
 
 
 DISTURBANCE_MEANS: Final[Mapping[DisturbanceKind, str]] = {
-    DisturbanceKind.ODOMETRY_SLIP: "poses slip for 0.2 to 0.5 s, when the log is judged",
+    DisturbanceKind.ODOMETRY_SLIP: "poses slip for 0.2 to 0.5 s when the log is evaluated",
     DisturbanceKind.GROUND_LEAK: "patches of the ground in a sector are lifted, as by spray",
-    DisturbanceKind.SENSOR_SWAP: "a lidar of half the rows, turned a little and set higher",
+    DisturbanceKind.SENSOR_SWAP: "a lidar of half the rows, slightly rotated and mounted higher",
     DisturbanceKind.INTENSITY_SCALE: "all intensities are scaled, by 0.2 to 4",
     DisturbanceKind.DROPPED_SECTOR: "a sector of 40 to 90 degrees is missing",
     DisturbanceKind.TIME_JITTER: "stamps of frames are up to 0.04 s late",
 }
-"""What is wrong with the recording in each kind of disturbance; the model on the car is right."""
+"""Effect of each kind of disturbance on the recording; the on-board model's labels stay right."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlannedFailure:
-    """A failure that is wanted in a scene.
+    """A failure planned for a scene.
 
     Attributes:
-        cell: Which scene of its log, from 0.
-        kind: What shall go wrong.
-        common_mode: Whether the self-supervised stream shall tend to err on it too.
+        cell: Number of the scene in its log, from 0.
+        kind: Its kind.
+        common_mode: Whether the self-supervised stream should tend to fail on it too.
     """
 
     cell: int
@@ -102,12 +102,12 @@ class PlannedFailure:
 
 @dataclass(frozen=True, slots=True)
 class PlannedDisturbance:
-    """A disturbance of a scene.
+    """A disturbance planned for a scene.
 
     Attributes:
-        cell: Which scene of its log, from 0.
-        kind: What disturbs it.
-        seed: Of its strength and place.
+        cell: Number of the scene in its log, from 0.
+        kind: Its kind.
+        seed: Seed of its strength and place.
     """
 
     cell: int
@@ -117,16 +117,16 @@ class PlannedDisturbance:
 
 @dataclass(frozen=True, slots=True)
 class LogPlan:
-    """What one log of a fleet shall hold.
+    """Plan of one log of a fleet.
 
     Attributes:
-        number: Of the log in its fleet, from 0.
-        seed: Of its street and of everything in it.
-        scenes: How many scenes it has.
+        number: Number of the log in its fleet, from 0.
+        seed: Seed of its street and of everything in it.
+        scenes: Number of its scenes.
         hard: Dense traffic, vegetation, turns, bumps.
-        software_version: What the car ran.
-        failures: Wanted ones, by scene; at most one a scene.
-        disturbances: By scene; at most one a scene.
+        software_version: Software version of the car.
+        failures: Planned failures, by scene; at most one per scene.
+        disturbances: Planned disturbances, by scene; at most one per scene.
     """
 
     number: int
@@ -139,14 +139,15 @@ class LogPlan:
 
     @property
     def seconds(self) -> float:
-        """How long the log lasts."""
+        """Duration of the log, seconds."""
         return self.scenes * SCENE_S
 
     @property
     def wants_common_mode(self) -> bool:
-        """Whether the street should hold what both streams tend to miss.
+        """True if the street should contain objects that both streams tend to miss.
 
-        A pedestrian under 1 m/s, a vehicle over 18 m, a mover along a wall (`candidates.py`).
+        Such objects are pedestrians under 1 m/s, vehicles over 18 m, and movers along a wall
+        (`candidates.py`).
         """
         return any(each.common_mode for each in self.failures)
 
@@ -160,22 +161,22 @@ def plan_fleet(
     hard_share: float = HARD_SHARE,
     common_mode_share: float = COMMON_MODE_SHARE,
 ) -> tuple[LogPlan, ...]:
-    """Draw what a fleet shall hold; numbers are exact, places are drawn.
+    """Draw the plan of a fleet; numbers are exact, places are drawn.
 
     Failures, disturbances and hard logs are drawn independently of one another. Kinds are equally
-    likely: as many of each as the number allows. Versions take turns, and what regresses with a
-    version is wanted only in logs that run it.
+    likely: as many of each as the number allows. Versions alternate, and regressions of a version
+    are planned only in logs that run it.
 
     Args:
         scenes: Scenes of the fleet, ten to a log of 20 s; the last log may be shorter.
-        seed: Of everything.
-        share: Of the scenes that carry a failure, 0 to 1.
-        disturbed_share: Of the scenes that carry a disturbance.
-        hard_share: Of the logs that are hard.
-        common_mode_share: Of the failures.
+        seed: Seed of the plan.
+        share: Share of the scenes that carry a failure, 0 to 1.
+        disturbed_share: Share of the scenes that carry a disturbance.
+        hard_share: Share of the logs that are hard.
+        common_mode_share: Share of the failures that are common-mode.
 
     Raises:
-        ValueError: If a share is none, or there is no scene.
+        ValueError: If a share is outside 0 to 1, or there is no scene.
     """
     shares = (share, disturbed_share, hard_share, common_mode_share)
     if scenes < 1 or not all(0.0 <= each <= 1.0 for each in shares):
@@ -214,7 +215,7 @@ def plan_fleet(
 def _failures(
     cells: list[int], per_log: int, common_mode_share: float, rng: np.random.Generator
 ) -> dict[int, tuple[FailureKind, bool]]:
-    """Give each failing scene its kind; the regression goes to logs of its version."""
+    """Assign a kind to each failing scene; the regression goes to logs of its version."""
     order = [int(cell) for cell in rng.permutation(cells)]
     common = order[: round(common_mode_share * len(order))]
     rest = order[len(common) :]
@@ -236,6 +237,6 @@ def _failures(
 
 
 def _balanced(kinds: tuple[Kind, ...], count: int, rng: np.random.Generator) -> list[Kind]:
-    """As many of each kind as `count` allows, in random order."""
+    """Return equally many of each kind, as far as `count` allows, in random order."""
     turns = [kinds[i] for _ in range(ceil(count / len(kinds))) for i in rng.permutation(len(kinds))]
     return [turns[i] for i in rng.permutation(count)]

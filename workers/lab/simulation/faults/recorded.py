@@ -1,4 +1,4 @@
-"""The model that ran on the simulated car: the truth, but for failures that were planted."""
+"""On-board model of the simulated car: true labels, except for planted failures."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from workers.lab.simulation.world.street import Street
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedPoints:
-    """What the model said about each point of one frame, as it is written to the log.
+    """Labels of the on-board model for each point of one frame, as written to the log.
 
     Attributes:
         label: (N,) class id.
@@ -31,12 +31,12 @@ class RecordedPoints:
 def record(
     street: Street, frame: SimulatedFrame, failures: Sequence[PlantedFailure]
 ) -> RecordedPoints:
-    """Say what the model on the car made of a frame.
+    """Return the labels of the on-board model for a frame.
 
     Args:
-        street: Where it drove.
-        frame: What was measured, disturbances included: labels stay right under those.
-        failures: What the model gets wrong in the log.
+        street: Street of the log.
+        frame: The frame as measured, disturbances included: labels stay right under those.
+        failures: Failures planted in the log.
     """
     motion = frame.motion.copy()
     label = frame.class_id.astype(np.uint16)
@@ -56,7 +56,7 @@ def record(
 
 
 def recorded_classes() -> dict[str, str]:
-    """Content of the metadata record `counterpoint.classes`: id to JSON."""
+    """Return the content of the metadata record `counterpoint.classes`: id to JSON."""
     return {
         str(int(c)): f'{{"name": "{c.name.lower()}", "movable": {str(c in MOVABLE).lower()}, '
         '"moving": false}'

@@ -1,1 +1,1 @@
-"""Shapes of everything that a street holds."""
+"""Models: triangle meshes of everything in a street."""

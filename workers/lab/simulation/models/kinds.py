@@ -1,4 +1,4 @@
-"""What stands and moves in a street: classes, and of what material their surfaces are."""
+"""Classes and surface materials of simulated objects."""
 
 from enum import IntEnum
 from typing import Final
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 
 class StreetClass(IntEnum):
-    """Semantic class of a simulated point; the ids of `classes.json` beside the truth."""
+    """Semantic class of a simulated point; the ids of `classes.json` in the truth folder."""
 
     ROAD = 1
     SIDEWALK = 2
@@ -69,14 +69,15 @@ SEMANTIC_KITTI: Final[dict[StreetClass, int]] = {
     StreetClass.NOISE: 0,
     StreetClass.EGO: 0,
 }
-"""Each class among the 19 of SemanticKITTI (Behley et al., ICCV 2019), 0 none of them.
+"""Class of SemanticKITTI (Behley et al., ICCV 2019) among its 19, by class; 0 for none.
 
-A van is a car there, a bus an other-vehicle, a motorcycle a motorcyclist: all are ridden here.
+A van is a car there, a bus an other-vehicle, and a motorcycle a motorcyclist, since all motorcycles
+have riders here.
 """
 
 
 class Material(IntEnum):
-    """What a surface is made of; `COLOURED` has the reflectivity of the actor that wears it."""
+    """Material of a surface; `COLOURED` has the reflectivity of its actor."""
 
     COLOURED = 0
     ASPHALT = 1
@@ -97,13 +98,14 @@ class Material(IntEnum):
 REFLECTIVITY: Final[NDArray[np.float64]] = np.array(
     [0.4, 0.13, 0.25, 0.35, 0.35, 0.40, 0.20, 0.45, 0.30, 0.15, 0.05, 2.0, 0.4, 0.45]
 )
-"""Share of near-infrared light that comes back, by `Material`; `MIRROR` is retroreflecting foil."""
+"""Share of near-infrared light that is reflected, by `Material`; `MIRROR` is retroreflecting foil.
+"""
 
 PASSES: Final[NDArray[np.float64]] = np.array(
     [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 0.0]
 )
-"""Share of pulses that go through and are lost, by `Material`.
+"""Share of pulses that pass through and are lost, by `Material`.
 
-Of what goes through a pane more comes back from behind it than not, from seats and rooms that are
-not built here: it is let end at the pane.
+Most light through a pane returns from seats and rooms behind it. These are not modelled, so such
+pulses end at the pane.
 """

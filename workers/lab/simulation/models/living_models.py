@@ -1,4 +1,4 @@
-"""People, riders and animals, whose legs swing."""
+"""Models of pedestrians, riders and animals, with swinging legs."""
 
 from typing import Final
 
@@ -18,7 +18,7 @@ def _person(
     low_m: float = 0.0,
     load: bool = False,
 ) -> list[Mesh]:
-    """Make a walker; `swing` in -1 to 1 is how far the left leg is ahead."""
+    """Build a pedestrian; `swing` in -1 to 1 is the lead of the left leg."""
     hip, shoulder, head = 0.88 * tall, 1.45 * tall, 1.62 * tall
     wear: Final = Material.COLOURED
     parts = [
@@ -64,7 +64,7 @@ def _person(
 
 
 def pedestrians() -> tuple[Model, ...]:
-    """People who walk, alone or with something."""
+    """Return models of pedestrians, alone or with a load."""
     person = StreetClass.PEDESTRIAN
     swings = np.sin(2 * np.pi * np.arange(PHASES) / PHASES)
 
@@ -104,7 +104,7 @@ def _two_wheels(
 
 
 def _rider(what: StreetClass, *, low_m: float, turn: float, lean_m: float) -> list[Mesh]:
-    """Make a rider; `turn` is the angle of the pedals."""
+    """Build a rider; `turn` is the angle of the pedals, radians."""
     hip, shoulder = (-0.2, 0.0, low_m + 0.9), (-0.2 + lean_m, 0.0, low_m + 1.42)
     wear = Material.COLOURED
     parts = [
@@ -139,7 +139,7 @@ def _rider(what: StreetClass, *, low_m: float, turn: float, lean_m: float) -> li
 
 
 def cyclists() -> tuple[Model, ...]:
-    """People on bicycles."""
+    """Return models of cyclists."""
     cyclist = StreetClass.CYCLIST
     bicycle = _two_wheels(cyclist, wheelbase_m=1.05, radius_m=0.34, thick_m=0.05)
     turns = 2 * np.pi * np.arange(PHASES) / PHASES
@@ -155,7 +155,7 @@ def cyclists() -> tuple[Model, ...]:
 
 
 def motorcycles() -> tuple[Model, ...]:
-    """People on motorcycles and scooters."""
+    """Return models of motorcycles and scooters with riders."""
     motorcycle = StreetClass.MOTORCYCLE
     frame = _two_wheels(motorcycle, wheelbase_m=1.45, radius_m=0.32, thick_m=0.16)
     body = loft(
@@ -169,7 +169,7 @@ def motorcycles() -> tuple[Model, ...]:
 
 
 def animals() -> tuple[Model, ...]:
-    """Animals that cross streets."""
+    """Return models of animals that cross streets."""
     animal = StreetClass.ANIMAL
 
     def made(name: str, scale: float, neck: float) -> Model:

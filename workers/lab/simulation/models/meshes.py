@@ -1,4 +1,4 @@
-"""Triangle meshes and the few solids that streets are built of."""
+"""Triangle meshes, and the solids from which streets are built."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,10 +14,10 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """Triangles, and what each is of.
+    """Triangles with class and material.
 
     Attributes:
-        corners_m: (V, 3) places of corners, in the space of what the mesh belongs to.
+        corners_m: (V, 3) vertices, in the space of the object.
         triangles: (T, 3) indices into `corners_m`.
         class_id: (T,) `StreetClass`.
         material: (T,) `Material`.
@@ -32,7 +32,7 @@ class Mesh:
     def of(
         cls, corners_m: ArrayLike, triangles: ArrayLike, what: StreetClass, material: Material
     ) -> Self:
-        """Make a mesh of one class and one material."""
+        """Build a mesh of one class and one material."""
         corners = np.asarray(corners_m, dtype=np.float64).reshape(-1, 3)
         faces = np.asarray(triangles, dtype=np.int32).reshape(-1, 3)
         return cls(
@@ -44,7 +44,7 @@ class Mesh:
 
     @classmethod
     def merged(cls, meshes: Sequence["Mesh"]) -> Self:
-        """Put meshes of one space together."""
+        """Concatenate meshes of one space."""
         if not meshes:
             return cls(
                 np.zeros((0, 3)),
@@ -75,7 +75,7 @@ class Mesh:
         yaw_rad: float = 0.0,
         scale: ArrayLike = 1.0,
     ) -> "Mesh":
-        """Turn about z, after scaling (one factor, or three), and move."""
+        """Scale (one factor, or three), rotate about z, and translate."""
         scaled = self.corners_m * np.asarray(scale)
         cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
         corners = np.stack(
@@ -106,7 +106,7 @@ def box(
     y_m: float = 0.0,
     yaw_rad: float = 0.0,
 ) -> Mesh:
-    """Make an upright box."""
+    """Build an upright box."""
     half_l, half_w = length_m / 2, width_m / 2
     made = loft(
         [(-half_l, half_w, half_w, low_m, high_m), (half_l, half_w, half_w, low_m, high_m)],
@@ -125,14 +125,14 @@ def loft(
     top: Material,
     ends: Material | None = None,
 ) -> Mesh:
-    """Make a closed tube along x through upright trapezia: the bodies of vehicles.
+    """Build a closed tube along x through upright trapezia, such as the body of a vehicle.
 
     Args:
         sections: x, half width below, half width above, low and high of each, in metres, x rising.
         what: Class of all of it.
         sides: Material of both flanks.
         top: Material of the upper side (sloping parts included) and of the underside.
-        ends: Material of the first and the last section; that of the sides when None.
+        ends: Material of the first and the last section; the material of the sides when None.
     """
     corners = np.array(
         [
@@ -166,7 +166,7 @@ def limb(
     material: Material,
     sides: int = 8,
 ) -> Mesh:
-    """Make a round rod between two places: poles, trunks, legs, wheels."""
+    """Build a round rod between two places: poles, trunks, legs, wheels."""
     start, end = np.asarray(start_m, dtype=np.float64), np.asarray(end_m, dtype=np.float64)
     axis = (end - start) / np.linalg.norm(end - start)
     aside = np.cross(axis, (0.0, 0.0, 1.0) if abs(axis[2]) < 0.9 else (1.0, 0.0, 0.0))
@@ -200,7 +200,7 @@ def ball(
     sides: int = 8,
     rings: int = 5,
 ) -> Mesh:
-    """Make an ellipsoid: heads, bodies of animals, boulders."""
+    """Build an ellipsoid: heads, bodies of animals, boulders."""
     turn = np.linspace(0.0, 2 * np.pi, sides, endpoint=False)
     lift = np.linspace(-np.pi / 2, np.pi / 2, rings + 2)
     unit = np.stack(
@@ -215,7 +215,7 @@ def ball(
 
 
 def grid(corners_m: Floats, what: StreetClass, material: Material, *, closed: bool = False) -> Mesh:
-    """Span a net of (N, M, 3) corners; `closed` joins the last of each row to its first."""
+    """Build a mesh over (N, M, 3) vertices; `closed` joins the last of each row to its first."""
     n, m = corners_m.shape[:2]
     index = np.arange(n * m).reshape(n, m)
     if closed:

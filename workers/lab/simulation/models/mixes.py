@@ -1,4 +1,4 @@
-"""How often each kind of vehicle drives by and stands parked."""
+"""Frequencies of vehicle classes, in traffic and parked."""
 
 from typing import Final
 

@@ -1,4 +1,4 @@
-"""The shape of an actor, put together of meshes."""
+"""Model of an actor, assembled from meshes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from workers.lab.simulation.models.kinds import Material, StreetClass
 from workers.lab.simulation.models.meshes import Mesh, limb
 
 PHASES: Final = 8
-"""Poses of one stride of whoever walks or pedals."""
+"""Number of phases of one stride or pedal turn."""
 
 Section = tuple[float, float, float, float, float]
 
@@ -20,11 +20,11 @@ class Model:
     """The shape of an actor in its own space: x ahead, z up, the origin on the ground below it.
 
     Attributes:
-        name: Unique.
-        street_class: What it is.
+        name: Unique name.
+        street_class: Its class.
         size_m: Length, width, height of the box around it, centred on the origin.
-        phases: Its shape through one stride; a single one where nothing swings.
-        stride_m: Way of one stride.
+        phases: Its shape through one stride; a single one for a rigid actor.
+        stride_m: Path length of one stride.
     """
 
     name: str
@@ -42,7 +42,7 @@ def make_model(
     *,
     beyond_size: Sequence[Mesh] = (),
 ) -> Model:
-    """Put a model together; what is `beyond_size` sticks out of its box."""
+    """Assemble a model; the meshes of `beyond_size` extend beyond its box."""
     meshes = tuple(Mesh.merged(parts) for parts in phases)
     corners = np.concatenate([mesh.corners_m for mesh in meshes])
     half = np.abs(corners[:, :2]).max(axis=0)
@@ -54,7 +54,7 @@ def make_model(
 def wheels_at(
     what: StreetClass, places: list[tuple[float, float]], radius_m: float, width_m: float
 ) -> list[Mesh]:
-    """Wheels at these places beside the body."""
+    """Build wheels at these places of a body."""
     return [
         limb(
             (x, y - width_m / 2, radius_m),

@@ -1,4 +1,4 @@
-"""What each kind of actor looks like."""
+"""Models by class of actor."""
 
 from functools import cache
 from typing import Final
@@ -11,10 +11,10 @@ from workers.lab.simulation.models.vehicle_models import buses, cars, trucks, va
 
 @cache
 def models_of(street_class: StreetClass) -> tuple[Model, ...]:
-    """Give the models of a class; the first is the plainest.
+    """Return the models of a class; the first is the plainest.
 
     Raises:
-        KeyError: If nothing of that class ever moves.
+        KeyError: If no actor has that class.
     """
     return _MAKERS[street_class]()
 

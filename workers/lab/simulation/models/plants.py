@@ -1,4 +1,4 @@
-"""Trees, bushes and hedges: clouds of small leaves about real branches, which let beams through."""
+"""Models of trees, bushes and hedges: small leaves on branches, through which beams pass."""
 
 from functools import cache
 from typing import Final
@@ -9,7 +9,7 @@ from workers.lab.simulation.models.kinds import Material, StreetClass
 from workers.lab.simulation.models.meshes import Mesh, leaves, limb
 
 SORTS: Final = 6
-"""How many trees and bushes differ in shape; placed ones differ in size and turn as well."""
+"""Number of different shapes of trees and bushes; placement also varies size and rotation."""
 
 _LEAVES_OF_TREE: Final = 480
 _LEAVES_OF_BUSH: Final = 150
@@ -17,7 +17,7 @@ _LEAVES_OF_BUSH: Final = 150
 
 @cache
 def tree(sort: int) -> Mesh:
-    """Make a tree 7 m high, or a conifer; the origin is at its foot."""
+    """Build a tree 7 m high, or a conifer; the origin is at its foot."""
     rng = np.random.default_rng([sort, 0x72EE])
     trunk, green = StreetClass.TRUNK, StreetClass.VEGETATION
     if sort % SORTS == SORTS - 1:
@@ -58,7 +58,7 @@ def tree(sort: int) -> Mesh:
 
 @cache
 def bush(sort: int) -> Mesh:
-    """Make a bush about 1.4 m high and 1.6 m wide."""
+    """Build a bush about 1.4 m high and 1.6 m wide."""
     rng = np.random.default_rng([sort, 0xB054])
     spread = rng.normal(0.0, 1.0, (_LEAVES_OF_BUSH, 3))
     spread *= (rng.uniform(0.5, 1.0, _LEAVES_OF_BUSH) / np.linalg.norm(spread, axis=1))[:, None]
@@ -69,7 +69,7 @@ def bush(sort: int) -> Mesh:
 
 @cache
 def hedge(sort: int) -> Mesh:
-    """Make two metres of a clipped hedge along x, 0.7 m thick and 1.3 m high."""
+    """Build two metres of a clipped hedge along x, 0.7 m thick and 1.3 m high."""
     rng = np.random.default_rng([sort, 0x4ED6])
     n = 200
     places = rng.uniform([-1.05, -0.35, 0.0], [1.05, 0.35, 1.3], (n, 3))
@@ -81,7 +81,7 @@ def hedge(sort: int) -> Mesh:
 
 @cache
 def grass(sort: int) -> Mesh:
-    """Make tufts over a few square metres."""
+    """Build tufts of grass over a few square metres."""
     rng = np.random.default_rng([sort, 0x66A5])
     places = rng.uniform([-2.0, -1.0, 0.0], [2.0, 1.0, 0.25], (70, 3))
     return leaves(places, 0.16, rng, what=StreetClass.VEGETATION)

@@ -1,4 +1,4 @@
-"""Cars, vans, trucks and buses: bodies with windows, wheels, plates and mirrors."""
+"""Models of cars, vans, trucks and buses: bodies with windows, wheels, plates and mirrors."""
 
 from itertools import pairwise
 
@@ -51,7 +51,7 @@ def _vehicle(
 
 
 def _plates(what: StreetClass, nose: Section, tail: Section) -> list[Mesh]:
-    """Number plates and lamps: what shines brightest of a car."""
+    """Build number plates and lamps, the brightest surfaces of a car."""
     plates = []
     for x, (_, half, _, low, high) in ((nose[0] + 0.01, nose), (tail[0] - 0.01, tail)):
         middle = (low + high) / 2
@@ -72,7 +72,7 @@ def _plates(what: StreetClass, nose: Section, tail: Section) -> list[Mesh]:
 
 
 def cars() -> tuple[Model, ...]:
-    """Cars, the plainest first."""
+    """Return models of cars, the plainest first."""
     car = StreetClass.CAR
     saloon = _vehicle(
         "saloon",
@@ -155,7 +155,7 @@ def cars() -> tuple[Model, ...]:
 
 
 def vans() -> tuple[Model, ...]:
-    """Vans."""
+    """Return models of vans."""
     van = StreetClass.VAN
 
     def made(name: str, half_m: float, high_m: float) -> Model:
@@ -182,7 +182,7 @@ def vans() -> tuple[Model, ...]:
 
 
 def trucks() -> tuple[Model, ...]:
-    """Trucks, with and without a trailer."""
+    """Return models of trucks, with and without a trailer."""
     truck = StreetClass.TRUCK
 
     def cab(front_m: float) -> list[Mesh]:
@@ -258,7 +258,7 @@ def trucks() -> tuple[Model, ...]:
 
 
 def buses() -> tuple[Model, ...]:
-    """Buses, long, short and articulated."""
+    """Return models of buses: long, short and articulated."""
     bus = StreetClass.BUS
 
     def made(name: str, half_m: float) -> Model:

@@ -1,1 +1,1 @@
-"""Logs and truth, as files or in memory."""
+"""Output of the simulation: logs, truth and training samples, as files or in memory."""

@@ -1,4 +1,4 @@
-"""A simulated frame as the point cloud message that a ROS 2 driver would have published."""
+"""PointCloud2 messages of simulated frames, in the format of a ROS 2 driver."""
 
 from typing import Any, Final
 
@@ -61,7 +61,7 @@ _LABEL: Final = [("label", "<u2"), ("motion", "<u1"), ("confidence", "<f4")]
 
 
 def cloud_of(frame: SimulatedFrame, recorded: RecordedPoints | None) -> NDArray[Any]:
-    """Lay a frame out as the rows of its message, labels of the car's model behind if given."""
+    """Return a frame as the rows of its message, followed by the recorded labels if given."""
     rows = np.zeros(len(frame), dtype=np.dtype(_RETURN + (_LABEL if recorded else [])))
     rows["x"], rows["y"], rows["z"] = frame.points_m.T
     rows["intensity"], rows["t"], rows["ring"] = frame.intensity, frame.offset_ns, frame.ring
@@ -71,14 +71,14 @@ def cloud_of(frame: SimulatedFrame, recorded: RecordedPoints | None) -> NDArray[
 
 
 def labels_of(recorded: RecordedPoints) -> NDArray[Any]:
-    """Lay the labels of the car's model out as the rows of a message of their own."""
+    """Return the recorded labels as the rows of a message of their own."""
     rows = np.zeros(len(recorded.label), dtype=np.dtype(_LABEL))
     _fill_labels(rows, recorded)
     return rows
 
 
 def message_of(rows: NDArray[Any], *, stamp_ns: int, space: str) -> dict[str, Any]:
-    """Wrap rows as the fields of a PointCloud2, unorganised and dense."""
+    """Wrap rows in the fields of a PointCloud2, unorganised and dense."""
     seconds, nanoseconds = divmod(stamp_ns, NS_PER_S)
     fields = [
         {

@@ -1,4 +1,4 @@
-"""The fleet of `counterpoint demo`: a few short streets whose car's model was made to err."""
+"""Demo fleet of `counterpoint demo`: a few short streets with planted failures."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -11,10 +11,10 @@ DEMO_SCENES: Final = 30
 DEMO_FAILURES: Final = 0.2
 DEMO_SEED: Final = 7
 DEMO_COLUMNS: Final = 900
-"""Half of what the sensors fire: the demo has to be over in minutes."""
+"""Columns per revolution, half of the sensors' own, so that the demo takes minutes."""
 
 DEMO_FRAMES: Final = DEMO_SCENES * 20
-"""How often `progress` is called."""
+"""Number of calls of `progress`."""
 
 
 def make_demo_fleet(
@@ -22,13 +22,13 @@ def make_demo_fleet(
 ) -> tuple[SimulatedLog, ...]:
     """Write the demo's bucket to `folder/logs` and its truth to `folder/truth`.
 
-    The supervised voice of these logs is `recorded`: the labels of the model that ran on the car,
-    which are the truth but for what was planted.
+    The supervised stream of these logs is `recorded`: the labels of the on-board model, which equal
+    the truth except for planted failures.
 
     Args:
-        folder: Is made.
-        processes: How many write at once; the bytes are the same.
-        progress: Called for each frame, as `simulate_to` does.
+        folder: Folder to create.
+        processes: Number of parallel processes; the bytes do not depend on it.
+        progress: Called for each frame, as in `simulate_to`.
     """
     plans = plan_fleet(scenes=DEMO_SCENES, seed=DEMO_SEED, share=DEMO_FAILURES)
     options = FleetOptions(columns=DEMO_COLUMNS)

@@ -1,4 +1,4 @@
-"""A simulated fleet: a bucket of logs of several vehicles and days, with truth beside it."""
+"""Simulated fleet: a bucket of logs of several vehicles and days, with their truth."""
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -16,8 +16,8 @@ import numpy as np
 from schemas.arrays import NS_PER_S
 from schemas.transport.bucket import Bucket, open_bucket
 from workers.lab.simulation.faults.disturbances import disturb, draw_disturbance
-from workers.lab.simulation.faults.fault_placement import plant
-from workers.lab.simulation.faults.fault_truth import Planted
+from workers.lab.simulation.faults.fault_placement import place_failures
+from workers.lab.simulation.faults.fault_truth import PlantedFaults
 from workers.lab.simulation.faults.plan import LogPlan
 from workers.lab.simulation.output.write import Identity, RecordedAs, write_log
 from workers.lab.simulation.sensor.lidar import Lidar, sweep
@@ -33,7 +33,7 @@ VEHICLES: Final[tuple[tuple[SensorName, MountingName], ...]] = (
     ("hdl32", "mast"),
     ("vlp32c", "roof"),
 )
-"""What the cars of a fleet carry."""
+"""Sensor and mounting of each car of a fleet."""
 
 _FIRST_DAY: Final = date(2026, 3, 2)
 
@@ -45,26 +45,26 @@ class SimulatedLog:
     Attributes:
         log_id: Key of the log in its bucket, without extension.
         frames: Lidar frames in it.
-        planted: What was put into it on purpose.
+        planted: Faults planted in it.
         log: The file, in the folder it was written to first.
-        truth: The folder of its truth, likewise.
+        truth: The folder of its truth, in the same place.
     """
 
     log_id: str
     frames: int
-    planted: Planted
+    planted: PlantedFaults
     log: Path
     truth: Path
 
 
 @dataclass(frozen=True, slots=True)
 class FleetOptions:
-    """How the logs of a fleet are written.
+    """Output options of a fleet.
 
     Attributes:
-        lidar: Of every car; each its own (`VEHICLES`) when None.
-        columns: Of every car's own lidar; fewer make logs cheap; as many as it has when None.
-        recorded: Where the labels of the model on the car go.
+        lidar: Lidar of every car; each its own (`VEHICLES`) when None.
+        columns: Columns of every car's own lidar; fewer make logs cheap; the lidar's own when None.
+        recorded: Destination of the on-board model's labels.
         chunk_bytes: Uncompressed size at which a chunk is closed.
         odometry: Whether the cars record wheel speed and yaw rate.
     """
@@ -86,17 +86,17 @@ def simulate_to(
 ) -> Iterator[SimulatedLog]:
     """Write planned logs under `URL/logs` and their truth under `URL/truth`.
 
-    The bytes are the same for any number of processes; only the order of yielding is not.
+    The bytes are the same for any number of processes; the order of yielding is not.
 
     Args:
-        url: A folder, or any bucket that can be written to.
-        plans: Of the logs.
-        options: How they are written.
-        processes: How many write at once.
+        url: A folder, or any writable bucket.
+        plans: Plans of the logs.
+        options: Output options.
+        processes: Number of parallel processes.
         progress: Called after each frame; with several processes, as each log is done.
 
     Raises:
-        BucketRefusedError: If nothing can be written there.
+        BucketRefusedError: If the bucket is not writable.
         BucketUnreachableError: If the store does not answer.
     """
     open_bucket(url, create=True)
@@ -130,7 +130,7 @@ def _write_to(
 
 
 def _put_all(bucket: Bucket, folder: Path, log: SimulatedLog) -> None:
-    """Copy the truth, then the log: whoever watches the bucket finds the truth with the log."""
+    """Copy the truth first, so that a watcher of the bucket finds it with the log."""
     for path in (*sorted(log.truth.iterdir()), log.log):
         bucket.put(path.relative_to(folder).as_posix(), path.read_bytes())
 
@@ -142,12 +142,12 @@ def write_planned(
     options: FleetOptions | None = None,
     progress: Callable[[], None] | None = None,
 ) -> SimulatedLog:
-    """Write one log of a fleet with its truth, as it was planned."""
+    """Write one planned log of a fleet with its truth."""
     options = options or FleetOptions()
     car = plan.number % len(VEHICLES)
     lidar = options.lidar or mounted(*VEHICLES[car], columns=options.columns)
     street = planned_street(plan)
-    planted = put_into(street, plan, lidar=lidar)
+    planted = draw_faults(street, plan, lidar=lidar)
     day = _FIRST_DAY + timedelta(days=plan.number // len(VEHICLES))
     vehicle = f"sim-{car + 1:02d}"
     key = f"{vehicle}/{day.isoformat()}/street-{plan.number:03d}"
@@ -184,13 +184,13 @@ def planned_street(plan: LogPlan) -> Street:
     )
 
 
-def put_into(street: Street, plan: LogPlan, *, lidar: Lidar) -> Planted:
-    """Choose what is put into a log on purpose, now that its street is known."""
+def draw_faults(street: Street, plan: LogPlan, *, lidar: Lidar) -> PlantedFaults:
+    """Draw the faults of a log, once its street is known."""
     disturbances = tuple(draw_disturbance(each) for each in plan.disturbances)
-    failures, redraws = plant(
+    failures, redraws = place_failures(
         street,
         plan,
-        look=lambda index: disturb(sweep(street, lidar, index), disturbances),
+        frame_at=lambda index: disturb(sweep(street, lidar, index), disturbances),
         period_s=lidar.period_s,
     )
-    return Planted(failures, disturbances, redraws, plan.hard)
+    return PlantedFaults(failures, disturbances, redraws, plan.hard)

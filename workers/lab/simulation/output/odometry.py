@@ -1,4 +1,4 @@
-"""What a simulated car records of its own motion: wheel speed and yaw rate, as odometry."""
+"""Recorded motion of a simulated car: wheel speed and yaw rate as odometry messages."""
 
 from collections.abc import Iterator
 from typing import Any, Final
@@ -17,7 +17,7 @@ ODOMETRY_DEFINITION: Final = ROS2_DEFINITIONS["nav_msgs/Odometry"] + STAMP_DEFIN
 
 RATE_HZ: Final = 50
 _SCALE: Final = 0.02
-"""Standard deviation of what wheels of another size make of the speed, one number a log."""
+"""Standard deviation of the speed's scale error per log, due to the size of the wheels."""
 
 _SPEED_NOISE_M_PER_S: Final = 0.03
 _TURN_BIAS_RAD_PER_S: Final = 0.001
@@ -26,7 +26,7 @@ _UNKNOWN: Final = [0.0] * 36
 
 
 class OdometryWriter:
-    """Writes the messages of a log as time goes on, between its clouds."""
+    """Writes the odometry messages of a log in time order, between its clouds."""
 
     def __init__(self, writer: Writer, street: Street, *, start_ns: int) -> None:
         self._writer = writer
@@ -35,7 +35,7 @@ class OdometryWriter:
         self._next = next(self._messages, None)
 
     def write_until(self, stamp_ns: int) -> None:
-        """Write what was said until then."""
+        """Write the messages up to a time."""
         while self._next is not None and self._next[0] <= stamp_ns:
             at_ns, message = self._next
             self._writer.write_message(ODOMETRY_TOPIC, self._schema, message, at_ns, at_ns)
@@ -43,11 +43,11 @@ class OdometryWriter:
 
 
 def odometry_messages(street: Street, *, start_ns: int) -> Iterator[tuple[int, dict[str, Any]]]:
-    """Drive through a street and say, as the car would, how it went.
+    """Simulate the odometry messages of a drive.
 
     Args:
-        street: With the drive of the ego.
-        start_ns: Time of the beginning.
+        street: Street with the drive of the ego.
+        start_ns: Time of the beginning, nanoseconds since the Unix epoch.
 
     Yields:
         Stamp, nanoseconds since the Unix epoch, and fields of a `nav_msgs/msg/Odometry`.

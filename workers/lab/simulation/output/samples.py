@@ -1,4 +1,4 @@
-"""Frames of many short random streets, straight from memory: what networks are trained on."""
+"""Training samples: frames of many short random streets, from memory."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -21,8 +21,8 @@ class StreetSample:
     """Some consecutive frames of one street.
 
     Attributes:
-        street: With its traffic.
-        lidar: That saw them.
+        street: Street with its traffic.
+        lidar: Lidar of the frames.
         frames: In order, one period apart.
     """
 
@@ -41,18 +41,18 @@ def street_samples(
     hard_share: float = 0.4,
     columns: int | None = None,
 ) -> Iterator[StreetSample]:
-    """Drive through random streets of all kinds and sensors, a few frames here and there.
+    """Simulate random streets of all kinds and sensors, a few frames of each.
 
-    Streets differ from those of any fleet: their seeds are of another stream.
+    Streets differ from those of any fleet: their seeds come from another random stream.
 
     Args:
-        seed: Of all of it; sample `k` depends on the seed and its street's number alone.
-        streets: How many.
+        seed: Seed of all samples; a sample depends on the seed and its street's number alone.
+        streets: Number of streets.
         windows: Samples of each street, spread over 12 s of it.
         frames: Consecutive frames of each sample.
-        sensors: Drawn from, with either mounting.
-        hard_share: Of streets that are hard.
-        columns: Of every lidar; each sensor's own when None.
+        sensors: Sensors to draw from, with either mounting.
+        hard_share: Share of streets that are hard.
+        columns: Columns of every lidar; each sensor's own when None.
     """
     seconds = 12.0
     for number in range(streets):

@@ -1,4 +1,4 @@
-"""The truth of a simulated log, written beside it point by point."""
+"""Truth writer of a simulated log: per-point labels, boxes, poses and planted faults."""
 
 import csv
 import json
@@ -26,11 +26,11 @@ _TRACK_COLUMNS: Final = (
 
 @dataclass(slots=True)
 class TruthWriter:
-    """Writes the truth of one log as its frames go by.
+    """Writes the truth of one log while its frames are simulated.
 
     Layout: `NNNNNN.npz` per cloud with semantic, motion, track, ground, ego (the own car) and flow
     (`flow.py`) in the order of its points; `frames.json`, `poses.npz`, `tracks.csv` (boxes in the
-    world), `classes.json`, and `planted.json` with what was put into the log on purpose.
+    world), `classes.json`, and `planted.json` with the planted faults.
     """
 
     folder: Path
@@ -44,7 +44,7 @@ class TruthWriter:
     _dynamic_points: int = 0
 
     def add(self, frame: SimulatedFrame, *, stamp_ns: int, data_crc32: int) -> None:
-        """Write the arrays of one frame and keep its row for the tables."""
+        """Write the arrays of one frame, and store its row for the tables."""
         self.folder.mkdir(parents=True, exist_ok=True)
         _write_arrays(
             self.folder / f"{frame.index:06d}.npz",
@@ -131,7 +131,7 @@ class TruthWriter:
 
 
 def _write_arrays(path: Path, **arrays: NDArray[Any]) -> None:
-    """Write as `numpy.savez_compressed` does, with little effort: a third of the time."""
+    """Write an archive as `numpy.savez_compressed` does, at level 1: a third of the time."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, array in arrays.items():
             content = BytesIO()

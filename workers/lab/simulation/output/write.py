@@ -1,4 +1,4 @@
-"""Writes a simulated street as an MCAP log, as a recorder on a car would, with truth beside."""
+"""MCAP writer of a simulated street, in the format of a recorder on a car, with its truth."""
 
 import zlib
 from collections.abc import Callable, Iterator
@@ -10,7 +10,7 @@ from typing import IO, Final, Literal
 from mcap_ros2.writer import Writer
 
 from workers.lab.simulation.faults.disturbances import delay_ns, disturb
-from workers.lab.simulation.faults.fault_truth import NOTHING_PLANTED, Planted
+from workers.lab.simulation.faults.fault_truth import NOTHING_PLANTED, PlantedFaults
 from workers.lab.simulation.faults.recorded import record, recorded_classes
 from workers.lab.simulation.output.cloud import (
     POINT_CLOUD2,
@@ -30,12 +30,12 @@ LABEL_TOPIC: Final = "/lidar/top/labels"
 LIDAR_SPACE: Final = "lidar_top"
 
 RecordedAs = Literal["fields", "topic", "nothing"]
-"""Where the labels of the model on the car go: into the cloud, to a topic of their own, nowhere."""
+"""Destination of the on-board model's labels: fields of the cloud, own topic, or none."""
 
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What a log says about itself (MCAP metadata record `counterpoint.log`)."""
+    """Identity of a log (MCAP metadata record `counterpoint.log`)."""
 
     vehicle: str = "sim-01"
     date: str = "2026-03-02"
@@ -51,31 +51,31 @@ def write_log(
     identity: Identity | None = None,
     recorded: RecordedAs = "fields",
     odometry: bool = False,
-    planted: Planted = NOTHING_PLANTED,
+    planted: PlantedFaults = NOTHING_PLANTED,
     truth: Path | None = None,
     log_key: str = "",
     chunk_bytes: int = 4 << 20,
     frames: int | None = None,
     progress: Callable[[], None] | None = None,
 ) -> int:
-    """Drive through a street and write what its lidar sees.
+    """Simulate the drive through a street, and write the lidar's frames as a log.
 
     Args:
-        output: File to write (it appears whole or not at all), or a stream.
+        output: File to write (it is replaced atomically), or a stream.
         street: The street with its traffic.
         lidar: The lidar on the car; 64 beams and 1024 columns at 10 Hz when None.
         identity: Vehicle, date, software version and time of the first frame.
-        recorded: Where the labels of the model on the car go.
+        recorded: Destination of the on-board model's labels.
         odometry: Whether the car records wheel speed and yaw rate.
-        planted: What that model gets wrong, and what disturbs the sensor.
+        planted: Failures of that model, and disturbances of the sensor.
         truth: Folder for the truth of this log; None writes none.
-        log_key: What the truth calls the log.
+        log_key: Key of the log in the truth.
         chunk_bytes: Uncompressed size at which a chunk is closed; zstd, with CRC and summary.
-        frames: Stop after so many; all the street's seconds when None.
+        frames: Number of frames; all of the street's duration when None.
         progress: Called after each frame.
 
     Returns:
-        How many frames were written.
+        Number of frames written.
     """
     lidar, identity = lidar or Lidar(), identity or Identity()
     count = int(street.seconds / lidar.period_s + 1e-9) if frames is None else frames
@@ -96,16 +96,16 @@ def write_log(
         moved = OdometryWriter(writer, street, start_ns=identity.start_ns) if odometry else None
         for index in range(count):
             frame = disturb(sweep(street, lidar, index), planted.disturbances)
-            said = None if recorded == "nothing" else record(street, frame, planted.failures)
+            onboard = None if recorded == "nothing" else record(street, frame, planted.failures)
             late_ns = delay_ns(index, frame.time_s, planted.disturbances)
             stamp_ns = identity.start_ns + index * lidar.period_ns + late_ns
             if moved is not None:
                 moved.write_until(stamp_ns)
-            rows = cloud_of(frame, said if recorded == "fields" else None)
+            rows = cloud_of(frame, onboard if recorded == "fields" else None)
             message = message_of(rows, stamp_ns=stamp_ns, space=LIDAR_SPACE)
             writer.write_message(LIDAR_TOPIC, schema, message, stamp_ns, stamp_ns, index)
-            if recorded == "topic" and said is not None:
-                labels = message_of(labels_of(said), stamp_ns=stamp_ns, space=LIDAR_SPACE)
+            if recorded == "topic" and onboard is not None:
+                labels = message_of(labels_of(onboard), stamp_ns=stamp_ns, space=LIDAR_SPACE)
                 writer.write_message(LABEL_TOPIC, schema, labels, stamp_ns, stamp_ns, index)
             if truth_writer is not None:
                 truth_writer.add(frame, stamp_ns=stamp_ns, data_crc32=zlib.crc32(message["data"]))
@@ -121,7 +121,7 @@ def write_log(
 
 @contextmanager
 def _growing(output: Path | IO[bytes]) -> Iterator[IO[bytes]]:
-    """Let a file grow under another name: a watched bucket shows it whole or not at all."""
+    """Write a file under a temporary name, then rename it: watchers see it whole or not at all."""
     if not isinstance(output, Path):
         yield output
         return

@@ -1,1 +1,1 @@
-"""Spinning lidars in a street."""
+"""Lidar sensor models in a simulated street."""

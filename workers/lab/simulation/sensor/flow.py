@@ -1,4 +1,4 @@
-"""Where each point of a frame will be one frame later, as the sensor will see it then."""
+"""True scene flow: the position of each point one frame later, in the sensor space of that time."""
 
 import numba
 import numpy as np
@@ -10,15 +10,15 @@ from workers.lab.simulation.world.attitude import rotations
 from workers.lab.simulation.world.street import Street
 
 _PER_M = 256
-"""Flow is rounded to 1/256 m, as fine as the float16 it is kept in at the speed of a car."""
+"""Steps of the flow per metre: 1/256 m is the resolution of float16 at the speed of a car."""
 
 
 def flow_of(street: Street, lidar: Lidar, frame: SimulatedFrame) -> NDArray[np.float16]:
-    """Follow the matter that each point was measured on through one period of the lidar.
+    """Compute the scene flow of each point over one period of the lidar.
 
     Returns:
-        (N, 3) place in sensor space one period after the point was fired minus its place when it
-        was; the motion of the ego is in it. The matter of an actor moves rigidly with its body.
+        (N, 3) position in sensor space one period after the firing of the point, minus its position
+        at the firing. Ego-motion is included. Points of an actor move rigidly with its body.
     """
     column_ns = lidar.period_ns // lidar.columns
     column = (frame.offset_ns // column_ns).astype(np.int64)

@@ -1,4 +1,4 @@
-"""A spinning lidar in a simulated street: one revolution, point by point, with its truth."""
+"""Spinning lidar model: one revolution in a simulated street, with per-point truth."""
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -29,17 +29,17 @@ _LEAST_FACING: Final = 0.02
 _CREEPING_M_PER_S: Final = 0.2
 _MOVING_M_PER_S: Final = 0.5
 _GRID_PER_M: Final = 512
-"""Positions are rounded to 1/512 m, far below the noise: it is what makes logs small."""
+"""Steps of a position per metre: 1/512 m is far below the noise, and keeps logs small."""
 
 UNIFORM_64: Final = tuple(np.linspace(3.0, -25.0, 64).round(4).tolist())
-"""Evenly spaced beams, about those of an HDL-64E."""
+"""Evenly spaced beams, similar to those of an HDL-64E, degrees."""
 
 UNEVEN_64: Final = (
     *(15.0, 11.0, 8.0, 5.0, 3.0),
     *np.linspace(2.0, -6.0, 49).round(4).tolist(),
     *(-7.0, -8.0, -9.0, -10.0, -11.0, -12.0, -13.0, -14.0, -19.0, -25.0),
 )
-"""Dense around the horizon, coarse above and below: the layout of a Pandar64 (its manual)."""
+"""Beam table of a Pandar64 (its manual), degrees: dense around the horizon, coarse elsewhere."""
 
 
 @dataclass(frozen=True)
@@ -50,20 +50,22 @@ class Lidar:
         elevation_deg: Beam table, top first; `ring` counts along it.
         columns: Firings per revolution.
         period_s: Time of one revolution.
-        height_m: Above the road.
+        height_m: Height above the road.
         max_range_m: Returns beyond are lost.
         noise_m: Standard deviation of the range.
-        dropout_share: Returns lost for no reason.
-        azimuth_deg: Turn of each beam against its column, to the left; empty where all are in line.
-        forward_m: Ahead of the middle of the car.
-        pitch_deg: How far the sensor is tilted nose down.
-        reach_m: From here six pulses in ten come back from reflectivity 0.1, seen squarely.
-        least_range_m: Nothing nearer is measured.
+        dropout_share: Share of returns lost at random.
+        azimuth_deg: Azimuth offset of each beam from its column, to the left; empty where all are
+            in line.
+        forward_m: Offset ahead of the middle of the car.
+        pitch_deg: Nose-down tilt of the sensor.
+        reach_m: Range at which 63 % of the pulses return from reflectivity 0.1 at normal incidence.
+        least_range_m: Smallest measured range.
         roof: Whether the car below it hides the ground.
-        roof_answers: Share of the beams onto the own car that come back.
-        gain: Intensity of a surface of reflectivity 1, seen squarely.
-        gamma: Exponent of reflectivity in the intensity: makers compress it differently.
-        name: Of the sensor and its mounting.
+        roof_answers: Share of the beams onto the own car that return.
+        gain: Intensity of a surface of reflectivity 1 at normal incidence.
+        gamma: Exponent of reflectivity in the intensity; each manufacturer compresses it
+            differently.
+        name: Name of the sensor and its mounting.
     """
 
     elevation_deg: tuple[float, ...] = UNEVEN_64
@@ -91,7 +93,7 @@ class Lidar:
 
     @cached_property
     def beams(self) -> Floats:
-        """(C, R, 3) unit directions in sensor space, as they fire."""
+        """(C, R, 3) unit directions in sensor space, in firing order."""
         turn = np.pi - 2 * np.pi * np.arange(self.columns) / self.columns
         elevation = np.deg2rad(np.array(self.elevation_deg))
         aside = np.deg2rad(np.array(self.azimuth_deg or [0.0] * len(elevation)))
@@ -108,7 +110,7 @@ class Lidar:
 
     @cached_property
     def roof_range_m(self) -> NDArray[np.float32]:
-        """(C * R,) way of each beam to the own car; infinite where it passes."""
+        """(C * R,) range of each beam to the own car; infinite where it misses."""
         if not self.roof:
             return np.full(self.columns * len(self.elevation_deg), np.inf, dtype=np.float32)
         return _own_roof(self).ravel()
@@ -116,19 +118,19 @@ class Lidar:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedFrame:
-    """One revolution as measured, and what each point really is; returns only, in firing order.
+    """One revolution as measured, with the truth of each point; returns only, in firing order.
 
     Attributes:
         index: Number of the frame in its log.
         time_s: Seconds from the start of the log to the first firing.
-        points_m: (N, 3) sensor space of each point's own firing instant: not compensated.
-        intensity: (N,) 0 to 255, as many drivers record it.
+        points_m: (N, 3) sensor space at each point's own firing: not motion-compensated.
+        intensity: (N,) 0 to 255, the scale of many drivers.
         offset_ns: (N,) time of each return after the first firing.
         ring: (N,) beam, 0 is the top one.
         class_id: (N,) `StreetClass`.
         track: (N,) index into the street's actors, -1 none.
         motion: (N,) 0 unknown (creeping, in the air, the own car), 1 static, 2 dynamic.
-        ground: (N,) 1 ground, 0 not, 255 to be ignored.
+        ground: (N,) 1 ground, 0 not, 255 ignored.
         world_from_sensor: (4, 4) pose at the first firing.
     """
 
@@ -149,7 +151,7 @@ class SimulatedFrame:
         return len(self.points_m)
 
     def of_points(self, kept: Mask) -> Self:
-        """Keep some of the points: where `kept`, (N,), is true."""
+        """Keep the points where `kept`, (N,), is true."""
         names = (
             *("points_m", "intensity", "offset_ns", "ring"),
             *("class_id", "track", "motion", "ground"),
@@ -158,7 +160,7 @@ class SimulatedFrame:
 
 
 def sensor_poses(street: Street, lidar: Lidar, time_s: Floats) -> Floats:
-    """Give (T, 4, 4) world from sensor at these times."""
+    """Return (T, 4, 4) world from sensor at these times."""
     bodies = street.ego_bodies(time_s)
     turn = rotations(bodies[:, 3], bodies[:, 4], bodies[:, 5])
     tilt = np.deg2rad(lidar.pitch_deg)
@@ -171,10 +173,10 @@ def sensor_poses(street: Street, lidar: Lidar, time_s: Floats) -> Floats:
 
 
 def sweep(street: Street, lidar: Lidar, index: int) -> SimulatedFrame:
-    """Turn the lidar once in the street.
+    """Simulate one revolution of the lidar in the street.
 
-    The sensor and everything that moves go on moving while it turns (rolling shutter). Noise is
-    drawn from the street's seed and the frame's number alone, so frames can be made in any order.
+    The sensor and all actors move during the revolution (rolling shutter). Noise is drawn from the
+    street's seed and the frame's number alone, so frames can be simulated in any order.
     """
     time_s = index * lidar.period_s
     fraction = np.arange(lidar.columns) / lidar.columns
@@ -195,7 +197,7 @@ def sweep(street: Street, lidar: Lidar, index: int) -> SimulatedFrame:
 
 
 def _settle_on_ground(street: Street, hits: Hits, origins: Floats, directions: Floats) -> None:
-    """Move hits of the bare ground to its unevenness, and say what ground it is."""
+    """Displace hits of the bare ground by its unevenness, and set its class and material."""
     index = np.flatnonzero(hits.owner == GROUND_OWNER)
     hits.owner[index] = -1
     if not len(index) or (street.road_map is None and not len(street.terrain.waves)):
@@ -267,7 +269,7 @@ def _answered(
     shine: NDArray[np.float32],
     rng: np.random.Generator,
 ) -> Mask:
-    """Lose returns as a lidar does: far, dark, at a grazing angle, through panes, for no reason."""
+    """Test which beams return: losses by range, reflectivity, incidence, panes, and at random."""
     facing = np.sqrt(np.maximum(hits.facing, np.float32(_LEAST_FACING)))
     signal = 10.0 * shine * facing * np.sqrt(facing)
     signal *= (np.float32(lidar.reach_m) / np.maximum(range_m, np.float32(1.0))) ** 2
@@ -289,7 +291,7 @@ def _motion_of_actors(street: Street, time_s: float) -> NDArray[np.uint8]:
 
 
 def _own_roof(lidar: Lidar) -> NDArray[np.float32]:
-    """Cast every beam once at the own car, which never moves against the sensor."""
+    """Cast every beam once at the own car, which is rigid with the sensor."""
     roof_m = lidar.height_m - 0.42
     parts = [
         box(

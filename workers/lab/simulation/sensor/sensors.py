@@ -1,4 +1,4 @@
-"""Lidars that are on the market, by their beam tables, and where fleets mount them."""
+"""Sensor catalogue: beam tables of common lidars, and their mountings."""
 
 from dataclasses import replace
 from typing import Final, Literal
@@ -83,20 +83,20 @@ SENSORS: Final[dict[SensorName, Lidar]] = {
         least_range_m=0.5,
     ),
 }
-"""Beam tables after the makers' manuals; turns of single beams about as large as theirs.
+"""Lidars by name: beam tables from the manufacturers' manuals, azimuth offsets of similar size.
 
-Range of a 64 x 1800 or 32 x 1800 sensor at 10 Hz; the 128 beams turn 1024 columns.
+Range of a 64 x 1800 or 32 x 1800 sensor at 10 Hz; the sensor of 128 beams fires 1024 columns.
 """
 
 _MOUNTINGS: Final[dict[MountingName, tuple[float, float, float]]] = {
     "roof": (1.75, 0.2, 0.4),
     "mast": (2.25, 0.75, -0.9),
 }
-"""Height, way ahead of the middle of the car, and nose-down tilt in degrees."""
+"""Height, offset ahead of the middle of the car, and nose-down tilt in degrees."""
 
 
 def mounted(sensor: SensorName, mounting: MountingName, *, columns: int | None = None) -> Lidar:
-    """Give a sensor on a car; fewer columns make logs small and quick."""
+    """Mount a sensor on a car; fewer columns make logs small and fast."""
     lidar, (height, forward, pitch) = SENSORS[sensor], _MOUNTINGS[mounting]
     return replace(
         lidar,

@@ -1,1 +1,1 @@
-"""Streets: roads, ground, scenery, traffic, weather, and the ego's drive."""
+"""Street world: roads, ground, scenery, traffic, weather, and the ego's drive."""

@@ -1,4 +1,4 @@
-"""How bodies stand on the ground they drive over: height, pitch and roll."""
+"""Vehicle attitude on the ground: height, pitch and roll of sprung and unsprung bodies."""
 
 from typing import Final
 
@@ -13,19 +13,19 @@ Floats = NDArray[np.float64]
 _HALF_WHEELBASE_M: Final = 1.4
 _HALF_TRACK_M: Final = 0.8
 _SPRING_S: Final = 0.12
-"""Springs and tyres smooth the ground over about this time."""
+"""Time constant over which springs and tyres smooth the ground, seconds."""
 
 _FELT: Final = 0.2
-"""Share of small unevenness that reaches a sprung body: a smooth road moves it by a tenth of a
-degree within a turn of the lidar at most."""
+"""Share of small unevenness that reaches a sprung body. A smooth road moves it by a tenth of a
+degree at most within one revolution of the lidar."""
 
 _DIVE_RAD_PER_M_PER_S2: Final = 0.0035
 _LEAN_RAD_PER_M_PER_S2: Final = 0.0045
-"""A body pitches by about a degree when it brakes hard, and leans out of bends a little more."""
+"""Pitch and roll per acceleration: about a degree in hard braking, slightly more in bends."""
 
 
 def ride(drive: Drive, terrain: Terrain, *, seconds: float) -> Floats:
-    """Let a sprung body follow a drive.
+    """Simulate the motion of a sprung body along a drive.
 
     Returns:
         (K, 6) world x, y, z of the ground below its middle, yaw, pitch (nose down is positive) and
@@ -53,8 +53,8 @@ def ride(drive: Drive, terrain: Terrain, *, seconds: float) -> Floats:
     return np.stack([x, y, z, yaw, pitch, roll], axis=1)
 
 
-def stand_on(poses: Floats, terrain: Terrain, *, tilts: NDArray[np.bool_]) -> Floats:
-    """Put (A, 3) world x, y, yaw on the ground: (A, 6); who does not tilt stands upright."""
+def place_on_terrain(poses: Floats, terrain: Terrain, *, tilts: NDArray[np.bool_]) -> Floats:
+    """Place (A, 3) world x, y, yaw on the ground: (A, 6); bodies that do not tilt are upright."""
     x, y, yaw = poses.T
     cos, sin = np.cos(yaw), np.sin(yaw)
     reach = _HALF_WHEELBASE_M
@@ -70,7 +70,7 @@ def stand_on(poses: Floats, terrain: Terrain, *, tilts: NDArray[np.bool_]) -> Fl
 
 
 def rotations(yaw: Floats, pitch: Floats, roll: Floats) -> Floats:
-    """Give (..., 3, 3) world from body: roll first, then pitch, then yaw."""
+    """Return (..., 3, 3) world from body: roll first, then pitch, then yaw."""
     cy, sy, cp, sp = np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch)
     cr, sr = np.cos(roll), np.sin(roll)
     return np.stack(

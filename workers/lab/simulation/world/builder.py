@@ -1,4 +1,4 @@
-"""Notes what goes where beside a road, and places all of it at once."""
+"""Scenery builder: collects the objects along a road and places all of them at once."""
 
 from dataclasses import dataclass, field
 from functools import cache
@@ -16,10 +16,10 @@ from workers.lab.simulation.world.terrain import Terrain
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Network:
-    """The roads of a street and the ground they lie on.
+    """The roads of a street and their ground.
 
     Attributes:
-        roads: Each with its kind and the stretch of it that is built along.
+        roads: Each with its kind and the interval of path lengths with scenery.
         terrain: The ground.
     """
 
@@ -28,14 +28,14 @@ class Network:
     _trees: list[cKDTree] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
-        """Index the roads by place."""
+        """Build a spatial index of the roads."""
         for road, _, _, _ in self.roads:
             self._trees.append(cKDTree(np.stack([road.x_m[::2], road.y_m[::2]], axis=1)))
 
     def free_of_roads(
         self, x_m: Floats, y_m: Floats, *, beyond_m: float, but: int
     ) -> NDArray[np.bool_]:
-        """Say which places lie at least so far beyond the kerbs of all roads but one."""
+        """Test which places are at least this far beyond the kerbs of all roads but one."""
         free = np.ones(len(x_m), dtype=np.bool_)
         places = np.stack([x_m, y_m], axis=1)
         for number, (_, place, _, _) in enumerate(self.roads):
@@ -47,7 +47,7 @@ class Network:
 
 
 @dataclass(frozen=True, slots=True)
-class _Put:
+class _Placement:
     along_m: float
     across_m: float
     turned_rad: float
@@ -56,7 +56,7 @@ class _Put:
 
 
 class Builder:
-    """Notes what goes where along one road, and places all of it at once."""
+    """Collects the objects along one road and places all of them at once."""
 
     def __init__(
         self, network: Network, number: int, green: float, rng: np.random.Generator
@@ -64,13 +64,13 @@ class Builder:
         self.network, self.number, self.green, self.rng = network, number, green, rng
         self.road, self.place, _, _ = network.roads[number]
         self.whole: list[Mesh] = []
-        self._put: dict[int, tuple[Mesh, list[_Put]]] = {}
+        self._put: dict[int, tuple[Mesh, list[_Placement]]] = {}
         _, _, low, high = network.roads[number]
         self._free_at: dict[tuple[float, float], NDArray[np.bool_]] = {}
         self._steps = np.arange(low - 40.0, high + 40.0)
 
     def free(self, along_m: float, across_m: float, beyond_m: float = 0.5) -> bool:
-        """Whether a place along this road lies on no other road; to the metre."""
+        """Test whether a place along this road is on no other road; to the metre."""
         key = (round(across_m), beyond_m)
         if key not in self._free_at:
             x, y, _ = self.road.place(self._steps, np.full_like(self._steps, key[0]))
@@ -90,10 +90,10 @@ class Builder:
         scale: float | tuple[float, float, float] = 1.0,
         sunk_m: float = 0.0,
     ) -> None:
-        """Put a mesh beside the road, on the ground."""
+        """Put a mesh at a roadside place, on the ground."""
         three = scale if isinstance(scale, tuple) else (scale, scale, scale)
         _, places = self._put.setdefault(id(mesh), (mesh, []))
-        places.append(_Put(along_m, across_m, turned_rad, three, sunk_m))
+        places.append(_Placement(along_m, across_m, turned_rad, three, sunk_m))
 
     def block(
         self,
@@ -103,13 +103,13 @@ class Builder:
         along_m: float,
         across_m: float,
     ) -> None:
-        """Put a box of this length, width, low and high beside the road."""
+        """Put a box of this length, width, low and high at a roadside place."""
         length, width, low, high = size_m
         scale = (length, width, high - low)
         self.put(_unit_box(what, material), along_m, across_m, scale=scale, sunk_m=-low)
 
     def meshes(self) -> list[Mesh]:
-        """Place all that was put."""
+        """Return all collected meshes in world space."""
         placed = list(self.whole)
         for mesh, puts in self._put.values():
             along, across = np.array([(p.along_m, p.across_m) for p in puts]).T

@@ -1,4 +1,4 @@
-"""How the ego drives through a street, and who goes before and behind it."""
+"""Ego drive through a street, and the vehicles ahead of it and behind it."""
 
 import numpy as np
 
@@ -25,17 +25,17 @@ def drive_ego(
     terrain: Terrain,
     rng: np.random.Generator,
 ) -> tuple[Drive, list[Drive]]:
-    """Drive the ego, and find the drives of who goes before and behind.
+    """Drive the ego, and derive the drives of the vehicles ahead and behind.
 
     Args:
-        style: How it drives; who turns goes straight on where there is no crossing.
-        main: The road it begins on.
+        style: Driving style; a turning ego goes straight on where there is no crossing.
+        main: The road it starts on.
         place: Kind of that road.
         crossings: Roads over it, with the path length of the main road where each crosses.
-        cruise: Speed where nothing slows it, metres a second.
-        seconds: How long.
+        cruise: Speed where nothing slows it, m/s.
+        seconds: Duration.
         terrain: The ground; bumps are taken slowly.
-        rng: Of the street.
+        rng: Random generator of the street.
 
     Returns:
         Its drive, and those of the others.
@@ -83,7 +83,7 @@ def _turn(
     place: Place,
     rng: np.random.Generator,
 ) -> tuple[Road, float]:
-    """Lay the ego's way into a crossing street; give it and where the ego begins on it."""
+    """Route the ego into a crossing street; return the route and the ego's start on it."""
     _, road, other = crossing
     first = main.lane(lane_m, backwards=False)
     left = bool(rng.random() < 0.5)

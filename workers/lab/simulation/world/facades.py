@@ -1,4 +1,4 @@
-"""What closes a street off: house fronts, gardens behind fences, rails and noise walls."""
+"""Façades and other street boundaries: houses, garden fences, guard rails, noise walls."""
 
 from functools import cache
 from typing import Final
@@ -12,11 +12,11 @@ from workers.lab.simulation.world.builder import Builder
 from workers.lab.simulation.world.street_kinds import Place
 
 _NARROW_M: Final = 5.0
-"""Less than the narrowest carriageway is wide."""
+"""Sampling step for clearance tests, metres: less than the width of the narrowest carriageway."""
 
 
-def fronts(build: Builder, from_m: float, to_m: float, side: int) -> None:
-    """Stand houses in a row, or apart where there are gardens."""
+def build_facades(build: Builder, from_m: float, to_m: float, side: int) -> None:
+    """Place houses in a row, or apart where there are gardens."""
     place, rng, at = build.place, build.rng, from_m
     rural = place.name == "country"
     while at < to_m - 3.0:
@@ -41,7 +41,7 @@ def fronts(build: Builder, from_m: float, to_m: float, side: int) -> None:
 def _is_free(
     build: Builder, along_m: tuple[float, float], across_m: tuple[float, float], side: int
 ) -> bool:
-    """Whether no other road lies under a house; one may be narrower than it is long."""
+    """Test that no other road lies under a house; a road may be narrower than the house is long."""
     along, across = (
         np.linspace(*each, 2 + int((each[1] - each[0]) / _NARROW_M)) for each in (along_m, across_m)
     )
@@ -65,7 +65,7 @@ def _house(length_m: float, depth_m: float, high_m: float, *, pointed: bool) -> 
 
 
 def _relief(build: Builder, start_m: float, length_m: float, front_m: float, high_m: float) -> None:
-    """Pillars, porches, balconies and window panes of one front."""
+    """Add pillars, porches, balconies and window panes to one façade."""
     rng, what = build.rng, StreetClass.BUILDING
     if rng.random() < 0.6:
         at = start_m + length_m * float(rng.uniform(0.2, 0.8))
@@ -85,12 +85,12 @@ def _relief(build: Builder, start_m: float, length_m: float, front_m: float, hig
 
 
 def garden_line_m(place: Place) -> float:
-    """Where fences, walls and hedges stand, from the middle of the road."""
+    """Return the distance of fences, walls and hedges from the middle of the road, metres."""
     return place.kerb_m + max(place.pavement_m, 2.0) + 0.4
 
 
 def gardens(build: Builder, from_m: float, to_m: float, side: int) -> None:
-    """Close gardens off by fences, walls or hedges."""
+    """Close gardens off with fences, walls or hedges."""
     place, rng = build.place, build.rng
     line = side * garden_line_m(place)
     at = from_m
@@ -112,7 +112,7 @@ def gardens(build: Builder, from_m: float, to_m: float, side: int) -> None:
 
 @cache
 def _fence() -> Mesh:
-    """Two metres of pickets, seen through here and there."""
+    """Build two metres of picket fence with gaps."""
     what, wood = StreetClass.FENCE, Material.WOOD
     slats = [
         box(0.09, 0.03, 0.05, 1.15, what=what, material=wood, x_m=float(x))
@@ -123,7 +123,7 @@ def _fence() -> Mesh:
 
 
 def barriers(build: Builder, from_m: float, to_m: float, side: int) -> None:
-    """Concrete between the directions, rails and noise walls beside, gantries above."""
+    """Add a median barrier, guard rails, noise walls and sign gantries."""
     rng, place = build.rng, build.place
     fence, metal = StreetClass.FENCE, Material.METAL
     noise_wall = rng.random() < 0.5

@@ -1,4 +1,4 @@
-"""What stands beside the carriageway: poles, lamps, signs, lights, bollards, cabinets."""
+"""Street furniture: poles, lamps, signs, traffic lights, bollards, cabinets."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -11,7 +11,7 @@ from workers.lab.simulation.world.builder import Builder, Network
 
 
 def furniture(build: Builder, from_m: float, to_m: float, side: int) -> None:
-    """Put poles, lamps, signs, lights, bollards, cabinets and bins beside the carriageway."""
+    """Place poles, lamps, signs, lights, bollards, cabinets and bins along the carriageway."""
     place, rng = build.place, build.rng
     kerb = side * (place.kerb_m + (0.6 if place.pavement_m else 1.4))
     at = from_m + float(rng.uniform(1.0, 6.0))
@@ -82,7 +82,7 @@ def _sign(rng: np.random.Generator) -> Mesh:
 def junction_furniture(
     network: Network, main: int, junctions_m: Sequence[float], rng: np.random.Generator
 ) -> list[Mesh]:
-    """Stand traffic lights at the corners of junctions."""
+    """Place traffic lights at the corners of junctions."""
     build = Builder(network, main, 1.0, rng)
     pole = StreetClass.POLE
     light = Mesh.merged(

@@ -1,4 +1,4 @@
-"""How things get along: a road as a gently bending line, and drives along or across it."""
+"""Kinematics along a road: centre lines, lanes, and drives along or across them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ Instants = Floats | float
 
 _ROAD_STEP_M: Final = 0.5
 TIME_STEP_S: Final = 0.02
-"""Drives are sampled this densely, and run straight between samples."""
+"""Sampling step of drives, seconds; drives are linear between samples."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,13 +33,13 @@ class Road:
 
     @classmethod
     def bending(cls, *, from_m: float, to_m: float, swing_rad: float, wave_m: float) -> "Road":
-        """Lay a road whose heading swings to and fro as a sine: straight where swing is 0.
+        """Build a road whose heading follows a sine: straight where swing is 0.
 
         Args:
-            from_m: Path length of its first point; the origin of the world lies at 0.
+            from_m: Path length of its first point; the origin of the world is at 0.
             to_m: Path length of its last point.
             swing_rad: Largest heading.
-            wave_m: Path length of one whole swing; curvature is at most `2 pi swing / wave`.
+            wave_m: Path length of one period; curvature is at most `2 pi swing / wave`.
         """
         along = np.arange(from_m, to_m + _ROAD_STEP_M, _ROAD_STEP_M)
         heading = swing_rad * np.sin(2 * np.pi * along / wave_m)
@@ -51,7 +51,7 @@ class Road:
 
     @classmethod
     def through(cls, x_m: Floats, y_m: Floats) -> "Road":
-        """Lay a road through places, evenly sampled; it begins at path length 0."""
+        """Build a road through places, evenly sampled; it starts at path length 0."""
         steps = np.hypot(np.diff(x_m), np.diff(y_m))
         keep = np.concatenate([[True], steps > 1e-6])
         x_m, y_m = x_m[keep], y_m[keep]
@@ -62,7 +62,7 @@ class Road:
         return cls(even, x, y, heading)
 
     def crossing(self, at_m: float, *, half_m: float) -> "Road":
-        """Lay a straight road over this one at right angles; its path length is 0 at the middle."""
+        """Build a straight road across this one at right angles; its path length is 0 there."""
         x, y, heading = (float(v) for v in self.place(at_m, 0.0))
         along = np.arange(-half_m, half_m + _ROAD_STEP_M, _ROAD_STEP_M)
         turned = heading + np.pi / 2
@@ -74,12 +74,12 @@ class Road:
         )
 
     def lane(self, across_m: float, *, backwards: bool) -> "Road":
-        """Lay a road of its own along one lane, in the direction of its traffic."""
+        """Build the road along one lane, in the direction of its traffic."""
         x, y, _ = self.place(self.along_m, np.full_like(self.along_m, across_m))
         return Road.through(x[::-1], y[::-1]) if backwards else Road.through(x, y)
 
     def nearest_m(self, x_m: float, y_m: float) -> float:
-        """Give the path length at which the road passes nearest to a place."""
+        """Return the path length at which the road is nearest to a place."""
         return float(self.along_m[np.argmin(np.hypot(self.x_m - x_m, self.y_m - y_m))])
 
     @property
@@ -98,7 +98,7 @@ class Road:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drive:
-    """Where one thing is at every time of a log.
+    """Trajectory of one object over a log.
 
     Attributes:
         time_s: (K,) seconds since the log began, rising.
@@ -113,7 +113,7 @@ class Drive:
     yaw_rad: Floats
 
     def pose(self, time_s: Instants) -> Floats:
-        """Give (..., 3) world x, y and yaw at these times; outside the drive its ends hold."""
+        """Return (..., 3) world x, y and yaw at these times, constant outside the drive."""
         return np.stack(
             [
                 np.interp(time_s, self.time_s, self.x_m),
@@ -125,11 +125,11 @@ class Drive:
 
 
 Knots = Sequence[tuple[float, float]]
-"""(time in seconds, speed in metres per second) pairs; speed runs straight between them."""
+"""(time in seconds, speed in m/s) pairs; speed is linear between them."""
 
 
 def turning_route(first: Road, leave_m: float, second: Road, enter_m: float) -> Road:
-    """Lay a route along one lane, over a smooth bend, and along another, as `lane` gives them."""
+    """Build a route along one lane, over a smooth bend, and along another (`Road.lane`)."""
     until = first.along_m <= leave_m
     since = second.along_m >= enter_m
     x_0, y_0, x_1, y_1 = first.x_m[until], first.y_m[until], second.x_m[since], second.y_m[since]
@@ -164,11 +164,11 @@ def drive_with_care(
     """Drive along a road, slower where it bends, at bumps and before halts.
 
     Args:
-        road: The way.
-        from_m: Path length at the beginning.
-        across_m: Left of it.
-        cruise_m_per_s: Speed where nothing hinders.
-        seconds: How long.
+        road: The route.
+        from_m: Path length at the start.
+        across_m: Offset to its left, metres.
+        cruise_m_per_s: Speed where nothing slows it.
+        seconds: Duration.
         slow: (path length, speed) of places to pass slowly.
         halts: (path length, seconds) of places to wait at.
     """
@@ -209,7 +209,7 @@ def drive_along(
     backwards: bool,
     reversing: bool = False,
 ) -> Drive:
-    """Drive along a lane, against its road when `backwards`, tail first when `reversing`."""
+    """Drive along a lane, against its road when `backwards`, in reverse gear when `reversing`."""
     time, travelled = _travel(speed, seconds)
     along = from_m + (-travelled if backwards else travelled)
     x, y, heading = road.place(along, np.full_like(along, across_m))
@@ -227,7 +227,7 @@ def drive_across(
 
 
 def stand(road: Road, *, at_m: float, across_m: float, turned_rad: float = 0.0) -> Drive:
-    """Stay where one is: a parked car is a drive that goes nowhere."""
+    """Return the drive of a standing object, such as a parked car."""
     x, y, heading = road.place(np.full(2, at_m), np.full(2, across_m))
     return Drive(np.array([0.0, 1.0]), x, y, heading + turned_rad)
 

@@ -1,4 +1,4 @@
-"""Who is where at every time, so that nothing is driven through anything else."""
+"""Occupancy over time: keeps simulated objects from driving through each other."""
 
 from typing import Final
 
@@ -13,7 +13,7 @@ _ASIDE_M: Final = 0.15
 
 
 class Occupancy:
-    """Boxes over time; a newcomer is tried against all who are there."""
+    """Bounding boxes over time; each new object is tested against all present ones."""
 
     def __init__(self, seconds: float) -> None:
         self._time = np.arange(0.0, seconds, _STEP_S)
@@ -21,12 +21,12 @@ class Occupancy:
         self._sizes: list[tuple[float, float]] = []
 
     def add(self, drive: Drive, size_m: tuple[float, float, float]) -> None:
-        """Let somebody be there."""
+        """Add an object."""
         self._poses.append(drive.pose(self._time))
         self._sizes.append(size_m[:2])
 
     def is_free(self, drive: Drive, size_m: tuple[float, float, float]) -> bool:
-        """Whether boxes never come within a metre lengthwise, or a hand's breadth sideways."""
+        """Test that boxes stay a metre apart lengthwise and 0.15 m sideways."""
         if not self._poses:
             return True
         mine = drive.pose(self._time)
@@ -40,7 +40,7 @@ class Occupancy:
         )
 
     def take(self, drive: Drive, size_m: tuple[float, float, float]) -> bool:
-        """Add somebody if there is room; say whether there was."""
+        """Add an object if there is room; return whether there was."""
         if not self.is_free(drive, size_m):
             return False
         self.add(drive, size_m)

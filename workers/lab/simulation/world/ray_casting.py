@@ -1,9 +1,9 @@
-"""Where the beams of a spinning lidar end: what stands by one Embree scene, each mover by its own.
+"""Ray casting for a spinning lidar: one Embree scene of all static geometry, one per mover model.
 
-A sensor that turns sees every mover at another instant of its way. Instead of moving triangles,
-each beam is carried into the space of the mover as that is placed when the beam is fired, and
-cast there against a scene that was built once for all movers of that model: exact rolling
-shutter, and no tree of triangles is ever built anew.
+A spinning sensor sees each mover at a different instant. Instead of moving triangles, each beam is
+transformed into the space of the mover at the time of firing. There it is cast against a scene that
+was built once for all movers of that model. The rolling shutter is exact, and no acceleration
+structure is ever rebuilt.
 """
 
 from dataclasses import dataclass, field
@@ -28,13 +28,13 @@ GROUND_OWNER: Final = -2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hits:
-    """What each beam met, in the order of the beams.
+    """First hit of each beam, in the order of the beams.
 
     Attributes:
-        range_m: (N,) way to it; infinite where there is nothing.
+        range_m: (N,) range; infinite where nothing is hit.
         class_id: (N,) `StreetClass`, 0 nothing.
         material: (N,) `Material`.
-        owner: (N,) actor it belongs to, -1 the street or nothing, -2 the bare ground.
+        owner: (N,) actor of the hit, -1 the street or nothing, -2 the bare ground.
         facing: (N,) cosine between the beam and the surface's normal, 0 to 1.
     """
 
@@ -46,14 +46,14 @@ class Hits:
 
 
 class MeshScene:
-    """A mesh that can be met by beams."""
+    """A mesh to cast beams at."""
 
     def __init__(self, mesh: Mesh, owner: NDArray[np.int32] | None = None) -> None:
-        """Keep a mesh; its tree is built when the first beam is cast.
+        """Store a mesh; its Embree scene is built when the first beam is cast.
 
         Args:
-            mesh: Triangles, in the space the beams will be in.
-            owner: (T,) actor of each triangle; None where all belong to whoever casts.
+            mesh: Triangles, in the space of the beams.
+            owner: (T,) actor of each triangle; None where all belong to the caller's mover.
         """
         self.class_id = np.append(mesh.class_id, np.uint8(0))
         self.material = np.append(mesh.material, np.uint8(0))
@@ -69,8 +69,8 @@ class MeshScene:
         """Find the nearest triangle on each beam.
 
         Returns:
-            (N,) range, infinite where nothing is met within the limit; (N,) triangle, -1 none;
-            and (N,) cosine of incidence.
+            (N,) range, infinite where nothing is hit within the limit; (N,) triangle, -1 none; and
+            (N,) cosine of incidence.
         """
         if self._mesh is not None:
             self._build(self._mesh)
@@ -98,19 +98,19 @@ class MeshScene:
 
 @cache
 def phase_scenes(street_class: StreetClass, model: int) -> tuple[MeshScene, ...]:
-    """Give the scenes of a model, one for each phase of its stride."""
+    """Return the scenes of a model, one for each phase of its stride."""
     return tuple(MeshScene(mesh) for mesh in models_of(street_class)[model].phases)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Movers:
-    """What moves while the lidar turns once.
+    """Moving actors during one revolution of the lidar.
 
     Attributes:
         owner: (M,) index among the actors.
-        scenes: Of each mover.
+        scenes: Scene of each mover.
         start: (M, 6) world x, y, z, yaw, pitch, roll when the revolution begins.
-        end: (M, 6) the same when it ends; they go straight between.
+        end: (M, 6) the same when it ends; motion is linear between.
     """
 
     owner: NDArray[np.int32]
@@ -120,7 +120,7 @@ class Movers:
 
     @classmethod
     def none(cls) -> Self:
-        """Nothing moves."""
+        """Return an empty set of movers."""
         return cls(np.zeros(0, np.int32))
 
 
@@ -133,15 +133,15 @@ def cast(
     *,
     max_range_m: float,
 ) -> Hits:
-    """Find what every beam of a revolution meets first.
+    """Find the first hit of every beam of a revolution.
 
     Args:
-        standing: All that stands, in the world.
-        movers: All that moves.
-        origins_m: (C, 3) world place of the sensor as each column fires.
+        standing: All static geometry, in the world.
+        movers: All movers.
+        origins_m: (C, 3) world position of the sensor as each column fires.
         directions: (C, R, 3) world directions, unit.
         fraction: (C,) time of each firing within the revolution, 0 to 1.
-        max_range_m: Nothing is met beyond.
+        max_range_m: Largest range of a hit.
     """
     columns, rows = directions.shape[:2]
     base = origins_m[0]
@@ -218,9 +218,9 @@ def _into_movers(
     local_directions: Floats32,
     beam: NDArray[np.int64],
 ) -> None:
-    """Carry the beams that meet a mover's box into its space, as far as there is room.
+    """Transform the beams that hit a mover's box into its space, as far as there is room.
 
-    `first`, (M + 1,), becomes the place of the first beam of each mover, and their number.
+    `first`, (M + 1,), receives the index of the first beam of each mover, and their number.
     """
     at, room = 0, len(beam)
     columns, rows = directions.shape[0], directions.shape[1]
@@ -280,6 +280,6 @@ def _into_movers(
 
 
 def model_of(street_class: StreetClass, model: int) -> Model:
-    """Give one model."""
+    """Return one model of a class."""
     models = models_of(street_class)
     return models[model % len(models)]

@@ -1,4 +1,4 @@
-"""What the ground is where a beam meets it: carriageway, markings, or the land beside."""
+"""Road map: class and material of the ground at a hit: carriageway, markings, or terrain."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,14 +19,14 @@ _MARKING_HALF_M: Final = 0.08
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoadMap:
-    """How far each place is from the edge of the nearest carriageway, on a net.
+    """Distances of a grid of places to the edge and the middle of the nearest road.
 
     Attributes:
         west_m: World x of the first column.
         south_m: World y of the first row.
-        beyond_m: (X, Y) way to the edge, negative on the carriageway.
-        inner_m: (X, Y) way to the middle of the nearest road.
-        marks_m: Ways from the middle at which lines are painted.
+        beyond_m: (X, Y) distance to the edge, negative on the carriageway.
+        inner_m: (X, Y) distance to the middle of the nearest road.
+        marks_m: Distances of lane markings from the middle.
     """
 
     west_m: float
@@ -42,12 +42,12 @@ class RoadMap:
         bounds_m: tuple[float, float, float, float],
         marks_m: Sequence[float] = (),
     ) -> Self:
-        """Measure once.
+        """Compute the distances once.
 
         Args:
             roads: Each with half the width of its carriageway.
-            bounds_m: West, south, east and north of what is asked.
-            marks_m: Ways from the middle of a road at which lines are painted.
+            bounds_m: West, south, east and north of the grid.
+            marks_m: Distances of lane markings from the middle of a road.
         """
         west, south, east, north = bounds_m
         x, y = np.arange(west, east + _STEP_M, _STEP_M), np.arange(south, north + _STEP_M, _STEP_M)
@@ -62,7 +62,7 @@ class RoadMap:
         return cls(west, south, np.minimum(beyond, 8.0), np.minimum(inner, 99.0), tuple(marks_m))
 
     def ground_at(self, x_m: Floats, y_m: Floats) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-        """Give (N,) class and (N,) material of the ground at these places."""
+        """Return (N,) class and (N,) material of the ground at these places."""
         on_road = self._at(self.beyond_m, x_m, y_m) < 0.0
         class_id = np.where(on_road, StreetClass.ROAD, StreetClass.TERRAIN).astype(np.uint8)
         material = np.where(on_road, Material.ASPHALT, Material.GRASS).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""What stands along streets: fronts, pavements, fences, rails, trees, poles, signs, bumps."""
+"""Scenery along streets: façades, pavements, fences, guard rails, plants, poles, signs, bumps."""
 
 from typing import Final
 
@@ -8,7 +8,7 @@ from workers.lab.simulation.models.kinds import Material, StreetClass
 from workers.lab.simulation.models.meshes import Mesh, grid
 from workers.lab.simulation.models.plants import SORTS, bush, grass, tree
 from workers.lab.simulation.world.builder import Builder, Network
-from workers.lab.simulation.world.facades import barriers, fronts, gardens
+from workers.lab.simulation.world.facades import barriers, build_facades, gardens
 from workers.lab.simulation.world.furniture import furniture
 from workers.lab.simulation.world.terrain import BUMP_HALF_M, Terrain, bump_profile
 
@@ -18,12 +18,13 @@ KERB_HIGH_M: Final = 0.14
 def build_scenery(network: Network, *, green: float, rng: np.random.Generator) -> list[Mesh]:
     """Line all roads on both sides.
 
-    Porches and pillars face along the road: without them odometry would slide on smooth fronts.
+    Porches and pillars add surfaces that face along the road. Without them, odometry would slip
+    along smooth façades.
 
     Args:
         network: The roads.
-        green: How much more than usual grows there; 1 is usual.
-        rng: Of the street.
+        green: Factor of vegetation density; 1 is usual.
+        rng: Random generator of the street.
     """
     meshes: list[Mesh] = []
     for number, (_, place, from_m, to_m) in enumerate(network.roads):
@@ -32,7 +33,7 @@ def build_scenery(network: Network, *, green: float, rng: np.random.Generator) -
             if place.pavement_m > 0:
                 _pavement(build, from_m, to_m, side)
             if place.facade_m > 0:
-                fronts(build, from_m, to_m, side)
+                build_facades(build, from_m, to_m, side)
             if place.gardens:
                 gardens(build, from_m, to_m, side)
             if place.barriers:
@@ -44,7 +45,7 @@ def build_scenery(network: Network, *, green: float, rng: np.random.Generator) -
 
 
 def bump_meshes(terrain: Terrain) -> list[Mesh]:
-    """Make the speed bumps that the terrain knows."""
+    """Build the meshes of the terrain's speed bumps."""
     meshes = []
     along = np.linspace(-BUMP_HALF_M, BUMP_HALF_M, 9)
     for x, y, heading, half_width, high in terrain.bumps:
@@ -59,7 +60,7 @@ def bump_meshes(terrain: Terrain) -> list[Mesh]:
 
 
 def _pavement(build: Builder, from_m: float, to_m: float, side: int) -> None:
-    """Lay kerb and pavement, interrupted where other roads come in."""
+    """Build kerb and pavement, interrupted where other roads join."""
     place, step = build.place, 2.0
     along = np.arange(from_m, to_m, step)
     profile = np.array([(0.0, -0.05), (0.02, KERB_HIGH_M), (place.pavement_m, KERB_HIGH_M)])

@@ -1,4 +1,4 @@
-"""A street at every instant of a log: what stands, what moves, and the car that drives through."""
+"""Street at every instant of a log: static geometry, actors, and the ego vehicle."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ from workers.lab.simulation.models.kinds import Material, StreetClass
 from workers.lab.simulation.models.meshes import Mesh, grid
 from workers.lab.simulation.models.model import Model
 from workers.lab.simulation.models.models import models_of
-from workers.lab.simulation.world.attitude import ride, rotations, stand_on
+from workers.lab.simulation.world.attitude import place_on_terrain, ride, rotations
 from workers.lab.simulation.world.motion_along_road import TIME_STEP_S, Drive, Floats
 from workers.lab.simulation.world.ray_casting import (
     GROUND_OWNER,
@@ -32,14 +32,14 @@ _NET_M: Final = 4.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Actor:
-    """A thing that could move, whether it does or is parked.
+    """A movable object, moving or parked.
 
     Attributes:
-        street_class: What it is.
-        drive: Where it is at every time.
+        street_class: Its class.
+        drive: Its trajectory.
         parked: Never moves in this log.
-        model: Which of the models of its class.
-        reflectivity: Of its paint or clothes.
+        model: Index among the models of its class.
+        reflectivity: Reflectivity of its paint or clothes.
     """
 
     street_class: StreetClass
@@ -65,20 +65,20 @@ class Street:
 
     Attributes:
         seed: Seed of everything random in it, the sensor's noise included.
-        seconds: How long its log lasts.
+        seconds: Duration of its log.
         ego: The drive of the car that carries the lidar.
         actors: Everything movable; the index is the track id.
-        standing_scene: All that stands: the ground, the street itself, parked vehicles.
-        terrain: How high the ground is.
-        road_map: What the ground is; None where all of it is carriageway.
+        standing_scene: All static geometry: the ground, the street itself, parked vehicles.
+        terrain: Height of the ground.
+        road_map: Class and material of the ground; None where all of it is carriageway.
         weather: Dust and rain.
         standing: (A, 3) world x, y, yaw of every actor as the log begins.
         moving_index: (M,) the actors that are not parked.
         moving: (K, M, 3) their poses, every `TIME_STEP_S`.
-        travelled_m: (K, M) way each has gone.
+        travelled_m: (K, M) path length of each.
         ego_ride: (K, 6) x, y, z, yaw, pitch, roll of the ego's body, every `TIME_STEP_S`.
-        place: What kind of street, in a word.
-        hard: What makes it hard, if anything.
+        place: Name of its kind.
+        hard: Hardships of the street, if any.
     """
 
     seed: int
@@ -113,20 +113,20 @@ class Street:
         place: str = "",
         hard: tuple[str, ...] = (),
     ) -> Self:
-        """Put a street together from what stands and what moves.
+        """Assemble a street from static geometry and actors.
 
         Args:
             seed: Seed of all that is random in it.
-            seconds: How long its log lasts.
+            seconds: Duration of its log.
             ego: Drive of the car that carries the lidar.
             actors: Everything movable.
             fixed: Meshes of the street itself, in the world.
             even: Whether the ground is a plane where no terrain is given.
             terrain: The ground; only its small unevenness when None.
-            road_map: What the ground is.
+            road_map: Class and material of the ground.
             weather: Dust and rain; none when None.
-            place: What kind of street, in a word.
-            hard: What makes it hard.
+            place: Name of its kind.
+            hard: Hardships of the street.
         """
         if terrain is None:
             flat = Terrain.even()
@@ -156,7 +156,7 @@ class Street:
         )
 
     def actor_poses(self, time_s: float) -> Floats:
-        """Give (A, 3) world x, y, yaw of every actor; outside the log its ends hold."""
+        """Return (A, 3) world x, y, yaw of every actor, constant outside the log."""
         before, share = self._step(time_s)
         poses = self.standing.copy()
         poses[self.moving_index] = (
@@ -165,25 +165,25 @@ class Street:
         return poses
 
     def actor_bodies(self, time_s: float, of: NDArray[np.int64] | None = None) -> Floats:
-        """Give (A, 6) world x, y, ground below, yaw, pitch, roll of actors, of all when None."""
+        """Return (A, 6) world x, y, ground below, yaw, pitch, roll of actors, of all when None."""
         index = np.arange(len(self.actors)) if of is None else of
         poses = self.actor_poses(time_s)[index]
         tilts = np.array([self.actors[i].street_class not in _UPRIGHT for i in index], np.bool_)
-        return stand_on(poses, self.terrain, tilts=tilts)
+        return place_on_terrain(poses, self.terrain, tilts=tilts)
 
     def actor_velocities(self, time_s: float) -> Floats:
-        """Give (A, 2) world velocity of every actor, the mean over a tenth of a second."""
+        """Return (A, 2) world velocity of every actor, the mean over a tenth of a second."""
         early = max(time_s - 0.05, 0.0)
         late = early + 0.1
         return (self.actor_poses(late) - self.actor_poses(early))[:, :2] / 0.1
 
     def ego_bodies(self, time_s: Floats) -> Floats:
-        """Give (T, 6) x, y, z, yaw, pitch and roll of the ego's body at these times."""
+        """Return (T, 6) x, y, z, yaw, pitch and roll of the ego's body at these times."""
         at = np.arange(len(self.ego_ride)) * TIME_STEP_S
         return np.stack([np.interp(time_s, at, column) for column in self.ego_ride.T], axis=-1)
 
     def movers_during(self, start_s: float, end_s: float, *, within_m: float) -> Movers:
-        """Give what moves or may move near the ego, as it is cast at."""
+        """Return the unparked actors near the ego, for ray casting."""
         here = self.ego.pose(start_s)[:2]
         before, _ = self._step((start_s + end_s) / 2)
         places = self.moving[before, :, :2]
@@ -221,7 +221,7 @@ def _standing_scene(
     parked = [i for i, actor in enumerate(actors) if actor.parked]
     if parked:
         tilts = np.array([actors[i].street_class not in _UPRIGHT for i in parked], np.bool_)
-        bodies = stand_on(start[parked], terrain, tilts=tilts)
+        bodies = place_on_terrain(start[parked], terrain, tilts=tilts)
         turns = rotations(bodies[:, 3], bodies[:, 4], bodies[:, 5])
         for i, body, turn in zip(parked, bodies, turns, strict=True):
             mesh = actors[i].shape.phases[0]
@@ -232,7 +232,7 @@ def _standing_scene(
 
 
 def _ground(terrain: Terrain, ego: Drive) -> Mesh:
-    """Span the ground around the whole drive."""
+    """Build the ground mesh around the whole drive."""
     beyond = _PLANE_M if not len(terrain.slopes) else 180.0
     low_x, high_x = float(ego.x_m.min()) - beyond, float(ego.x_m.max()) + beyond
     low_y, high_y = float(ego.y_m.min()) - beyond, float(ego.y_m.max()) + beyond

@@ -1,4 +1,4 @@
-"""Builds a whole street from a seed: roads, ground, the ego's drive, scenery, traffic, weather."""
+"""Street builder: builds roads, ground, ego drive, scenery, traffic and weather from a seed."""
 
 from typing import Final
 
@@ -19,13 +19,13 @@ from workers.lab.simulation.world.traffic import Traffic
 from workers.lab.simulation.world.weather import Weather
 
 _BEYOND_M: Final = 130.0
-"""Street before and after the drive: farther than the lidar sees."""
+"""Length of street before and after the drive, metres: more than the lidar's range."""
 
 _ASIDE_M: Final = 85.0
-"""How far streets over the main one are built along."""
+"""Half length of crossing streets with scenery, metres."""
 
 _FAR_M: Final = 420.0
-"""How far lanes go on where traffic comes from, built along or not."""
+"""Length of lanes beyond the scenery, from which traffic comes, metres."""
 
 
 def build_street(
@@ -35,9 +35,9 @@ def build_street(
 
     Args:
         seed: Seed of everything in it.
-        seconds: How long the log lasts.
-        style: How the ego drives; None leaves it to the plan, or to the seed.
-        plan: What the street is like; a town without hardships when None.
+        seconds: Duration of the log.
+        style: Driving style of the ego; None leaves it to the plan, or to the seed.
+        plan: Plan of the street; a town without hardships when None.
     """
     plan = plan or StreetPlan()
     rng = np.random.default_rng([seed, 0x57EE7])
@@ -114,7 +114,7 @@ def build_street(
 def _crossings(
     main: Road, place: Place, way_m: float, rng: np.random.Generator
 ) -> list[tuple[float, Road, Place]]:
-    """Lay streets over the main one."""
+    """Build the streets that cross the main one."""
     if place.block_m == 0.0:
         return []
     at = float(rng.uniform(22.0, 45.0))

@@ -1,4 +1,4 @@
-"""Kinds of streets: how wide they are, what lines them, how fast one drives."""
+"""Street kinds: widths, roadside scenery and speeds of town, suburb, highway and country."""
 
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -8,24 +8,24 @@ PlaceName = Literal["town", "suburb", "highway", "country"]
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """What streets of one kind have in common; ways across are from the middle of the road.
+    """Properties of one kind of street; offsets are from the middle of the road, in metres.
 
     Attributes:
-        name: In a word.
+        name: Name of the kind.
         lanes_m: Lanes of one direction, the inner one first.
         kerb_m: Edge of the carriageway.
         pavement_m: Width of the pavement behind the kerb; 0 none.
-        facade_m: Nearest fronts of houses; 0 where there are none.
+        facade_m: Nearest façades; 0 where there are none.
         parking_m: Row of parked vehicles; 0 none.
-        cycle_m: Where cyclists ride; 0 nowhere.
-        block_m: Way between crossing streets; 0 none.
-        cruise_m_per_s: Least and greatest speed of who is not hindered.
-        marks_m: Where lines are painted.
-        gardens: Whether fences, walls and hedges stand before the houses.
-        barriers: Whether rails and walls stand beside and between the directions.
-        trees_per_100_m: On each side.
-        people_per_100_m: Who walk on pavements, on each side.
-        gap_m: Least and greatest way between vehicles of one lane.
+        cycle_m: Line of cyclists; 0 none.
+        block_m: Distance between crossing streets; 0 none.
+        cruise_m_per_s: Least and greatest speed of unhindered vehicles.
+        marks_m: Lane markings.
+        gardens: Whether fences, walls and hedges close off gardens before the houses.
+        barriers: Whether guard rails and walls line the road and separate its directions.
+        trees_per_100_m: Trees on each side.
+        people_per_100_m: Pedestrians on the pavement of each side.
+        gap_m: Least and greatest distance between vehicles of one lane.
     """
 
     name: PlaceName

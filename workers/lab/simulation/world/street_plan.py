@@ -1,4 +1,4 @@
-"""What a street is to be like: its place, how the ego drives, what makes it hard."""
+"""Street plan: kind of street, driving style of the ego, hardships."""
 
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -16,16 +16,16 @@ HARDSHIPS: Final[tuple[Hardship, ...]] = ("dense traffic", "vegetation", "turns"
 
 @dataclass(frozen=True, slots=True)
 class StreetPlan:
-    """What a street is to be like; all else is drawn from its seed.
+    """Plan of a street; everything else is drawn from its seed.
 
     Attributes:
         place: Kind of street.
-        style: How the ego drives; None lets the seed choose.
-        hard: What makes it hard, if anything.
+        style: Driving style of the ego; None lets the seed choose.
+        hard: Hardships of the street, if any.
         steep: Steepest grade.
-        rain_share: Beams answered by drops.
+        rain_share: Share of beams returned by drops.
         dust: Whether vehicles and wind raise dust.
-        unsettling: Whether much moves that is easily taken for standing.
+        unsettling: Whether it contains many movers that are easily mistaken for standing.
     """
 
     place: PlaceName = "town"
@@ -38,11 +38,11 @@ class StreetPlan:
 
 
 def draw_plan(rng: np.random.Generator, *, hard: bool) -> StreetPlan:
-    """Draw what a street of a fleet is like.
+    """Draw the plan of a street of a fleet.
 
     Args:
-        rng: Decides.
-        hard: Whether two of `HARDSHIPS` or more make it so.
+        rng: Random generator.
+        hard: Whether the street has two or more of `HARDSHIPS`.
     """
     places: list[PlaceName] = ["town", "suburb", "highway", "country"]
     place = places[int(rng.choice(4, p=[0.4, 0.25, 0.2, 0.15]))]

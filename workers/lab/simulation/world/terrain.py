@@ -1,4 +1,4 @@
-"""How high the ground is: slopes, unevenness, and bumps laid across roads."""
+"""Terrain height: slopes, small unevenness, and speed bumps."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -17,24 +17,24 @@ ROAD_WAVES: Final = np.array(
         (0.03, 0.17, -0.09, 5.1),
     ]
 )
-"""Height in metres, radians per metre along x and y, and phase of the waves any ground is made of.
+"""Waves of any ground: height in metres, radians per metre along x and y, and phase.
 
-On a perfect plane the rings on the road never change in sensor space, and odometry believes that
-it stands still.
+On a perfect plane, the rings on the road are constant in sensor space, and odometry estimates no
+motion.
 """
 
 BUMP_HALF_M: Final = 1.2
 _GRAZING: Final = 0.3
-"""Unevenness moves no hit by more than this share of its distance."""
+"""Largest displacement of a hit by unevenness, as a share of its range."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Terrain:
-    """Ground as a function of place.
+    """Ground height as a function of place.
 
     Attributes:
-        slopes: (W, 4) as `ROAD_WAVES`, long enough for a coarse net of triangles to follow.
-        waves: (W, 4) `ROAD_WAVES`, too short for the net; hits are moved to them.
+        slopes: (W, 4) as `ROAD_WAVES`, long enough for a coarse triangle mesh.
+        waves: (W, 4) `ROAD_WAVES`, too short for the mesh; hits are displaced instead.
         bumps: (B, 5) x, y, heading, half width across and height of each speed bump.
     """
 
@@ -44,15 +44,15 @@ class Terrain:
 
     @classmethod
     def even(cls) -> "Terrain":
-        """Make a plane at height 0."""
+        """Return a plane at height 0."""
         return cls(np.zeros((0, 4)), np.zeros((0, 4)), np.zeros((0, 5)))
 
     def slope_m(self, x_m: Places, y_m: Places) -> Floats:
-        """Give the height of the net of triangles: no unevenness, no bumps."""
+        """Return the height of the triangle mesh, without unevenness and bumps."""
         return _waves(self.slopes, x_m, y_m)
 
     def height_m(self, x_m: Places, y_m: Places, *, felt: float = 1.0) -> Floats:
-        """Give the height of the ground, of its unevenness so much as is `felt`."""
+        """Return the height of the ground, with the share `felt` of its unevenness."""
         height = self.slope_m(x_m, y_m) + felt * _waves(self.waves, x_m, y_m)
         for x, y, heading, half_width, high in self.bumps:
             dx, dy = np.asarray(x_m) - x, np.asarray(y_m) - y
@@ -63,12 +63,12 @@ class Terrain:
         return height
 
     def shift_m(self, x_m: Floats, y_m: Floats, sine: Floats, range_m: Floats) -> Floats:
-        """Say how much nearer a beam ends because the ground there rises above the net.
+        """Return the range by which a beam ends nearer, since the ground rises above the mesh.
 
         Args:
-            x_m: (N,) where the beam meets the net.
-            y_m: (N,) the same.
-            sine: (N,) of the elevation of the beam, negative.
+            x_m: (N,) hit of the beam on the mesh, world x.
+            y_m: (N,) the same, world y.
+            sine: (N,) sine of the elevation of the beam, negative.
             range_m: (N,) length of the beam.
         """
         rise = _waves(self.waves, x_m, y_m)
@@ -77,7 +77,7 @@ class Terrain:
 
 
 def bump_profile(along_m: Floats) -> Floats:
-    """Give the share of its height a bump has so far from its middle."""
+    """Return the height of a bump at a distance from its middle, as a share of its peak."""
     return 0.5 + 0.5 * np.cos(np.pi * np.clip(along_m / BUMP_HALF_M, -1.0, 1.0))
 
 

@@ -1,4 +1,4 @@
-"""Who is in a street: lanes with queues and turns, people, pets, parked cars."""
+"""Traffic of a street: lanes with queues and turns, pedestrians, pets, parked cars."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -26,21 +26,21 @@ from workers.lab.simulation.world.street import Actor
 from workers.lab.simulation.world.street_kinds import Place
 
 _SEEN_M: Final = 115.0
-"""Who never comes so near to the ego is left out."""
+"""Distance from the ego beyond which an actor is left out, metres."""
 
 
 @dataclass(slots=True, eq=False)
 class Traffic:
-    """Fills a street; each newcomer finds its room or is left out.
+    """Fills a street; each new actor is placed if there is room, or left out.
 
     Attributes:
-        main: The road the ego begins on.
+        main: The road the ego starts on.
         place: Its kind.
         crossings: Roads over it, with the path length of the main road where each crosses.
         ego: Drive of the ego.
-        seconds: How long.
-        dense: How much more than usual moves; 1 is usual.
-        rng: Of the street.
+        seconds: Duration.
+        dense: Factor of traffic density; 1 is usual.
+        rng: Random generator of the street.
     """
 
     main: Road
@@ -55,13 +55,13 @@ class Traffic:
     _ego_way: Floats = field(init=False)
 
     def __post_init__(self) -> None:
-        """Let the ego be there first."""
+        """Reserve the ego's space first."""
         self._taken = Occupancy(self.seconds)
         self._taken.add(self.ego, (4.6, 1.9, 1.5))
         self._ego_way = self.ego.pose(np.arange(0.0, self.seconds, 0.5))
 
     def park(self, from_m: float, to_m: float) -> None:
-        """Fill about half the places along the kerbs of the main road and the streets over it."""
+        """Fill about half the parking places along the main road and the crossing streets."""
         roads = [(self.main, self.place, from_m, to_m)]
         roads += [(road, place, -110.0, 110.0) for _, road, place in self.crossings]
         for number, (road, place, low, high) in enumerate(roads):
@@ -85,7 +85,7 @@ class Traffic:
                     self._offer(what, drive, model=model, parked=True)
 
     def move(self) -> None:
-        """Let all kinds of movers in, the rarer ones first."""
+        """Add all kinds of movers, the rarer ones first."""
         if self.place.parking_m > 0.0:
             self._reversing()
         for junction, road, place in self.crossings:
@@ -99,7 +99,7 @@ class Traffic:
         self._animals()
 
     def unsettle(self) -> None:
-        """Let in what is easily taken for standing: very long, very slow, or close to a wall."""
+        """Add movers that are easily mistaken for standing: very long, very slow, or by a wall."""
         rng, place = self.rng, self.place
         long_ones = ((StreetClass.BUS, "articulated bus"), (StreetClass.TRUCK, "road train"))
         for backwards in (True, False, True):
@@ -133,7 +133,7 @@ class Traffic:
             self._offer(StreetClass.PEDESTRIAN, drive)
 
     def offer_companion(self, drive: Drive) -> None:
-        """Let somebody drive as given, if there is room."""
+        """Add a vehicle with the given drive, if there is room."""
         self._offer(self._drawn(LANE_MIX[:2]), drive)
 
     def _steady(self, m_per_s: float) -> Knots:
@@ -174,7 +174,7 @@ class Traffic:
                 self._lane(road.lane(across, backwards=backwards), place, main=main)
 
     def _lane(self, lane: Road, place: Place, *, main: bool) -> None:
-        """Fill one lane; a red light holds its traffic up for a while."""
+        """Fill one lane; a red light stops its traffic for a while."""
         rng = self.rng
         cruise = float(rng.uniform(*place.cruise_m_per_s))
         stop_m, green_s = np.inf, 0.0
@@ -207,7 +207,7 @@ class Traffic:
             at -= max(gap * (1.0 if main else 1.6), 14.0)
 
     def _stop_line(self, lane: Road, *, main: bool) -> float:
-        """Path length before the junction nearest to the ego's way."""
+        """Return the path length of the stop line at the junction nearest to the ego's route."""
         ahead = self._ego_way[len(self._ego_way) // 2, :2]
         middles = [road.place(0.0, 0.0)[:2] for _, road, _ in self.crossings]
         x, y = min(middles, key=lambda m: float(np.hypot(m[0] - ahead[0], m[1] - ahead[1])))
@@ -215,7 +215,7 @@ class Traffic:
         return lane.nearest_m(float(x), float(y)) - width - 4.0
 
     def _window(self, lane: Road, cruise_m_per_s: float) -> tuple[float, float]:
-        """Path lengths between which whoever starts may come near the ego."""
+        """Return the range of start positions from which a vehicle may come near the ego."""
         near = [
             lane.nearest_m(x, y) for x, y, _ in self._ego_way[:: max(len(self._ego_way) // 4, 1)]
         ]
@@ -223,7 +223,7 @@ class Traffic:
         return low, min(max(near) + 100.0, float(lane.along_m[-1]))
 
     def _turning(self, road: Road, place: Place) -> None:
-        """Send vehicles from the main road into the crossing one and out of it."""
+        """Add vehicles that turn from the main road into the crossing one, or out of it."""
         rng = self.rng
         for _ in range(round(2 * self.dense)):
             leftwards, out = bool(rng.random() < 0.5), bool(rng.random() < 0.5)
@@ -275,7 +275,7 @@ class Traffic:
             self._offer(StreetClass.PEDESTRIAN, drive)
 
     def _reversing(self) -> None:
-        """Back out of a parking place, or out of a drive across the pavement."""
+        """Add cars that reverse out of a parking place, or of a driveway across the pavement."""
         rng, place = self.rng, self.place
         for along in self._stretches(140.0 / self.dense):
             late = float(rng.uniform(0.0, 0.5)) * self.seconds
@@ -327,7 +327,7 @@ class Traffic:
             self._offer(StreetClass.CYCLIST, drive)
 
     def _people(self) -> None:
-        """Let people walk, stand, run and push prams on pavements, and step between parked cars."""
+        """Add pedestrians who walk, stand, run, push prams, and step out between parked cars."""
         rng, place = self.rng, self.place
         if place.people_per_100_m == 0.0:
             return
@@ -366,7 +366,7 @@ class Traffic:
                 self._offer(StreetClass.ANIMAL, pet, model=int(rng.choice([0, 2])))
 
     def _animals(self) -> None:
-        """Let a deer, or a dog off its lead, run over the road where it is quiet."""
+        """Add a deer, or an unleashed dog, that runs over a quiet road."""
         rng = self.rng
         if self.place.barriers or rng.random() > 0.6:
             return
@@ -386,7 +386,7 @@ class Traffic:
             self._offer(StreetClass.ANIMAL, drive, model=1 if deer else 0)
 
     def _stretches(self, every_m: float) -> Iterator[float]:
-        """Give path lengths along the way of the ego, about so far apart."""
+        """Yield path lengths along the ego's route, about this far apart."""
         at = [self.main.nearest_m(x, y) for x, y, _ in self._ego_way[[0, -1]]]
         where, end = min(at) - 30.0, max(at) + 60.0
         while where < end:

@@ -1,4 +1,4 @@
-"""What hangs in the air of a street and answers a beam before anything solid does."""
+"""Weather returns: rain, dust and stray returns that end a beam in the air."""
 
 from dataclasses import dataclass, field
 from typing import Final
@@ -17,9 +17,9 @@ class Weather:
     """Rain and dust.
 
     Attributes:
-        rain_share: Beams that a drop answers.
+        rain_share: Share of beams returned by drops.
         puffs: (P, 6) x, y, z, radius in metres, first and last second of each cloud of dust.
-        stray_share: Beams that answer from anywhere: sunlight, crosstalk.
+        stray_share: Share of beams with a return at any range: sunlight, crosstalk.
     """
 
     rain_share: float = 0.0
@@ -36,18 +36,18 @@ class Weather:
         max_range_m: float,
         rng: np.random.Generator,
     ) -> tuple[NDArray[np.bool_], Floats32]:
-        """Say which beams end in the air.
+        """Find the beams that end in the air.
 
         Args:
-            range_m: (C * R,) where they would end; infinite where nowhere.
-            origins_m: (C, 3) world place of the sensor at each column.
+            range_m: (C * R,) ranges without weather; infinite where nothing is hit.
+            origins_m: (C, 3) world position of the sensor at each column.
             directions: (C, R, 3) unit, world.
             time_s: Seconds since the log began.
-            max_range_m: Nothing answers beyond.
-            rng: Of this frame.
+            max_range_m: Largest range of a return.
+            rng: Random generator of this frame.
 
         Returns:
-            (C * R,) which, and (C * R,) their ranges.
+            (C * R,) beams that end in the air, and (C * R,) their ranges.
         """
         ends = np.zeros(len(range_m), dtype=np.bool_)
         nearer = range_m.copy()
@@ -61,14 +61,14 @@ class Weather:
             nearer[ends] = far[ends]
         for x, y, z, radius, first, last in self.puffs:
             if first <= time_s < last:
-                self._puff(
+                self._dust_returns(
                     np.array([x, y, z]), radius * (0.5 + time_s - first), ends, nearer,
                     origins_m, directions, rng,
                 )  # fmt: skip
         return ends, nearer
 
     @staticmethod
-    def _puff(
+    def _dust_returns(
         centre_m: Floats,
         radius_m: float,
         ends: NDArray[np.bool_],
@@ -77,7 +77,7 @@ class Weather:
         directions: Floats,
         rng: np.random.Generator,
     ) -> None:
-        """Let a cloud answer some of the beams through it; it thins as it grows."""
+        """Let a dust cloud return some of the beams through it; it thins as it grows."""
         rows = directions.shape[1]
         to = centre_m - origins_m
         far = np.linalg.norm(to, axis=1)
