@@ -1,4 +1,4 @@
-"""The task `ground` without labels: what Patchwork++ finds in each frame."""
+"""The task `ground` without labels: the ground points of Patchwork++ in each frame."""
 
 from collections.abc import Iterable, Iterator
 from typing import ClassVar, Final
@@ -19,11 +19,11 @@ _GROUND: Final = GROUND.classes.index("ground")
 
 
 class GroundStream:
-    """Labels what lies on the ground, frame by frame, as the default motion stream sets it aside.
+    """Labels the ground points of each frame that the default motion stream removes.
 
-    Patchwork++ tells no probability: every answer is as sure as the next. What is nearer than the
-    roof of the car, or farther than 80 m, is unknown. `FrameLabels.ground_mask` stays None: ground
-    is what this task is about, so none of it may be left out as background.
+    Patchwork++ has no probability, so all labels have one confidence. Points nearer than the roof
+    of the car, or farther than 80 m, are unknown. `FrameLabels.ground_mask` stays None: this task
+    is about the ground, so none of it may be left out as background.
     """
 
     task: ClassVar[Task] = GROUND

@@ -1,4 +1,4 @@
-"""From what is known of clusters and voxels to one label, confidence and cluster per point."""
+"""Labelling: the evidence on clusters and voxels becomes one label and confidence per point."""
 
 from typing import Final
 
@@ -22,22 +22,23 @@ from workers.selfsupervised.point_labels import (
 from workers.selfsupervised.tracker import Tracked
 
 AGREED: Final = 0.95
-"""Registration and free space say the same: measured point precision .999 and .965 to .99."""
+"""Confidence where registration and free space agree: measured point precision .999 and .965 to
+.99."""
 
 ALONE: Final = 0.7
-"""Only one of them has an opinion, or the frames before have."""
+"""Confidence where one of them, or only the earlier frames, supports the label."""
 
 GROUND: Final = 0.9
-"""Ground does not move; nine in ten points called ground are."""
+"""Confidence of static ground; nine in ten points labelled ground are ground."""
 
 _CONFIDENCE: Final = np.array([0.0, ALONE, GROUND, AGREED], np.float16)
-"""In the order of `point_answers`: unsure, alone, ground, agreed."""
+"""Confidences in the order of `point_labels`: unsure, alone, ground, agreed."""
 
 
 def nothing_known(
     frame: LidarFrame, prepared: Prepared | None = None, *, health: FrameHealth
 ) -> FrameLabels:
-    """Answer UNKNOWN for everything; the ground is still the ground where it was found."""
+    """Label every point UNKNOWN; the ground mask is kept where the ground was found."""
     n = len(frame)
     ground = np.zeros(n, np.bool_)
     if prepared is not None:
@@ -65,9 +66,9 @@ def to_labels(
 ) -> FrameLabels:
     """Label every point of a frame.
 
-    DYNAMIC: its cluster moves, as the frames so far prove. STATIC: ground, or its cluster fits
-    where it was, or the frames that vote saw something there more often than not. UNKNOWN: no
-    witness, or a motion that is not proved; whatever is invalid, too near, too far or too high.
+    DYNAMIC: the frames so far confirm that its cluster moves. STATIC: it is ground, its cluster
+    fits its earlier place, or most voting frames saw its place occupied. UNKNOWN: no evidence, or
+    a motion that is not confirmed, and every point that is invalid, too near, too far or too high.
     """
     clusters, voxels = found.clusters, prepared.voxels
     of_voxel = clusters.of_point

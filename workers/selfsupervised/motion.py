@@ -24,14 +24,14 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClusterMotions:
-    """The clusters of a frame and what each of them does.
+    """The clusters of a frame and their motions.
 
     Attributes:
         clusters: Sets of voxels.
         registered: (K,) a motion was found and free space confirms it.
-        seen_through: (K,) free space alone says that it was not there before, or not after.
+        seen_through: (K,) free space alone shows that its place was free before or is free after.
         unconfirmed: (K,) a motion was found that free space does not confirm.
-        still: (K,) the cluster fits where it is half a second ago.
+        still: (K,) the cluster fits its present place half a second ago.
         velocity_m_per_s: (K, 3) over the ground, odom space, as registered, confirmed or not.
         extent_m: (K,) longest horizontal side.
     """
@@ -46,20 +46,20 @@ class ClusterMotions:
 
     @property
     def proved(self) -> Mask:
-        """(K,) clusters that at least one witness of this frame proves to move."""
+        """(K,) clusters that at least one kind of evidence in this frame shows to move."""
         return self.registered | self.seen_through
 
 
 def find_motions(
     points_m: Points, near: Reference, far: Reference, evidence: Evidence
 ) -> ClusterMotions:
-    """Find what moves among the voxels of a frame.
+    """Find the moving clusters among the voxels of a frame.
 
     Args:
         points_m: (V, 3) voxel centroids off the ground, odom space.
         near: The frame about 0.1 s ago.
         far: The frame about 0.5 s ago.
-        evidence: What free space says about the voxels.
+        evidence: Free-space evidence on the voxels.
     """
     clusters = find_clusters(points_m, evidence)
     fit = register(points_m, clusters, near, far)
@@ -88,7 +88,7 @@ def _joined(
     part_motions: Motions,
     certain: Mask,
 ) -> ClusterMotions:
-    """Take certain parts out of their clusters and put them beside them."""
+    """Remove certain parts from their clusters and append them as clusters of their own."""
     labels = clusters.of_point.copy()
     kept = np.flatnonzero(certain)
     for number, part in enumerate(kept.tolist()):
@@ -110,7 +110,7 @@ def _joined(
 
 
 def _without_strips(points_m: Points, found: ClusterMotions, evidence: Evidence) -> ClusterMotions:
-    """Nothing flat on the road moves."""
+    """Mark clusters that are flat and lie on the road as not moving."""
     strip = are_strips(
         points_m,
         found.clusters,

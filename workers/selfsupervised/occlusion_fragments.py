@@ -1,4 +1,4 @@
-"""Pieces of movers: what is half hidden falls apart into clusters too small to be judged alone."""
+"""Occlusion fragments: small pieces of half-hidden movers, merged with their movers."""
 
 from dataclasses import replace
 from typing import Final
@@ -16,10 +16,12 @@ from workers.selfsupervised.tracker import Tracked
 
 MAX_VOXELS: Final = 60
 MAX_EXTENT_M: Final = 3.0
-"""A piece is smaller than the thing: half a car."""
+"""Longest horizontal side of a fragment, metres: half a car."""
 
 REACH_M: Final = 0.9
-"""Half the width of a car: what separates its visible sides when the middle is hidden."""
+"""Largest gap between a fragment and its mover, metres.
+
+It is half the width of a car, which separates its visible sides when the middle is hidden."""
 
 MIN_NEAR_SHARE: Final = 0.5
 _STANDS_VOTES: Final = 2.0
@@ -36,18 +38,18 @@ def fragments_of_movers(
     *,
     centre_m: NDArray[np.floating],
 ) -> Tracked:
-    """Find the small clusters that nothing speaks against and that lie close beside a mover.
+    """Mark small clusters close to a mover as dynamic where no evidence contradicts it.
 
     Args:
         points_m: (V, 3) voxel centroids off the ground, odom space.
         found: Their clusters and motions.
-        tracked: Which of them move, and which are confirmed.
-        evidence: What free space says about the voxels.
+        tracked: Dynamic and confirmed clusters.
+        evidence: Free-space evidence on the voxels.
         centre_m: (3,) the sensor, odom space.
 
     Returns:
-        The same with those clusters: dynamic, and confirmed where most of what is close beside
-        belongs to something confirmed. A piece says nothing that its mover did not.
+        The same with those clusters as dynamic. They are also confirmed where most of their close
+        neighbours are: a fragment has no stronger evidence than its mover.
     """
     clusters, votes = found.clusters, evidence.votes
     size = np.maximum(clusters.sizes, 1)

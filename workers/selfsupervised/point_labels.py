@@ -1,4 +1,4 @@
-"""One label for every voxel and every point, in a single pass over each."""
+"""Point labels: one label for every voxel and every point, in a single pass over each."""
 
 from typing import Final, NamedTuple
 
@@ -10,7 +10,7 @@ from schemas.labels import MotionLabel
 from workers.points.compiled import compiled
 
 UNSURE, ALONE, GROUND, AGREED = 0, 1, 2, 3
-"""How sure a label is: of nothing, one witness, ground removal, two witnesses."""
+"""Sureness of a label, by its evidence: none, one kind, ground removal, two kinds."""
 
 _UNKNOWN: Final = int(MotionLabel.UNKNOWN)
 _STATIC: Final = int(MotionLabel.STATIC)
@@ -18,13 +18,13 @@ _DYNAMIC: Final = int(MotionLabel.DYNAMIC)
 
 
 class Answers(NamedTuple):
-    """What is said of N points.
+    """Labels of N points.
 
     Attributes:
         labels: (N,) codes of `MotionLabel`.
         sureness: (N,) UNSURE, ALONE, GROUND or AGREED.
         cluster: (N,) int32, -1 for none.
-        confirmed: (N,) moves, and that was proved more than once.
+        confirmed: (N,) the point moves, and more than one frame confirms it.
         ground: (N,) ground that does not belong to a mover.
     """
 
@@ -49,13 +49,13 @@ def answer_voxels(
     Args:
         of_voxel: (V,) cluster of each, -1 for none.
         moves: (K,) clusters that move.
-        both: (K,) those that registration and free space both prove to move.
-        stands: (K,) clusters that fit where they were, and that nothing proves to move.
-        doubted: (K,) clusters of which a motion was found, proved or not.
-        was_there: (V,) more frames saw something there than saw through.
+        both: (K,) clusters whose motion registration and free space both show.
+        stands: (K,) clusters that fit their earlier place and have no evidence of motion.
+        doubted: (K,) clusters with a motion, confirmed or not.
+        was_there: (V,) voxels that more frames saw occupied than free.
 
     Returns:
-        (V,) labels and (V,) how sure they are.
+        (V,) labels and (V,) their sureness.
     """
     labels = np.full(len(of_voxel), _UNKNOWN, np.uint8)
     sureness = np.zeros(len(of_voxel), np.uint8)
@@ -85,10 +85,10 @@ def answer_ground(
     """Label the ground: static, or part of the mover that it touches.
 
     Args:
-        answers: Of all N points, filled in.
-        valid_index: (M,) which of them are valid.
-        ground: (M,) which of those lie on the ground.
-        in_range: (M,) ground that is near enough to be judged, and far enough.
+        answers: Labels of all N points, filled in.
+        valid_index: (M,) indices of the valid points.
+        ground: (M,) valid points on the ground.
+        in_range: (M,) ground within the range that is labelled.
         touching: (M,) ground that touches a mover.
         touching_confirmed: (M,) ground that touches a confirmed one.
     """
@@ -115,12 +115,12 @@ def spread(
     of_voxel: NDArray[np.int32],
     confirmed: Mask,
 ) -> None:
-    """Copy the answer of each voxel to its points.
+    """Copy the label of each voxel to its points.
 
     Args:
-        answers: Of all N points, filled in.
-        point_index: (J,) which of them lie in voxels.
-        of_point: (J,) in which voxel.
+        answers: Labels of all N points, filled in.
+        point_index: (J,) indices of the points in voxels.
+        of_point: (J,) voxel of each of them.
         labels: (V,) of the voxels.
         sureness: (V,) of those labels.
         of_voxel: (V,) cluster of each voxel.
@@ -136,7 +136,7 @@ def spread(
 
 
 def nothing_said(n: int) -> Answers:
-    """Answers for N points that say nothing yet."""
+    """Return UNKNOWN labels for N points."""
     return Answers(
         labels=np.full(n, _UNKNOWN, np.uint8),
         sureness=np.zeros(n, np.uint8),

@@ -1,4 +1,4 @@
-"""Whether a frame follows the one before it: later frames are asked only as far as poses go on."""
+"""Pose continuity: later frames vote only while consecutive poses fit each other."""
 
 from collections import deque
 from typing import Final
@@ -12,23 +12,23 @@ from workers.selfsupervised.pose_consistency import FitMonitor
 from workers.selfsupervised.registration import reference_to
 
 LONGEST_S: Final = 0.45
-"""Between two frames; after longer gaps too little of a street is still in sight to compare."""
+"""Longest gap between two frames, seconds; after it too little of a street is still in view."""
 
 
 class Following:
-    """Compares each frame with the one before it, as it comes."""
+    """Compares each arriving frame with the one before it."""
 
     def __init__(self) -> None:
         self._fit = FitMonitor()
         self._before: deque[PastFrame] = deque(maxlen=2)
 
     def follows(self, frame: PastFrame, points_m: Points, *, anew: bool) -> bool:
-        """Say whether a frame fits the one before it, so that both may be asked of one place.
+        """Return True if a frame fits the one before it, so that both can vote on one place.
 
         Args:
             frame: The frame.
             points_m: (V, 3) its voxel centroids off the ground, odom space.
-            anew: Whether it is not compared with any before it.
+            anew: The frame begins a stretch and is compared with none before it.
         """
         if anew:
             self._before.clear()
@@ -47,14 +47,14 @@ def fits(
     *,
     expected_m: NDArray[np.floating] | None = None,
 ) -> bool:
-    """Say whether a frame fits one before it, as far as frames of this log usually do.
+    """Return True if a frame fits an earlier one as well as frames of this log usually do.
 
     Args:
-        monitor: Knows what is usual, and learns of it.
+        monitor: Learned usual fit, updated.
         frame: The frame.
         points_m: (V, 3) its voxel centroids off the ground, odom space.
         last: The frame before it, in any space.
-        expected_m: (3,) where the sensor would be had it gone on as it went; None if unknown.
+        expected_m: (3,) place of the sensor at constant velocity; None if unknown.
     """
     age_s = (frame.stamp_ns - last.stamp_ns) / NS_PER_S
     if age_s > LONGEST_S:

@@ -1,4 +1,4 @@
-"""Specks of movers: single voxels that no cluster took, beside something that moves."""
+"""Single voxels of movers: voxels outside every cluster, next to something that moves."""
 
 from dataclasses import replace
 
@@ -24,16 +24,16 @@ def specks_of_movers(
     *,
     centre_m: NDArray[np.floating],
 ) -> ClusterMotions:
-    """Give voxels of no cluster to the mover that they lie beside.
+    """Assign voxels outside every cluster to the mover next to them.
 
-    As near as points of one body are, if nothing stood there; as near as pieces of one thing may
-    be, where earlier frames saw through.
+    The largest gap is that between points of one body if nothing was there before. It is that
+    between fragments of one object where earlier frames saw through.
 
     Args:
         points_m: (V, 3) voxel centroids off the ground, odom space.
         found: Their clusters and motions.
-        moves: (K,) which of the clusters move.
-        votes: What free space says about the voxels.
+        moves: (K,) clusters that move.
+        votes: Free-space votes on the voxels.
         centre_m: (3,) the sensor, odom space.
 
     Returns:

@@ -1,4 +1,4 @@
-"""One pass of the default self-supervised stream over the frames of a shard: all its state."""
+"""State of the default self-supervised stream in one pass over the frames of a shard."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -36,14 +36,15 @@ from workers.selfsupervised.tracker import Tracker
 
 _NEAR_AGES_S: Final = (0.04, 0.45)
 _FAR_AGES_S: Final = (0.38, 0.75)
-"""From 0.38 s on: at 5 Hz the closest is 0.4 s old."""
+"""Ages of the far reference, seconds; at 5 Hz the closest is 0.4 s old."""
 
 
 class Run:
     """State of one pass over the frames of a shard.
 
-    Within a second of the clock everything is said in the space of its first frame: voxels are then
-    the same wherever a log was cut, if poses are. To what is below, that is odom space.
+    Within one second of the clock all poses and places are in the space of its first frame. Voxels
+    are then the same wherever a log was cut, if the poses are. The modules called from here receive
+    that space as odom space.
     """
 
     def __init__(self, *, looks_ahead: bool = False) -> None:
@@ -60,7 +61,7 @@ class Run:
         self._said_in = self._space
 
     def prepare(self, posed: PosedFrame) -> Waiting:
-        """Turn a frame into what can be compared, as soon as it is there."""
+        """Preprocess an arriving frame for comparison."""
         frame = posed.frame
         last_ns = None if self._last is None else self._last.frame.stamp_ns
         anew = last_ns is not None and not 0 < frame.stamp_ns - last_ns <= MAX_GAP_NS
@@ -91,11 +92,11 @@ class Run:
         return Waiting(frame, ready, anew=anew, apart=self._apart)
 
     def label(self, waiting: Waiting, later: Sequence[PastFrame]) -> FrameLabels:
-        """Label a frame, asking those before it, and those after it that it waited for.
+        """Label a frame, given earlier frames and the later ones that it waited for.
 
-        A frame that does not fit is left out. One that fits the frame left out right before it says
-        that poses went on from another place: it is the first of what follows (of the one before it
-        the sweep was bent by the jump).
+        A frame that does not fit is left out. If the next frame fits the one left out, the poses
+        continued from another place. That next frame is then the first of a new stretch, since the
+        jump distorted the sweep of the frame before it.
         """
         if waiting.anew:
             self._begin_anew()
@@ -118,14 +119,14 @@ class Run:
         return answer
 
     def _say_in(self, space: Transform) -> None:
-        """Say what is remembered in another space, (4, 4) odom from it."""
+        """Express the remembered frames in another space, given (4, 4) odom from it."""
         if space is not self._said_in:
             self._history.say_in(space)
             self._tracker.move(inverse(space) @ self._said_in)
             self._said_in = space
 
     def _begin_anew(self) -> None:
-        """Forget the frames so far: what comes cannot be compared with them."""
+        """Forget the frames so far, which cannot be compared with later ones."""
         self._history.clear()
         self._tracker.clear()
         self._refused = None
@@ -194,12 +195,12 @@ class Run:
         return replace(labels, health=FrameHealth(seen_share=seen_share))
 
     def _velocity(self, posed: PosedFrame) -> Twist | None:
-        """Twist of the sensor per second; None where two poses in a row cannot be believed.
+        """Return the twist of the sensor per second; None without two consecutive reliable poses.
 
-        A jump of one pose would be undone within the next sweep as well, and bend its cloud.
+        A jump of one pose would also be compensated within the next sweep, and distort its cloud.
         """
         last = self._last
-        # who looks ahead judges frames later, but knows at once whether one follows another
+        # with a lookahead frames are labelled later, but continuity is known when they arrive
         doubted = self._apart if self._following is not None else self._refused is not None
         healthy = posed.odometry is OdometryState.HEALTHY
         if last is None or doubted or not healthy or last.odometry is not OdometryState.HEALTHY:

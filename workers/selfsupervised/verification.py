@@ -1,4 +1,4 @@
-"""Which clusters move: a registered motion counts only if free space confirms it."""
+"""Motion verification: a registered motion counts only if free space confirms it."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -20,16 +20,16 @@ MIN_FREE_SHARE: Final = 0.25
 _MAX_FREE_EXTENT_M: Final = 20.0
 
 FLAT_M: Final = 0.25
-"""What one beam sees of a thing, which may be all that there is of it."""
+"""Height that one beam sees of an object, metres; a lower cluster may be all of it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motions:
-    """What is known of the motion of K clusters.
+    """Verified motions of K clusters.
 
     Attributes:
         registered: (K,) registration found a motion and free space confirms it.
-        seen_through: (K,) free space alone says that it was not there before, or not after.
+        seen_through: (K,) free space alone shows that its place was free before or is free after.
         unconfirmed: (K,) registration found a motion that free space does not confirm.
         velocity_m_per_s: (K, 3) over the ground, odom space; zero where none was found.
     """
@@ -41,7 +41,7 @@ class Motions:
 
     @property
     def dynamic(self) -> Mask:
-        """(K,) clusters that at least one witness proves to move."""
+        """(K,) clusters that at least one kind of evidence shows to move."""
         return self.registered | self.seen_through
 
 
@@ -61,7 +61,7 @@ def judge(
         points_m: (N, 3) voxel centroids, odom space.
         clusters: Sets of them.
         fit: Their registration.
-        evidence: What free space says about the voxels.
+        evidence: Free-space evidence on the voxels.
         near_age_s: Age of the near reference.
         far_age_s: Age of the far reference.
     """
@@ -102,7 +102,7 @@ def _left_free(
     shift: NDArray[np.float32],
     evidence: Evidence,
 ) -> NDArray[np.int64]:
-    """(K,) points whose earlier place the frame itself sees through: what has left is gone."""
+    """Count (K,) points whose earlier place the frame itself sees through, now that they left."""
     of_member = np.repeat(np.arange(len(clusters)), clusters.sizes)
     asked = candidate[of_member]
     members, owner = clusters.members[asked], of_member[asked]
@@ -116,9 +116,9 @@ def _left_free(
 
 
 def _seen_through(points_m: Points, clusters: Clusters, fit: Registered, votes: Votes) -> Mask:
-    """Clusters that were not there before, or not after, by free space alone.
+    """Return the clusters whose place was free before or is free after, by free space alone.
 
-    A flat thing may have been there, between two beams that are far apart.
+    A flat object may have been there unseen, between two beams that are far apart.
     """
     size = clusters.sizes
     seen_through = np.where(

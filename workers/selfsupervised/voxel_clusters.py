@@ -1,4 +1,4 @@
-"""Which voxels belong together: clusters, and the parts of them that were not there before."""
+"""Voxel clusters by connected components, and the parts of them that are new."""
 
 from typing import Final
 
@@ -12,7 +12,7 @@ from workers.selfsupervised.evidence import Evidence
 from workers.selfsupervised.registration import Reference, Registered
 
 REACH_M: Final = 0.5
-"""Between beams of 0.3 degrees up to 80 m away; .4 to .7 give the same answers."""
+"""Largest gap within a cluster, metres: beams of 0.3 degrees up to 80 m; .4 to .7 give the same."""
 
 CLOSE_REACH_M: Final = 0.3
 SPLIT_REACH_M: Final = 0.4
@@ -28,7 +28,7 @@ _NEW_M: Final = 0.2
 
 @step("clusters")
 def find_clusters(points_m: Points, evidence: Evidence) -> Clusters:
-    """Cluster the voxels; clusters in which movers and others seem to be mixed, more closely."""
+    """Cluster the voxels, with a smaller gap where a cluster seems to mix movers and others."""
     clusters = connected(points_m, reach_m=REACH_M, min_points=MIN_VOXELS)
     free, known = clusters.count(evidence.seen_through), clusters.count(evidence.votes.known)
     mixed = (free >= _MIXED_FREE) & (free < _MIXED_SHARE * known)
@@ -60,7 +60,7 @@ def find_parts(
 ) -> Clusters:
     """Find parts of undecided clusters that were not there half a second ago.
 
-    A cyclist beside a parked car is one cluster with it, which stands still as a whole.
+    A cyclist next to a parked car forms one cluster with it, which is static as a whole.
     """
     whole = ~decided & (clusters.sizes >= _SPLIT_VOXELS) & (fit.extent_m > _SPLIT_EXTENT_M)
     asked = np.flatnonzero(clusters.member_mask(whole))

@@ -1,4 +1,4 @@
-"""The third witness: what was seen through a second before, or is a second after, is not static."""
+"""The third witness: a place seen through within a second before or after is not static."""
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
@@ -20,20 +20,20 @@ from workers.witness.pose_doubt import Doubt
 
 REACH_S: Final = 1.0
 AGES_S: Final = (1.0, 0.8, 0.6, 0.4, 0.2)
-"""Farthest first. A frame in between says what its neighbours say."""
+"""Ages of the voting frames, seconds, farthest first; frames in between agree with these."""
 
 _TOLERANCE_NS: Final = NS_PER_S // 16
 """Half a revolution at 10 Hz and its jitter."""
 
 MAX_FRAMES: Final = 64
-"""Kept at most, however fast the sensor: two seconds at 30 Hz."""
+"""Frames kept at most, at any sensor rate: two seconds at 30 Hz."""
 
 
 class TwoSidedFreeSpace:
-    """Free space a second before and after: the future included, which no live stream has seen.
+    """Free space from a second before to a second after, a future that no live stream has seen.
 
-    Frames are held back until those a second later were seen, or until the shard ends: what lies
-    beyond it is not seen. Nothing is known across a gap, a lost pose or a jump of it.
+    Frames are held back until those a second later have arrived, or until the shard ends; later
+    frames are unknown. No frame votes across a gap, a lost pose or a pose jump.
     """
 
     @property
@@ -42,7 +42,7 @@ class TwoSidedFreeSpace:
         return f"free-space@{syntax_digest('workers.witness')[:12]}"
 
     def __call__(self, frames: Iterable[LabelledFrame]) -> Iterator[LabelledFrame]:
-        """Yield each frame with what the witness says of it, in order, a second later."""
+        """Yield each frame with the witness's labels, in order, a second later."""
         look, doubt = Sights(), Doubt()
         past: deque[Sight] = deque(maxlen=MAX_FRAMES)
         waiting: deque[tuple[LabelledFrame, Sight]] = deque()
@@ -73,17 +73,17 @@ def _next(past: deque[Sight], waiting: deque[tuple[LabelledFrame, Sight]]) -> La
 def testify(
     labelled: LabelledFrame, sight: Sight, *, before: Iterable[Sight], after: Iterable[Sight]
 ) -> FrameLabels:
-    """Label the points of a frame by what other frames saw at their places.
+    """Label the points of a frame by the votes of other frames on their places.
 
     Args:
         labelled: The frame.
-        sight: What it saw.
+        sight: Its own observation.
         before: Earlier ones.
         after: Later ones.
 
     Returns:
-        DYNAMIC, STATIC or UNKNOWN for every point, and how sure: the share of the frames asked
-        that have an opinion.
+        DYNAMIC, STATIC or UNKNOWN for every point; the confidence is the share of the frames asked
+        that vote on it.
     """
     n = len(labelled.posed.frame)
     labels = np.full(n, MotionLabel.UNKNOWN, np.uint8)
@@ -115,7 +115,7 @@ def _sums(opinions: Sequence[Opinions]) -> tuple[NDArray[np.int16], NDArray[np.i
 
 
 def _ask(sight: Sight, places_m: Points, others: Iterable[Sight]) -> list[NDArray[np.int8]]:
-    """Answers of the frames of one side about the places of a frame, farthest first."""
+    """Return the visibility of a frame's places from the frames of one side, farthest first."""
     able = {
         abs(other.stamp_ns - sight.stamp_ns): other.view
         for other in others
@@ -137,7 +137,7 @@ FINDING_REACH_M: Final = 0.6
 MIN_FINDING: Final = 5
 MIN_THING_SHARE: Final = 0.3
 FLAT_M: Final = 0.3
-"""What is flatter is a strip of road, which goes with the car, or a kerb."""
+"""Height below which a finding is a strip of road, which moves with the car, or a kerb, metres."""
 
 
 def _heights_m(places_m: Points, clusters: Clusters) -> NDArray[np.float32]:
@@ -149,7 +149,7 @@ def _heights_m(places_m: Points, clusters: Clusters) -> NDArray[np.float32]:
 
 
 def _moving(places_m: NDArray[np.float32], seen_through: Mask, known: Mask) -> Mask:
-    """Places of things that move: enough of them seen through, together, and most of the thing."""
+    """Return the places of objects with enough connected free places, as a share of the object."""
     found = connected(places_m, reach_m=FINDING_REACH_M, min_points=MIN_FINDING, among=seen_through)
     moves = found.member_mask(_heights_m(places_m, found) >= FLAT_M)
     things = connected(places_m, reach_m=THING_REACH_M, min_points=MIN_FINDING)

@@ -1,4 +1,4 @@
-"""What one frame saw, as other frames ask it, and which of its places are asked about."""
+"""Observation: the range image of a frame for votes, and its places to be voted on."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -21,16 +21,20 @@ from workers.witness.pose_repair import PoseCheck
 from workers.witness.recorded_motion import MotionCheck, Verdict
 
 MAX_RANGE_M: Final = 80.0
-"""Beyond it neighbouring beams are 0.6 m apart or more, and a car is a handful of points."""
+"""Range up to which places are labelled, metres.
+
+Beyond it neighbouring beams are 0.6 m apart or more, and a car is a handful of points."""
 
 MAX_HEIGHT_M: Final = 3.0
-"""Over the sensor: the highest lorry ends below it wherever the sensor is on a car's roof."""
+"""Height over the sensor up to which places are labelled, metres: above every lorry, for a sensor
+on the roof of a car."""
 
 PLACE_M: Final = 0.2
-"""Finer than the margins of free space (0.4 m), so that a place stands for its points."""
+"""Voxel size, metres; finer than the margins of free space (0.4 m), so a place represents its
+points."""
 
 MAX_GAP_NS: Final = NS_PER_S // 2
-"""After a longer silence poses do not hang together."""
+"""Longest gap between frames of one stretch, nanoseconds."""
 
 _FARTHEST: Final = np.float32(1000.0)
 _FEWEST_RETURNS: Final = 100
@@ -40,13 +44,13 @@ _FASTEST_M_PER_S: Final = 70.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """What a frame saw, and what is asked about in it.
+    """The range image of a frame and its places to be labelled.
 
     Attributes:
         image: (R, C) its range image.
         table: The beams of that image.
-        beams_from_odom: (4, 4) where the beams met.
-        judged_index: (J,) which points of the frame are asked about: off the ground, in reach.
+        beams_from_odom: (4, 4) inverse pose of the origin of the beams.
+        judged_index: (J,) indices of the points to label: off the ground, within range.
         places: Their voxels, odom space.
     """
 
@@ -59,14 +63,14 @@ class View:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sight:
-    """One frame as the witness keeps it.
+    """One frame in the witness's memory.
 
     Attributes:
         stamp_ns: Its time.
-        stretch: Number of the stretch of frames whose poses hang together; others are not asked.
-        view: What it saw; None where nothing can be asked of it.
-        problem: Why its pose is doubted; empty where it is not.
-        remark: Why what the car recorded of its motion is not believed; empty where it is.
+        stretch: Number of its stretch of consistent poses; only frames of one stretch vote.
+        view: Its range image and places; None where it cannot vote.
+        problem: Reason to doubt its pose; empty where there is none.
+        remark: Reason not to believe the recorded motion; empty where it is believed.
     """
 
     stamp_ns: int
@@ -77,7 +81,7 @@ class Sight:
 
 
 class Sights:
-    """Turns the frames of a shard into sights; knows the beams, the last pose and the stretch."""
+    """Builds the observations of a shard; keeps the beams, the last pose and the stretch."""
 
     def __init__(self) -> None:
         self._beams = BeamLearner()
@@ -88,11 +92,11 @@ class Sights:
         self._stretch = 0
 
     def __call__(self, labelled: LabelledFrame) -> Sight:
-        """Turn one frame into what others ask of it."""
+        """Return the observation of one frame."""
         velocity, told = self._follow(labelled.posed)
         sight = self._look(labelled, velocity)
         if told.problem and not sight.problem:
-            # nothing says where the frame belongs: what comes hangs together with none before it
+            # the frame has no known place: later frames are consistent with none before it
             self._begin_anew()
             sight = replace(sight, stretch=self._stretch, problem=told.problem)
         return replace(sight, remark=told.remark) if told.remark else sight
@@ -135,10 +139,10 @@ class Sights:
         return Sight(frame.stamp_ns, self._stretch, view, fit.problem)
 
     def _follow(self, posed: PosedFrame) -> tuple[Twist | None, Verdict]:
-        """Begin a new stretch where poses do not hang together; else say how the sensor moves.
+        """Begin a new stretch where poses are not consistent, else estimate the sensor's motion.
 
         Returns:
-            Its twist per second, None if unknown, and how that fits what the car recorded.
+            Its twist per second, None if unknown, and the comparison with the recorded motion.
         """
         last, self._last = self._last, posed
         if last is None:
@@ -165,7 +169,7 @@ def _ground(labelled: LabelledFrame, index: NDArray[np.int64]) -> Mask:
 
 
 def _moving(labelled: LabelledFrame, index: NDArray[np.int64], places: Voxels) -> Mask:
-    """(V,) places in which either stream calls a point dynamic."""
+    """Return (V,) places in which either stream labels a point dynamic."""
     dynamic = labelled.semantic.labels[index] == MotionLabel.DYNAMIC
     dynamic |= labelled.predictive.labels[index] == MotionLabel.DYNAMIC
     moving = np.zeros(len(places.centroids_m), np.bool_)

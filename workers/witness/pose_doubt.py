@@ -1,4 +1,4 @@
-"""For how long a pose that slipped spoils what the streams say: as long as they remember."""
+"""Pose doubt: labels made with a wrong pose are doubted for as long as streams remember it."""
 
 from dataclasses import replace
 from typing import Final
@@ -9,7 +9,8 @@ from schemas.frame import OdometryState
 from workers.witness.observation import Sight
 
 REMEMBERED_NS: Final = NS_PER_S
-"""A stream that compares a frame with those of the last second goes on to use the wrong pose."""
+"""Time for which a wrong pose has effects: streams compare a frame with those of the last second.
+"""
 
 
 class Doubt:
@@ -20,7 +21,7 @@ class Doubt:
         self._problem = ""
 
     def of(self, labelled: LabelledFrame, sight: Sight) -> LabelledFrame:
-        """Say what may be thought of the pose of a frame, now that it was registered again."""
+        """Return the frame, its pose marked as degraded where a second registration differs."""
         if sight.problem:
             self._since_ns, self._problem = sight.stamp_ns, sight.problem
         if sight.remark:
