@@ -1,4 +1,4 @@
-"""Whether a pose may be believed: what a car cannot do, and structure that does not fit."""
+"""Health of odometry: tests a pose against the motion of a car and against static structure."""
 
 import math
 from collections import deque
@@ -15,7 +15,8 @@ MAX_SPEED_M_PER_S: Final = 70.0
 MAX_TURN_RAD_PER_S: Final = 2.0
 
 MAX_TURN_CHANGE_RAD_PER_S2: Final = 5.0
-"""The pitch of a speed bump: 20 degrees per second within a frame or two."""
+"""Largest change of the turn rate, rad/s²: the pitch of a speed bump, 20 degrees per second within
+one or two frames."""
 
 
 LOST_JUMP_M: Final = 1.0
@@ -25,20 +26,22 @@ RESIDUAL_JUMP: Final = 2.0
 
 STANDS_M: Final = 0.25
 FEWEST_STAND: Final = 100
-"""Among cars that drive along most of what is near goes with them. Where a quarter of so many key
-points lies so near, that quarter stands: at poses that were wrong it was 0.5 m off and more."""
+"""Distance within which the nearest quarter of the key points is static, and the points needed.
+
+Among cars of the same speed most nearby structure moves with the sensor. Where a quarter of so many
+key points is so near, that quarter is static: at wrong poses it was 0.5 m off and more."""
 
 _REMEMBERED: Final = 10
 
 
 @dataclass(frozen=True, slots=True)
 class Residual:
-    """How far key points off the road lie from the frame before; NaN where there are none.
+    """Distances of key points off the road to the frame before; NaN without key points.
 
     Attributes:
-        median_m: Of half of them.
-        quarter_m: Of the nearest quarter.
-        points: How many they are.
+        median_m: Median distance.
+        quarter_m: Distance of the nearest quarter.
+        points: Number of key points.
     """
 
     median_m: float = math.nan
@@ -47,7 +50,7 @@ class Residual:
 
     @classmethod
     def of(cls, distances_m: NDArray[np.floating]) -> "Residual":
-        """Sum up distances (N,)."""
+        """Summarise distances (N,)."""
         if len(distances_m) == 0:
             return cls()
         quarter_m = float(np.quantile(distances_m, 0.25))
@@ -55,19 +58,19 @@ class Residual:
 
     @property
     def fits_nowhere(self) -> bool:
-        """Whether most is elsewhere, and no quarter of it stands either."""
+        """True if most points are elsewhere, and the nearest quarter is not static either."""
         stands = self.points >= FEWEST_STAND and self.quarter_m < STANDS_M
         return self.median_m > LOST_RESIDUAL_M and not stands
 
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """What is thought of one pose.
+    """Health of one pose.
 
     Attributes:
-        state: Whether it may be trusted.
-        reason: Why not; empty when it may.
-        jumped: Whether it went where no car goes.
+        state: The state of the odometry.
+        reason: Reason for a state other than healthy; empty otherwise.
+        jumped: The pose moved as no car can.
     """
 
     state: OdometryState = OdometryState.HEALTHY
@@ -83,18 +86,18 @@ class HealthMonitor:
         self._residuals_m: deque[float] = deque(maxlen=_REMEMBERED)
 
     def remember(self, velocity: NDArray[np.float64], residual_m: float) -> None:
-        """Take in a motion that is gone on from, and its residual."""
+        """Add an accepted motion and its residual."""
         self._velocity = velocity
         if np.isfinite(residual_m):
             self._residuals_m.append(residual_m)
 
     def judge(self, velocity: NDArray[np.float64], dt_s: float, residual: Residual) -> Judgement:
-        """Judge the motion that a registration found.
+        """Judge a registered motion.
 
         Args:
             velocity: (6,) twist per second since the last registered frame.
             dt_s: Time between the two.
-            residual: Of its key points.
+            residual: Residual of its key points.
         """
         residual_m = residual.median_m
         lost, degraded = OdometryState.LOST, OdometryState.DEGRADED
@@ -114,7 +117,7 @@ class HealthMonitor:
         return Judgement()
 
     def _wild(self, velocity: NDArray[np.float64], dt_s: float) -> Judgement:
-        """What no car does, if it is that: too fast, too sharp a turn, or a jump."""
+        """Judge a motion against the limits of a car: too fast, too sharp a turn, or a jump."""
         speed, turn = float(np.linalg.norm(velocity[3:])), float(np.linalg.norm(velocity[:3]))
         lost, degraded = OdometryState.LOST, OdometryState.DEGRADED
         if speed > MAX_SPEED_M_PER_S:

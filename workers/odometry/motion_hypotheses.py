@@ -1,4 +1,4 @@
-"""How the sensor moves, where a few frames allow several motions: tried, doubted, asked again."""
+"""Motion hypotheses: sensor velocities that a few frames allow, tested against each other."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -15,39 +15,44 @@ from workers.odometry.velocity_initialisation import contradicted_share, likely_
 from workers.points.se3 import inverse
 
 BEGINNING_S: Final = 0.35
-"""So much is looked at before it is said how the sensor moves: five frames at 10 Hz."""
+"""Time before the first decision between hypotheses, seconds: five frames at 10 Hz."""
 
 FEWEST_HELD: Final = 3
 _ANOTHER_M: Final = 0.5
-"""Poses that differ by less are the same registration, or lead to it."""
+"""Largest difference of two poses, metres, at which they are, or lead to, the same registration."""
 
 _BETTER: Final = 0.95
-"""What free space must contradict less, at most. On simulated motorways on which the odometry began
-by standing still it was .58 to .87."""
+"""Ratio of contradicted shares below which a hypothesis is better.
+
+On simulated motorways where the odometry began without motion the ratio was .58 to .87."""
 
 _ALIKE: Final = 1.25
-"""What free space contradicts no more than by this factor may be the truth as well: on a motorway
-full of cars that drive along standing still was contradicted .12, the true speed .14, and a second
-later .11 and .09."""
+"""Ratio of contradicted shares up to which a hypothesis may also be true.
+
+On a motorway full of cars of the same speed, no motion was contradicted .12 and the true speed .14;
+a second later it was .11 and .09."""
 
 _AGAIN_S: Final = 1.0
 
 _LOOKS: Final = 5
-"""So often; what is not clear by then, as among cars that drive along all around, is believed."""
+"""Tests of a stretch at most. A motion that is unclear by then is accepted, as among cars of the
+same speed all around."""
 
 _CONFIRMED: Final = 2
-"""Looks that must bear out a motion that was not believed before. On one motorway a single look
-said that the car stands, contradicted .12 for .16, the ones before and after that it drives."""
+"""Tests that must confirm a hypothesis that replaced another.
+
+On one motorway a single test found no motion, contradicted .12 against .16, while the tests before
+and after it found that the car drives."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Likeliest:
-    """How the sensor moves, as far as a few frames tell.
+    """The most likely motion of the sensor, given a few frames.
 
     Attributes:
-        run: The run that goes on from there.
-        posed: The frames as it poses them.
-        alike: What else may be, in words; empty where it is clear.
+        run: The pass that continues with this motion.
+        posed: The frames with its poses.
+        alike: Another possible motion, in words; empty where there is none.
     """
 
     run: Run
@@ -56,12 +61,12 @@ class Likeliest:
 
 
 def likeliest(run: Run, posed: list[PosedFrame], begin: Callable[[Twist], Run]) -> Likeliest:
-    """Try every motion that two frames allow beside the one that is believed.
+    """Choose among the current motion and every other motion that two frames allow.
 
     Args:
-        run: The run that posed the frames.
-        posed: Frames in a row.
-        begin: Begins another run before the first of them, with a motion per second.
+        run: The pass that posed the frames.
+        posed: Consecutive frames.
+        begin: Begins another pass before the first of them, with a twist per second.
     """
     frames = [each.frame for each in posed]
     dt_s, first_m, gone_m = span_s(frames[:2]), moved_m(posed[:2]), moved_m(posed)
@@ -89,15 +94,15 @@ def likeliest(run: Run, posed: list[PosedFrame], begin: Callable[[Twist], Run]) 
 
 
 class Unsure:
-    """A stretch of which it is not clear yet how the sensor moves: it is looked at each second."""
+    """A stretch whose sensor motion is ambiguous; its hypotheses are tested again each second."""
 
     def __init__(self, found: Likeliest, *, looks: int = _LOOKS, owed: int = 0) -> None:
-        """Begin after its first frames.
+        """Begin after the first frames of the stretch.
 
         Args:
-            found: How the sensor seems to move, and what else may be.
-            looks: How often it is looked at again.
-            owed: Of these, how many must bear it out even where nothing else fits.
+            found: The most likely motion, and the other possible one.
+            looks: Number of tests left.
+            owed: Tests that must confirm it even without another possible motion.
         """
         self._posed = list(found.posed)
         self._looks = looks
@@ -106,14 +111,15 @@ class Unsure:
         self._alike = found.alike
 
     def look_again(self, run: Run, now: PosedFrame) -> tuple[Run, PosedFrame, "Unsure | None"]:
-        """Doubt a pose, or once a second say how the sensor moves.
+        """Mark a pose as degraded, or once a second test the hypotheses again.
 
         Args:
-            run: That posed it.
+            run: The pass that posed the frame.
             now: The frame.
 
         Returns:
-            The run that goes on, the frame as it is posed, and whether that is still not clear.
+            The pass that continues, the frame with its pose, and the state of the test; None once
+            the motion is clear.
         """
         self._posed.append(now)
         since_s = (now.frame.stamp_ns - self._asked_ns) / NS_PER_S
@@ -144,14 +150,14 @@ class Unsure:
 
 
 def doubted(posed: PosedFrame, alike: str) -> PosedFrame:
-    """The same pose, doubted where nothing worse is known of it."""
+    """Mark a healthy pose as degraded; other states are kept."""
     if posed.odometry is not OdometryState.HEALTHY:
         return posed
     return replace(posed, odometry=OdometryState.DEGRADED, reason=alike)
 
 
 def span_s(frames: Sequence[LidarFrame]) -> float:
-    """Seconds from the first frame to the last."""
+    """Return the time from the first frame to the last, seconds."""
     return (frames[-1].stamp_ns - frames[0].stamp_ns) / NS_PER_S
 
 
@@ -160,7 +166,7 @@ def _speed(posed: Sequence[PosedFrame]) -> float:
 
 
 def moved_m(posed: Sequence[PosedFrame]) -> NDArray[np.float64]:
-    """(3,) where the sensor is in the last frame, in its space of the first."""
+    """Return (3,) the place of the sensor in the last frame, in its space of the first."""
     moved: NDArray[np.float64] = (inverse(posed[0].odom_from_sensor) @ posed[-1].odom_from_sensor)[
         :3, 3
     ]

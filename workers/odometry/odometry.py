@@ -1,4 +1,4 @@
-"""Where the sensor was at each frame, and whether that may be believed: KISS-ICP under guard."""
+"""Lidar odometry with KISS-ICP: a pose per frame, and its health."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
@@ -18,28 +18,30 @@ from workers.part_version import version_of
 
 _MOST_HELD: Final = 10
 _ASTRAY_S: Final = 0.5
-"""So long no car can go or turn as it is said to, or nothing fits: what each frame starts from is
-wrong by then, and each map begins with it again. On one street that lasted for eighteen seconds."""
+"""Time of impossible motion, or of no fit, after which a stretch ends, seconds.
+
+By then the prediction of each frame is wrong, and each new map begins with it. On one street such a
+state lasted for eighteen seconds."""
 
 _NOTHING_FITS_M: Final = 0.95 * RESIDUAL_REACH_M
-"""Most of what stands is farther from where it was than is looked for."""
+"""Residual at which most static points are beyond the search radius, metres."""
 
 
 class KissOdometry:
-    """KISS-ICP (`kiss_map.py`) on maps that begin by the clock (`time_anchored_maps.py`).
+    """KISS-ICP (`kiss_map.py`) on time-anchored maps (`time_anchored_maps.py`).
 
-    No frame is ever refused: one that cannot be registered gets the predicted pose and says so.
+    No frame is ever refused: one that cannot be registered gets the predicted pose and a state.
 
     The first frames of a stretch are held back for a third of a second. KISS-ICP starts from no
-    motion, and between rails and noise walls 2 m a frame fit as well without moving: every speed
-    that the first two frames allow is tried beside it, and the one kept that free space contradicts
-    least. Where another one is contradicted hardly more, poses are doubted, and both are looked at
-    again each second, until one is clearly better, five times at most. What was not believed before
-    is doubted until two more looks bear it out.
+    motion, and between rails and noise walls a step of 2 m per frame fits as well as none. All
+    speeds that the first two frames allow are therefore compared, and free space selects the one
+    it contradicts least. Where another one is contradicted hardly more, poses are degraded. Both
+    are compared again each second until one is clearly better, five times at most. A motion that
+    replaces another is degraded until two more tests confirm it.
 
-    State starts anew after a gap of more than 0.5 s, after time that does not rise, when a
-    registration fails, and after half a second of poses that no car can take, or at which nothing
-    fits: the pose then goes on from the last one, so what lies between is unknown.
+    The state is reset after a gap of more than 0.5 s, after time that does not rise, and when a
+    registration fails. It is also reset after half a second of poses that no car can take, or at
+    which nothing fits. The pose then continues from the last one; the motion between is unknown.
     """
 
     @property
@@ -48,7 +50,7 @@ class KissOdometry:
         return version_of("kiss-icp")
 
     def __call__(self, frames: Iterable[LidarFrame]) -> Iterator[PosedFrame]:
-        """Yield each frame with its pose, the first ones once it is known how they move."""
+        """Yield each frame with its pose, the first ones once their motion is decided."""
         run, held, begun = Run(), list[LidarFrame](), False
         unsure: Unsure | None = None
         astray = _Astray()
@@ -76,13 +78,13 @@ class KissOdometry:
 
 
 class _Astray:
-    """Since when poses go where no car goes, or where nothing fits."""
+    """Start of the present run of impossible or unfitting poses."""
 
     def __init__(self) -> None:
         self._since_ns: int | None = None
 
     def too_long(self, now: PosedFrame) -> bool:
-        """Take in a frame, say whether to begin anew, and then count from the next one."""
+        """Add a frame; return True when the run of bad poses is too long, and forget it."""
         stamp_ns = now.frame.stamp_ns
         wild = now.jumped or now.static_residual_m >= _NOTHING_FITS_M
         if now.odometry is not OdometryState.LOST or not wild:
@@ -96,7 +98,7 @@ class _Astray:
 
 
 def _begin(before: Run, held: Sequence[LidarFrame]) -> tuple[Run, list[PosedFrame], Unsure | None]:
-    """Register the first frames of a stretch; from no motion, unless another start is better."""
+    """Register the first frames of a stretch, from no motion unless another start is better."""
     run = before.anew()
     posed = [run.pose(frame) for frame in held]
     if len(held) < FEWEST_HELD:
@@ -108,5 +110,5 @@ def _begin(before: Run, held: Sequence[LidarFrame]) -> tuple[Run, list[PosedFram
 
 
 def _follows(last_ns: int | None, frame: LidarFrame) -> bool:
-    """Whether a frame is near enough in time to the one before it, if there is any."""
+    """Return True if a frame is close enough in time to the one before it, or the first."""
     return last_ns is None or 0.0 < (frame.stamp_ns - last_ns) / NS_PER_S <= MAX_GAP_S

@@ -1,4 +1,4 @@
-"""One pass of KISS-ICP over a stretch of frames: each with its pose, and what is thought of it."""
+"""One pass of KISS-ICP over a stretch of frames: a pose, its residual and its health per frame."""
 
 from typing import Final
 
@@ -17,29 +17,29 @@ from workers.points.neighbours import PointGrid, build_grid, nearest_distances
 from workers.points.se3 import inverse, transform
 
 MAX_GAP_S: Final = 0.5
-"""After a longer silence the constant velocity that ICP starts from means nothing."""
+"""Longest gap between frames, seconds; after it the constant velocity of ICP is no prediction."""
 
 MIN_RANGE_M: Final = 2.5
 
 RESIDUAL_REACH_M: Final = 1.0
 
 _SOUND: Final = 5
-"""Frames in a row after which a pose that goes astray is the exception: in the first ones of a
-stretch each step corrects the one before."""
+"""Consecutive good frames after which a bad pose is an exception; in the first frames of a stretch
+each step corrects the one before."""
 
 
 class Run:
     """State of one pass over a stretch of frames."""
 
     def __init__(self, pose: Transform | None = None, velocity: Twist | None = None) -> None:
-        """Begin at a pose, with a motion per second; None where that is not known."""
+        """Begin at a pose, with a twist per second; None where unknown."""
         self.stamp_ns: int | None = None
         self._pose: Transform = np.eye(4) if pose is None else pose
         self._restarted = ""
         self._begin(velocity)
 
     def _begin(self, velocity: Twist | None) -> None:
-        """Forget the map and the motion, keep the pose."""
+        """Forget the map and the motion, and keep the pose."""
         self._maps = MapsByClock(self._pose, velocity)
         self._velocity: Twist | None = None
         self._registered_ns: int | None = None
@@ -48,11 +48,11 @@ class Run:
         self._sound = 0
 
     def anew(self, velocity: Twist | None = None, *, why: str = "") -> "Run":
-        """Begin after this one, where it ended.
+        """Begin another pass at the last pose of this one.
 
         Args:
-            velocity: How the sensor moves at first, per second; stands still when None.
-            why: What came between, of which nothing is known; empty where nothing did.
+            velocity: Twist of the sensor at first, per second; zero when None.
+            why: Reason for the break between the two; empty where there is none.
         """
         run = Run(self._pose, velocity)
         run.stamp_ns = self.stamp_ns
@@ -100,9 +100,9 @@ class Run:
         )
 
     def _refuses(self, judged: Judgement, residual: Residual, stamp_ns: int) -> bool:
-        """Whether a registration went where no car goes and fits nothing, after sound ones.
+        """Return True if a registration is impossible for a car and fits nothing, after good ones.
 
-        Laid into the map, it would bend what comes after. Half a second of them is no mishap.
+        Added to the map, it would distort later poses. Half a second of them is no exception.
         """
         wild = judged.jumped and judged.state is OdometryState.LOST
         wrong = wild and residual.median_m > LOST_RESIDUAL_M and self._sound >= _SOUND
@@ -110,7 +110,7 @@ class Run:
         return wrong and since is not None and (stamp_ns - since) / NS_PER_S <= MAX_GAP_S
 
     def _unregistered(self, frame: LidarFrame, pose: Transform, problem: str) -> PosedFrame:
-        """Answer with a predicted pose; believe in prediction for half a second."""
+        """Return the frame with a predicted pose, which is accepted for half a second."""
         since = self._registered_ns
         blind_s = np.inf if since is None else (frame.stamp_ns - since) / NS_PER_S
         state = OdometryState.DEGRADED
@@ -123,7 +123,7 @@ class Run:
         return PosedFrame(frame, pose.copy(), state, reason=problem)
 
     def _residual(self, keypoints: NDArray[np.float64], pose: Transform) -> Residual:
-        """Distances of this frame's key points to the frame before, metres, at most a metre."""
+        """Measure distances of this frame's key points to the frame before, metres, at most 1."""
         if self._previous is None:
             return Residual()
         placed = transform(pose, structure(keypoints))
@@ -132,7 +132,7 @@ class Run:
 
 @compiled
 def usable(points: Points, valid: Mask) -> Points:
-    """Returns between the nearest and the farthest range that is registered, (M, 3)."""
+    """Select returns between the nearest and the farthest registered range, (M, 3)."""
     rows = np.empty(points.shape, np.float32)
     count = 0
     for i in range(len(points)):
@@ -146,7 +146,7 @@ def usable(points: Points, valid: Mask) -> Points:
 
 @compiled
 def structure(points: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Points off the road and near: rings on the road move with the car."""
+    """Select points off the road within 40 m: rings on the road move with the car."""
     rows = np.empty(points.shape, points.dtype)
     count = 0
     for i in range(len(points)):
