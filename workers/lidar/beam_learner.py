@@ -1,4 +1,4 @@
-"""Beam learning: the beams of a sensor from its first frames, updated where later ones show more."""
+"""Beam learning: a sensor's beams from its first frames, and again where later ones show more."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -111,7 +111,7 @@ def _asked(of: Prepared, other: Prepared, table: BeamTable) -> NDArray[np.int8]:
 
 
 def _near(places_m: Points, seen: Prepared) -> Points:
-    """Select places near a frame, in the space of its beams: their voxels do not depend on poses."""
+    """Select places near a frame, in the space of its beams, so voxels do not depend on poses."""
     about = transform(seen.beams_from_odom, places_m.astype(np.float64)).astype(np.float32)
     return about[about[:, 0] ** 2 + about[:, 1] ** 2 < NEAR_M**2]
 

@@ -1,8 +1,8 @@
-"""Compiles the loops of the stages in a process of its own: the compiler's memory goes with it.
+"""JIT warm-up: compiles the loops of the stages in a child process, with the compiler's memory.
 
-What the compiler leaves behind in a process is half as much again as the stream needs. A child
-compiles, on a small street, and leaves the loops in numba's cache on disk; whoever labels loads
-them from there.
+The compiler leaves half as much memory again in a process as the stream needs. A child therefore
+compiles on a small street and leaves the loops in numba's cache on disk, from which workers load
+them.
 """
 
 import fcntl
@@ -30,18 +30,21 @@ from workers.sources import source_digest
 log = structlog.get_logger(__name__)
 
 _CHILD_S: Final = 3600.0
-"""Fifteen to thirty seconds on a quiet core, ten minutes were seen on one shared by fourteen."""
+"""Time limit of the child, seconds.
+
+It takes fifteen to thirty seconds on a quiet core; ten minutes were measured on one shared by
+fourteen."""
 
 
 def compile_apart() -> None:
-    """See to it that the loops of the default stream are compiled, once for a machine.
+    """Compile the loops of the default stream in a child process, once per machine.
 
     Of several processes that begin at once, one compiles and the others wait for it. Where the
-    cache cannot be written, or the child fails, that is said, and this process compiles by itself.
+    cache cannot be written, or the child fails, a warning is logged and this process compiles.
     """
     folder = cache_folder(within)
     if folder is None:
-        return  # said where the loops were made
+        return  # logged where the loops were made
     marker = Path(folder) / _marker()
     if marker.exists():
         return
@@ -60,10 +63,10 @@ def compile_apart() -> None:
 
 
 def rehearse() -> None:
-    """Mine a small street by the default parts, so that every loop is called.
+    """Mine a small street with the default parts, so that every loop is called.
 
-    Networks take no part: their loops are called beside. What the supervised stream says stands in
-    for it, so that something contradicts.
+    Networks take no part; their loops are called separately. The supervised stream is replaced by
+    one that labels every point dynamic, so that there are contradictions.
     """
     from workers.contradiction.instances import find_instances
     from workers.contradiction.track_score import rank_tracks
@@ -92,7 +95,7 @@ def _all_moves(posed: PosedFrame, predictive: FrameLabels) -> LabelledFrame:
 
 
 def _marker() -> str:
-    """Name all that compiled code hangs on: sources, compiler, processor."""
+    """Name everything that compiled code depends on: sources, compiler, processor."""
     from numba.core.registry import cpu_target
 
     processor = repr(cpu_target.target_context.codegen().magic_tuple())
@@ -111,7 +114,7 @@ def _in_child() -> None:
 
 @contextmanager
 def _alone(path: Path) -> Iterator[None]:
-    """Hold a lock between processes; it ends with its holder, however that ends."""
+    """Keep a lock between processes; it ends with its process, however that ends."""
     with path.open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         yield

@@ -1,4 +1,4 @@
-"""Calls the loops that stages share, once: so the compiler need not stay in a worker."""
+"""Warm-up calls of the loops that stages share, so that the compiler need not stay in a worker."""
 
 import numpy as np
 
@@ -24,8 +24,8 @@ _PROFILE = SensorProfile(name="rehearsal", rows=16, columns=64, fov_up_deg=10, f
 def call_loops(frame: LidarFrame) -> None:
     """Call the loops over range images, static structure, instances and overlays with a frame.
 
-    Arrays that may not be written to, as those of a frame, and such that may are two types to the
-    compiler: each loop is called with what its stage gives it.
+    Read-only arrays, as those of a frame, and writable ones are two types to the compiler: each
+    loop is called with the types of its stage.
     """
     image = project(frame.points_m, _PROFILE, valid_mask=frame.valid_mask)
     seen = frame.points_m[image.index[image.index >= 0]]

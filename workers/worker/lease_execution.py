@@ -1,4 +1,4 @@
-"""One attempt at a lease: plan a log, or mine a shard; publish, and commit."""
+"""Lease execution: one attempt to plan a log or mine a shard, to publish and to commit."""
 
 import time
 from contextlib import closing
@@ -24,12 +24,12 @@ Lease = PlanLease | MineLease
 
 @dataclass(frozen=True, slots=True)
 class Attempts:
-    """What every attempt of one worker needs.
+    """Services that every attempt of one worker needs.
 
     Attributes:
-        publisher: Where records are published.
-        leases: The service.
-        metrics: Where is counted.
+        publisher: Publisher of the records.
+        leases: Requests to the service.
+        metrics: Counters of the worker.
     """
 
     publisher: zenoh.ext.AdvancedPublisher
@@ -40,12 +40,12 @@ class Attempts:
         """Plan a recording.
 
         Raises:
-            StillGrowingError: If it is not whole yet, and was listed only a moment ago.
+            StillGrowingError: If it is incomplete, and was listed only a moment ago.
             BucketUnreachableError: If the bucket does not answer.
-            BucketRefusedError: If it says no.
-            ObjectChangedError: If a part is no longer what was listed.
-            LeaseLostError: If another was faster.
-            StoppedError: If told to stop, and nobody took the commit in time.
+            BucketRefusedError: If the bucket refuses.
+            ObjectChangedError: If a part is no longer the listed one.
+            LeaseLostError: If another worker was faster.
+            StoppedError: If the worker was stopped, and the commit was not accepted in time.
         """
         began_s = time.monotonic()
         truncated: list[TruncatedPart] = []
@@ -72,11 +72,11 @@ class Attempts:
 
         Raises:
             BucketUnreachableError: If the bucket does not answer.
-            BucketRefusedError: If it says no.
+            BucketRefusedError: If the bucket refuses.
             StoreTroubleError: If overlays cannot be written.
-            ObjectChangedError: If an object is no longer the one that was planned.
-            LeaseLostError: If the lease is another's.
-            StoppedError: If told to stop, and it was not done in time.
+            ObjectChangedError: If an object is no longer the planned one.
+            LeaseLostError: If the lease belongs to another worker.
+            StoppedError: If the worker was stopped, and mining did not end in time.
             PermanentError: If the shard can never be mined.
         """
         began_s = time.monotonic()
@@ -131,7 +131,7 @@ class Attempts:
     def _commit(
         self, request: CommitRequest, records: dict[str, bytes], keeper: LeaseKeeper
     ) -> None:
-        """Repeat the commit, with what is missing, until the service has everything on disk."""
+        """Repeat the commit, with the missing records, until the service has everything on disk."""
         while True:
             answer = self.leases.commit(request, stop=keeper.drained)
             if answer.ok:

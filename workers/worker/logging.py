@@ -1,6 +1,6 @@
-"""What a worker's log says of finished work: a line for each plan and shard, never one per frame.
+"""Logging of finished work: a line for each plan and shard, never one per frame.
 
-Which log and which shard it was stands in the fields that are bound while a lease is worked on.
+The log id and the shard are fields bound while a lease is worked on.
 """
 
 from collections.abc import Iterable
@@ -16,11 +16,12 @@ from workers.mine import Account
 log = structlog.get_logger(__name__)
 
 DEGRADED_WORTH_SAYING: Final = 0.1
-"""Of a shard's frames: single degraded poses, at a kerb or a bump, are everyday."""
+"""Share of degraded frames in a shard from which they are logged; single degraded poses, at a kerb
+or a bump, are normal."""
 
 
 def tell_truncated(parts: Iterable[TruncatedPart]) -> None:
-    """Say of every object that was never closed how far it is used."""
+    """Log every truncated object, and how far it is used."""
     for part in parts:
         log.warning(
             "truncated object: used as far as it goes",
@@ -31,13 +32,13 @@ def tell_truncated(parts: Iterable[TruncatedPart]) -> None:
 
 
 def tell_unread_labels(topics: Iterable[str]) -> None:
-    """Say on which topics a log holds labels of the model on the car that nobody judges."""
+    """Log the topics with recorded labels of the model on the car that no stream reads."""
     for topic in topics:
         log.info("this log holds recorded labels; judge them by --supervised recorded", topic=topic)
 
 
 def tell_planned(plan: LogPlan, *, seconds: float) -> None:
-    """Say what a log holds, or why it cannot be mined."""
+    """Log the shards of a plan, or why the log cannot be mined."""
     if plan.refused:
         log.warning("log refused", problem=plan.refused)
         return
@@ -46,7 +47,7 @@ def tell_planned(plan: LogPlan, *, seconds: float) -> None:
 
 
 def tell_mined(account: Account, *, seconds: float) -> None:
-    """Say what a shard took, and what was wrong with it."""
+    """Log the time of a shard, and its faults."""
     log.info("shard mined", scenes=account.scenes, frames=account.frames, seconds=round(seconds, 2))
     _tell_damage(account.damage)
     lost = account.odometry[OdometryState.LOST]

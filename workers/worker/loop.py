@@ -1,8 +1,8 @@
 """The worker's loop: claim, read, mine, publish, commit; killed at any point, nothing is lost.
 
-A worker keeps no state. Records go out on the bus as they are mined, overlays to the artifacts, and
-then a commit names them all; the service answers it once everything is on disk. What was done
-without that answer will be done again, byte for byte the same.
+A worker keeps no state. It publishes records on the bus and writes overlays to the artifacts during
+mining. A commit then names them all, and the service answers it once everything is on disk. Work
+without that answer is repeated, with the same bytes.
 """
 
 import sys
@@ -41,12 +41,13 @@ log = structlog.get_logger(__name__)
 
 FAIL_PATIENCE_S: Final = 20.0
 LAST_PATIENCE_S: Final = 3.0
-"""How long to try to say that a lease failed, and how long when told to stop; after that it
-expires, which says the same."""
+"""Time to report a failed lease, seconds, in normal operation and after a stop; the lease then
+expires, with the same effect."""
 
 FIRST_REFUSED_S: Final = 2.0
 MOST_REFUSED_S: Final = 60.0
-"""How long until a service that was not accepted is asked again: its settings may be mended."""
+"""First and longest wait before a service that was not accepted is asked again, seconds: its
+settings may change."""
 
 
 def run_worker(
@@ -56,17 +57,17 @@ def run_worker(
     observer: WorkerObserver | None = None,
     metrics: WorkerMetrics | None = None,
 ) -> None:
-    """Work until told to stop.
+    """Work until stopped.
 
     Args:
-        config: Whom to ask.
-        stop: When to end; a lease that is soon done is still finished.
-        observer: Told how the worker is.
-        metrics: Where it counts.
+        config: Configuration of the worker.
+        stop: Set to end; a lease that is soon done is still finished.
+        observer: Receives the state of the worker.
+        metrics: Counters of the worker.
 
     Raises:
         TransientError: If bucket or artifacts cannot be opened now.
-        PermanentError: If what the service asks for cannot be done here at all.
+        PermanentError: If the service's settings can never be used here.
     """
     observer, metrics = observer or WorkerObserver(), metrics or WorkerMetrics()
     with (
@@ -107,10 +108,10 @@ class Worker:
         self._refused = ""
 
     def run(self) -> None:
-        """Claim and work until told to stop."""
+        """Claim and work until stopped."""
         key = keys.score(root=self._config.root, worker_id=self._config.worker_id)
         try:
-            # One publisher for life: a router never forgets a key that was declared.
+            # one publisher for the worker's life: a router never forgets a declared key
             with recoverable_publisher(self._session, key) as publisher:
                 attempts = Attempts(publisher, self._leases, self._metrics)
                 while not self._stop.is_set():
@@ -134,7 +135,7 @@ class Worker:
             wait_until_over(trouble, stop=self._stop, metrics=self._metrics)
 
     def _equipment(self) -> Equipment:
-        """Ask every time: a service that was restarted may want something else now."""
+        """Build parts and buckets if the settings changed; a restarted service may have others."""
         settings = self._asked()
         if self._equipped is None or self._equipped.settings != settings:
             self._equipped = equip(settings)
@@ -144,10 +145,10 @@ class Worker:
         return self._equipped
 
     def _asked(self) -> MiningSettings:
-        """Ask until the service names only what this worker accepts; say once what it does not.
+        """Request settings until this worker accepts them; log once why it does not.
 
         Raises:
-            StoppedError: If told to stop meanwhile.
+            StoppedError: If stopped meanwhile.
         """
         waits = backoff_s(first_s=FIRST_REFUSED_S, most_s=MOST_REFUSED_S)
         settings = self._leases.hello(stop=self._stop)
@@ -168,10 +169,10 @@ class Worker:
     def _work(
         self, attempts: Attempts, lease: Lease, equipment: Equipment
     ) -> StoreTroubleError | None:
-        """Do what a lease asks for, or say why not; only a bug escapes, after it was said too.
+        """Execute a lease, or report its failure; only a bug is raised, after it was reported.
 
         Returns:
-            The trouble with a store that any other lease would meet too.
+            The trouble with a store that any other lease would also meet.
         """
         with (
             structlog.contextvars.bound_contextvars(**_ids(lease)),
@@ -205,8 +206,8 @@ class Worker:
     def _blame(
         self, error: CounterpointError, lease: Lease, equipment: Equipment
     ) -> StoreTroubleError | None:
-        """Find out whose fault it is that a log could not be read, and fail accordingly."""
-        if self._stop.is_set():  # whoever starts after us finds out
+        """Find the cause of a log that could not be read, and fail accordingly."""
+        if self._stop.is_set():  # the next worker finds the cause
             return self._fail(lease, StoppedError(f"told to stop while a store fails: {error}"))
         target = _target(lease)
         repeated, self._suspect = target == self._suspect, target
@@ -214,7 +215,7 @@ class Worker:
         return self._fail(lease, cause)
 
     def _fail(self, lease: Lease, error: Exception) -> StoreTroubleError | None:
-        """Tell the service why a lease ended without its work.
+        """Report to the service why a lease ended without its work.
 
         Returns:
             The error, if it is one that must be waited out.
@@ -224,7 +225,7 @@ class Worker:
         is_plan = isinstance(lease, PlanLease)
         say = log.warning if outcome in ("failed", "replaced") else log.info
         if outcome in ("store_away", "growing"):
-            say = log.debug  # the wait for the store is said; the service counts what grows
+            say = log.debug  # the wait for the store is logged; the service counts growing logs
         say(f"{'plan' if is_plan else 'shard'} {outcome.replace('_', ' ')}", problem=problem)
         if outcome == "growing":
             self._metrics.plan_ended("growing")
@@ -278,14 +279,14 @@ def _ids(lease: Lease) -> dict[str, str]:
 
 
 def _summary(error: Exception) -> str:
-    """Say what and where in one line: a ledger is no place for a whole traceback."""
+    """Summarise an error and its place in one line: a ledger is no place for a traceback."""
     frames: Sequence[traceback.FrameSummary] = traceback.extract_tb(error.__traceback__)
     where = "; ".join(f"{Path(f.filename).name}:{f.lineno} {f.name}" for f in frames[-3:])
     return f"{type(error).__name__}: {error} ({where})"
 
 
 def one_thread_only() -> None:
-    """More cores are more workers, and results must not hang on how many there are.
+    """Limit torch to one thread: more cores are more workers, and results must not depend on them.
 
     Parts that need torch load it when they are built; without them it would only take 150 MiB.
     """
