@@ -1,4 +1,4 @@
-"""One shard from the bucket to encoded records and overlays: what a worker and `score` both do."""
+"""Mining of one shard, from the bucket to encoded records and overlays, for workers and `score`."""
 
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator
@@ -34,7 +34,7 @@ class MinedRecord:
         record: Its bytes as published.
         sha256: Their digest.
         overlay: Its points, encoded.
-        overlay_key: Where in the artifacts they belong.
+        overlay_key: Its key in the artifacts.
     """
 
     score: SceneScore
@@ -46,15 +46,15 @@ class MinedRecord:
 
 @dataclass(slots=True)
 class Account:
-    """What mining one shard took and found wrong; never part of a record.
+    """Costs and faults of mining one shard; never part of a record.
 
     Attributes:
         clock: Seconds of each stage.
-        damage: What could not be read.
+        damage: Stretches that could not be read.
         odometry: Scored frames by the health of their pose.
-        blindness: Scored frames without an answer of the self-supervised stream, by why.
-        labels: Returns of the scored frames by that stream's answer, by name.
-        odometry_problem: The first reason given for a pose that is not healthy.
+        blindness: Scored frames without labels of the self-supervised stream, by cause.
+        labels: Returns of the scored frames by that stream's label, by name.
+        odometry_problem: The first reason for a pose that is not healthy.
         scenes: Scenes mined.
         frames: Frames scored, warm-up excluded.
         points: Their points.
@@ -77,7 +77,7 @@ class Account:
     range_reads: int = 0
 
     def add(self, frames: Iterable[LabelledFrame]) -> None:
-        """Count the frames of a scene by what the streams had to go by."""
+        """Count the frames of a scene by pose health, blindness and labels."""
         for frame in frames:
             self.odometry[frame.posed.odometry] += 1
             said = frame.predictive
@@ -90,7 +90,7 @@ class Account:
                 self.labels[name] += points
 
     def stats(self) -> MiningStats:
-        """Sum up."""
+        """Return the sums."""
         return MiningStats(
             frames=self.frames,
             points=self.points,
@@ -113,21 +113,21 @@ def mine_records(
     account: Account,
     check: Callable[[], None] = lambda: None,
 ) -> Generator[MinedRecord, None, None]:
-    """Mine a shard, scene by scene; memory holds a scene or two, never the shard.
+    """Mine a shard, scene by scene; memory contains a scene or two, never the shard.
 
     Args:
-        bucket: Where the recording lies.
+        bucket: Bucket of the recording.
         recording: The log.
         shard: The window of it.
-        settings: What every worker does alike.
+        settings: Settings that all workers share.
         parts: Odometry and streams.
         pipeline_version: Of settings and parts.
-        account: Scenes are added as they come; reads and damage at the end, also when that is an
-            error or the caller stops early.
-        check: Called at every frame; what it raises ends the mining.
+        report: Scenes are added while they are mined; reads and damage at the end, also after an
+            error or when the caller stops early.
+        check: Called at every frame; its exceptions end the mining.
 
     Raises:
-        ObjectChangedError: If an object is no longer the one that was planned.
+        ObjectChangedError: If an object is no longer the planned one.
         TransientError: If the bucket cannot be read now.
         PermanentError: If the shard can never be mined.
     """

@@ -1,4 +1,4 @@
-"""Finds the camera image that belongs to a frame, and its calibration, for `show --on-image`."""
+"""Camera view: the image that belongs to a frame, and its calibration, for `show --on-image`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,10 +30,10 @@ from workers.ingest.topics import Topic, topics_of
 from workers.ingest.transforms import holds_transforms
 
 MAX_APART_NS: Final = NS_PER_S // 2
-"""An image farther from the frame shows another situation."""
+"""Largest time between image and frame, nanoseconds; a later image shows another situation."""
 
 VIEW_COS: Final = float(np.cos(np.deg2rad(30)))
-"""Returns within 30 degrees of a camera's axis are what its image shows."""
+"""Cosine of 30 degrees: returns within this angle of a camera's axis are in its view."""
 
 
 class CameraUnavailableError(PermanentError):
@@ -50,20 +50,20 @@ def read_camera(
 ) -> CameraView:
     """Read the image of a calibrated camera that belongs to a frame.
 
-    Of several cameras the one that looks most towards `look_at_m` is taken; of its images the one
-    nearest to when the lidar swept over its view, as far as points have times.
+    Of several cameras the one that looks most towards `look_at_m` is taken. Of its images the one
+    nearest to the lidar's sweep over its view is taken, as far as points have times.
 
     Args:
-        bucket: Where the log lies.
+        bucket: Bucket of the log.
         recording: The log.
         lidar_topic: Topic of the frame's lidar.
         stamp_ns: Of the frame, nanoseconds since the Unix epoch.
-        look_at_m: What is of interest, in the lidar's sensor space; straight ahead by default.
+        look_at_m: Point of interest, in the lidar's sensor space; straight ahead by default.
 
     Raises:
-        CameraUnavailableError: If no camera whose place is known saw the frame; it says why.
+        CameraUnavailableError: If no camera with a known place saw the frame; it gives the reason.
         NotMcapError: If a part is no MCAP file.
-        ObjectChangedError: If a part is no longer what was listed.
+        ObjectChangedError: If a part is no longer the listed one.
     """
     index = index_recording(bucket, recording)
     topics = topics_of(index.parts)
@@ -93,7 +93,7 @@ def read_camera(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Frame:
-    """The frame that is to be shown, and what the log holds around it."""
+    """The frame to show, and the log's messages around it."""
 
     moment: Moment
     sample: Sample
@@ -127,7 +127,7 @@ def _view(frame: _Frame, topic: Topic) -> CameraView:
 
 
 def _calibration_for(image: CameraImage, calibrations: Sequence[Calibration]) -> Calibration | None:
-    """Take the calibration of the image's space; among several, the nearest by name of topic."""
+    """Select the calibration of the image's space; of several, the nearest by topic name."""
     same = [each for each in calibrations if each.frame_id == image.frame_id]
     beside = [each for each in calibrations if image.topic.startswith(_folder(each.topic))]
     return max(
@@ -138,7 +138,7 @@ def _calibration_for(image: CameraImage, calibrations: Sequence[Calibration]) ->
 
 
 def _folder(topic: str) -> str:
-    """Name that the topics of one camera begin with; one at the root has none of its own."""
+    """Return the prefix of one camera's topics; a topic at the root has none of its own."""
     folder = topic.rpartition("/")[0]
     return f"{folder}/" if folder else topic
 
@@ -149,7 +149,7 @@ def _shared_parts(one: str, other: str) -> int:
 
 
 def _swept_after_ns(sample: Sample, camera_from_lidar: Transform) -> int:
-    """How long after its stamp the lidar sweeps over a camera's view; 0 without point times."""
+    """Return the time from a frame's stamp to the sweep over a camera; 0 without point times."""
     cloud = sample.clouds[-1]
     times = point_time(
         cloud.fields, points=len(cloud), stamp_ns=sample.stamps_ns[-1], stamp_at="start"
@@ -163,7 +163,7 @@ def _swept_after_ns(sample: Sample, camera_from_lidar: Transform) -> int:
 
 
 def _combine(image: CameraImage, found: Calibration, camera_from_lidar: Transform) -> CameraView:
-    """Scale the calibration to the image; of a rectified image the lens is already undone."""
+    """Scale the calibration to the image; a rectified image needs no lens model."""
     width, height = _size(image)
     rectified = "rect" in image.topic.rpartition("/")[0] or "rect" in image.frame_id
     bent = any(found.distortion) and not rectified

@@ -1,4 +1,4 @@
-"""Finds where a log's cameras are and how they see, for the filter that keeps what one sees."""
+"""Camera calibration: pose and projection of a log's cameras, for the camera filter."""
 
 from collections.abc import Sequence
 
@@ -33,7 +33,7 @@ def find_calibration(index: LogIndex, topics: Sequence[Topic], sample: Sample) -
         sample: First clouds of the lidar.
 
     Raises:
-        LogUnusableError: If no camera has a calibration and a known place; it says why.
+        LogUnusableError: If no camera has a calibration and a known place; it gives the reason.
     """
     wanted = [
         topic
@@ -59,7 +59,7 @@ def find_calibration(index: LogIndex, topics: Sequence[Topic], sample: Sample) -
 
 
 def calibrations_in(moment: Moment) -> list[Calibration]:
-    """One of each topic, the nearest that can be read."""
+    """Return one calibration of each topic, the nearest that can be read."""
     return [
         found
         for topic in moment.topics
@@ -69,10 +69,10 @@ def calibrations_in(moment: Moment) -> list[Calibration]:
 
 
 def camera_from_lidar(moment: Moment, sample: Sample, camera: str) -> Transform:
-    """Chain the log's transforms: static ones first, then those stated around the moment.
+    """Chain the log's transforms: static ones first, then those published around the moment.
 
     Args:
-        moment: Knows the topics of transforms.
+        moment: Messages of the transform topics.
         sample: Of the lidar.
         camera: Space of the camera, by the log's own name.
 
@@ -80,7 +80,7 @@ def camera_from_lidar(moment: Moment, sample: Sample, camera: str) -> Transform:
         (4, 4) sensor space of the lidar to the camera's.
 
     Raises:
-        NoViewError: If the log does not tie the two.
+        NoViewError: If the log does not connect the two.
     """
     cloud = sample.clouds[0]
     tree = TransformTree()

@@ -1,7 +1,7 @@
-"""Rebuilds a part's index without its summary: hops from record to record in large steps.
+"""Index recovery: rebuilds a part's index without its summary, from record headers.
 
-Everything that lies whole in the file is found: chunks, and runs of messages outside chunks. After
-a record whose length is wrong the search goes on byte by byte until records that fit each other.
+Every complete record of the file is found: chunks, and runs of messages outside chunks. After a
+record with a wrong length the search continues byte by byte until records fit each other.
 """
 
 from dataclasses import dataclass, field
@@ -35,15 +35,15 @@ from workers.ingest.records import (
 MIN_STEP_BYTES: Final = 128 * 1024
 MAX_STEP_BYTES: Final = 4 * 1024 * 1024
 MAX_RUN_BYTES: Final = 4 * 1024 * 1024
-"""A run of messages outside chunks is cut here, so that it is read like a chunk."""
+"""Bytes at which a run of messages outside chunks is cut, so that it is read like a chunk."""
 _HOPS_OF_A_SEARCH: Final = 3
-"""Trying one place where a record may begin takes as long as so many hops."""
+"""Hops that a test of one candidate for a record's start costs."""
 _CHUNK_PEEK_BYTES: Final = CHUNK_FIELDS_BYTES + 64
 _MAX_APART_NS: Final = 86_400 * 1_000_000_000
 
 
 def recover(reader: PartReader, effort: Effort) -> PartIndex:
-    """Rebuild the index of a whole part, as far as the effort lasts.
+    """Rebuild the index of a whole part, within the budget.
 
     Raises:
         LogUnusableError: If it has more chunks than any recording.
@@ -64,12 +64,12 @@ def recover(reader: PartReader, effort: Effort) -> PartIndex:
 
 
 def hop(reader: PartReader, index: PartIndex, effort: Effort, *, start: int, end: int) -> bool:
-    """Go over the records between two offsets, and add what is found to an index.
+    """Read the record headers between two offsets, and add the findings to an index.
 
-    Where the effort does not last until the end, the rest is damage.
+    Where the budget does not last until the end, the rest is damage.
 
     Returns:
-        Whether the end of the data section was seen.
+        True if the end of the data section was found.
     """
     window = _Window(reader, end, effort)
     run = _Run(index, reader.number, first_own=len(index.chunks))
@@ -151,7 +151,7 @@ class _Run:
 
 @dataclass(slots=True, eq=False)
 class _Window:
-    """Bytes around the place being looked at, read in steps that grow where records are small."""
+    """Bytes around the present offset, read in steps that grow where records are small."""
 
     reader: PartReader
     end: int
@@ -220,7 +220,7 @@ def _take(
 
 
 def _count_in_chunk(index: PartIndex, channel_id: int, messages: int) -> None:
-    """A MessageIndex follows its chunk: it says what the chunk holds without opening it."""
+    """Add a MessageIndex record to the chunk before it, whose messages it counts."""
     chunk = index.chunks[-1]
     if chunk.ref.kind != "chunk":
         return
@@ -254,7 +254,7 @@ def _search(window: _Window, index: PartIndex, start: int, end: int) -> int:
 
 
 def _candidates(view: memoryview) -> list[int]:
-    """Offsets where a chunk or a message could begin: its opcode, and a length below 4 GiB."""
+    """Return offsets where a chunk or message could begin: its opcode, and a length below 4 GiB."""
     if len(view) < HEADER_BYTES:
         return []
     data = np.frombuffer(view, dtype=np.uint8)
@@ -266,7 +266,7 @@ def _candidates(view: memoryview) -> list[int]:
 
 
 def _fits(window: _Window, index: PartIndex, offset: int, end: int) -> bool:
-    """Whether a chunk or a message whose fields make sense begins here, and a record follows."""
+    """Return True if a chunk or message with plausible fields begins here, and a record follows."""
     opcode, length = window.header(offset)
     if not _plausible(opcode, length, end - offset):
         return False

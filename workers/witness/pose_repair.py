@@ -1,8 +1,8 @@
 """Pose repair: a second registration checks consecutive poses and corrects steps for the witness.
 
 A slip is an error between two frames that static structure contradicts, in one step or gradually
-over half a second. A step is corrected, so the witness still sees past it. The labels of the streams,
-which used the pose, are doubted for as long as they remember it.
+over half a second. A step is corrected, so the witness still sees past it. The streams used the
+pose, so their labels are doubted for as long as they remember it.
 """
 
 from collections import deque
