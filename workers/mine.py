@@ -45,7 +45,7 @@ class MinedRecord:
 
 
 @dataclass(slots=True)
-class Account:
+class MiningReport:
     """Costs and faults of mining one shard; never part of a record.
 
     Attributes:
@@ -80,10 +80,10 @@ class Account:
         """Count the frames of a scene by pose health, blindness and labels."""
         for frame in frames:
             self.odometry[frame.posed.odometry] += 1
-            said = frame.predictive
-            if said.health.blindness is not None:
-                self.blindness[said.health.blindness] += 1
-            labels = said.labels[frame.posed.frame.valid_mask]
+            predictive = frame.predictive
+            if predictive.health.blindness is not None:
+                self.blindness[predictive.health.blindness] += 1
+            labels = predictive.labels[frame.posed.frame.valid_mask]
             names = frame.task.labels
             counts = np.bincount(labels, minlength=len(names))
             for name, points in zip(names, counts.tolist(), strict=True):
@@ -110,7 +110,7 @@ def mine_records(
     settings: MiningSettings,
     parts: Parts,
     pipeline_version: str,
-    account: Account,
+    report: MiningReport,
     check: Callable[[], None] = lambda: None,
 ) -> Generator[MinedRecord, None, None]:
     """Mine a shard, scene by scene; memory contains a scene or two, never the shard.
@@ -131,8 +131,8 @@ def mine_records(
         TransientError: If the bucket cannot be read now.
         PermanentError: If the shard can never be mined.
     """
-    clock = account.clock
-    account.bytes_needed = shard.needed_bytes
+    clock = report.clock
+    report.bytes_needed = shard.needed_bytes
     reader = read_shard(bucket, recording, shard, settings)
     scenes = mine_shard(
         shard,
@@ -144,16 +144,16 @@ def mine_records(
         for mined in clock.drawn("contradiction", scenes):
             with clock.stage("encoding"):
                 encoded = _encoded(mined, parts.supervised.class_names, pipeline_version)
-            account.scenes += 1
-            account.frames += mined.score.frames
-            account.points += mined.score.points
-            account.add(mined.scene.frames)
-            account.odometry_problem = account.odometry_problem or mined.score.odometry.reason
+            report.scenes += 1
+            report.frames += mined.score.frames
+            report.points += mined.score.points
+            report.add(mined.scene.frames)
+            report.odometry_problem = report.odometry_problem or mined.score.odometry.reason
             yield encoded
     finally:
-        account.range_reads = reader.range_reads
-        account.bytes_read = reader.bytes_read
-        account.damage.extend(reader.damage)
+        report.range_reads = reader.range_reads
+        report.bytes_read = reader.bytes_read
+        report.damage.extend(reader.damage)
 
 
 def _encoded(mined: MinedScene, class_names: tuple[str, ...], pipeline_version: str) -> MinedRecord:

@@ -28,5 +28,5 @@ def version_of(name: str, settings: str = "") -> str:
         `name@digest`: sources, versions of the libraries, settings.
     """
     libraries = [f"{library}=={metadata.version(library)}" for library in LIBRARIES]
-    said = "\n".join([name, settings, syntax_digest(*PACKAGES), *libraries])
-    return f"{name}@{hashlib.sha256(said.encode()).hexdigest()[:12]}"
+    facts = "\n".join([name, settings, syntax_digest(*PACKAGES), *libraries])
+    return f"{name}@{hashlib.sha256(facts.encode()).hexdigest()[:12]}"

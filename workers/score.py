@@ -8,7 +8,7 @@ from schemas.transport.bucket import Bucket
 from schemas.work import Damage, Recording
 from workers.errors import LogUnusableError
 from workers.ingest.plan import plan_recording
-from workers.mine import Account, MinedRecord, mine_records
+from workers.mine import MinedRecord, MiningReport, mine_records
 from workers.version import parts_of, pipeline_version
 
 
@@ -48,7 +48,7 @@ def score_recording(
     version = pipeline_version(settings, parts)
     for done, shard in enumerate(plan.shards):
         on_shard(done, len(plan.shards))
-        account = Account()
+        report = MiningReport()
         for mined in mine_records(
             bucket,
             recording,
@@ -56,10 +56,10 @@ def score_recording(
             settings=settings,
             parts=parts,
             pipeline_version=version,
-            account=account,
+            report=report,
         ):
             on_scene(mined)
             yield mined.score
-        for damage in account.damage:
+        for damage in report.damage:
             on_damage(damage)
     on_shard(len(plan.shards), len(plan.shards))

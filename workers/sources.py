@@ -12,7 +12,7 @@ from typing import Final
 OURS: Final = ("schemas", "workers")
 """Top-level packages whose imports are followed."""
 
-SHAPE_NO_RECORD: Final = frozenset(
+NO_EFFECT_ON_RECORDS: Final = frozenset(
     {
         "schemas.transport.bucket",  # fetches bytes, whose digests the log's plan names
         "schemas.transport.bucket_errors",
@@ -78,7 +78,7 @@ def sources(*roots: str) -> frozenset[str]:
     found, waiting = set[str](), _named(roots)
     while waiting:
         module = waiting.pop()
-        if any(_lies_in(module, each) for each in SHAPE_NO_RECORD):
+        if any(_lies_in(module, each) for each in NO_EFFECT_ON_RECORDS):
             continue
         found.add(module)
         waiting |= _read(module).imports - found

@@ -11,7 +11,7 @@ from workers.ingest.log_index import LogIndex
 from workers.ingest.shard_windows import Span, cells_of
 
 
-def too_much_of(spans: Sequence[Span], anchor_ns: int, shard_ns: int, log_bytes: int) -> str:
+def excess_of(spans: Sequence[Span], anchor_ns: int, shard_ns: int, log_bytes: int) -> str:
     """Return why the shards of these spans would be too many or too large; empty if they are not.
 
     Args:
@@ -46,7 +46,7 @@ def too_much_of(spans: Sequence[Span], anchor_ns: int, shard_ns: int, log_bytes:
     return ""
 
 
-def within_reach(
+def drop_distant(
     spans: Sequence[Span], anchor_ns: int, shard_ns: int, index: LogIndex, damage: list[Damage]
 ) -> tuple[list[Span], int]:
     """Drop spans farther from most of a log than one plan reaches: their times are wrong.

@@ -23,7 +23,7 @@ from workers.ingest.camera_messages import (
 from workers.ingest.camera_model import CameraView
 from workers.ingest.frames import sensor_points
 from workers.ingest.log_index import index_recording
-from workers.ingest.message_lookup import Moment, readable
+from workers.ingest.message_lookup import MessageLookup, readable
 from workers.ingest.point_time import point_time
 from workers.ingest.topic_sampling import Sample, sample_topics
 from workers.ingest.topics import Topic, topics_of
@@ -76,8 +76,8 @@ def read_camera(
         raise _unavailable("no topic holds compressed images (sensor_msgs or foxglove)", recording)
     wanted = [topic for topic in topics if _is_of_a_camera(topic)]
     delay_ns = (sample.bounds.least_ns + sample.bounds.most_ns) // 2
-    moment = Moment(index, wanted, log_time_ns=stamp_ns + delay_ns, reach_ns=MAX_APART_NS)
-    frame = _Frame(moment, sample, stamp_ns, calibrations_in(moment))
+    lookup = MessageLookup(index, wanted, log_time_ns=stamp_ns + delay_ns, reach_ns=MAX_APART_NS)
+    frame = _Frame(lookup, sample, stamp_ns, calibrations_in(lookup))
     views: list[CameraView] = []
     problems: list[str] = []
     for topic in images:
@@ -95,7 +95,7 @@ def read_camera(
 class _Frame:
     """The frame to show, and the log's messages around it."""
 
-    moment: Moment
+    lookup: MessageLookup
     sample: Sample
     stamp_ns: int
     calibrations: Sequence[Calibration]
@@ -111,13 +111,13 @@ def _is_of_a_camera(topic: Topic) -> bool:
 
 
 def _view(frame: _Frame, topic: Topic) -> CameraView:
-    images = readable(frame.moment.near(topic), camera_image)
+    images = readable(frame.lookup.near(topic), camera_image)
     if not images:
         raise NoViewError("has no image that can be read near the frame")
     found = _calibration_for(images[0], frame.calibrations)
     if found is None:
         raise NoViewError("has no calibration")
-    placed = camera_from_lidar(frame.moment, frame.sample, found.frame_id or images[0].frame_id)
+    placed = camera_from_lidar(frame.lookup, frame.sample, found.frame_id or images[0].frame_id)
     seen_ns = frame.stamp_ns + _swept_after_ns(frame.sample, placed)
     image = min(images, key=lambda each: (abs(each.stamp_ns - seen_ns), each.stamp_ns))
     apart_ns = abs(image.stamp_ns - seen_ns)
@@ -129,9 +129,9 @@ def _view(frame: _Frame, topic: Topic) -> CameraView:
 def _calibration_for(image: CameraImage, calibrations: Sequence[Calibration]) -> Calibration | None:
     """Select the calibration of the image's space; of several, the nearest by topic name."""
     same = [each for each in calibrations if each.frame_id == image.frame_id]
-    beside = [each for each in calibrations if image.topic.startswith(_folder(each.topic))]
+    same_folder = [each for each in calibrations if image.topic.startswith(_folder(each.topic))]
     return max(
-        same or beside,
+        same or same_folder,
         key=lambda each: _shared_parts(each.topic, image.topic),
         default=None,
     )
@@ -166,9 +166,9 @@ def _combine(image: CameraImage, found: Calibration, camera_from_lidar: Transfor
     """Scale the calibration to the image; a rectified image needs no lens model."""
     width, height = _size(image)
     rectified = "rect" in image.topic.rpartition("/")[0] or "rect" in image.frame_id
-    bent = any(found.distortion) and not rectified
+    distorted = any(found.distortion) and not rectified
     projection = found.projection
-    if bent or not projection.any():
+    if distorted or not projection.any():
         projection = np.hstack((found.intrinsics, np.zeros((3, 1))))
     if not (projection[0, 0] and projection[1, 1]):
         raise NoViewError("has a calibration without focal lengths")
@@ -182,7 +182,7 @@ def _combine(image: CameraImage, found: Calibration, camera_from_lidar: Transfor
         height=height,
         pixel_from_camera=scale @ projection,
         distortion_model=found.distortion_model,
-        distortion=found.distortion if bent else (),
+        distortion=found.distortion if distorted else (),
         camera_from_lidar=camera_from_lidar,
     )
 

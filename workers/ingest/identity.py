@@ -54,11 +54,11 @@ def identify(log_id: str, metadata: Iterable[Mapping[str, str]], *, path_templat
     remarks: list[str] = []
     for field in _FIELDS:
         recorded = [value for each in records if (value := each.get(field, "").strip())]
-        said = recorded[0] if recorded else from_path.get(field, UNKNOWN)
-        found[field] = visible(said, limit=MAX_NAME)
-        if found[field] != said:
+        text = recorded[0] if recorded else from_path.get(field, UNKNOWN)
+        found[field] = visible(text, limit=MAX_NAME)
+        if found[field] != text:
             remarks.append(
-                f"the {field.replace('_', ' ')} has {len(said)} characters, of which at most "
+                f"the {field.replace('_', ' ')} has {len(text)} characters, of which at most "
                 f"{MAX_NAME} are kept, and control characters only escaped"
             )
     return Identity(**found, remarks=tuple(remarks))

@@ -36,7 +36,7 @@ WORLD_FRAMES: Final = frozenset({"map", "odom", "world", "earth", "utm"})
 
 
 @dataclass(frozen=True, slots=True)
-class LidarEvidence:
+class LidarProperties:
     """Properties of a topic's sensor, from some of its clouds.
 
     Attributes:
@@ -63,7 +63,7 @@ class LidarEvidence:
         return not self.why_not
 
 
-def lidar_evidence(clouds: Sequence[DecodedCloud]) -> LidarEvidence:
+def lidar_properties(clouds: Sequence[DecodedCloud]) -> LidarProperties:
     """Classify the sensor of one topic by some of its clouds, from anywhere in the log.
 
     Args:
@@ -79,7 +79,7 @@ def lidar_evidence(clouds: Sequence[DecodedCloud]) -> LidarEvidence:
     elevation_span_rad = float(np.median([_elevation_span_rad(p) for p in seen] or [0.0]))
     frame_id = clouds[0].frame_id if clouds else ""
     fields = {name.lower() for cloud in clouds for name in cloud.fields}
-    return LidarEvidence(
+    return LidarProperties(
         points=points,
         azimuth_share=azimuth_share,
         elevation_span_rad=elevation_span_rad,
@@ -90,7 +90,7 @@ def lidar_evidence(clouds: Sequence[DecodedCloud]) -> LidarEvidence:
     )
 
 
-def choose_lidars(candidates: Mapping[str, LidarEvidence]) -> list[str]:
+def choose_lidars(candidates: Mapping[str, LidarProperties]) -> list[str]:
     """Choose the topics to mine: every dense lidar that sees all around, once.
 
     A topic in the same space as a denser one, with a cloud of the very same stamp, is a filtered
@@ -100,7 +100,7 @@ def choose_lidars(candidates: Mapping[str, LidarEvidence]) -> list[str]:
         Topics, densest first, then by name.
     """
     lidars = sorted(
-        (topic for topic, evidence in candidates.items() if evidence.is_lidar),
+        (topic for topic, properties in candidates.items() if properties.is_lidar),
         key=lambda topic: (-candidates[topic].points, candidates[topic].has_labels, topic),
     )
     chosen: list[str] = []
@@ -114,9 +114,9 @@ def _has_positions(cloud: DecodedCloud) -> bool:
     return all(name in cloud.fields for name in "xyz")
 
 
-def _copies(evidence: LidarEvidence, denser: LidarEvidence) -> bool:
-    shared = set(evidence.stamps_ns) & set(denser.stamps_ns) - {0}
-    return evidence.frame_id == denser.frame_id and bool(shared)
+def _copies(properties: LidarProperties, denser: LidarProperties) -> bool:
+    shared = set(properties.stamps_ns) & set(denser.stamps_ns) - {0}
+    return properties.frame_id == denser.frame_id and bool(shared)
 
 
 def _why_not(

@@ -27,10 +27,10 @@ from workers.ingest.index import (
     read_summary,
     too_many_chunks,
 )
-from workers.ingest.index_recovery import hop, recover
+from workers.ingest.index_recovery import recover_index, scan_records
 from workers.ingest.limits import MAX_CHUNK_RECORDS, MAX_CHUNKS
 from workers.ingest.part_reader import PartReader
-from workers.ingest.planning_budget import Effort
+from workers.ingest.planning_budget import PlanningBudget
 from workers.ingest.records import MAGIC, RecordMalformedError, count_records, walk
 
 UNEXPLAINED_BYTES: Final = 64 * 1024
@@ -51,13 +51,13 @@ class LogIndex:
         recording: Its objects.
         readers: One for each part.
         parts: One for each part.
-        effort: Budget left for planning.
+        budget: Budget left for planning.
     """
 
     recording: Recording
     readers: tuple[PartReader, ...]
     parts: tuple[PartIndex, ...]
-    effort: Effort = field(default_factory=Effort)
+    budget: PlanningBudget = field(default_factory=PlanningBudget)
 
     @property
     def range_reads(self) -> int:
@@ -99,7 +99,7 @@ class LogIndex:
         Raises:
             ChunkUnreadableError: If its bytes are invalid, or if the budget of planning is spent.
         """
-        return open_from(self.readers[ref.part], ref, self.effort)
+        return open_from(self.readers[ref.part], ref, self.budget)
 
 
 def index_recording(bucket: Bucket, recording: Recording, *, settled: bool = True) -> LogIndex:
@@ -116,7 +116,7 @@ def index_recording(bucket: Bucket, recording: Recording, *, settled: bool = Tru
         StillGrowingError: If a part has no valid footer, and the recording is not settled.
         ObjectChangedError: If a part is no longer the listed one.
     """
-    effort = Effort()
+    budget = PlanningBudget()
     readers = tuple(PartReader(bucket, part, number) for number, part in enumerate(recording.parts))
     for reader in () if settled else readers:
         if not is_closed(reader):
@@ -125,7 +125,7 @@ def index_recording(bucket: Bucket, recording: Recording, *, settled: bool = Tru
     refused: list[NotMcapError] = []
     for reader in readers:
         try:
-            parts.append(_index_part(reader, effort))
+            parts.append(_index_part(reader, budget))
         except NotMcapError as error:
             refused.append(error)
             damage = damaged(key=reader.key, offset=0, length=reader.size, what=str(error))
@@ -134,10 +134,10 @@ def index_recording(bucket: Bucket, recording: Recording, *, settled: bool = Tru
             raise too_many_chunks()
     if len(refused) == len(readers):
         raise refused[0]
-    return LogIndex(recording, readers, tuple(parts), effort)
+    return LogIndex(recording, readers, tuple(parts), budget)
 
 
-def open_from(reader: PartReader, ref: ChunkRef, effort: Effort) -> memoryview:
+def open_from(reader: PartReader, ref: ChunkRef, budget: PlanningBudget) -> memoryview:
     """Read and open a chunk of one part.
 
     Raises:
@@ -145,23 +145,23 @@ def open_from(reader: PartReader, ref: ChunkRef, effort: Effort) -> memoryview:
     """
     if error := too_large(ref, key=reader.key):
         raise error
-    if problem := effort.spent:
+    if problem := budget.spent:
         raise ChunkUnreadableError(
             key=reader.key, offset=ref.offset, length=ref.length, problem=problem
         )
     data = reader.read(ref.offset, ref.length)
-    effort.stored_bytes -= ref.length
-    effort.opened_bytes -= opened_bytes(data, ref)
+    budget.stored_bytes -= ref.length
+    budget.opened_bytes -= opened_bytes(data, ref)
     records = open_chunk(data, ref, key=reader.key)
-    effort.records -= count_records(records, most=MAX_CHUNK_RECORDS)
+    budget.records -= count_records(records, most=MAX_CHUNK_RECORDS)
     return records
 
 
-def _index_part(reader: PartReader, effort: Effort) -> PartIndex:
+def _index_part(reader: PartReader, budget: PlanningBudget) -> PartIndex:
     try:
         summary = read_summary(reader)
     except RecordMalformedError as error:
-        index = recover(reader, effort)
+        index = recover_index(reader, budget)
         index.damage.append(
             damaged(
                 key=reader.key,
@@ -172,20 +172,20 @@ def _index_part(reader: PartReader, effort: Effort) -> PartIndex:
         )
     else:
         if summary is None:
-            index = recover(reader, effort)
+            index = recover_index(reader, budget)
         else:
             index = index_of(summary, reader)
             indexed, counted = _messages_indexed(index), _messages_counted(summary)
             if indexed is None or indexed != counted:
                 certain = not index.chunks or (indexed is not None and counted is not None)
-                _look_through_gaps(reader, index, summary, effort, thoroughly=certain)
+                _scan_gaps(reader, index, summary, budget, thoroughly=certain)
     index.closed = not index.recovered or footer_of(read_tail(reader)) is not None
     # of a chunk that is both indexed and found, the index comes first and stays
     by_offset: dict[int, IndexedChunk] = {}
     for chunk in index.chunks:
         by_offset.setdefault(chunk.ref.offset, chunk)
     index.chunks = [by_offset[offset] for offset in sorted(by_offset)]
-    _learn_channels(reader, index, effort)
+    _learn_channels(reader, index, budget)
     return index
 
 
@@ -204,8 +204,13 @@ def _messages_indexed(index: PartIndex) -> int | None:
     return indexed
 
 
-def _look_through_gaps(
-    reader: PartReader, index: PartIndex, summary: Summary, effort: Effort, *, thoroughly: bool
+def _scan_gaps(
+    reader: PartReader,
+    index: PartIndex,
+    summary: Summary,
+    budget: PlanningBudget,
+    *,
+    thoroughly: bool,
 ) -> None:
     """Scan bytes outside every index for messages; short stretches only if thorough."""
     believed = {chunk.ref.offset for chunk in index.chunks}
@@ -219,7 +224,7 @@ def _look_through_gaps(
     for start, end in _gaps(known, start=len(MAGIC), end=summary.start):
         worth = thoroughly or end - start > UNEXPLAINED_BYTES
         if worth or reader.held(start, end - start) is not None:
-            hop(reader, index, effort, start=start, end=end)
+            scan_records(reader, index, budget, start=start, end=end)
 
 
 def _gaps(known: Iterable[tuple[int, int]], *, start: int, end: int) -> Iterator[tuple[int, int]]:
@@ -231,7 +236,7 @@ def _gaps(known: Iterable[tuple[int, int]], *, start: int, end: int) -> Iterator
         yield start, end
 
 
-def _learn_channels(reader: PartReader, index: PartIndex, effort: Effort) -> None:
+def _learn_channels(reader: PartReader, index: PartIndex, budget: PlanningBudget) -> None:
     """Open chunks whose channels are named nowhere else, within the budget."""
     opened_bytes = 0
     for number, chunk in enumerate(index.chunks):
@@ -241,7 +246,7 @@ def _learn_channels(reader: PartReader, index: PartIndex, effort: Effort) -> Non
             continue
         opened_bytes += chunk.ref.length
         try:
-            records = open_from(reader, chunk.ref, effort)
+            records = open_from(reader, chunk.ref, budget)
         except ChunkUnreadableError:
             continue  # the reader of its messages reads it again and records the damage
         counts: dict[int, int] = {}

@@ -21,7 +21,7 @@ _OVERHEAD_BYTES: Final = 300
 
 
 @dataclass(slots=True, eq=False)
-class Moment:
+class MessageLookup:
     """Messages of some topics around one moment.
 
     Attributes:

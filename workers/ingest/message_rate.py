@@ -10,7 +10,7 @@ from workers.ingest.messages import MAX_TIME_NS, RawMessage
 from workers.ingest.pointcloud import DecodedCloud
 
 
-class Pace:
+class MessageRate:
     """Clouds and points of one lidar, by second."""
 
     def __init__(self, *, by_log_time: bool) -> None:

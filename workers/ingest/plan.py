@@ -16,7 +16,7 @@ from workers.ingest.damage import DamageList, damaged
 from workers.ingest.footer import TruncatedPart
 from workers.ingest.frames import intensity_scale_of
 from workers.ingest.identity import METADATA_RECORD, Identity, identify
-from workers.ingest.lidar import choose_lidars, lidar_evidence
+from workers.ingest.lidar import choose_lidars, lidar_properties
 from workers.ingest.limits import MAX_CLOUD_TOPICS
 from workers.ingest.log_index import LogIndex, index_recording
 from workers.ingest.pointcloud import is_cloud, unsupported_reason
@@ -137,7 +137,7 @@ def plan_index(
         software_version=identity.software_version,
         lidar_topics=tuple(sample.topic.channel.topic for sample in chosen),
         shards=tuple(shards),
-        damage=tuple(DamageList((*index.damage, *_not_in_shards(damage, shards, index)))),
+        damage=tuple(DamageList((*index.damage, *_unread_damage(damage, shards, index)))),
         truncated_parts=sum(1 for _ in index.truncated),
         refused=refused,
         range_reads=index.range_reads,
@@ -207,16 +207,16 @@ def _choose(
         names = ", ".join(topic.channel.topic for topic in _candidates(topics, settings))
         harm = f" ({len(damage)} damaged chunks)" if damage else ""
         raise LogUnusableError(f"no lidar in the log: no cloud of {names} can be read{harm}")
-    evidence = {topic: lidar_evidence(sample.clouds) for topic, sample in samples.items()}
-    chosen = choose_lidars(evidence)
+    properties = {topic: lidar_properties(sample.clouds) for topic, sample in samples.items()}
+    chosen = choose_lidars(properties)
     if not chosen:
         for topic, sample in samples.items():
             sample_middle(index, sample)
             if sample.later_clouds:
-                evidence[topic] = lidar_evidence(sample.later_clouds)
-        chosen = choose_lidars(evidence)
+                properties[topic] = lidar_properties(sample.later_clouds)
+        chosen = choose_lidars(properties)
     if not chosen:
-        found = "; ".join(f"{topic}: {evidence[topic].why_not}" for topic in sorted(evidence))
+        found = "; ".join(f"{topic}: {properties[topic].why_not}" for topic in sorted(properties))
         raise LogUnusableError(
             f"no dense lidar that sees all around: {found}; set lidar_topic to mine one of them"
         )
@@ -332,10 +332,10 @@ def _without_schema(channel: Channel) -> Channel:
     return channel.model_copy(update={"schema_base64": ""})
 
 
-def _not_in_shards(
+def _unread_damage(
     damage: Iterable[Damage], shards: Iterable[Shard], index: LogIndex
 ) -> list[Damage]:
     """Return the damage found in planning that no shard will read, and so report, again."""
     read = {(index.readers[ref.part].key, ref.offset) for shard in shards for ref in shard.chunks}
-    said = {(each.key, each.offset, each.what): each for each in damage}
-    return [each for each in said.values() if (each.key, each.offset) not in read]
+    unique = {(each.key, each.offset, each.what): each for each in damage}
+    return [each for each in unique.values() if (each.key, each.offset) not in read]

@@ -1,4 +1,4 @@
-"""Planning budget: bytes and records that planning may still open, so that no file takes minutes."""
+"""Planning budget: bytes and records that planning may open, so that no file takes minutes."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from workers.ingest.limits import (
 
 
 @dataclass(slots=True)
-class Effort:
+class PlanningBudget:
     """Budget left for one recording, all its parts together.
 
     Attributes:

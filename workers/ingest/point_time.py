@@ -115,8 +115,8 @@ def point_time(
     plausible_mask = finite_mask & (np.abs(offset) <= MAX_OFFSET_NS)
     kept = np.rint(np.where(plausible_mask, offset, 0.0)).astype(np.int32)
     spread = kept[plausible_mask]
-    told_apart = bool(spread.size and spread.min() != spread.max())
-    return PointTime(kept, recorded=told_apart and unit.fine_enough)
+    distinct = bool(spread.size and spread.min() != spread.max())
+    return PointTime(kept, recorded=distinct and unit.fine_enough)
 
 
 @dataclass(frozen=True, slots=True)

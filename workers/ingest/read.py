@@ -18,7 +18,7 @@ from workers.ingest.decoding import MessageUnreadableError
 from workers.ingest.fetch import OpenedChunk, fetch_chunks
 from workers.ingest.frames import frame_from_cloud
 from workers.ingest.limits import MAX_WAITING, MAX_WAITING_BYTES
-from workers.ingest.message_rate import Pace
+from workers.ingest.message_rate import MessageRate
 from workers.ingest.messages import MAX_TIME_NS, RawMessage
 from workers.ingest.part_reader import PartReader
 from workers.ingest.pointcloud import DecodedCloud, decode_cloud
@@ -170,7 +170,7 @@ class ShardReader:
             yield paired, log_time_ns, labels
 
     def _clouds(self) -> Iterator[tuple[SourcedMessage, DecodedCloud]]:
-        pace = Pace(by_log_time=self.shard.by_log_time)
+        rate = MessageRate(by_log_time=self.shard.by_log_time)
         for sourced in self._in_order():
             if sourced.message.channel is self.shard.motion:
                 self._add_motion(sourced)
@@ -179,10 +179,10 @@ class ShardReader:
             is_lidar = message.channel is self.shard.lidar
             try:
                 if is_lidar:
-                    pace.check_logged(message)
+                    rate.check_logged(message)
                 cloud = decode_cloud(message)
                 if is_lidar:
-                    pace.check_taken(cloud, message)
+                    rate.check_taken(cloud, message)
             except CloudUnreadableError as error:
                 self._record(sourced.ref, str(error), length=len(message.data))
                 continue

@@ -82,14 +82,14 @@ def find_labels(
         clouds: As for `find_recorded_source`.
     """
     own = clouds.get(lidar.topic, ())
-    if any(_says_motion(cloud, has_classes=has_classes) for cloud in own):
+    if any(_states_motion(cloud, has_classes=has_classes) for cloud in own):
         return lidar
     widths = {cloud.stamp_ns: len(cloud) for cloud in own}
     for channel in sorted(channels, key=lambda channel: channel.topic):
         if channel.topic == lidar.topic or not is_cloud(channel):
             continue
         if any(
-            _says_motion(cloud, has_classes=has_classes)
+            _states_motion(cloud, has_classes=has_classes)
             and widths.get(cloud.stamp_ns) == len(cloud)
             for cloud in clouds.get(channel.topic, ())
         ):
@@ -198,7 +198,7 @@ class LabelPairing(Generic[Item]):
             yield item, self._labels.get(key)
 
 
-def _says_motion(cloud: DecodedCloud, *, has_classes: bool) -> bool:
+def _states_motion(cloud: DecodedCloud, *, has_classes: bool) -> bool:
     return LABEL_FIELD in cloud.fields and (has_classes or MOTION_FIELD in cloud.fields)
 
 

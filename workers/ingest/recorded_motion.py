@@ -44,7 +44,7 @@ MAX_STEP_NS: Final = NS_PER_S // 2
 LONGEST_SWEEP_NS: Final = NS_PER_S // 10
 _MAX_CLOCK_NS: Final = NS_PER_S // 2
 _KEPT_NS: Final = 2 * NS_PER_S
-_LOOKS: Final = 9
+_INSTANTS: Final = 9
 
 
 def find_motion(topics: Sequence[Topic], wanted: str) -> Channel | None:
@@ -108,7 +108,7 @@ class MotionLog:
     def __init__(self) -> None:
         self._samples: deque[_Sample] = deque()
         self._pose: _Pose | None = None
-        self._says_twist = False
+        self._has_twist = False
 
     def add(self, message: RawMessage) -> None:
         """Add a message, in the order of log times.
@@ -145,11 +145,15 @@ class MotionLog:
             return None
         samples = sorted(self._samples, key=lambda each: _time_ns(each, delay_ns))
         time = np.array([_time_ns(each, delay_ns) - start_ns for each in samples], np.float64)
-        looks = np.linspace(0.0, float(end_ns - start_ns), _LOOKS)
-        if not _known(time, looks):
+        instants = np.linspace(0.0, float(end_ns - start_ns), _INSTANTS)
+        if not _known(time, instants):
             return None
-        speed = np.interp(looks, time, _calm([each.speed_m_per_s for each in samples]))
-        turn = np.interp(looks, time, _calm([each.turn_rad_per_s for each in samples]))
+        speed = np.interp(
+            instants, time, _median_filtered([each.speed_m_per_s for each in samples])
+        )
+        turn = np.interp(
+            instants, time, _median_filtered([each.turn_rad_per_s for each in samples])
+        )
         return RecordedMotion(float(speed.mean()), float(turn.mean()))
 
     def _read(self, message: RawMessage) -> _Sample | None:
@@ -169,8 +173,8 @@ class MotionLog:
                 f"cannot read {message.channel.schema_name}: {type(error).__name__}: {error} "
                 f"({message.channel.topic}, logged at {message.log_time_ns})"
             ) from error
-        self._says_twist |= bool(speed or turn)
-        if moved is not None and not self._says_twist:
+        self._has_twist |= bool(speed or turn)
+        if moved is not None and not self._has_twist:
             return moved
         return _Sample(header_ns, message.log_time_ns, speed, turn)
 
@@ -218,21 +222,21 @@ def _time_ns(sample: _Sample, delay_ns: int) -> int:
     return sample.log_time_ns - delay_ns
 
 
-def _known(time: NDArray[np.float64], looks: NDArray[np.float64]) -> bool:
+def _known(time: NDArray[np.float64], instants: NDArray[np.float64]) -> bool:
     """Return True if each instant is between two close samples, or right next to one."""
-    after = np.searchsorted(time, looks)
+    after = np.searchsorted(time, instants)
     later = np.where(after < len(time), time[np.minimum(after, len(time) - 1)], np.inf)
     earlier = np.where(after > 0, time[np.maximum(after, 1) - 1], -np.inf)
-    beside = np.minimum(later - looks, looks - earlier) <= HELD_NS
-    return bool((beside | (later - earlier <= MAX_APART_NS)).all())
+    next_to_one = np.minimum(later - instants, instants - earlier) <= HELD_NS
+    return bool((next_to_one | (later - earlier <= MAX_APART_NS)).all())
 
 
-def _calm(values: Sequence[float]) -> NDArray[np.float64]:
+def _median_filtered(values: Sequence[float]) -> NDArray[np.float64]:
     """Replace each value by the median of it and its neighbours: single ones may be wrong."""
-    calm = np.array(values, np.float64)
-    if len(calm) > 2:
-        calm[1:-1] = np.median([calm[:-2], calm[1:-1], calm[2:]], axis=0)
-    return calm
+    filtered = np.array(values, np.float64)
+    if len(filtered) > 2:
+        filtered[1:-1] = np.median([filtered[:-2], filtered[1:-1], filtered[2:]], axis=0)
+    return filtered
 
 
 def _member_of(message: Any, name: str, *, deep: bool) -> Any:

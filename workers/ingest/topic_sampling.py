@@ -156,7 +156,7 @@ def sample_middle(index: LogIndex, sample: Sample) -> None:
         _add_later(index, sample, chunks[len(chunks) // 2].ref)
 
 
-def true_times(
+def recorded_times(
     index: LogIndex, ref: ChunkRef, *, apart_ns: int, damage: list[Damage]
 ) -> list[tuple[int, int]]:
     """Open a chunk to read the log times of its messages.

@@ -7,11 +7,11 @@ from schemas.arrays import NS_PER_S
 from schemas.mining import Grid
 from schemas.work import Channel, ChunkRef, Damage
 from workers.errors import LogUnusableError
-from workers.ingest.budget import too_much_of, within_reach
+from workers.ingest.budget import drop_distant, excess_of
 from workers.ingest.log_index import LogIndex
 from workers.ingest.messages import MAX_TIME_NS
 from workers.ingest.shard_windows import Span, shard_length_ns
-from workers.ingest.topic_sampling import Sample, true_times
+from workers.ingest.topic_sampling import Sample, recorded_times
 from workers.ingest.topics import chunks_of, count_in
 
 DOUBTFUL_CHUNK_NS: Final = 10 * NS_PER_S
@@ -36,12 +36,12 @@ def spans_within_reach(
     shard_ns = shard_length_ns(grid)
     log_bytes = sum(reader.size for reader in index.readers)
     spans = spans_of(index, sample, damage)
-    if not too_much_of(spans, anchor_ns, shard_ns, log_bytes):
+    if not excess_of(spans, anchor_ns, shard_ns, log_bytes):
         return spans, anchor_ns
     # wrong times may have its shards read far more than there is, so they are checked now
     spans = spans_of(index, sample, damage, doubted_ns=3 * shard_ns)
-    spans, anchor_ns = within_reach(spans, anchor_ns, shard_ns, index, damage)
-    if refused := too_much_of(spans, anchor_ns, shard_ns, log_bytes):
+    spans, anchor_ns = drop_distant(spans, anchor_ns, shard_ns, index, damage)
+    if refused := excess_of(spans, anchor_ns, shard_ns, log_bytes):
         raise LogUnusableError(refused)
     return spans, anchor_ns
 
@@ -63,7 +63,7 @@ def spans_of(
         messages = count_in(chunk, sample.topic.channel)
         doubted = doubted_ns is not None and chunk.ref.end_ns - chunk.ref.start_ns > doubted_ns
         if doubted or _is_doubtful(chunk.ref, messages=messages, usual_ns=usual_ns):
-            stretches = true_times(index, chunk.ref, apart_ns=DOUBTFUL_CHUNK_NS, damage=damage)
+            stretches = recorded_times(index, chunk.ref, apart_ns=DOUBTFUL_CHUNK_NS, damage=damage)
             messages = -1
         else:
             stretches = [(chunk.ref.start_ns, chunk.ref.end_ns)]

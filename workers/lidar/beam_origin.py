@@ -57,7 +57,7 @@ _COARSE_POINTS, _FINE_POINTS = 10_000, 30_000
 _SMOOTH: Final = 41
 
 
-def behind_share(points_m: NDArray[np.floating], origin_m: NDArray[np.floating]) -> float:
+def hidden_share(points_m: NDArray[np.floating], origin_m: NDArray[np.floating]) -> float:
     """Compute the share of points behind another in the same direction.
 
     The base is the points that share a direction. No beam passes through a surface, so seen from
@@ -99,12 +99,12 @@ def find_origin(points_m: NDArray[np.floating]) -> NDArray[np.float64] | None:
         for x in _X_M
     ]
     columns.sort(key=lambda origin: _sharpness(few, origin), reverse=True)
-    found = [_uphill(more, start) for start in columns[:_TRIED]]
+    found = [_climb(more, start) for start in columns[:_TRIED]]
     low_m, high_m = road_m + _HEIGHTS_M[0], road_m + _HEIGHTS_M[-1]
     seen = [
         (sharpness, place)
         for sharpness, place in found
-        if low_m <= place[2] <= high_m and behind_share(points_m, place) <= MAX_BEHIND_SHARE
+        if low_m <= place[2] <= high_m and hidden_share(points_m, place) <= MAX_BEHIND_SHARE
     ]
     return max(seen, key=lambda each: each[0])[1] if seen else None
 
@@ -117,7 +117,7 @@ def _road_m(points_m: NDArray[np.floating]) -> float:
     return above_m - estimate_sensor_height(points_m - np.array([0.0, 0.0, above_m]))
 
 
-def _uphill(
+def _climb(
     points_m: NDArray[np.floating], start: NDArray[np.float64]
 ) -> tuple[float, NDArray[np.float64]]:
     """Climb one axis at a time, height last, until no step gives sharper elevations."""

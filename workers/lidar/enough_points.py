@@ -21,7 +21,7 @@ _PLACE_SAMPLES: Final = 2000
 _PLACE_KEYS: Final = np.array([1, 1 << 20, 1 << 40])
 
 
-def too_little(points_m: NDArray[np.floating], *, places: int = MIN_PLACES) -> str:
+def too_few_returns(points_m: NDArray[np.floating], *, places: int = MIN_PLACES) -> str:
     """Return why a frame's returns cannot constrain a pose; empty when they can.
 
     Args:

@@ -13,7 +13,7 @@ from workers.lidar.beam_image import range_image
 from workers.lidar.beam_learner import BeamLearner
 from workers.lidar.beam_table import MIN_RANGE_M, BeamTable
 from workers.lidar.deskew import Twist, deskew, time_from_middle_s
-from workers.lidar.enough_points import too_little
+from workers.lidar.enough_points import too_few_returns
 from workers.lidar.ground import ground_mask
 from workers.lidar.sensor_height import estimate_sensor_height
 from workers.points.point_kernels import judged_rows, moved_rows, returns_within, rows_about
@@ -35,7 +35,7 @@ FARTHEST_M: Final = 1000.0
 MIN_PLACES: Final = 3
 """Cells of 1.5 m that a frame must fill to be compared; odometry needs more for a pose."""
 
-_HERE: Final = np.zeros(3, np.float32)
+_SENSOR_ORIGIN: Final = np.zeros(3, np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,8 +90,8 @@ class Preparation:
             None when the frame has almost no point, or no beams that could be measured.
         """
         valid_index = _returns(frame)
-        points_m = rows_about(frame.points_m, valid_index, _HERE)
-        if too_little(points_m, places=MIN_PLACES):
+        points_m = rows_about(frame.points_m, valid_index, _SENSOR_ORIGIN)
+        if too_few_returns(points_m, places=MIN_PLACES):
             return None
         if self._beams.learn(points_m, frame.ring[valid_index]):
             self.sensor_height_m = 0.0
@@ -125,7 +125,7 @@ class Preparation:
         if len(index) == 0:
             what = f"none of {len(frame)} points is a return" if len(frame) else "no point"
             return FrameHealth(Blindness.NO_POINTS, what)
-        little = too_little(frame.points_m[index], places=MIN_PLACES)
+        little = too_few_returns(frame.points_m[index], places=MIN_PLACES)
         if little:
             return FrameHealth(Blindness.NO_POINTS, little)
         reason = self.table.reason if self.table is not None else ""

@@ -36,7 +36,7 @@ _LEAST_M: Final = 0.03
 
 _MOST: Final = 0.9
 _CONVERGED: Final = 2e-3
-_HELD: Final = 0.02
+_CONSTRAINED: Final = 0.02
 """Ratio of the information along a direction to the best one, below which it is unconstrained."""
 
 
@@ -81,7 +81,7 @@ class Misfit:
     correction: Transform
 
 
-def structure_of(static_m: Points, centre_m: NDArray[np.floating]) -> Structure | None:
+def extract_structure(static_m: Points, centre_m: NDArray[np.floating]) -> Structure | None:
     """Extract the structure of a frame from its static places; None where there are too few.
 
     Args:
@@ -103,7 +103,7 @@ def structure_of(static_m: Points, centre_m: NDArray[np.floating]) -> Structure 
     return Structure(centre, grid, sample[flat].astype(np.float64), vectors[flat, :, 0])
 
 
-def misfit_between(reference: Structure, moved: Structure) -> Misfit | None:
+def register_structures(reference: Structure, moved: Structure) -> Misfit | None:
     """Register one frame to another, starting at the odometry's poses; None if it cannot.
 
     Args:
@@ -176,9 +176,9 @@ def _step(
     # sums in one order, at any number of BLAS threads
     information = np.einsum("ni,nj->ij", weight[:, None] * jacobian, jacobian)
     values, vectors = np.linalg.eigh(information)
-    held = values > _HELD * values[-1]
+    constrained = values > _CONSTRAINED * values[-1]
     right = vectors.T @ np.einsum("ni,n->i", jacobian, weight * gap_m)
-    step: NDArray[np.float64] = vectors[:, held] @ (right[held] / values[held])
+    step: NDArray[np.float64] = vectors[:, constrained] @ (right[constrained] / values[constrained])
     step[:3] /= lever_m
     return step
 

@@ -24,8 +24,8 @@ DEGRADED_RESIDUAL_M: Final = 0.2
 LOST_RESIDUAL_M: Final = 0.5
 RESIDUAL_JUMP: Final = 2.0
 
-STANDS_M: Final = 0.25
-FEWEST_STAND: Final = 100
+STATIC_M: Final = 0.25
+FEWEST_STATIC: Final = 100
 """Distance within which the nearest quarter of the key points is static, and the points needed.
 
 Among cars of the same speed most nearby structure moves with the sensor. Where a quarter of so many
@@ -59,12 +59,12 @@ class Residual:
     @property
     def fits_nowhere(self) -> bool:
         """True if most points are elsewhere, and the nearest quarter is not static either."""
-        stands = self.points >= FEWEST_STAND and self.quarter_m < STANDS_M
-        return self.median_m > LOST_RESIDUAL_M and not stands
+        is_static = self.points >= FEWEST_STATIC and self.quarter_m < STATIC_M
+        return self.median_m > LOST_RESIDUAL_M and not is_static
 
 
 @dataclass(frozen=True, slots=True)
-class Judgement:
+class PoseHealth:
     """Health of one pose.
 
     Attributes:
@@ -91,7 +91,7 @@ class HealthMonitor:
         if np.isfinite(residual_m):
             self._residuals_m.append(residual_m)
 
-    def judge(self, velocity: NDArray[np.float64], dt_s: float, residual: Residual) -> Judgement:
+    def judge(self, velocity: NDArray[np.float64], dt_s: float, residual: Residual) -> PoseHealth:
         """Judge a registered motion.
 
         Args:
@@ -101,40 +101,40 @@ class HealthMonitor:
         """
         residual_m = residual.median_m
         lost, degraded = OdometryState.LOST, OdometryState.DEGRADED
-        wild = self._wild(velocity, dt_s)
-        if wild.state is not lost and residual.fits_nowhere:
-            return Judgement(lost, f"structure is {residual_m:.2f} m off")
-        if wild.jumped:
-            return wild
+        impossible = self._impossible_motion(velocity, dt_s)
+        if impossible.state is not lost and residual.fits_nowhere:
+            return PoseHealth(lost, f"structure is {residual_m:.2f} m off")
+        if impossible.jumped:
+            return impossible
         if np.isnan(residual_m):
-            return Judgement(degraded, "nothing stands near by which to tell the pose")
+            return PoseHealth(degraded, "nothing stands near by which to tell the pose")
         if residual_m > LOST_RESIDUAL_M:
-            return Judgement(degraded, f"structure is {residual_m:.2f} m off, a quarter stands")
+            return PoseHealth(degraded, f"structure is {residual_m:.2f} m off, a quarter stands")
         usual = float(np.median(self._residuals_m)) if self._residuals_m else residual_m
         if residual_m > max(DEGRADED_RESIDUAL_M, RESIDUAL_JUMP * usual):
-            said = f"structure is {residual_m:.2f} m off, {usual:.2f} m is usual"
-            return Judgement(degraded, said)
-        return Judgement()
+            reason = f"structure is {residual_m:.2f} m off, {usual:.2f} m is usual"
+            return PoseHealth(degraded, reason)
+        return PoseHealth()
 
-    def _wild(self, velocity: NDArray[np.float64], dt_s: float) -> Judgement:
+    def _impossible_motion(self, velocity: NDArray[np.float64], dt_s: float) -> PoseHealth:
         """Judge a motion against the limits of a car: too fast, too sharp a turn, or a jump."""
         speed, turn = float(np.linalg.norm(velocity[3:])), float(np.linalg.norm(velocity[:3]))
         lost, degraded = OdometryState.LOST, OdometryState.DEGRADED
         if speed > MAX_SPEED_M_PER_S:
-            return Judgement(lost, f"{speed:.0f} m/s is too fast for a car", jumped=True)
+            return PoseHealth(lost, f"{speed:.0f} m/s is too fast for a car", jumped=True)
         if turn > MAX_TURN_RAD_PER_S:
-            said = f"{np.degrees(turn):.0f} degrees per second is no turn"
-            return Judgement(lost, said, jumped=True)
+            reason = f"{np.degrees(turn):.0f} degrees per second is no turn"
+            return PoseHealth(lost, reason, jumped=True)
         if self._velocity is None:
-            return Judgement()
+            return PoseHealth()
         jump_m = float(np.linalg.norm(velocity[3:] - self._velocity[3:])) * dt_s
         jump_rad = float(np.linalg.norm(velocity[:3] - self._velocity[:3])) * dt_s
         limit_m = MAX_ACCELERATION_M_PER_S2 * dt_s**2 + POSE_NOISE_M
         limit_rad = MAX_TURN_CHANGE_RAD_PER_S2 * dt_s**2 + POSE_NOISE_RAD
         if jump_m > limit_m:
             state = lost if jump_m > limit_m + LOST_JUMP_M else degraded
-            return Judgement(state, f"pose jumped by {jump_m:.2f} m", jumped=True)
+            return PoseHealth(state, f"pose jumped by {jump_m:.2f} m", jumped=True)
         if jump_rad > limit_rad:
-            said = f"pose turned by {np.degrees(jump_rad):.1f} degrees"
-            return Judgement(degraded, said, jumped=True)
-        return Judgement()
+            reason = f"pose turned by {np.degrees(jump_rad):.1f} degrees"
+            return PoseHealth(degraded, reason, jumped=True)
+        return PoseHealth()

@@ -56,19 +56,19 @@ class KissMap:
         """
         self.pose: Transform = np.eye(4)
         self._velocity = velocity
-        self._begun = False
+        self._has_frames = False
         self._road_m = 0.0
         self._kiss = _new_kiss(step_m)
         self._registered: _Registered | None = None
 
     def expected(self, dt_s: float) -> Transform:
         """Predict the pose (4, 4) at constant velocity."""
-        if not self._begun or self._velocity is None:
+        if not self._has_frames or self._velocity is None:
             return self.pose
         return self.pose @ motion(self._velocity * dt_s)
 
     def register(self, points: Points, dt_s: float) -> tuple[Transform | None, NDArray[np.float64]]:
-        """Register a frame; the map does not change until `take_in`.
+        """Register a frame; the map does not change until `accept`.
 
         Args:
             points: (N, 3) returns of the frame, about the sensor.
@@ -78,10 +78,10 @@ class KissMap:
             (4, 4) its pose in the space of the first frame, None if registration failed; and
             (K, 3) its key points, about the sensor.
         """
-        if not self._begun:
+        if not self._has_frames:
             self._road_m = _ROAD_M - estimate_sensor_height(points.astype(np.float64))
         kiss, guess = self._kiss, self.expected(dt_s)
-        places, keypoints = _thinned(kiss, chosen(points, self._road_m))
+        places, keypoints = _voxelised(kiss, subsample(points, self._road_m))
         sigma = kiss.adaptive_threshold.get_threshold()
         pose: Transform = kiss.registration.align_points_to_map(
             points=keypoints,
@@ -93,7 +93,7 @@ class KissMap:
         self._registered = _Registered(pose, guess, places, dt_s) if _is_pose(pose) else None
         return (None if self._registered is None else pose), keypoints
 
-    def take_in(self) -> None:
+    def accept(self) -> None:
         """Accept the last registration, and add its points to the map."""
         if self._registered is None:
             return
@@ -101,16 +101,16 @@ class KissMap:
         self._registered = None
         self._kiss.adaptive_threshold.update_model_deviation(inverse(guess) @ pose)
         self._kiss.local_map.update(places, pose)
-        if self._begun:
+        if self._has_frames:
             self._velocity = twist(inverse(self.pose) @ pose) / dt_s
-        self._begun, self.pose = True, pose
+        self._has_frames, self.pose = True, pose
 
-    def believe(self, pose: Transform) -> None:
+    def continue_from(self, pose: Transform) -> None:
         """Continue from a pose that no registration found."""
         self.pose = pose
 
 
-def chosen(points: Points, road_m: float) -> NDArray[np.float64]:
+def subsample(points: Points, road_m: float) -> NDArray[np.float64]:
     """Select half of the points, mixed, and of those on the road one in twenty of that.
 
     KISS-ICP keeps the first point of each voxel. In scan order that is always the same corner of
@@ -161,7 +161,7 @@ def _new_kiss(step_m: float) -> Any:
     return KissICP(config)
 
 
-def _thinned(kiss: Any, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+def _voxelised(kiss: Any, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
     """Return the points that KISS-ICP adds to its map, and its fewer key points."""
     keypoints, places = kiss.voxelize(kiss.preprocessor.preprocess(points, np.empty(0), np.eye(4)))
     return places, keypoints

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from workers.lidar.deskew import Twist
-from workers.odometry.registration_pass import Run
-from workers.odometry.velocity_initialisation import contradicted_share, likely_velocities
+from workers.odometry.registration_pass import RegistrationPass
+from workers.odometry.velocity_initialisation import candidate_velocities, contradicted_share
 from workers.points.se3 import inverse
 
-BEGINNING_S: Final = 0.35
+DECISION_S: Final = 0.35
 """Time before the first decision between hypotheses, seconds: five frames at 10 Hz."""
 
 FEWEST_HELD: Final = 3
@@ -34,7 +34,7 @@ a second later it was .11 and .09."""
 
 _AGAIN_S: Final = 1.0
 
-_LOOKS: Final = 5
+_TESTS: Final = 5
 """Tests of a stretch at most. A motion that is unclear by then is accepted, as among cars of the
 same speed all around."""
 
@@ -46,7 +46,7 @@ and after it found that the car drives."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Likeliest:
+class MotionHypothesis:
     """The most likely motion of the sensor, given a few frames.
 
     Attributes:
@@ -55,12 +55,14 @@ class Likeliest:
         alike: Another possible motion, in words; empty where there is none.
     """
 
-    run: Run
+    run: RegistrationPass
     posed: list[PosedFrame]
     alike: str = ""
 
 
-def likeliest(run: Run, posed: list[PosedFrame], begin: Callable[[Twist], Run]) -> Likeliest:
+def most_likely_motion(
+    run: RegistrationPass, posed: list[PosedFrame], begin: Callable[[Twist], RegistrationPass]
+) -> MotionHypothesis:
     """Choose among the current motion and every other motion that two frames allow.
 
     Args:
@@ -69,48 +71,53 @@ def likeliest(run: Run, posed: list[PosedFrame], begin: Callable[[Twist], Run]) 
         begin: Begins another pass before the first of them, with a twist per second.
     """
     frames = [each.frame for each in posed]
-    dt_s, first_m, gone_m = span_s(frames[:2]), moved_m(posed[:2]), moved_m(posed)
-    ways = [(float("nan"), run, posed)]
-    for velocity in likely_velocities(frames[0], frames[1]):
+    dt_s, first_m, travelled_m = span_s(frames[:2]), moved_m(posed[:2]), moved_m(posed)
+    hypotheses = [(float("nan"), run, posed)]
+    for velocity in candidate_velocities(frames[0], frames[1]):
         if np.linalg.norm(velocity[3:] * dt_s - first_m) < _ANOTHER_M:
             continue
         other = begin(velocity)
-        posed_so = [other.pose(frame) for frame in frames]
-        if np.linalg.norm(moved_m(posed_so) - gone_m) < _ANOTHER_M:
+        posed_otherwise = [other.pose(frame) for frame in frames]
+        if np.linalg.norm(moved_m(posed_otherwise) - travelled_m) < _ANOTHER_M:
             continue
-        if len(ways) == 1:
-            ways[0] = (contradicted_share(posed), run, posed)
-        ways.append((contradicted_share(posed_so), other, posed_so))
-    best = ways[0]
-    for way in ways[1:]:
-        if way[0] < _BETTER * best[0]:
-            best = way
-    gone_m = moved_m(best[2])
-    for share_so, _, posed_so in ways:
-        apart = float(np.linalg.norm(moved_m(posed_so) - gone_m)) >= _ANOTHER_M
-        if apart and share_so <= _ALIKE * best[0]:
-            return Likeliest(best[1], best[2], f"{_speed(posed_so):.0f} m/s would fit alike")
-    return Likeliest(best[1], best[2])
+        if len(hypotheses) == 1:
+            hypotheses[0] = (contradicted_share(posed), run, posed)
+        hypotheses.append((contradicted_share(posed_otherwise), other, posed_otherwise))
+    best = hypotheses[0]
+    for hypothesis in hypotheses[1:]:
+        if hypothesis[0] < _BETTER * best[0]:
+            best = hypothesis
+    travelled_m = moved_m(best[2])
+    for share_otherwise, _, posed_otherwise in hypotheses:
+        apart = float(np.linalg.norm(moved_m(posed_otherwise) - travelled_m)) >= _ANOTHER_M
+        if apart and share_otherwise <= _ALIKE * best[0]:
+            alike = f"{_speed(posed_otherwise):.0f} m/s would fit alike"
+            return MotionHypothesis(best[1], best[2], alike)
+    return MotionHypothesis(best[1], best[2])
 
 
-class Unsure:
+class AmbiguousMotion:
     """A stretch whose sensor motion is ambiguous; its hypotheses are tested again each second."""
 
-    def __init__(self, found: Likeliest, *, looks: int = _LOOKS, owed: int = 0) -> None:
+    def __init__(
+        self, found: MotionHypothesis, *, tests_left: int = _TESTS, confirmations: int = 0
+    ) -> None:
         """Begin after the first frames of the stretch.
 
         Args:
             found: The most likely motion, and the other possible one.
-            looks: Number of tests left.
-            owed: Tests that must confirm it even without another possible motion.
+            tests_left: Number of tests left.
+            confirmations: Tests that must confirm it even without another possible motion.
         """
         self._posed = list(found.posed)
-        self._looks = looks
-        self._owed = owed
+        self._tests_left = tests_left
+        self._confirmations = confirmations
         self._asked_ns = found.posed[-1].frame.stamp_ns
         self._alike = found.alike
 
-    def look_again(self, run: Run, now: PosedFrame) -> tuple[Run, PosedFrame, "Unsure | None"]:
+    def test_again(
+        self, run: RegistrationPass, now: PosedFrame
+    ) -> tuple[RegistrationPass, PosedFrame, "AmbiguousMotion | None"]:
         """Mark a pose as degraded, or once a second test the hypotheses again.
 
         Args:
@@ -124,32 +131,38 @@ class Unsure:
         self._posed.append(now)
         since_s = (now.frame.stamp_ns - self._asked_ns) / NS_PER_S
         if since_s < _AGAIN_S:
-            return run, doubted(now, self._alike), self
+            return run, degraded(now, self._alike), self
         last = [
             each
             for each in self._posed
-            if now.frame.stamp_ns - each.frame.stamp_ns <= (BEGINNING_S + 0.1) * NS_PER_S
+            if now.frame.stamp_ns - each.frame.stamp_ns <= (DECISION_S + 0.1) * NS_PER_S
         ]
         if len(last) < FEWEST_HELD:
             return run, now, None
         begins = last[0].odom_from_sensor
-        found = likeliest(run, last, lambda velocity: Run(begins, velocity))
+        found = most_likely_motion(run, last, lambda velocity: RegistrationPass(begins, velocity))
         if found.run is not run:
             reason = f"the sensor moves at {_speed(found.posed):.0f} m/s, other than was believed"
             now = replace(found.posed[-1], odometry=OdometryState.LOST, reason=reason, jumped=True)
             found = replace(found, posed=[*found.posed[:-1], now])
             alike = found.alike or f"{_speed(last):.0f} m/s was believed before"
-            looks = max(self._looks - 1, _CONFIRMED)
-            unsure = Unsure(replace(found, alike=alike), looks=looks, owed=_CONFIRMED)
-            return found.run, now, unsure
-        if self._looks <= 1 or not (found.alike or self._owed > 1):
+            tests_left = max(self._tests_left - 1, _CONFIRMED)
+            ambiguous = AmbiguousMotion(
+                replace(found, alike=alike), tests_left=tests_left, confirmations=_CONFIRMED
+            )
+            return found.run, now, ambiguous
+        if self._tests_left <= 1 or not (found.alike or self._confirmations > 1):
             return found.run, now, None
         alike = found.alike or self._alike
-        unsure = Unsure(replace(found, alike=alike), looks=self._looks - 1, owed=self._owed - 1)
-        return found.run, doubted(now, alike), unsure
+        ambiguous = AmbiguousMotion(
+            replace(found, alike=alike),
+            tests_left=self._tests_left - 1,
+            confirmations=self._confirmations - 1,
+        )
+        return found.run, degraded(now, alike), ambiguous
 
 
-def doubted(posed: PosedFrame, alike: str) -> PosedFrame:
+def degraded(posed: PosedFrame, alike: str) -> PosedFrame:
     """Mark a healthy pose as degraded; other states are kept."""
     if posed.odometry is not OdometryState.HEALTHY:
         return posed

@@ -6,18 +6,18 @@ from typing import Final
 from schemas.arrays import NS_PER_S
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from workers.odometry.motion_hypotheses import (
-    BEGINNING_S,
+    DECISION_S,
     FEWEST_HELD,
-    Unsure,
-    doubted,
-    likeliest,
+    AmbiguousMotion,
+    degraded,
+    most_likely_motion,
     span_s,
 )
-from workers.odometry.registration_pass import MAX_GAP_S, RESIDUAL_REACH_M, Run
+from workers.odometry.registration_pass import MAX_GAP_S, RESIDUAL_REACH_M, RegistrationPass
 from workers.part_version import version_of
 
 _MOST_HELD: Final = 10
-_ASTRAY_S: Final = 0.5
+_BAD_POSES_S: Final = 0.5
 """Time of impossible motion, or of no fit, after which a stretch ends, seconds.
 
 By then the prediction of each frame is wrong, and each new map begins with it. On one street such a
@@ -51,33 +51,37 @@ class KissOdometry:
 
     def __call__(self, frames: Iterable[LidarFrame]) -> Iterator[PosedFrame]:
         """Yield each frame with its pose, the first ones once their motion is decided."""
-        run, held, begun = Run(), list[LidarFrame](), False
-        unsure: Unsure | None = None
-        astray = _Astray()
+        run, held, begun = RegistrationPass(), list[LidarFrame](), False
+        ambiguous: AmbiguousMotion | None = None
+        bad_poses = _BadPoses()
         for frame in frames:
             if not _follows(held[-1].stamp_ns if held else run.stamp_ns, frame):
                 if held:
-                    run, posed, unsure = _begin(run, held)
+                    run, posed, ambiguous = _begin(run, held)
                     yield from posed
-                held, begun, astray = [], False, _Astray()
+                held, begun, bad_poses = [], False, _BadPoses()
             if begun:
                 now = run.pose(frame)
-                if unsure is not None:
-                    run, now, unsure = unsure.look_again(run, now)
+                if ambiguous is not None:
+                    run, now, ambiguous = ambiguous.test_again(run, now)
                 yield now
-                if astray.too_long(now):
-                    run, begun, unsure = run.anew(why=f"astray for {_ASTRAY_S} s"), False, None
+                if bad_poses.too_long(now):
+                    run, begun, ambiguous = (
+                        run.restart(why=f"astray for {_BAD_POSES_S} s"),
+                        False,
+                        None,
+                    )
                 continue
             held.append(frame)
-            if span_s(held) >= BEGINNING_S or len(held) == _MOST_HELD:
-                run, posed, unsure = _begin(run, held)
+            if span_s(held) >= DECISION_S or len(held) == _MOST_HELD:
+                run, posed, ambiguous = _begin(run, held)
                 yield from posed
                 held, begun = [], True
         if held:
             yield from _begin(run, held)[1]
 
 
-class _Astray:
+class _BadPoses:
     """Start of the present run of impossible or unfitting poses."""
 
     def __init__(self) -> None:
@@ -86,27 +90,29 @@ class _Astray:
     def too_long(self, now: PosedFrame) -> bool:
         """Add a frame; return True when the run of bad poses is too long, and forget it."""
         stamp_ns = now.frame.stamp_ns
-        wild = now.jumped or now.static_residual_m >= _NOTHING_FITS_M
-        if now.odometry is not OdometryState.LOST or not wild:
+        impossible = now.jumped or now.static_residual_m >= _NOTHING_FITS_M
+        if now.odometry is not OdometryState.LOST or not impossible:
             self._since_ns = None
         elif self._since_ns is None:
             self._since_ns = stamp_ns
-        elif stamp_ns - self._since_ns >= _ASTRAY_S * NS_PER_S:
+        elif stamp_ns - self._since_ns >= _BAD_POSES_S * NS_PER_S:
             self._since_ns = None
             return True
         return False
 
 
-def _begin(before: Run, held: Sequence[LidarFrame]) -> tuple[Run, list[PosedFrame], Unsure | None]:
+def _begin(
+    before: RegistrationPass, held: Sequence[LidarFrame]
+) -> tuple[RegistrationPass, list[PosedFrame], AmbiguousMotion | None]:
     """Register the first frames of a stretch, from no motion unless another start is better."""
-    run = before.anew()
+    run = before.restart()
     posed = [run.pose(frame) for frame in held]
     if len(held) < FEWEST_HELD:
         return run, posed, None
-    found = likeliest(run, posed, before.anew)
+    found = most_likely_motion(run, posed, before.restart)
     if not found.alike:
         return found.run, found.posed, None
-    return found.run, [doubted(each, found.alike) for each in found.posed], Unsure(found)
+    return found.run, [degraded(each, found.alike) for each in found.posed], AmbiguousMotion(found)
 
 
 def _follows(last_ns: int | None, frame: LidarFrame) -> bool:

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S, Mask, Points, Transform
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from workers.lidar.deskew import Twist, twist
-from workers.lidar.enough_points import too_little
-from workers.odometry.health import LOST_RESIDUAL_M, HealthMonitor, Judgement, Residual
+from workers.lidar.enough_points import too_few_returns
+from workers.odometry.health import LOST_RESIDUAL_M, HealthMonitor, PoseHealth, Residual
 from workers.odometry.kiss_map import MAX_RANGE_M
-from workers.odometry.time_anchored_maps import MapsByClock
+from workers.odometry.time_anchored_maps import TimeAnchoredMaps
 from workers.points.compiled import compiled
 from workers.points.neighbours import PointGrid, build_grid, nearest_distances
 from workers.points.se3 import inverse, transform
@@ -28,7 +28,7 @@ _SOUND: Final = 5
 each step corrects the one before."""
 
 
-class Run:
+class RegistrationPass:
     """State of one pass over a stretch of frames."""
 
     def __init__(self, pose: Transform | None = None, velocity: Twist | None = None) -> None:
@@ -40,21 +40,21 @@ class Run:
 
     def _begin(self, velocity: Twist | None) -> None:
         """Forget the map and the motion, and keep the pose."""
-        self._maps = MapsByClock(self._pose, velocity)
+        self._maps = TimeAnchoredMaps(self._pose, velocity)
         self._velocity: Twist | None = None
         self._registered_ns: int | None = None
         self._previous: PointGrid | None = None
         self._health = HealthMonitor()
         self._sound = 0
 
-    def anew(self, velocity: Twist | None = None, *, why: str = "") -> "Run":
+    def restart(self, velocity: Twist | None = None, *, why: str = "") -> "RegistrationPass":
         """Begin another pass at the last pose of this one.
 
         Args:
             velocity: Twist of the sensor at first, per second; zero when None.
             why: Reason for the break between the two; empty where there is none.
         """
-        run = Run(self._pose, velocity)
+        run = RegistrationPass(self._pose, velocity)
         run.stamp_ns = self.stamp_ns
         run._restarted = why or self._restarted
         return run
@@ -72,7 +72,7 @@ class Run:
 
         points = usable(frame.points_m, frame.valid_mask)
         predicted = self._maps.expected(frame.stamp_ns)
-        problem = too_little(points)
+        problem = too_few_returns(points)
         if problem:
             return self._unregistered(frame, predicted, problem)
         pose, keypoints = self._maps.register(points, frame.stamp_ns, self._velocity)
@@ -81,31 +81,31 @@ class Run:
             return self._unregistered(frame, predicted, "registration did not converge")
 
         residual = self._residual(keypoints, pose)
-        judged, velocity = Judgement(), None
+        judged, velocity = PoseHealth(), None
         if self._registered_ns is not None:
             velocity = twist(inverse(self._pose) @ pose) / dt_s
             judged = self._health.judge(velocity, dt_s, residual)
-            if self._refuses(judged, residual, frame.stamp_ns):
+            if self._is_outlier(judged, residual, frame.stamp_ns):
                 return self._unregistered(frame, predicted, f"not believed: {judged.reason}")
             self._health.remember(velocity, residual.median_m)
         self._velocity = velocity
-        self._maps.take_in()
+        self._maps.accept()
         self._pose, self._registered_ns = pose, frame.stamp_ns
         self._sound = 0 if judged.state is OdometryState.LOST else self._sound + 1
         self._previous = build_grid(transform(pose, structure(points)), pose[:3, 3])
         if restarted:
-            judged = Judgement(OdometryState.DEGRADED, f"odometry starts anew: {restarted}")
+            judged = PoseHealth(OdometryState.DEGRADED, f"odometry starts anew: {restarted}")
         return PosedFrame(
             frame, pose.copy(), judged.state, residual.median_m, judged.reason, jumped=judged.jumped
         )
 
-    def _refuses(self, judged: Judgement, residual: Residual, stamp_ns: int) -> bool:
+    def _is_outlier(self, judged: PoseHealth, residual: Residual, stamp_ns: int) -> bool:
         """Return True if a registration is impossible for a car and fits nothing, after good ones.
 
         Added to the map, it would distort later poses. Half a second of them is no exception.
         """
-        wild = judged.jumped and judged.state is OdometryState.LOST
-        wrong = wild and residual.median_m > LOST_RESIDUAL_M and self._sound >= _SOUND
+        impossible = judged.jumped and judged.state is OdometryState.LOST
+        wrong = impossible and residual.median_m > LOST_RESIDUAL_M and self._sound >= _SOUND
         since = self._registered_ns
         return wrong and since is not None and (stamp_ns - since) / NS_PER_S <= MAX_GAP_S
 
@@ -119,7 +119,7 @@ class Run:
             self._begin(None)
         else:
             self._pose = pose
-            self._maps.believe(pose, frame.stamp_ns)
+            self._maps.continue_from(pose, frame.stamp_ns)
         return PosedFrame(frame, pose.copy(), state, reason=problem)
 
     def _residual(self, keypoints: NDArray[np.float64], pose: Transform) -> Residual:

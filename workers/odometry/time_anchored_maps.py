@@ -37,7 +37,7 @@ Two odometries differ by less, so they mostly begin a map with the same twist. 0
 (false clusters .15 instead of .065)."""
 
 
-class MapsByClock:
+class TimeAnchoredMaps:
     """The map in use and, half of the time, the one that follows it."""
 
     def __init__(self, odom_from_first: Transform, velocity: Twist | None) -> None:
@@ -60,7 +60,7 @@ class MapsByClock:
     def register(
         self, points: Points, stamp_ns: int, velocity: Twist | None
     ) -> tuple[Transform | None, NDArray[np.float64]]:
-        """Register a frame; no map changes until `take_in`.
+        """Register a frame; no map changes until `accept`.
 
         Args:
             points: (N, 3) of the frame, about the sensor.
@@ -84,18 +84,18 @@ class MapsByClock:
             self._next.register(points, dt_s)
         return (None if pose is None else self._odom_from_map @ pose), keypoints
 
-    def take_in(self) -> None:
+    def accept(self) -> None:
         """Add the last registered frame to the maps."""
-        self._map.take_in()
+        self._map.accept()
         if self._next is not None:
-            self._next.take_in()
+            self._next.accept()
 
-    def believe(self, pose: Transform, stamp_ns: int) -> None:
+    def continue_from(self, pose: Transform, stamp_ns: int) -> None:
         """Continue from a pose in odom space that no registration found."""
         moved = inverse(self._odom_from_map @ self._map.pose) @ pose
-        self._map.believe(self._map.pose @ moved)
+        self._map.continue_from(self._map.pose @ moved)
         if self._next is not None:
-            self._next.believe(self._next.pose @ moved)
+            self._next.continue_from(self._next.pose @ moved)
         self._stamp_ns = stamp_ns
 
     def _dt_s(self, stamp_ns: int) -> float:

@@ -36,7 +36,7 @@ _PEAK: Final = 0.75
 The true speed had .87 and more on simulated motorways; in towns every other one had .6 at most."""
 
 
-def likely_velocities(first: LidarFrame, second: LidarFrame) -> list[Twist]:
+def candidate_velocities(first: LidarFrame, second: LidarFrame) -> list[Twist]:
     """Estimate how the sensor may have moved between two frames, at any yaw of its axes.
 
     Every place of the second frame votes for the shifts that move it onto something of the first,
@@ -89,7 +89,9 @@ def contradicted_share(posed: Sequence[PosedFrame]) -> float:
     table = prepare.table
     if seen[0] is None or seen[1] is None or table is None or not table.trusted:
         return float("nan")
-    answers = np.concatenate([_asked(seen[0], seen[1], table), _asked(seen[1], seen[0], table)])
+    answers = np.concatenate(
+        [_visibility_in(seen[0], seen[1], table), _visibility_in(seen[1], seen[0], table)]
+    )
     free, occupied = int((answers >= FREE).sum()), int((answers == OCCUPIED).sum())
     return free / (free + occupied) if free + occupied >= _FEWEST else float("nan")
 
@@ -103,7 +105,7 @@ def _ends(posed: Sequence[PosedFrame]) -> list[tuple[PosedFrame, Twist]]:
     return ends
 
 
-def _asked(of: Prepared, other: Prepared, table: BeamTable) -> NDArray[np.int8]:
+def _visibility_in(of: Prepared, other: Prepared, table: BeamTable) -> NDArray[np.int8]:
     """Return the visibility of one frame's places in the other frame."""
     places = voxelize(_near(of.voxels.centroids_m, of), voxel_m=_PLACE_M).centroids_m
     odom_m = transform(of.odom_from_beams, places.astype(np.float64)).astype(np.float32)

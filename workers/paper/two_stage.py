@@ -17,7 +17,7 @@ from workers.paper.two_stage_clustering import PER_SECOND, TwoStageRule, two_sta
 from workers.part_version import version_of
 from workers.points.se3 import transform
 from workers.selfsupervised.history import MAX_GAP_NS
-from workers.selfsupervised.labelling import ALONE, GROUND, nothing_known
+from workers.selfsupervised.labelling import ALONE, GROUND, unknown_labels
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,16 +63,16 @@ class TwoStage:
             prepared = prepare(frame, posed.odom_from_sensor, None)
             if prepared is None:
                 before = None
-                yield nothing_known(frame, health=prepare.problem(frame))
+                yield unknown_labels(frame, health=prepare.problem(frame))
                 continue
             if posed.odometry is OdometryState.LOST:
                 before = None
                 lost = FrameHealth(Blindness.NO_POSE, f"odometry lost: {posed.reason}")
-                yield nothing_known(frame, prepared, health=lost)
+                yield unknown_labels(frame, prepared, health=lost)
                 continue
             if before is None or not 0 < frame.stamp_ns - before[0] <= MAX_GAP_NS:
                 first = FrameHealth(Blindness.NO_PAST, "no frame before it to compare with")
-                yield nothing_known(frame, prepared, health=first)
+                yield unknown_labels(frame, prepared, health=first)
             else:
                 places = _in_beams(prepared)
                 other_from_this = before[1].beams_from_odom @ prepared.odom_from_beams

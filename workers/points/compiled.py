@@ -54,7 +54,7 @@ def _compiled(loop: Loop, *, inline: bool) -> Loop:
     try:
         dispatcher.enable_caching()
     except RuntimeError:  # numba's word for a cache that cannot be written anywhere
-        _say_uncached()
+        _warn_uncached()
     return cast(Loop, dispatcher)
 
 
@@ -64,7 +64,7 @@ def cache_folder(loop: Callable[..., Any]) -> str | None:
 
 
 @cache
-def _say_uncached() -> None:
+def _warn_uncached() -> None:
     log.warning(
         "no cache for compiled loops: every process compiles them anew, with time and memory",
         remedy="name a folder that can be written in NUMBA_CACHE_DIR",

@@ -120,13 +120,13 @@ def nearest_rows(grid: PointGrid, points: NDArray[np.floating], reach: float) ->
 
 
 @compiled
-def nearest_few(grid: PointGrid, points: Points, few: int) -> NDArray[np.int32]:
+def nearest_few(grid: PointGrid, points: Points, count: int) -> NDArray[np.int32]:
     """Find the rows of each point's nearest neighbours, nearest first; (N, few).
 
     The grid must contain as many points.
     """
-    rows = np.full((len(points), few), -1, np.int32)
-    squared = np.empty(few, np.float64)
+    rows = np.full((len(points), count), -1, np.int32)
+    squared = np.empty(count, np.float64)
     for i in range(len(points)):
         reach = _FIRST_REACH_M
         squared[:] = np.inf

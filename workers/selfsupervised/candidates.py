@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask
-from workers.selfsupervised.registration import Registered
+from workers.selfsupervised.registration import RegistrationResiduals
 
 MIN_SPEED_M_PER_S: Final = 0.7
 """Half a brisk walk. Over 0.5 s it is 0.35 m, three times what sampling and pose noise imitate."""
@@ -37,7 +37,9 @@ _MIN_SHORT_SPEED: Final = 3.0
 
 
 def far_candidates(
-    fit: Registered, velocity_far: NDArray[np.float32], velocity_near: NDArray[np.float32]
+    fit: RegistrationResiduals,
+    velocity_far: NDArray[np.float32],
+    velocity_near: NDArray[np.float32],
 ) -> tuple[Mask, Mask]:
     """Return the clusters that moved over 0.5 s, and those with a clearly better fit when shifted.
 
@@ -60,7 +62,7 @@ def far_candidates(
     return moves, clear
 
 
-def near_candidates(fit: Registered, velocity_near: NDArray[np.float32]) -> Mask:
+def near_candidates(fit: RegistrationResiduals, velocity_near: NDArray[np.float32]) -> Mask:
     """Return the clusters that moved over 0.1 s and were not visible half a second ago."""
     speed = np.linalg.norm(velocity_near, axis=1)
     moves: Mask = (

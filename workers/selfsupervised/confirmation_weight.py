@@ -24,8 +24,8 @@ SMALL_VOXELS: Final = 12
 
 It may also be the end of an object that has just come into view."""
 
-TAKEN_VOTES: Final = 1.0
-TAKEN_FREE_SHARE: Final = 0.3
+OCCUPIED_VOTES: Final = 1.0
+OCCUPIED_FREE_SHARE: Final = 0.3
 """Mean occupied votes above which a place was taken before, and free share up to which it still is.
 
 Such clusters are walls that seem to slide along themselves and bushes that lost some leaves. Slow
@@ -39,7 +39,7 @@ The upper edge of a wall, a rail or a kerb is a line: a beam meets it in one fra
 it in the next. A car has a second side, or a roof."""
 
 
-def proves_whole(
+def confirms_in_full(
     points_m: Points,
     clusters: Clusters,
     votes: Votes,
@@ -60,14 +60,16 @@ def proves_whole(
         (K,) bool; the other clusters are confirmed by half.
     """
     about_m = points_m - centre_m.astype(np.float32)
-    large: Mask = clusters.sizes >= _voxels_of(SMALL_M2, about_m, clusters, table)
-    return large & ~_were_there(clusters, votes) & ~_are_lines(about_m, clusters)
+    large: Mask = clusters.sizes >= _visible_voxels(SMALL_M2, about_m, clusters, table)
+    return large & ~_were_occupied(clusters, votes) & ~_are_lines(about_m, clusters)
 
 
-def _were_there(clusters: Clusters, votes: Votes) -> Mask:
+def _were_occupied(clusters: Clusters, votes: Votes) -> Mask:
     free_share = clusters.count(votes.seen_through) / np.maximum(clusters.sizes, 1)
-    there: Mask = (clusters.mean(votes.occupied) > TAKEN_VOTES) & (free_share < TAKEN_FREE_SHARE)
-    return there
+    occupied: Mask = (clusters.mean(votes.occupied) > OCCUPIED_VOTES) & (
+        free_share < OCCUPIED_FREE_SHARE
+    )
+    return occupied
 
 
 def _are_lines(about_m: Points, clusters: Clusters) -> Mask:
@@ -85,7 +87,7 @@ def _are_lines(about_m: Points, clusters: Clusters) -> Mask:
     return lines
 
 
-def _voxels_of(
+def _visible_voxels(
     area_m2: float, about_m: Points, clusters: Clusters, table: BeamTable
 ) -> NDArray[np.float64]:
     """Return (K,) voxels that an area shows at the range of each cluster: one per beam on it."""

@@ -11,7 +11,7 @@ from workers.lidar.beam_table import BeamTable
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Evidence:
+class FreeSpaceEvidence:
     """Free-space evidence on every voxel of a frame.
 
     Attributes:

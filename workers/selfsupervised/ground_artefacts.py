@@ -21,10 +21,10 @@ _LOW, _HIGH = 0.03, 0.97
 
 
 @step("strips")
-def are_strips(
+def are_ground_artefacts(
     points_m: Points,
     clusters: Clusters,
-    asked: Mask,
+    candidates: Mask,
     *,
     beams_from_odom: Transform,
     sensor_height_m: float,
@@ -36,31 +36,31 @@ def are_strips(
     Args:
         points_m: (N, 3) voxel centroids, odom space.
         clusters: K sets of them.
-        asked: (K,) candidate clusters.
+        candidates: (K,) candidate clusters.
         beams_from_odom: (4, 4) inverse pose of the frame.
         sensor_height_m: Height of the origin of the beams over the road.
 
     Returns:
         (K,) bool; False outside the candidates.
     """
-    return _are_strips(
-        points_m, clusters.members, clusters.start, asked, beams_from_odom[:3], sensor_height_m
+    return _are_ground_artefacts(
+        points_m, clusters.members, clusters.start, candidates, beams_from_odom[:3], sensor_height_m
     )
 
 
 @compiled
-def _are_strips(
+def _are_ground_artefacts(
     points: Points,
     members: NDArray[np.int32],
     start: NDArray[np.int32],
-    asked: Mask,
+    candidates: Mask,
     pose: NDArray[np.float64],
     sensor_height: float,
 ) -> Mask:
-    strip = np.zeros(len(asked), np.bool_)
-    for k in range(len(asked)):
+    artefact = np.zeros(len(candidates), np.bool_)
+    for k in range(len(candidates)):
         inside = members[start[k] : start[k + 1]]
-        if not asked[k] or len(inside) == 0:
+        if not candidates[k] or len(inside) == 0:
             continue
         heights = np.empty(len(inside), np.float64)
         x, y = 0.0, 0.0
@@ -72,8 +72,8 @@ def _are_strips(
         heights.sort()
         low, high = _quantile(heights, _LOW), _quantile(heights, _HIGH)
         away = np.sqrt(x * x + y * y) / len(inside)
-        strip[k] = high - low < FLAT_M and high < ROAD_M + ROAD_PER_M * away - sensor_height
-    return strip
+        artefact[k] = high - low < FLAT_M and high < ROAD_M + ROAD_PER_M * away - sensor_height
+    return artefact
 
 
 @compiled

@@ -26,7 +26,7 @@ SeenThrough = Callable[[Points], Mask]
 
 
 @step("reattach")
-def ground_of_movers(
+def reattach_ground(
     prepared: Prepared,
     moves: Mask,
     confirmed: Mask,
@@ -53,8 +53,8 @@ def ground_of_movers(
     grid = build_grid(prepared.voxels.centroids_m[moving], prepared.odom_from_beams[:3, 3])
     places = moved_rows(prepared.points_m, asked, prepared.odom_from_beams)
     nearest = nearest_indices(grid, places, REACH_M)
-    beside = np.flatnonzero(nearest >= 0)
-    asked, places, nearest = asked[beside], places[beside], nearest[beside]
+    within_reach = np.flatnonzero(nearest >= 0)
+    asked, places, nearest = asked[within_reach], places[within_reach], nearest[within_reach]
     apart_m = np.linalg.norm(places - grid.points_m[nearest], axis=1)
     belongs = apart_m < TOUCHING_M
     further = np.flatnonzero(~belongs)

@@ -44,7 +44,7 @@ class PastFrame:
     image: NDArray[np.float32]
     grid: PointGrid
 
-    def said_in(self, space: Transform) -> "PastFrame":
+    def expressed_in(self, space: Transform) -> "PastFrame":
         """Return the frame with poses and places in another space, given (4, 4) odom from it."""
         if self.space is space:
             return self
@@ -76,10 +76,10 @@ class History:
         while self.age_s(self._frames[0], frame.stamp_ns) > LOOKBACK_S + _TOLERANCE_S:
             self._frames.popleft()
 
-    def say_in(self, space: Transform) -> None:
+    def express_in(self, space: Transform) -> None:
         """Express all frames in another space, given (4, 4) odom from it."""
-        said = [frame.said_in(space) for frame in self._frames]
-        self._frames = deque(said, maxlen=self._frames.maxlen)
+        expressed = [frame.expressed_in(space) for frame in self._frames]
+        self._frames = deque(expressed, maxlen=self._frames.maxlen)
 
     @staticmethod
     def age_s(frame: PastFrame, now_ns: int) -> float:

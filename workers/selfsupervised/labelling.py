@@ -11,13 +11,13 @@ from workers.lidar.beam_table import MIN_RANGE_M
 from workers.lidar.preprocessing import MAX_RANGE_M, Prepared
 from workers.points.point_kernels import within
 from workers.points.step_names import step
-from workers.selfsupervised.ground_reattachment import SeenThrough, ground_of_movers
+from workers.selfsupervised.ground_reattachment import SeenThrough, reattach_ground
 from workers.selfsupervised.motion import ClusterMotions
 from workers.selfsupervised.point_labels import (
-    answer_ground,
-    answer_voxels,
-    nothing_said,
-    spread,
+    copy_to_points,
+    label_ground,
+    label_voxels,
+    unlabelled_points,
 )
 from workers.selfsupervised.tracker import Tracked
 
@@ -35,7 +35,7 @@ _CONFIDENCE: Final = np.array([0.0, ALONE, GROUND, AGREED], np.float16)
 """Confidences in the order of `point_labels`: unsure, alone, ground, agreed."""
 
 
-def nothing_known(
+def unknown_labels(
     frame: LidarFrame, prepared: Prepared | None = None, *, health: FrameHealth
 ) -> FrameLabels:
     """Label every point UNKNOWN; the ground mask is kept where the ground was found."""
@@ -73,32 +73,34 @@ def to_labels(
     clusters, voxels = found.clusters, prepared.voxels
     of_voxel = clusters.of_point
     in_range = prepared.ground & within(prepared.points_m, MIN_RANGE_M, MAX_RANGE_M)
-    touching, touching_confirmed = ground_of_movers(
+    touching, touching_confirmed = reattach_ground(
         prepared,
         clusters.member_mask(tracked.dynamic),
         clusters.member_mask(tracked.confirmed),
         in_range,
         seen_through,
     )
-    voxel_labels, voxel_sureness = answer_voxels(
+    voxel_labels, voxel_sureness = label_voxels(
         of_voxel,
         moves=tracked.dynamic,
         both=found.registered & found.seen_through,
-        stands=found.still & ~found.proved,
-        doubted=found.unconfirmed | found.proved,
-        was_there=votes.occupied > votes.free,
+        static=found.still & ~found.dynamic_now,
+        doubted=found.unconfirmed | found.dynamic_now,
+        occupied_before=votes.occupied > votes.free,
     )
-    said = nothing_said(len(frame))
+    labelled = unlabelled_points(len(frame))
     valid = prepared.valid_index
-    answer_ground(said, valid, prepared.ground, in_range, touching, touching_confirmed)
+    label_ground(labelled, valid, prepared.ground, in_range, touching, touching_confirmed)
     judged = valid[prepared.judged_index]
-    spread(said, judged, voxels.of_point, voxel_labels, voxel_sureness, of_voxel, tracked.confirmed)
+    copy_to_points(
+        labelled, judged, voxels.of_point, voxel_labels, voxel_sureness, of_voxel, tracked.confirmed
+    )
     velocity = np.where(tracked.dynamic[:, None], tracked.velocity_m_per_s, 0.0)
     return FrameLabels(
-        labels=said.labels,
-        confidence=_CONFIDENCE[said.sureness],
-        ground_mask=said.ground,
-        cluster=said.cluster,
+        labels=labelled.labels,
+        confidence=_CONFIDENCE[labelled.sureness],
+        ground_mask=labelled.ground,
+        cluster=labelled.cluster,
         cluster_velocity_m_per_s=velocity.astype(np.float32),
-        confirmed=said.confirmed,
+        confirmed=labelled.confirmed,
     )

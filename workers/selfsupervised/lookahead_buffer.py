@@ -23,7 +23,7 @@ _MOST_FRAMES: Final = 24
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ready:
+class ComparableFrame:
     """A frame that can be compared, with its state for comparisons by other frames.
 
     Attributes:
@@ -42,36 +42,36 @@ class Ready:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Waiting:
+class BufferedFrame:
     """A frame that waits for its labels.
 
     Attributes:
         frame: The frame of the log.
         content: The prepared frame; or its labels, where it cannot be compared.
-        anew: The frames before it cannot be compared with it.
-        apart: It does not fit the frame before it, so that one of the two poses is wrong.
+        restarts: The frames before it cannot be compared with it.
+        disconnected: It does not fit the frame before it, so that one of the two poses is wrong.
     """
 
     frame: LidarFrame
-    content: Ready | FrameLabels
-    anew: bool = False
-    apart: bool = False
+    content: ComparableFrame | FrameLabels
+    restarts: bool = False
+    disconnected: bool = False
 
 
-class Ahead:
+class LookaheadBuffer:
     """Delays frames until all frames within the lookahead have arrived; 0 s is no delay."""
 
     def __init__(self, lookahead_s: float) -> None:
         self._lookahead_ns = round(lookahead_s * NS_PER_S)
-        self._frames: deque[Waiting] = deque()
+        self._frames: deque[BufferedFrame] = deque()
 
-    def add(self, frame: Waiting) -> Iterator[tuple[Waiting, Sequence[PastFrame]]]:
+    def add(self, frame: BufferedFrame) -> Iterator[tuple[BufferedFrame, Sequence[PastFrame]]]:
         """Add a frame.
 
         Yields:
             Frames that wait no longer, in order, each with the later frames available to it.
         """
-        if frame.anew or frame.apart:
+        if frame.restarts or frame.disconnected:
             yield from self.flush()
         self._frames.append(frame)
         newest_ns = frame.frame.stamp_ns
@@ -81,12 +81,14 @@ class Ahead:
         ):
             yield self._next()
 
-    def flush(self) -> Iterator[tuple[Waiting, Sequence[PastFrame]]]:
+    def flush(self) -> Iterator[tuple[BufferedFrame, Sequence[PastFrame]]]:
         """Yield all waiting frames, at the end of the log or of a comparable stretch."""
         while self._frames:
             yield self._next()
 
-    def _next(self) -> tuple[Waiting, Sequence[PastFrame]]:
+    def _next(self) -> tuple[BufferedFrame, Sequence[PastFrame]]:
         first = self._frames.popleft()
-        later = [each.content.seen for each in self._frames if isinstance(each.content, Ready)]
+        later = [
+            each.content.seen for each in self._frames if isinstance(each.content, ComparableFrame)
+        ]
         return first, later

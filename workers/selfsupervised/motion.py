@@ -10,10 +10,10 @@ from schemas.arrays import Mask, Points
 from workers.points.clusters import Clusters, from_labels
 from workers.points.step_names import step
 from workers.selfsupervised.candidates import GOOD_FIT_NEAR_M
-from workers.selfsupervised.evidence import Evidence
-from workers.selfsupervised.ground_artefacts import are_strips
-from workers.selfsupervised.registration import STILL_M, Reference, Registered, register
-from workers.selfsupervised.verification import Motions, judge
+from workers.selfsupervised.evidence import FreeSpaceEvidence
+from workers.selfsupervised.ground_artefacts import are_ground_artefacts
+from workers.selfsupervised.registration import STILL_M, Reference, RegistrationResiduals, register
+from workers.selfsupervised.verification import Motions, verify_motions
 from workers.selfsupervised.voxel_clusters import find_clusters, find_parts
 
 _CHILD_FREE_VOXELS: Final = 12
@@ -45,13 +45,13 @@ class ClusterMotions:
     extent_m: NDArray[np.float32]
 
     @property
-    def proved(self) -> Mask:
+    def dynamic_now(self) -> Mask:
         """(K,) clusters that at least one kind of evidence in this frame shows to move."""
         return self.registered | self.seen_through
 
 
 def find_motions(
-    points_m: Points, near: Reference, far: Reference, evidence: Evidence
+    points_m: Points, near: Reference, far: Reference, evidence: FreeSpaceEvidence
 ) -> ClusterMotions:
     """Find the moving clusters among the voxels of a frame.
 
@@ -64,27 +64,27 @@ def find_motions(
     clusters = find_clusters(points_m, evidence)
     fit = register(points_m, clusters, near, far)
     ages = {"near_age_s": near.age_s, "far_age_s": far.age_s}
-    motions = judge(points_m, clusters, fit, evidence, **ages)
+    motions = verify_motions(points_m, clusters, fit, evidence, **ages)
 
     parts = find_parts(points_m, clusters, fit, motions.dynamic, far, evidence)
     part_fit = register(points_m, parts, near, far)
-    part_motions = judge(points_m, parts, part_fit, evidence, **ages)
+    part_motions = verify_motions(points_m, parts, part_fit, evidence, **ages)
     certain = (part_motions.registered & (part_fit.energy_far < GOOD_FIT_NEAR_M)) | (
         part_motions.seen_through
         & (part_fit.still_energy_far >= _CHILD_FREE_ENERGY_M)
         & (parts.sizes >= _CHILD_FREE_VOXELS)
     )
     whole = _joined(clusters, fit, motions, parts, part_fit, part_motions, certain)
-    return _without_strips(points_m, whole, evidence)
+    return _without_ground_artefacts(points_m, whole, evidence)
 
 
 @step("joining")
 def _joined(
     clusters: Clusters,
-    fit: Registered,
+    fit: RegistrationResiduals,
     motions: Motions,
     parts: Clusters,
-    part_fit: Registered,
+    part_fit: RegistrationResiduals,
     part_motions: Motions,
     certain: Mask,
 ) -> ClusterMotions:
@@ -109,18 +109,20 @@ def _joined(
     )
 
 
-def _without_strips(points_m: Points, found: ClusterMotions, evidence: Evidence) -> ClusterMotions:
+def _without_ground_artefacts(
+    points_m: Points, found: ClusterMotions, evidence: FreeSpaceEvidence
+) -> ClusterMotions:
     """Mark clusters that are flat and lie on the road as not moving."""
-    strip = are_strips(
+    artefact = are_ground_artefacts(
         points_m,
         found.clusters,
-        found.proved,
+        found.dynamic_now,
         beams_from_odom=evidence.beams_from_odom,
         sensor_height_m=evidence.sensor_height_m,
     )
     return replace(
         found,
-        registered=found.registered & ~strip,
-        seen_through=found.seen_through & ~strip,
-        unconfirmed=found.unconfirmed | strip,
+        registered=found.registered & ~artefact,
+        seen_through=found.seen_through & ~artefact,
+        unconfirmed=found.unconfirmed | artefact,
     )

@@ -17,7 +17,7 @@ _STATIC: Final = int(MotionLabel.STATIC)
 _DYNAMIC: Final = int(MotionLabel.DYNAMIC)
 
 
-class Answers(NamedTuple):
+class PointLabels(NamedTuple):
     """Labels of N points.
 
     Attributes:
@@ -36,13 +36,13 @@ class Answers(NamedTuple):
 
 
 @compiled
-def answer_voxels(
+def label_voxels(
     of_voxel: NDArray[np.int32],
     moves: Mask,
     both: Mask,
-    stands: Mask,
+    static: Mask,
     doubted: Mask,
-    was_there: Mask,
+    occupied_before: Mask,
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Label V voxels by the K clusters they belong to.
 
@@ -50,9 +50,9 @@ def answer_voxels(
         of_voxel: (V,) cluster of each, -1 for none.
         moves: (K,) clusters that move.
         both: (K,) clusters whose motion registration and free space both show.
-        stands: (K,) clusters that fit their earlier place and have no evidence of motion.
+        static: (K,) clusters that fit their earlier place and have no evidence of motion.
         doubted: (K,) clusters with a motion, confirmed or not.
-        was_there: (V,) voxels that more frames saw occupied than free.
+        occupied_before: (V,) voxels that more frames saw occupied than free.
 
     Returns:
         (V,) labels and (V,) their sureness.
@@ -65,8 +65,8 @@ def answer_voxels(
             labels[v] = _DYNAMIC
             sureness[v] = AGREED if both[k] else ALONE
             continue
-        still = k >= 0 and stands[k]
-        seen = was_there[v] and not (k >= 0 and doubted[k])
+        still = k >= 0 and static[k]
+        seen = occupied_before[v] and not (k >= 0 and doubted[k])
         if still or seen:
             labels[v] = _STATIC
             sureness[v] = AGREED if still and seen else ALONE
@@ -74,8 +74,8 @@ def answer_voxels(
 
 
 @compiled
-def answer_ground(
-    answers: Answers,
+def label_ground(
+    labelled: PointLabels,
     valid_index: NDArray[np.int64],
     ground: Mask,
     in_range: Mask,
@@ -85,7 +85,7 @@ def answer_ground(
     """Label the ground: static, or part of the mover that it touches.
 
     Args:
-        answers: Labels of all N points, filled in.
+        labelled: Labels of all N points, filled in.
         valid_index: (M,) indices of the valid points.
         ground: (M,) valid points on the ground.
         in_range: (M,) ground within the range that is labelled.
@@ -95,19 +95,19 @@ def answer_ground(
     for i in range(len(valid_index)):
         point = valid_index[i]
         if touching[i]:
-            answers.labels[point] = _DYNAMIC
-            answers.sureness[point] = ALONE
-            answers.confirmed[point] = touching_confirmed[i]
+            labelled.labels[point] = _DYNAMIC
+            labelled.sureness[point] = ALONE
+            labelled.confirmed[point] = touching_confirmed[i]
         elif ground[i]:
-            answers.ground[point] = True
+            labelled.ground[point] = True
             if in_range[i]:
-                answers.labels[point] = _STATIC
-                answers.sureness[point] = GROUND
+                labelled.labels[point] = _STATIC
+                labelled.sureness[point] = GROUND
 
 
 @compiled
-def spread(
-    answers: Answers,
+def copy_to_points(
+    labelled: PointLabels,
     point_index: NDArray[np.int64],
     of_point: NDArray[np.int32],
     labels: NDArray[np.uint8],
@@ -118,7 +118,7 @@ def spread(
     """Copy the label of each voxel to its points.
 
     Args:
-        answers: Labels of all N points, filled in.
+        labelled: Labels of all N points, filled in.
         point_index: (J,) indices of the points in voxels.
         of_point: (J,) voxel of each of them.
         labels: (V,) of the voxels.
@@ -129,15 +129,15 @@ def spread(
     for i in range(len(point_index)):
         point, voxel = point_index[i], of_point[i]
         k = of_voxel[voxel]
-        answers.labels[point] = labels[voxel]
-        answers.sureness[point] = sureness[voxel]
-        answers.cluster[point] = k
-        answers.confirmed[point] = k >= 0 and confirmed[k]
+        labelled.labels[point] = labels[voxel]
+        labelled.sureness[point] = sureness[voxel]
+        labelled.cluster[point] = k
+        labelled.confirmed[point] = k >= 0 and confirmed[k]
 
 
-def nothing_said(n: int) -> Answers:
+def unlabelled_points(n: int) -> PointLabels:
     """Return UNKNOWN labels for N points."""
-    return Answers(
+    return PointLabels(
         labels=np.full(n, _UNKNOWN, np.uint8),
         sureness=np.zeros(n, np.uint8),
         cluster=np.full(n, -1, np.int32),

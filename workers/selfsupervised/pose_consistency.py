@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
 from workers.lidar.motion_limits import MAX_ACCELERATION_M_PER_S2, POSE_NOISE_M
-from workers.lidar.registration_check import misfit_between, structure_of
+from workers.lidar.registration_check import extract_structure, register_structures
 from workers.points.neighbours import nearest_distances
 from workers.points.point_kernels import within
 from workers.selfsupervised.registration import Reference
@@ -43,7 +43,7 @@ drive changes that spacing as much as a wrong pose does."""
 _REMEMBERED: Final = 10
 
 
-class FitMonitor:
+class PoseConsistency:
     """Compares the fit of a frame with the usual fit of this log's frames.
 
     The usual fit depends on the spacing of the beams and the speed of the car, so it is learned. A
@@ -88,7 +88,7 @@ class FitMonitor:
             found_m[name] = misfit_m(asked, past)
             typical_m = float(np.median(usual_m)) if usual_m else found_m[name]
             suspect = found_m[name] > max(FLOOR_M, JUMP * typical_m)
-            if suspect and not (goes_on and stays(points_m, centre_m, past)):
+            if suspect and not (goes_on and is_stable(points_m, centre_m, past)):
                 return (
                     f"does not fit the frame {past.age_s:.1f} s ago: a quarter of what is near "
                     f"is more than {found_m[name]:.2f} m off, {typical_m:.2f} m is usual"
@@ -112,7 +112,7 @@ def misfit_m(points_m: Points, past: Reference) -> float:
     return float(np.quantile(nearest_distances(past.grid, points_m[::step], _REACH_M), SHARE))
 
 
-def stays(points_m: Points, centre_m: NDArray[np.floating], past: Reference) -> bool:
+def is_stable(points_m: Points, centre_m: NDArray[np.floating], past: Reference) -> bool:
     """Return True if a second registration moves a frame by less than 0.15 m within 40 m.
 
     Along a direction without constraints, such as a rail, every frame stays. False where too
@@ -123,9 +123,9 @@ def stays(points_m: Points, centre_m: NDArray[np.floating], past: Reference) -> 
         centre_m: (3,) place of the sensor.
         past: The earlier frame.
     """
-    before = structure_of(past.grid.points_m, centre_m)
-    now = structure_of(points_m, centre_m)
+    before = extract_structure(past.grid.points_m, centre_m)
+    now = extract_structure(points_m, centre_m)
     if before is None or now is None:
         return False
-    found = misfit_between(before, now)
+    found = register_structures(before, now)
     return found is not None and max(found.shift_m, NEAR_M * found.turn_rad) < FLOOR_M

@@ -18,7 +18,7 @@ from workers.selfsupervised.translation_search import (
     search,
 )
 
-__all__ = ["Reference", "Registered", "build_reference", "reference_to", "register"]
+__all__ = ["Reference", "RegistrationResiduals", "build_reference", "reference_to", "register"]
 
 MIN_POINTS: Final = 5
 MAX_EXTENT_M: Final = 18.0
@@ -39,7 +39,7 @@ _MAX_WINDOW_M: Final = 3.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Registered:
+class RegistrationResiduals:
     """Registration residuals of K clusters to the near (0.1 s) and the far (0.5 s) reference.
 
     Energies are mean nearest distances in metres, at most 0.5; shifts take a cluster back to
@@ -69,7 +69,9 @@ class Registered:
 
 
 @step("registration")
-def register(points_m: Points, clusters: Clusters, near: Reference, far: Reference) -> Registered:
+def register(
+    points_m: Points, clusters: Clusters, near: Reference, far: Reference
+) -> RegistrationResiduals:
     """Find the shift that takes each cluster back to its earlier place.
 
     Near reference: all shifts up to 30 m/s on a coarse occupancy grid, the three best refined by
@@ -83,7 +85,7 @@ def register(points_m: Points, clusters: Clusters, near: Reference, far: Referen
         far: The frame about 0.5 s ago.
     """
     table = _register_all(points_m, clusters.members, clusters.start, near, far)
-    return Registered(
+    return RegistrationResiduals(
         tried=table[:, 0] > 0,
         extent_m=table[:, 1],
         still_energy_far=table[:, 2],
@@ -133,13 +135,13 @@ def _register_all(
             continue
         table[k, 0] = 1.0
         sample = _sample(points, inside)
-        nobody = np.full(len(sample), -1, np.int32)
-        still_far = energy_of(far.grid, sample, 0.0, 0.0, 0.0, nobody.copy(), np.inf)
+        no_rows = np.full(len(sample), -1, np.int32)
+        still_far = energy_of(far.grid, sample, 0.0, 0.0, 0.0, no_rows.copy(), np.inf)
         table[k, 2] = still_far
         table[k, 4] = still_far
         if still_far < STILL_M:
             continue
-        still_near = energy_of(near.grid, sample, 0.0, 0.0, 0.0, nobody.copy(), np.inf)
+        still_near = energy_of(near.grid, sample, 0.0, 0.0, 0.0, no_rows.copy(), np.inf)
         table[k, 3] = still_near
         best[:3], best[3] = 0.0, still_near
         search(near, sample, origin, MAX_SPEED_M_PER_S * near.age_s, 3, best)
@@ -157,5 +159,5 @@ def _register_all(
         table[k, 4] = best[3]
         table[k, 6:9] = best[:3]
         part = best[:3] * (near.age_s / far.age_s)
-        table[k, 12] = energy_of(near.grid, sample, part[0], part[1], part[2], nobody, np.inf)
+        table[k, 12] = energy_of(near.grid, sample, part[0], part[1], part[2], no_rows, np.inf)
     return table

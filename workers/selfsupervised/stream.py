@@ -7,8 +7,8 @@ from schemas.frame import PosedFrame
 from schemas.labels import FrameLabels
 from schemas.task import MOTION, Task
 from workers.part_version import version_of
-from workers.selfsupervised.lookahead_buffer import LOOKAHEADS_S, Ahead
-from workers.selfsupervised.state import Run
+from workers.selfsupervised.lookahead_buffer import LOOKAHEADS_S, LookaheadBuffer
+from workers.selfsupervised.state import StreamState
 
 
 class Registration:
@@ -44,9 +44,12 @@ class Registration:
 
     def __call__(self, frames: Iterable[PosedFrame]) -> Iterator[FrameLabels]:
         """Yield the labels of each frame, in order, at once or after the lookahead."""
-        run, ahead = Run(looks_ahead=self.lookahead_s > 0.0), Ahead(self.lookahead_s)
+        state, buffer = (
+            StreamState(looks_ahead=self.lookahead_s > 0.0),
+            LookaheadBuffer(self.lookahead_s),
+        )
         for posed in frames:
-            for waiting, later in ahead.add(run.prepare(posed)):
-                yield run.label(waiting, later)
-        for waiting, later in ahead.flush():
-            yield run.label(waiting, later)
+            for waiting, later in buffer.add(state.prepare(posed)):
+                yield state.label(waiting, later)
+        for waiting, later in buffer.flush():
+            yield state.label(waiting, later)

@@ -17,7 +17,7 @@ from workers.lidar.beam_table import BeamTable
 from workers.points.neighbours import build_grid, nearest_indices
 from workers.points.se3 import transform
 from workers.points.step_names import step
-from workers.selfsupervised.confirmation_weight import proves_whole
+from workers.selfsupervised.confirmation_weight import confirms_in_full
 from workers.selfsupervised.motion import ClusterMotions
 
 DYNAMIC_SCORE: Final = 0.6
@@ -48,17 +48,17 @@ MOST_GROWTH: Final = 2.0
 """Growth up to which a cluster inherits a score: evidence on a fragment does not hold for an object
 more than twice its size."""
 
-_PROOF: Final = 1.0
-_HALF_PROOF: Final = 0.5
+_FULL: Final = 1.0
+_HALF: Final = 0.5
 _HINT: Final = 0.2
-_STANDS: Final = -0.7
-_WAS_THERE: Final = -0.2
+_STATIC: Final = -0.7
+_OCCUPIED_BEFORE: Final = -0.2
 _MAX_HINT_EXTENT_M: Final = 6.0
 _SAME_SPEED_M_PER_S: Final = 0.5
 _SAME_SPEED_SHARE: Final = 0.2
-_STANDS_FREE_SHARE: Final = 0.2
-_STANDS_VOTES: Final = 2.0
-_WAS_THERE_VOTES: Final = 4.0
+_STATIC_FREE_SHARE: Final = 0.2
+_STATIC_VOTES: Final = 2.0
+_OCCUPIED_BEFORE_VOTES: Final = 4.0
 _NEW_WEIGHT: Final = np.float32(0.6)
 """Weight of a new velocity; the rest is the carried one: a memory of two measurements."""
 
@@ -128,8 +128,8 @@ class Tracker:
         dt_s = (now_ns - self._stamp_ns) / NS_PER_S
         before = self._inherited(points_m, found, centre_m, np.float32(dt_s))
         kept = before.score * np.float32(KEPT_PER_S**dt_s)
-        whole = proves_whole(points_m, clusters, votes, centre_m=centre_m, table=table)
-        summed = kept + _evidence(found, votes, before, whole)
+        in_full = confirms_in_full(points_m, clusters, votes, centre_m=centre_m, table=table)
+        summed = kept + _evidence(found, votes, before, in_full)
         score = np.clip(summed, MIN_SCORE, MAX_SCORE).astype(np.float32)
 
         measured = found.velocity_m_per_s
@@ -175,7 +175,7 @@ class Tracker:
 
 
 def _evidence(
-    found: ClusterMotions, votes: Votes, before: _Inherited, whole: Mask
+    found: ClusterMotions, votes: Votes, before: _Inherited, in_full: Mask
 ) -> NDArray[np.float64]:
     """Return (K,) evidence of this frame alone, above zero for motion and below it against."""
     clusters = found.clusters
@@ -187,10 +187,10 @@ def _evidence(
         before.velocity, axis=1
     )
     hint = found.unconfirmed & before.known & as_before & (found.extent_m < _MAX_HINT_EXTENT_M)
-    stands = found.still & (free_share < _STANDS_FREE_SHARE) & (seen > _STANDS_VOTES)
-    was_there = ~found.unconfirmed & (seen > _WAS_THERE_VOTES)
+    static = found.still & (free_share < _STATIC_FREE_SHARE) & (seen > _STATIC_VOTES)
+    occupied_before = ~found.unconfirmed & (seen > _OCCUPIED_BEFORE_VOTES)
     return np.select(
-        [found.proved & whole, found.proved, hint, stands, was_there],
-        [_PROOF, _HALF_PROOF, _HINT, _STANDS, _WAS_THERE],
+        [found.dynamic_now & in_full, found.dynamic_now, hint, static, occupied_before],
+        [_FULL, _HALF, _HINT, _STATIC, _OCCUPIED_BEFORE],
         default=0.0,
     )

@@ -11,8 +11,8 @@ from workers.free_space import FREE, Votes, visibility
 from workers.points.clusters import Clusters
 from workers.points.step_names import step
 from workers.selfsupervised.candidates import far_candidates, near_candidates
-from workers.selfsupervised.evidence import Evidence
-from workers.selfsupervised.registration import Registered
+from workers.selfsupervised.evidence import FreeSpaceEvidence
+from workers.selfsupervised.registration import RegistrationResiduals
 
 MIN_FREE_SHARE: Final = 0.25
 """Share of a cluster that free space must confirm; .15 doubles false clusters, .40 loses movers."""
@@ -46,11 +46,11 @@ class Motions:
 
 
 @step("verification")
-def judge(
+def verify_motions(
     points_m: Points,
     clusters: Clusters,
-    fit: Registered,
-    evidence: Evidence,
+    fit: RegistrationResiduals,
+    evidence: FreeSpaceEvidence,
     *,
     near_age_s: float,
     far_age_s: float,
@@ -100,7 +100,7 @@ def _left_free(
     clusters: Clusters,
     candidate: Mask,
     shift: NDArray[np.float32],
-    evidence: Evidence,
+    evidence: FreeSpaceEvidence,
 ) -> NDArray[np.int64]:
     """Count (K,) points whose earlier place the frame itself sees through, now that they left."""
     of_member = np.repeat(np.arange(len(clusters)), clusters.sizes)
@@ -115,7 +115,9 @@ def _left_free(
     return np.bincount(owner[answer >= FREE], minlength=len(clusters))
 
 
-def _seen_through(points_m: Points, clusters: Clusters, fit: Registered, votes: Votes) -> Mask:
+def _seen_through(
+    points_m: Points, clusters: Clusters, fit: RegistrationResiduals, votes: Votes
+) -> Mask:
     """Return the clusters whose place was free before or is free after, by free space alone.
 
     A flat object may have been there unseen, between two beams that are far apart.

@@ -8,8 +8,8 @@ from schemas.arrays import Mask, Points
 from workers.points.clusters import Clusters, connected, from_labels
 from workers.points.neighbours import nearest_distances
 from workers.points.step_names import step
-from workers.selfsupervised.evidence import Evidence
-from workers.selfsupervised.registration import Reference, Registered
+from workers.selfsupervised.evidence import FreeSpaceEvidence
+from workers.selfsupervised.registration import Reference, RegistrationResiduals
 
 REACH_M: Final = 0.5
 """Largest gap within a cluster, metres: beams of 0.3 degrees up to 80 m; .4 to .7 give the same."""
@@ -27,7 +27,7 @@ _NEW_M: Final = 0.2
 
 
 @step("clusters")
-def find_clusters(points_m: Points, evidence: Evidence) -> Clusters:
+def find_clusters(points_m: Points, evidence: FreeSpaceEvidence) -> Clusters:
     """Cluster the voxels, with a smaller gap where a cluster seems to mix movers and others."""
     clusters = connected(points_m, reach_m=REACH_M, min_points=MIN_VOXELS)
     free, known = clusters.count(evidence.seen_through), clusters.count(evidence.votes.known)
@@ -53,10 +53,10 @@ def find_clusters(points_m: Points, evidence: Evidence) -> Clusters:
 def find_parts(
     points_m: Points,
     clusters: Clusters,
-    fit: Registered,
+    fit: RegistrationResiduals,
     decided: Mask,
     far: Reference,
-    evidence: Evidence,
+    evidence: FreeSpaceEvidence,
 ) -> Clusters:
     """Find parts of undecided clusters that were not there half a second ago.
 

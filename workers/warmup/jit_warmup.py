@@ -36,7 +36,7 @@ It takes fifteen to thirty seconds on a quiet core; ten minutes were measured on
 fourteen."""
 
 
-def compile_apart() -> None:
+def compile_in_child() -> None:
     """Compile the loops of the default stream in a child process, once per machine.
 
     Of several processes that begin at once, one compiles and the others wait for it. Where the
@@ -49,7 +49,7 @@ def compile_apart() -> None:
     if marker.exists():
         return
     try:
-        with _alone(marker.with_suffix(".lock")):
+        with _locked(marker.with_suffix(".lock")):
             if not marker.exists():
                 log.info("compiling loops, once for this version", folder=folder)
                 _in_child()
@@ -62,7 +62,7 @@ def compile_apart() -> None:
         )
 
 
-def rehearse() -> None:
+def mine_warmup_scene() -> None:
     """Mine a small street with the default parts, so that every loop is called.
 
     Networks take no part; their loops are called separately. The supervised stream is replaced by
@@ -73,18 +73,18 @@ def rehearse() -> None:
     from workers.odometry.odometry import KissOdometry
     from workers.selfsupervised.stream import Registration
     from workers.warmup.loops import call_loops
-    from workers.warmup.warmup_scene import rehearsal
+    from workers.warmup.warmup_scene import warmup_frames
     from workers.witness.free_space import TwoSidedFreeSpace
 
     for with_beams in (True, False):
-        posed = list(KissOdometry()(rehearsal(with_beams=with_beams)))
-        labelled = map(_all_moves, posed, Registration()(iter(posed)))
+        posed = list(KissOdometry()(warmup_frames(with_beams=with_beams)))
+        labelled = map(_labelled_dynamic, posed, Registration()(iter(posed)))
         scene = Scene("rehearsal/0", tuple(TwoSidedFreeSpace()(labelled)))
         rank_tracks(scene, find_instances(scene, class_names=()))
-    call_loops(next(rehearsal(with_beams=True)))
+    call_loops(next(warmup_frames(with_beams=True)))
 
 
-def _all_moves(posed: PosedFrame, predictive: FrameLabels) -> LabelledFrame:
+def _labelled_dynamic(posed: PosedFrame, predictive: FrameLabels) -> LabelledFrame:
     count = len(posed.frame)
     semantic = FrameLabels(
         labels=np.full(count, MotionLabel.DYNAMIC, np.uint8),
@@ -99,8 +99,8 @@ def _marker() -> str:
     from numba.core.registry import cpu_target
 
     processor = repr(cpu_target.target_context.codegen().magic_tuple())
-    said = f"{source_digest(*COMPILED)} {metadata.version('numba')} {sys.version} {processor}"
-    return f"loops-{hashlib.sha256(said.encode()).hexdigest()[:16]}.compiled"
+    key = f"{source_digest(*COMPILED)} {metadata.version('numba')} {sys.version} {processor}"
+    return f"loops-{hashlib.sha256(key.encode()).hexdigest()[:16]}.compiled"
 
 
 def _in_child() -> None:
@@ -113,7 +113,7 @@ def _in_child() -> None:
 
 
 @contextmanager
-def _alone(path: Path) -> Iterator[None]:
+def _locked(path: Path) -> Iterator[None]:
     """Keep a lock between processes; it ends with its process, however that ends."""
     with path.open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
@@ -121,4 +121,4 @@ def _alone(path: Path) -> Iterator[None]:
 
 
 if __name__ == "__main__":
-    rehearse()
+    mine_warmup_scene()

@@ -14,7 +14,7 @@ from workers.lidar.pixel_windows import (
     padded,
 )
 from workers.lidar.range_image import SensorProfile, image_channels, project
-from workers.lidar.registration_check import misfit_between, structure_of
+from workers.lidar.registration_check import extract_structure, register_structures
 from workers.points.density import density_clusters, weighted_places
 from workers.points.point_kernels import in_centimetres, moved, within_box
 
@@ -31,9 +31,9 @@ def call_loops(frame: LidarFrame) -> None:
     seen = frame.points_m[image.index[image.index >= 0]]
     placed_m = moved(seen, np.eye(4))
     project(placed_m, _PROFILE, gate_m=(2.0, 100.0))
-    stands = structure_of(placed_m, np.zeros(3))
-    if stands is not None:
-        misfit_between(stands, stands)
+    structure = extract_structure(placed_m, np.zeros(3))
+    if structure is not None:
+        register_structures(structure, structure)
     channels = image_channels(image, frame.points_m, frame.intensity, _PROFILE)
     likeliest(channels.reshape(len(channels), -1))
     codes, flat = np.ones(image.index.shape, np.uint8), image.row * np.int32(64) + image.column

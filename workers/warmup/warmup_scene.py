@@ -20,7 +20,7 @@ _ELEVATIONS: Final = np.radians(np.arange(-16.0, 6.0, 0.8))
 _AZIMUTHS: Final = np.radians(np.arange(-180.0, 180.0, 0.4))
 
 
-def rehearsal(*, with_beams: bool) -> Iterator[LidarFrame]:
+def warmup_frames(*, with_beams: bool) -> Iterator[LidarFrame]:
     """Yield the frames of a sensor that is still between two walls while a car approaches.
 
     Args:

@@ -18,7 +18,7 @@ MIN_FREE_SHARE: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Opinions:
+class FreeSpaceVotes:
     """Votes of the frames on one side of an instant on V places.
 
     Attributes:
@@ -43,7 +43,7 @@ class Opinions:
         return seen
 
 
-def opinions_of(answers: list[NDArray[np.int8]], count: int) -> Opinions:
+def votes_of(answers: list[NDArray[np.int8]], count: int) -> FreeSpaceVotes:
     """Sum the votes of the frames on one side.
 
     Args:
@@ -54,7 +54,7 @@ def opinions_of(answers: list[NDArray[np.int8]], count: int) -> Opinions:
     ended = np.zeros(count, np.bool_)
     for answer in answers:
         _add(answer, free, occupied, run, ended)
-    return Opinions(free, occupied, run)
+    return FreeSpaceVotes(free, occupied, run)
 
 
 @compiled

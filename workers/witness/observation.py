@@ -38,7 +38,7 @@ MAX_GAP_NS: Final = NS_PER_S // 2
 
 _FARTHEST: Final = np.float32(1000.0)
 _FEWEST_RETURNS: Final = 100
-_HERE: Final = np.zeros(3, np.float32)
+_SENSOR_ORIGIN: Final = np.zeros(3, np.float32)
 _FASTEST_M_PER_S: Final = 70.0
 
 
@@ -62,7 +62,7 @@ class View:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sight:
+class Observation:
     """One frame in the witness's memory.
 
     Attributes:
@@ -80,44 +80,44 @@ class Sight:
     remark: str = ""
 
 
-class Sights:
+class Observer:
     """Builds the observations of a shard; keeps the beams, the last pose and the stretch."""
 
     def __init__(self) -> None:
         self._beams = BeamLearner()
         self._poses = PoseCheck()
         self._recorded = MotionCheck()
-        self._put_back: Transform = np.eye(4)
+        self._correction: Transform = np.eye(4)
         self._last: PosedFrame | None = None
         self._stretch = 0
 
-    def __call__(self, labelled: LabelledFrame) -> Sight:
+    def __call__(self, labelled: LabelledFrame) -> Observation:
         """Return the observation of one frame."""
-        velocity, told = self._follow(labelled.posed)
-        sight = self._look(labelled, velocity)
-        if told.problem and not sight.problem:
+        velocity, verdict = self._follow(labelled.posed)
+        observation = self._observe(labelled, velocity)
+        if verdict.problem and not observation.problem:
             # the frame has no known place: later frames are consistent with none before it
-            self._begin_anew()
-            sight = replace(sight, stretch=self._stretch, problem=told.problem)
-        return replace(sight, remark=told.remark) if told.remark else sight
+            self._begin_stretch()
+            observation = replace(observation, stretch=self._stretch, problem=verdict.problem)
+        return replace(observation, remark=verdict.remark) if verdict.remark else observation
 
-    def _look(self, labelled: LabelledFrame, velocity: Twist | None) -> Sight:
+    def _observe(self, labelled: LabelledFrame, velocity: Twist | None) -> Observation:
         posed = labelled.posed
         frame = posed.frame
         index = returns_within(frame.points_m, frame.valid_mask, _FARTHEST)
         if len(index) < _FEWEST_RETURNS or posed.odometry is OdometryState.LOST:
-            return Sight(frame.stamp_ns, self._stretch)
-        points_m = rows_about(frame.points_m, index, _HERE)
+            return Observation(frame.stamp_ns, self._stretch)
+        points_m = rows_about(frame.points_m, index, _SENSOR_ORIGIN)
         if self._beams.learn(points_m, frame.ring[index]):
-            self._begin_anew()
+            self._begin_stretch()
         table = self._beams.table
         if table is None or not table.trusted or not len(table.tangents):
-            return Sight(frame.stamp_ns, self._stretch)
+            return Observation(frame.stamp_ns, self._stretch)
         time_s = time_from_middle_s(frame)
         if velocity is not None and time_s is not None:
             points_m = deskew(points_m, time_s[index], velocity)
         points_m = points_m - table.origin_m.astype(np.float32)
-        odom_from_beams = self._put_back @ posed.odom_from_sensor
+        odom_from_beams = self._correction @ posed.odom_from_sensor
         odom_from_beams[:3, 3] += odom_from_beams[:3, :3] @ table.origin_m
         judged = judged_rows(
             points_m, _ground(labelled, index), MIN_RANGE_M, MAX_RANGE_M, MAX_HEIGHT_M
@@ -126,7 +126,7 @@ class Sights:
         still_m = places.centroids_m[~_moving(labelled, index[judged], places)]
         fit = self._poses.judge(still_m, odom_from_beams, frame.stamp_ns)
         if fit.correction is not None:
-            self._put_back = fit.correction @ self._put_back
+            self._correction = fit.correction @ self._correction
             odom_from_beams = fit.correction @ odom_from_beams
             places = Voxels(transform(fit.correction, places.centroids_m), places.of_point)
         view = View(
@@ -136,7 +136,7 @@ class Sights:
             judged_index=index[judged],
             places=places,
         )
-        return Sight(frame.stamp_ns, self._stretch, view, fit.problem)
+        return Observation(frame.stamp_ns, self._stretch, view, fit.problem)
 
     def _follow(self, posed: PosedFrame) -> tuple[Twist | None, Verdict]:
         """Begin a new stretch where poses are not consistent, else estimate the sensor's motion.
@@ -150,15 +150,15 @@ class Sights:
         step_ns = posed.frame.stamp_ns - last.frame.stamp_ns
         lost = OdometryState.LOST in (posed.odometry, last.odometry)
         if not 0 < step_ns <= MAX_GAP_NS or lost:
-            self._begin_anew()
+            self._begin_stretch()
             return None, Verdict()
         moved = twist(inverse(last.odom_from_sensor) @ posed.odom_from_sensor)
         velocity: Twist = moved * (NS_PER_S / step_ns)
         fast = float(np.linalg.norm(velocity[3:])) > _FASTEST_M_PER_S
-        told = self._recorded.judge(velocity, posed.frame.moved, step_ns / NS_PER_S)
-        return (None if fast or posed.jumped else velocity), told
+        verdict = self._recorded.judge(velocity, posed.frame.moved, step_ns / NS_PER_S)
+        return (None if fast or posed.jumped else velocity), verdict
 
-    def _begin_anew(self) -> None:
+    def _begin_stretch(self) -> None:
         self._stretch += 1
         self._poses.clear()
 

@@ -12,7 +12,12 @@ from typing import Final
 import numpy as np
 
 from schemas.arrays import NS_PER_S, Points, Transform
-from workers.lidar.registration_check import Misfit, Structure, misfit_between, structure_of
+from workers.lidar.registration_check import (
+    Misfit,
+    Structure,
+    extract_structure,
+    register_structures,
+)
 from workers.points.se3 import transform
 
 STEP_M: Final = 0.10
@@ -40,7 +45,7 @@ _LEAST_SHARE: Final = 0.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fit:
+class PoseRepair:
     """Result of the second registration of one frame.
 
     Attributes:
@@ -63,7 +68,7 @@ class PoseCheck:
         """Forget the frames so far, which later ones are not consistent with."""
         self._known.clear()
 
-    def judge(self, static_m: Points, odom_from_sensor: Transform, stamp_ns: int) -> Fit:
+    def judge(self, static_m: Points, odom_from_sensor: Transform, stamp_ns: int) -> PoseRepair:
         """Compare a frame with those before it.
 
         Args:
@@ -71,35 +76,35 @@ class PoseCheck:
             odom_from_sensor: (4, 4) its pose, with earlier slips corrected.
             stamp_ns: Its time.
         """
-        structure = structure_of(static_m, odom_from_sensor[:3, 3])
+        structure = extract_structure(static_m, odom_from_sensor[:3, 3])
         if structure is None:
             self.clear()
-            return Fit()
+            return PoseRepair()
         fit = self._fit(structure, stamp_ns)
         if fit.correction is not None:
             moved = transform(fit.correction, static_m)
             centre_m = (fit.correction @ odom_from_sensor)[:3, 3]
-            structure = structure_of(moved, centre_m) or structure
+            structure = extract_structure(moved, centre_m) or structure
         self._known.append((stamp_ns, structure))
         while stamp_ns - self._known[0][0] > SLOW_NS:
             self._known.popleft()
         return fit
 
-    def _fit(self, structure: Structure, stamp_ns: int) -> Fit:
+    def _fit(self, structure: Structure, stamp_ns: int) -> PoseRepair:
         if not self._known:
-            return Fit()
+            return PoseRepair()
         before_ns, before = self._known[-1]
-        step = misfit_between(before, structure)
+        step = register_structures(before, structure)
         if step is not None and _off(step, STEP_M, STEP_RAD):
-            return Fit(_said(step, stamp_ns - before_ns), step.correction)
+            return PoseRepair(_problem_of(step, stamp_ns - before_ns), step.correction)
         self._count += 1
         first_ns, first = self._known[0]
         if self._count % SLOW_EVERY or stamp_ns - first_ns < SLOW_NS // 2:
-            return Fit()
-        slow = misfit_between(first, structure)
+            return PoseRepair()
+        slow = register_structures(first, structure)
         if slow is not None and _off(slow, SLOW_M, SLOW_RAD):
-            return Fit(_said(slow, stamp_ns - first_ns))
-        return Fit()
+            return PoseRepair(_problem_of(slow, stamp_ns - first_ns))
+        return PoseRepair()
 
 
 def _off(misfit: Misfit, most_m: float, most_rad: float) -> bool:
@@ -107,7 +112,7 @@ def _off(misfit: Misfit, most_m: float, most_rad: float) -> bool:
     return moved and misfit.share >= _LEAST_SHARE and misfit.after_m < BETTER * misfit.before_m
 
 
-def _said(misfit: Misfit, age_ns: int) -> str:
+def _problem_of(misfit: Misfit, age_ns: int) -> str:
     turned = np.degrees(max(misfit.turn_rad, misfit.tilt_rad))
     return (
         f"a second registration is {misfit.shift_m:.2f} m and {turned:.1f} degrees off "

@@ -33,8 +33,8 @@ Another place of a car that turns, pitches or rolls has another speed."""
 TILTS_RAD_PER_S: Final = 0.5
 """Largest rate of roll and pitch that excuses a difference: a car over a speed bump."""
 
-STANDS_M_PER_S: Final = 0.5
-STANDS_RAD_PER_S: Final = float(np.radians(2.0))
+STILL_M_PER_S: Final = 0.5
+STILL_RAD_PER_S: Final = float(np.radians(2.0))
 DRIVES_M_PER_S: Final = 3.0
 FASTEST_M_PER_S: Final = 70.0
 CREEPS: Final = 0.1
@@ -80,7 +80,7 @@ class MotionCheck:
     def __init__(self) -> None:
         self._steps: deque[_Step] = deque(maxlen=REMEMBERED)
         self._before: RecordedMotion | None = None
-        self._says_turns = False
+        self._has_turns = False
 
     def judge(self, velocity: Twist, moved: RecordedMotion | None, step_s: float) -> Verdict:
         """Compare one step of the odometry with the recording.
@@ -94,8 +94,8 @@ class MotionCheck:
         if moved is None:
             return Verdict(remark=self._disbelief())
         ours = float(np.linalg.norm(velocity[3:])), abs(float(velocity[2]))
-        self._says_turns |= moved.turn_rad_per_s > 0.0
-        turn = moved.turn_rad_per_s if self._says_turns else ours[1]
+        self._has_turns |= moved.turn_rad_per_s > 0.0
+        turn = moved.turn_rad_per_s if self._has_turns else ours[1]
         off_m = abs(ours[0] - moved.speed_m_per_s) * step_s
         off_rad = abs(ours[1] - turn) * step_s
         speeding = turning = 0.0
@@ -111,8 +111,8 @@ class MotionCheck:
         most_rad = NOISE_RAD + step_s * (TURN_SCALE * turn + LATE_S * turning)
         agrees = off_m <= most_m and off_rad <= most_rad
         if (
-            max(ours[0], moved.speed_m_per_s) > STANDS_M_PER_S
-            or max(ours[1], moved.turn_rad_per_s) > STANDS_RAD_PER_S
+            max(ours[0], moved.speed_m_per_s) > STILL_M_PER_S
+            or max(ours[1], moved.turn_rad_per_s) > STILL_RAD_PER_S
         ):
             self._steps.append(_Step(ours[0], moved.speed_m_per_s, agrees))
         remark = self._disbelief()
@@ -129,7 +129,7 @@ class MotionCheck:
         if len(steps) < FEWEST:
             return ""
         agreeing = sum(step.agrees for step in steps) / len(steps)
-        if agreeing >= AGREEING or self._ours_stands():
+        if agreeing >= AGREEING or self._odometry_is_still():
             return ""
         speeds = [step.recorded_m_per_s for step in steps]
         return (
@@ -138,7 +138,7 @@ class MotionCheck:
             f"{np.median([step.ours_m_per_s for step in steps]):.1f} m/s by the lidar)"
         )
 
-    def _ours_stands(self) -> bool:
+    def _odometry_is_still(self) -> bool:
         """Return True if the odometry is still while the recording drives and varies."""
         recorded = np.array([step.recorded_m_per_s for step in self._steps])
         ours = np.array([step.ours_m_per_s for step in self._steps])

@@ -34,7 +34,7 @@ def refusal(asked: MiningSettings, config: WorkerConfig) -> str:
         return ""
     for setting, verb in _ASKED.items():
         named, own = getattr(asked, setting), getattr(config.accepts, setting)
-        if named and not (own and lies_in(named, own)):
+        if named and not (own and is_inside(named, own)):
             mine = f"{setting} = {own!r}" if own else f"{setting} is empty"
             return (
                 f"the service at {', '.join(config.connect)} asks this worker to {verb} {named!r}, "
@@ -62,7 +62,7 @@ def is_loopback(endpoint: str) -> bool:
         return False
 
 
-def lies_in(named: str, own: str) -> bool:
+def is_inside(named: str, own: str) -> bool:
     """Return True if a URL or path is another one, or is inside it.
 
     Args:

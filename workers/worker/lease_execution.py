@@ -10,12 +10,12 @@ import zenoh
 from schemas.work import CommitRequest, ManifestEntry, MineLease, PlanLease
 from workers.ingest.footer import TruncatedPart
 from workers.ingest.plan import plan_recording
-from workers.mine import Account, mine_records
+from workers.mine import MiningReport, mine_records
 from workers.worker.lease import LeaseKeeper, LeaseLostError, Leases
-from workers.worker.logging import tell_mined, tell_planned, tell_truncated, tell_unread_labels
+from workers.worker.logging import log_mined, log_planned, log_truncated, log_unread_labels
 from workers.worker.metrics import WorkerMetrics
 from workers.worker.store_health import put_artifact
-from workers.worker.worker_context import Equipment
+from workers.worker.worker_context import WorkerContext
 
 log = structlog.get_logger(__name__)
 
@@ -23,7 +23,7 @@ Lease = PlanLease | MineLease
 
 
 @dataclass(frozen=True, slots=True)
-class Attempts:
+class LeaseExecution:
     """Services that every attempt of one worker needs.
 
     Attributes:
@@ -36,7 +36,7 @@ class Attempts:
     leases: Leases
     metrics: WorkerMetrics
 
-    def plan(self, lease: PlanLease, equipment: Equipment, keeper: LeaseKeeper) -> None:
+    def plan(self, lease: PlanLease, context: WorkerContext, keeper: LeaseKeeper) -> None:
         """Plan a recording.
 
         Raises:
@@ -51,23 +51,23 @@ class Attempts:
         truncated: list[TruncatedPart] = []
         unread_labels: list[str] = []
         plan = plan_recording(
-            equipment.bucket,
+            context.bucket,
             lease.recording,
-            equipment.settings,
+            context.settings,
             settled=lease.settled,
             on_truncated=truncated.append,
             on_unread_labels=unread_labels.append,
         )
         self.metrics.planned(plan, truncated_parts=len(truncated))
-        tell_truncated(truncated)
-        tell_unread_labels(unread_labels)
+        log_truncated(truncated)
+        log_unread_labels(unread_labels)
         self._commit(self._request(lease, plan=plan), {}, keeper)
         seconds = time.monotonic() - began_s
         self.metrics.plan_committed(seconds)
         self.metrics.plan_ended("refused" if plan.refused else "committed")
-        tell_planned(plan, seconds=seconds)
+        log_planned(plan, seconds=seconds)
 
-    def mine(self, lease: MineLease, equipment: Equipment, keeper: LeaseKeeper) -> None:
+    def mine(self, lease: MineLease, context: WorkerContext, keeper: LeaseKeeper) -> None:
         """Mine a shard.
 
         Raises:
@@ -80,52 +80,52 @@ class Attempts:
             PermanentError: If the shard can never be mined.
         """
         began_s = time.monotonic()
-        account = Account()
+        report = MiningReport()
         records: dict[str, bytes] = {}
         manifest: list[ManifestEntry] = []
         mining = mine_records(
-            equipment.bucket,
+            context.bucket,
             lease.recording,
             lease.shard,
-            settings=equipment.settings,
-            parts=equipment.parts,
-            pipeline_version=equipment.version,
-            account=account,
+            settings=context.settings,
+            parts=context.parts,
+            pipeline_version=context.version,
+            report=report,
             check=keeper.check,
         )
         try:
             with closing(mining):
                 for mined in mining:
-                    with account.clock.stage("publishing"):
-                        put_artifact(equipment.artifacts, mined.overlay_key, mined.overlay)
+                    with report.clock.stage("publishing"):
+                        put_artifact(context.artifacts, mined.overlay_key, mined.overlay)
                         self.publisher.put(mined.record)
                     self.metrics.scene_mined(mined.score)
                     scene_id = mined.score.scene_id
                     records[scene_id] = mined.record
                     manifest.append(ManifestEntry(scene_id=scene_id, sha256=mined.sha256))
         finally:
-            self._count(account)
+            self._count(report)
         request = self._request(
             lease,
             manifest=tuple(manifest),
-            damage=tuple(account.damage),
-            stats=account.stats(),
+            damage=tuple(report.damage),
+            stats=report.stats(),
         )
-        with account.clock.stage("committing"):
+        with report.clock.stage("committing"):
             self._commit(request, records, keeper)
         seconds = time.monotonic() - began_s
-        self.metrics.shard_committed(account.clock.seconds, seconds=seconds)
+        self.metrics.shard_committed(report.clock.seconds, seconds=seconds)
         self.metrics.shard_ended("committed")
-        tell_mined(account, seconds=seconds)
+        log_mined(report, seconds=seconds)
 
-    def _count(self, account: Account) -> None:
+    def _count(self, report: MiningReport) -> None:
         self.metrics.mined(
-            account.stats(),
-            scenes=account.scenes,
-            damaged=len(account.damage),
-            odometry_frames=account.odometry,
-            blind_frames=account.blindness,
-            motion_points=account.labels,
+            report.stats(),
+            scenes=report.scenes,
+            damaged=len(report.damage),
+            odometry_frames=report.odometry,
+            blind_frames=report.blindness,
+            motion_points=report.labels,
         )
 
     def _commit(

@@ -11,16 +11,16 @@ import structlog
 from schemas.frame import OdometryState
 from schemas.work import Damage, LogPlan
 from workers.ingest.footer import TruncatedPart
-from workers.mine import Account
+from workers.mine import MiningReport
 
 log = structlog.get_logger(__name__)
 
-DEGRADED_WORTH_SAYING: Final = 0.1
+DEGRADED_LOG_SHARE: Final = 0.1
 """Share of degraded frames in a shard from which they are logged; single degraded poses, at a kerb
 or a bump, are normal."""
 
 
-def tell_truncated(parts: Iterable[TruncatedPart]) -> None:
+def log_truncated(parts: Iterable[TruncatedPart]) -> None:
     """Log every truncated object, and how far it is used."""
     for part in parts:
         log.warning(
@@ -31,38 +31,38 @@ def tell_truncated(parts: Iterable[TruncatedPart]) -> None:
         )
 
 
-def tell_unread_labels(topics: Iterable[str]) -> None:
+def log_unread_labels(topics: Iterable[str]) -> None:
     """Log the topics with recorded labels of the model on the car that no stream reads."""
     for topic in topics:
         log.info("this log holds recorded labels; judge them by --supervised recorded", topic=topic)
 
 
-def tell_planned(plan: LogPlan, *, seconds: float) -> None:
+def log_planned(plan: LogPlan, *, seconds: float) -> None:
     """Log the shards of a plan, or why the log cannot be mined."""
     if plan.refused:
         log.warning("log refused", problem=plan.refused)
         return
     log.info("log planned", shards=len(plan.shards), seconds=round(seconds, 2))
-    _tell_damage(plan.damage)
+    _log_damage(plan.damage)
 
 
-def tell_mined(account: Account, *, seconds: float) -> None:
+def log_mined(report: MiningReport, *, seconds: float) -> None:
     """Log the time of a shard, and its faults."""
-    log.info("shard mined", scenes=account.scenes, frames=account.frames, seconds=round(seconds, 2))
-    _tell_damage(account.damage)
-    lost = account.odometry[OdometryState.LOST]
-    degraded = account.odometry[OdometryState.DEGRADED]
-    if lost or degraded > DEGRADED_WORTH_SAYING * account.frames:
+    log.info("shard mined", scenes=report.scenes, frames=report.frames, seconds=round(seconds, 2))
+    _log_damage(report.damage)
+    lost = report.odometry[OdometryState.LOST]
+    degraded = report.odometry[OdometryState.DEGRADED]
+    if lost or degraded > DEGRADED_LOG_SHARE * report.frames:
         log.warning(
             "odometry in trouble",
             lost=lost,
             degraded=degraded,
-            frames=account.frames,
-            problem=account.odometry_problem,
+            frames=report.frames,
+            problem=report.odometry_problem,
         )
 
 
-def _tell_damage(damage: Iterable[Damage]) -> None:
+def _log_damage(damage: Iterable[Damage]) -> None:
     found = list(damage)
     if found:
         log.warning(

@@ -32,10 +32,10 @@ from workers.ingest.footer import StillGrowingError
 from workers.worker.acceptance import refusal
 from workers.worker.config import WorkerConfig, WorkerObserver
 from workers.worker.lease import LeaseKeeper, LeaseLostError, Leases
-from workers.worker.lease_execution import Attempts, Lease
+from workers.worker.lease_execution import Lease, LeaseExecution
 from workers.worker.metrics import ShardOutcome, WorkerMetrics
 from workers.worker.store_health import StoreTroubleError, cause_of, wait_until_over
-from workers.worker.worker_context import Equipment, equip
+from workers.worker.worker_context import WorkerContext, build_context
 
 log = structlog.get_logger(__name__)
 
@@ -103,7 +103,7 @@ class Worker:
         self._observer = observer or WorkerObserver()
         self._metrics = metrics or WorkerMetrics()
         self._leases = Leases(session, root=config.root, worker_id=config.worker_id)
-        self._equipped: Equipment | None = None
+        self._context: WorkerContext | None = None
         self._suspect: tuple[str, str] | None = None
         self._refused = ""
 
@@ -113,38 +113,38 @@ class Worker:
         try:
             # one publisher for the worker's life: a router never forgets a declared key
             with recoverable_publisher(self._session, key) as publisher:
-                attempts = Attempts(publisher, self._leases, self._metrics)
+                execution = LeaseExecution(publisher, self._leases, self._metrics)
                 while not self._stop.is_set():
-                    self._claim_and_work(attempts)
+                    self._claim_and_work(execution)
         except StoppedError:
             pass
         log.info("worker stops")
 
-    def _claim_and_work(self, attempts: Attempts) -> None:
-        equipment = self._equipment()
-        grant = self._leases.claim(equipment.version, stop=self._stop).grant
+    def _claim_and_work(self, execution: LeaseExecution) -> None:
+        context = self._current_context()
+        grant = self._leases.claim(context.version, stop=self._stop).grant
         if isinstance(grant, NothingToDo):
             self._stop.wait(grant.retry_after_s)
             return
         self._observer.working(True)
         self._metrics.lease_began()
-        trouble = self._work(attempts, grant, equipment)
+        store_trouble = self._work(execution, grant, context)
         self._metrics.lease_ended()
         self._observer.working(False)
-        if trouble is not None:
-            wait_until_over(trouble, stop=self._stop, metrics=self._metrics)
+        if store_trouble is not None:
+            wait_until_over(store_trouble, stop=self._stop, metrics=self._metrics)
 
-    def _equipment(self) -> Equipment:
+    def _current_context(self) -> WorkerContext:
         """Build parts and buckets if the settings changed; a restarted service may have others."""
-        settings = self._asked()
-        if self._equipped is None or self._equipped.settings != settings:
-            self._equipped = equip(settings)
-            one_thread_only()
-            self._observer.equipped(self._equipped.version)
-            log.info("worker ready", pipeline_version=self._equipped.version)
-        return self._equipped
+        settings = self._accepted_settings()
+        if self._context is None or self._context.settings != settings:
+            self._context = build_context(settings)
+            limit_threads()
+            self._observer.equipped(self._context.version)
+            log.info("worker ready", pipeline_version=self._context.version)
+        return self._context
 
-    def _asked(self) -> MiningSettings:
+    def _accepted_settings(self) -> MiningSettings:
         """Request settings until this worker accepts them; log once why it does not.
 
         Raises:
@@ -162,12 +162,12 @@ class Worker:
         if self._refused:
             log.info("service accepted")
             self._refused = ""
-            if self._equipped is not None:
-                self._observer.equipped(self._equipped.version)
+            if self._context is not None:
+                self._observer.equipped(self._context.version)
         return settings
 
     def _work(
-        self, attempts: Attempts, lease: Lease, equipment: Equipment
+        self, execution: LeaseExecution, lease: Lease, context: WorkerContext
     ) -> StoreTroubleError | None:
         """Execute a lease, or report its failure; only a bug is raised, after it was reported.
 
@@ -187,14 +187,14 @@ class Worker:
             log.debug("lease begins", lease_id=lease.lease_id)
             try:
                 if isinstance(lease, PlanLease):
-                    attempts.plan(lease, equipment, keeper)
+                    execution.plan(lease, context, keeper)
                 else:
-                    attempts.mine(lease, equipment, keeper)
+                    execution.mine(lease, context, keeper)
             except LeaseLostError as error:
                 log.warning("work dropped", problem=str(error))
                 self._count(lease, "lost")
             except (BucketUnreachableError, BucketRefusedError) as error:
-                return self._blame(error, lease, equipment)
+                return self._fail_reading(error, lease, context)
             except CounterpointError as error:
                 return self._fail(lease, error)
             except Exception as error:
@@ -203,15 +203,15 @@ class Worker:
             self._suspect = None
         return None
 
-    def _blame(
-        self, error: CounterpointError, lease: Lease, equipment: Equipment
+    def _fail_reading(
+        self, error: CounterpointError, lease: Lease, context: WorkerContext
     ) -> StoreTroubleError | None:
         """Find the cause of a log that could not be read, and fail accordingly."""
         if self._stop.is_set():  # the next worker finds the cause
             return self._fail(lease, StoppedError(f"told to stop while a store fails: {error}"))
         target = _target(lease)
         repeated, self._suspect = target == self._suspect, target
-        cause = cause_of(error, equipment.bucket, lease.recording, repeated=repeated)
+        cause = cause_of(error, context.bucket, lease.recording, repeated=repeated)
         return self._fail(lease, cause)
 
     def _fail(self, lease: Lease, error: Exception) -> StoreTroubleError | None:
@@ -285,7 +285,7 @@ def _summary(error: Exception) -> str:
     return f"{type(error).__name__}: {error} ({where})"
 
 
-def one_thread_only() -> None:
+def limit_threads() -> None:
     """Limit torch to one thread: more cores are more workers, and results must not depend on them.
 
     Parts that need torch load it when they are built; without them it would only take 150 MiB.

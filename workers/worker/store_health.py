@@ -100,7 +100,7 @@ def put_artifact(artifacts: Bucket, key: str, data: bytes) -> None:
         try:
             artifacts.put(PROBE_KEY, data)
         finally:
-            _take_away_probe(artifacts)
+            _delete_probe(artifacts)
 
     try:
         artifacts.put(key, data)
@@ -116,7 +116,7 @@ def put_artifact(artifacts: Bucket, key: str, data: bytes) -> None:
         raise PermanentError(str(error)) from None
 
 
-def _take_away_probe(artifacts: Bucket) -> None:
+def _delete_probe(artifacts: Bucket) -> None:
     """Delete the probe; where only writing is allowed, it stays and is empty."""
     try:
         artifacts.delete(PROBE_KEY)

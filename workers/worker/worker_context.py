@@ -11,7 +11,7 @@ from workers.version import parts_of, pipeline_version
 
 
 @dataclass(frozen=True, slots=True)
-class Equipment:
+class WorkerContext:
     """Parts and buckets for mining, built once and used for many shards.
 
     Attributes:
@@ -29,7 +29,7 @@ class Equipment:
     artifacts: Bucket
 
 
-def equip(settings: MiningSettings) -> Equipment:
+def build_context(settings: MiningSettings) -> WorkerContext:
     """Build the parts and open the buckets that the service names.
 
     Raises:
@@ -43,7 +43,7 @@ def equip(settings: MiningSettings) -> Equipment:
             f"the chosen streams answer the task {parts.task.name}, but a service ranks and counts "
             "motion alone: mine such logs with `counterpoint score`"
         )
-    return Equipment(
+    return WorkerContext(
         settings=settings,
         parts=parts,
         version=pipeline_version(settings, parts),

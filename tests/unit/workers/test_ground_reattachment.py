@@ -6,7 +6,7 @@ from schemas.arrays import Mask, Points
 from workers.lidar.preprocessing import Prepared
 from workers.points.se3 import inverse
 from workers.points.voxels import Voxels
-from workers.selfsupervised.ground_reattachment import ground_of_movers
+from workers.selfsupervised.ground_reattachment import reattach_ground
 
 MOVER_M = np.array([[10.0, 0.0, -1.0], [10.5, 0.0, -1.0]], np.float32)
 CONFIRMED = np.array([False, True])
@@ -40,7 +40,7 @@ def belongs(at: tuple[float, float, float], *, free: bool, moves: bool = True) -
         return np.full(len(places_m), free)
 
     moving = np.full(len(MOVER_M), moves)
-    of_mover, of_confirmed = ground_of_movers(frame, moving, CONFIRMED, frame.ground, seen_through)
+    of_mover, of_confirmed = reattach_ground(frame, moving, CONFIRMED, frame.ground, seen_through)
     for places_m in asked:
         expected_m = np.broadcast_to(at, places_m.shape)
         np.testing.assert_allclose(places_m - POSE[:3, 3], expected_m, atol=1e-4)

@@ -23,7 +23,7 @@ from workers.points.clusters import connected, from_labels
 from workers.points.compiled import compiled
 from workers.points.neighbours import build_grid, nearest_few, nearest_indices, nearest_rows
 from workers.points.step_names import step, watched
-from workers.selfsupervised.ground_artefacts import are_strips
+from workers.selfsupervised.ground_artefacts import are_ground_artefacts
 from workers.selfsupervised.occupancy import CELL_M, build_occupancy, cells_of, scores_around
 
 HERE = np.eye(4, dtype=np.float32)[:3]
@@ -207,7 +207,7 @@ def test_only_what_is_flat_and_low_is_a_strip() -> None:
     child = flat * np.array([0.1, 0.3, 10]) + np.array([10, -5, -2.0])
     points = np.concatenate([kerb, bonnet, child, kerb]).astype(np.float32)
     clusters = from_labels(np.repeat(np.arange(4, dtype=np.int32), 40))
-    found = are_strips(
+    found = are_ground_artefacts(
         points,
         clusters,
         np.array([True, True, True, False]),
