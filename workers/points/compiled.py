@@ -66,6 +66,6 @@ def cache_folder(loop: Callable[..., Any]) -> str | None:
 @cache
 def _warn_uncached() -> None:
     log.warning(
-        "no cache for compiled loops: every process compiles them anew, with time and memory",
-        remedy="name a folder that can be written in NUMBA_CACHE_DIR",
+        "no cache for compiled loops: every process compiles them again, in time and memory",
+        remedy="set NUMBA_CACHE_DIR to a writable folder",
     )

@@ -56,7 +56,7 @@ def compile_in_child() -> None:
                 marker.touch()
     except (OSError, subprocess.SubprocessError) as error:
         log.warning(
-            "loops could not be compiled apart: this process compiles them, and needs more memory",
+            "loops not compiled in a child process: this process compiles them, with more memory",
             folder=folder,
             problem=str(error),
         )

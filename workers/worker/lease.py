@@ -70,7 +70,7 @@ class Leases:
         try:
             self._ask("fail", encode(request), Answer, stop=Event(), patience_s=patience_s)
         except TransientError as error:
-            log.warning("lease left to expire", problem=str(error))
+            log.warning("failure not reported: the lease will expire", problem=str(error))
 
     def renew(self, lease_id: str) -> Answer:
         """Extend a lease, with a single request.
@@ -103,7 +103,7 @@ class Leases:
             return decode(kind, answer)
         except ValidationError as error:
             raise PermanentError(
-                f"the service answers {verb} in words of another version; install the same version "
+                f"the service's answer to {verb} is of another version; install the same version "
                 f"on both sides ({error.error_count()} fields differ)"
             ) from None
 

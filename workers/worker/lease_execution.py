@@ -138,7 +138,7 @@ class LeaseExecution:
                 return
             if not answer.missing:
                 raise LeaseLostError(f"commit refused: {answer.problem}")
-            log.debug("sending again", scenes=len(answer.missing))
+            log.debug("sending missing records again", scenes=len(answer.missing))
             again = tuple(records[scene_id].decode() for scene_id in answer.missing)
             request = request.model_copy(update={"records": again})
 

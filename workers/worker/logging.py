@@ -24,7 +24,7 @@ def log_truncated(parts: Iterable[TruncatedPart]) -> None:
     """Log every truncated object, and how far it is used."""
     for part in parts:
         log.warning(
-            "truncated object: used as far as it goes",
+            "truncated object: used up to its last complete record",
             key=part.key,
             bytes=part.size,
             seconds=round(part.seconds, 1),
@@ -54,7 +54,7 @@ def log_mined(report: MiningReport, *, seconds: float) -> None:
     degraded = report.odometry[OdometryState.DEGRADED]
     if lost or degraded > DEGRADED_LOG_SHARE * report.frames:
         log.warning(
-            "odometry in trouble",
+            "odometry unreliable",
             lost=lost,
             degraded=degraded,
             frames=report.frames,
@@ -66,7 +66,7 @@ def _log_damage(damage: Iterable[Damage]) -> None:
     found = list(damage)
     if found:
         log.warning(
-            "damaged log: went on after it",
+            "damaged log: unreadable stretches skipped",
             stretches=len(found),
             bytes=sum(each.bytes for each in found),
             key=found[0].key,

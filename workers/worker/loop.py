@@ -154,7 +154,7 @@ class Worker:
         settings = self._leases.hello(stop=self._stop)
         while problem := refusal(settings, self._config):
             if problem != self._refused:
-                log.error("service not accepted, asking it again now and then", problem=problem)
+                log.error("service not accepted, asking it again periodically", problem=problem)
                 self._observer.equipped("")
             self._refused = problem
             pause(self._stop, next(waits))
@@ -208,7 +208,7 @@ class Worker:
     ) -> StoreTroubleError | None:
         """Find the cause of a log that could not be read, and fail accordingly."""
         if self._stop.is_set():  # the next worker finds the cause
-            return self._fail(lease, StoppedError(f"told to stop while a store fails: {error}"))
+            return self._fail(lease, StoppedError(f"stopped while a store fails: {error}"))
         target = _target(lease)
         repeated, self._suspect = target == self._suspect, target
         cause = cause_of(error, context.bucket, lease.recording, repeated=repeated)

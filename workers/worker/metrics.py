@@ -68,13 +68,13 @@ class WorkerMetrics:
         self.registry = registry or CollectorRegistry()
         self._shards = self._counter(
             "shards",
-            "Shards whose lease ended here, by how. Worry when `failed` grows: the ledger "
+            "Shards whose lease ended here, by outcome. Worry when `failed` grows: the ledger "
             "names log and error. `store_away` costs no attempt.",
             outcome=get_args(ShardOutcome),
         )
         self._plans = self._counter(
             "plans",
-            "Logs whose planning lease ended here, by how. `growing` is an upload in progress; "
+            "Logs whose planning lease ended here, by outcome. `growing` is an upload in progress; "
             "worry when one log stays so for longer than an upload takes.",
             outcome=get_args(PlanOutcome),
         )
@@ -88,25 +88,26 @@ class WorkerMetrics:
         )
         self._odometry_frames = self._counter(
             "odometry_frames",
-            "Mined frames by how far their pose may be trusted. Worry when more than a tenth are "
+            "Mined frames by the health of their pose. Worry when more than a tenth are "
             "not healthy: degraded poses lower a scene's score, lost ones void it.",
             state=tuple(OdometryState),
         )
         self._pose_jumps = self._counter(
             "pose_jumps",
-            "Mined frames whose pose went where no car goes from one frame to the next. Worry when "
+            "Mined frames whose pose moved as no car can from one frame to the next. Worry when "
             "it grows steadily: frames are dropped, or time stamps are wrong.",
         )
         self._blind_frames = self._counter(
             "blind_frames",
-            "Mined frames in which the self-supervised stream judged nothing off the ground, by "
-            "why. `no_past` is the start of a log or a gap. Worry when the others exceed a tenth.",
+            "Mined frames in which the self-supervised stream labelled nothing off the ground, "
+            "by cause. `no_past` is the start of a log or a gap. Worry when the others exceed a "
+            "tenth.",
             cause=tuple(Blindness),
         )
         self._motion_points = self._counter(
             "motion_points",
-            "Returns of the mined frames by what the self-supervised stream says of them. Worry "
-            "when the share of `unknown` rises: it lost its footing, and finds nothing.",
+            "Returns of the mined frames by their label of the self-supervised stream. Worry when "
+            "the share of `unknown` rises: the stream has lost its evidence, and finds no motion.",
             label=MOTION.labels,
         )
         self._static_residual = self._histogram(
@@ -117,8 +118,9 @@ class WorkerMetrics:
         )
         self._seen_share = self._histogram(
             "seen_share",
-            "Share of what the self-supervised stream was asked about that an earlier frame saw or "
-            "saw through, by scene. Worry below a half: beams or origin of the sensor are wrong.",
+            "Share of the voxels off the ground that another frame saw or saw through, by scene, "
+            "for the self-supervised stream. Worry below a half: beams or origin of the sensor "
+            "are wrong.",
             buckets=SHARE_BUCKETS,
         )
         self._damaged_chunks = self._counter(
@@ -355,7 +357,7 @@ class PoolMetrics:
         self._deaths = _with_series(
             Counter(
                 "restarts",
-                "Worker processes that ended unasked, by why; all but `gave_up` are replaced. "
+                "Worker processes that ended unasked, by cause; all but `gave_up` are replaced. "
                 "Worry when it grows more than once an hour: `crashed` is often too little memory.",
                 ("cause",),
                 NAMESPACE,
