@@ -12,9 +12,9 @@ from workers.lidar.beam_table import BeamTable
 from workers.lidar.spherical import (
     BLOCK,
     column_of,
-    fill,
-    look,
+    fill_block,
     new_block,
+    project_block,
     row_above,
     rows_of_steps,
 )
@@ -175,8 +175,8 @@ def _visibility(
         return answer
     block, steps = new_block(), rows_of_steps(tangents)
     for first in range(0, len(points), BLOCK):
-        n = fill(block, points, first, pose)
-        look(block, n, tangents, steps)
+        n = fill_block(block, points, first, pose)
+        project_block(block, n, tangents, steps)
         for k in range(n):
             above = row_above(tangents, block.row[k], block.tangent[k])
             if above == 0 or above == rows:

@@ -17,8 +17,8 @@ from workers.ingest.camera_messages import (
     Calibration,
     CameraImage,
     camera_image,
-    holds_calibrations,
-    holds_images,
+    has_calibrations,
+    has_images,
 )
 from workers.ingest.camera_model import CameraView
 from workers.ingest.frames import sensor_points
@@ -27,7 +27,7 @@ from workers.ingest.message_lookup import MessageLookup, readable
 from workers.ingest.point_time import point_time
 from workers.ingest.topic_sampling import Sample, sample_topics
 from workers.ingest.topics import Topic, topics_of
-from workers.ingest.transforms import holds_transforms
+from workers.ingest.transforms import has_transforms
 
 MAX_APART_NS: Final = NS_PER_S // 2
 """Largest time between image and frame, nanoseconds; a later image shows another situation."""
@@ -67,7 +67,7 @@ def read_camera(
     """
     index = index_recording(bucket, recording)
     topics = topics_of(index.parts)
-    images = [topic for topic in topics if holds_images(topic.channel) and topic.messages]
+    images = [topic for topic in topics if has_images(topic.channel) and topic.messages]
     lidar = [topic for topic in topics if topic.channel.topic == lidar_topic]
     sample = sample_topics(index, lidar, []).get(lidar_topic)
     if sample is None:
@@ -107,7 +107,7 @@ def _unavailable(why: str, recording: Recording) -> CameraUnavailableError:
 
 def _is_of_a_camera(topic: Topic) -> bool:
     channel = topic.channel
-    return holds_images(channel) or holds_calibrations(channel) or holds_transforms(channel)
+    return has_images(channel) or has_calibrations(channel) or has_transforms(channel)
 
 
 def _view(frame: _Frame, topic: Topic) -> CameraView:

@@ -7,14 +7,14 @@ import numpy as np
 from schemas.arrays import NS_PER_S, Transform
 from schemas.camera import CameraCalibration
 from workers.errors import LogUnusableError
-from workers.ingest.camera_messages import Calibration, calibration, holds_calibrations
+from workers.ingest.camera_messages import Calibration, calibration, has_calibrations
 from workers.ingest.log_index import LogIndex
 from workers.ingest.message_lookup import MessageLookup, readable
 from workers.ingest.topic_sampling import Sample
 from workers.ingest.topics import Topic
 from workers.ingest.transforms import (
     TransformTree,
-    holds_transforms,
+    has_transforms,
     is_static,
     stated_transforms,
 )
@@ -38,7 +38,7 @@ def find_calibration(index: LogIndex, topics: Sequence[Topic], sample: Sample) -
     wanted = [
         topic
         for topic in topics
-        if holds_calibrations(topic.channel) or holds_transforms(topic.channel)
+        if has_calibrations(topic.channel) or has_transforms(topic.channel)
     ]
     delay_ns = (sample.bounds.least_ns + sample.bounds.most_ns) // 2
     logged_ns = sample.first_stamp_ns + delay_ns
@@ -63,7 +63,7 @@ def calibrations_in(lookup: MessageLookup) -> list[Calibration]:
     return [
         found
         for topic in lookup.topics
-        if holds_calibrations(topic.channel)
+        if has_calibrations(topic.channel)
         for found in readable(lookup.near(topic), calibration)[:1]
     ]
 
@@ -84,7 +84,7 @@ def camera_from_lidar(lookup: MessageLookup, sample: Sample, camera: str) -> Tra
     """
     cloud = sample.clouds[0]
     tree = TransformTree()
-    topics = [topic for topic in lookup.topics if holds_transforms(topic.channel)]
+    topics = [topic for topic in lookup.topics if has_transforms(topic.channel)]
     for topic in sorted(topics, key=lambda topic: not is_static(topic.channel)):
         static = is_static(topic.channel)
         messages = lookup.all(topic) if static else lookup.near(topic)

@@ -19,7 +19,7 @@ _NOT_AS_TYPED: Final = (
     TypeError,
     ValueError,
     IndexError,
-    OverflowError,  # numbers in JSON that no float holds
+    OverflowError,  # numbers in JSON beyond any float
 )
 
 
@@ -67,14 +67,14 @@ class Calibration:
     projection: NDArray[np.float64]
 
 
-def holds_images(channel: Channel) -> bool:
+def has_images(channel: Channel) -> bool:
     """Return True for a channel of compressed images that can be read here."""
     return can_decode(
         channel, ros="sensor_msgs/CompressedImage", foxglove="foxglove.CompressedImage"
     )
 
 
-def holds_calibrations(channel: Channel) -> bool:
+def has_calibrations(channel: Channel) -> bool:
     """Return True for a channel of camera calibrations that can be read here."""
     return can_decode(channel, ros="sensor_msgs/CameraInfo", foxglove="foxglove.CameraCalibration")
 

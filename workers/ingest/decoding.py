@@ -35,7 +35,7 @@ NOT_DECODED: Final = (
     TypeError,
     LookupError,
     NotImplementedError,
-    ArithmeticError,  # numbers in JSON that no float holds
+    ArithmeticError,  # numbers in JSON beyond any float
     RecursionError,  # JSON nested without end
 )
 """Errors of the libraries on bytes that do not match the schema."""

@@ -26,7 +26,7 @@ INTENSITY_SCALES: Final = (1.0, 255.0, 4095.0, 65535.0)
 """Full scale of normalised floats and of 8, 12 and 16 bits, the widths that sensors record."""
 
 
-@np.errstate(over="ignore", invalid="ignore")  # clouds hold odd numbers
+@np.errstate(over="ignore", invalid="ignore")  # clouds contain odd numbers
 def frame_from_cloud(
     cloud: DecodedCloud,
     *,
@@ -88,7 +88,7 @@ def frame_stamp_ns(header_ns: int, *, log_time_ns: int, previous_stamp_ns: int |
     return max(header_ns, log_time_ns)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # clouds hold odd numbers
+@np.errstate(over="ignore", invalid="ignore")  # clouds contain odd numbers
 def intensity_scale_of(clouds: Sequence[DecodedCloud]) -> float:
     """Estimate, from some clouds of a lidar, which recorded intensity means 1.
 
@@ -119,7 +119,7 @@ def _first(cloud: DecodedCloud, names: Sequence[str]) -> NDArray[Any] | None:
     return next((fields[name] for name in names if name in fields and fields[name].ndim == 1), None)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # clouds hold odd numbers
+@np.errstate(over="ignore", invalid="ignore")  # clouds contain odd numbers
 def sensor_points(cloud: DecodedCloud) -> tuple[Points, Mask]:
     """Read positions, and the mask of returns.
 

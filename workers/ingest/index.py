@@ -64,7 +64,7 @@ class IndexedChunk:
     ref: ChunkRef
     counts: dict[int, int] | None
 
-    def may_hold(self, channel_ids: frozenset[int]) -> bool:
+    def may_contain(self, channel_ids: frozenset[int]) -> bool:
         """Return True unless the index excludes messages of these channels."""
         return self.counts is None or any(self.counts.get(each, 0) for each in channel_ids)
 

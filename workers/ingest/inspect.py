@@ -33,7 +33,7 @@ class TopicReport(BaseModel):
     topic: str
     message_encoding: str
     schema_name: str
-    messages: int | None = Field(description="None where the index does not say.")
+    messages: int | None = Field(description="None where the index does not state it.")
     needs: str = Field(default="", description="For a lidar that cannot be read: what it needs.")
 
 
@@ -66,12 +66,12 @@ class LogReport(BaseModel):
     lidar_topic: str | None = Field(description="The densest lidar that is mined; None without.")
     lidar_topics: tuple[str, ...]
     odometry_topic: str | None = Field(
-        description="What says how the car moved, held against the odometry; None without."
+        description="Topic of recorded motion, compared with the odometry; None without."
     )
     frames: int | None = Field(
         description="Well-formed clouds of the lidars; by the index alone, those it counts."
     )
-    verified: bool = Field(description="Whether every chunk was read.")
+    verified: bool = Field(description="True if every chunk was read.")
     damage: tuple[Damage, ...]
     shards: tuple[ShardReport, ...]
     refused: str = Field(description="Why it cannot be mined; empty when it can.")

@@ -85,7 +85,7 @@ class PointTime:
     recorded: bool
 
 
-@np.errstate(over="ignore", invalid="ignore")  # clouds hold odd numbers
+@np.errstate(over="ignore", invalid="ignore")  # clouds contain odd numbers
 def point_time(
     fields: Mapping[str, NDArray[Any]], *, points: int, stamp_ns: int, stamp_at: StampAt
 ) -> PointTime:

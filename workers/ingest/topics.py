@@ -124,7 +124,7 @@ def chunks_of(channel: Channel, indexes: Sequence[PartIndex]) -> list[IndexedChu
         for ids in [ids_in(channel, index.number)]
         if ids
         for chunk in index.chunks
-        if chunk.may_hold(ids)
+        if chunk.may_contain(ids)
     ]
     return sorted(found, key=lambda each: (each.ref.start_ns, each.ref.part, each.ref.offset))
 

@@ -18,7 +18,7 @@ FOXGLOVE_TRANSFORMS: Final = "foxglove.FrameTransforms"
 FOXGLOVE_TRANSFORM: Final = "foxglove.FrameTransform"
 
 
-def holds_transforms(channel: Channel) -> bool:
+def has_transforms(channel: Channel) -> bool:
     """Return True for a channel of transforms that can be read here."""
     return any(
         can_decode(channel, ros=ROS_TRANSFORMS, foxglove=foxglove)

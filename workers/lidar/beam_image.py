@@ -5,7 +5,14 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Points
 from workers.lidar.beam_table import BeamTable
-from workers.lidar.spherical import BLOCK, column_of, look, new_block, row_above, rows_of_steps
+from workers.lidar.spherical import (
+    BLOCK,
+    column_of,
+    new_block,
+    project_block,
+    row_above,
+    rows_of_steps,
+)
 from workers.points.compiled import compiled
 from workers.points.step_names import step
 
@@ -46,7 +53,7 @@ def _project(
             block.x[k] = points[first + k, 0]
             block.y[k] = points[first + k, 1]
             block.z[k] = points[first + k, 2]
-        look(block, n, tangents, steps)
+        project_block(block, n, tangents, steps)
         for k in range(n):
             distance, tangent = block.distance[k], block.tangent[k]
             if distance < NEAREST_RETURN_M:

@@ -143,7 +143,7 @@ def look_up(image: NDArray[Number], pixel: Pixels, nothing: Number) -> NDArray[N
 
 
 @compiled
-def commonest(image: Codes, voters: Pixels, without_votes: np.uint8) -> Codes:
+def majority_code(image: Codes, voters: Pixels, without_votes: np.uint8) -> Codes:
     """Return the commonest code above 0 among the voting pixels, the lowest of equals.
 
     Args:
@@ -234,7 +234,7 @@ def mixed_windows(codes: Codes, index: Pixels, reach: int, wrap: bool) -> NDArra
 
 
 @compiled
-def likeliest(values: Values) -> Codes:
+def argmax_code(values: Values) -> Codes:
     """Return the 1-based argmax over K of (K, P) values, the first of equals; (P,)."""
     count, pixels = values.shape
     best = np.ones(pixels, np.uint8)

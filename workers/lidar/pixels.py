@@ -35,7 +35,7 @@ class Gaps(NamedTuple):
 
 
 def gaps_between(edges_rad: NDArray[np.float64], row: NDArray[np.int32]) -> Gaps:
-    """Build the search table of `place` from rising edges of rows and the rows between them."""
+    """Build the search table of `place_points` from rising row edges and the rows between them."""
     sines = np.sin(edges_rad)
     begins = np.linspace(sines[0], sines[-1], _STEPS + 1)
     # a little lower, by more than the rounding
@@ -44,7 +44,7 @@ def gaps_between(edges_rad: NDArray[np.float64], row: NDArray[np.int32]) -> Gaps
 
 
 @compiled
-def place(
+def place_points(
     points: NDArray[np.floating],
     valid: Mask,
     nearest: np.floating,

@@ -39,7 +39,7 @@ _SENSOR_ORIGIN: Final = np.zeros(3, np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Prepared:
+class PreprocessedFrame:
     """A preprocessed frame, in the form that comparisons need.
 
     Attributes:
@@ -64,7 +64,7 @@ class Prepared:
     beams_from_odom: Transform
 
 
-class Preparation:
+class Preprocessor:
     """Preprocesses the frames of one sensor, and learns its beams and height from them."""
 
     def __init__(self) -> None:
@@ -78,7 +78,7 @@ class Preparation:
 
     def __call__(
         self, frame: LidarFrame, odom_from_sensor: Transform, velocity: Twist | None
-    ) -> Prepared | None:
+    ) -> PreprocessedFrame | None:
         """Preprocess a frame.
 
         Args:
@@ -108,7 +108,7 @@ class Preparation:
         judged_index = judged_rows(points_m, ground, MIN_RANGE_M, MAX_RANGE_M, MAX_HEIGHT_M)
         odom_from_beams = odom_from_sensor.copy()
         odom_from_beams[:3, 3] += odom_from_sensor[:3, :3] @ self.table.origin_m
-        return Prepared(
+        return PreprocessedFrame(
             points_m=points_m,
             valid_index=valid_index,
             ground=ground,

@@ -9,7 +9,14 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
 from workers.lidar.fidelity import Form
-from workers.lidar.pixels import UNSURE, Gaps, gaps_between, nearest_of_pixels, normalised, place
+from workers.lidar.pixels import (
+    UNSURE,
+    Gaps,
+    gaps_between,
+    nearest_of_pixels,
+    normalised,
+    place_points,
+)
 
 Channel = Literal["range", "x", "y", "z", "intensity"]
 
@@ -189,7 +196,7 @@ def project(
     range_m = np.empty(len(points), precision)
     row, column = np.empty((2, len(points)), np.int32)
     gaps = _gaps_of(profile, clamp)
-    place(
+    place_points(
         points,
         valid,
         precision(low),

@@ -63,7 +63,7 @@ def new_block() -> Block:
 
 
 @compiled
-def fill(block: Block, points: Points, first: int, pose: NDArray[np.float32]) -> int:
+def fill_block(block: Block, points: Points, first: int, pose: NDArray[np.float32]) -> int:
     """Fill a block with places from `first` on, moved by a (3, 4) pose; return their number."""
     n = min(BLOCK, len(points) - first)
     a, b, c, d = pose[0, 0], pose[0, 1], pose[0, 2], pose[0, 3]
@@ -98,7 +98,9 @@ def angle_of(x: np.float32, y: np.float32) -> np.float32:
 
 
 @compiled
-def look(block: Block, n: int, tangents: NDArray[np.float32], rows: NDArray[np.int32]) -> None:
+def project_block(
+    block: Block, n: int, tangents: NDArray[np.float32], rows: NDArray[np.int32]
+) -> None:
     """Compute range, tangent, azimuth and a row of the first n places of a block."""
     for k in range(n):
         x, y, z = block.x[k], block.y[k], block.z[k]
@@ -150,8 +152,8 @@ def row_above(tangents: NDArray[np.float32], guess: int, tangent: np.float32) ->
 def column_of(angle: np.float32, x: np.float32, y: np.float32, columns: int) -> int:
     """Compute the column of a direction, from -pi counter-clockwise.
 
-    The angle is that of `look`. The library function decides where it is too close to the edge of
-    a column, so the columns are the same in a quarter of the time.
+    The angle is that of `project_block`. The library function decides where it is too close to the
+    edge of a column, so the columns are the same in a quarter of the time.
     """
     scale = columns / (2.0 * np.pi)
     place = (np.float64(angle) + np.pi) * scale

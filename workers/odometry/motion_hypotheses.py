@@ -50,29 +50,31 @@ class MotionHypothesis:
     """The most likely motion of the sensor, given a few frames.
 
     Attributes:
-        run: The pass that continues with this motion.
+        registration: The pass that continues with this motion.
         posed: The frames with its poses.
-        alike: Another possible motion, in words; empty where there is none.
+        alternative: Another possible motion, in words; empty where there is none.
     """
 
-    run: RegistrationPass
+    registration: RegistrationPass
     posed: list[PosedFrame]
-    alike: str = ""
+    alternative: str = ""
 
 
 def most_likely_motion(
-    run: RegistrationPass, posed: list[PosedFrame], begin: Callable[[Twist], RegistrationPass]
+    registration: RegistrationPass,
+    posed: list[PosedFrame],
+    begin: Callable[[Twist], RegistrationPass],
 ) -> MotionHypothesis:
     """Choose among the current motion and every other motion that two frames allow.
 
     Args:
-        run: The pass that posed the frames.
+        registration: The pass that posed the frames.
         posed: Consecutive frames.
         begin: Begins another pass before the first of them, with a twist per second.
     """
     frames = [each.frame for each in posed]
     dt_s, first_m, travelled_m = span_s(frames[:2]), moved_m(posed[:2]), moved_m(posed)
-    hypotheses = [(float("nan"), run, posed)]
+    hypotheses = [(float("nan"), registration, posed)]
     for velocity in candidate_velocities(frames[0], frames[1]):
         if np.linalg.norm(velocity[3:] * dt_s - first_m) < _ANOTHER_M:
             continue
@@ -81,7 +83,7 @@ def most_likely_motion(
         if np.linalg.norm(moved_m(posed_otherwise) - travelled_m) < _ANOTHER_M:
             continue
         if len(hypotheses) == 1:
-            hypotheses[0] = (contradicted_share(posed), run, posed)
+            hypotheses[0] = (contradicted_share(posed), registration, posed)
         hypotheses.append((contradicted_share(posed_otherwise), other, posed_otherwise))
     best = hypotheses[0]
     for hypothesis in hypotheses[1:]:
@@ -91,8 +93,8 @@ def most_likely_motion(
     for share_otherwise, _, posed_otherwise in hypotheses:
         apart = float(np.linalg.norm(moved_m(posed_otherwise) - travelled_m)) >= _ANOTHER_M
         if apart and share_otherwise <= _ALIKE * best[0]:
-            alike = f"{_speed(posed_otherwise):.0f} m/s would fit alike"
-            return MotionHypothesis(best[1], best[2], alike)
+            alternative = f"{_speed(posed_otherwise):.0f} m/s would fit alike"
+            return MotionHypothesis(best[1], best[2], alternative)
     return MotionHypothesis(best[1], best[2])
 
 
@@ -112,16 +114,16 @@ class AmbiguousMotion:
         self._posed = list(found.posed)
         self._tests_left = tests_left
         self._confirmations = confirmations
-        self._asked_ns = found.posed[-1].frame.stamp_ns
-        self._alike = found.alike
+        self._tested_ns = found.posed[-1].frame.stamp_ns
+        self._alternative = found.alternative
 
     def test_again(
-        self, run: RegistrationPass, now: PosedFrame
+        self, registration: RegistrationPass, now: PosedFrame
     ) -> tuple[RegistrationPass, PosedFrame, "AmbiguousMotion | None"]:
         """Mark a pose as degraded, or once a second test the hypotheses again.
 
         Args:
-            run: The pass that posed the frame.
+            registration: The pass that posed the frame.
             now: The frame.
 
         Returns:
@@ -129,44 +131,48 @@ class AmbiguousMotion:
             the motion is clear.
         """
         self._posed.append(now)
-        since_s = (now.frame.stamp_ns - self._asked_ns) / NS_PER_S
+        since_s = (now.frame.stamp_ns - self._tested_ns) / NS_PER_S
         if since_s < _AGAIN_S:
-            return run, degraded(now, self._alike), self
+            return registration, degraded(now, self._alternative), self
         last = [
             each
             for each in self._posed
             if now.frame.stamp_ns - each.frame.stamp_ns <= (DECISION_S + 0.1) * NS_PER_S
         ]
         if len(last) < FEWEST_HELD:
-            return run, now, None
-        begins = last[0].odom_from_sensor
-        found = most_likely_motion(run, last, lambda velocity: RegistrationPass(begins, velocity))
-        if found.run is not run:
+            return registration, now, None
+        start_pose = last[0].odom_from_sensor
+        found = most_likely_motion(
+            registration, last, lambda velocity: RegistrationPass(start_pose, velocity)
+        )
+        if found.registration is not registration:
             reason = f"the sensor moves at {_speed(found.posed):.0f} m/s, other than was believed"
             now = replace(found.posed[-1], odometry=OdometryState.LOST, reason=reason, jumped=True)
             found = replace(found, posed=[*found.posed[:-1], now])
-            alike = found.alike or f"{_speed(last):.0f} m/s was believed before"
+            alternative = found.alternative or f"{_speed(last):.0f} m/s was believed before"
             tests_left = max(self._tests_left - 1, _CONFIRMED)
             ambiguous = AmbiguousMotion(
-                replace(found, alike=alike), tests_left=tests_left, confirmations=_CONFIRMED
+                replace(found, alternative=alternative),
+                tests_left=tests_left,
+                confirmations=_CONFIRMED,
             )
-            return found.run, now, ambiguous
-        if self._tests_left <= 1 or not (found.alike or self._confirmations > 1):
-            return found.run, now, None
-        alike = found.alike or self._alike
+            return found.registration, now, ambiguous
+        if self._tests_left <= 1 or not (found.alternative or self._confirmations > 1):
+            return found.registration, now, None
+        alternative = found.alternative or self._alternative
         ambiguous = AmbiguousMotion(
-            replace(found, alike=alike),
+            replace(found, alternative=alternative),
             tests_left=self._tests_left - 1,
             confirmations=self._confirmations - 1,
         )
-        return found.run, degraded(now, alike), ambiguous
+        return found.registration, degraded(now, alternative), ambiguous
 
 
-def degraded(posed: PosedFrame, alike: str) -> PosedFrame:
+def degraded(posed: PosedFrame, alternative: str) -> PosedFrame:
     """Mark a healthy pose as degraded; other states are kept."""
     if posed.odometry is not OdometryState.HEALTHY:
         return posed
-    return replace(posed, odometry=OdometryState.DEGRADED, reason=alike)
+    return replace(posed, odometry=OdometryState.DEGRADED, reason=alternative)
 
 
 def span_s(frames: Sequence[LidarFrame]) -> float:

@@ -51,34 +51,31 @@ class KissOdometry:
 
     def __call__(self, frames: Iterable[LidarFrame]) -> Iterator[PosedFrame]:
         """Yield each frame with its pose, the first ones once their motion is decided."""
-        run, held, begun = RegistrationPass(), list[LidarFrame](), False
+        registration, held, begun = RegistrationPass(), list[LidarFrame](), False
         ambiguous: AmbiguousMotion | None = None
         bad_poses = _BadPoses()
         for frame in frames:
-            if not _follows(held[-1].stamp_ns if held else run.stamp_ns, frame):
+            if not _follows(held[-1].stamp_ns if held else registration.stamp_ns, frame):
                 if held:
-                    run, posed, ambiguous = _begin(run, held)
+                    registration, posed, ambiguous = _begin(registration, held)
                     yield from posed
                 held, begun, bad_poses = [], False, _BadPoses()
             if begun:
-                now = run.pose(frame)
+                now = registration.pose(frame)
                 if ambiguous is not None:
-                    run, now, ambiguous = ambiguous.test_again(run, now)
+                    registration, now, ambiguous = ambiguous.test_again(registration, now)
                 yield now
                 if bad_poses.too_long(now):
-                    run, begun, ambiguous = (
-                        run.restart(why=f"astray for {_BAD_POSES_S} s"),
-                        False,
-                        None,
-                    )
+                    registration = registration.restart(why=f"astray for {_BAD_POSES_S} s")
+                    begun, ambiguous = False, None
                 continue
             held.append(frame)
             if span_s(held) >= DECISION_S or len(held) == _MOST_HELD:
-                run, posed, ambiguous = _begin(run, held)
+                registration, posed, ambiguous = _begin(registration, held)
                 yield from posed
                 held, begun = [], True
         if held:
-            yield from _begin(run, held)[1]
+            yield from _begin(registration, held)[1]
 
 
 class _BadPoses:
@@ -105,14 +102,18 @@ def _begin(
     before: RegistrationPass, held: Sequence[LidarFrame]
 ) -> tuple[RegistrationPass, list[PosedFrame], AmbiguousMotion | None]:
     """Register the first frames of a stretch, from no motion unless another start is better."""
-    run = before.restart()
-    posed = [run.pose(frame) for frame in held]
+    registration = before.restart()
+    posed = [registration.pose(frame) for frame in held]
     if len(held) < FEWEST_HELD:
-        return run, posed, None
-    found = most_likely_motion(run, posed, before.restart)
-    if not found.alike:
-        return found.run, found.posed, None
-    return found.run, [degraded(each, found.alike) for each in found.posed], AmbiguousMotion(found)
+        return registration, posed, None
+    found = most_likely_motion(registration, posed, before.restart)
+    if not found.alternative:
+        return found.registration, found.posed, None
+    return (
+        found.registration,
+        [degraded(each, found.alternative) for each in found.posed],
+        AmbiguousMotion(found),
+    )
 
 
 def _follows(last_ns: int | None, frame: LidarFrame) -> bool:

@@ -11,7 +11,7 @@ from schemas.frame import LidarFrame, PosedFrame
 from workers.free_space import FREE, OCCUPIED, visibility
 from workers.lidar.beam_table import BeamTable
 from workers.lidar.deskew import Twist, twist
-from workers.lidar.preprocessing import Preparation, Prepared
+from workers.lidar.preprocessing import PreprocessedFrame, Preprocessor
 from workers.points.se3 import inverse, transform
 from workers.points.voxels import voxelize
 
@@ -51,7 +51,7 @@ def candidate_velocities(first: LidarFrame, second: LidarFrame) -> list[Twist]:
     Returns:
         (6,) each, a twist without rotation per second in the space of the sensor; best first.
     """
-    prepare = Preparation()
+    prepare = Preprocessor()
     seen = [prepare(frame, np.eye(4), None) for frame in (first, second)]
     if seen[0] is None or seen[1] is None:
         return []
@@ -84,7 +84,7 @@ def contradicted_share(posed: Sequence[PosedFrame]) -> float:
     Returns:
         0 to 1; NaN where the two frames observe too little of each other.
     """
-    prepare = Preparation()
+    prepare = Preprocessor()
     seen = [prepare(each.frame, each.odom_from_sensor, velocity) for each, velocity in _ends(posed)]
     table = prepare.table
     if seen[0] is None or seen[1] is None or table is None or not table.trusted:
@@ -105,14 +105,16 @@ def _ends(posed: Sequence[PosedFrame]) -> list[tuple[PosedFrame, Twist]]:
     return ends
 
 
-def _visibility_in(of: Prepared, other: Prepared, table: BeamTable) -> NDArray[np.int8]:
+def _visibility_in(
+    of: PreprocessedFrame, other: PreprocessedFrame, table: BeamTable
+) -> NDArray[np.int8]:
     """Return the visibility of one frame's places in the other frame."""
     places = voxelize(_near(of.voxels.centroids_m, of), voxel_m=_PLACE_M).centroids_m
     odom_m = transform(of.odom_from_beams, places.astype(np.float64)).astype(np.float32)
     return visibility(odom_m, other.beams_from_odom, other.image, table)
 
 
-def _near(places_m: Points, seen: Prepared) -> Points:
+def _near(places_m: Points, seen: PreprocessedFrame) -> Points:
     """Select places near a frame, in the space of its beams, so voxels do not depend on poses."""
     about = transform(seen.beams_from_odom, places_m.astype(np.float64)).astype(np.float32)
     return about[about[:, 0] ** 2 + about[:, 1] ** 2 < NEAR_M**2]

@@ -10,7 +10,7 @@ from schemas.arrays import NS_PER_S
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.labels import Blindness, FrameHealth, FrameLabels, MotionLabel
 from schemas.task import MOTION, Task
-from workers.lidar.preprocessing import Preparation, Prepared
+from workers.lidar.preprocessing import PreprocessedFrame, Preprocessor
 from workers.paper.object_flow import object_flow
 from workers.paper.scene_flow import LearnedFlow, scene_flow_source
 from workers.paper.two_stage_clustering import PER_SECOND, TwoStageRule, two_stage
@@ -56,8 +56,8 @@ class TwoStage:
             LookupError: If there is no scene flow of that name.
         """
         source = self.learned or scene_flow_source(self.flow)
-        prepare = Preparation()
-        before: tuple[int, Prepared] | None = None
+        prepare = Preprocessor()
+        before: tuple[int, PreprocessedFrame] | None = None
         for posed in frames:
             frame = posed.frame
             prepared = prepare(frame, posed.odom_from_sensor, None)
@@ -88,13 +88,13 @@ class TwoStage:
             before = (frame.stamp_ns, prepared)
 
 
-def _in_beams(prepared: Prepared) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+def _in_beams(prepared: PreprocessedFrame) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
     return transform(prepared.beams_from_odom, prepared.voxels.centroids_m)
 
 
 def _labels(
     frame: LidarFrame,
-    prepared: Prepared,
+    prepared: PreprocessedFrame,
     dynamic: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
 ) -> FrameLabels:
     labels = np.full(len(frame), MotionLabel.UNKNOWN, np.uint8)

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from schemas.arrays import Mask, Points
-from workers.lidar.preprocessing import Prepared
+from workers.lidar.preprocessing import PreprocessedFrame
 from workers.points.neighbours import build_grid, nearest_indices
 from workers.points.point_kernels import moved_rows
 from workers.points.step_names import step
@@ -27,7 +27,7 @@ SeenThrough = Callable[[Points], Mask]
 
 @step("reattach")
 def reattach_ground(
-    prepared: Prepared,
+    prepared: PreprocessedFrame,
     moves: Mask,
     confirmed: Mask,
     ground: Mask,

@@ -8,7 +8,7 @@ from schemas.frame import LidarFrame
 from schemas.labels import FrameHealth, FrameLabels, MotionLabel
 from workers.free_space import Votes
 from workers.lidar.beam_table import MIN_RANGE_M
-from workers.lidar.preprocessing import MAX_RANGE_M, Prepared
+from workers.lidar.preprocessing import MAX_RANGE_M, PreprocessedFrame
 from workers.points.point_kernels import within
 from workers.points.step_names import step
 from workers.selfsupervised.ground_reattachment import SeenThrough, reattach_ground
@@ -36,7 +36,7 @@ _CONFIDENCE: Final = np.array([0.0, ALONE, GROUND, AGREED], np.float16)
 
 
 def unknown_labels(
-    frame: LidarFrame, prepared: Prepared | None = None, *, health: FrameHealth
+    frame: LidarFrame, prepared: PreprocessedFrame | None = None, *, health: FrameHealth
 ) -> FrameLabels:
     """Label every point UNKNOWN; the ground mask is kept where the ground was found."""
     n = len(frame)
@@ -57,7 +57,7 @@ def unknown_labels(
 @step("answer")
 def to_labels(
     frame: LidarFrame,
-    prepared: Prepared,
+    prepared: PreprocessedFrame,
     found: ClusterMotions,
     tracked: Tracked,
     votes: Votes,

@@ -9,7 +9,7 @@ from schemas.arrays import NS_PER_S
 from schemas.frame import LidarFrame
 from schemas.labels import FrameHealth, FrameLabels
 from workers.lidar.beam_table import BeamTable
-from workers.lidar.preprocessing import Prepared
+from workers.lidar.preprocessing import PreprocessedFrame
 from workers.selfsupervised.history import PastFrame
 
 LOOKAHEADS_S: Final = (0.0, 0.5, 1.0)
@@ -34,7 +34,7 @@ class ComparableFrame:
         blind: Reason for which nothing in it can be labelled; None where labels are possible.
     """
 
-    prepared: Prepared
+    prepared: PreprocessedFrame
     seen: PastFrame
     table: BeamTable
     sensor_height_m: float

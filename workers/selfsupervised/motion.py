@@ -112,7 +112,7 @@ def _joined(
 def _without_ground_artefacts(
     points_m: Points, found: ClusterMotions, evidence: FreeSpaceEvidence
 ) -> ClusterMotions:
-    """Mark clusters that are flat and lie on the road as not moving."""
+    """Mark flat clusters on the road as not moving."""
     artefact = are_ground_artefacts(
         points_m,
         found.clusters,

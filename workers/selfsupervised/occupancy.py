@@ -74,7 +74,7 @@ def scores_around(
         (2 * reach + 1, 2 * reach + 1), 1 where all cells fall on points.
     """
     side = 2 * reach + 1
-    # both kinds of cells beside each other, as they lie in memory: for vector instructions
+    # both kinds of cells next to each other, as in memory, for vector instructions
     hits = np.zeros((side, 2 * side), np.uint64)
     bits = occupancy.bits.reshape((_COLUMNS, 2 * _COLUMNS))
     one = np.uint64(1)

@@ -12,7 +12,7 @@ from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.labels import Blindness, FrameHealth, FrameLabels
 from workers.free_space import HIDDEN, count_votes, visibility
 from workers.lidar.deskew import Twist, twist
-from workers.lidar.preprocessing import Preparation
+from workers.lidar.preprocessing import Preprocessor
 from workers.points.neighbours import build_grid
 from workers.points.se3 import inverse
 from workers.selfsupervised.evidence import FreeSpaceEvidence
@@ -48,7 +48,7 @@ class StreamState:
     """
 
     def __init__(self, *, looks_ahead: bool = False) -> None:
-        self._prepare = Preparation()
+        self._prepare = Preprocessor()
         self._history = History()
         self._tracker = Tracker()
         self._consistency = PoseConsistency()

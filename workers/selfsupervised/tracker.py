@@ -45,7 +45,7 @@ REACH_M: Final = 0.5
 
 MIN_HIT_SHARE: Final = 0.3
 MOST_GROWTH: Final = 2.0
-"""Growth up to which a cluster inherits a score: evidence on a fragment does not hold for an object
+"""Growth up to which a cluster inherits a score: evidence on a fragment is not valid for an object
 more than twice its size."""
 
 _FULL: Final = 1.0

@@ -5,9 +5,9 @@ import numpy as np
 from schemas.frame import LidarFrame
 from workers.contradiction.neighbour_counts import counts_around
 from workers.lidar.pixel_windows import (
-    commonest,
-    likeliest,
+    argmax_code,
     look_up,
+    majority_code,
     mean_of,
     mixed_windows,
     nearest_in_window,
@@ -35,7 +35,7 @@ def call_loops(frame: LidarFrame) -> None:
     if structure is not None:
         register_structures(structure, structure)
     channels = image_channels(image, frame.points_m, frame.intensity, _PROFILE)
-    likeliest(channels.reshape(len(channels), -1))
+    argmax_code(channels.reshape(len(channels), -1))
     codes, flat = np.ones(image.index.shape, np.uint8), image.row * np.int32(64) + image.column
     mixed_windows(codes, image.index, 2, True)
     voters = nearest_in_window(
@@ -51,7 +51,7 @@ def call_loops(frame: LidarFrame) -> None:
     )
     look_up(codes, flat, np.uint8(0))
     look_up(image.range_m, flat, np.float32(0))
-    commonest(codes, voters, np.uint8(0))
+    majority_code(codes, voters, np.uint8(0))
     mean_of(image.range_m, voters)
     places_m, _, weight = weighted_places(seen, np.float32(0.1))
     density_clusters(places_m, weight, 1.0, 10)

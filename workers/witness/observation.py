@@ -18,7 +18,7 @@ from workers.points.point_kernels import judged_rows, moved_rows, returns_within
 from workers.points.se3 import inverse, transform
 from workers.points.voxels import Voxels, voxelize
 from workers.witness.pose_repair import PoseCheck
-from workers.witness.recorded_motion import MotionCheck, Verdict
+from workers.witness.recorded_motion import MotionCheck, MotionComparison
 
 MAX_RANGE_M: Final = 80.0
 """Range up to which places are labelled, metres.
@@ -138,7 +138,7 @@ class Observer:
         )
         return Observation(frame.stamp_ns, self._stretch, view, fit.problem)
 
-    def _follow(self, posed: PosedFrame) -> tuple[Twist | None, Verdict]:
+    def _follow(self, posed: PosedFrame) -> tuple[Twist | None, MotionComparison]:
         """Begin a new stretch where poses are not consistent, else estimate the sensor's motion.
 
         Returns:
@@ -146,12 +146,12 @@ class Observer:
         """
         last, self._last = self._last, posed
         if last is None:
-            return None, Verdict()
+            return None, MotionComparison()
         step_ns = posed.frame.stamp_ns - last.frame.stamp_ns
         lost = OdometryState.LOST in (posed.odometry, last.odometry)
         if not 0 < step_ns <= MAX_GAP_NS or lost:
             self._begin_stretch()
-            return None, Verdict()
+            return None, MotionComparison()
         moved = twist(inverse(last.odom_from_sensor) @ posed.odom_from_sensor)
         velocity: Twist = moved * (NS_PER_S / step_ns)
         fast = float(np.linalg.norm(velocity[3:])) > _FASTEST_M_PER_S

@@ -49,7 +49,7 @@ _SAME: Final = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class MotionComparison:
     """Result of comparing one step.
 
     Attributes:
@@ -82,7 +82,9 @@ class MotionCheck:
         self._before: RecordedMotion | None = None
         self._has_turns = False
 
-    def judge(self, velocity: Twist, moved: RecordedMotion | None, step_s: float) -> Verdict:
+    def judge(
+        self, velocity: Twist, moved: RecordedMotion | None, step_s: float
+    ) -> MotionComparison:
         """Compare one step of the odometry with the recording.
 
         Args:
@@ -92,7 +94,7 @@ class MotionCheck:
         """
         before, self._before = self._before, moved
         if moved is None:
-            return Verdict(remark=self._disbelief())
+            return MotionComparison(remark=self._distrust())
         ours = float(np.linalg.norm(velocity[3:])), abs(float(velocity[2]))
         self._has_turns |= moved.turn_rad_per_s > 0.0
         turn = moved.turn_rad_per_s if self._has_turns else ours[1]
@@ -115,15 +117,15 @@ class MotionCheck:
             or max(ours[1], moved.turn_rad_per_s) > STILL_RAD_PER_S
         ):
             self._steps.append(_Step(ours[0], moved.speed_m_per_s, agrees))
-        remark = self._disbelief()
+        remark = self._distrust()
         if agrees or remark or len(self._steps) < FEWEST:
-            return Verdict(remark=remark)
-        return Verdict(
+            return MotionComparison(remark=remark)
+        return MotionComparison(
             problem=f"the step differs from the recorded odometry by {off_m:.2f} m and "
             f"{np.degrees(off_rad):.1f} degrees"
         )
 
-    def _disbelief(self) -> str:
+    def _distrust(self) -> str:
         """Return why the recording is not believed; empty where it is, or too little is known."""
         steps = self._steps
         if len(steps) < FEWEST:

@@ -3,7 +3,7 @@ import pytest
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
-from workers.lidar.preprocessing import Prepared
+from workers.lidar.preprocessing import PreprocessedFrame
 from workers.points.se3 import inverse
 from workers.points.voxels import Voxels
 from workers.selfsupervised.ground_reattachment import reattach_ground
@@ -14,10 +14,10 @@ POSE = np.eye(4)
 POSE[:3, 3] = (100.0, 50.0, 2.0)
 
 
-def prepared(ground_m: NDArray[np.float32]) -> Prepared:
+def prepared(ground_m: NDArray[np.float32]) -> PreprocessedFrame:
     """Two voxels of a mover, and points that were taken for ground, far off the origin."""
     places = np.concatenate([MOVER_M, ground_m]).astype(np.float32)
-    return Prepared(
+    return PreprocessedFrame(
         points_m=places,
         valid_index=np.arange(len(places)),
         ground=np.arange(len(places)) >= len(MOVER_M),

@@ -13,9 +13,9 @@ from scipy.spatial import cKDTree
 from workers.lidar.spherical import (
     BLOCK,
     column_of,
-    fill,
-    look,
+    fill_block,
     new_block,
+    project_block,
     row_above,
     rows_of_steps,
 )
@@ -193,8 +193,8 @@ def looked_at(
     """Horizontal distance, distance, tangent, azimuth and a row of each place, block by block."""
     block, steps, seen = new_block(), rows_of_steps(tangents), []
     for first in range(0, len(places), BLOCK):
-        n = fill(block, places, first, pose)
-        look(block, n, tangents, steps)
+        n = fill_block(block, places, first, pose)
+        project_block(block, n, tangents, steps)
         said = block.across, block.distance, block.tangent, block.angle, block.row
         seen.append(np.stack([each[:n].astype(np.float64) for each in said]))
     return np.concatenate(seen, axis=1)
