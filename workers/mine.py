@@ -113,7 +113,7 @@ def mine_records(
     report: MiningReport,
     check: Callable[[], None] = lambda: None,
 ) -> Generator[MinedRecord, None, None]:
-    """Mine a shard, scene by scene; memory contains a scene or two, never the shard.
+    """Mine a shard, scene by scene; a scene or two are in memory, never the shard.
 
     Args:
         bucket: Bucket of the recording.

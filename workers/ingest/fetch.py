@@ -20,7 +20,7 @@ MAX_BETWEEN_BYTES: Final = 64 * 1024
 
 
 AHEAD: Final = 2
-"""Chunks opened ahead of their use: memory contains these and one read."""
+"""Chunks opened ahead of their use; these and one read are in memory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

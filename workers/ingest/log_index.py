@@ -66,7 +66,7 @@ class LogIndex:
 
     @property
     def bytes_read(self) -> int:
-        """Bytes of these requests."""
+        """Bytes read by these requests."""
         return sum(reader.bytes_read for reader in self.readers)
 
     @property

@@ -21,7 +21,7 @@ class PartReader:
         part: Which object, and its number in the recording.
         number: Index into the recording's parts.
         range_reads: Requests so far.
-        bytes_read: Bytes of these requests.
+        bytes_read: Bytes read by them.
     """
 
     bucket: Bucket

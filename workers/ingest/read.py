@@ -73,7 +73,7 @@ class ShardReader:
 
     @property
     def bytes_read(self) -> int:
-        """Bytes of these requests."""
+        """Bytes read by these requests."""
         return sum(reader.bytes_read for reader in self.readers)
 
     def frames(self) -> Iterator[LidarFrame]:

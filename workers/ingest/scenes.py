@@ -98,7 +98,7 @@ def cut_scenes(shard: Shard, labelled: Iterable[LabelledFrame]) -> Iterator[Scen
     """Cut the labelled frames of a shard into its scenes.
 
     Warm-up and lookahead frames are consumed; they only decide which pieces continue others, and
-    are the frames right before and after a scene. Memory contains two scenes at most.
+    are the frames right before and after a scene. At most two scenes are in memory.
 
     Args:
         shard: The window, and the windows of its neighbours.

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from workers.lidar.sensor_height import estimate_sensor_height
 from workers.points.compiled import compiled
 
-MAX_BEHIND_SHARE: Final = 0.2
+MAX_HIDDEN_SHARE: Final = 0.2
 """Share of hidden points up to which an origin is right.
 
 From the true origin it is .01 to .07 (edges, and beams that start a few centimetres from it). From
@@ -104,7 +104,7 @@ def find_origin(points_m: NDArray[np.floating]) -> NDArray[np.float64] | None:
     seen = [
         (sharpness, place)
         for sharpness, place in found
-        if low_m <= place[2] <= high_m and hidden_share(points_m, place) <= MAX_BEHIND_SHARE
+        if low_m <= place[2] <= high_m and hidden_share(points_m, place) <= MAX_HIDDEN_SHARE
     ]
     return max(seen, key=lambda each: each[0])[1] if seen else None
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
-from workers.lidar.beam_origin import MAX_BEHIND_SHARE, find_origin, hidden_share
+from workers.lidar.beam_origin import MAX_HIDDEN_SHARE, find_origin, hidden_share
 
 MIN_RANGE_M = 2.5
 """Smallest range of a return, metres; nearer ones are the car itself or reflections."""
@@ -148,7 +148,7 @@ def _meeting_point(
 def _evenly_spaced(points: NDArray[np.float64]) -> BeamTable:
     origin, reason = np.zeros(3), ""
     behind = hidden_share(points, origin)
-    if behind > MAX_BEHIND_SHARE:
+    if behind > MAX_HIDDEN_SHARE:
         found = find_origin(points)
         if found is None:
             reason = (

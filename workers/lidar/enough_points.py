@@ -1,4 +1,4 @@
-"""Tests whether the returns of a frame suffice to fix a pose."""
+"""Point sufficiency: tests if the returns of a frame can constrain a pose."""
 
 from typing import Final
 

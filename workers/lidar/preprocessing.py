@@ -1,4 +1,4 @@
-"""Preprocessing of a frame for both streams: deskewing, ground, voxels, range image, pose."""
+"""Preprocessing of a frame: deskewing, ground removal, voxels, range image, pose."""
 
 from dataclasses import dataclass
 from typing import Final

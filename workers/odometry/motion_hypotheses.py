@@ -17,8 +17,8 @@ from workers.points.se3 import inverse
 DECISION_S: Final = 0.35
 """Time before the first decision between hypotheses, seconds: five frames at 10 Hz."""
 
-FEWEST_HELD: Final = 3
-_ANOTHER_M: Final = 0.5
+MIN_BUFFERED: Final = 3
+_SAME_REGISTRATION_M: Final = 0.5
 """Largest difference of two poses, metres, at which they are, or lead to, the same registration."""
 
 _BETTER: Final = 0.95
@@ -26,7 +26,7 @@ _BETTER: Final = 0.95
 
 On simulated motorways where the odometry began without motion the ratio was .58 to .87."""
 
-_ALIKE: Final = 1.25
+_SIMILAR: Final = 1.25
 """Ratio of contradicted shares up to which a hypothesis may also be true.
 
 On a motorway full of cars of the same speed, no motion was contradicted .12 and the true speed .14;
@@ -76,11 +76,11 @@ def most_likely_motion(
     dt_s, first_m, travelled_m = span_s(frames[:2]), moved_m(posed[:2]), moved_m(posed)
     hypotheses = [(float("nan"), registration, posed)]
     for velocity in candidate_velocities(frames[0], frames[1]):
-        if np.linalg.norm(velocity[3:] * dt_s - first_m) < _ANOTHER_M:
+        if np.linalg.norm(velocity[3:] * dt_s - first_m) < _SAME_REGISTRATION_M:
             continue
         other = begin(velocity)
         posed_otherwise = [other.pose(frame) for frame in frames]
-        if np.linalg.norm(moved_m(posed_otherwise) - travelled_m) < _ANOTHER_M:
+        if np.linalg.norm(moved_m(posed_otherwise) - travelled_m) < _SAME_REGISTRATION_M:
             continue
         if len(hypotheses) == 1:
             hypotheses[0] = (contradicted_share(posed), registration, posed)
@@ -91,8 +91,10 @@ def most_likely_motion(
             best = hypothesis
     travelled_m = moved_m(best[2])
     for share_otherwise, _, posed_otherwise in hypotheses:
-        apart = float(np.linalg.norm(moved_m(posed_otherwise) - travelled_m)) >= _ANOTHER_M
-        if apart and share_otherwise <= _ALIKE * best[0]:
+        apart = (
+            float(np.linalg.norm(moved_m(posed_otherwise) - travelled_m)) >= _SAME_REGISTRATION_M
+        )
+        if apart and share_otherwise <= _SIMILAR * best[0]:
             alternative = f"{_speed(posed_otherwise):.0f} m/s would fit alike"
             return MotionHypothesis(best[1], best[2], alternative)
     return MotionHypothesis(best[1], best[2])
@@ -139,7 +141,7 @@ class AmbiguousMotion:
             for each in self._posed
             if now.frame.stamp_ns - each.frame.stamp_ns <= (DECISION_S + 0.1) * NS_PER_S
         ]
-        if len(last) < FEWEST_HELD:
+        if len(last) < MIN_BUFFERED:
             return registration, now, None
         start_pose = last[0].odom_from_sensor
         found = most_likely_motion(

@@ -7,7 +7,7 @@ from schemas.arrays import NS_PER_S
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from workers.odometry.motion_hypotheses import (
     DECISION_S,
-    FEWEST_HELD,
+    MIN_BUFFERED,
     AmbiguousMotion,
     degraded,
     most_likely_motion,
@@ -16,7 +16,7 @@ from workers.odometry.motion_hypotheses import (
 from workers.odometry.registration_pass import MAX_GAP_S, RESIDUAL_REACH_M, RegistrationPass
 from workers.part_version import version_of
 
-_MOST_HELD: Final = 10
+_MAX_BUFFERED: Final = 10
 _BAD_POSES_S: Final = 0.5
 """Time of impossible motion, or of no fit, after which a stretch ends, seconds.
 
@@ -35,9 +35,9 @@ class KissOdometry:
     The first frames of a stretch are held back for a third of a second. KISS-ICP starts from no
     motion, and between rails and noise walls a step of 2 m per frame fits as well as none. All
     speeds that the first two frames allow are therefore compared, and free space selects the one
-    it contradicts least. Where another one is contradicted hardly more, poses are degraded. Both
-    are compared again each second until one is clearly better, five times at most. A motion that
-    replaces another is degraded until two more tests confirm it.
+    it contradicts least. Where another one is contradicted hardly more, poses are marked as
+    degraded. Both are compared again each second until one is clearly better, five times at most. A
+    motion that replaces another stays marked until two more tests confirm it.
 
     The state is reset after a gap of more than 0.5 s, after time that does not rise, and when a
     registration fails. It is also reset after half a second of poses that no car can take, or at
@@ -51,31 +51,31 @@ class KissOdometry:
 
     def __call__(self, frames: Iterable[LidarFrame]) -> Iterator[PosedFrame]:
         """Yield each frame with its pose, the first ones once their motion is decided."""
-        registration, held, begun = RegistrationPass(), list[LidarFrame](), False
+        registration, buffered, started = RegistrationPass(), list[LidarFrame](), False
         ambiguous: AmbiguousMotion | None = None
         bad_poses = _BadPoses()
         for frame in frames:
-            if not _follows(held[-1].stamp_ns if held else registration.stamp_ns, frame):
-                if held:
-                    registration, posed, ambiguous = _begin(registration, held)
+            if not _follows(buffered[-1].stamp_ns if buffered else registration.stamp_ns, frame):
+                if buffered:
+                    registration, posed, ambiguous = _begin(registration, buffered)
                     yield from posed
-                held, begun, bad_poses = [], False, _BadPoses()
-            if begun:
+                buffered, started, bad_poses = [], False, _BadPoses()
+            if started:
                 now = registration.pose(frame)
                 if ambiguous is not None:
                     registration, now, ambiguous = ambiguous.test_again(registration, now)
                 yield now
                 if bad_poses.too_long(now):
                     registration = registration.restart(why=f"astray for {_BAD_POSES_S} s")
-                    begun, ambiguous = False, None
+                    started, ambiguous = False, None
                 continue
-            held.append(frame)
-            if span_s(held) >= DECISION_S or len(held) == _MOST_HELD:
-                registration, posed, ambiguous = _begin(registration, held)
+            buffered.append(frame)
+            if span_s(buffered) >= DECISION_S or len(buffered) == _MAX_BUFFERED:
+                registration, posed, ambiguous = _begin(registration, buffered)
                 yield from posed
-                held, begun = [], True
-        if held:
-            yield from _begin(registration, held)[1]
+                buffered, started = [], True
+        if buffered:
+            yield from _begin(registration, buffered)[1]
 
 
 class _BadPoses:
@@ -99,12 +99,12 @@ class _BadPoses:
 
 
 def _begin(
-    before: RegistrationPass, held: Sequence[LidarFrame]
+    before: RegistrationPass, buffered: Sequence[LidarFrame]
 ) -> tuple[RegistrationPass, list[PosedFrame], AmbiguousMotion | None]:
     """Register the first frames of a stretch, from no motion unless another start is better."""
     registration = before.restart()
-    posed = [registration.pose(frame) for frame in held]
-    if len(held) < FEWEST_HELD:
+    posed = [registration.pose(frame) for frame in buffered]
+    if len(buffered) < MIN_BUFFERED:
         return registration, posed, None
     found = most_likely_motion(registration, posed, before.restart)
     if not found.alternative:

@@ -13,7 +13,7 @@ from workers.selfsupervised.candidates import GOOD_FIT_NEAR_M
 from workers.selfsupervised.evidence import FreeSpaceEvidence
 from workers.selfsupervised.ground_artefacts import are_ground_artefacts
 from workers.selfsupervised.registration import STILL_M, Reference, RegistrationResiduals, register
-from workers.selfsupervised.verification import Motions, verify_motions
+from workers.selfsupervised.verification import VerifiedMotions, verify_motions
 from workers.selfsupervised.voxel_clusters import find_clusters, find_parts
 
 _CHILD_FREE_VOXELS: Final = 12
@@ -82,10 +82,10 @@ def find_motions(
 def _joined(
     clusters: Clusters,
     fit: RegistrationResiduals,
-    motions: Motions,
+    motions: VerifiedMotions,
     parts: Clusters,
     part_fit: RegistrationResiduals,
-    part_motions: Motions,
+    part_motions: VerifiedMotions,
     certain: Mask,
 ) -> ClusterMotions:
     """Remove certain parts from their clusters and append them as clusters of their own."""

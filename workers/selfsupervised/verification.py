@@ -24,7 +24,7 @@ FLAT_M: Final = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Motions:
+class VerifiedMotions:
     """Verified motions of K clusters.
 
     Attributes:
@@ -54,7 +54,7 @@ def verify_motions(
     *,
     near_age_s: float,
     far_age_s: float,
-) -> Motions:
+) -> VerifiedMotions:
     """Decide which clusters move.
 
     Args:
@@ -86,7 +86,7 @@ def verify_motions(
     confirmed = np.where(clear | near, once, twice)
 
     velocity = np.where(near[:, None], velocity_near, velocity_far)
-    return Motions(
+    return VerifiedMotions(
         registered=candidate & confirmed,
         seen_through=_seen_through(points_m, clusters, fit, evidence.votes)
         | _seen_through(points_m, clusters, fit, evidence.after),

@@ -1,4 +1,4 @@
-"""JIT warm-up: compiles the loops of the stages in a child process, with the compiler's memory.
+"""JIT warm-up: a child process compiles the stages' loops, and frees the compiler's memory.
 
 The compiler leaves half as much memory again in a process as the stream needs. A child therefore
 compiles on a small street and leaves the loops in numba's cache on disk, from which workers load
