@@ -1,13 +1,13 @@
-"""What can be wrong with a log; `schemas.errors` says what transient and permanent mean."""
+"""Errors of a log and its parts; `schemas.errors` defines transient and permanent ones."""
 
 from schemas.errors import PermanentError
 
 
 class ChunkUnreadableError(PermanentError):
-    """A chunk's bytes are not what they should be."""
+    """A chunk's bytes are invalid."""
 
     def __init__(self, *, key: str, offset: int, length: int, problem: str) -> None:
-        """Keep the parts: the log line, the damage record and the message all need them."""
+        """Keep the fields: the log line, the damage record and the message all need them."""
         super().__init__(f"cannot read chunk: {problem} ({key} at byte {offset})")
         self.key, self.offset, self.length, self.problem = key, offset, length, problem
 
@@ -25,8 +25,8 @@ class NotMcapError(PermanentError):
 
 
 class UnknownPartError(PermanentError):
-    """A replaceable part is asked for by a name that no implementation has."""
+    """A replaceable part has a name that no implementation has."""
 
 
 class TasksDifferError(PermanentError):
-    """Two streams were chosen that answer different questions."""
+    """Two streams of different tasks were chosen."""

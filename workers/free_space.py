@@ -1,4 +1,4 @@
-"""The free-space witness: was a place seen through, or was something there?"""
+"""Free space: visibility of places in the range images of other frames, and votes on them."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -12,9 +12,9 @@ from workers.lidar.beam_table import BeamTable
 from workers.lidar.spherical import (
     BLOCK,
     column_of,
-    fill,
-    look,
+    fill_block,
     new_block,
+    project_block,
     row_above,
     rows_of_steps,
 )
@@ -28,14 +28,16 @@ FREE_IF_TALL: Final = 2
 """Seen through between beams that are far apart: nothing taller than `WIDE_GAP_M` was there."""
 
 WIDE_GAP_M: Final = 0.5
-"""Whatever takes part in traffic is taller, so that one of two beams this far apart hits it at
-whatever angle they are: a wheel is 0.6 m, a bonnet 0.9 m high."""
+"""Largest gap between two beams at a place that can still be seen through, metres.
+
+Every road user is taller, so that one of two beams this far apart hits it at any elevation: a wheel
+is 0.6 m, a bonnet 0.9 m high."""
 
 OCCUPIED_MARGIN_M: Final = 0.25
 OCCUPIED_MARGIN_PER_M: Final = 0.006
 FREE_MARGIN_M: Final = 0.40
 FREE_MARGIN_PER_M: Final = 0.010
-"""A return this much behind a place proves it free.
+"""Distance behind a place from which a return shows it to be free, and its growth per metre.
 
 At 0 m: range noise (2-3 cm), pose error (3 cm) and the depth of a surface inside a voxel, several
 times over. Per metre: 0.1 degrees of yaw (1.7 mm), and the footprint of beam and cell (0.2 degrees,
@@ -58,19 +60,19 @@ def visibility(
     image: NDArray[np.float32],
     table: BeamTable,
 ) -> NDArray[np.int8]:
-    """Ask one frame about places: FREE (seen through), OCCUPIED (something there) or HIDDEN.
+    """Compute the visibility of places in one frame: FREE, OCCUPIED or HIDDEN.
 
-    Where the two beams are farther apart than the table's widest gap, but not farther than 0.5 m
-    at the place, and both came back from beyond, the answer is FREE_IF_TALL.
+    FREE_IF_TALL needs two beams with a return behind the place. They are farther apart than the
+    table's widest gap, but at most 0.5 m at the place.
 
     A place is compared with the cells of the two beams that bracket it, three columns wide. Any
-    return at its range says OCCUPIED, any nearer one hides it, and if all that came back lies
-    beyond, from both beams or in three cells, the place was FREE. Cells without return say
-    nothing: sky, glass and black paint look alike.
+    return at its range means OCCUPIED, and any nearer one hides it. The place is FREE if all
+    returns are behind it, on both beams or in three cells. Cells without return mean nothing: sky,
+    glass and black paint look alike.
 
     Args:
         points_m: (N, 3) places, in any space.
-        sensor_from_points: (4, 4) from that space to the beams' space of the frame asked.
+        sensor_from_points: (4, 4) from that space to the beams' space of the frame.
         image: (R, C) range image of that frame.
         table: Its beams.
 
@@ -88,7 +90,7 @@ def visibility(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Votes:
-    """What the frames of the last second say about places.
+    """Free-space votes of several frames on places.
 
     Attributes:
         free: (N,) frames that saw through the place.
@@ -103,25 +105,25 @@ class Votes:
 
     @property
     def known(self) -> Mask:
-        """(N,) places that any frame has an opinion on."""
+        """(N,) places with at least one vote."""
         return (self.free + self.occupied) > 0
 
     @property
     def seen_through(self) -> Mask:
-        """(N,) places that were free before: twice, and in half of the opinions at least.
+        """(N,) places with at least two free votes that are at least half of all.
 
-        One frame may err by a mixed pixel; a thin or leafy thing is seen through now and then
-        but is seen as well.
+        One frame may err by a mixed pixel. A thin or leafy object is seen through now and then,
+        but is also seen.
         """
         return _mostly(self.free, self.occupied)
 
     @property
     def closely_seen_through(self) -> Mask:
-        """(N,) the same by beams that are close together: even a flat thing was not there."""
+        """(N,) the same for beams that are close together: even a flat object was not there."""
         return _mostly(self.free - self.free_if_tall, self.occupied)
 
     def __add__(self, others: "Votes") -> "Votes":
-        """Votes of two sets of frames about the same places."""
+        """Add the votes of two sets of frames on the same places."""
         return Votes(
             self.free + others.free,
             self.occupied + others.occupied,
@@ -130,7 +132,7 @@ class Votes:
 
 
 def count_votes(answers: Iterable[NDArray[np.int8]], n: int) -> Votes:
-    """Sum the answers of several frames about the same n places."""
+    """Sum the visibility codes of several frames on the same n places."""
     free, occupied, free_if_tall = np.zeros((3, n), np.int16)
     for answer in answers:
         _add(answer, free, occupied, free_if_tall)
@@ -173,8 +175,8 @@ def _visibility(
         return answer
     block, steps = new_block(), rows_of_steps(tangents)
     for first in range(0, len(points), BLOCK):
-        n = fill(block, points, first, pose)
-        look(block, n, tangents, steps)
+        n = fill_block(block, points, first, pose)
+        project_block(block, n, tangents, steps)
         for k in range(n):
             above = row_above(tangents, block.row[k], block.tangent[k])
             if above == 0 or above == rows:
@@ -192,10 +194,10 @@ def _visibility(
 def _seen(
     image: NDArray[np.float32], above: int, column: int, distance: np.float32, wide: bool
 ) -> int:
-    """Compare a place with six cells: sums of comparisons, which no processor could foresee."""
+    """Compare a place with six cells by sums of comparisons, since branches are unpredictable."""
     at = _OCCUPIED_MARGIN + _OCCUPIED_MARGIN_PER * distance
     lower, upper = image[above - 1, column], image[above, column]
-    # most of the places are where something was, straight ahead
+    # most of the places are occupied, straight ahead
     ahead = int(lower > _NOTHING) & int(abs(lower - distance) < at)
     ahead |= int(upper > _NOTHING) & int(abs(upper - distance) < at)
     if ahead > 0:

@@ -1,4 +1,4 @@
-"""How much memory a process has held: what an operator must give a worker."""
+"""Peak memory of a process, which an operator must provide for a worker."""
 
 import resource
 import sys
@@ -6,10 +6,10 @@ from pathlib import Path
 
 
 def peak_memory_bytes() -> int:
-    """Return the most memory this program ever held, as the kernel counts it.
+    """Return the peak memory of this program, as the kernel counts it.
 
-    Linux's `ru_maxrss` also counts what the parent held when it started us; its high-water mark of
-    this program alone stands in /proc.
+    Linux's `ru_maxrss` also counts the parent's memory at the start of the process; the high-water
+    mark of this program alone is in /proc.
     """
     status = Path("/proc/self/status")
     if status.exists():

@@ -1,4 +1,4 @@
-"""One shard from the bucket to encoded records and overlays: what a worker and `score` both do."""
+"""Mining of one shard, from the bucket to encoded records and overlays, for workers and `score`."""
 
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator
@@ -34,7 +34,7 @@ class MinedRecord:
         record: Its bytes as published.
         sha256: Their digest.
         overlay: Its points, encoded.
-        overlay_key: Where in the artifacts they belong.
+        overlay_key: Its key in the artifacts.
     """
 
     score: SceneScore
@@ -45,16 +45,16 @@ class MinedRecord:
 
 
 @dataclass(slots=True)
-class Account:
-    """What mining one shard took and found wrong; never part of a record.
+class MiningReport:
+    """Costs and faults of mining one shard; never part of a record.
 
     Attributes:
         clock: Seconds of each stage.
-        damage: What could not be read.
+        damage: Stretches that could not be read.
         odometry: Scored frames by the health of their pose.
-        blindness: Scored frames without an answer of the self-supervised stream, by why.
-        labels: Returns of the scored frames by that stream's answer, by name.
-        odometry_problem: The first reason given for a pose that is not healthy.
+        blindness: Scored frames without labels of the self-supervised stream, by cause.
+        labels: Returns of the scored frames by that stream's label, by name.
+        odometry_problem: The first reason for a pose that is not healthy.
         scenes: Scenes mined.
         frames: Frames scored, warm-up excluded.
         points: Their points.
@@ -77,20 +77,20 @@ class Account:
     range_reads: int = 0
 
     def add(self, frames: Iterable[LabelledFrame]) -> None:
-        """Count the frames of a scene by what the streams had to go by."""
+        """Count the frames of a scene by pose health, blindness and labels."""
         for frame in frames:
             self.odometry[frame.posed.odometry] += 1
-            said = frame.predictive
-            if said.health.blindness is not None:
-                self.blindness[said.health.blindness] += 1
-            labels = said.labels[frame.posed.frame.valid_mask]
+            predictive = frame.predictive
+            if predictive.health.blindness is not None:
+                self.blindness[predictive.health.blindness] += 1
+            labels = predictive.labels[frame.posed.frame.valid_mask]
             names = frame.task.labels
             counts = np.bincount(labels, minlength=len(names))
             for name, points in zip(names, counts.tolist(), strict=True):
                 self.labels[name] += points
 
     def stats(self) -> MiningStats:
-        """Sum up."""
+        """Return the sums."""
         return MiningStats(
             frames=self.frames,
             points=self.points,
@@ -110,29 +110,29 @@ def mine_records(
     settings: MiningSettings,
     parts: Parts,
     pipeline_version: str,
-    account: Account,
+    report: MiningReport,
     check: Callable[[], None] = lambda: None,
 ) -> Generator[MinedRecord, None, None]:
-    """Mine a shard, scene by scene; memory holds a scene or two, never the shard.
+    """Mine a shard, scene by scene; a scene or two are in memory, never the shard.
 
     Args:
-        bucket: Where the recording lies.
+        bucket: Bucket of the recording.
         recording: The log.
         shard: The window of it.
-        settings: What every worker does alike.
+        settings: Settings that all workers share.
         parts: Odometry and streams.
         pipeline_version: Of settings and parts.
-        account: Scenes are added as they come; reads and damage at the end, also when that is an
-            error or the caller stops early.
-        check: Called at every frame; what it raises ends the mining.
+        report: Scenes are added while they are mined; reads and damage at the end, also after an
+            error or when the caller stops early.
+        check: Called at every frame; its exceptions end the mining.
 
     Raises:
-        ObjectChangedError: If an object is no longer the one that was planned.
+        ObjectChangedError: If an object is no longer the planned one.
         TransientError: If the bucket cannot be read now.
         PermanentError: If the shard can never be mined.
     """
-    clock = account.clock
-    account.bytes_needed = shard.needed_bytes
+    clock = report.clock
+    report.bytes_needed = shard.needed_bytes
     reader = read_shard(bucket, recording, shard, settings)
     scenes = mine_shard(
         shard,
@@ -144,16 +144,16 @@ def mine_records(
         for mined in clock.drawn("contradiction", scenes):
             with clock.stage("encoding"):
                 encoded = _encoded(mined, parts.supervised.class_names, pipeline_version)
-            account.scenes += 1
-            account.frames += mined.score.frames
-            account.points += mined.score.points
-            account.add(mined.scene.frames)
-            account.odometry_problem = account.odometry_problem or mined.score.odometry.reason
+            report.scenes += 1
+            report.frames += mined.score.frames
+            report.points += mined.score.points
+            report.add(mined.scene.frames)
+            report.odometry_problem = report.odometry_problem or mined.score.odometry.reason
             yield encoded
     finally:
-        account.range_reads = reader.range_reads
-        account.bytes_read = reader.bytes_read
-        account.damage.extend(reader.damage)
+        report.range_reads = reader.range_reads
+        report.bytes_read = reader.bytes_read
+        report.damage.extend(reader.damage)
 
 
 def _encoded(mined: MinedScene, class_names: tuple[str, ...], pipeline_version: str) -> MinedRecord:

@@ -1,4 +1,4 @@
-"""The version of a part: a digest of the code and the libraries that its answers come from."""
+"""Part version: a digest of the code and the libraries that determine a part's output."""
 
 import hashlib
 from functools import cache
@@ -12,21 +12,21 @@ PACKAGES: Final = ("workers.odometry", "workers.paper", "workers.selfsupervised"
 
 
 def release(library: str) -> str:
-    """Version of an installed library, without the `+cpu` of its build."""
+    """Return the version of an installed library, without the `+cpu` of its build."""
     return metadata.version(library).partition("+")[0]
 
 
 @cache
 def version_of(name: str, settings: str = "") -> str:
-    """Name a part by all that changes its output.
+    """Digest everything that determines the output of a part.
 
     Args:
-        name: What the part is called in the registry.
+        name: Name of the part in the registry.
         settings: The settings it was built with, as text.
 
     Returns:
         `name@digest`: sources, versions of the libraries, settings.
     """
     libraries = [f"{library}=={metadata.version(library)}" for library in LIBRARIES]
-    said = "\n".join([name, settings, syntax_digest(*PACKAGES), *libraries])
-    return f"{name}@{hashlib.sha256(said.encode()).hexdigest()[:12]}"
+    facts = "\n".join([name, settings, syntax_digest(*PACKAGES), *libraries])
+    return f"{name}@{hashlib.sha256(facts.encode()).hexdigest()[:12]}"

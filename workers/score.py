@@ -1,4 +1,4 @@
-"""One log on this machine, without a bus: what `counterpoint score` does."""
+"""Scoring of one log on this machine, without a bus: the work of `counterpoint score`."""
 
 from collections.abc import Callable, Iterator
 
@@ -8,7 +8,7 @@ from schemas.transport.bucket import Bucket
 from schemas.work import Damage, Recording
 from workers.errors import LogUnusableError
 from workers.ingest.plan import plan_recording
-from workers.mine import Account, MinedRecord, mine_records
+from workers.mine import MinedRecord, MiningReport, mine_records
 from workers.version import parts_of, pipeline_version
 
 
@@ -25,13 +25,13 @@ def score_recording(
     """Mine a recording shard by shard, exactly as a worker would.
 
     Args:
-        bucket: Where the recording lies.
+        bucket: Bucket of the recording.
         recording: The log.
-        settings: Grid and parts, as a service would give them.
-        on_shard: Told how many shards are done, and of how many.
-        on_damage: Told every stretch that cannot be read.
-        on_scene: Told each scene with its overlay, before its score is yielded.
-        on_unread_labels: Told the topic of recorded labels, where another stream is judged.
+        settings: Grid and parts, as from a service.
+        on_shard: Called with the number of shards done, and of all.
+        on_damage: Called with every stretch that cannot be read.
+        on_scene: Called with each scene and its overlay, before its score is yielded.
+        on_unread_labels: Called with the topic of recorded labels that the settings do not use.
 
     Yields:
         The score of each scene, in the order of their starts within each lidar.
@@ -44,11 +44,11 @@ def score_recording(
         raise LogUnusableError(f"cannot mine {recording.log_id}: {plan.refused}")
     for damage in plan.damage:
         on_damage(damage)
-    parts = parts_of(settings)  # seconds, and vain where the log cannot be mined
+    parts = parts_of(settings)  # takes seconds, in vain where the log cannot be mined
     version = pipeline_version(settings, parts)
     for done, shard in enumerate(plan.shards):
         on_shard(done, len(plan.shards))
-        account = Account()
+        report = MiningReport()
         for mined in mine_records(
             bucket,
             recording,
@@ -56,10 +56,10 @@ def score_recording(
             settings=settings,
             parts=parts,
             pipeline_version=version,
-            account=account,
+            report=report,
         ):
             on_scene(mined)
             yield mined.score
-        for damage in account.damage:
+        for damage in report.damage:
             on_damage(damage)
     on_shard(len(plan.shards), len(plan.shards))

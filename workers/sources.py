@@ -1,4 +1,4 @@
-"""Digests of source code: what a version says of the code its results come from."""
+"""Digests of source code, for the versions of the results computed by it."""
 
 import ast
 import hashlib
@@ -12,27 +12,28 @@ from typing import Final
 OURS: Final = ("schemas", "workers")
 """Top-level packages whose imports are followed."""
 
-SHAPE_NO_RECORD: Final = frozenset(
+NO_EFFECT_ON_RECORDS: Final = frozenset(
     {
         "schemas.transport.bucket",  # fetches bytes, whose digests the log's plan names
         "schemas.transport.bucket_errors",
-        "workers.warmup.jit_warmup",  # compiles loops ahead of time; what they compute is theirs
+        "workers.warmup.jit_warmup",  # compiles loops ahead of time without changing results
         "workers.memory",  # measures
         "workers.stage_timing",  # measures
     }
 )
-"""Modules that mining imports and no record depends on: they are in no version, with what they
-alone import."""
+"""Modules that mining imports and no record depends on.
+
+They are in no version, nor are the modules that they alone import."""
 
 
 @cache
 def source_digest(*roots: str) -> str:
     """Digest the files of some modules, byte for byte.
 
-    A changed comment changes it: it is the key of compiled code, which costs little to make again.
+    A changed comment changes it: it is the key of compiled code, which is cheap to compile again.
 
     Args:
-        roots: Modules; a package names every module in it, in packages within it, too.
+        roots: Modules; a package names every module in it, nested packages included.
 
     Returns:
         Hexadecimal digits of a sha256.
@@ -77,7 +78,7 @@ def sources(*roots: str) -> frozenset[str]:
     found, waiting = set[str](), _named(roots)
     while waiting:
         module = waiting.pop()
-        if any(_lies_in(module, each) for each in SHAPE_NO_RECORD):
+        if any(_lies_in(module, each) for each in NO_EFFECT_ON_RECORDS):
             continue
         found.add(module)
         waiting |= _read(module).imports - found
@@ -137,7 +138,7 @@ def _read(module: str) -> _Module:
 class _Syntax:
     """A syntax tree as words, and the names that it imports.
 
-    `ast.dump` would differ from one release of Python to the next, which names new, empty fields.
+    `ast.dump` would differ from one release of Python to the next, which adds new, empty fields.
     """
 
     def __init__(self) -> None:
@@ -145,7 +146,7 @@ class _Syntax:
         self.imported: set[str] = set()
 
     def take(self, node: ast.AST) -> None:
-        """Add a node and what is below it."""
+        """Add a node and its children."""
         words = self.words
         if isinstance(node, ast.Import):
             self.imported.update(alias.name for alias in node.names)
@@ -154,7 +155,7 @@ class _Syntax:
             self.imported.update(f"{node.module}.{alias.name}" for alias in node.names)
         words.append(type(node).__name__)
         for name in node._fields:
-            if name == "ctx":  # follows from where the node is
+            if name == "ctx":  # follows from the place of the node
                 continue
             value = getattr(node, name, None)
             if value is None or value == []:

@@ -1,4 +1,4 @@
-"""Where a shard's time goes: seconds per stage, though stages run interleaved, frame by frame."""
+"""Stage timing: seconds of a shard per stage, though stages run interleaved, frame by frame."""
 
 import time
 from collections import defaultdict
@@ -24,16 +24,16 @@ Stage = Literal[
     "publishing",
     "committing",
 ]
-"""Every stage there is: what a metric may be labelled with."""
+"""Every stage, as the label of a metric."""
 
 Item = TypeVar("Item")
 
 
 class StageClock:
-    """Adds up the seconds of each stage, without those of the stages it pulls its input from.
+    """Adds up the seconds of each stage, without those of the stages it draws its input from.
 
-    Stages are generators that draw on each other, so that "how long does `next` take" counts every
-    stage upstream too. A stack of the stages being drawn gives each second to the innermost one.
+    Stages are generators that draw on each other, so the time of a `next` also includes every
+    stage upstream. A stack of the stages being drawn assigns each second to the innermost one.
     """
 
     def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
@@ -44,7 +44,7 @@ class StageClock:
 
     @contextmanager
     def stage(self, name: Stage) -> Iterator[None]:
-        """Give the time inside to this stage, but for the stages entered from within."""
+        """Assign the time inside to this stage, except that of stages entered from within."""
         self._switch()
         self._stack.append(name)
         try:
@@ -54,7 +54,7 @@ class StageClock:
             self._stack.pop()
 
     def drawn(self, name: Stage, items: Iterable[Item]) -> Iterator[Item]:
-        """Pass items through, giving the time it takes to draw each to this stage."""
+        """Pass items through, and assign the time to draw each one to this stage."""
         iterator = iter(items)
         while True:
             with self.stage(name):
@@ -120,7 +120,7 @@ class _TimedWitness:
 
 
 def timed(parts: Parts, clock: StageClock) -> Parts:
-    """Return the same parts, with the clock watching them."""
+    """Return the same parts, timed by the clock."""
     return Parts(
         odometry=_TimedOdometry(parts.odometry, clock),
         supervised=_TimedStream("supervised", parts.supervised, clock),

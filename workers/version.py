@@ -13,10 +13,10 @@ from workers.parts.registry import build_parts
 from workers.sources import syntax_digest
 
 NOT_IN_VERSION: Final = frozenset({"bucket", "artifacts", "model", "weights"})
-"""Where logs and models lie and overlays go changes no record; every other setting may."""
+"""Settings that change no record, the places of logs, models and overlays; every other may."""
 
 ROOTS: Final = ("workers.ingest.plan", "workers.mine", "workers.parts.registry")
-"""Modules that plan and mine a log. With all that they import they are the code of a record."""
+"""Modules that plan and mine a log; with all their imports they are the code of a record."""
 
 LIBRARIES: Final = (
     "kiss-icp",
@@ -38,11 +38,11 @@ def pipeline_version(settings: MiningSettings, parts: Parts) -> str:
     """Digest settings, parts, sources and libraries: equal versions promise equal records.
 
     Args:
-        settings: What the service says every worker must do alike.
+        settings: The service's settings that all workers share.
         parts: Odometry and streams, whose own versions digest code, weights and settings.
 
     Returns:
-        Twelve hexadecimal digits; two pipelines of one fleet never meet by chance.
+        Twelve hexadecimal digits; a collision within one fleet is improbable.
     """
     facts = {
         "settings": settings.model_dump(mode="json", exclude=set(NOT_IN_VERSION)),
@@ -74,12 +74,12 @@ def parts_of(settings: MiningSettings) -> Parts:
 
 
 def files_of(settings: MiningSettings) -> PartFiles:
-    """Say which files the settings name."""
+    """Return the files that the settings name."""
     return PartFiles(model=settings.model, weights=settings.weights)
 
 
 def version_of(settings: MiningSettings) -> str:
-    """Return the pipeline version of these settings, building the parts to ask them for theirs.
+    """Return the pipeline version of these settings, which needs their parts to be built.
 
     Raises:
         PermanentError: If a part does not exist here.

@@ -38,7 +38,7 @@ def test_every_module_that_mining_imports_is_in_the_pipeline_version(
     imported, waiting = set[str](), set(ROOTS)
     while waiting:
         module = waiting.pop()
-        if module.split(".")[0] not in sources.OURS or within(module, sources.SHAPE_NO_RECORD):
+        if module.split(".")[0] not in sources.OURS or within(module, sources.NO_EFFECT_ON_RECORDS):
             continue
         imported.add(module)
         waiting |= graph.find_modules_directly_imported_by(module) - imported
@@ -59,7 +59,7 @@ def test_what_mining_never_enters_is_not_in_the_pipeline_version() -> None:
     assert [module for module in sources.sources(*ROOTS) if "lab" in module.split(".")] == []
 
 
-@pytest.mark.parametrize("module", sorted(sources.SHAPE_NO_RECORD))
+@pytest.mark.parametrize("module", sorted(sources.NO_EFFECT_ON_RECORDS))
 def test_what_is_left_out_of_the_version_exists(module: str, graph: grimp.ImportGraph) -> None:
     assert module in graph.modules
 

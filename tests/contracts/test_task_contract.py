@@ -23,7 +23,7 @@ from tests.labelled_worlds import CLASS_NAMES, Thing, labelled_scene, shard_of
 from workers.contradiction.agreement import compare
 from workers.contradiction.overlay import overlay_of
 from workers.errors import TasksDifferError
-from workers.mine import Account
+from workers.mine import MiningReport
 from workers.parts.protocols import NoWitness, Parts, Witness
 from workers.pipeline import MinedScene, mine_shard
 
@@ -181,10 +181,10 @@ def test_a_record_that_names_outcomes_of_another_task_is_refused(task: Task) -> 
 
 
 def test_the_account_counts_returns_by_the_names_of_the_labels(task: Task) -> None:
-    account = Account()
-    account.add(_mined(task).scene.frames)
-    assert list(account.labels) == list(task.labels)
-    assert len(set(account.labels.values())) == 1  # as many things of each
+    report = MiningReport()
+    report.add(_mined(task).scene.frames)
+    assert list(report.labels) == list(task.labels)
+    assert len(set(report.labels.values())) == 1  # as many things of each
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ from service.store.engine import open_store
 from service.store.ledger import LeasePolicy, Ledger
 from workers.ingest.inspect import inspect_recording
 from workers.ingest.plan import plan_recording
-from workers.mine import Account, mine_records
+from workers.mine import MiningReport, mine_records
 from workers.parts.protocols import Parts
 from workers.version import parts_of, pipeline_version
 
@@ -158,7 +158,7 @@ class Trial:
             outcome.end, outcome.problem = "refused", plan.refused
 
     def _mine_shard(self, lease: MineLease, outcome: Outcome) -> None:
-        account, records = Account(), {}
+        account, records = MiningReport(), {}
         manifest = []
         mining = mine_records(
             self._bucket,
@@ -167,7 +167,7 @@ class Trial:
             settings=self._settings,
             parts=self._parts,
             pipeline_version=self._version,
-            account=account,
+            report=account,
         )
         try:
             with closing(mining):

@@ -1,1 +1,1 @@
-"""Bucket in, lidar frames out: all MCAP knowledge lives here."""
+"""Ingest: lidar frames from the MCAP logs of a bucket; no other package knows MCAP."""

@@ -1,4 +1,4 @@
-"""What one plan can cover: how far its messages lie apart, and how much its shards would read."""
+"""Planning limits: the time span of a log's messages, and the bytes that its shards would read."""
 
 from collections.abc import Sequence
 
@@ -11,12 +11,12 @@ from workers.ingest.log_index import LogIndex
 from workers.ingest.shard_windows import Span, cells_of
 
 
-def too_much_of(spans: Sequence[Span], anchor_ns: int, shard_ns: int, log_bytes: int) -> str:
-    """Return why the shards of these spans would be too much; empty if they are not.
+def excess_of(spans: Sequence[Span], anchor_ns: int, shard_ns: int, log_bytes: int) -> str:
+    """Return why the shards of these spans would be too many or too large; empty if they are not.
 
     Args:
         spans: Chunks of a lidar.
-        anchor_ns: Where its grid begins.
+        anchor_ns: Start of its grid.
         shard_ns: Length of a shard.
         log_bytes: Bytes of the recording.
     """
@@ -46,21 +46,20 @@ def too_much_of(spans: Sequence[Span], anchor_ns: int, shard_ns: int, log_bytes:
     return ""
 
 
-def within_reach(
+def drop_distant(
     spans: Sequence[Span], anchor_ns: int, shard_ns: int, index: LogIndex, damage: list[Damage]
 ) -> tuple[list[Span], int]:
-    """Leave out what lies farther from most of a log than one plan reaches: its times are wrong.
+    """Drop spans farther from most of a log than one plan reaches: their times are wrong.
 
     Args:
         spans: Chunks of a lidar; at least one.
-        anchor_ns: Where the grid of the log begins.
+        anchor_ns: Start of the log's grid.
         shard_ns: Length of a shard.
         index: Of the log.
-        damage: What is left out is added here.
+        damage: Dropped spans are added here.
 
     Returns:
-        The spans that are kept, and where their grid begins: at the anchor, unless that is what
-        lies apart.
+        The kept spans, and the start of their grid: the anchor, unless it is itself too far away.
     """
     reach_ns = MAX_SHARDS_OF_A_PLAN * shard_ns
     if all(span.latest_ns < anchor_ns + reach_ns for span in spans):

@@ -1,4 +1,4 @@
-"""Finds the camera image that belongs to a frame, and its calibration, for `show --on-image`."""
+"""Camera view: the image that belongs to a frame, and its calibration, for `show --on-image`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,23 +17,23 @@ from workers.ingest.camera_messages import (
     Calibration,
     CameraImage,
     camera_image,
-    holds_calibrations,
-    holds_images,
+    has_calibrations,
+    has_images,
 )
 from workers.ingest.camera_model import CameraView
 from workers.ingest.frames import sensor_points
 from workers.ingest.log_index import index_recording
-from workers.ingest.message_lookup import Moment, readable
+from workers.ingest.message_lookup import MessageLookup, readable
 from workers.ingest.point_time import point_time
 from workers.ingest.topic_sampling import Sample, sample_topics
 from workers.ingest.topics import Topic, topics_of
-from workers.ingest.transforms import holds_transforms
+from workers.ingest.transforms import has_transforms
 
 MAX_APART_NS: Final = NS_PER_S // 2
-"""An image farther from the frame shows another situation."""
+"""Largest time between image and frame, nanoseconds; a later image shows another situation."""
 
 VIEW_COS: Final = float(np.cos(np.deg2rad(30)))
-"""Returns within 30 degrees of a camera's axis are what its image shows."""
+"""Cosine of 30 degrees: returns within this angle of a camera's axis are in its view."""
 
 
 class CameraUnavailableError(PermanentError):
@@ -50,24 +50,24 @@ def read_camera(
 ) -> CameraView:
     """Read the image of a calibrated camera that belongs to a frame.
 
-    Of several cameras the one that looks most towards `look_at_m` is taken; of its images the one
-    nearest to when the lidar swept over its view, as far as points have times.
+    Of several cameras the one that looks most towards `look_at_m` is taken. Of its images the one
+    nearest to the lidar's sweep over its view is taken, as far as points have times.
 
     Args:
-        bucket: Where the log lies.
+        bucket: Bucket of the log.
         recording: The log.
         lidar_topic: Topic of the frame's lidar.
         stamp_ns: Of the frame, nanoseconds since the Unix epoch.
-        look_at_m: What is of interest, in the lidar's sensor space; straight ahead by default.
+        look_at_m: Point of interest, in the lidar's sensor space; straight ahead by default.
 
     Raises:
-        CameraUnavailableError: If no camera whose place is known saw the frame; it says why.
+        CameraUnavailableError: If no camera with a known place saw the frame; it gives the reason.
         NotMcapError: If a part is no MCAP file.
-        ObjectChangedError: If a part is no longer what was listed.
+        ObjectChangedError: If a part is no longer the listed one.
     """
     index = index_recording(bucket, recording)
     topics = topics_of(index.parts)
-    images = [topic for topic in topics if holds_images(topic.channel) and topic.messages]
+    images = [topic for topic in topics if has_images(topic.channel) and topic.messages]
     lidar = [topic for topic in topics if topic.channel.topic == lidar_topic]
     sample = sample_topics(index, lidar, []).get(lidar_topic)
     if sample is None:
@@ -76,8 +76,8 @@ def read_camera(
         raise _unavailable("no topic holds compressed images (sensor_msgs or foxglove)", recording)
     wanted = [topic for topic in topics if _is_of_a_camera(topic)]
     delay_ns = (sample.bounds.least_ns + sample.bounds.most_ns) // 2
-    moment = Moment(index, wanted, log_time_ns=stamp_ns + delay_ns, reach_ns=MAX_APART_NS)
-    frame = _Frame(moment, sample, stamp_ns, calibrations_in(moment))
+    lookup = MessageLookup(index, wanted, log_time_ns=stamp_ns + delay_ns, reach_ns=MAX_APART_NS)
+    frame = _Frame(lookup, sample, stamp_ns, calibrations_in(lookup))
     views: list[CameraView] = []
     problems: list[str] = []
     for topic in images:
@@ -93,9 +93,9 @@ def read_camera(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Frame:
-    """The frame that is to be shown, and what the log holds around it."""
+    """The frame to show, and the log's messages around it."""
 
-    moment: Moment
+    lookup: MessageLookup
     sample: Sample
     stamp_ns: int
     calibrations: Sequence[Calibration]
@@ -107,17 +107,17 @@ def _unavailable(why: str, recording: Recording) -> CameraUnavailableError:
 
 def _is_of_a_camera(topic: Topic) -> bool:
     channel = topic.channel
-    return holds_images(channel) or holds_calibrations(channel) or holds_transforms(channel)
+    return has_images(channel) or has_calibrations(channel) or has_transforms(channel)
 
 
 def _view(frame: _Frame, topic: Topic) -> CameraView:
-    images = readable(frame.moment.near(topic), camera_image)
+    images = readable(frame.lookup.near(topic), camera_image)
     if not images:
         raise NoViewError("has no image that can be read near the frame")
     found = _calibration_for(images[0], frame.calibrations)
     if found is None:
         raise NoViewError("has no calibration")
-    placed = camera_from_lidar(frame.moment, frame.sample, found.frame_id or images[0].frame_id)
+    placed = camera_from_lidar(frame.lookup, frame.sample, found.frame_id or images[0].frame_id)
     seen_ns = frame.stamp_ns + _swept_after_ns(frame.sample, placed)
     image = min(images, key=lambda each: (abs(each.stamp_ns - seen_ns), each.stamp_ns))
     apart_ns = abs(image.stamp_ns - seen_ns)
@@ -127,18 +127,18 @@ def _view(frame: _Frame, topic: Topic) -> CameraView:
 
 
 def _calibration_for(image: CameraImage, calibrations: Sequence[Calibration]) -> Calibration | None:
-    """Take the calibration of the image's space; among several, the nearest by name of topic."""
+    """Select the calibration of the image's space; of several, the nearest by topic name."""
     same = [each for each in calibrations if each.frame_id == image.frame_id]
-    beside = [each for each in calibrations if image.topic.startswith(_folder(each.topic))]
+    same_folder = [each for each in calibrations if image.topic.startswith(_folder(each.topic))]
     return max(
-        same or beside,
+        same or same_folder,
         key=lambda each: _shared_parts(each.topic, image.topic),
         default=None,
     )
 
 
 def _folder(topic: str) -> str:
-    """Name that the topics of one camera begin with; one at the root has none of its own."""
+    """Return the prefix of one camera's topics; a topic at the root has none of its own."""
     folder = topic.rpartition("/")[0]
     return f"{folder}/" if folder else topic
 
@@ -149,7 +149,7 @@ def _shared_parts(one: str, other: str) -> int:
 
 
 def _swept_after_ns(sample: Sample, camera_from_lidar: Transform) -> int:
-    """How long after its stamp the lidar sweeps over a camera's view; 0 without point times."""
+    """Return the time from a frame's stamp to the sweep over a camera; 0 without point times."""
     cloud = sample.clouds[-1]
     times = point_time(
         cloud.fields, points=len(cloud), stamp_ns=sample.stamps_ns[-1], stamp_at="start"
@@ -163,12 +163,12 @@ def _swept_after_ns(sample: Sample, camera_from_lidar: Transform) -> int:
 
 
 def _combine(image: CameraImage, found: Calibration, camera_from_lidar: Transform) -> CameraView:
-    """Scale the calibration to the image; of a rectified image the lens is already undone."""
+    """Scale the calibration to the image; a rectified image needs no lens model."""
     width, height = _size(image)
     rectified = "rect" in image.topic.rpartition("/")[0] or "rect" in image.frame_id
-    bent = any(found.distortion) and not rectified
+    distorted = any(found.distortion) and not rectified
     projection = found.projection
-    if bent or not projection.any():
+    if distorted or not projection.any():
         projection = np.hstack((found.intrinsics, np.zeros((3, 1))))
     if not (projection[0, 0] and projection[1, 1]):
         raise NoViewError("has a calibration without focal lengths")
@@ -182,7 +182,7 @@ def _combine(image: CameraImage, found: Calibration, camera_from_lidar: Transfor
         height=height,
         pixel_from_camera=scale @ projection,
         distortion_model=found.distortion_model,
-        distortion=found.distortion if bent else (),
+        distortion=found.distortion if distorted else (),
         camera_from_lidar=camera_from_lidar,
     )
 

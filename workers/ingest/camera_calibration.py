@@ -1,4 +1,4 @@
-"""Finds where a log's cameras are and how they see, for the filter that keeps what one sees."""
+"""Camera calibration: pose and projection of a log's cameras, for the camera filter."""
 
 from collections.abc import Sequence
 
@@ -7,14 +7,14 @@ import numpy as np
 from schemas.arrays import NS_PER_S, Transform
 from schemas.camera import CameraCalibration
 from workers.errors import LogUnusableError
-from workers.ingest.camera_messages import Calibration, calibration, holds_calibrations
+from workers.ingest.camera_messages import Calibration, calibration, has_calibrations
 from workers.ingest.log_index import LogIndex
-from workers.ingest.message_lookup import Moment, readable
+from workers.ingest.message_lookup import MessageLookup, readable
 from workers.ingest.topic_sampling import Sample
 from workers.ingest.topics import Topic
 from workers.ingest.transforms import (
     TransformTree,
-    holds_transforms,
+    has_transforms,
     is_static,
     stated_transforms,
 )
@@ -33,21 +33,21 @@ def find_calibration(index: LogIndex, topics: Sequence[Topic], sample: Sample) -
         sample: First clouds of the lidar.
 
     Raises:
-        LogUnusableError: If no camera has a calibration and a known place; it says why.
+        LogUnusableError: If no camera has a calibration and a known place; it gives the reason.
     """
     wanted = [
         topic
         for topic in topics
-        if holds_calibrations(topic.channel) or holds_transforms(topic.channel)
+        if has_calibrations(topic.channel) or has_transforms(topic.channel)
     ]
     delay_ns = (sample.bounds.least_ns + sample.bounds.most_ns) // 2
     logged_ns = sample.first_stamp_ns + delay_ns
-    moment = Moment(index, wanted, log_time_ns=logged_ns, reach_ns=NS_PER_S)
+    lookup = MessageLookup(index, wanted, log_time_ns=logged_ns, reach_ns=NS_PER_S)
     found: list[CameraCalibration] = []
     problems: list[str] = []
-    for stated in calibrations_in(moment):
+    for stated in calibrations_in(lookup):
         try:
-            found.append(_combined(stated, camera_from_lidar(moment, sample, stated.frame_id)))
+            found.append(_combined(stated, camera_from_lidar(lookup, sample, stated.frame_id)))
         except NoViewError as error:
             problems.append(f"{stated.topic} {error}")
     if not found:
@@ -58,21 +58,21 @@ def find_calibration(index: LogIndex, topics: Sequence[Topic], sample: Sample) -
     return max(found, key=lambda each: float(each.extrinsics[2, 0]))
 
 
-def calibrations_in(moment: Moment) -> list[Calibration]:
-    """One of each topic, the nearest that can be read."""
+def calibrations_in(lookup: MessageLookup) -> list[Calibration]:
+    """Return one calibration of each topic, the nearest that can be read."""
     return [
         found
-        for topic in moment.topics
-        if holds_calibrations(topic.channel)
-        for found in readable(moment.near(topic), calibration)[:1]
+        for topic in lookup.topics
+        if has_calibrations(topic.channel)
+        for found in readable(lookup.near(topic), calibration)[:1]
     ]
 
 
-def camera_from_lidar(moment: Moment, sample: Sample, camera: str) -> Transform:
-    """Chain the log's transforms: static ones first, then those stated around the moment.
+def camera_from_lidar(lookup: MessageLookup, sample: Sample, camera: str) -> Transform:
+    """Chain the log's transforms: static ones first, then those published around the moment.
 
     Args:
-        moment: Knows the topics of transforms.
+        lookup: Messages of the transform topics.
         sample: Of the lidar.
         camera: Space of the camera, by the log's own name.
 
@@ -80,14 +80,14 @@ def camera_from_lidar(moment: Moment, sample: Sample, camera: str) -> Transform:
         (4, 4) sensor space of the lidar to the camera's.
 
     Raises:
-        NoViewError: If the log does not tie the two.
+        NoViewError: If the log does not connect the two.
     """
     cloud = sample.clouds[0]
     tree = TransformTree()
-    topics = [topic for topic in moment.topics if holds_transforms(topic.channel)]
+    topics = [topic for topic in lookup.topics if has_transforms(topic.channel)]
     for topic in sorted(topics, key=lambda topic: not is_static(topic.channel)):
         static = is_static(topic.channel)
-        messages = moment.all(topic) if static else moment.near(topic)
+        messages = lookup.all(topic) if static else lookup.near(topic)
         for stated in readable(messages, stated_transforms):
             tree.add_stated(stated)
         camera_from_space = tree.find(to=camera, source=cloud.frame_id)

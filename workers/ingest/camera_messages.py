@@ -1,4 +1,4 @@
-"""Images and calibrations of cameras as logs hold them, in ROS's and in Foxglove's words."""
+"""Camera messages: images and calibrations in the types of ROS and Foxglove."""
 
 from base64 import b64decode
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ _NOT_AS_TYPED: Final = (
     TypeError,
     ValueError,
     IndexError,
-    OverflowError,  # numbers in JSON that no float holds
+    OverflowError,  # numbers in JSON beyond any float
 )
 
 
@@ -30,7 +30,7 @@ class CameraImage:
     Attributes:
         topic: MCAP topic.
         frame_id: Space of the camera, by the log's own name.
-        stamp_ns: Of its header, else when it was recorded.
+        stamp_ns: Of its header, else its log time.
         data: As recorded, compressed.
         format: As recorded: `jpeg`, `png`.
     """
@@ -44,17 +44,17 @@ class CameraImage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """How a camera maps its space to pixels.
+    """Projection of a camera from its space to pixels.
 
     Attributes:
         topic: MCAP topic.
         frame_id: Space of the camera, by the log's own name.
-        width: Pixels of the image that it is meant for; 0 where not stated.
-        height: Pixels of the image that it is meant for; 0 where not stated.
+        width: Pixels of the calibrated image; 0 where not stated.
+        height: Pixels of the calibrated image; 0 where not stated.
         distortion_model: ROS's name.
         distortion: Coefficients of the lens.
-        intrinsics: (3, 3) K, for the image as taken.
-        projection: (3, 4) P, for the image rectified; zero where not stated.
+        intrinsics: (3, 3) K, for the raw image.
+        projection: (3, 4) P, for the rectified image; zero where not stated.
     """
 
     topic: str
@@ -67,15 +67,15 @@ class Calibration:
     projection: NDArray[np.float64]
 
 
-def holds_images(channel: Channel) -> bool:
-    """Whether messages are compressed images that can be read here."""
+def has_images(channel: Channel) -> bool:
+    """Return True for a channel of compressed images that can be read here."""
     return can_decode(
         channel, ros="sensor_msgs/CompressedImage", foxglove="foxglove.CompressedImage"
     )
 
 
-def holds_calibrations(channel: Channel) -> bool:
-    """Whether messages are calibrations of a camera that can be read here."""
+def has_calibrations(channel: Channel) -> bool:
+    """Return True for a channel of camera calibrations that can be read here."""
     return can_decode(channel, ros="sensor_msgs/CameraInfo", foxglove="foxglove.CameraCalibration")
 
 
@@ -83,7 +83,7 @@ def camera_image(message: RawMessage) -> CameraImage:
     """Decode an image.
 
     Raises:
-        MessageUnreadableError: If it is none.
+        MessageUnreadableError: If the message is no image.
     """
     decoded = decode_message(message)
     try:
@@ -104,7 +104,7 @@ def calibration(message: RawMessage) -> Calibration:
     """Decode a calibration.
 
     Raises:
-        MessageUnreadableError: If it is none, or its matrices are not what they must be.
+        MessageUnreadableError: If the message is no calibration, or its matrices are invalid.
     """
     decoded = decode_message(message)
     try:
@@ -142,7 +142,7 @@ def frame_and_stamp(decoded: Any) -> tuple[str, int]:
 
 
 def _either(decoded: Any, name: str) -> Any:
-    """ROS 2 writes the names of matrices in lower case, everyone else in upper case."""
+    """Read a matrix, whose name is in lower case in ROS 2 and in upper case elsewhere."""
     if isinstance(decoded, dict):
         return decoded.get(name, [])
     return getattr(decoded, name) if hasattr(decoded, name) else getattr(decoded, name.lower())

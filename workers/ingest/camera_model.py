@@ -1,4 +1,4 @@
-"""What a camera saw at one time, and where points of the lidar lie in its image."""
+"""Camera model: projection of lidar points into one image, with lens distortion."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -9,14 +9,15 @@ from numpy.typing import NDArray
 from schemas.arrays import Mask, Points, Transform
 
 MIN_DEPTH_M: Final = 0.1
-"""Points closer to the camera's plane, or behind it, are in no image."""
+"""Depth below which points are in no image, metres: too close to the camera's plane, or behind it.
+"""
 
 FISHEYE_MODELS: Final = ("equidistant", "fisheye", "kannala_brandt")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraView:
-    """One image of a calibrated camera, and how the lidar's points get into it.
+    """One image of a calibrated camera, and the projection of the lidar's points into it.
 
     Attributes:
         topic: MCAP topic of the image.
@@ -43,7 +44,7 @@ class CameraView:
     camera_from_lidar: Transform
 
     def project(self, points_m: Points) -> tuple[NDArray[np.float64], Mask]:
-        """Find where points of the lidar lie in the image.
+        """Project points of the lidar into the image.
 
         Args:
             points_m: (N, 3) sensor space of the lidar, metres.
@@ -69,11 +70,11 @@ class CameraView:
 def distort(
     normalised: NDArray[np.float64], coefficients: tuple[float, ...], *, model: str
 ) -> NDArray[np.float64]:
-    """Bend ideal rays as the lens does.
+    """Apply the distortion of the lens to ideal rays.
 
     The rational model of eight coefficients contains `plumb_bob`'s five (OpenCV, calib3d); the
-    fisheye model is Kannala and Brandt's. A polynomial fitted to the image turns back outside of
-    it and would bring rays from far aside into the picture: such rays are pushed out instead.
+    fisheye model is Kannala and Brandt's. A polynomial fitted to the image is not monotonic outside
+    it, and would map rays from far aside into the image: such rays become infinite instead.
 
     Args:
         normalised: (N, 2) x/z and y/z in the camera's space.
@@ -81,7 +82,7 @@ def distort(
         model: ROS's name of it.
 
     Returns:
-        (N, 2) x/z and y/z after distortion; infinite where the lens sees nothing.
+        (N, 2) x/z and y/z after distortion; infinite outside the lens's field of view.
     """
     radius = np.hypot(normalised[:, 0], normalised[:, 1])
     if model in FISHEYE_MODELS:
@@ -103,7 +104,7 @@ def distort(
 
 
 def _turning_radius(coefficients: tuple[float, ...]) -> float:
-    """Largest radius up to which the radial polynomial still rises."""
+    """Return the largest radius up to which the radial polynomial increases."""
     k1, k2, _, _, k3, k4, k5, k6 = _padded(coefficients, 8)
     radius = np.linspace(0.0, 5.0, 2001)
     squared = radius**2

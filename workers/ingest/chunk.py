@@ -1,4 +1,4 @@
-"""Opens a chunk: everything it says of itself is checked before a byte is decompressed."""
+"""MCAP chunks: opened after every field of their header is checked."""
 
 import zlib
 from collections.abc import Container, Iterator
@@ -25,13 +25,13 @@ from workers.ingest.records import (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredMessage:
-    """A message as it lies in a chunk.
+    """A message in a chunk.
 
     Attributes:
         channel_id: Its channel, in the numbers of its part.
-        log_time_ns: When it was recorded.
+        log_time_ns: Its log time.
         data: Its payload, a view into the opened chunk.
-        offset: Where that begins in the opened chunk.
+        offset: First byte of the payload in the opened chunk.
     """
 
     channel_id: int
@@ -41,18 +41,18 @@ class StoredMessage:
 
 
 def open_chunk(data: bytes | memoryview, ref: ChunkRef, *, key: str) -> memoryview:
-    """Check and decompress what was read for a reference.
+    """Check and decompress the bytes of a reference.
 
     Args:
         data: Exactly the bytes that the reference names.
-        ref: A Chunk record, or a run of records outside chunks, which are taken as they are.
-        key: The object they come from, for the error.
+        ref: A Chunk record, or a run of records outside chunks, which is returned unchanged.
+        key: Their object, for the error.
 
     Returns:
         The records inside, one after the other.
 
     Raises:
-        ChunkUnreadableError: If any of it is not as it should be.
+        ChunkUnreadableError: If any of it is invalid.
     """
     view = memoryview(data)
     if ref.kind == "records":
@@ -67,7 +67,7 @@ def open_chunk(data: bytes | memoryview, ref: ChunkRef, *, key: str) -> memoryvi
 
 
 def opened_bytes(data: bytes | memoryview, ref: ChunkRef) -> int:
-    """Read how many bytes a chunk says that it grows to; its own where it does not say."""
+    """Read the uncompressed size in a chunk's header; the stored size where there is none."""
     body = memoryview(data)[HEADER_BYTES:]
     if ref.kind == "records":
         return len(data)
@@ -91,11 +91,11 @@ def messages_in(
     """Yield the messages of an opened chunk, in the order they were written.
 
     Args:
-        records: What `open_chunk` gave.
+        records: Records from `open_chunk`.
         channel_ids: Only these channels; None for all.
 
     Raises:
-        RecordMalformedError: At the first record that is none; those before it are good.
+        RecordMalformedError: At the first invalid record; those before it are valid.
     """
     for number, record in enumerate(walk(records)):
         if number == MAX_CHUNK_RECORDS:
@@ -157,7 +157,7 @@ def _unpack_zstd(packed: memoryview, expected: int) -> memoryview:
         raise RecordMalformedError(f"it would grow to {size} bytes and says {expected}")
     if size == expected:
         return memoryview(zstandard.ZstdDecompressor().decompress(packed))
-    # Of unknown size, or of several frames: grows in steps, and no further than one byte too far.
+    # of unknown size, or of several frames: it grows in steps, at most one byte too far
     with zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True) as reader:
         return memoryview(_read_at_most(reader, expected + 1))
 
@@ -178,7 +178,7 @@ def _unpack_lz4(packed: memoryview, expected: int) -> memoryview:
     unpacker = lz4.frame.LZ4FrameDecompressor()
     records = unpacker.decompress(packed, max_length=max(expected, 1))
     if not unpacker.eof:
-        # An end mark may follow the last byte; anything that grows further is too much.
+        # an end mark may follow the last byte; any further byte is too much
         if unpacker.decompress(b"", max_length=1):
             raise RecordMalformedError(f"it grows beyond the {expected} bytes it says")
         if not unpacker.eof:

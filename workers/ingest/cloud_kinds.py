@@ -1,4 +1,4 @@
-"""Which channels hold point clouds, and what the others that hold a lidar's data would need."""
+"""Cloud types: channels of point clouds, and the needs of lidar data that cannot be read."""
 
 import re
 from typing import Final
@@ -37,7 +37,7 @@ _NEEDS: Final[tuple[tuple[str, str], ...]] = (
     (r"^(sensor_msgs/(Multi)?LaserScan|sensor_msgs/MultiEchoLaserScan|foxglove\.LaserScan)$",
      "holds scans of a single plane, in which motion in 3D cannot be judged"),
 )  # fmt: skip
-"""Type name to what would be needed; the first that matches counts."""
+"""Type name to the decoder that would be needed; the first match counts."""
 
 _CLOUD_TYPE: Final = re.compile(r"point_?cloud|lidar|\bcloud\b", re.IGNORECASE)
 _LIDAR_TOPIC: Final = re.compile(
@@ -47,16 +47,16 @@ _KNOWN_ENCODINGS: Final = ("cdr", "ros1", "protobuf", "json")
 
 
 def is_cloud(channel: Channel) -> bool:
-    """Whether messages of this channel are point clouds that can be decoded here."""
+    """Return True for a channel of point clouds that can be decoded here."""
     return can_decode(channel, ros=ROS_CLOUD, foxglove=FOXGLOVE_CLOUD)
 
 
 def unsupported_reason(channel: Channel) -> str:
-    """Say what a channel with a lidar's data would need, if it cannot be read here.
+    """Return the decoder that a channel with lidar data would need, if it cannot be read here.
 
     Returns:
         Half a sentence about the channel; empty for clouds that can be read and for channels
-        that have nothing of a lidar.
+        without lidar data.
     """
     if is_cloud(channel):
         return ""

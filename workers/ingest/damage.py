@@ -1,4 +1,4 @@
-"""Damage as it is noted: its sentence fit to be shown, and no more entries than anybody reads."""
+"""Damage entries: escaped sentences, and a bounded number of entries."""
 
 from collections.abc import Iterable
 
@@ -27,7 +27,7 @@ class DamageList(list[Damage]):
     """Damage in the order it was found; beyond `MAX_DAMAGE` the last entry sums up the rest."""
 
     def __init__(self, found: Iterable[Damage] = ()) -> None:
-        """Begin with some."""
+        """Begin with some entries."""
         super().__init__()
         self._summed = 1
         self.extend(found)
@@ -46,6 +46,6 @@ class DamageList(list[Damage]):
         )
 
     def extend(self, found: Iterable[Damage]) -> None:
-        """Add several."""
+        """Add several stretches."""
         for each in found:
             self.append(each)

@@ -1,6 +1,6 @@
-"""From a message's bytes to its fields, by the library of its encoding.
+"""Message decoding: fields from bytes, with the library of the message's encoding.
 
-Knows the encodings, not what the messages mean: `pointcloud`, `recorded_labels` and `camera` do.
+This module knows the encodings; `pointcloud`, `recorded_labels` and `camera` know the types.
 """
 
 import json
@@ -35,23 +35,23 @@ NOT_DECODED: Final = (
     TypeError,
     LookupError,
     NotImplementedError,
-    ArithmeticError,  # numbers in JSON that no float holds
+    ArithmeticError,  # numbers in JSON beyond any float
     RecursionError,  # JSON nested without end
 )
-"""What the libraries raise on bytes that are not what the schema says."""
+"""Errors of the libraries on bytes that do not match the schema."""
 
 
 class MessageUnreadableError(PermanentError):
-    """A message's bytes are not what its schema says."""
+    """A message's bytes do not match its schema."""
 
 
 def ros_type(channel: Channel) -> str:
-    """Name of a ROS type as both generations agree on it: `sensor_msgs/PointCloud2`."""
+    """Return the name of a ROS type that both generations share: `sensor_msgs/PointCloud2`."""
     return channel.schema_name.replace("/msg/", "/")
 
 
 def can_decode(channel: Channel, *, ros: str, foxglove: str) -> bool:
-    """Whether messages are of this ROS type (CDR, ROS 1) or Foxglove type (protobuf, JSON)."""
+    """Return True for a channel of this ROS type (CDR, ROS 1) or Foxglove type (protobuf, JSON)."""
     if channel.message_encoding in ("cdr", "ros1"):
         return ros_type(channel) == ros
     return channel.message_encoding in ("protobuf", "json") and channel.schema_name == foxglove
@@ -61,8 +61,8 @@ def decode_message(message: RawMessage) -> Any:
     """Decode a message into an object with its fields as attributes; JSON into a dict.
 
     Raises:
-        MessageUnreadableError: If the encoding or type is none that is read here, or if the bytes
-            are not what the schema says.
+        MessageUnreadableError: If the encoding or type is not supported, or if the bytes do not
+            match the schema.
     """
     channel = message.channel
     if problem := too_much_to_decode(channel, message.data):

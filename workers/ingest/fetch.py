@@ -1,4 +1,4 @@
-"""Fetches and opens the chunks of a shard ahead of whoever uses them, neighbours in one request."""
+"""Chunk prefetching: a shard's chunks are read and opened ahead, neighbours in one request."""
 
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -13,19 +13,19 @@ from workers.ingest.limits import MAX_AHEAD_BYTES
 from workers.ingest.part_reader import PartReader
 
 MAX_READ_BYTES: Final = 8 * 1024 * 1024
-"""Chunks that lie next to each other are fetched together up to this size."""
+"""Bytes up to which neighbouring chunks are read together."""
 
 MAX_BETWEEN_BYTES: Final = 64 * 1024
-"""What may lie between two chunks fetched together: message indexes, mostly."""
+"""Bytes between two chunks that are read together: message indexes, mostly."""
 
 
 AHEAD: Final = 2
-"""Chunks that are opened before they are asked for: memory holds these and one read."""
+"""Chunks opened ahead of their use; these and one read are in memory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenedChunk:
-    """A chunk's records, or why there are none."""
+    """A chunk's records, or the error of reading them."""
 
     ref: ChunkRef
     records: memoryview
@@ -41,16 +41,16 @@ class _Fetched:
 
 
 def fetch_chunks(readers: Sequence[PartReader], refs: Sequence[ChunkRef]) -> Iterator[OpenedChunk]:
-    """Yield the chunks in the order given; one thread fetches and opens those that come next.
+    """Yield the chunks in the given order; one thread reads and opens the next ones.
 
-    Large ones are not fetched, or not opened, before all those before them are used up.
+    Large ones are not read, or not opened, before all those before them are used up.
 
     Args:
-        readers: One for each part of the recording; not to be used by others meanwhile.
-        refs: What to read, in the order in which it is wanted.
+        readers: One for each part of the recording; not to be used elsewhere meanwhile.
+        refs: Chunks to read, in the order of their use.
 
     Raises:
-        ObjectChangedError: If an object is no longer the one that was planned.
+        ObjectChangedError: If an object is no longer the planned one.
         BucketUnreachableError: If the bucket does not answer.
     """
     fetcher = _Fetcher(readers)
@@ -72,7 +72,7 @@ def fetch_chunks(readers: Sequence[PartReader], refs: Sequence[ChunkRef]) -> Ite
 
 
 def neighbours(refs: Sequence[ChunkRef]) -> list[list[ChunkRef]]:
-    """Group chunks that follow each other closely in one object, up to what one read may be."""
+    """Group chunks that follow each other closely in one object, up to the size of one read."""
     groups: list[list[ChunkRef]] = []
     for ref in refs:
         if groups:
@@ -88,7 +88,7 @@ def neighbours(refs: Sequence[ChunkRef]) -> list[list[ChunkRef]]:
 
 @dataclass(slots=True, eq=False)
 class _Fetcher:
-    """Opens chunk after chunk, in its one thread, and reads a group when its first is wanted."""
+    """Opens chunk after chunk, in its one thread, and reads a group at its first chunk."""
 
     readers: Sequence[PartReader]
     data: memoryview = field(default_factory=lambda: memoryview(b""))
@@ -99,7 +99,7 @@ class _Fetcher:
         if error := too_large(ref, key=reader.key):
             return _Fetched(OpenedChunk(ref, memoryview(b""), error))
         if ref is group[0]:
-            self.data = memoryview(b"")  # what the last group leaves is free before this one comes
+            self.data = memoryview(b"")  # frees the last group before this one is read
             self.data = reader.fetch(start, group[-1].offset + group[-1].length - start)
         data = self.data[ref.offset - start :][: ref.length]
         if ref.length > MAX_AHEAD_BYTES:
@@ -109,7 +109,7 @@ class _Fetcher:
         return _Fetched(self._open(ref, data))
 
     def take(self, ref: ChunkRef, coming: Future[_Fetched]) -> OpenedChunk:
-        """Wait for a chunk, and open it now if that was put off."""
+        """Wait for a chunk, and open it now if that was postponed."""
         fetched = coming.result()
         if fetched.opened is not None:
             return fetched.opened

@@ -1,4 +1,4 @@
-"""The earliest clouds of a topic that can be read, of whatever chunks they come from."""
+"""First clouds: the earliest readable clouds of a topic, from any chunks."""
 
 from bisect import insort
 from typing import Final
@@ -14,7 +14,7 @@ from workers.ingest.scanned_chunks import ScannedChunk
 from workers.ingest.topics import ids_in
 
 MAX_CLOUDS: Final = 16
-"""Clouds of one topic that are looked at; a chunk of small messages may hold hundreds."""
+"""Clouds of one topic that are examined; a chunk of small messages may contain hundreds."""
 
 
 class EarliestClouds:
@@ -29,7 +29,7 @@ class EarliestClouds:
 
         Args:
             channel: The topic.
-            most_bytes: Bytes of clouds that are held, unless a single one is larger.
+            most_bytes: Bytes of clouds that are kept, unless a single one is larger.
         """
         self.first_ns: int | None = None
         self._channel, self._left_bytes = channel, most_bytes
@@ -43,7 +43,7 @@ class EarliestClouds:
         return [(log_time_ns, cloud) for log_time_ns, _, cloud in self._found]
 
     def add(self, chunk: ScannedChunk) -> None:
-        """Take the clouds of a chunk that are earlier than some of those, or still wanted."""
+        """Add the clouds of a chunk that are earlier than the kept ones, or still wanted."""
         ids = sorted(ids_in(self._channel, chunk.part))
         mine = np.flatnonzero(np.isin(chunk.channel_ids, ids))
         ordered = mine[np.argsort(chunk.log_times_ns[mine], kind="stable")]

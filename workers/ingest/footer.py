@@ -1,4 +1,4 @@
-"""Whether a part was closed by its writer: then it is whole, and grows no more."""
+"""MCAP footer: a part with a valid one was closed by its writer, is complete and grows no more."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -18,14 +18,14 @@ from workers.ingest.records import (
 )
 
 TAIL_BYTES: Final = 1024 * 1024
-"""Read first: holds the whole summary of all but the largest logs, and small logs as a whole."""
+"""Bytes read first: the whole summary of all but the largest logs, and small logs as a whole."""
 
 
 class StillGrowingError(TransientError):
-    """A recording that was listed a moment ago is not whole yet: its upload may be under way."""
+    """A recording that was listed a moment ago is incomplete: its upload may be in progress."""
 
     def __init__(self, *, key: str, size: int) -> None:
-        """Keep which object, and how far it is."""
+        """Keep the object's key, and its present size."""
         super().__init__(
             f"the file has no valid footer yet ({key}, {size} bytes): it is planned when that "
             "comes, or when it has not changed for a while"
@@ -35,12 +35,12 @@ class StillGrowingError(TransientError):
 
 @dataclass(frozen=True, slots=True)
 class TruncatedPart:
-    """An object that ends without a valid footer, and how far it can be used all the same.
+    """An object that ends without a valid footer, and its usable length.
 
     Attributes:
         key: Which object.
         size: Its bytes.
-        seconds: From its first message to the last that lies whole in it.
+        seconds: From its first message to the last complete one.
     """
 
     key: str
@@ -49,13 +49,13 @@ class TruncatedPart:
 
 
 def read_tail(reader: PartReader) -> memoryview:
-    """Read the end of a part, once: it is held for whoever asks next."""
+    """Read the end of a part, once: the reader keeps it."""
     tail_bytes = min(reader.size, TAIL_BYTES)
     return reader.read(reader.size - tail_bytes, tail_bytes, keep=True)
 
 
 def footer_of(tail: memoryview) -> Footer | None:
-    """Read the footer record at the end of a part; None where there is none that is valid."""
+    """Read the footer record at the end of a part; None without a valid one."""
     end = len(tail) - len(MAGIC)
     if end < FOOTER_BYTES or bytes(tail[end:]) != MAGIC:
         return None
@@ -69,7 +69,7 @@ def footer_of(tail: memoryview) -> Footer | None:
 
 
 def is_closed(reader: PartReader) -> bool:
-    """Whether a part begins as an MCAP file and ends in a valid footer: two small reads at most."""
+    """Return True for a part with MCAP's magic and a valid footer; it takes two small reads."""
     if footer_of(read_tail(reader)) is None:
         return False
     return bytes(reader.read(0, len(MAGIC))) == MAGIC

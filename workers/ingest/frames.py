@@ -1,4 +1,4 @@
-"""From a decoded cloud to a frame: one time, one unit and one meaning for what drivers record."""
+"""Frames from decoded clouds: one time base, one unit and one meaning for the drivers' fields."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -14,19 +14,19 @@ from workers.ingest.point_time import point_time
 from workers.ingest.pointcloud import DecodedCloud
 
 INTENSITY_FIELDS: Final = ("intensity", "i", "reflectivity", "reflectance", "remission", "signal")
-"""In order of preference; the first that a cloud has counts."""
+"""Intensity fields in order of preference; the first in a cloud counts."""
 
 RING_FIELDS: Final = ("ring", "laser_number", "laser_id", "channel", "line", "beam")
-"""In order of preference: ROS and Ouster, Argoverse 2, converters, Autoware, Livox."""
+"""Beam fields in order of preference: ROS and Ouster, Argoverse 2, converters, Autoware, Livox."""
 
 MAX_COORDINATE_M: Final = 10_000.0
-"""No lidar sees farther; what lies beyond is no return, and its square would overflow a float32."""
+"""Coordinate beyond which a point is no return, metres; its square would overflow a float32."""
 
 INTENSITY_SCALES: Final = (1.0, 255.0, 4095.0, 65535.0)
 """Full scale of normalised floats and of 8, 12 and 16 bits, the widths that sensors record."""
 
 
-@np.errstate(over="ignore", invalid="ignore")  # clouds hold odd numbers
+@np.errstate(over="ignore", invalid="ignore")  # clouds contain odd numbers
 def frame_from_cloud(
     cloud: DecodedCloud,
     *,
@@ -43,11 +43,11 @@ def frame_from_cloud(
     Args:
         cloud: As decoded.
         log_id: The recording.
-        log_time_ns: When the message was recorded.
+        log_time_ns: Log time of the message.
         previous_stamp_ns: Stamp of the frame before, None where there is none.
         intensity_scale: Recorded value that means 1.
-        stamp_at: Which instant of the sweep the header's stamp names.
-        recorded: The labels of the model that ran on the car, if the log holds them.
+        stamp_at: Instant of the sweep that the header's stamp refers to.
+        recorded: The labels of the model that ran on the car, if the log contains them.
         camera: The camera whose view is compared, if one is wanted.
 
     Raises:
@@ -78,7 +78,7 @@ def frame_stamp_ns(header_ns: int, *, log_time_ns: int, previous_stamp_ns: int |
     """Choose the time of a frame: its header's, or its log time where that does not rise.
 
     Where log time does not rise either, as when a message was recorded twice, the later of the two
-    stands: a repeated or falling stamp tells the stages downstream that time did not pass.
+    is used: a repeated or falling stamp signals to later stages that time did not pass.
     """
     floor_ns = 0 if previous_stamp_ns is None else previous_stamp_ns
     if header_ns > floor_ns:
@@ -88,11 +88,11 @@ def frame_stamp_ns(header_ns: int, *, log_time_ns: int, previous_stamp_ns: int |
     return max(header_ns, log_time_ns)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # clouds hold odd numbers
+@np.errstate(over="ignore", invalid="ignore")  # clouds contain odd numbers
 def intensity_scale_of(clouds: Sequence[DecodedCloud]) -> float:
-    """Judge, from some clouds of a lidar, which recorded intensity means 1.
+    """Estimate, from some clouds of a lidar, which recorded intensity means 1.
 
-    The smallest full scale that holds 99 of 100 returns: normalised floats stay below 1.5, and a
+    It is the smallest full scale over 99 of 100 returns. Normalised floats stay below 1.5, and a
     few saturated returns must not make a log of bytes look like one of words. Bytes are always 255
     wide; wider integers are judged by their values, since drivers put bytes into uint16.
 
@@ -119,13 +119,13 @@ def _first(cloud: DecodedCloud, names: Sequence[str]) -> NDArray[Any] | None:
     return next((fields[name] for name in names if name in fields and fields[name].ndim == 1), None)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # clouds hold odd numbers
+@np.errstate(over="ignore", invalid="ignore")  # clouds contain odd numbers
 def sensor_points(cloud: DecodedCloud) -> tuple[Points, Mask]:
-    """Read positions, and which of them are returns.
+    """Read positions, and the mask of returns.
 
     Returns:
         (N, 3) metres, sensor space, zero where there is no return, and (N,) true where there is
-        one: finite, not zero, no farther than a lidar sees.
+        one: finite, not zero, within the reach of a lidar.
 
     Raises:
         CloudUnreadableError: If the cloud has points, but no x, y or z.

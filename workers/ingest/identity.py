@@ -1,4 +1,4 @@
-"""Which vehicle recorded a log, when, with which software: from its metadata, else its path."""
+"""Identity of a log: vehicle, date and software version, from its metadata or else its path."""
 
 import re
 from collections.abc import Iterable, Mapping
@@ -17,12 +17,12 @@ _PLACEHOLDER: Final = re.compile(r"\{(\w+)\}")
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What travels in every scene score of a log.
+    """Vehicle, date and software version, as in every scene score of a log.
 
     Attributes:
         vehicle: Name of the car.
-        date: As it is written.
-        software_version: As it is written.
+        date: Unchanged text of the log.
+        software_version: Unchanged text of the log.
         remarks: A sentence for each of them that was escaped or cut.
     """
 
@@ -33,7 +33,7 @@ class Identity:
 
 
 def identify(log_id: str, metadata: Iterable[Mapping[str, str]], *, path_template: str) -> Identity:
-    """Say whose log this is.
+    """Find the vehicle, date and software version of a log.
 
     Args:
         log_id: Key of the recording without extension and split number.
@@ -41,7 +41,7 @@ def identify(log_id: str, metadata: Iterable[Mapping[str, str]], *, path_templat
         path_template: Like `{vehicle}/{date}/{name}`, matched from the right of the log id.
 
     Raises:
-        LogUnusableError: If the parts name different vehicles, or the template is none.
+        LogUnusableError: If the parts name different vehicles, or the template is invalid.
     """
     records = list(metadata)
     vehicles = sorted({name for each in records if (name := each.get("vehicle", "").strip())})
@@ -54,18 +54,18 @@ def identify(log_id: str, metadata: Iterable[Mapping[str, str]], *, path_templat
     remarks: list[str] = []
     for field in _FIELDS:
         recorded = [value for each in records if (value := each.get(field, "").strip())]
-        said = recorded[0] if recorded else from_path.get(field, UNKNOWN)
-        found[field] = visible(said, limit=MAX_NAME)
-        if found[field] != said:
+        text = recorded[0] if recorded else from_path.get(field, UNKNOWN)
+        found[field] = visible(text, limit=MAX_NAME)
+        if found[field] != text:
             remarks.append(
-                f"the {field.replace('_', ' ')} has {len(said)} characters, of which at most "
+                f"the {field.replace('_', ' ')} has {len(text)} characters, of which at most "
                 f"{MAX_NAME} are kept, and control characters only escaped"
             )
     return Identity(**found, remarks=tuple(remarks))
 
 
 def match_path(log_id: str, path_template: str) -> dict[str, str]:
-    """Take the placeholders of a template from the right end of a log id.
+    """Match the placeholders of a template from the right end of a log id.
 
     Returns:
         Placeholder to text; empty where the log id does not fit.

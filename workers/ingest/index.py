@@ -1,4 +1,4 @@
-"""What a part of a log holds and where, from its summary: one or two range reads, at most three."""
+"""Part index from the MCAP summary, with one or two range reads, at most three."""
 
 import zlib
 from dataclasses import dataclass, field
@@ -42,18 +42,18 @@ from workers.ingest.records import (
 )
 
 MAX_SUMMARY_BYTES: Final = 128 * 1024 * 1024
-"""A longer summary is not believed."""
+"""Bytes of a summary at most; a longer one is invalid."""
 
 MAX_METADATA_SPAN_BYTES: Final = 4 * 1024 * 1024
 METADATA_NAMES: Final = ("counterpoint.log", "counterpoint.classes")
-"""The metadata records that mean something here."""
+"""Names of the metadata records that are read."""
 
 Small = TypeVar("Small")
 
 
 @dataclass(frozen=True, slots=True)
 class IndexedChunk:
-    """Where messages lie, and how many of each channel.
+    """A chunk's bytes, and its number of messages per channel.
 
     Attributes:
         ref: The bytes to read, with the times inside.
@@ -64,25 +64,25 @@ class IndexedChunk:
     ref: ChunkRef
     counts: dict[int, int] | None
 
-    def may_hold(self, channel_ids: frozenset[int]) -> bool:
-        """Whether messages of these channels may lie inside."""
+    def may_contain(self, channel_ids: frozenset[int]) -> bool:
+        """Return True unless the index excludes messages of these channels."""
         return self.counts is None or any(self.counts.get(each, 0) for each in channel_ids)
 
 
 @dataclass(slots=True, eq=False)
 class PartIndex:
-    """What a part holds and where.
+    """Contents of a part and their places.
 
     Attributes:
         number: Index into the recording's parts.
         schemas: By id.
         channels: By id.
-        chunks: In the order they lie in the object.
+        chunks: In the order of the object.
         metadata: The records named in `METADATA_NAMES`, in the order they were found.
-        message_counts: Messages by channel id, where the log says so.
-        damage: What cannot be read, as far as the index shows it.
-        recovered: Whether it was rebuilt by looking through the object.
-        closed: Whether the object ends as its writer meant it to.
+        message_counts: Messages by channel id, where the log states them.
+        damage: Stretches that cannot be read, as far as the index shows.
+        recovered: It was rebuilt by a scan of the object.
+        closed: The object ends with a valid footer.
     """
 
     number: int
@@ -109,10 +109,10 @@ class PartIndex:
         self.chunks.append(chunk)
 
     def add_record(self, record: Record) -> None:
-        """Add a schema or a channel that is not known yet; what else it is does not matter.
+        """Add a schema or a channel that is not known yet; other records are ignored.
 
         Raises:
-            RecordMalformedError: If it is none, or if there are more than any log has.
+            RecordMalformedError: If it is malformed, or if there are more than any log has.
         """
         if record.opcode == Opcode.SCHEMA:
             check_size(record.opcode, len(record.body))
@@ -132,7 +132,7 @@ class PartIndex:
                 self.channels[channel.id] = channel
 
     def add_metadata(self, metadata: Metadata, length: int) -> None:
-        """Add a metadata record that means something here.
+        """Add one of the metadata records that are read.
 
         Raises:
             RecordMalformedError: If they take more bytes than those of any log.
@@ -145,7 +145,7 @@ class PartIndex:
 
 @dataclass(frozen=True, slots=True)
 class ChunkEntry:
-    """A chunk as the summary names it; times are not more than a database keeps."""
+    """A chunk index record of the summary; times are limited to a database's integers."""
 
     offset: int
     length: int
@@ -157,7 +157,7 @@ class ChunkEntry:
 
 @dataclass(slots=True, eq=False)
 class Summary:
-    """The records of a summary section, and where the data section before it ends."""
+    """The records of a summary section, and the end of the data section before it."""
 
     start: int
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -191,7 +191,7 @@ def read_summary(reader: PartReader) -> Summary | None:
     if not len(MAGIC) <= start <= stop or stop - start > MAX_SUMMARY_BYTES:
         raise RecordMalformedError("the footer points outside the file", offset=stop)
     section = reader.read(start, stop - start)
-    # The checksum covers the footer too, up to the checksum itself.
+    # the checksum also covers the footer, up to the checksum itself
     if footer.summary_crc:
         crc = zlib.crc32(section)
         crc = zlib.crc32(tail[footer_offset : footer_offset + FOOTER_BYTES - 4], crc)
@@ -204,7 +204,7 @@ def read_summary(reader: PartReader) -> Summary | None:
 
 
 def index_of(summary: Summary, reader: PartReader) -> PartIndex:
-    """Make a part's index from its summary; metadata may cost a read more."""
+    """Build a part's index from its summary; metadata may cost one more read."""
     index = PartIndex(number=reader.number)
     index.schemas, index.channels = summary.schemas, summary.channels
     seen: set[int] = set()
@@ -238,7 +238,7 @@ def index_of(summary: Summary, reader: PartReader) -> PartIndex:
 
 
 def read_metadata(summary: Summary, reader: PartReader, index: PartIndex) -> None:
-    """Read the metadata records that mean something here, those that lie together in one read."""
+    """Read the metadata records with names in `METADATA_NAMES`, neighbours in one read."""
     by_offset = {
         each.offset: each for each in summary.metadata_indexes if each.name in METADATA_NAMES
     }
@@ -270,7 +270,7 @@ def read_metadata(summary: Summary, reader: PartReader, index: PartIndex) -> Non
 
 
 def too_many_chunks() -> LogUnusableError:
-    """Make the error of a recording with more chunks than planning can hold."""
+    """Build the error of a recording with more chunks than planning can hold."""
     return LogUnusableError(
         f"the recording has more than {MAX_CHUNKS} chunks: write larger chunks, or split it"
     )

@@ -1,7 +1,7 @@
-"""Rebuilds a part's index without its summary: hops from record to record in large steps.
+"""Index recovery: rebuilds a part's index without its summary, from record headers.
 
-Everything that lies whole in the file is found: chunks, and runs of messages outside chunks. After
-a record whose length is wrong the search goes on byte by byte until records that fit each other.
+Every complete record of the file is found: chunks, and runs of messages outside chunks. After a
+record with a wrong length the search continues byte by byte until records fit each other.
 """
 
 from dataclasses import dataclass, field
@@ -17,7 +17,7 @@ from workers.ingest.damage import damaged
 from workers.ingest.index import METADATA_NAMES, IndexedChunk, PartIndex, check_size
 from workers.ingest.limits import MAX_RECORDS_HOPPED
 from workers.ingest.part_reader import PartReader
-from workers.ingest.planning_budget import Effort
+from workers.ingest.planning_budget import PlanningBudget
 from workers.ingest.records import (
     CHUNK_FIELDS_BYTES,
     HEADER_BYTES,
@@ -35,21 +35,21 @@ from workers.ingest.records import (
 MIN_STEP_BYTES: Final = 128 * 1024
 MAX_STEP_BYTES: Final = 4 * 1024 * 1024
 MAX_RUN_BYTES: Final = 4 * 1024 * 1024
-"""A run of messages outside chunks is cut here, so that it is read like a chunk."""
-_HOPS_OF_A_SEARCH: Final = 3
-"""Trying one place where a record may begin takes as long as so many hops."""
+"""Bytes at which a run of messages outside chunks is cut, so that it is read like a chunk."""
+_HOPS_PER_CANDIDATE: Final = 3
+"""Hops that a test of one candidate for a record's start costs."""
 _CHUNK_PEEK_BYTES: Final = CHUNK_FIELDS_BYTES + 64
 _MAX_APART_NS: Final = 86_400 * 1_000_000_000
 
 
-def recover(reader: PartReader, effort: Effort) -> PartIndex:
-    """Rebuild the index of a whole part, as far as the effort lasts.
+def recover_index(reader: PartReader, budget: PlanningBudget) -> PartIndex:
+    """Rebuild the index of a whole part, within the budget.
 
     Raises:
         LogUnusableError: If it has more chunks than any recording.
     """
     index = PartIndex(number=reader.number, recovered=True)
-    ended = hop(reader, index, effort, start=len(MAGIC), end=reader.size)
+    ended = scan_records(reader, index, budget, start=len(MAGIC), end=reader.size)
     closed = bytes(reader.read(reader.size - len(MAGIC), len(MAGIC))) == MAGIC
     if not (ended and closed):
         index.damage.append(
@@ -63,20 +63,22 @@ def recover(reader: PartReader, effort: Effort) -> PartIndex:
     return index
 
 
-def hop(reader: PartReader, index: PartIndex, effort: Effort, *, start: int, end: int) -> bool:
-    """Go over the records between two offsets, and add what is found to an index.
+def scan_records(
+    reader: PartReader, index: PartIndex, budget: PlanningBudget, *, start: int, end: int
+) -> bool:
+    """Read the record headers between two offsets, and add the findings to an index.
 
-    Where the effort does not last until the end, the rest is damage.
+    Where the budget does not last until the end, the rest is damage.
 
     Returns:
-        Whether the end of the data section was seen.
+        True if the end of the data section was found.
     """
-    window = _Window(reader, end, effort)
+    window = _Window(reader, end, budget)
     run = _Run(index, reader.number, first_own=len(index.chunks))
     offset = start
     while offset < end:
         opcode, length = window.header(offset)
-        if effort.hops < 0:
+        if budget.hops < 0:
             run.close()
             what = f"more than {MAX_RECORDS_HOPPED} records without an index: the rest is not read"
             index.damage.append(
@@ -151,11 +153,11 @@ class _Run:
 
 @dataclass(slots=True, eq=False)
 class _Window:
-    """Bytes around the place being looked at, read in steps that grow where records are small."""
+    """Bytes around the present offset, read in steps that grow where records are small."""
 
     reader: PartReader
     end: int
-    effort: Effort
+    budget: PlanningBudget
     step: int = MIN_STEP_BYTES
     start: int = 0
     data: memoryview = field(default_factory=lambda: memoryview(b""))
@@ -172,7 +174,7 @@ class _Window:
         return self.data[offset - self.start : offset - self.start + length]
 
     def header(self, offset: int) -> tuple[int, int]:
-        self.effort.hops -= 1
+        self.budget.hops -= 1
         view = self.at(offset, HEADER_BYTES)
         return record_header(view, 0) if len(view) == HEADER_BYTES else (0, 0)
 
@@ -220,7 +222,7 @@ def _take(
 
 
 def _count_in_chunk(index: PartIndex, channel_id: int, messages: int) -> None:
-    """A MessageIndex follows its chunk: it says what the chunk holds without opening it."""
+    """Add a MessageIndex record to the chunk before it, whose messages it counts."""
     chunk = index.chunks[-1]
     if chunk.ref.kind != "chunk":
         return
@@ -240,8 +242,8 @@ def _search(window: _Window, index: PartIndex, start: int, end: int) -> int:
     while offset < end:
         view = window.at(offset, min(MAX_STEP_BYTES, end - offset))
         for candidate in _candidates(view):
-            window.effort.hops -= _HOPS_OF_A_SEARCH
-            if window.effort.hops < 0:
+            window.budget.hops -= _HOPS_PER_CANDIDATE
+            if window.budget.hops < 0:
                 return end
             if _fits(window, index, offset + candidate, end):
                 return offset + candidate
@@ -254,7 +256,7 @@ def _search(window: _Window, index: PartIndex, start: int, end: int) -> int:
 
 
 def _candidates(view: memoryview) -> list[int]:
-    """Offsets where a chunk or a message could begin: its opcode, and a length below 4 GiB."""
+    """Return offsets where a chunk or message could begin: its opcode, and a length below 4 GiB."""
     if len(view) < HEADER_BYTES:
         return []
     data = np.frombuffer(view, dtype=np.uint8)
@@ -266,7 +268,7 @@ def _candidates(view: memoryview) -> list[int]:
 
 
 def _fits(window: _Window, index: PartIndex, offset: int, end: int) -> bool:
-    """Whether a chunk or a message whose fields make sense begins here, and a record follows."""
+    """Return True if a chunk or message with plausible fields begins here, and a record follows."""
     opcode, length = window.header(offset)
     if not _plausible(opcode, length, end - offset):
         return False

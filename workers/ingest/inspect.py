@@ -1,4 +1,4 @@
-"""Says what is in a log: from its index, or, when asked to verify, from every chunk of it."""
+"""Log report: contents of a log from its index or, to verify it, from every chunk."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -22,7 +22,7 @@ from workers.ingest.records import RecordMalformedError
 from workers.ingest.topics import Topic, topics_of
 
 Progress = Callable[[int, int], None]
-"""Called with bytes done and bytes in all."""
+"""Called with the number of bytes done and of all bytes."""
 
 
 class TopicReport(BaseModel):
@@ -33,12 +33,12 @@ class TopicReport(BaseModel):
     topic: str
     message_encoding: str
     schema_name: str
-    messages: int | None = Field(description="None where the index does not say.")
+    messages: int | None = Field(description="None where the index does not state it.")
     needs: str = Field(default="", description="For a lidar that cannot be read: what it needs.")
 
 
 class ShardReport(BaseModel):
-    """One shard that the log would be mined in."""
+    """One shard of the log's plan."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -50,7 +50,7 @@ class ShardReport(BaseModel):
 
 
 class LogReport(BaseModel):
-    """What is in a log."""
+    """Contents of a log."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -66,12 +66,12 @@ class LogReport(BaseModel):
     lidar_topic: str | None = Field(description="The densest lidar that is mined; None without.")
     lidar_topics: tuple[str, ...]
     odometry_topic: str | None = Field(
-        description="What says how the car moved, held against the odometry; None without."
+        description="Topic of recorded motion, compared with the odometry; None without."
     )
     frames: int | None = Field(
         description="Well-formed clouds of the lidars; by the index alone, those it counts."
     )
-    verified: bool = Field(description="Whether every chunk was read.")
+    verified: bool = Field(description="True if every chunk was read.")
     damage: tuple[Damage, ...]
     shards: tuple[ShardReport, ...]
     refused: str = Field(description="Why it cannot be mined; empty when it can.")
@@ -87,18 +87,18 @@ def inspect_recording(
     verify: bool = False,
     progress: Progress | None = None,
 ) -> LogReport:
-    """Report what is in a recording.
+    """Report the contents of a recording.
 
     Args:
-        bucket: Where it lies.
+        bucket: Its bucket.
         recording: Its objects.
-        settings: How it would be mined.
-        verify: Read, check and decode every chunk, rather than believe the index.
-        progress: Told how far verifying is.
+        settings: Settings of the mining.
+        verify: Read, check and decode every chunk, instead of trusting the index.
+        progress: Called with the progress of verifying.
 
     Raises:
         NotMcapError: If a part is no MCAP file.
-        ObjectChangedError: If a part is no longer what was listed.
+        ObjectChangedError: If a part is no longer the listed one.
     """
     index = index_recording(bucket, recording)
     plan = plan_index(index, settings)
@@ -158,12 +158,12 @@ def inspect_recording(
 
 @dataclass(slots=True, eq=False)
 class _Found:
-    """What reading every chunk has shown.
+    """Results of reading every chunk.
 
     Attributes:
         counts: Messages by part and channel id.
         clouds: Well-formed clouds of the mined lidars.
-        damage: What could not be read.
+        damage: Stretches that could not be read.
     """
 
     counts: Counter[tuple[int, int]] = field(default_factory=Counter)
@@ -235,7 +235,7 @@ def _is_mined(topic: Topic, plan: LogPlan) -> bool:
 
 
 def _merged(planned: Sequence[Damage], found: Sequence[Damage]) -> list[Damage]:
-    """Both, each once, by where they lie."""
+    """Return both without duplicates, in the order of their places."""
     return sorted(
         {(each.key, each.offset, each.what): each for each in (*planned, *found)}.values(),
         key=lambda each: (each.key, each.offset, each.what),

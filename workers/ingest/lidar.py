@@ -1,4 +1,4 @@
-"""Which topics hold the lidars to mine, judged by what their clouds look like."""
+"""Lidar selection: the topics of dense lidars, classified by their clouds."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,29 +11,33 @@ from workers.ingest.frames import sensor_points
 from workers.ingest.pointcloud import LABEL_FIELD, DecodedCloud
 
 MIN_POINTS: Final = 800
-"""Fewer returns are no dense lidar: five automotive radars together give some 600."""
+"""Returns of a dense lidar at least; five automotive radars together have some 600."""
 
 MIN_AZIMUTH_SHARE: Final = 0.7
-"""A spinning lidar sees all around but for a mast or a roof; cameras and forward lidars a third."""
+"""Share of the azimuth with returns at least.
+
+A spinning lidar sees all around but for a mast or a roof; cameras and forward lidars see a third.
+"""
 
 MIN_ELEVATION_SPAN_RAD: Final = np.deg2rad(5.0)
-"""Scanners of a single plane have none; the flattest spinning lidars on cars have 15 degrees."""
+"""Span of elevation at least; single-plane scanners have none, the flattest spinning lidars 15
+degrees."""
 
 AZIMUTH_BINS: Final = 72
-"""Five degrees each: a cloud thinned to a thousand points still fills them."""
+"""Bins of five degrees of azimuth: a cloud thinned to a thousand points still fills them."""
 
 RADAR_FIELDS: Final = frozenset(
     {"rcs", "rcs_db", "radar_cross_section", "dyn_prop", "pdh0", "vx_comp", "snr", "snr_db"}
 )
-"""Fields that only radars record; `velocity` and `doppler` are also those of FMCW lidars."""
+"""Fields that only radars record; FMCW lidars also have `velocity` and `doppler`."""
 
 WORLD_FRAMES: Final = frozenset({"map", "odom", "world", "earth", "utm"})
 """Spaces (REP 105) that do not move with the sensor, as in maps and accumulated clouds."""
 
 
 @dataclass(frozen=True, slots=True)
-class LidarEvidence:
-    """What some clouds of one topic say about their sensor.
+class LidarProperties:
+    """Properties of a topic's sensor, from some of its clouds.
 
     Attributes:
         points: Median number of valid returns of the clouds that are not empty.
@@ -41,8 +45,8 @@ class LidarEvidence:
         elevation_span_rad: Median angle between the 2nd and the 98th percentile of elevation.
         frame_id: Space of the points, as the log names it.
         stamps_ns: Header stamps of the clouds.
-        has_labels: Whether its points carry the labels of a model.
-        why_not: Why this is no lidar that is mined without being asked for; empty if it is one.
+        has_labels: Its points have the labels of a model.
+        why_not: Why this is no lidar that is mined by default; empty if it is one.
     """
 
     points: int
@@ -55,12 +59,12 @@ class LidarEvidence:
 
     @property
     def is_lidar(self) -> bool:
-        """Whether it is a dense lidar that sees all around."""
+        """True for a dense lidar that sees all around."""
         return not self.why_not
 
 
-def lidar_evidence(clouds: Sequence[DecodedCloud]) -> LidarEvidence:
-    """Judge the sensor of one topic by some of its clouds, from anywhere in the log.
+def lidar_properties(clouds: Sequence[DecodedCloud]) -> LidarProperties:
+    """Classify the sensor of one topic by some of its clouds, from anywhere in the log.
 
     Args:
         clouds: Well-formed ones; empty ones count only if all are.
@@ -75,7 +79,7 @@ def lidar_evidence(clouds: Sequence[DecodedCloud]) -> LidarEvidence:
     elevation_span_rad = float(np.median([_elevation_span_rad(p) for p in seen] or [0.0]))
     frame_id = clouds[0].frame_id if clouds else ""
     fields = {name.lower() for cloud in clouds for name in cloud.fields}
-    return LidarEvidence(
+    return LidarProperties(
         points=points,
         azimuth_share=azimuth_share,
         elevation_span_rad=elevation_span_rad,
@@ -86,17 +90,17 @@ def lidar_evidence(clouds: Sequence[DecodedCloud]) -> LidarEvidence:
     )
 
 
-def choose_lidars(candidates: Mapping[str, LidarEvidence]) -> list[str]:
+def choose_lidars(candidates: Mapping[str, LidarProperties]) -> list[str]:
     """Choose the topics to mine: every dense lidar that sees all around, once.
 
     A topic in the same space as a denser one, with a cloud of the very same stamp, is a filtered
-    copy of it (without ground, or with labels) and would only repeat its contradictions.
+    copy of it (without ground, or with labels). It would only repeat the contradictions.
 
     Returns:
         Topics, densest first, then by name.
     """
     lidars = sorted(
-        (topic for topic, evidence in candidates.items() if evidence.is_lidar),
+        (topic for topic, properties in candidates.items() if properties.is_lidar),
         key=lambda topic: (-candidates[topic].points, candidates[topic].has_labels, topic),
     )
     chosen: list[str] = []
@@ -110,15 +114,15 @@ def _has_positions(cloud: DecodedCloud) -> bool:
     return all(name in cloud.fields for name in "xyz")
 
 
-def _copies(evidence: LidarEvidence, denser: LidarEvidence) -> bool:
-    shared = set(evidence.stamps_ns) & set(denser.stamps_ns) - {0}
-    return evidence.frame_id == denser.frame_id and bool(shared)
+def _copies(properties: LidarProperties, denser: LidarProperties) -> bool:
+    shared = set(properties.stamps_ns) & set(denser.stamps_ns) - {0}
+    return properties.frame_id == denser.frame_id and bool(shared)
 
 
 def _why_not(
     points: int, azimuth_share: float, elevation_span_rad: float, frame_id: str, fields: set[str]
 ) -> str:
-    """Name the first thing that speaks against a lidar, in words for the user."""
+    """Name the first property that excludes a lidar, in words for the user."""
     if not points:
         return "its clouds hold no valid points"
     radar = sorted(fields & RADAR_FIELDS)

@@ -1,4 +1,4 @@
-"""The index of a whole recording: each part's summary where it can be believed, else rebuilt."""
+"""Log index of a recording: each part's summary where it is consistent, else a recovered one."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -27,37 +27,37 @@ from workers.ingest.index import (
     read_summary,
     too_many_chunks,
 )
-from workers.ingest.index_recovery import hop, recover
+from workers.ingest.index_recovery import recover_index, scan_records
 from workers.ingest.limits import MAX_CHUNK_RECORDS, MAX_CHUNKS
 from workers.ingest.part_reader import PartReader
-from workers.ingest.planning_budget import Effort
+from workers.ingest.planning_budget import PlanningBudget
 from workers.ingest.records import MAGIC, RecordMalformedError, count_records, walk
 
 UNEXPLAINED_BYTES: Final = 64 * 1024
-"""A longer stretch that no index explains is looked through for messages outside chunks."""
+"""Bytes outside every index from which a stretch is scanned for messages outside chunks."""
 
 MAX_MESSAGE_INDEX_BYTES: Final = 16 * 1024 * 1024
-"""A million messages in a chunk; an index that says more of itself is not believed."""
+"""Bytes of a chunk's message index at most, a million messages; a larger claim is not believed."""
 
 LEARNING_BYTES: Final = 64 * 1024 * 1024
-"""How much is opened, at most, to learn what chunks hold that say nothing of their channels."""
+"""Bytes opened at most to find the channels of chunks that do not state them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogIndex:
-    """What a recording holds and where.
+    """Contents of a recording and their places.
 
     Attributes:
         recording: Its objects.
         readers: One for each part.
         parts: One for each part.
-        effort: What planning may still open.
+        budget: Budget left for planning.
     """
 
     recording: Recording
     readers: tuple[PartReader, ...]
     parts: tuple[PartIndex, ...]
-    effort: Effort = field(default_factory=Effort)
+    budget: PlanningBudget = field(default_factory=PlanningBudget)
 
     @property
     def range_reads(self) -> int:
@@ -66,18 +66,18 @@ class LogIndex:
 
     @property
     def bytes_read(self) -> int:
-        """Bytes they gave."""
+        """Bytes read by these requests."""
         return sum(reader.bytes_read for reader in self.readers)
 
     @property
     def damage(self) -> Iterator[Damage]:
-        """What cannot be read, as far as the index shows it."""
+        """Stretches that cannot be read, as far as the index shows."""
         for part in self.parts:
             yield from part.damage
 
     @property
     def truncated(self) -> Iterator[TruncatedPart]:
-        """The objects that were never closed, and how far each can be used."""
+        """Objects that were never closed, and their usable lengths."""
         for reader, part in zip(self.readers, self.parts, strict=True):
             if not part.closed:
                 first_ns = min((chunk.ref.start_ns for chunk in part.chunks), default=0)
@@ -85,7 +85,7 @@ class LogIndex:
                 yield TruncatedPart(reader.key, reader.size, (last_ns - first_ns) / NS_PER_S)
 
     def metadata(self, name: str) -> list[dict[str, str]]:
-        """The metadata records of this name, in the order of the parts."""
+        """Return the metadata records of this name, in the order of the parts."""
         return [
             dict(each.metadata)
             for part in self.parts
@@ -97,27 +97,26 @@ class LogIndex:
         """Read and open a chunk.
 
         Raises:
-            ChunkUnreadableError: If its bytes are not what they should be, or if planning has
-                opened as much as it may.
+            ChunkUnreadableError: If its bytes are invalid, or if the budget of planning is spent.
         """
-        return open_from(self.readers[ref.part], ref, self.effort)
+        return open_from(self.readers[ref.part], ref, self.budget)
 
 
 def index_recording(bucket: Bucket, recording: Recording, *, settled: bool = True) -> LogIndex:
     """Index every part of a recording; of several, one that is no MCAP file is damage.
 
     Args:
-        bucket: Where it lies.
+        bucket: Its bucket.
         recording: Its parts.
-        settled: Take a part without a valid footer as far as it goes; else it may still grow.
+        settled: Use a part without a valid footer as far as it goes; else it may still grow.
 
     Raises:
         NotMcapError: If no part is an MCAP file.
         LogUnusableError: If it has more chunks than planning can hold.
         StillGrowingError: If a part has no valid footer, and the recording is not settled.
-        ObjectChangedError: If a part is no longer what was listed.
+        ObjectChangedError: If a part is no longer the listed one.
     """
-    effort = Effort()
+    budget = PlanningBudget()
     readers = tuple(PartReader(bucket, part, number) for number, part in enumerate(recording.parts))
     for reader in () if settled else readers:
         if not is_closed(reader):
@@ -126,7 +125,7 @@ def index_recording(bucket: Bucket, recording: Recording, *, settled: bool = Tru
     refused: list[NotMcapError] = []
     for reader in readers:
         try:
-            parts.append(_index_part(reader, effort))
+            parts.append(_index_part(reader, budget))
         except NotMcapError as error:
             refused.append(error)
             damage = damaged(key=reader.key, offset=0, length=reader.size, what=str(error))
@@ -135,34 +134,34 @@ def index_recording(bucket: Bucket, recording: Recording, *, settled: bool = Tru
             raise too_many_chunks()
     if len(refused) == len(readers):
         raise refused[0]
-    return LogIndex(recording, readers, tuple(parts), effort)
+    return LogIndex(recording, readers, tuple(parts), budget)
 
 
-def open_from(reader: PartReader, ref: ChunkRef, effort: Effort) -> memoryview:
+def open_from(reader: PartReader, ref: ChunkRef, budget: PlanningBudget) -> memoryview:
     """Read and open a chunk of one part.
 
     Raises:
-        ChunkUnreadableError: If its bytes are not what they should be, or if the effort is spent.
+        ChunkUnreadableError: If its bytes are invalid, or if the budget is spent.
     """
     if error := too_large(ref, key=reader.key):
         raise error
-    if problem := effort.spent:
+    if problem := budget.spent:
         raise ChunkUnreadableError(
             key=reader.key, offset=ref.offset, length=ref.length, problem=problem
         )
     data = reader.read(ref.offset, ref.length)
-    effort.stored_bytes -= ref.length
-    effort.opened_bytes -= opened_bytes(data, ref)
+    budget.stored_bytes -= ref.length
+    budget.opened_bytes -= opened_bytes(data, ref)
     records = open_chunk(data, ref, key=reader.key)
-    effort.records -= count_records(records, most=MAX_CHUNK_RECORDS)
+    budget.records -= count_records(records, most=MAX_CHUNK_RECORDS)
     return records
 
 
-def _index_part(reader: PartReader, effort: Effort) -> PartIndex:
+def _index_part(reader: PartReader, budget: PlanningBudget) -> PartIndex:
     try:
         summary = read_summary(reader)
     except RecordMalformedError as error:
-        index = recover(reader, effort)
+        index = recover_index(reader, budget)
         index.damage.append(
             damaged(
                 key=reader.key,
@@ -173,30 +172,30 @@ def _index_part(reader: PartReader, effort: Effort) -> PartIndex:
         )
     else:
         if summary is None:
-            index = recover(reader, effort)
+            index = recover_index(reader, budget)
         else:
             index = index_of(summary, reader)
             indexed, counted = _messages_indexed(index), _messages_counted(summary)
             if indexed is None or indexed != counted:
                 certain = not index.chunks or (indexed is not None and counted is not None)
-                _look_through_gaps(reader, index, summary, effort, thoroughly=certain)
+                _scan_gaps(reader, index, summary, budget, thoroughly=certain)
     index.closed = not index.recovered or footer_of(read_tail(reader)) is not None
-    # Of a chunk that is both indexed and found, the index comes first and stays.
+    # of a chunk that is both indexed and found, the index comes first and stays
     by_offset: dict[int, IndexedChunk] = {}
     for chunk in index.chunks:
         by_offset.setdefault(chunk.ref.offset, chunk)
     index.chunks = [by_offset[offset] for offset in sorted(by_offset)]
-    _learn_channels(reader, index, effort)
+    _learn_channels(reader, index, budget)
     return index
 
 
 def _messages_counted(summary: Summary) -> int | None:
-    """Messages by the writer's own count; None where it gives none."""
+    """Return the number of messages by the writer's own count; None without one."""
     return None if summary.statistics is None else summary.statistics.message_count
 
 
 def _messages_indexed(index: PartIndex) -> int | None:
-    """Messages in the chunks of the index; None where that is not known."""
+    """Count the messages in the chunks of the index; None where that is unknown."""
     indexed = 0
     for chunk in index.chunks:
         if chunk.counts is None or -1 in chunk.counts.values():
@@ -205,10 +204,15 @@ def _messages_indexed(index: PartIndex) -> int | None:
     return indexed
 
 
-def _look_through_gaps(
-    reader: PartReader, index: PartIndex, summary: Summary, effort: Effort, *, thoroughly: bool
+def _scan_gaps(
+    reader: PartReader,
+    index: PartIndex,
+    summary: Summary,
+    budget: PlanningBudget,
+    *,
+    thoroughly: bool,
 ) -> None:
-    """Look for messages where no index explains the bytes; short stretches only if thoroughly."""
+    """Scan bytes outside every index for messages; short stretches only if thorough."""
     believed = {chunk.ref.offset for chunk in index.chunks}
     known = [(each.offset, each.offset + each.length) for each in summary.attachment_indexes]
     known += [
@@ -220,7 +224,7 @@ def _look_through_gaps(
     for start, end in _gaps(known, start=len(MAGIC), end=summary.start):
         worth = thoroughly or end - start > UNEXPLAINED_BYTES
         if worth or reader.held(start, end - start) is not None:
-            hop(reader, index, effort, start=start, end=end)
+            scan_records(reader, index, budget, start=start, end=end)
 
 
 def _gaps(known: Iterable[tuple[int, int]], *, start: int, end: int) -> Iterator[tuple[int, int]]:
@@ -232,8 +236,8 @@ def _gaps(known: Iterable[tuple[int, int]], *, start: int, end: int) -> Iterator
         yield start, end
 
 
-def _learn_channels(reader: PartReader, index: PartIndex, effort: Effort) -> None:
-    """Open chunks whose channels are named nowhere else, until all that can be known is."""
+def _learn_channels(reader: PartReader, index: PartIndex, budget: PlanningBudget) -> None:
+    """Open chunks whose channels are named nowhere else, within the budget."""
     opened_bytes = 0
     for number, chunk in enumerate(index.chunks):
         if not _has_unknown_channels(index, chunk):
@@ -242,9 +246,9 @@ def _learn_channels(reader: PartReader, index: PartIndex, effort: Effort) -> Non
             continue
         opened_bytes += chunk.ref.length
         try:
-            records = open_from(reader, chunk.ref, effort)
+            records = open_from(reader, chunk.ref, budget)
         except ChunkUnreadableError:
-            continue  # whoever needs its messages reads it again and records the damage
+            continue  # the reader of its messages reads it again and records the damage
         counts: dict[int, int] = {}
         try:
             _learn(records, index)
@@ -272,5 +276,5 @@ def _lacks_schema(index: PartIndex, channel: Channel) -> bool:
 def _learn(records: memoryview, index: PartIndex) -> None:
     for number, record in enumerate(walk(records)):
         if number == MAX_CHUNK_RECORDS:
-            return  # whoever reads the messages records that as damage
+            return  # the reader of the messages records that as damage
         index.add_record(record)

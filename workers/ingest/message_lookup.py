@@ -1,4 +1,4 @@
-"""Reads what some topics of a log hold around one moment, every chunk once."""
+"""Message lookup: messages of some topics around one moment, every chunk read once."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -17,18 +17,18 @@ from workers.ingest.topics import Topic, chunks_of, ids_in
 Decoded = TypeVar("Decoded")
 
 _OVERHEAD_BYTES: Final = 300
-"""Memory of a message beside its payload."""
+"""Memory of a message in addition to its payload, bytes."""
 
 
 @dataclass(slots=True, eq=False)
-class Moment:
+class MessageLookup:
     """Messages of some topics around one moment.
 
     Attributes:
-        index: Where chunks lie.
-        topics: All that will be asked for.
+        index: Index of the log.
+        topics: All topics of later queries.
         log_time_ns: The moment.
-        reach_ns: How far around it chunks are read.
+        reach_ns: Time around it in which chunks are read.
     """
 
     index: LogIndex
@@ -39,14 +39,14 @@ class Moment:
     _left_bytes: int = MAX_MOMENT_BYTES
 
     def near(self, topic: Topic) -> list[RawMessage]:
-        """Messages in the chunks within reach, else in the nearest one; nearest first."""
+        """Return messages in the chunks within reach, else in the nearest one; nearest first."""
         chunks = sorted(chunks_of(topic.channel, self.index.parts), key=self._apart_ns)
         within = [chunk for chunk in chunks if self._apart_ns(chunk) <= self.reach_ns]
         found = [each for chunk in within or chunks[:1] for each in self._messages(chunk, topic)]
         return sorted(found, key=lambda each: abs(each.log_time_ns - self.log_time_ns))
 
     def all(self, topic: Topic) -> list[RawMessage]:
-        """Messages of the whole log, in its order: for topics that say a thing once."""
+        """Return messages of the whole log, in its order, for topics with static content."""
         chunks = chunks_of(topic.channel, self.index.parts)
         return [each for chunk in chunks for each in self._messages(chunk, topic)]
 
@@ -60,7 +60,7 @@ class Moment:
         return [each for each in self._opened[where] if each.channel is topic.channel]
 
     def _open(self, chunk: IndexedChunk) -> list[RawMessage]:
-        """Copy what is wanted, so that the chunk itself need not stay in memory."""
+        """Copy the wanted messages, so that the chunk itself need not stay in memory."""
         channels = {
             channel_id: topic.channel
             for topic in self.topics
@@ -75,7 +75,7 @@ class Moment:
                     return found
                 found.append(RawMessage(channel, stored.log_time_ns, bytes(stored.data)))
         except (ChunkUnreadableError, RecordMalformedError):
-            return found  # mining has recorded the damage; what was read before it is good
+            return found  # mining has recorded the damage; messages before it are valid
         return found
 
 

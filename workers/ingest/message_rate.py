@@ -1,4 +1,4 @@
-"""Tells clouds as a lidar gives them from a flood that no stage after could work through."""
+"""Message rate: separates a lidar's clouds from a flood that later stages could not process."""
 
 from collections import Counter
 
@@ -10,11 +10,11 @@ from workers.ingest.messages import MAX_TIME_NS, RawMessage
 from workers.ingest.pointcloud import DecodedCloud
 
 
-class Pace:
+class MessageRate:
     """Clouds and points of one lidar, by second."""
 
     def __init__(self, *, by_log_time: bool) -> None:
-        """Begin with none; `by_log_time` if the stamps of the log say nothing."""
+        """Begin with none; `by_log_time` if the stamps of the log are invalid."""
         self._by_log_time = by_log_time
         self._previous_ns: int | None = None
         self._logged: Counter[int] = Counter()
@@ -25,7 +25,7 @@ class Pace:
         """Count a message by its log time, before it is decoded.
 
         Raises:
-            CloudUnreadableError: If there are more within the second than a lidar gives.
+            CloudUnreadableError: If there are more within the second than a lidar sends.
         """
         second = message.log_time_ns // NS_PER_S
         self._logged[second] += 1

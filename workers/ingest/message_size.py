@@ -1,4 +1,4 @@
-"""Refuses a message that would take far more memory decoded than it has bytes, before decoding."""
+"""Message size: refuses, before decoding, a message that would take far more memory decoded."""
 
 import struct
 from typing import Final
@@ -36,7 +36,7 @@ def too_much_to_decode(channel: Channel, data: bytes | memoryview) -> str:
         if channel.message_encoding == "protobuf":
             return _too_many_parts(view)
     except (struct.error, IndexError):
-        return ""  # it is cut, which the decoder finds out as well
+        return ""  # it is cut, which the decoder also finds
     return ""
 
 
@@ -75,7 +75,7 @@ def _too_many_parts(view: memoryview) -> str:
         elif wire in (1, 5):
             at += 8 if wire == 1 else 4
         else:
-            return ""  # a group, or no protobuf at all: the decoder says so
+            return ""  # a group, or no protobuf at all, which the decoder reports
         members += 1
         small_bytes += at - start
         largest = max(largest, at - start)

@@ -1,4 +1,4 @@
-"""One message as it lies in a log, before anything is made of its bytes."""
+"""Raw messages of a log, before decoding."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -6,7 +6,7 @@ from typing import Final
 from schemas.work import Channel
 
 MAX_TIME_NS: Final = 2**62
-"""In the year 2116: what claims to be later is damage, and would not fit a database's integer."""
+"""Latest valid time, in the year 2116; a later one is damage, and exceeds a database's integer."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -15,7 +15,7 @@ class RawMessage:
 
     Attributes:
         channel: Topic, encodings and schema it was recorded with.
-        log_time_ns: When it was recorded, nanoseconds since the Unix epoch.
+        log_time_ns: Its log time, nanoseconds since the Unix epoch.
         data: Its payload; a view into a chunk's buffer, so keep it no longer than needed.
     """
 

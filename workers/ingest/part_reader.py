@@ -1,4 +1,4 @@
-"""Reads ranges of one part of a recording, counting what it costs and holding what comes again."""
+"""Part reader: range reads of one part of a recording, counted and cached."""
 
 from dataclasses import dataclass, field
 from typing import Final
@@ -11,17 +11,17 @@ MAX_HELD_BYTES: Final = 16 * 1024 * 1024
 
 @dataclass(slots=True, eq=False)
 class PartReader:
-    """Ranges of one object, each read carrying its etag.
+    """Ranges of one object, each read with its etag.
 
-    What was read last, and the tail once it was held, answers again without a request: planning
-    looks at the same few bytes several times, and a small log fits in its tail.
+    The last read, and the tail once it was kept, need no further request: planning reads the same
+    few bytes several times, and a small log fits in its tail.
 
     Attributes:
-        bucket: Where it lies.
+        bucket: Its bucket.
         part: Which object, and its number in the recording.
         number: Index into the recording's parts.
         range_reads: Requests so far.
-        bytes_read: Bytes they gave.
+        bytes_read: Bytes read by them.
     """
 
     bucket: Bucket
@@ -42,15 +42,15 @@ class PartReader:
         return self.part.size
 
     def read(self, offset: int, length: int, *, keep: bool = False) -> memoryview:
-        """Read exactly these bytes, or the part of them that the object has.
+        """Read exactly these bytes, or those of them that the object has.
 
         Args:
             offset: First byte.
-            length: How many; cut at the end of the object.
-            keep: Hold them for the life of this reader, not only until the next read.
+            length: Number of bytes; cut at the end of the object.
+            keep: Keep them for the life of this reader, not only until the next read.
 
         Raises:
-            ObjectChangedError: If the object is no longer the one that was listed.
+            ObjectChangedError: If the object is no longer the listed one.
         """
         length = min(length, self.size - offset)
         if length <= 0:
@@ -66,10 +66,10 @@ class PartReader:
         return data
 
     def fetch(self, offset: int, length: int) -> memoryview:
-        """Read exactly these bytes and hold nothing: for chunks that are used up at once.
+        """Read exactly these bytes and cache nothing, for chunks that are used up at once.
 
         Raises:
-            ObjectChangedError: If the object is no longer the one that was listed.
+            ObjectChangedError: If the object is no longer the listed one.
         """
         data = memoryview(self.bucket.read_range(self.key, offset, length, self.part.etag))
         self.range_reads += 1

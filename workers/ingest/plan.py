@@ -1,4 +1,4 @@
-"""Plans a recording: finds its lidars and cuts it into shards, from its index and one chunk."""
+"""Planning of a recording: its lidars and shards, from its index and one chunk."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from workers.ingest.damage import DamageList, damaged
 from workers.ingest.footer import TruncatedPart
 from workers.ingest.frames import intensity_scale_of
 from workers.ingest.identity import METADATA_RECORD, Identity, identify
-from workers.ingest.lidar import choose_lidars, lidar_evidence
+from workers.ingest.lidar import choose_lidars, lidar_properties
 from workers.ingest.limits import MAX_CLOUD_TOPICS
 from workers.ingest.log_index import LogIndex, index_recording
 from workers.ingest.pointcloud import is_cloud, unsupported_reason
@@ -28,13 +28,15 @@ from workers.ingest.topic_spans import motion_spans, spans_of, spans_within_reac
 from workers.ingest.topics import Topic, topics_of
 
 MAX_INDEX_READS: Final = 3
-"""Of each part; where fewer were enough, a look at the end of the log is affordable."""
+"""Reads of each part's index; where fewer were enough, the end of the log is also sampled."""
 
 MAX_NAMED_TOPICS: Final = 20
 
 MOST_FOR_MOTION: Final = 0.1
-"""Of the bytes that a shard reads anyway: chunks that hold recorded motion but no clouds are read
-up to this. Mostly it lies between the clouds; beside cameras it would cost the log's images."""
+"""Share of a shard's bytes up to which it also reads chunks of recorded motion without clouds.
+
+Mostly those messages are between the clouds. Stored together with cameras they would cost reading
+the log's images."""
 
 
 def plan_recording(
@@ -48,20 +50,20 @@ def plan_recording(
 ) -> LogPlan:
     """Find the lidars of a recording and cut it into shards.
 
-    What cannot be mined is refused inside the plan, in one sentence, rather than raised.
+    A log that cannot be mined is refused inside the plan, in one sentence, and not by an error.
 
     Args:
-        bucket: Where it lies.
+        bucket: Its bucket.
         recording: Its parts.
         settings: Grid and parts.
-        settled: Whether a part without a valid footer is taken as far as it goes.
-        on_truncated: Told every such part.
-        on_unread_labels: Told the topic that holds recorded labels of a lidar, where the settings
-            judge another stream; with `lidar_topic` set, only those on that topic are looked for.
+        settled: Use a part without a valid footer as far as it goes.
+        on_truncated: Called with every such part.
+        on_unread_labels: Called with the topic of a lidar's recorded labels, where the settings
+            use another stream. With `lidar_topic` set, only labels on that topic are found.
 
     Raises:
         StillGrowingError: If a part has no valid footer, and the recording is not settled.
-        ObjectChangedError: If a part is no longer what was listed.
+        ObjectChangedError: If a part is no longer the listed one.
         BucketUnreachableError: If the bucket does not answer.
     """
     try:
@@ -135,7 +137,7 @@ def plan_index(
         software_version=identity.software_version,
         lidar_topics=tuple(sample.topic.channel.topic for sample in chosen),
         shards=tuple(shards),
-        damage=tuple(DamageList((*index.damage, *_not_in_shards(damage, shards, index)))),
+        damage=tuple(DamageList((*index.damage, *_unread_damage(damage, shards, index)))),
         truncated_parts=sum(1 for _ in index.truncated),
         refused=refused,
         range_reads=index.range_reads,
@@ -145,7 +147,7 @@ def plan_index(
 
 @dataclass(frozen=True, slots=True)
 class _Lidar:
-    """What all shards of one lidar of one log have in common."""
+    """Common properties of all shards of one lidar of one log."""
 
     channel: Channel
     anchor_ns: int
@@ -162,7 +164,7 @@ def _candidates(topics: Sequence[Topic], settings: MiningSettings) -> list[Topic
         raise LogUnusableError(_no_lidar(topics, wanted))
     if wanted and not settings.takes_recorded:
         clouds = [topic for topic in clouds if topic.channel.topic == wanted]
-    # Of a topic recorded in two ways, the one with more messages is meant.
+    # of a topic recorded in two ways, the one with more messages is meant
     by_name = {
         topic.channel.topic: topic for topic in sorted(clouds, key=lambda topic: topic.messages)
     }
@@ -205,16 +207,16 @@ def _choose(
         names = ", ".join(topic.channel.topic for topic in _candidates(topics, settings))
         harm = f" ({len(damage)} damaged chunks)" if damage else ""
         raise LogUnusableError(f"no lidar in the log: no cloud of {names} can be read{harm}")
-    evidence = {topic: lidar_evidence(sample.clouds) for topic, sample in samples.items()}
-    chosen = choose_lidars(evidence)
+    properties = {topic: lidar_properties(sample.clouds) for topic, sample in samples.items()}
+    chosen = choose_lidars(properties)
     if not chosen:
         for topic, sample in samples.items():
             sample_middle(index, sample)
             if sample.later_clouds:
-                evidence[topic] = lidar_evidence(sample.later_clouds)
-        chosen = choose_lidars(evidence)
+                properties[topic] = lidar_properties(sample.later_clouds)
+        chosen = choose_lidars(properties)
     if not chosen:
-        found = "; ".join(f"{topic}: {evidence[topic].why_not}" for topic in sorted(evidence))
+        found = "; ".join(f"{topic}: {properties[topic].why_not}" for topic in sorted(properties))
         raise LogUnusableError(
             f"no dense lidar that sees all around: {found}; set lidar_topic to mine one of them"
         )
@@ -324,16 +326,16 @@ def _length(refs: Iterable[ChunkRef]) -> int:
 
 
 def _without_schema(channel: Channel) -> Channel:
-    """ROS and JSON clouds are decoded without their schema: it need not travel in every shard."""
+    """Drop the schema of ROS and JSON clouds, which are decoded without it."""
     if channel.message_encoding == "protobuf":
         return channel
     return channel.model_copy(update={"schema_base64": ""})
 
 
-def _not_in_shards(
+def _unread_damage(
     damage: Iterable[Damage], shards: Iterable[Shard], index: LogIndex
 ) -> list[Damage]:
-    """What planning found damaged and no shard will read, and so report, again."""
+    """Return the damage found in planning that no shard will read, and so report, again."""
     read = {(index.readers[ref.part].key, ref.offset) for shard in shards for ref in shard.chunks}
-    said = {(each.key, each.offset, each.what): each for each in damage}
-    return [each for each in said.values() if (each.key, each.offset) not in read]
+    unique = {(each.key, each.offset, each.what): each for each in damage}
+    return [each for each in unique.values() if (each.key, each.offset) not in read]

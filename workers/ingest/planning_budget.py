@@ -1,4 +1,4 @@
-"""How much planning may still open and look at: a file that lies must not take it minutes."""
+"""Planning budget: bytes and records that planning may open, so that no file takes minutes."""
 
 from dataclasses import dataclass
 
@@ -11,14 +11,14 @@ from workers.ingest.limits import (
 
 
 @dataclass(slots=True)
-class Effort:
-    """What is left for one recording, all its parts together.
+class PlanningBudget:
+    """Budget left for one recording, all its parts together.
 
     Attributes:
         stored_bytes: Stored bytes of chunks that may be read.
         opened_bytes: Bytes that they may grow to.
-        records: Records in them that may be looked at.
-        hops: Records, and places that might be one, outside any index.
+        records: Records in them that may be examined.
+        hops: Records, and candidates for one, outside any index.
     """
 
     stored_bytes: int = MAX_STORED_BYTES

@@ -1,6 +1,6 @@
-"""When within its sweep each point was taken, from whatever field and unit its driver chose.
+"""Point times: the instant of each point within its sweep, from any driver's field and unit.
 
-What drivers write (their repositories and message definitions):
+Fields of common drivers (from their repositories and message definitions):
 
 | field                         | type    | unit                     | written by          |
 |-------------------------------|---------|--------------------------|---------------------|
@@ -14,8 +14,8 @@ What drivers write (their repositories and message definitions):
 | `time_us`, `t_us`             | any     | us after the stamp       | converters          |
 
 A suffix in the name settles the unit; otherwise the numbers do. Times since the epoch in ns, us and
-ms are told by their size. Floats that lie far from zero for how much they differ count from some
-other origin, the epoch or the start of the week, and their differences show the unit: a sweep
+ms are recognised by their size. Floats that are far from zero relative to their spread count from
+another origin, the epoch or the start of the week, and their differences show the unit. A sweep
 lasts 10 ms to 2 s, so its length in s, ms, us and ns cannot be mistaken. All else is an offset.
 """
 
@@ -35,7 +35,7 @@ TIME_FIELDS: Final = (
     "timestamp_us", "t_us", "time_ms", "t_ms", "time_s", "t_s", "time_sec", "relative_time",
     "relative_timestamp", "point_time_offset", "t_offset", "dt", "deltaT", "firing_time",
 )  # fmt: skip
-"""In order of preference; the first that a cloud has counts."""
+"""Time fields in order of preference; the first in a cloud counts."""
 
 _SUFFIX_NS: Final[Mapping[str, int]] = {
     "_ns": 1, "_us": 1_000, "_ms": 1_000_000, "_s": NS_PER_S, "_sec": NS_PER_S,
@@ -57,19 +57,19 @@ _WITHIN_SWEEP_NS: Final[tuple[tuple[float, int], ...]] = (
 """The same for times within a sweep: a unit is too coarse if it made the sweep exceed 2 s."""
 
 FAR_FROM_ZERO: Final = 100
-"""Floats this many times their spread away from zero do not count from the sweep's own stamp."""
+"""Ratio of size to spread from which floats do not count from the sweep's own stamp."""
 
 LEAST_STEPS: Final = 16
-"""A sweep whose times a float can only tell apart in fewer steps has no point times."""
+"""Distinct steps of a float within a sweep at least; with fewer a cloud has no point times."""
 
 MAX_SAMPLE: Final = 4096
-"""Points that unit and origin are judged by, spread over the whole cloud."""
+"""Points that determine unit and origin, spread over the whole cloud."""
 
 _NS_BY_CONVENTION: Final = ("t", "time_stamp", "offset_time")
 """Integer fields of these names are in ns even in a fragment of a sweep (Ouster, Nebula, Livox)."""
 
 MAX_OFFSET_NS: Final = 2 * NS_PER_S
-"""A point farther from its stamp was not taken in that sweep: its time is worth nothing."""
+"""Largest time between a point and its stamp; a larger one is invalid."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,27 +78,27 @@ class PointTime:
 
     Attributes:
         offset_ns: (N,) int32; zero where nothing plausible was recorded.
-        recorded: Whether the log tells the points apart in time.
+        recorded: The log has different times for the points.
     """
 
     offset_ns: NDArray[np.int32]
     recorded: bool
 
 
-@np.errstate(over="ignore", invalid="ignore")  # clouds hold odd numbers
+@np.errstate(over="ignore", invalid="ignore")  # clouds contain odd numbers
 def point_time(
     fields: Mapping[str, NDArray[Any]], *, points: int, stamp_ns: int, stamp_at: StampAt
 ) -> PointTime:
     """Find each point's time after the stamp.
 
-    Times since the epoch that lie more than two seconds from the stamp come from another clock:
-    then only their differences count, and `stamp_at` says which of them the stamp names.
+    Times since the epoch that are more than two seconds from the stamp come from another clock.
+    Then only their differences count, and `stamp_at` defines which of them the stamp refers to.
 
     Args:
         fields: The cloud's fields.
         points: N.
         stamp_ns: Of the frame, nanoseconds since the Unix epoch.
-        stamp_at: Which instant of the sweep the stamp names.
+        stamp_at: Instant of the sweep that the stamp refers to.
     """
     name = next((name for name in TIME_FIELDS if name in fields and fields[name].ndim == 1), None)
     if name is None or points == 0:
@@ -115,18 +115,18 @@ def point_time(
     plausible_mask = finite_mask & (np.abs(offset) <= MAX_OFFSET_NS)
     kept = np.rint(np.where(plausible_mask, offset, 0.0)).astype(np.int32)
     spread = kept[plausible_mask]
-    told_apart = bool(spread.size and spread.min() != spread.max())
-    return PointTime(kept, recorded=told_apart and unit.fine_enough)
+    distinct = bool(spread.size and spread.min() != spread.max())
+    return PointTime(kept, recorded=distinct and unit.fine_enough)
 
 
 @dataclass(frozen=True, slots=True)
 class _Unit:
-    """What the numbers of a time field mean.
+    """Unit and origin of a time field.
 
     Attributes:
-        ns: One of them, in nanoseconds.
-        from_stamp: Whether they count from the cloud's stamp, not from the epoch or the like.
-        fine_enough: Whether the field's type can tell the points of a sweep apart.
+        ns: One unit, in nanoseconds.
+        from_stamp: The numbers count from the cloud's stamp, not from the epoch or the like.
+        fine_enough: The field's type resolves the points of a sweep in time.
     """
 
     ns: int

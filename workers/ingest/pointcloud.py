@@ -1,4 +1,4 @@
-"""From a message to a decoded cloud: its stamp, its frame, and its fields as arrays."""
+"""Point clouds from messages: stamp, space, and fields as arrays."""
 
 import binascii
 from base64 import b64decode
@@ -37,7 +37,7 @@ class DecodedCloud:
     Attributes:
         stamp_ns: Time of its header, nanoseconds since the Unix epoch; 0 where it is zero.
         frame_id: The space of its points, by the log's own name.
-        points: How many, invalid ones included.
+        points: Number of points, invalid ones included.
         height: Rows of an organised cloud, else 1.
         fields: Name to (N,) array, (N, count) for several elements, in the message's byte order.
         data: The packed bytes that the fields are views of.
@@ -64,9 +64,8 @@ def decode_cloud(message: RawMessage) -> DecodedCloud:
     An empty cloud is well-formed and has no points.
 
     Raises:
-        CloudUnreadableError: If it is no point cloud that is read here, if the bytes are not what
-            the schema says, if sizes contradict each other, or if points have neither positions
-            nor labels.
+        CloudUnreadableError: If its type is not supported, its bytes do not match the schema, its
+            sizes contradict each other, or its points have neither positions nor labels.
     """
     channel = message.channel
     if not is_cloud(channel):
@@ -170,7 +169,7 @@ def _foxglove(
     fields: list[tuple[str, int, int]],
     pose: Any,
 ) -> DecodedCloud:
-    """Lay out a cloud whose number of points follows from its size alone."""
+    """Decode a cloud whose number of points follows from its size alone."""
     if data and stride <= 0:
         raise CloudUnreadableError(f"cannot read cloud: point_stride is {stride}")
     points, rest = divmod(len(data), stride) if data else (0, 0)

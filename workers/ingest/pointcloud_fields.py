@@ -1,4 +1,4 @@
-"""From the packed bytes of a cloud to one array per field, whatever their order and padding."""
+"""Point fields: one array per field from the packed bytes of a cloud, for any order and padding."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ FOXGLOVE_TYPES: Final[Mapping[int, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class PackedField:
-    """Where one field lies within the bytes of a point.
+    """Place of one field within the bytes of a point.
 
     Attributes:
         name: As recorded.
@@ -44,7 +44,7 @@ class PackedField:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """How the points of a cloud lie in its bytes.
+    """Layout of a cloud's points in its bytes.
 
     Attributes:
         width: Points of a row.
@@ -66,7 +66,7 @@ class Layout:
 def packed_field(
     name: str, *, offset: int, kind: int, count: int, types: Mapping[int, str]
 ) -> PackedField:
-    """Make a field from its numbers in the message.
+    """Build a field from its numbers in the message.
 
     Raises:
         CloudUnreadableError: If its type is none of the format's.
@@ -81,7 +81,7 @@ def unpack(data: bytes, layout: Layout) -> dict[str, NDArray[Any]]:
 
     Args:
         data: The packed points.
-        layout: How they lie.
+        layout: Their layout.
 
     Returns:
         Name to (N,) array, or (N, count) where a field has several elements; in the byte order
@@ -135,10 +135,10 @@ def _check_fields(fields: Sequence[PackedField], step: int) -> None:
 
 
 def _row_step(size: int, layout: Layout) -> int:
-    """Bytes from row to row, if they agree with the size of the data.
+    """Return the bytes from row to row, if they agree with the size of the data.
 
-    The step that the message states counts only where it fits: writers of unorganised clouds
-    leave it zero, and the padding of the last row may be missing.
+    The step in the message counts only where it fits: writers of unorganised clouds leave it zero,
+    and the padding of the last row may be missing.
     """
     packed = layout.width * layout.point_step_bytes
     if size == packed * layout.height:

@@ -1,4 +1,4 @@
-"""Reads the frames of one shard in order, while the next chunks are on their way."""
+"""Shard reader: the frames of one shard in order, with the next chunks read ahead."""
 
 import heapq
 from collections import deque
@@ -18,7 +18,7 @@ from workers.ingest.decoding import MessageUnreadableError
 from workers.ingest.fetch import OpenedChunk, fetch_chunks
 from workers.ingest.frames import frame_from_cloud
 from workers.ingest.limits import MAX_WAITING, MAX_WAITING_BYTES
-from workers.ingest.message_rate import Pace
+from workers.ingest.message_rate import MessageRate
 from workers.ingest.messages import MAX_TIME_NS, RawMessage
 from workers.ingest.part_reader import PartReader
 from workers.ingest.pointcloud import DecodedCloud, decode_cloud
@@ -28,19 +28,19 @@ from workers.ingest.records import RecordMalformedError
 from workers.ingest.topics import ids_in
 
 FRAMES_HELD: Final = 2
-"""Frames that wait for what the car recorded of its motion, where a log has that."""
+"""Frames that wait for the car's recorded motion, where a log has it."""
 
 
 def read_shard(
     bucket: Bucket, recording: Recording, shard: Shard, settings: MiningSettings
 ) -> "ShardReader":
-    """Prepare to read the frames of a shard; nothing is fetched before `frames` is iterated."""
+    """Prepare to read the frames of a shard; nothing is read before `frames` is iterated."""
     return ShardReader(recording, shard, settings, _part_readers(bucket, recording))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SourcedMessage:
-    """A message and the chunk it came from, which names its place when it is damaged."""
+    """A message with its chunk, which gives its place when it is damaged."""
 
     message: RawMessage
     ref: ChunkRef
@@ -48,14 +48,14 @@ class SourcedMessage:
 
 @dataclass(slots=True, eq=False)
 class ShardReader:
-    """The frames of one shard; after them, what reading cost and what could not be read.
+    """The frames of one shard, and after them the costs and damage of reading.
 
     Attributes:
         recording: Objects of the log.
         shard: Which window of it.
-        settings: How stamps are meant.
+        settings: The meaning of stamps.
         readers: One for each part.
-        damage: What could not be read.
+        damage: Stretches that could not be read.
     """
 
     recording: Recording
@@ -73,14 +73,14 @@ class ShardReader:
 
     @property
     def bytes_read(self) -> int:
-        """Bytes they gave."""
+        """Bytes read by these requests."""
         return sum(reader.bytes_read for reader in self.readers)
 
     def frames(self) -> Iterator[LidarFrame]:
         """Yield the frames from warm-up to lookahead, in the order of their log times.
 
         Raises:
-            ObjectChangedError: If an object is no longer the one that was planned.
+            ObjectChangedError: If an object is no longer the planned one.
             BucketUnreachableError: If the bucket does not answer.
         """
         timed = self._timed_frames()
@@ -89,7 +89,7 @@ class ShardReader:
                 yield frame
 
     def _timed_frames(self) -> Iterator[tuple[LidarFrame, int]]:
-        """All frames with their log times, those too early and too late included."""
+        """Yield all frames with their log times, those too early and too late included."""
         previous_ns: int | None = None
         for cloud, log_time_ns, labels in self._labelled_clouds():
             no_stamp = self.shard.by_log_time or cloud.stamp_ns > MAX_TIME_NS
@@ -109,10 +109,10 @@ class ShardReader:
     def _with_motion(
         self, timed: Iterator[tuple[LidarFrame, int]]
     ) -> Iterator[tuple[LidarFrame, int]]:
-        """Say of each frame how the car moved since the one before.
+        """Add the recorded motion since the frame before to each frame.
 
-        A frame is held back for two more: what moved the car until the middle of its sweep is
-        recorded after it, and the first message after that at 10 Hz after the next one.
+        A frame is held back for two more. The motion until the middle of its sweep is recorded
+        after it, and at 10 Hz the first message after that comes after the next frame.
         """
         before: LidarFrame | None = None
         held: deque[tuple[LidarFrame, int]] = deque()
@@ -142,7 +142,7 @@ class ShardReader:
         )
 
     def _labelled_clouds(self) -> Iterator[tuple[DecodedCloud, int, RecordedLabels | None]]:
-        """Clouds of the lidar with their log times and, where the log holds them, labels."""
+        """Yield the lidar's clouds with their log times and, where the log has them, labels."""
         source = self.shard.recorded
         if source is None:
             for sourced, cloud in self._clouds():
@@ -170,7 +170,7 @@ class ShardReader:
             yield paired, log_time_ns, labels
 
     def _clouds(self) -> Iterator[tuple[SourcedMessage, DecodedCloud]]:
-        pace = Pace(by_log_time=self.shard.by_log_time)
+        rate = MessageRate(by_log_time=self.shard.by_log_time)
         for sourced in self._in_order():
             if sourced.message.channel is self.shard.motion:
                 self._add_motion(sourced)
@@ -179,17 +179,17 @@ class ShardReader:
             is_lidar = message.channel is self.shard.lidar
             try:
                 if is_lidar:
-                    pace.check_logged(message)
+                    rate.check_logged(message)
                 cloud = decode_cloud(message)
                 if is_lidar:
-                    pace.check_taken(cloud, message)
+                    rate.check_taken(cloud, message)
             except CloudUnreadableError as error:
                 self._record(sourced.ref, str(error), length=len(message.data))
                 continue
             yield sourced, cloud
 
     def _add_motion(self, sourced: SourcedMessage) -> None:
-        """Take a message of recorded motion; of those that say nothing the first is told."""
+        """Add a message of recorded motion; only the first unreadable one is recorded as damage."""
         try:
             self._motion.add(sourced.message)
         except MessageUnreadableError as error:
@@ -198,7 +198,7 @@ class ShardReader:
             self._motion_damaged = True
 
     def _in_order(self) -> Iterator[SourcedMessage]:
-        """Messages by log time: a chunk may hold earlier ones than the chunk before it."""
+        """Yield messages by log time: a chunk may have earlier ones than the chunk before it."""
         refs = self.shard.chunks
         waiting: list[tuple[int, int, SourcedMessage]] = []
         waiting_bytes, arrived = 0, 0
@@ -211,7 +211,7 @@ class ShardReader:
                     _, _, early = heapq.heappop(waiting)
                     waiting_bytes -= len(early.message.data)
                     yield early
-            del opened  # its messages are copies: it need not stay while they are used
+            del opened  # its messages are copies: the chunk need not stay while they are used
             none_earlier_ns = refs[number + 1].start_ns if number + 1 < len(refs) else None
             while waiting and (none_earlier_ns is None or waiting[0][0] <= none_earlier_ns):
                 _, _, early = heapq.heappop(waiting)
@@ -230,14 +230,14 @@ class ShardReader:
                     self._record(opened.ref, what, length=len(stored.data))
                     continue
                 channel = channels[stored.channel_id]
-                # A copy, which decoding needs anyway: a view would keep the whole chunk.
+                # a copy, which decoding needs anyway: a view would keep the whole chunk
                 message = RawMessage(channel, stored.log_time_ns, bytes(stored.data))
                 yield SourcedMessage(message, opened.ref)
         except RecordMalformedError as error:
             self._record(opened.ref, error.problem)
 
     def _channels(self, part: int) -> dict[int, Channel]:
-        """The lidar's channel by its ids in one part, and those of recorded labels and motion."""
+        """Return the channels of lidar, recorded labels and motion by their ids in one part."""
         source = self.shard.recorded
         labels = source.channel if source is not None else None
         wanted = (self.shard.lidar, labels, self.shard.motion)

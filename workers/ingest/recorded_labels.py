@@ -1,4 +1,4 @@
-"""The labels of the model that ran on the car: where they lie, what they mean, whose they are."""
+"""Recorded labels of the model on the car: their source, classes and pairing with clouds."""
 
 import json
 from collections import deque
@@ -37,7 +37,7 @@ def find_recorded_source(
     lidar: Channel,
     clouds: Mapping[str, Sequence[DecodedCloud]],
 ) -> RecordedSource | None:
-    """Find the recorded labels of a lidar, if the log holds any.
+    """Find the recorded labels of a lidar, if the log has any.
 
     Labels are fields of the lidar's own clouds, or of a topic whose clouds have the stamps and
     widths of the lidar's. Without classes in the metadata they count only if they state motion.
@@ -49,7 +49,7 @@ def find_recorded_source(
         clouds: Some decoded clouds of the log by topic, of the same stretch of time.
 
     Raises:
-        LogUnusableError: If the classes in the metadata are not what they must be.
+        LogUnusableError: If the classes in the metadata are invalid.
     """
     record = metadata.get(CLASSES_RECORD)
     classes_json = canonical_json(dict(record or {})).decode()
@@ -73,23 +73,23 @@ def find_labels(
     lidar: Channel,
     clouds: Mapping[str, Sequence[DecodedCloud]],
 ) -> Channel | None:
-    """Find the channel that holds the recorded labels of a lidar, which may be its own.
+    """Find the channel of a lidar's recorded labels, which may be its own.
 
     Args:
         channels: All of the log.
-        has_classes: Whether the log says what its class ids mean.
+        has_classes: The log defines its class ids.
         lidar: The lidar whose labels are wanted.
-        clouds: As `find_recorded_source` takes them.
+        clouds: As for `find_recorded_source`.
     """
     own = clouds.get(lidar.topic, ())
-    if any(_says_motion(cloud, has_classes=has_classes) for cloud in own):
+    if any(_states_motion(cloud, has_classes=has_classes) for cloud in own):
         return lidar
     widths = {cloud.stamp_ns: len(cloud) for cloud in own}
     for channel in sorted(channels, key=lambda channel: channel.topic):
         if channel.topic == lidar.topic or not is_cloud(channel):
             continue
         if any(
-            _says_motion(cloud, has_classes=has_classes)
+            _states_motion(cloud, has_classes=has_classes)
             and widths.get(cloud.stamp_ns) == len(cloud)
             for cloud in clouds.get(channel.topic, ())
         ):
@@ -99,7 +99,7 @@ def find_labels(
 
 @lru_cache(maxsize=8)
 def recorded_classes(classes_json: str) -> Mapping[int, RecordedClass]:
-    """Read what the model's class ids mean.
+    """Read the classes of the model's class ids.
 
     Args:
         classes_json: A JSON object of class id to a string that is itself JSON
@@ -131,14 +131,14 @@ def recorded_classes(classes_json: str) -> Mapping[int, RecordedClass]:
 
 @np.errstate(over="ignore", invalid="ignore")  # what is no label is refused below
 def recorded_labels(cloud: DecodedCloud, source: RecordedSource) -> RecordedLabels:
-    """Read the labels that a cloud holds, exactly as they were written.
+    """Read the labels in a cloud, exactly as recorded.
 
     Args:
         cloud: The lidar's own, or that of the labels' topic, whose points are the lidar's.
-        source: What the class ids mean.
+        source: The classes of the class ids.
 
     Raises:
-        CloudUnreadableError: If a field is missing, or holds what its type cannot.
+        CloudUnreadableError: If a field is missing, or has values beyond its type.
     """
     return RecordedLabels(
         class_id=_whole(cloud, LABEL_FIELD, np.uint16),
@@ -149,15 +149,15 @@ def recorded_labels(cloud: DecodedCloud, source: RecordedSource) -> RecordedLabe
 
 
 class LabelPairing(Generic[Item]):
-    """Brings clouds and the labels of another topic together, by equal stamp and width.
+    """Pairs clouds with the labels of another topic, by equal stamp and width.
 
-    Labels may come before their cloud or, as a model takes its time, after it. Clouds leave in the
+    Labels may come before their cloud or, since a model takes time, after it. Clouds leave in the
     order they came; one whose labels do not come within `MAX_WAITING` clouds leaves without. A
     cloud that was recorded twice has its labels twice.
     """
 
     def __init__(self, source: RecordedSource) -> None:
-        """Begin with nothing waiting; `source` says what the labels mean."""
+        """Begin with nothing waiting; `source` defines the labels."""
         self._source = source
         self._waiting: deque[tuple[tuple[int, int], Item]] = deque()
         self._labels: dict[tuple[int, int], RecordedLabels] = {}
@@ -165,15 +165,15 @@ class LabelPairing(Generic[Item]):
     def add_cloud(
         self, cloud: DecodedCloud, item: Item
     ) -> Iterator[tuple[Item, RecordedLabels | None]]:
-        """Take a cloud of the lidar and yield what is complete; `item` is handed through."""
+        """Add a cloud of the lidar and yield the complete ones; `item` is passed through."""
         self._waiting.append(((cloud.stamp_ns, len(cloud)), item))
         yield from self._complete()
 
     def add_labels(self, cloud: DecodedCloud) -> Iterator[tuple[Item, RecordedLabels | None]]:
-        """Take a cloud of the labels' topic and yield what is complete.
+        """Add a cloud of the labels' topic and yield the complete ones.
 
         Raises:
-            CloudUnreadableError: If it holds no labels.
+            CloudUnreadableError: If it has no labels.
         """
         self._labels[cloud.stamp_ns, len(cloud)] = recorded_labels(cloud, self._source)
         while len(self._labels) > 2 * MAX_WAITING or (
@@ -198,7 +198,7 @@ class LabelPairing(Generic[Item]):
             yield item, self._labels.get(key)
 
 
-def _says_motion(cloud: DecodedCloud, *, has_classes: bool) -> bool:
+def _states_motion(cloud: DecodedCloud, *, has_classes: bool) -> bool:
     return LABEL_FIELD in cloud.fields and (has_classes or MOTION_FIELD in cloud.fields)
 
 

@@ -1,4 +1,4 @@
-"""What a log says of the car's own motion: which topic does, and how fast it went when."""
+"""Recorded motion of the car: its topic in a log, and its speed and turn rate over time."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from workers.ingest.topics import Topic
 from workers.ingest.transforms import member
 
 NOT_LOOKED_FOR: Final = "none"
-"""Value of the setting `odometry_topic` by which no topic is taken."""
+"""Value of the setting `odometry_topic` that disables the search."""
 
 KINDS: Final = (
     ("nav_msgs/Odometry", ""),
@@ -26,29 +26,29 @@ KINDS: Final = (
     ("geometry_msgs/TwistStamped", ""),
     ("", "foxglove.PoseInFrame"),
 )
-"""ROS and Foxglove types, those first that are least often about something else: a twist may be a
-command, a pose a goal."""
+"""ROS and Foxglove types, the least ambiguous first: a twist may be a command, a pose a goal."""
 
 MAX_SPEED_M_PER_S: Final = 150.0
 MAX_TURN_RAD_PER_S: Final = 60.0
-"""Beyond it a message is damaged. Wrong units, km/h or degrees, stay below: they are noticed by
-never agreeing."""
+"""Largest speed and turn rate; beyond them a message is damaged.
+
+Wrong units, km/h or degrees, stay below: they are noticed because they never agree."""
 
 MAX_APART_NS: Final = NS_PER_S // 4
-"""Between samples farther apart nothing is known."""
+"""Largest gap between samples across which motion is interpolated, nanoseconds."""
 
 HELD_NS: Final = NS_PER_S // 20
-"""How long the first and the last sample hold beyond themselves."""
+"""Time for which the first and the last sample are valid beyond themselves, nanoseconds."""
 
 MAX_STEP_NS: Final = NS_PER_S // 2
 LONGEST_SWEEP_NS: Final = NS_PER_S // 10
 _MAX_CLOCK_NS: Final = NS_PER_S // 2
 _KEPT_NS: Final = 2 * NS_PER_S
-_LOOKS: Final = 9
+_INSTANTS: Final = 9
 
 
 def find_motion(topics: Sequence[Topic], wanted: str) -> Channel | None:
-    """Find the topic that says how the car moved.
+    """Find the topic of the car's recorded motion.
 
     Args:
         topics: All of the log.
@@ -76,11 +76,11 @@ def _kinds(channel: Channel) -> list[int]:
 
 @dataclass(frozen=True, slots=True)
 class _Sample:
-    """What one message says, or two poses together.
+    """Motion of one message, or between two poses.
 
     Attributes:
         header_ns: Its own stamp; 0 where it has none.
-        log_time_ns: When it was recorded.
+        log_time_ns: Its log time.
         speed_m_per_s: Magnitude.
         turn_rad_per_s: Magnitude, about the vertical.
     """
@@ -100,21 +100,21 @@ class _Pose:
 
 
 class MotionLog:
-    """The messages of the last seconds, asked how the car moved between two instants.
+    """The messages of the last seconds, for the mean motion between two instants.
 
-    A twist counts if the topic ever says one; some fill in the pose only, and leave it zero.
+    A twist counts if the topic ever has a non-zero one; some sources fill in the pose only.
     """
 
     def __init__(self) -> None:
         self._samples: deque[_Sample] = deque()
         self._pose: _Pose | None = None
-        self._says_twist = False
+        self._has_twist = False
 
     def add(self, message: RawMessage) -> None:
-        """Take a message, in the order of log times.
+        """Add a message, in the order of log times.
 
         Raises:
-            MessageUnreadableError: If it cannot be decoded, or says what no car does.
+            MessageUnreadableError: If it cannot be decoded, or its motion is impossible for a car.
         """
         sample = self._read(message)
         if sample is None:
@@ -130,13 +130,13 @@ class MotionLog:
             self._samples.popleft()
 
     def between(self, start_ns: int, end_ns: int, *, delay_ns: int) -> RecordedMotion | None:
-        """Say how the car moved between two instants, in the mean.
+        """Return the mean motion of the car between two instants.
 
         Args:
             start_ns: First instant, by the clock of the lidar.
             end_ns: Last one.
-            delay_ns: How much later than that clock says the lidar's frames were recorded. Where
-                the topic's own stamps do not go with it, log times bring both together.
+            delay_ns: Time from that clock to the log times of the lidar's frames. Where the
+                topic's own stamps are of another clock, log times relate both.
 
         Returns:
             None where there are no messages at the time, or too few.
@@ -145,11 +145,15 @@ class MotionLog:
             return None
         samples = sorted(self._samples, key=lambda each: _time_ns(each, delay_ns))
         time = np.array([_time_ns(each, delay_ns) - start_ns for each in samples], np.float64)
-        looks = np.linspace(0.0, float(end_ns - start_ns), _LOOKS)
-        if not _known(time, looks):
+        instants = np.linspace(0.0, float(end_ns - start_ns), _INSTANTS)
+        if not _known(time, instants):
             return None
-        speed = np.interp(looks, time, _calm([each.speed_m_per_s for each in samples]))
-        turn = np.interp(looks, time, _calm([each.turn_rad_per_s for each in samples]))
+        speed = np.interp(
+            instants, time, _median_filtered([each.speed_m_per_s for each in samples])
+        )
+        turn = np.interp(
+            instants, time, _median_filtered([each.turn_rad_per_s for each in samples])
+        )
         return RecordedMotion(float(speed.mean()), float(turn.mean()))
 
     def _read(self, message: RawMessage) -> _Sample | None:
@@ -169,13 +173,13 @@ class MotionLog:
                 f"cannot read {message.channel.schema_name}: {type(error).__name__}: {error} "
                 f"({message.channel.topic}, logged at {message.log_time_ns})"
             ) from error
-        self._says_twist |= bool(speed or turn)
-        if moved is not None and not self._says_twist:
+        self._has_twist |= bool(speed or turn)
+        if moved is not None and not self._has_twist:
             return moved
         return _Sample(header_ns, message.log_time_ns, speed, turn)
 
     def _follow(self, pose: Any, header_ns: int, log_time_ns: int) -> _Sample | None:
-        """Say what happened between the last pose and this one, at the instant between them."""
+        """Return the motion between the last pose and this one, at the instant between them."""
         now = _Pose(
             header_ns,
             log_time_ns,
@@ -202,7 +206,7 @@ class MotionLog:
 
 
 def middle_ns(frame: LidarFrame, *, step_ns: int) -> int:
-    """When a frame's pose holds: in the middle of its sweep, by its points or by its stamp."""
+    """Return the time of a frame's pose: the middle of its sweep, by its points or its stamp."""
     offset_ns = frame.offset_ns[frame.valid_mask]
     if frame.has_point_time and len(offset_ns):
         return frame.stamp_ns + (int(offset_ns.min()) + int(offset_ns.max())) // 2
@@ -211,32 +215,32 @@ def middle_ns(frame: LidarFrame, *, step_ns: int) -> int:
 
 
 def _time_ns(sample: _Sample, delay_ns: int) -> int:
-    """When a sample was taken, by the clock of the lidar."""
+    """Return the time of a sample, by the clock of the lidar."""
     apart_ns = sample.log_time_ns - sample.header_ns - delay_ns
     if sample.header_ns and abs(apart_ns) <= _MAX_CLOCK_NS:
         return sample.header_ns
     return sample.log_time_ns - delay_ns
 
 
-def _known(time: NDArray[np.float64], looks: NDArray[np.float64]) -> bool:
-    """Whether each look lies between two samples near each other, or right beside one."""
-    after = np.searchsorted(time, looks)
+def _known(time: NDArray[np.float64], instants: NDArray[np.float64]) -> bool:
+    """Return True if each instant is between two close samples, or right next to one."""
+    after = np.searchsorted(time, instants)
     later = np.where(after < len(time), time[np.minimum(after, len(time) - 1)], np.inf)
     earlier = np.where(after > 0, time[np.maximum(after, 1) - 1], -np.inf)
-    beside = np.minimum(later - looks, looks - earlier) <= HELD_NS
-    return bool((beside | (later - earlier <= MAX_APART_NS)).all())
+    next_to_one = np.minimum(later - instants, instants - earlier) <= HELD_NS
+    return bool((next_to_one | (later - earlier <= MAX_APART_NS)).all())
 
 
-def _calm(values: Sequence[float]) -> NDArray[np.float64]:
-    """Take each value as the middle one of it and its neighbours: single ones may be wrong."""
-    calm = np.array(values, np.float64)
-    if len(calm) > 2:
-        calm[1:-1] = np.median([calm[:-2], calm[1:-1], calm[2:]], axis=0)
-    return calm
+def _median_filtered(values: Sequence[float]) -> NDArray[np.float64]:
+    """Replace each value by the median of it and its neighbours: single ones may be wrong."""
+    filtered = np.array(values, np.float64)
+    if len(filtered) > 2:
+        filtered[1:-1] = np.median([filtered[:-2], filtered[1:-1], filtered[2:]], axis=0)
+    return filtered
 
 
 def _member_of(message: Any, name: str, *, deep: bool) -> Any:
-    """Take the twist or pose of a message, out of its covariance; None where there is none."""
+    """Read the twist or pose of a message, without its covariance; None where there is none."""
     has = name in message if isinstance(message, dict) else hasattr(message, name)
     if not has:
         return None

@@ -1,4 +1,4 @@
-"""MCAP records as bytes: walking over them, and reading the small ones with exact lengths.
+"""MCAP records as bytes: iteration, and parsing of the small ones with exact lengths.
 
 Message payloads and chunks are never copied here; the record classes of the `mcap` library read
 the small records (schemas, channels, indexes), over a stream that refuses to end early.
@@ -18,7 +18,7 @@ HEADER_BYTES: Final = 9
 """Opcode and length, in front of every record."""
 FOOTER_BYTES: Final = HEADER_BYTES + 20
 CHUNK_FIELDS_BYTES: Final = 40
-"""What a Chunk record says before its records, apart from the name of its compression."""
+"""Bytes of a Chunk record's fields before its records, without the name of its compression."""
 MESSAGE_FIELDS_BYTES: Final = 22
 
 _HEADER: Final = struct.Struct("<BQ")
@@ -27,21 +27,21 @@ _CHUNK: Final = struct.Struct("<QQQII")
 
 
 class RecordMalformedError(ValueError):
-    """A record's bytes do not hold what they should; offsets count from the start of the view."""
+    """A record's bytes are invalid; offsets count from the start of the view."""
 
     def __init__(self, problem: str, *, offset: int = 0) -> None:
-        """Keep where it begins."""
+        """Keep its offset."""
         super().__init__(problem)
         self.problem, self.offset = problem, offset
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Record:
-    """One record, its content not looked at.
+    """One record, its content not parsed.
 
     Attributes:
         opcode: What kind of record.
-        offset: Where it begins in the walked view.
+        offset: Its first byte in the walked view.
         body: Its content, without opcode and length.
     """
 
@@ -51,13 +51,13 @@ class Record:
 
     @property
     def end(self) -> int:
-        """Return where it ends in the walked view."""
+        """Return the end in the walked view."""
         return self.offset + HEADER_BYTES + len(self.body)
 
 
 @dataclass(frozen=True, slots=True)
 class ChunkHeader:
-    """What a Chunk record says of itself, before its compressed records."""
+    """Fields of a Chunk record before its compressed records."""
 
     start_ns: int
     end_ns: int
@@ -77,7 +77,7 @@ Small = TypeVar("Small")
 
 
 class _ExactStream(BytesIO):
-    """A stream that never gives less than it was asked for: the library takes short reads."""
+    """A stream that refuses a short read, which the library would accept."""
 
     def read(self, size: int | None = -1) -> bytes:
         data = super().read(size)
@@ -93,7 +93,7 @@ def record_header(view: memoryview, offset: int) -> tuple[int, int]:
 
 
 def walk(view: memoryview) -> Iterator[Record]:
-    """Yield the records that lie one after the other in these bytes.
+    """Yield the consecutive records in these bytes.
 
     Raises:
         RecordMalformedError: At the first one that reaches beyond the end.
@@ -111,7 +111,7 @@ def walk(view: memoryview) -> Iterator[Record]:
 
 
 def count_records(view: memoryview, *, most: int) -> int:
-    """Count the records that lie one after the other in these bytes, up to a number of them."""
+    """Count the consecutive records in these bytes, up to a maximum."""
     offset, end, number = 0, len(view) - HEADER_BYTES, 0
     while offset <= end and number < most:
         offset += HEADER_BYTES + _HEADER.unpack_from(view, offset)[1]
@@ -152,7 +152,7 @@ def message_index_fields(body: memoryview) -> tuple[int, int]:
 
 
 def chunk_header(body: memoryview) -> ChunkHeader:
-    """Read what a Chunk record says of itself; its compressed records need not be there.
+    """Read the header fields of a Chunk record; its compressed records need not be there.
 
     Raises:
         RecordMalformedError: If it is too short or its compression has no name.

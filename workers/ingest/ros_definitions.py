@@ -1,8 +1,8 @@
-"""The ROS message types that are read here, as ROS 1 and ROS 2 define them.
+"""ROS message types that are read here, with their definitions of ROS 1 and ROS 2.
 
-These types have not changed on the wire for as long as MCAP exists, so the definition a log brings
-along adds nothing: without it, logs whose schema is written in IDL read as well, and the ROS 1
-decoder, which turns a definition into Python code and runs it, never sees text from a log.
+These types have not changed on the wire for as long as MCAP exists, so the definition in a log is
+not needed. Without it, logs whose schema is written in IDL can be read as well. The ROS 1 decoder,
+which turns a definition into Python code and runs it, never receives text from a log.
 
 Sources: docs.ros.org, common_interfaces and geometry2 of ROS 1 Noetic and ROS 2 Humble.
 """
@@ -105,4 +105,4 @@ ROS1_DEFINITIONS: Final = _definitions(
 ROS2_DEFINITIONS: Final = _definitions(
     _ROS2_HEADER, camera={"d": "d", "k": "k", "r": "r", "p": "p"}
 )
-"""Type name without `/msg/` to its definition, the types it is made of appended."""
+"""Type name without `/msg/` to its definition, with the definitions of its members appended."""

@@ -1,4 +1,4 @@
-"""Chunks opened once for several topics: their messages as numbers, not as objects."""
+"""Scanned chunks: opened once for several topics, with their messages as arrays and not objects."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -19,13 +19,13 @@ from workers.ingest.topics import Topic, ids_in
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScannedChunk:
-    """Where the wanted messages of an opened chunk lie, in the order they were written.
+    """Places of the wanted messages in an opened chunk, in the order they were written.
 
     Attributes:
         part: The part of the recording.
         records: The opened chunk.
         channel_ids: (M,) channel of each message, in the numbers of its part.
-        log_times_ns: (M,) when it was recorded, at most `MAX_TIME_NS`.
+        log_times_ns: (M,) its log time, at most `MAX_TIME_NS`.
         offsets: (M,) first byte of its payload in the records.
         lengths: (M,) bytes of its payload.
     """
@@ -45,12 +45,12 @@ class ScannedChunk:
 
 @dataclass(slots=True, eq=False)
 class ScannedChunks:
-    """The chunks of a log as some topics need them.
+    """The chunks of a log, scanned for some topics.
 
     Attributes:
-        index: Where chunks lie.
-        topics: Whose messages are wanted.
-        damage: What cannot be read is added here, once.
+        index: Index of the log.
+        topics: Topics of the wanted messages.
+        damage: Chunks that cannot be read are added here, once.
     """
 
     index: LogIndex
@@ -60,7 +60,7 @@ class ScannedChunks:
     _noted: set[tuple[int, int]] = field(default_factory=set)
 
     def scan(self, ref: ChunkRef) -> ScannedChunk:
-        """Open a chunk, or return it as it was opened before; one that cannot be read is empty."""
+        """Open a chunk, or return the cached one; one that cannot be read is empty."""
         where = (ref.part, ref.offset)
         scanned = self._held.pop(where, None)
         if scanned is None:
@@ -68,7 +68,7 @@ class ScannedChunks:
             while self._held and held_bytes > MAX_HELD_BYTES:
                 held_bytes -= self._held.pop(next(iter(self._held))).held_bytes
             scanned = self._open(ref)
-        self._held[where] = scanned  # the one used last is given up last
+        self._held[where] = scanned  # the most recent one is evicted last
         return scanned
 
     def _open(self, ref: ChunkRef) -> ScannedChunk:

@@ -1,8 +1,8 @@
-"""From the labelled frames of a shard to its scenes, so that every frame is in exactly one.
+"""Scenes of a shard's labelled frames; every frame is in exactly one.
 
 Scenes are the cells of the log's grid. A gap or a jump back in time ends a scene inside its cell; a
-short piece joins the scene before it, unless a gap lies between. Where shards meet, both see the
-piece in question and judge it by the same numbers, so how a log is cut into shards never shows.
+short piece joins the scene before it, unless a gap is between them. Where shards meet, both see the
+piece and decide by the same numbers, so the scenes do not depend on how a log is cut into shards.
 """
 
 from collections.abc import Iterable, Iterator
@@ -14,10 +14,10 @@ from schemas.contradiction import BESIDE_S, LabelledFrame, Scene
 from schemas.work import Shard
 
 MAX_GAP_S: Final = 0.5
-"""A longer silence between two frames ends a scene: five missed revolutions of a 10 Hz lidar."""
+"""Largest step between two frames of a scene: five missed revolutions of a 10 Hz lidar."""
 
 MIN_SCENE_S: Final = 1.0
-"""A shorter piece is too little to judge alone."""
+"""Shortest piece that is a scene of its own."""
 
 _Side = tuple[LabelledFrame, ...]
 
@@ -27,47 +27,47 @@ class CutRule:
     """Lengths by which scenes are cut, for one length of cells.
 
     Cells shorter than two seconds shrink both limits, so that a piece with frames on both sides of
-    it is never short: a scene is then joined by at most one piece, and a look ahead of
-    `lookahead_ns` always settles whether it is.
+    it is never short. A scene is then joined by at most one piece, and a lookahead of
+    `lookahead_ns` always decides it.
     """
 
     cell_ns: int
 
     @classmethod
     def of(cls, scene_s: float) -> "CutRule":
-        """Make the rule for cells of this length."""
+        """Build the rule for cells of this length."""
         return cls(round(scene_s * NS_PER_S))
 
     @property
     def max_gap_ns(self) -> int:
-        """A longer step between two frames is a gap."""
+        """Largest step between two frames that is no gap."""
         return min(round(MAX_GAP_S * NS_PER_S), self.cell_ns // 4)
 
     @property
     def min_scene_ns(self) -> int:
-        """A piece whose first and last frame are closer is short."""
+        """Time between first and last frame below which a piece is short."""
         return min(round(MIN_SCENE_S * NS_PER_S), self.cell_ns // 2)
 
     @property
     def beside_ns(self) -> int:
-        """Frames this near before and after a scene go with it, as far as its shard sees."""
+        """Time before and after a scene whose frames go with it, as far as its shard sees."""
         return min(round(BESIDE_S * NS_PER_S), self.cell_ns // 2)
 
     @property
     def lookbehind_ns(self) -> int:
-        """What a shard must see before its window to know whether its first piece continues."""
+        """Time that a shard must see before its window to decide if its first piece continues."""
         return self.max_gap_ns
 
     @property
     def lookahead_ns(self) -> int:
-        """What a shard must see after its window to know whether a short piece joins it.
+        """Time that a shard must see after its window to decide if a short piece joins it.
 
         The piece begins within a gap's length, ends before the shortest scene, and a gap follows.
         """
         return 2 * self.max_gap_ns + self.min_scene_ns
 
     def breaks(self, before_ns: int, after_ns: int) -> bool:
-        """Whether a scene ends between two frames: a gap, or a jump back in time."""
+        """Return True if a scene ends between two frames, by a gap or a jump back in time."""
         return not 0 <= after_ns - before_ns <= self.max_gap_ns
 
 
@@ -77,7 +77,7 @@ class _Piece:
 
     Attributes:
         cell: Number of the cell, 0 at the log's first frame.
-        continues: Whether no break lies between it and the frame before it.
+        continues: There is no break between it and the frame before it.
         frames: At least one.
     """
 
@@ -97,11 +97,11 @@ class _Piece:
 def cut_scenes(shard: Shard, labelled: Iterable[LabelledFrame]) -> Iterator[Scene]:
     """Cut the labelled frames of a shard into its scenes.
 
-    Warm-up and lookahead frames are consumed; they only decide what continues what, and lie right
-    before and after a scene. Memory holds two scenes at most.
+    Warm-up and lookahead frames are consumed; they only decide which pieces continue others, and
+    are the frames right before and after a scene. At most two scenes are in memory.
 
     Args:
-        shard: The window, and what its neighbours see.
+        shard: The window, and the windows of its neighbours.
         labelled: Frames in the order of the log, warm-up and lookahead included.
 
     Yields:
@@ -129,7 +129,7 @@ def cut_scenes(shard: Shard, labelled: Iterable[LabelledFrame]) -> Iterator[Scen
 def _with_sides(
     rule: CutRule, scenes: Iterable[tuple[list[LabelledFrame], _Piece | None]]
 ) -> Iterator[tuple[_Side, list[LabelledFrame], _Side]]:
-    """Give every scene the frames right before and after it, where no gap lies between."""
+    """Add to every scene the frames right before and after it, unless a gap is between."""
     before: _Side = ()
     for frames, piece in scenes:
         after: _Side = ()
@@ -159,7 +159,7 @@ def _pieces(rule: CutRule, anchor_ns: int, labelled: Iterable[LabelledFrame]) ->
 def _joined(
     shard: Shard, rule: CutRule, pieces: Iterable[_Piece]
 ) -> Iterator[tuple[list[LabelledFrame], _Piece | None]]:
-    """Let each short piece that continues the one before it join that one; tell what follows."""
+    """Join short pieces to the scene they continue; yield each scene with the next piece."""
     scene: list[LabelledFrame] = []
     for piece in pieces:
         short = piece.end_ns - piece.start_ns < rule.min_scene_ns
@@ -174,17 +174,17 @@ def _joined(
 
 
 def _begins_in_window(shard: Shard, stamp_ns: int) -> bool:
-    """The first and the last shard also own what lies before and after the log's grid."""
+    """Return True in the window; the first and last shard also own times outside the grid."""
     return (shard.first_of_log or stamp_ns >= shard.start_ns) and (
         shard.last_of_log or stamp_ns < shard.end_ns
     )
 
 
 def _both_shards_see(shard: Shard, rule: CutRule, piece: _Piece) -> bool:
-    """Whether a short piece may join the one before it, although a window's edge may divide them.
+    """Return True if a short piece may join the one before it across a window's edge.
 
-    It may if the shard before sees, within its lookahead, that the piece ends; the shard after
-    asks the same, with the same numbers, and then leaves the piece to it.
+    It may if the shard before sees, within its lookahead, that the piece ends. The shard after
+    makes the same test with the same numbers, and then leaves the piece to it.
     """
     if not shard.last_of_log and piece.start_ns >= shard.end_ns:
         return shard.lookahead_end_ns - piece.end_ns > rule.max_gap_ns

@@ -1,7 +1,7 @@
-"""Cuts a log's stretch of time into the windows of its shards. Pure: numbers in, numbers out.
+"""Shard windows: a log's stretch of time, cut by pure functions of numbers.
 
-Everything here is in frame stamps. What the index knows of a chunk is the log times inside and how
-many messages it holds; `StampBounds` says how far stamps and log times may lie apart.
+All times here are frame stamps. The index of a chunk has its log times and its number of messages;
+`StampBounds` limits the difference between stamps and log times.
 """
 
 from collections.abc import Iterable, Sequence
@@ -16,12 +16,12 @@ from workers.ingest.messages import MAX_TIME_NS
 from workers.ingest.scenes import CutRule
 
 FARTHEST_NS: Final = MAX_TIME_NS + MAX_TIME_NS // 2
-"""Instants are kept within this, before and after 1970: with any length added they fit an int64."""
+"""Bound of instants, before and after 1970: with any length added they fit an int64."""
 
 
 @dataclass(frozen=True, slots=True)
 class StampBounds:
-    """How much later than its stamp a message may have been recorded, least and most."""
+    """Least and greatest delay from the stamp of a message to its log time."""
 
     least_ns: int = 0
     most_ns: int = 0
@@ -29,7 +29,7 @@ class StampBounds:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """A chunk as planning sees it.
+    """A chunk in planning.
 
     Attributes:
         ref: The bytes, and the log times inside.
@@ -47,7 +47,7 @@ class Span:
     def of(
         cls, ref: ChunkRef, stretch_ns: tuple[int, int], bounds: StampBounds, messages: int
     ) -> "Span":
-        """Make the span of a chunk, or of a part of it, whose first and last log time are known."""
+        """Build the span of a chunk, or a part of it, from its first and last log time."""
         start_ns, end_ns = stretch_ns
         return cls(
             ref,
@@ -59,7 +59,7 @@ class Span:
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """One shard's stretch of time; the fields mean what they mean in `schemas.work.Shard`."""
+    """One shard's stretch of time; the fields are those of `schemas.work.Shard`."""
 
     index: int
     warmup_start_ns: int
@@ -71,14 +71,14 @@ class Window:
     last_of_log: bool = False
 
     def reads(self, spans: "Spans") -> list[ChunkRef]:
-        """Chunks that the shard must read."""
+        """Return the chunks that the shard must read."""
         return spans.between(
             None if self.first_of_log else self.warmup_start_ns,
             None if self.last_of_log else max(self.lookahead_end_ns, self.end_ns),
         )
 
     def needs(self, spans: "Spans") -> list[ChunkRef]:
-        """Chunks in which messages that are scored may lie."""
+        """Return the chunks in which scored messages may be."""
         return spans.between(
             None if self.first_of_log else self.start_ns,
             None if self.last_of_log else self.end_ns,
@@ -86,7 +86,7 @@ class Window:
 
 
 class Spans:
-    """Many chunks, to be asked for those of a stretch of time."""
+    """Many chunks, for queries by time."""
 
     def __init__(self, spans: Sequence[Span]) -> None:
         """Take any number, in any order."""
@@ -95,7 +95,7 @@ class Spans:
         self._latest = np.array([span.latest_ns for span in spans], dtype=np.int64)
 
     def between(self, start_ns: int | None, end_ns: int | None) -> list[ChunkRef]:
-        """Chunks that may hold stamps from a start to before an end, each once, by log time.
+        """Return chunks that may have stamps in a stretch of time, each once, by log time.
 
         Args:
             start_ns: First instant; None for the log's begin.
@@ -115,15 +115,15 @@ def cut_windows(
 ) -> list[Window]:
     """Cut a log into the windows of its shards, on the grid that begins at the anchor.
 
-    Windows without any chunk are left out. A last window in which less than a shortest scene
-    remains is given to the one before it.
+    Windows without any chunk are left out. A last window shorter than the shortest scene is merged
+    with the one before it.
 
     Args:
         spans: Chunks with messages of the lidar; at least one.
         grid: Lengths of scenes, shards and warm-up.
         anchor_ns: First frame of the log.
-        least_step_ns: Frames of this lidar never follow each other faster; 0 where unknown.
-        ahead_ns: How much later than a frame those are that its labels may wait for.
+        least_step_ns: Shortest step between frames of this lidar; 0 where unknown.
+        ahead_ns: Longest wait of a frame's labels for later frames.
     """
     rule = CutRule.of(grid.scene_s)
     shard_ns = shard_length_ns(grid)
@@ -168,15 +168,15 @@ def cut_windows(
 
 
 def shard_length_ns(grid: Grid) -> int:
-    """Return the length of a shard: whole cells, whatever the length's fraction.
+    """Return the length of a shard, rounded to whole cells.
 
-    So every scene's cell lies in one shard.
+    Every scene's cell is therefore in one shard.
     """
     return round(grid.shard_s / grid.scene_s) * CutRule.of(grid.scene_s).cell_ns
 
 
 def cells_of(spans: Iterable[Span], *, anchor_ns: int, shard_ns: int) -> list[tuple[int, int]]:
-    """Return the numbers of the first and the last window that each span lies in."""
+    """Return the numbers of each span's first and last window."""
     return [
         (
             max((span.earliest_ns - anchor_ns) // shard_ns, 0),
@@ -194,18 +194,18 @@ def is_continuous(
     max_gap_ns: int,
     least_step_ns: int,
 ) -> bool:
-    """Whether the index alone proves that frames go on without a gap over a stretch of time.
+    """Return True if the index alone proves a stretch of time without a gap between frames.
 
-    A chunk holds `n` frames somewhere between its earliest and latest time, none closer than the
-    least step, so no two neighbours in it are farther apart than its length less `n - 2` steps; the
-    last of one and the first of the next are bounded the same way.
+    A chunk has `n` frames somewhere between its earliest and latest time, none closer than the
+    least step. No two neighbours in it are therefore farther apart than its length less `n - 2`
+    steps. The last of one chunk and the first of the next are bounded in the same way.
 
     Args:
         ordered: Chunks, earliest first.
-        start_ns: Where the stretch begins.
-        end_ns: Where it ends; a frame must be known to lie at or after it.
-        max_gap_ns: What counts as a gap.
-        least_step_ns: Frames never follow each other faster; 0 makes only single frames provable.
+        start_ns: Start of the stretch.
+        end_ns: Its end; a frame must be known to be at or after it.
+        max_gap_ns: Largest step that is no gap.
+        least_step_ns: Shortest step between frames; 0 makes only single frames provable.
     """
     before: Span | None = None
     for span in ordered:

@@ -1,4 +1,4 @@
-"""What a log's first clouds show: its lidars, when it begins, how stamps and log times differ."""
+"""Topic sampling: a log's first clouds show its lidars, its start, and the delays of log times."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -22,11 +22,11 @@ from workers.ingest.shard_windows import StampBounds
 from workers.ingest.topics import Topic, chunks_of
 
 _CLOCK_MARGIN_NS: Final = 50_000_000
-"""What delays are allowed to vary beyond those seen, in logs where stamp and log time differ."""
+"""Variation of delays beyond the sampled ones, in logs whose stamps and log times differ."""
 _MAX_CLOCK_SPREAD_NS: Final = 1_000_000_000
 """Stamps farther than this from the usual delay are outliers, not jitter."""
 _STEP_MARGIN: Final = 0.9
-"""Share of the shortest step seen that no two frames undercut: motors hold their speed."""
+"""Share of the shortest sampled step below which no two frames follow: motors hold their speed."""
 
 
 @dataclass(slots=True, eq=False)
@@ -34,12 +34,12 @@ class Sample:
     """The first messages of one topic, in the order of their log times.
 
     Attributes:
-        topic: Whose they are.
-        log_times_ns: When each was recorded.
-        stamps_ns: Frame time of each, as mining would take it.
+        topic: Their topic.
+        log_times_ns: Log time of each.
+        stamps_ns: Frame time of each, as in mining.
         clouds: The messages, decoded.
         later_clouds: Clouds from elsewhere in the log, where some were needed.
-        later_delays_ns: How much later than their stamps those were recorded.
+        later_delays_ns: Delays from their stamps to their log times.
     """
 
     topic: Topic
@@ -51,9 +51,9 @@ class Sample:
 
     @property
     def by_log_time(self) -> bool:
-        """Whether the sensor's clock jumps between the log's begin and end.
+        """True if the sensor's clock jumps between the log's begin and end.
 
-        Stamps then say nothing that the index could be asked for: time is the log's.
+        Its stamps then do not relate to the index, and log times are used.
         """
         usual_ns = self._usual_delay_ns()
         return any(
@@ -62,7 +62,7 @@ class Sample:
 
     @property
     def first_stamp_ns(self) -> int:
-        """Time of the first frame; of the first that keeps to the usual delay, if not all do."""
+        """Time of the first frame with the usual delay."""
         if self.by_log_time:
             return self.log_times_ns[0]
         usual_ns = self._usual_delay_ns()
@@ -74,7 +74,7 @@ class Sample:
 
     @property
     def bounds(self) -> StampBounds:
-        """How far log times may lie after stamps, with a margin where they differ at all."""
+        """Range of delays from stamps to log times, with a margin where they differ at all."""
         if self.by_log_time:
             return StampBounds()
         usual_ns = self._usual_delay_ns()
@@ -91,12 +91,12 @@ class Sample:
 
     @property
     def clocks_differ(self) -> bool:
-        """Whether log times are not simply the stamps."""
+        """True unless log times equal the stamps."""
         return self.bounds != StampBounds()
 
     @property
     def least_step_ns(self) -> int:
-        """Frames never follow each other faster; 0 where a single one was seen."""
+        """Shortest step between frames, with a margin; 0 where a single one was sampled."""
         steps_ns = np.diff(self.stamps_ns)
         rising_ns = steps_ns[steps_ns > 0]
         return int(rising_ns.min() * _STEP_MARGIN) if len(rising_ns) else 0
@@ -115,12 +115,12 @@ class Sample:
 def sample_topics(
     index: LogIndex, candidates: Sequence[Topic], damage: list[Damage]
 ) -> dict[str, Sample]:
-    """Read the earliest chunk that holds the candidates; more only where one does not.
+    """Read the earliest chunk with the candidates; more only where one of them is missing.
 
     Args:
-        index: Where chunks lie.
+        index: Index of the log.
         candidates: Topics of point clouds.
-        damage: What cannot be read is added here.
+        damage: Chunks that cannot be read are added here.
 
     Returns:
         A sample for each topic of which a well-formed cloud was found, by topic.
@@ -131,7 +131,7 @@ def sample_topics(
     for topic in candidates:
         found = EarliestClouds(topic.channel, share_bytes)
         for chunk in chunks_of(topic.channel, index.parts):
-            # Chunks may overlap: one that begins later may still hold an earlier message.
+            # chunks may overlap: one that begins later may still have an earlier message
             if found.first_ns is not None and chunk.ref.start_ns >= found.first_ns:
                 break
             found.add(opened.scan(chunk.ref))
@@ -142,7 +142,7 @@ def sample_topics(
 
 
 def sample_end(index: LogIndex, sample: Sample) -> None:
-    """Read a topic's last chunk too: clocks that drift apart, or jump, are known at both ends."""
+    """Sample a topic's last chunk as well, since clocks may drift apart or jump."""
     chunks = chunks_of(sample.topic.channel, index.parts)
     last = max(chunks, key=lambda chunk: chunk.ref.end_ns)
     if last is not chunks[0]:
@@ -150,22 +150,22 @@ def sample_end(index: LogIndex, sample: Sample) -> None:
 
 
 def sample_middle(index: LogIndex, sample: Sample) -> None:
-    """Read a chunk from the middle of a topic: its first clouds may be empty."""
+    """Sample a chunk from the middle of a topic, since its first clouds may be empty."""
     chunks = chunks_of(sample.topic.channel, index.parts)
     if len(chunks) > 1:
         _add_later(index, sample, chunks[len(chunks) // 2].ref)
 
 
-def true_times(
+def recorded_times(
     index: LogIndex, ref: ChunkRef, *, apart_ns: int, damage: list[Damage]
 ) -> list[tuple[int, int]]:
-    """Open a chunk to see when its messages were recorded.
+    """Open a chunk to read the log times of its messages.
 
     Args:
-        index: Where to read it.
+        index: Index of the log.
         ref: The chunk.
-        apart_ns: A longer silence parts two stretches.
-        damage: What cannot be read, or was logged at no possible time, is added here.
+        apart_ns: Longest gap inside one stretch.
+        damage: Unreadable chunks and impossible log times are added here.
 
     Returns:
         First and last log time of each stretch; none where that cannot be known.
@@ -179,7 +179,7 @@ def true_times(
             (times_ns if possible else impossible_ns).append(message.log_time_ns)
     except (ChunkUnreadableError, RecordMalformedError) as error:
         damage.append(damaged_chunk(key, ref, error.problem))
-    if impossible_ns and not times_ns:  # else its shard reads it, and says so
+    if impossible_ns and not times_ns:  # else its shard reads it, and reports them
         what = f"all its messages say that they were logged at {impossible_ns[0]} ns or the like"
         damage.append(damaged_chunk(key, ref, what))
     stretches: list[tuple[int, int]] = []

@@ -1,4 +1,4 @@
-"""The topics of a recording, put together from the channels of its parts."""
+"""Topics of a recording, merged from the channels of its parts."""
 
 import base64
 from collections import Counter
@@ -18,7 +18,7 @@ class Topic:
 
     Attributes:
         channel: Enough to decode its messages.
-        messages: How many there are by the index; -1 where it does not say.
+        messages: Number of messages by the index; -1 where unknown.
     """
 
     channel: Channel
@@ -30,13 +30,13 @@ def topics_of(
     *,
     on_left_out: Callable[[Channel, str], None] = lambda channel, why: None,
 ) -> tuple[Topic, ...]:
-    """Put the channels of all parts together, in the order of their names.
+    """Merge the channels of all parts, in the order of their names.
 
     The same topic recorded with another encoding or type is a topic of its own here.
 
     Args:
         indexes: Of all parts.
-        on_left_out: Told each topic whose name cannot be that of a mined one, and why: the channel
+        on_left_out: Called with each topic whose name cannot be mined, and the reason; the channel
             has that name escaped and cut.
     """
     ids: dict[tuple[str, str, str, str], list[tuple[int, int]]] = {}
@@ -96,7 +96,7 @@ def _unusable(topic: str, channels: int) -> str:
 
 
 def channel_counts(index: PartIndex) -> Mapping[int, int]:
-    """Messages by channel id of one part; -1 where the index does not say."""
+    """Count messages by channel id of one part; -1 where the index does not state them."""
     if index.message_counts:
         return {each: index.message_counts.get(each, 0) for each in index.channels}
     counts: Counter[int] = Counter()
@@ -112,25 +112,25 @@ def channel_counts(index: PartIndex) -> Mapping[int, int]:
 
 
 def ids_in(channel: Channel, part: int) -> frozenset[int]:
-    """Channel ids that a topic goes by in one part."""
+    """Return the channel ids of a topic in one part."""
     return frozenset(channel_id for number, channel_id in channel.ids if number == part)
 
 
 def chunks_of(channel: Channel, indexes: Sequence[PartIndex]) -> list[IndexedChunk]:
-    """Chunks that may hold a topic's messages, earliest first."""
+    """Return chunks that may have a topic's messages, earliest first."""
     found = [
         chunk
         for index in indexes
         for ids in [ids_in(channel, index.number)]
         if ids
         for chunk in index.chunks
-        if chunk.may_hold(ids)
+        if chunk.may_contain(ids)
     ]
     return sorted(found, key=lambda each: (each.ref.start_ns, each.ref.part, each.ref.offset))
 
 
 def count_in(chunk: IndexedChunk, channel: Channel) -> int:
-    """Messages of a topic in a chunk; -1 where the index does not say."""
+    """Count messages of a topic in a chunk; -1 where the index does not state them."""
     if chunk.counts is None:
         return -1
     counts = [chunk.counts.get(each, 0) for each in ids_in(channel, chunk.ref.part)]

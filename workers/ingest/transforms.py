@@ -1,4 +1,4 @@
-"""The tree of coordinate systems that a log declares, and the transform between any two of them."""
+"""Transform tree: a log's coordinate systems, and the transform between any two of them."""
 
 from collections import deque
 from collections.abc import Iterable, Iterator
@@ -18,8 +18,8 @@ FOXGLOVE_TRANSFORMS: Final = "foxglove.FrameTransforms"
 FOXGLOVE_TRANSFORM: Final = "foxglove.FrameTransform"
 
 
-def holds_transforms(channel: Channel) -> bool:
-    """Whether messages of this channel declare transforms that can be read here."""
+def has_transforms(channel: Channel) -> bool:
+    """Return True for a channel of transforms that can be read here."""
     return any(
         can_decode(channel, ros=ROS_TRANSFORMS, foxglove=foxglove)
         for foxglove in (FOXGLOVE_TRANSFORMS, FOXGLOVE_TRANSFORM)
@@ -27,13 +27,13 @@ def holds_transforms(channel: Channel) -> bool:
 
 
 def is_static(channel: Channel) -> bool:
-    """Whether a topic of transforms holds those that never change, by the name ROS gives it."""
+    """Return True for a topic of constant transforms, by the name that ROS gives it."""
     return channel.topic.strip("/").endswith("tf_static")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StatedTransform:
-    """Where one space lies in another."""
+    """Pose of one space in another."""
 
     parent: str
     child: str
@@ -41,20 +41,20 @@ class StatedTransform:
 
 
 class TransformTree:
-    """Transforms between spaces, by the names that the log gives them."""
+    """Transforms between spaces, by the log's own names."""
 
     def __init__(self) -> None:
-        """Begin with no space known."""
+        """Begin without spaces."""
         self._to_from: dict[str, dict[str, Transform]] = {}
 
     def add(self, *, parent: str, child: str, parent_from_child: Transform) -> None:
-        """Declare where a space lies in another; a later declaration replaces an earlier one."""
+        """Add the pose of a space in another; a later one replaces an earlier one."""
         parent, child = parent.strip("/"), child.strip("/")
         self._to_from.setdefault(parent, {})[child] = parent_from_child
         self._to_from.setdefault(child, {})[parent] = inverse(parent_from_child)
 
     def add_stated(self, stated: Iterable["StatedTransform"]) -> None:
-        """Declare transforms as messages state them."""
+        """Add the transforms of messages."""
         for each in stated:
             self.add(parent=each.parent, child=each.child, parent_from_child=each.parent_from_child)
 
@@ -79,7 +79,7 @@ class TransformTree:
 
 
 def rigid(translation_m: tuple[float, ...], quaternion_xyzw: tuple[float, ...]) -> Transform:
-    """Build a transform; a quaternion of zeros, which was left unset, turns nothing.
+    """Build a transform; a quaternion of zeros, which was left unset, is no rotation.
 
     Raises:
         ValueError: If a number is not finite.
@@ -100,12 +100,12 @@ def rigid(translation_m: tuple[float, ...], quaternion_xyzw: tuple[float, ...]) 
 
 
 def member(message: Any, name: str) -> Any:
-    """Take a field of a decoded message, which is a dict if it was JSON."""
+    """Read a field of a decoded message, which is a dict if it was JSON."""
     return message[name] if isinstance(message, dict) else getattr(message, name)
 
 
 def stated_transforms(message: RawMessage) -> list[StatedTransform]:
-    """Decode the transforms that a message states.
+    """Decode the transforms in a message.
 
     Raises:
         MessageUnreadableError: If it is no such message.

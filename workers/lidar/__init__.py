@@ -1,1 +1,1 @@
-"""What a lidar saw: beams, range images, deskewing, ground, preparation of a frame."""
+"""Lidar frames: beams, range images, deskewing, ground removal and preprocessing."""

@@ -1,16 +1,24 @@
-"""What the sensor saw in each direction: nearest range per beam and azimuth step."""
+"""Range image of a frame over its own beams: nearest range per beam and azimuth step."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
 from workers.lidar.beam_table import BeamTable
-from workers.lidar.spherical import BLOCK, column_of, look, new_block, row_above, rows_of_steps
+from workers.lidar.spherical import (
+    BLOCK,
+    column_of,
+    new_block,
+    project_block,
+    row_above,
+    rows_of_steps,
+)
 from workers.points.compiled import compiled
 from workers.points.step_names import step
 
 COLUMNS = 1800
-"""0.2 degrees: the azimuth step of spinning sensors at 10 Hz; finer steps would leave gaps."""
+"""Columns of the image: an azimuth step of 0.2 degrees, that of spinning sensors at 10 Hz; finer
+steps would leave gaps."""
 
 NEAREST_RETURN_M = 2.0
 
@@ -20,12 +28,12 @@ def range_image(points_m: Points, table: BeamTable) -> NDArray[np.float32]:
     """Project a cloud to its nearest range per cell.
 
     Args:
-        points_m: (N, 3) all valid points about the origin of the beams, ground included: ground
-            hides and bounds what lies behind it as anything else does.
+        points_m: (N, 3) all valid points about the origin of the beams, ground included, since
+            ground also hides and bounds the space behind it.
         table: The beams.
 
     Returns:
-        (R, 1800) range in metres, 0 where nothing came back; rows rise with elevation.
+        (R, 1800) range in metres, 0 without a return; rows rise with elevation.
     """
     return _project(points_m, table.tangents, np.float32(table.max_gap))
 
@@ -45,7 +53,7 @@ def _project(
             block.x[k] = points[first + k, 0]
             block.y[k] = points[first + k, 1]
             block.z[k] = points[first + k, 2]
-        look(block, n, tangents, steps)
+        project_block(block, n, tangents, steps)
         for k in range(n):
             distance, tangent = block.distance[k], block.tangent[k]
             if distance < NEAREST_RETURN_M:

@@ -1,4 +1,4 @@
-"""Learns the beams of a sensor from its first frames, and anew where later ones show more."""
+"""Beam learning: a sensor's beams from its first frames, and again where later ones show more."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,18 +9,18 @@ from workers.lidar.beam_table import BeamTable, estimate_beam_table
 _RELEARN_RETURNS = 2
 _MORE_BEAMS = 1.2
 _RELEARN_FRAMES = 10
-"""A sensor whose beams could not be trusted in the first second will not be trusted later."""
+"""Frames tried for a trusted table, one second: later frames will not give one either."""
 
 
 class BeamLearner:
-    """The beams of one sensor, as far as its frames have shown them.
+    """The beams of one sensor, learned from its frames.
 
-    They are learned anew where a frame with more than twice the returns shows more beams, and,
-    while they cannot be trusted, from each frame of the first second: a log may begin with next to
-    nothing, or behind a lorry.
+    They are learned again where a frame with more than twice the returns shows more beams. While
+    they cannot be trusted, each frame of the first second is tried, because a log may begin with
+    almost no returns, or behind a lorry.
 
     Attributes:
-        table: What is known of them; None before the first frame.
+        table: The learned beams; None before the first frame.
     """
 
     def __init__(self) -> None:
@@ -29,14 +29,14 @@ class BeamLearner:
         self._tried = 0
 
     def learn(self, points_m: Points, ring: NDArray[np.int16]) -> bool:
-        """Measure the beams where they are not known, or a frame shows much more of them.
+        """Measure the beams where they are unknown, or a frame shows many more of them.
 
         Args:
             points_m: (N, 3) returns of a frame, in its own space, metres.
             ring: (N,) recorded beam of each; -1 where unknown.
 
         Returns:
-            Whether the table is another one now.
+            True if the table was replaced.
         """
         richer = len(points_m) > _RELEARN_RETURNS * self._learned_returns
         doubted = self.table is None or not self.table.trusted

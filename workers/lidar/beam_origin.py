@@ -1,4 +1,4 @@
-"""Where the beams of a sensor meet, found from a cloud that does not say which beam saw what."""
+"""Beam origin: the common apex of a sensor's beams, from a cloud without beam numbers."""
 
 from typing import Final
 
@@ -8,34 +8,45 @@ from numpy.typing import NDArray
 from workers.lidar.sensor_height import estimate_sensor_height
 from workers.points.compiled import compiled
 
-MAX_BEHIND_SHARE: Final = 0.2
-"""From where the beams meet .01 to .07 (edges, and beams that start a hand's breadth beside it);
-from the road under the sensor, or the rear axle, .4 and more."""
+MAX_HIDDEN_SHARE: Final = 0.2
+"""Share of hidden points up to which an origin is right.
+
+From the true origin it is .01 to .07 (edges, and beams that start a few centimetres from it). From
+the road under the sensor, or from the rear axle, it is .4 and more."""
 
 _MIN_POINTS: Final = 2_000
-"""Fewer say nothing of where the beams meet."""
+"""Points needed for a result."""
 
 _SHARED: Final = 0.05
-"""Of the points of a well-spaced sensor fewer share a direction: a centimetre would tell then."""
+"""Smallest share of points that have another in their direction.
+
+Clouds of sensors with well-spaced beams have fewer; a shift by a centimetre would then decide."""
 
 _COLUMN_RAD: Final = np.radians(0.2)
 _ROW_RAD: Final = np.radians(0.1)
 _USUAL_POINTS: Final = 100_000
-"""A fifth of a point per direction: for a sensor of fewer points, rows are as much higher."""
+"""Points of a cloud with a fifth of a point per direction; sensors of fewer points get higher rows.
+"""
 
 _LOWEST_RAD, _HIGHEST_RAD = -0.9, 0.6
 _NEAREST_M, _FARTHEST_M = 3.0, 60.0
 _BEHIND_M, _BEHIND_SHARE = 0.3, 0.05
-"""What lies behind another point for sure: not the slope of one surface within a direction."""
+"""Distance, and share of the range, from which a point is certainly behind another.
+
+The slope of one surface within a direction stays below it."""
 
 _X_M: Final = np.arange(-2.0, 5.1, 1.0)
-"""From an origin between the axles, or in front, to a lidar on the cab of a lorry."""
+"""Candidate positions along x, metres: from an origin between the axles, or in front, to a lidar on
+the cab of a lorry."""
 
 _HEIGHTS_M: Final = np.arange(0.8, 3.6, 0.02)
-"""Over the road: a bumper is lower, a lorry's roof higher. The step is a beam apart at 5 m."""
+"""Candidate heights over the road, metres, from above a bumper to a lorry's roof.
+
+The step is the spacing of beams at 5 m."""
 
 _ABOVE_M: Final = 3.0
-"""Over the lowest points within 20 m, but for reflections: the road is measured from there."""
+"""Height over the lowest points within 20 m, but for reflections, from which the road is measured,
+metres."""
 
 _LOWEST_SHARE: Final = 0.02
 
@@ -46,17 +57,18 @@ _COARSE_POINTS, _FINE_POINTS = 10_000, 30_000
 _SMOOTH: Final = 41
 
 
-def behind_share(points_m: NDArray[np.floating], origin_m: NDArray[np.floating]) -> float:
-    """Of the points that look the same way as another, the share that lies behind that one.
+def hidden_share(points_m: NDArray[np.floating], origin_m: NDArray[np.floating]) -> float:
+    """Compute the share of points behind another in the same direction.
 
-    No beam goes through a surface, so that from where the beams meet next to none does.
+    The base is the points that share a direction. No beam passes through a surface, so seen from
+    the true origin almost none is behind another.
 
     Args:
         points_m: (N, 3) valid points, metres.
-        origin_m: (3,) where the beams would meet.
+        origin_m: (3,) candidate origin of the beams.
 
     Returns:
-        0 to 1; 0 where there are too few points to tell.
+        0 to 1; 0 with too few points.
     """
     row_rad = _ROW_RAD * max(1.0, _USUAL_POINTS / max(len(points_m), 1))
     used, shared, behind = _count(points_m, origin_m[0], origin_m[1], origin_m[2], row_rad)
@@ -64,11 +76,12 @@ def behind_share(points_m: NDArray[np.floating], origin_m: NDArray[np.floating])
 
 
 def find_origin(points_m: NDArray[np.floating]) -> NDArray[np.float64] | None:
-    """Look for the place about which beams are cones and no point hides another.
+    """Find the place about which beams are cones and no point hides another.
 
-    About the true place the points of a beam have one elevation, so that elevations crowd on as
-    many angles as there are beams. That holds metres beside it and centimetres over and under it:
-    a scan of heights at a few places, then downhill. What is found must see all points.
+    About the true place the points of a beam have one elevation, so elevations concentrate on as
+    many angles as there are beams. That is so up to metres to the side of it, and centimetres above
+    and below. A scan of heights at a few places is followed by hill climbing. A result must see all
+    points.
 
     Args:
         points_m: (N, 3) valid points, metres, z up.
@@ -86,12 +99,12 @@ def find_origin(points_m: NDArray[np.floating]) -> NDArray[np.float64] | None:
         for x in _X_M
     ]
     columns.sort(key=lambda origin: _sharpness(few, origin), reverse=True)
-    found = [_uphill(more, start) for start in columns[:_TRIED]]
+    found = [_climb(more, start) for start in columns[:_TRIED]]
     low_m, high_m = road_m + _HEIGHTS_M[0], road_m + _HEIGHTS_M[-1]
     seen = [
         (sharpness, place)
         for sharpness, place in found
-        if low_m <= place[2] <= high_m and behind_share(points_m, place) <= MAX_BEHIND_SHARE
+        if low_m <= place[2] <= high_m and hidden_share(points_m, place) <= MAX_HIDDEN_SHARE
     ]
     return max(seen, key=lambda each: each[0])[1] if seen else None
 
@@ -104,10 +117,10 @@ def _road_m(points_m: NDArray[np.floating]) -> float:
     return above_m - estimate_sensor_height(points_m - np.array([0.0, 0.0, above_m]))
 
 
-def _uphill(
+def _climb(
     points_m: NDArray[np.floating], start: NDArray[np.float64]
 ) -> tuple[float, NDArray[np.float64]]:
-    """Go one axis at a time, height last, to where no step leads to sharper elevations."""
+    """Climb one axis at a time, height last, until no step gives sharper elevations."""
     place, sharpest = start, _sharpness(points_m, start)
     for step_m in _STEPS_M:
         moved = True
@@ -124,7 +137,7 @@ def _uphill(
 
 
 def _sharpness(points_m: NDArray[np.floating], origin_m: NDArray[np.float64]) -> float:
-    """How much the elevations of points crowd on some angles: squared counts over smoothed ones."""
+    """Compute the concentration of elevations: squared counts over squared smoothed ones."""
     counts = _elevations(points_m, origin_m[0], origin_m[1], origin_m[2])
     smooth = np.convolve(counts, np.full(_SMOOTH, 1.0 / _SMOOTH), mode="same")
     return float((counts**2).sum() / max((smooth**2).sum(), 1e-9))
@@ -139,7 +152,7 @@ def _elevations(
     for i in range(len(points)):
         x, y, z = points[i, 0] - ox, points[i, 1] - oy, points[i, 2] - oz
         across = np.sqrt(x * x + y * y)
-        # nearer ones see a wrong origin, and the thickness of the sensor, too large
+        # nearer points amplify an origin error and the thickness of the sensor
         if 5.0 < across < _FARTHEST_M:
             k = int((np.arctan2(z, across) - _LOWEST_RAD) / _SHARP_RAD)
             if 0 <= k < bins:
@@ -151,7 +164,7 @@ def _elevations(
 def _count(
     points: NDArray[np.floating], ox: float, oy: float, oz: float, row: float
 ) -> tuple[int, int, int]:
-    """Points that count, that share a direction with another, and that lie behind that one."""
+    """Count points in range, those that share a direction, and those behind another in it."""
     columns = int(2.0 * np.pi / _COLUMN_RAD)
     rows = int((_HIGHEST_RAD - _LOWEST_RAD) / row) + 1
     nearest = np.full(rows * columns, np.float32(np.inf), np.float32)

@@ -1,4 +1,4 @@
-"""Which beams a sensor has, measured from its own clouds: the rows of the range image."""
+"""Beam table: elevations of a sensor's beams, measured from its clouds; rows of the range image."""
 
 from dataclasses import dataclass
 
@@ -6,31 +6,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
-from workers.lidar.beam_origin import MAX_BEHIND_SHARE, behind_share, find_origin
+from workers.lidar.beam_origin import MAX_HIDDEN_SHARE, find_origin, hidden_share
 
 MIN_RANGE_M = 2.5
-"""Nearer returns are the car itself or reflections."""
+"""Smallest range of a return, metres; nearer ones are the car itself or reflections."""
 
 _MIN_RING_POINTS = 20
 _MAX_CONE_ERROR = 0.35
-"""Spread of a beam's elevation over the spacing of beams, above which rings are no cones: a point
-would land in the wrong row more often than not."""
+"""Spread of a beam's elevation over the spacing of beams, above which rings are no cones.
+
+A point would then fall in the wrong row more often than not."""
 
 _MIN_SPACING = 1e-3
-"""0.06 degrees: half of the closest beams that are sold. Closer ones are one beam, or one place."""
+"""Smallest spacing of tangents, 0.06 degrees: half of the closest beams on the market. Closer ones
+are one beam, or one place."""
 
 _SECTOR_RAD = np.radians(0.5)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeamTable:
-    """The elevations of a sensor's beams, as seen from where the beams meet.
+    """Elevations of a sensor's beams about their common origin.
 
     Attributes:
         tangents: (R,) tangent of each beam's elevation, rising.
-        origin_m: (3,) where the beams meet, in the space of the cloud.
-        max_gap: Neighbouring beams whose tangents differ by more do not bracket what is between.
-        trusted: Whether the beams are cones about the origin, so that visibility can be judged.
+        origin_m: (3,) origin of the beams, in the space of the cloud.
+        max_gap: Largest difference of neighbouring tangents that still bracket the space between.
+        trusted: The beams are cones about the origin, so that visibility can be computed.
         reason: Why they are not; empty when they are.
     """
 
@@ -42,13 +44,13 @@ class BeamTable:
 
 
 def estimate_beam_table(points_m: Points, ring: NDArray[np.int16]) -> BeamTable:
-    """Measure the beams of the sensor that took a cloud.
+    """Measure the beams of the sensor that recorded a cloud.
 
-    Where beams were recorded, each must be a cone about the sensor: if they are not about the
-    cloud's origin, the point about which they are is looked for (clouds are often delivered in
-    the space of the car). Without recorded beams the rows are evenly spaced, as far apart as
-    vertical neighbours are in the cloud, and the cloud's origin is believed unless points hide each
-    other from there: then the place is looked for from which they do not.
+    Recorded beams must be cones about the sensor. If they are not cones about the cloud's origin,
+    their common apex is estimated, since clouds are often delivered in the space of the car.
+    Without recorded beams the rows are evenly spaced, at the distance of vertical neighbours in the
+    cloud. The cloud's origin is then used unless points hide each other from there; in that case
+    the place from which they do not is estimated.
 
     Args:
         points_m: (N, 3) valid points, metres.
@@ -96,11 +98,11 @@ def _from_rings(
 def _cones(
     points: NDArray[np.float64], rows: NDArray[np.int64], count: int
 ) -> tuple[NDArray[np.float64], float]:
-    """Median tangent of each beam, and its typical spread over the typical spacing."""
+    """Return the median tangent of each beam, and the typical spread over the typical spacing."""
     tangent = points[:, 2] / np.maximum(np.hypot(points[:, 0], points[:, 1]), 0.1)
     order = np.lexsort((tangent, rows))
     start = np.searchsorted(rows[order], np.arange(count + 1))
-    # A last beam without a point would begin after the last one.
+    # a last beam without a point would begin after the last one
     middle = np.minimum((start[:-1] + start[1:]) // 2, len(tangent) - 1)
     quarter = (start[1:] - start[:-1]) // 4
     ranked = tangent[order]
@@ -113,9 +115,9 @@ def _cones(
 def _meeting_point(
     points: NDArray[np.float64], rows: NDArray[np.int64], count: int
 ) -> NDArray[np.float64]:
-    """Where beams meet: each is z - oz = tangent * horizontal distance from (ox, oy).
+    """Estimate the apex of the beams: z - oz = tangent * horizontal distance from (ox, oy).
 
-    Gauss-Newton on the origin with the tangents eliminated beam by beam, outliers weighed down.
+    Gauss-Newton on the origin with the tangents eliminated beam by beam and outliers down-weighted.
     """
     points, rows = points[::5], rows[::5]
     origin = np.zeros(3)
@@ -145,8 +147,8 @@ def _meeting_point(
 
 def _evenly_spaced(points: NDArray[np.float64]) -> BeamTable:
     origin, reason = np.zeros(3), ""
-    behind = behind_share(points, origin)
-    if behind > MAX_BEHIND_SHARE:
+    behind = hidden_share(points, origin)
+    if behind > MAX_HIDDEN_SHARE:
         found = find_origin(points)
         if found is None:
             reason = (
@@ -181,6 +183,6 @@ def _evenly_spaced(points: NDArray[np.float64]) -> BeamTable:
 
 
 def _max_gap(tangents: NDArray[np.float64]) -> float:
-    """Gap across which a surface is still taken as seen: 1.6 degrees, more for sparse sensors."""
+    """Return the gap that a surface spans unseen: 1.6 degrees, more for sparse sensors."""
     typical = float(np.median(np.diff(np.sort(tangents)))) if len(tangents) > 1 else 0.0
     return max(float(np.tan(np.radians(1.6))), 1.3 * typical)

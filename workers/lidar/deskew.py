@@ -1,4 +1,4 @@
-"""Motion within a sweep: twists, and clouds brought to the middle of their sweep."""
+"""Deskewing: twists of the sensor, and clouds compensated to the middle of their sweep."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +15,13 @@ Twist = NDArray[np.float64]
 
 
 def twist(earlier_from_later: Transform) -> Twist:
-    """Take a motion apart into its rotation vector and its translation."""
+    """Split a motion into its rotation vector and its translation."""
     rotation = Rotation.from_matrix(earlier_from_later[:3, :3]).as_rotvec()
     return np.concatenate([rotation, earlier_from_later[:3, 3]])
 
 
 def motion(of: Twist) -> Transform:
-    """Put a motion together from its rotation vector and its translation."""
+    """Compose a motion from its rotation vector and its translation."""
     earlier_from_later: Transform = np.eye(4)
     earlier_from_later[:3, :3] = Rotation.from_rotvec(of[:3]).as_matrix()
     earlier_from_later[:3, 3] = of[3:]
@@ -29,7 +29,7 @@ def motion(of: Twist) -> Transform:
 
 
 def time_from_middle_s(frame: LidarFrame) -> NDArray[np.float32] | None:
-    """When each point was measured, relative to the middle of its sweep.
+    """Return the measurement time of each point, relative to the middle of its sweep.
 
     Returns:
         (N,) seconds; None where the log has no time per point, or the same for all of them.
@@ -44,7 +44,7 @@ def time_from_middle_s(frame: LidarFrame) -> NDArray[np.float32] | None:
 
 @step("deskew")
 def deskew(points_m: Points, time_from_middle_s: NDArray[np.float32], velocity: Twist) -> Points:
-    """Bring points to where they would have been measured in the middle of the sweep.
+    """Compensate the motion within a sweep, to the sensor's pose in the middle of it.
 
     Args:
         points_m: (N, 3) as measured, sensor space of each point's own instant, metres.
@@ -67,7 +67,7 @@ def _seconds_since(offset_ns: NDArray[np.int32], middle_ns: float) -> NDArray[np
 
 @compiled
 def _deskew(points: Points, time: NDArray[np.float32], velocity: NDArray[np.float32]) -> Points:
-    """Second order in the angle: 0.05 rad within a sweep leave 2 mm at 80 m."""
+    """Compensate to second order in the angle: 0.05 rad within a sweep leave 2 mm at 80 m."""
     out = np.empty((len(points), 3), np.float32)
     wx, wy, wz = velocity[0], velocity[1], velocity[2]
     for i in range(len(points)):

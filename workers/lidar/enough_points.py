@@ -1,4 +1,4 @@
-"""Tests whether the returns of a frame suffice to fix a pose."""
+"""Point sufficiency: tests if the returns of a frame can constrain a pose."""
 
 from typing import Final
 
@@ -9,7 +9,7 @@ MIN_POINTS: Final = 100
 
 
 MIN_PLACES: Final = 30
-"""Cells of 1.5 m (the spacing of key points) that a frame must fill to fix six unknowns."""
+"""Cells of 1.5 m (the spacing of key points) that a frame must fill to constrain six unknowns."""
 
 
 _PLACE_M: Final = 1.5
@@ -21,12 +21,12 @@ _PLACE_SAMPLES: Final = 2000
 _PLACE_KEYS: Final = np.array([1, 1 << 20, 1 << 40])
 
 
-def too_little(points_m: NDArray[np.floating], *, places: int = MIN_PLACES) -> str:
-    """Say why a frame's returns tell nothing of where the sensor is; empty when they do.
+def too_few_returns(points_m: NDArray[np.floating], *, places: int = MIN_PLACES) -> str:
+    """Return why a frame's returns cannot constrain a pose; empty when they can.
 
     Args:
         points_m: (N, 3) about the sensor, finite, metres.
-        places: How many cells of 1.5 m they must fill.
+        places: Number of cells of 1.5 m that they must fill.
     """
     if len(points_m) < MIN_POINTS:
         return f"only {len(points_m)} usable points, {MIN_POINTS} are needed"

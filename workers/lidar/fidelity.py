@@ -1,13 +1,13 @@
-"""Which form of a published rule: as its code does it, or with its faults mended."""
+"""Fidelity to a published rule: its code bug for bug, or with its faults corrected."""
 
 from enum import StrEnum
 
 
 class Form(StrEnum):
-    """How close a part stays to the published code.
+    """Fidelity of a part to the published code.
 
-    CORRECTED: what the rule is meant to do; the docstring of each part names what differs.
-    PAPER: bug for bug, for the paper's own numbers and for networks trained behind the bug.
+    CORRECTED: the intended rule; the docstring of each part names the differences.
+    PAPER: bug for bug, for the paper's own numbers and for networks trained with the bug.
     """
 
     CORRECTED = "corrected"

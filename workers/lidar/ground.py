@@ -1,4 +1,4 @@
-"""Ground removal: Patchwork++, kept from swallowing the sides of near cars."""
+"""Ground removal with Patchwork++, and a height guard that keeps the sides of near cars."""
 
 import os
 import sys
@@ -14,20 +14,23 @@ from workers.points.step_names import step
 
 GUARD_M = 0.5
 GUARD_PER_M = 0.04
-"""Ground is not higher than this over the plane under the car: a kerb and a 4 % slope. Close to
-the sensor a car at 4-6 m hides the road, and a plane would be fitted to the car."""
+"""Height guard: largest height of ground over the plane under the car, metres, and its slope.
+
+It allows a kerb and a 4 % slope. A car at 4 to 6 m hides the road near the sensor, and without the
+guard a plane would be fitted to the car."""
 
 
 @step("ground")
 def ground_mask(points_m: Points, *, sensor_height_m: float) -> Mask:
-    """Say which points lie on the ground: Patchwork++ (Lee, Lim, Myung, IROS 2022), and the guard.
+    """Find the ground points: Patchwork++ (Lee, Lim, Myung, IROS 2022), and the height guard.
 
-    Patchwork++ learns thresholds from frame to frame. A new one for every frame answers as well on
-    real logs, better on very even roads, and the same wherever a log is cut into shards.
+    Patchwork++ adapts its thresholds from frame to frame. A new instance per frame is as accurate
+    on real logs and better on very even roads. Its masks are the same wherever a log is cut into
+    shards.
 
     Args:
         points_m: (N, 3) valid points about the sensor, z up, metres.
-        sensor_height_m: Of the sensor over the road.
+        sensor_height_m: Height of the sensor over the road.
 
     Returns:
         (N,) bool.
@@ -42,7 +45,7 @@ def ground_mask(points_m: Points, *, sensor_height_m: float) -> Mask:
         setattr(parameters, name, value)
     with _silent_native_stdout():
         patchwork = pypatchworkpp.patchworkpp(parameters)
-    # the library takes an intensity as well
+    # the library also expects an intensity
     cloud = np.zeros((len(points_m), 4), np.float32)
     cloud[:, :3] = points_m
     patchwork.estimateGround(cloud)
@@ -52,7 +55,7 @@ def ground_mask(points_m: Points, *, sensor_height_m: float) -> Mask:
 
 @compiled
 def _mark_low(points: Points, found: NDArray[np.integer], sensor_height: float, mask: Mask) -> None:
-    """Mark the points that were found to be ground, but for those that the guard forbids."""
+    """Mark the ground points found by Patchwork++ that pass the height guard."""
     for i in found:
         x, y = points[i, 0], points[i, 1]
         across = np.sqrt(x * x + y * y)
@@ -60,7 +63,7 @@ def _mark_low(points: Points, found: NDArray[np.integer], sensor_height: float, 
 
 
 def _parameters(sensor_height_m: float) -> dict[str, object]:
-    """Every field: some are uninitialised memory unless set (`intensity_thr` was 3.9e180)."""
+    """Return every field: some are uninitialised memory (`intensity_thr` was 3.9e180)."""
     return {
         "verbose": False,
         "sensor_height": sensor_height_m,
@@ -96,7 +99,7 @@ def _parameters(sensor_height_m: float) -> dict[str, object]:
 
 @contextmanager
 def _silent_native_stdout() -> Iterator[None]:
-    """Drop what compiled code says on stdout, which belongs to results: it greets at the start."""
+    """Discard native output on stdout, which is for results; the library prints a greeting."""
     sys.stdout.flush()
     kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
     try:

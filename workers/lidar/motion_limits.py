@@ -3,11 +3,11 @@
 from typing import Final
 
 MAX_ACCELERATION_M_PER_S2: Final = 12.0
-"""Full braking on a dry road, with a kerb on top."""
+"""Largest acceleration, m/s²: full braking on a dry road, with a kerb on top."""
 
 
 POSE_NOISE_M: Final = 0.15
 
 
 POSE_NOISE_RAD: Final = 0.01
-"""Worst single frames of the odometry on real logs, not typical ones (0.02 m, 0.001 rad)."""
+"""Noise of poses in the worst single frames on real logs; typical frames have 0.02 m, 0.001 rad."""

@@ -1,4 +1,4 @@
-"""Questions to the pixels around points in a range image, compiled: who is near, what they say."""
+"""Pixel windows in a range image, compiled: nearest neighbours, votes and means around points."""
 
 from typing import TypeVar
 
@@ -12,25 +12,25 @@ Codes = NDArray[np.uint8]
 Values = NDArray[np.float32]
 
 _BLOCK = 256
-"""Points at a time: all that is kept of them stays in the nearest caches."""
+"""Points at a time: the working set of a block stays in the nearest caches."""
 
 _PLACE_BITS = 16
 _NOWHERE = np.int64(np.float32(np.inf).view(np.int32)) << _PLACE_BITS
-"""Infinitely far, in the first place of a window."""
+"""Key of no pixel: infinite distance, in the first place of a window."""
 
 Number = TypeVar("Number", bound=np.generic)
 
 
 @compiled
 def padded(values: Values, index: Pixels, reach: int, fill: np.float32, wrap: bool) -> Values:
-    """Surround an image by so many pixels; empty ones, of index -1, are infinite.
+    """Pad an image on all sides; empty pixels, of index -1, become infinite.
 
     Args:
         values: (H, W).
         index: (H, W) below zero where a pixel is empty.
         reach: Pixels on each side.
         fill: Value beyond the image.
-        wrap: Whether left and right the other side follows instead.
+        wrap: Continue the image from its other side on the left and right instead.
 
     Returns:
         (H + 2 reach, W + 2 reach).
@@ -60,22 +60,22 @@ def nearest_in_window(
     cutoff: np.float32,
     wrap: bool,
 ) -> Pixels:
-    """Find the pixels around points that are nearest to them in discounted range.
+    """Find the pixels in the window of each point that are nearest in discounted range.
 
     Args:
-        wide: Ranges as `padded` gives them.
+        wide: Ranges from `padded`.
         row: (N,) of each point.
         column: (N,) of each point.
         own: (N,) range of each point.
-        points: (M,) which are asked about.
+        points: (M,) indices of the query points.
         discount: (S, S) factor of each place in the window; S is odd.
-        neighbours: How many are wanted.
-        cutoff: Farther ones are none.
-        wrap: Whether the first column continues the last.
+        neighbours: Number of pixels per point.
+        cutoff: Largest discounted distance.
+        wrap: The first column continues the last.
 
     Returns:
-        (M, neighbours) flat pixels, nearest first, of equals the first in the window; -1 for one
-        that is none, or lies beyond the image.
+        (M, neighbours) flat pixels, nearest first, of equals the first in the window; -1 for none,
+        or for one beyond the image.
     """
     side = len(discount)
     reach = side // 2
@@ -101,7 +101,7 @@ def nearest_in_window(
             for k in range(n):
                 apart[k] = abs(flat[corner[k] + offset] - range_m[k]) * factor
             if step == side * side // 2:
-                apart[:n] = 0.0  # the centre stands for the point itself
+                apart[:n] = 0.0  # the centre is the point itself
             for k in range(n):
                 key[step, k] = (np.int64(bits[k]) << _PLACE_BITS) | step
         last[:n] = -1
@@ -134,7 +134,7 @@ def _keep_least(
 
 @compiled
 def look_up(image: NDArray[Number], pixel: Pixels, nothing: Number) -> NDArray[Number]:
-    """Value of each point's own pixel of (H, W), and another where it has none, -1; (N,)."""
+    """Return the value of each point's pixel in (H, W), or `nothing` for pixel -1; (N,)."""
     flat = image.ravel()
     found = np.empty(len(pixel), image.dtype)
     for i in range(len(pixel)):
@@ -143,13 +143,13 @@ def look_up(image: NDArray[Number], pixel: Pixels, nothing: Number) -> NDArray[N
 
 
 @compiled
-def commonest(image: Codes, voters: Pixels, nobody: np.uint8) -> Codes:
-    """Commonest code above 0 of the pixels that vote, the lowest of equals.
+def majority_code(image: Codes, voters: Pixels, without_votes: np.uint8) -> Codes:
+    """Return the commonest code above 0 among the voting pixels, the lowest of equals.
 
     Args:
         image: (H, W) codes.
         voters: (M, k) flat pixels, -1 for none.
-        nobody: Answer where none votes.
+        without_votes: Result without votes.
 
     Returns:
         (M,) codes.
@@ -158,7 +158,7 @@ def commonest(image: Codes, voters: Pixels, nobody: np.uint8) -> Codes:
     winners = np.empty(len(voters), np.uint8)
     votes = np.zeros(256, np.int64)
     for m in range(len(voters)):
-        winner, most = nobody, 0
+        winner, most = without_votes, 0
         for pixel in voters[m]:
             code = flat[pixel] if pixel >= 0 else np.uint8(0)
             if code > 0:
@@ -174,7 +174,7 @@ def commonest(image: Codes, voters: Pixels, nobody: np.uint8) -> Codes:
 
 @compiled
 def mean_of(image: Values, voters: Pixels) -> Values:
-    """Mean of the pixels that vote, summed in float64; 0 where none does.
+    """Average the voting pixels, summed in float64; 0 without votes.
 
     Args:
         image: (H, W).
@@ -197,13 +197,13 @@ def mean_of(image: Values, voters: Pixels) -> Values:
 
 @compiled
 def mixed_windows(codes: Codes, index: Pixels, reach: int, wrap: bool) -> NDArray[np.bool_]:
-    """Pixels in whose window more than one code, or code 0, is seen.
+    """Find pixels whose window contains more than one code, or code 0.
 
     Args:
         codes: (H, W) of each pixel.
         index: (H, W) below zero where a pixel is empty.
         reach: Pixels of the window on each side.
-        wrap: Whether the first column continues the last.
+        wrap: The first column continues the last.
 
     Returns:
         (H, W).
@@ -234,8 +234,8 @@ def mixed_windows(codes: Codes, index: Pixels, reach: int, wrap: bool) -> NDArra
 
 
 @compiled
-def likeliest(values: Values) -> Codes:
-    """One more than the first of the greatest of K values of each pixel, of (K, P); (P,)."""
+def argmax_code(values: Values) -> Codes:
+    """Return the 1-based argmax over K of (K, P) values, the first of equals; (P,)."""
     count, pixels = values.shape
     best = np.ones(pixels, np.uint8)
     most = values[0].copy()

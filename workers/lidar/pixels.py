@@ -1,4 +1,4 @@
-"""Which pixel of a range image each point lies in, compiled: at once, but for what is close."""
+"""Pixel of each point in a range image, compiled: a fast path, and a mark for points near edges."""
 
 from typing import Final, NamedTuple
 
@@ -10,22 +10,23 @@ from workers.lidar.spherical import ANGLE_ERROR, BLOCK, angle_of
 from workers.points.compiled import compiled
 
 UNSURE: Final = -2
-"""Row of a point so close to the edge of a pixel that the library must be asked."""
+"""Row of a point so close to the edge of a pixel that the library function must decide."""
 
 _STEPS = 2048
-"""Even steps through the edges of rows; most of them hold one edge at most."""
+"""Even steps through the edges of rows; most of them contain one edge at most."""
 
 _SINE_ERROR = 3e-6
-"""Of an elevation in 32 bits, six times what the library's sine and the shares of rows err by."""
+"""Error of an elevation's sine in 32 bits: six times that of the library's sine and of row shares.
+"""
 
 
 class Gaps(NamedTuple):
-    """The rows between edges of elevation.
+    """Rows between edges of elevation.
 
     Attributes:
         sines: (E,) of the edges, rising.
         row: (E + 1,) row below the first edge, between two, and above the last; -1 for none.
-        first: (_STEPS + 1,) first edge that a sine of each even step may lie under.
+        first: (_STEPS + 1,) first edge that a sine of each even step may be below.
     """
 
     sines: NDArray[np.float64]
@@ -34,16 +35,16 @@ class Gaps(NamedTuple):
 
 
 def gaps_between(edges_rad: NDArray[np.float64], row: NDArray[np.int32]) -> Gaps:
-    """Prepare the edges of rows, rising, and the rows between them, for `place`."""
+    """Build the search table of `place_points` from rising row edges and the rows between them."""
     sines = np.sin(edges_rad)
     begins = np.linspace(sines[0], sines[-1], _STEPS + 1)
-    # a little lower, by more than is rounded
+    # a little lower, by more than the rounding
     first = np.searchsorted(sines, begins - 0.01 * (sines[-1] - sines[0]) / _STEPS)
     return Gaps(sines, row, np.minimum(first, len(sines) - 1).astype(np.int32))
 
 
 @compiled
-def place(
+def place_points(
     points: NDArray[np.floating],
     valid: Mask,
     nearest: np.floating,
@@ -54,17 +55,17 @@ def place(
     row: NDArray[np.int32],
     column: NDArray[np.int32],
 ) -> None:
-    """Say how far points are, and in which row and column, in the arithmetic of the points.
+    """Compute range, row and column of points, in the precision of the points.
 
     Args:
         points: (N, 3) sensor space, metres.
-        valid: (N,) which may be placed.
-        nearest: Those nearer, or so near, are not; metres.
-        farthest: Nor those farther, or so far.
+        valid: (N,) points that may be placed.
+        nearest: Largest range that is too near, metres.
+        farthest: Smallest range that is too far, metres.
         gaps: Edges of rows.
-        columns: Of the image.
+        columns: Width of the image.
         range_m: (N,) filled with ranges; 0 where a point is not placed.
-        row: (N,) filled with rows; -1 for none, `UNSURE` for what is too close to an edge.
+        row: (N,) filled with rows; -1 for none, `UNSURE` too close to an edge.
         column: (N,) filled with columns, where there is a row.
     """
     sines, scale = gaps.sines, _STEPS / (gaps.sines[-1] - gaps.sines[0])
@@ -135,7 +136,7 @@ def normalised(
     means: NDArray[np.float32],
     stds: NDArray[np.float32],
 ) -> NDArray[np.float32]:
-    """Range, x, y, z and intensity of the point that each pixel shows, less means, over deviations.
+    """Normalise range, x, y, z and intensity of the point in each pixel by means and deviations.
 
     Args:
         index: (H, W) point of each pixel.

@@ -1,4 +1,4 @@
-"""What one frame is turned into before anything moves: ground, range image, voxels, pose."""
+"""Preprocessing of a frame: deskewing, ground removal, voxels, range image, pose."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -13,7 +13,7 @@ from workers.lidar.beam_image import range_image
 from workers.lidar.beam_learner import BeamLearner
 from workers.lidar.beam_table import MIN_RANGE_M, BeamTable
 from workers.lidar.deskew import Twist, deskew, time_from_middle_s
-from workers.lidar.enough_points import too_little
+from workers.lidar.enough_points import too_few_returns
 from workers.lidar.ground import ground_mask
 from workers.lidar.sensor_height import estimate_sensor_height
 from workers.points.point_kernels import judged_rows, moved_rows, returns_within, rows_about
@@ -21,34 +21,37 @@ from workers.points.se3 import inverse
 from workers.points.voxels import Voxels, voxelize
 
 MAX_RANGE_M: Final = 80.0
-"""Beyond it neighbouring beams are 0.6 m apart or more, and a car is a handful of points."""
+"""Range up to which points are labelled, metres.
+
+Beyond it neighbouring beams are 0.6 m apart or more, and a car is a handful of points."""
 
 MAX_HEIGHT_M: Final = 3.0
-"""Over the sensor: the highest lorry ends below it wherever the sensor is on a car's roof."""
+"""Height over the sensor up to which points are labelled, metres: above every lorry, for a sensor
+on the roof of a car."""
 
 FARTHEST_M: Final = 1000.0
-"""No lidar of a car sees as far; what lies beyond, or is no number, is no return."""
+"""Range beyond which a return is invalid, metres; no lidar of a car reaches it."""
 
 MIN_PLACES: Final = 3
-"""Cells of 1.5 m that a frame must fill to be compared; whether they fix a pose, odometry says."""
+"""Cells of 1.5 m that a frame must fill to be compared; odometry needs more for a pose."""
 
-_HERE: Final = np.zeros(3, np.float32)
+_SENSOR_ORIGIN: Final = np.zeros(3, np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Prepared:
-    """One frame, ready to be compared with others.
+class PreprocessedFrame:
+    """A preprocessed frame, in the form that comparisons need.
 
     Attributes:
-        points_m: (M, 3) its valid points about the beams' origin, brought to the middle of the
+        points_m: (M, 3) its valid points about the beams' origin, deskewed to the middle of the
             sweep where their times are known.
-        valid_index: (M,) which points of the frame they are.
-        ground: (M,) which of them lie on the ground.
-        judged_index: (J,) which of them take part: off the ground, in range, not too high.
-        voxels: Of the judged points, odom space.
-        image: (R, C) range image of all of them.
-        odom_from_beams: (4, 4) where the beams met.
-        beams_from_odom: (4, 4) the same, turned round.
+        valid_index: (M,) indices of these points in the frame.
+        ground: (M,) points on the ground.
+        judged_index: (J,) indices of the points to label: off the ground, in range, not too high.
+        voxels: Voxels of those points, odom space.
+        image: (R, C) range image of all valid points.
+        odom_from_beams: (4, 4) pose of the origin of the beams.
+        beams_from_odom: (4, 4) the inverse pose.
     """
 
     points_m: Points
@@ -61,8 +64,8 @@ class Prepared:
     beams_from_odom: Transform
 
 
-class Preparation:
-    """Prepares the frames of one sensor; learns its beams and its height as they come."""
+class Preprocessor:
+    """Preprocesses the frames of one sensor, and learns its beams and height from them."""
 
     def __init__(self) -> None:
         self._beams = BeamLearner()
@@ -70,26 +73,25 @@ class Preparation:
 
     @property
     def table(self) -> BeamTable | None:
-        """Beams of the sensor, as far as they are known."""
+        """Beams of the sensor, learned so far."""
         return self._beams.table
 
     def __call__(
         self, frame: LidarFrame, odom_from_sensor: Transform, velocity: Twist | None
-    ) -> Prepared | None:
-        """Prepare a frame.
+    ) -> PreprocessedFrame | None:
+        """Preprocess a frame.
 
         Args:
             frame: The frame.
             odom_from_sensor: (4, 4) pose in the middle of its sweep.
-            velocity: Twist of the sensor per second, to undo the motion within the sweep; None
-                when it is not known.
+            velocity: Twist of the sensor per second, for deskewing; None when unknown.
 
         Returns:
-            None when the frame says nothing: next to no point, or no beams that could be measured.
+            None when the frame has almost no point, or no beams that could be measured.
         """
         valid_index = _returns(frame)
-        points_m = rows_about(frame.points_m, valid_index, _HERE)
-        if too_little(points_m, places=MIN_PLACES):
+        points_m = rows_about(frame.points_m, valid_index, _SENSOR_ORIGIN)
+        if too_few_returns(points_m, places=MIN_PLACES):
             return None
         if self._beams.learn(points_m, frame.ring[valid_index]):
             self.sensor_height_m = 0.0
@@ -106,7 +108,7 @@ class Preparation:
         judged_index = judged_rows(points_m, ground, MIN_RANGE_M, MAX_RANGE_M, MAX_HEIGHT_M)
         odom_from_beams = odom_from_sensor.copy()
         odom_from_beams[:3, 3] += odom_from_sensor[:3, :3] @ self.table.origin_m
-        return Prepared(
+        return PreprocessedFrame(
             points_m=points_m,
             valid_index=valid_index,
             ground=ground,
@@ -118,12 +120,12 @@ class Preparation:
         )
 
     def problem(self, frame: LidarFrame) -> FrameHealth:
-        """Say why nothing can be judged in a frame, as far as points and beams are to blame."""
+        """Return why no point of a frame can be labelled, as far as points and beams cause it."""
         index = _returns(frame)
         if len(index) == 0:
             what = f"none of {len(frame)} points is a return" if len(frame) else "no point"
             return FrameHealth(Blindness.NO_POINTS, what)
-        little = too_little(frame.points_m[index], places=MIN_PLACES)
+        little = too_few_returns(frame.points_m[index], places=MIN_PLACES)
         if little:
             return FrameHealth(Blindness.NO_POINTS, little)
         reason = self.table.reason if self.table is not None else ""
@@ -131,5 +133,5 @@ class Preparation:
 
 
 def _returns(frame: LidarFrame) -> NDArray[np.int64]:
-    """Points that say something of the world: none invalid, no number, or beyond all reach."""
+    """Select the points that are returns: valid, finite and within the reach of a lidar."""
     return returns_within(frame.points_m, frame.valid_mask, np.float32(FARTHEST_M))

@@ -1,4 +1,4 @@
-"""Spherical projection of a frame to a range image: which point is seen in which pixel."""
+"""Range image by spherical projection of a frame, with the pixel of each point."""
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -9,23 +9,30 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
 from workers.lidar.fidelity import Form
-from workers.lidar.pixels import UNSURE, Gaps, gaps_between, nearest_of_pixels, normalised, place
+from workers.lidar.pixels import (
+    UNSURE,
+    Gaps,
+    gaps_between,
+    nearest_of_pixels,
+    normalised,
+    place_points,
+)
 
 Channel = Literal["range", "x", "y", "z", "intensity"]
 
 CHANNELS: Final[tuple[Channel, ...]] = ("range", "x", "y", "z", "intensity")
-"""What a network sees in each pixel, in the published order (SalsaNext, LiDAR-MOS)."""
+"""Channels of a pixel for a network, in the published order (SalsaNext, LiDAR-MOS)."""
 
 MAX_PIXELS: Final = 1 << 20
-"""Pixels of a range image: four times those of the largest lidars, 128 rows of 2048."""
+"""Pixels of a range image at most: four times those of the largest lidars, 128 rows of 2048."""
 
 
 @dataclass(frozen=True)
 class SensorProfile:
-    """How a lidar is laid out as an image, and how its measurements are normalised.
+    """Layout of a lidar's range image, and the normalisation of its measurements.
 
     Attributes:
-        name: What messages call it.
+        name: Name in messages.
         rows: Height of the range image.
         columns: Width of the range image; column 0 looks backwards, the middle looks forward.
         fov_up_deg: Upper edge of the vertical field of view.
@@ -36,9 +43,9 @@ class SensorProfile:
             code does; otherwise they stay unprojected.
         means: Mean of range, x, y, z (metres) and intensity (0 to 1) over the training frames.
         stds: Their standard deviations.
-        fitted: Rows, field of view and elevations are those of whatever sensor a log is from, and
-            are measured in its first frame (`sensor_rows.lay_out`); `rows` is the most there may
-            be. The network was taught with several sensors.
+        fitted: Rows, field of view and elevations are measured in the first frame of a log
+            (`sensor_rows.lay_out`), for any sensor; `rows` is their maximum. The network was
+            trained with several sensors.
 
     Raises:
         ValueError: If the numbers contradict each other.
@@ -79,7 +86,7 @@ class SensorProfile:
 
     @property
     def layout(self) -> tuple[object, ...]:
-        """What decides which point is in which pixel; two profiles alike in it share an image."""
+        """Fields that determine the pixel of a point; profiles with equal ones share an image."""
         return (
             self.rows,
             self.columns,
@@ -99,7 +106,7 @@ class SensorProfile:
     def row_of(
         self, elevation_rad: NDArray[np.floating], *, clamp: bool = False
     ) -> NDArray[np.int32]:
-        """Row of each elevation; -1 outside the field of view unless it or the profile clamps."""
+        """Return the row of each elevation; -1 outside the field of view unless clamped."""
         number = elevation_rad.dtype.type
         up, down = number(np.radians(self.fov_up_deg)), number(np.radians(self.fov_down_deg))
         row: NDArray[np.int32]
@@ -117,15 +124,15 @@ class SensorProfile:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RangeImage:
-    """A frame seen as an image, with the way back to its points.
+    """A range image of a frame, with the pixel of each point.
 
     Attributes:
-        index: (H, W) int32, which point each pixel shows; -1 where there is none.
+        index: (H, W) int32, point of each pixel; -1 where there is none.
         range_m: (H, W) float32, distance of that point; -1 where there is none.
         row: (N,) int32, row of each point; -1 where the point is not projected.
         column: (N,) int32, column of each point; -1 where the point is not projected.
         point_range_m: (N,) float32, distance of each point, metres; zero where invalid.
-        form: How it was projected.
+        form: Fidelity of the projection to the published code.
     """
 
     index: NDArray[np.int32]
@@ -142,7 +149,7 @@ class RangeImage:
 
     @property
     def least_seen(self) -> int:
-        """Pixels of a lower index are empty to a network."""
+        """Smallest index that a network sees; pixels of a lower one are empty to it."""
         return 1 if self.form is Form.PAPER else 0
 
     @property
@@ -162,8 +169,8 @@ def project(
 ) -> RangeImage:
     """Project points to a range image; of several in one pixel the nearest is seen.
 
-    As RangeNet++ and SalsaNext do it: columns by azimuth, clockwise from behind; rows by elevation,
-    top first. The corrected form differs from the published code in this:
+    The layout is that of RangeNet++ and SalsaNext: columns by azimuth, clockwise from behind; rows
+    by elevation, top first. The corrected form differs from the published code:
 
     - the pixel of the point with index 0 counts as seen (published: as empty, `seen_mask`);
     - points above and below the field of view stay out (published: in the first and last row);
@@ -175,9 +182,9 @@ def project(
         profile: The layout of the image; one that clamps does so in both forms.
         valid_mask: (N,) points that may be projected; None for all.
         gate_m: Only points farther than the first and nearer than the second are projected.
-        form: Which of the two.
+        form: Fidelity to the published code.
         precision: Of the arithmetic. SalsaNext's loader has single, LMNet's double precision; the
-            two see about ten pixels of a frame differently.
+            two differ in about ten pixels of a frame.
 
     Returns:
         The image; points that are invalid or outside the field of view have row -1.
@@ -189,7 +196,7 @@ def project(
     range_m = np.empty(len(points), precision)
     row, column = np.empty((2, len(points)), np.int32)
     gaps = _gaps_of(profile, clamp)
-    place(
+    place_points(
         points,
         valid,
         precision(low),
@@ -211,7 +218,7 @@ def project(
 
 @lru_cache(maxsize=16)
 def _gaps_of(profile: SensorProfile, clamp: bool) -> Gaps:
-    """The edges between rows, and those of the field of view, with what lies between them."""
+    """Return the edges between rows, and of the field of view, with the rows between them."""
     up, down = np.radians(profile.fov_up_deg), np.radians(profile.fov_down_deg)
     if profile.elevations_deg is None:
         edges = np.linspace(down, up, profile.rows + 1)
@@ -229,7 +236,7 @@ def _pixels(
     *,
     clamp: bool,
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Row, -1 for none, and column of points, as the published code works them out."""
+    """Return the row, -1 for none, and column of points, computed as in the published code."""
     precision = points.dtype.type
     x, y, z = points[:, 0], points[:, 1], points[:, 2]
     share = precision(0.5) * (-np.arctan2(y, x) / precision(np.pi) + precision(1))
@@ -241,7 +248,7 @@ def _pixels(
 def image_channels(
     image: RangeImage, points_m: Points, intensity: NDArray[np.float32], profile: SensorProfile
 ) -> NDArray[np.float32]:
-    """Lay the measurements out as the normalised input of a network.
+    """Return the measurements as the normalised input of a network.
 
     Args:
         image: Projection of the same points.

@@ -1,7 +1,7 @@
-"""A second registration: whether what stands fits where the odometry puts it, and how far off.
+"""Registration check: point-to-plane registration of static structure, against the odometry.
 
-It knows neither the odometry's map nor its motion model: two frames, their static structure, point
-to plane. Along what the structure does not hold (a tunnel, an empty motorway) it says nothing.
+It uses neither the odometry's map nor its motion model: only two frames and their static structure.
+Along directions without constraints (a tunnel, an empty motorway) it has no result.
 """
 
 from dataclasses import dataclass
@@ -15,37 +15,39 @@ from workers.points.compiled import compiled
 from workers.points.neighbours import PointGrid, build_grid, nearest_few, nearest_rows
 
 NEAR_M: Final = 40.0
-"""Beyond it beams lie too far apart for planes."""
+"""Range of the structure, metres; beyond it beams are too far apart for planes."""
 
 FEWEST: Final = 150
 _SAMPLES: Final = 800
 _AROUND: Final = 8
 _FLAT: Final = 0.05
-"""Least over middle spread of the points around one: a leaf or a corner is no plane."""
+"""Ratio of the least to the middle spread of a neighbourhood; a leaf or a corner is no plane."""
 
 _STEPS: Final = 8
 _REACH_M: Final = 1.2
 _CLOSEST_REACH_M: Final = 0.35
 _WIDEST_M: Final = 0.4
-"""Gaps that count in the first step; half in each further one: ends of cars are few."""
+"""Residuals that count in the first step, metres, halved in each further one.
+
+Most cars that move have larger ones."""
 
 _LEAST_M: Final = 0.03
-"""Noise of the sensor: nothing less is worth telling apart."""
+"""Noise of the sensor, metres: the smallest scale of the robust weights."""
 
 _MOST: Final = 0.9
 _CONVERGED: Final = 2e-3
-_HELD: Final = 0.02
-"""Information along a direction over that of the best one, under which it is not held."""
+_CONSTRAINED: Final = 0.02
+"""Ratio of the information along a direction to the best one, below which it is unconstrained."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Structure:
-    """What stands around the sensor in one frame.
+    """Static structure around the sensor in one frame.
 
     Attributes:
-        centre_m: (3,) where the sensor was, odom space.
-        grid: Of all of it.
-        sample_m: (S, 3) some of it, on planes.
+        centre_m: (3,) place of the sensor, odom space.
+        grid: All of its points.
+        sample_m: (S, 3) a sample of them, on planes.
         normals: (S, 3) of those planes.
     """
 
@@ -57,17 +59,17 @@ class Structure:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Misfit:
-    """How a frame must be moved to fit another.
+    """Correction of one frame that makes it fit another.
 
     Attributes:
         shift_m: Over the ground, at the sensor.
-        turn_rad: About what is upright.
-        tilt_rad: About what is level. Walls hardly hold it, and the few planes that do, leaves and
-            eaves, are sampled by other beams in every frame.
-        before_m: Distance to planes that nine in ten keep, as the odometry has it.
-        after_m: The same once moved.
-        share: Of the sample that has a counterpart.
-        correction: (4, 4) that moves it there over the ground, odom space: tilt and heave are left.
+        turn_rad: About the vertical axis.
+        tilt_rad: About horizontal axes. Walls hardly constrain it, and the few planes that do,
+            leaves and eaves, are sampled by other beams in every frame.
+        before_m: Residual to planes that nine in ten points keep, at the odometry's pose.
+        after_m: The same after the correction.
+        share: Share of the sample with a counterpart.
+        correction: (4, 4) motion over the ground, odom space, without tilt and heave.
     """
 
     shift_m: float
@@ -79,12 +81,12 @@ class Misfit:
     correction: Transform
 
 
-def structure_of(static_m: Points, centre_m: NDArray[np.floating]) -> Structure | None:
-    """Prepare the static places of a frame; None where there are too few.
+def extract_structure(static_m: Points, centre_m: NDArray[np.floating]) -> Structure | None:
+    """Extract the structure of a frame from its static places; None where there are too few.
 
     Args:
-        static_m: (N, 3) places off the ground that no stream calls dynamic, odom space.
-        centre_m: (3,) where the sensor was.
+        static_m: (N, 3) places off the ground that no stream labels dynamic, odom space.
+        centre_m: (3,) place of the sensor.
     """
     centre = np.asarray(centre_m, np.float64)
     near = _near(static_m, centre[0], centre[1])
@@ -101,8 +103,8 @@ def structure_of(static_m: Points, centre_m: NDArray[np.floating]) -> Structure 
     return Structure(centre, grid, sample[flat].astype(np.float64), vectors[flat, :, 0])
 
 
-def misfit_between(reference: Structure, moved: Structure) -> Misfit | None:
-    """Register one frame to another, beginning where the odometry put both; None if it cannot.
+def register_structures(reference: Structure, moved: Structure) -> Misfit | None:
+    """Register one frame to another, starting at the odometry's poses; None if it cannot.
 
     Args:
         reference: The earlier frame.
@@ -150,7 +152,7 @@ def misfit_between(reference: Structure, moved: Structure) -> Misfit | None:
 
 @compiled
 def _near(points: Points, x: float, y: float) -> Points:
-    """Points that are near a place, seen from above; (M, 3)."""
+    """Select points near a place, seen from above; (M, 3)."""
     rows = np.empty(points.shape, np.float32)
     count = 0
     for i in range(len(points)):
@@ -167,22 +169,22 @@ def _step(
     gap_m: NDArray[np.float64],
     tolerated_m: float,
 ) -> NDArray[np.float64]:
-    """One robust Gauss-Newton step, (6,) rotation then shift, only along what is held."""
+    """Compute a robust Gauss-Newton step, (6,) rotation then shift, in constrained directions."""
     weight = 1.0 / (1.0 + (gap_m / tolerated_m) ** 2)
     lever_m = 10.0
     jacobian = np.hstack([np.cross(arms, planes) / lever_m, planes])
-    # sums in one order, whatever the threads of a BLAS
+    # sums in one order, at any number of BLAS threads
     information = np.einsum("ni,nj->ij", weight[:, None] * jacobian, jacobian)
     values, vectors = np.linalg.eigh(information)
-    held = values > _HELD * values[-1]
+    constrained = values > _CONSTRAINED * values[-1]
     right = vectors.T @ np.einsum("ni,n->i", jacobian, weight * gap_m)
-    step: NDArray[np.float64] = vectors[:, held] @ (right[held] / values[held])
+    step: NDArray[np.float64] = vectors[:, constrained] @ (right[constrained] / values[constrained])
     step[:3] /= lever_m
     return step
 
 
 def _rotation(vector: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rodrigues: of a rotation vector."""
+    """Return the matrix of a rotation vector (Rodrigues)."""
     angle = float(np.linalg.norm(vector))
     if angle < 1e-12:
         return np.eye(3)

@@ -1,4 +1,4 @@
-"""How high a sensor is over the road, from one of its clouds."""
+"""Sensor height over the road, estimated from one cloud."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,22 +7,24 @@ _DEFAULT_HEIGHT_M = 1.8
 _HEIGHTS_M = (0.4, 4.5)
 _BIN_M = 0.05
 _ROAD_SHARE = 0.5
-"""Of the votes of the commonest height. Reflections in a wet road come from below it, but they are
-single; the road within 20 m is seen in columns all around."""
+"""Share of the commonest height's votes that the road must have.
+
+Reflections in a wet road come from below it, but are rare; the road within 20 m is seen in columns
+all around."""
 
 
 def estimate_sensor_height(points_m: NDArray[np.floating]) -> float:
-    """Height of the sensor over the road: the lowest of the common heights around the car.
+    """Estimate the height of the sensor: the lowest of the common heights around the car.
 
     Every column 0.5 m wide votes once, with its lowest point, so that walls and dense near
-    returns do not outvote the road. Nothing lies under it: where few beams reach the road, the
+    returns do not outvote the road. No surface is below the road: where few beams reach it, the
     sides of cars in a jam may be commoner, but never lower.
 
     Args:
         points_m: (N, 3) valid points about the sensor, metres.
 
     Returns:
-        Metres, between 0.4 and 4.5; 1.8 (a roof) when nothing votes.
+        Metres, between 0.4 and 4.5; 1.8 (a roof) without votes.
     """
     across = np.hypot(points_m[:, 0], points_m[:, 1])
     near = points_m[(across > 3.0) & (across < 20.0)]

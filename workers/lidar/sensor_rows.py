@@ -1,4 +1,4 @@
-"""Rows of a lidar's range image, measured from what it sent: one a beam, or evenly spaced."""
+"""Sensor rows: rows of a range image measured from a frame, one per beam or evenly spaced."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,12 +12,12 @@ from schemas.frame import LidarFrame
 from workers.lidar.range_image import SensorProfile, project
 
 MULTIPLE: Final = 16
-"""SalsaNext and LMNet halve an image four times."""
+"""Factor of the number of rows: SalsaNext and LMNet halve an image four times."""
 
 MAX_BEAMS: Final = 256
 
 _EVEN_QUANTILES: Final = (0.001, 0.999)
-"""Elevations beyond are odd returns, not beams."""
+"""Quantiles of elevation that bound even rows; points beyond are outliers, not beams."""
 
 _RECORDED_SHARE: Final = 0.9
 _ORDERED_SHARE: Final = 0.95
@@ -25,26 +25,27 @@ _MIN_BEAM_POINTS: Final = 20
 _FEWEST_BEAMS: Final = 4
 _FEWEST_POINTS: Final = 1000
 _AS_MANY: Final = 0.01
-"""A row for each beam is taken unless even rows show a hundredth of the points more."""
+"""Share of points by which even rows must show more to be preferred to a row per beam."""
 
 _FROM_M: Final = 3.0
-"""Nearer points lie off their beam's elevation, by the beams' origin and the own roof."""
+"""Smallest range for elevations, metres; nearer points deviate by the beams' origin and the car's
+own roof."""
 
 
 def lay_out(profile: SensorProfile, frame: LidarFrame) -> SensorProfile:
-    """Give a profile the rows of the sensor that a frame is from.
+    """Set a profile's rows to those of the sensor of a frame.
 
-    A row for each beam where beams can be told apart, there are no more than rows, and as many
-    points are seen then as in evenly spaced rows; else as many even rows as the profile has, over
-    the elevations that nearly all points have.
+    There is a row for each beam where beams can be separated, are not more than the profile's
+    rows, and show as many points as evenly spaced rows. Otherwise the profile's number of rows is
+    spaced evenly over the elevations of nearly all points.
 
     Args:
-        profile: If it is `fitted`, its rows are the most there may be.
-        frame: Of the sensor.
+        profile: If it is `fitted`, its rows are the maximum.
+        frame: A frame of the sensor.
 
     Returns:
-        The profile with rows and field of view, no longer `fitted`; as it was if it never was, or
-        if the frame holds too few points to tell.
+        The profile with rows and field of view, no longer `fitted`. It is returned unchanged if it
+        was not fitted, or if the frame has too few points.
     """
     if not profile.fitted:
         return profile
@@ -72,7 +73,7 @@ def lay_out(profile: SensorProfile, frame: LidarFrame) -> SensorProfile:
 
 
 def beam_of_points(frame: LidarFrame) -> NDArray[np.int64] | None:
-    """Beam of each valid point: as recorded, or which turn of the cloud it belongs to."""
+    """Return the beam of each valid point: as recorded, or the revolution of the cloud it is in."""
     ring = frame.ring[frame.valid_mask]
     if len(ring) and (ring >= 0).mean() > _RECORDED_SHARE:
         return ring.astype(np.int64)
@@ -89,7 +90,7 @@ def beam_of_points(frame: LidarFrame) -> NDArray[np.int64] | None:
 def elevation_of_beams(
     elevation_deg: NDArray[np.float64], beam: NDArray[np.int64]
 ) -> tuple[float, ...]:
-    """Median elevation of each beam with enough points, falling; equal ones once."""
+    """Return the median elevation of each beam with enough points, falling; equal ones once."""
     elevation_deg, beam = elevation_deg[beam >= 0], beam[beam >= 0]
     order = np.lexsort((elevation_deg, beam))
     counts = np.bincount(beam)
@@ -100,7 +101,7 @@ def elevation_of_beams(
 
 
 def one_row_each(beams_deg: tuple[float, ...], columns: int) -> SensorProfile:
-    """A row for each beam, and further ones above until there are enough."""
+    """Build a profile of one row per beam, with further rows above up to a valid number."""
     gap = beams_deg[0] - beams_deg[1]
     missing = whole_rows(len(beams_deg)) - len(beams_deg)
     above = [round(beams_deg[0] + gap * more, 3) for more in range(missing, 0, -1)]
@@ -116,7 +117,7 @@ def one_row_each(beams_deg: tuple[float, ...], columns: int) -> SensorProfile:
 
 
 def evenly_spaced(elevation_deg: NDArray[np.float64], beams: int, columns: int) -> SensorProfile:
-    """Rows over the elevations that nearly all points have."""
+    """Build a profile of even rows over the elevations of nearly all points."""
     down, up = np.quantile(elevation_deg, _EVEN_QUANTILES).tolist()
     half = (up - down) / (beams - 1) / 2
     return SensorProfile(
@@ -129,17 +130,17 @@ def evenly_spaced(elevation_deg: NDArray[np.float64], beams: int, columns: int) 
 
 
 def whole_rows(rows: int) -> int:
-    """Round up to what networks take."""
+    """Round up to a number of rows that the networks accept."""
     return -(-rows // MULTIPLE) * MULTIPLE
 
 
 def seen_share(clouds: Sequence[Points], profile: SensorProfile) -> float:
-    """Share of the points of clouds that are seen in their pixel, none before them."""
+    """Compute the share of points that are the nearest in their pixel."""
     seen = [int(project(cloud, profile).seen_mask.sum()) for cloud in clouds]
     return sum(seen) / max(sum(map(len, clouds)), 1)
 
 
 def elevations_deg(points_m: Points) -> NDArray[np.float64]:
-    """Elevation of each point over the plane of the sensor, degrees."""
+    """Return the elevation of each point over the plane of the sensor, degrees."""
     flat = np.hypot(points_m[:, 0], points_m[:, 1])
     return np.degrees(np.arctan2(points_m[:, 2].astype(np.float64), flat))

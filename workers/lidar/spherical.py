@@ -1,7 +1,7 @@
-"""Where places lie as a sensor sees them: range, row and column, for many places at once.
+"""Spherical coordinates of places in a sensor's image, vectorised: range, row and column.
 
-Loops over blocks of places without a branch are turned into vector instructions; what needs a
-branch, place by place, comes after them.
+Loops over blocks of places without a branch compile to vector instructions; steps with a branch
+per place follow in separate loops.
 """
 
 from typing import NamedTuple
@@ -13,10 +13,10 @@ from schemas.arrays import Points
 from workers.points.compiled import compiled
 
 BLOCK = 512
-"""Places at a time: all of a block stays in the nearest cache."""
+"""Places at a time: a block stays in the nearest cache."""
 
 STEPS = 2048
-"""Even steps through the table of beams; most of them hold one beam at most."""
+"""Even steps through the table of beams; most of them contain one beam at most."""
 
 _ATAN = tuple(
     np.float32(c)
@@ -24,13 +24,13 @@ _ATAN = tuple(
 )
 _QUARTER, _HALF, _TINY = np.float32(np.pi / 2), np.float32(np.pi), np.float32(1e-30)
 ANGLE_ERROR = 3e-5
-"""Ten times what the polynomial errs by, and the rounding of a 32-bit angle a hundred times."""
+"""Error of an azimuth, rad: ten times that of the polynomial, a hundred times that of rounding."""
 
 _NEAREST = np.float32(1e-3)
 
 
 class Block(NamedTuple):
-    """Up to `BLOCK` places about the origin of the beams, float32; all but `row`.
+    """Up to `BLOCK` places about the origin of the beams, float32 in all fields but `row`.
 
     Attributes:
         x: Forward, metres.
@@ -55,7 +55,7 @@ class Block(NamedTuple):
 
 @compiled
 def new_block() -> Block:
-    """Room for a block."""
+    """Allocate a block."""
     room = np.zeros((7, BLOCK), np.float32)
     return Block(
         room[0], room[1], room[2], room[3], room[4], room[5], room[6], np.zeros(BLOCK, np.int32)
@@ -63,8 +63,8 @@ def new_block() -> Block:
 
 
 @compiled
-def fill(block: Block, points: Points, first: int, pose: NDArray[np.float32]) -> int:
-    """Bring the places from `first` on into a block, moved by a (3, 4) pose; how many they are."""
+def fill_block(block: Block, points: Points, first: int, pose: NDArray[np.float32]) -> int:
+    """Fill a block with places from `first` on, moved by a (3, 4) pose; return their number."""
     n = min(BLOCK, len(points) - first)
     a, b, c, d = pose[0, 0], pose[0, 1], pose[0, 2], pose[0, 3]
     for k in range(n):
@@ -83,7 +83,7 @@ def fill(block: Block, points: Points, first: int, pose: NDArray[np.float32]) ->
 
 @compiled
 def angle_of(x: np.float32, y: np.float32) -> np.float32:
-    """Azimuth to `ANGLE_ERROR`, counter-clockwise from -pi, without a branch."""
+    """Compute the azimuth to `ANGLE_ERROR`, counter-clockwise from -pi, without a branch."""
     ax, ay = abs(x), abs(y)
     less, more = ax if ax < ay else ay, ax if ax > ay else ay
     t = less / (more if more > _TINY else _TINY)
@@ -98,8 +98,10 @@ def angle_of(x: np.float32, y: np.float32) -> np.float32:
 
 
 @compiled
-def look(block: Block, n: int, tangents: NDArray[np.float32], rows: NDArray[np.int32]) -> None:
-    """Work out range, tangent, azimuth and a row of the first n places of a block."""
+def project_block(
+    block: Block, n: int, tangents: NDArray[np.float32], rows: NDArray[np.int32]
+) -> None:
+    """Compute range, tangent, azimuth and a row of the first n places of a block."""
     for k in range(n):
         x, y, z = block.x[k], block.y[k], block.z[k]
         flat = x * x + y * y
@@ -115,19 +117,19 @@ def look(block: Block, n: int, tangents: NDArray[np.float32], rows: NDArray[np.i
         at = at if at > np.float32(0.0) else np.float32(0.0)
         block.row[k] = np.int32(at if at < np.float32(STEPS) else np.float32(STEPS))
     for k in range(n):
-        # right where a step holds one beam at most
+        # exact where a step contains one beam at most
         row = rows[block.row[k]]
         block.row[k] = row + np.int32(tangents[row] < block.tangent[k])
 
 
 @compiled
 def rows_of_steps(tangents: NDArray[np.float32]) -> NDArray[np.int32]:
-    """First row that any tangent of each step may lie under, (STEPS + 1,), for `row_above`."""
+    """Return the first row that a tangent of each step may be below, (STEPS + 1,)."""
     rows = np.zeros(STEPS + 1, np.int32)
     scale = np.float64(_steps_per_tangent(tangents))
     row = 0
     for k in range(STEPS + 1):
-        # a little lower, by more than tangents are rounded
+        # a little lower, by more than the rounding of tangents
         begin = tangents[0] + (k - 0.01) / scale
         while row < len(tangents) - 1 and tangents[row] < begin:
             row += 1
@@ -137,7 +139,7 @@ def rows_of_steps(tangents: NDArray[np.float32]) -> NDArray[np.int32]:
 
 @compiled
 def row_above(tangents: NDArray[np.float32], guess: int, tangent: np.float32) -> int:
-    """First row whose tangent is not below the given one; as many as there are rows if none."""
+    """Return the first row whose tangent is not below the given one; the row count if none."""
     if not tangent <= tangents[-1]:
         return len(tangents)
     row = guess
@@ -148,10 +150,10 @@ def row_above(tangents: NDArray[np.float32], guess: int, tangent: np.float32) ->
 
 @compiled
 def column_of(angle: np.float32, x: np.float32, y: np.float32, columns: int) -> int:
-    """Column of a direction, from -pi counter-clockwise.
+    """Compute the column of a direction, from -pi counter-clockwise.
 
-    The angle is that of `look`; where it is too close to the edge of a column to tell, the library
-    is asked: a quarter of the time, the same columns.
+    The angle is that of `project_block`. The library function decides where it is too close to the
+    edge of a column, so the columns are the same in a quarter of the time.
     """
     scale = columns / (2.0 * np.pi)
     place = (np.float64(angle) + np.pi) * scale

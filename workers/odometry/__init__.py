@@ -1,1 +1,1 @@
-"""Poses of the sensor, and tests whether they can be trusted: KISS-ICP under guard."""
+"""Lidar odometry: KISS-ICP with checks of every pose."""

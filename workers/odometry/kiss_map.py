@@ -1,4 +1,4 @@
-"""KISS-ICP's map, begun at some frame: registers what comes to it, in the space of that frame."""
+"""A map of KISS-ICP, begun at some frame: registers later frames in the space of that frame."""
 
 import math
 from typing import Any, Final, NamedTuple
@@ -15,10 +15,12 @@ from workers.points.se3 import inverse
 MAX_RANGE_M: Final = 100.0
 VOXEL_M: Final = 1.0
 _CONVERGED: Final = 1e-3
-"""Millimetres, where pose noise is centimetres; a tenth of it takes twice the time."""
+"""Convergence threshold of ICP, metres, where pose noise is centimetres.
+
+A tenth of it takes twice the time."""
 
 STEP_M: Final = 2.0
-"""How far the first step may be off, a third of what is looked for: KISS-ICP's own value."""
+"""Error of the first step, metres, a third of the search radius: the default of KISS-ICP."""
 
 _ROAD_M: Final = 0.3
 _GOLDEN: Final = 0.6180339887498949
@@ -26,7 +28,7 @@ _ROAD_THINNING: Final = 20
 
 
 class _Registered(NamedTuple):
-    """A frame that is not in the map yet: its pose, where it was expected, its places, its time."""
+    """A frame that is not in the map yet: pose, predicted pose, map points, time step."""
 
     pose: Transform
     guess: Transform
@@ -35,11 +37,11 @@ class _Registered(NamedTuple):
 
 
 class KissMap:
-    """One map of KISS-ICP (Vizzo et al., RA-L 2023), one thread, without its deskewing.
+    """A map of KISS-ICP (Vizzo et al., RA-L 2023) in one thread, without its deskewing.
 
     Its deskewing applies the previous motion, refers the pose to the end of the sweep and aborts
     the process when all stamps are equal. Without it the pose is that of the middle of the sweep,
-    whatever the stamp names.
+    at any reference of the stamp.
 
     Attributes:
         pose: (4, 4) of the last frame, in the space of the first.
@@ -49,24 +51,24 @@ class KissMap:
         """Begin a map.
 
         Args:
-            velocity: How the sensor moves, per second; None if that is not known.
-            step_m: How far the first step may be off from it.
+            velocity: Twist of the sensor per second; None if unknown.
+            step_m: Largest error of the first step, metres.
         """
         self.pose: Transform = np.eye(4)
         self._velocity = velocity
-        self._begun = False
+        self._has_frames = False
         self._road_m = 0.0
         self._kiss = _new_kiss(step_m)
         self._registered: _Registered | None = None
 
     def expected(self, dt_s: float) -> Transform:
-        """(4, 4) where the sensor would be, had it gone on as it went."""
-        if not self._begun or self._velocity is None:
+        """Predict the pose (4, 4) at constant velocity."""
+        if not self._has_frames or self._velocity is None:
             return self.pose
         return self.pose @ motion(self._velocity * dt_s)
 
     def register(self, points: Points, dt_s: float) -> tuple[Transform | None, NDArray[np.float64]]:
-        """Register a frame; the map is as it was until it is told to take it in.
+        """Register a frame; the map does not change until `accept`.
 
         Args:
             points: (N, 3) returns of the frame, about the sensor.
@@ -76,10 +78,10 @@ class KissMap:
             (4, 4) its pose in the space of the first frame, None if registration failed; and
             (K, 3) its key points, about the sensor.
         """
-        if not self._begun:
+        if not self._has_frames:
             self._road_m = _ROAD_M - estimate_sensor_height(points.astype(np.float64))
         kiss, guess = self._kiss, self.expected(dt_s)
-        places, keypoints = _thinned(kiss, chosen(points, self._road_m))
+        places, keypoints = _voxelised(kiss, subsample(points, self._road_m))
         sigma = kiss.adaptive_threshold.get_threshold()
         pose: Transform = kiss.registration.align_points_to_map(
             points=keypoints,
@@ -91,31 +93,31 @@ class KissMap:
         self._registered = _Registered(pose, guess, places, dt_s) if _is_pose(pose) else None
         return (None if self._registered is None else pose), keypoints
 
-    def take_in(self) -> None:
-        """Believe what was registered last, and lay it into the map."""
+    def accept(self) -> None:
+        """Accept the last registration, and add its points to the map."""
         if self._registered is None:
             return
         pose, guess, places, dt_s = self._registered
         self._registered = None
         self._kiss.adaptive_threshold.update_model_deviation(inverse(guess) @ pose)
         self._kiss.local_map.update(places, pose)
-        if self._begun:
+        if self._has_frames:
             self._velocity = twist(inverse(self.pose) @ pose) / dt_s
-        self._begun, self.pose = True, pose
+        self._has_frames, self.pose = True, pose
 
-    def believe(self, pose: Transform) -> None:
-        """Go on from a pose that no registration gave."""
+    def continue_from(self, pose: Transform) -> None:
+        """Continue from a pose that no registration found."""
         self.pose = pose
 
 
-def chosen(points: Points, road_m: float) -> NDArray[np.float64]:
-    """Half of the points, mixed, and of those on the road one in twenty of that.
+def subsample(points: Points, road_m: float) -> NDArray[np.float64]:
+    """Select half of the points, mixed, and of those on the road one in twenty of that.
 
-    KISS-ICP keeps the first point of each voxel. In the order of the scan that is always the same
-    corner of it; and the rings on the road are the same wherever the car is. Both pull towards
-    standing still: a car that sets off was followed with half its speed for a second. A few points
-    of the road still hold height, pitch and roll. Steps of the golden ratio spread evenly and need
-    no random numbers.
+    KISS-ICP keeps the first point of each voxel. In scan order that is always the same corner of
+    the voxel, and the rings on the road are the same at any place of the car. Both bias the pose
+    towards no motion: a car that sets off was followed at half its speed for a second. A few points
+    of the road still constrain height, pitch and roll. Steps of the golden ratio spread evenly and
+    need no random numbers.
     """
     n = len(points)
     step = int(n * _GOLDEN)
@@ -126,7 +128,7 @@ def chosen(points: Points, road_m: float) -> NDArray[np.float64]:
 
 @compiled
 def _mixed(points: Points, step: int, road_m: float) -> NDArray[np.float64]:
-    """Half of the points, so many steps apart, but few of those on the road; (M, 3)."""
+    """Return every `step`-th point until half are taken, with few of those on the road; (M, 3)."""
     n = len(points)
     taken = np.empty((n // 2, 3), np.float64)
     count, on_road, i = 0, 0, 0
@@ -159,8 +161,8 @@ def _new_kiss(step_m: float) -> Any:
     return KissICP(config)
 
 
-def _thinned(kiss: Any, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-    """What KISS-ICP lays into its map, and its key points, of which it has fewer."""
+def _voxelised(kiss: Any, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """Return the points that KISS-ICP adds to its map, and its fewer key points."""
     keypoints, places = kiss.voxelize(kiss.preprocessor.preprocess(points, np.empty(0), np.eye(4)))
     return places, keypoints
 

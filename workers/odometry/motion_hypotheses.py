@@ -1,4 +1,4 @@
-"""How the sensor moves, where a few frames allow several motions: tried, doubted, asked again."""
+"""Motion hypotheses: sensor velocities that a few frames allow, tested against each other."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -10,148 +10,175 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from workers.lidar.deskew import Twist
-from workers.odometry.registration_pass import Run
-from workers.odometry.velocity_initialisation import contradicted_share, likely_velocities
+from workers.odometry.registration_pass import RegistrationPass
+from workers.odometry.velocity_initialisation import candidate_velocities, contradicted_share
 from workers.points.se3 import inverse
 
-BEGINNING_S: Final = 0.35
-"""So much is looked at before it is said how the sensor moves: five frames at 10 Hz."""
+DECISION_S: Final = 0.35
+"""Time before the first decision between hypotheses, seconds: five frames at 10 Hz."""
 
-FEWEST_HELD: Final = 3
-_ANOTHER_M: Final = 0.5
-"""Poses that differ by less are the same registration, or lead to it."""
+MIN_BUFFERED: Final = 3
+_SAME_REGISTRATION_M: Final = 0.5
+"""Largest difference of two poses, metres, at which they are, or lead to, the same registration."""
 
 _BETTER: Final = 0.95
-"""What free space must contradict less, at most. On simulated motorways on which the odometry began
-by standing still it was .58 to .87."""
+"""Ratio of contradicted shares below which a hypothesis is better.
 
-_ALIKE: Final = 1.25
-"""What free space contradicts no more than by this factor may be the truth as well: on a motorway
-full of cars that drive along standing still was contradicted .12, the true speed .14, and a second
-later .11 and .09."""
+On simulated motorways where the odometry began without motion the ratio was .58 to .87."""
+
+_SIMILAR: Final = 1.25
+"""Ratio of contradicted shares up to which a hypothesis may also be true.
+
+On a motorway full of cars of the same speed, no motion was contradicted .12 and the true speed .14;
+a second later it was .11 and .09."""
 
 _AGAIN_S: Final = 1.0
 
-_LOOKS: Final = 5
-"""So often; what is not clear by then, as among cars that drive along all around, is believed."""
+_TESTS: Final = 5
+"""Tests of a stretch at most. A motion that is unclear by then is accepted, as among cars of the
+same speed all around."""
 
 _CONFIRMED: Final = 2
-"""Looks that must bear out a motion that was not believed before. On one motorway a single look
-said that the car stands, contradicted .12 for .16, the ones before and after that it drives."""
+"""Tests that must confirm a hypothesis that replaced another.
+
+On one motorway a single test found no motion, contradicted .12 against .16, while the tests before
+and after it found that the car drives."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Likeliest:
-    """How the sensor moves, as far as a few frames tell.
+class MotionHypothesis:
+    """The most likely motion of the sensor, given a few frames.
 
     Attributes:
-        run: The run that goes on from there.
-        posed: The frames as it poses them.
-        alike: What else may be, in words; empty where it is clear.
+        registration: The pass that continues with this motion.
+        posed: The frames with its poses.
+        alternative: Another possible motion, in words; empty where there is none.
     """
 
-    run: Run
+    registration: RegistrationPass
     posed: list[PosedFrame]
-    alike: str = ""
+    alternative: str = ""
 
 
-def likeliest(run: Run, posed: list[PosedFrame], begin: Callable[[Twist], Run]) -> Likeliest:
-    """Try every motion that two frames allow beside the one that is believed.
+def most_likely_motion(
+    registration: RegistrationPass,
+    posed: list[PosedFrame],
+    begin: Callable[[Twist], RegistrationPass],
+) -> MotionHypothesis:
+    """Choose among the current motion and every other motion that two frames allow.
 
     Args:
-        run: The run that posed the frames.
-        posed: Frames in a row.
-        begin: Begins another run before the first of them, with a motion per second.
+        registration: The pass that posed the frames.
+        posed: Consecutive frames.
+        begin: Begins another pass before the first of them, with a twist per second.
     """
     frames = [each.frame for each in posed]
-    dt_s, first_m, gone_m = span_s(frames[:2]), moved_m(posed[:2]), moved_m(posed)
-    ways = [(float("nan"), run, posed)]
-    for velocity in likely_velocities(frames[0], frames[1]):
-        if np.linalg.norm(velocity[3:] * dt_s - first_m) < _ANOTHER_M:
+    dt_s, first_m, travelled_m = span_s(frames[:2]), moved_m(posed[:2]), moved_m(posed)
+    hypotheses = [(float("nan"), registration, posed)]
+    for velocity in candidate_velocities(frames[0], frames[1]):
+        if np.linalg.norm(velocity[3:] * dt_s - first_m) < _SAME_REGISTRATION_M:
             continue
         other = begin(velocity)
-        posed_so = [other.pose(frame) for frame in frames]
-        if np.linalg.norm(moved_m(posed_so) - gone_m) < _ANOTHER_M:
+        posed_otherwise = [other.pose(frame) for frame in frames]
+        if np.linalg.norm(moved_m(posed_otherwise) - travelled_m) < _SAME_REGISTRATION_M:
             continue
-        if len(ways) == 1:
-            ways[0] = (contradicted_share(posed), run, posed)
-        ways.append((contradicted_share(posed_so), other, posed_so))
-    best = ways[0]
-    for way in ways[1:]:
-        if way[0] < _BETTER * best[0]:
-            best = way
-    gone_m = moved_m(best[2])
-    for share_so, _, posed_so in ways:
-        apart = float(np.linalg.norm(moved_m(posed_so) - gone_m)) >= _ANOTHER_M
-        if apart and share_so <= _ALIKE * best[0]:
-            return Likeliest(best[1], best[2], f"{_speed(posed_so):.0f} m/s would fit alike")
-    return Likeliest(best[1], best[2])
+        if len(hypotheses) == 1:
+            hypotheses[0] = (contradicted_share(posed), registration, posed)
+        hypotheses.append((contradicted_share(posed_otherwise), other, posed_otherwise))
+    best = hypotheses[0]
+    for hypothesis in hypotheses[1:]:
+        if hypothesis[0] < _BETTER * best[0]:
+            best = hypothesis
+    travelled_m = moved_m(best[2])
+    for share_otherwise, _, posed_otherwise in hypotheses:
+        apart = (
+            float(np.linalg.norm(moved_m(posed_otherwise) - travelled_m)) >= _SAME_REGISTRATION_M
+        )
+        if apart and share_otherwise <= _SIMILAR * best[0]:
+            alternative = f"{_speed(posed_otherwise):.0f} m/s would fit alike"
+            return MotionHypothesis(best[1], best[2], alternative)
+    return MotionHypothesis(best[1], best[2])
 
 
-class Unsure:
-    """A stretch of which it is not clear yet how the sensor moves: it is looked at each second."""
+class AmbiguousMotion:
+    """A stretch whose sensor motion is ambiguous; its hypotheses are tested again each second."""
 
-    def __init__(self, found: Likeliest, *, looks: int = _LOOKS, owed: int = 0) -> None:
-        """Begin after its first frames.
+    def __init__(
+        self, found: MotionHypothesis, *, tests_left: int = _TESTS, confirmations: int = 0
+    ) -> None:
+        """Begin after the first frames of the stretch.
 
         Args:
-            found: How the sensor seems to move, and what else may be.
-            looks: How often it is looked at again.
-            owed: Of these, how many must bear it out even where nothing else fits.
+            found: The most likely motion, and the other possible one.
+            tests_left: Number of tests left.
+            confirmations: Tests that must confirm it even without another possible motion.
         """
         self._posed = list(found.posed)
-        self._looks = looks
-        self._owed = owed
-        self._asked_ns = found.posed[-1].frame.stamp_ns
-        self._alike = found.alike
+        self._tests_left = tests_left
+        self._confirmations = confirmations
+        self._tested_ns = found.posed[-1].frame.stamp_ns
+        self._alternative = found.alternative
 
-    def look_again(self, run: Run, now: PosedFrame) -> tuple[Run, PosedFrame, "Unsure | None"]:
-        """Doubt a pose, or once a second say how the sensor moves.
+    def test_again(
+        self, registration: RegistrationPass, now: PosedFrame
+    ) -> tuple[RegistrationPass, PosedFrame, "AmbiguousMotion | None"]:
+        """Mark a pose as degraded, or once a second test the hypotheses again.
 
         Args:
-            run: That posed it.
+            registration: The pass that posed the frame.
             now: The frame.
 
         Returns:
-            The run that goes on, the frame as it is posed, and whether that is still not clear.
+            The pass that continues, the frame with its pose, and the state of the test; None once
+            the motion is clear.
         """
         self._posed.append(now)
-        since_s = (now.frame.stamp_ns - self._asked_ns) / NS_PER_S
+        since_s = (now.frame.stamp_ns - self._tested_ns) / NS_PER_S
         if since_s < _AGAIN_S:
-            return run, doubted(now, self._alike), self
+            return registration, degraded(now, self._alternative), self
         last = [
             each
             for each in self._posed
-            if now.frame.stamp_ns - each.frame.stamp_ns <= (BEGINNING_S + 0.1) * NS_PER_S
+            if now.frame.stamp_ns - each.frame.stamp_ns <= (DECISION_S + 0.1) * NS_PER_S
         ]
-        if len(last) < FEWEST_HELD:
-            return run, now, None
-        begins = last[0].odom_from_sensor
-        found = likeliest(run, last, lambda velocity: Run(begins, velocity))
-        if found.run is not run:
+        if len(last) < MIN_BUFFERED:
+            return registration, now, None
+        start_pose = last[0].odom_from_sensor
+        found = most_likely_motion(
+            registration, last, lambda velocity: RegistrationPass(start_pose, velocity)
+        )
+        if found.registration is not registration:
             reason = f"the sensor moves at {_speed(found.posed):.0f} m/s, other than was believed"
             now = replace(found.posed[-1], odometry=OdometryState.LOST, reason=reason, jumped=True)
             found = replace(found, posed=[*found.posed[:-1], now])
-            alike = found.alike or f"{_speed(last):.0f} m/s was believed before"
-            looks = max(self._looks - 1, _CONFIRMED)
-            unsure = Unsure(replace(found, alike=alike), looks=looks, owed=_CONFIRMED)
-            return found.run, now, unsure
-        if self._looks <= 1 or not (found.alike or self._owed > 1):
-            return found.run, now, None
-        alike = found.alike or self._alike
-        unsure = Unsure(replace(found, alike=alike), looks=self._looks - 1, owed=self._owed - 1)
-        return found.run, doubted(now, alike), unsure
+            alternative = found.alternative or f"{_speed(last):.0f} m/s was believed before"
+            tests_left = max(self._tests_left - 1, _CONFIRMED)
+            ambiguous = AmbiguousMotion(
+                replace(found, alternative=alternative),
+                tests_left=tests_left,
+                confirmations=_CONFIRMED,
+            )
+            return found.registration, now, ambiguous
+        if self._tests_left <= 1 or not (found.alternative or self._confirmations > 1):
+            return found.registration, now, None
+        alternative = found.alternative or self._alternative
+        ambiguous = AmbiguousMotion(
+            replace(found, alternative=alternative),
+            tests_left=self._tests_left - 1,
+            confirmations=self._confirmations - 1,
+        )
+        return found.registration, degraded(now, alternative), ambiguous
 
 
-def doubted(posed: PosedFrame, alike: str) -> PosedFrame:
-    """The same pose, doubted where nothing worse is known of it."""
+def degraded(posed: PosedFrame, alternative: str) -> PosedFrame:
+    """Mark a healthy pose as degraded; other states are kept."""
     if posed.odometry is not OdometryState.HEALTHY:
         return posed
-    return replace(posed, odometry=OdometryState.DEGRADED, reason=alike)
+    return replace(posed, odometry=OdometryState.DEGRADED, reason=alternative)
 
 
 def span_s(frames: Sequence[LidarFrame]) -> float:
-    """Seconds from the first frame to the last."""
+    """Return the time from the first frame to the last, seconds."""
     return (frames[-1].stamp_ns - frames[0].stamp_ns) / NS_PER_S
 
 
@@ -160,7 +187,7 @@ def _speed(posed: Sequence[PosedFrame]) -> float:
 
 
 def moved_m(posed: Sequence[PosedFrame]) -> NDArray[np.float64]:
-    """(3,) where the sensor is in the last frame, in its space of the first."""
+    """Return (3,) the place of the sensor in the last frame, in its space of the first."""
     moved: NDArray[np.float64] = (inverse(posed[0].odom_from_sensor) @ posed[-1].odom_from_sensor)[
         :3, 3
     ]

@@ -1,10 +1,10 @@
-"""Maps that begin by the clock: poses over a second are the same wherever a log was cut.
+"""Time-anchored maps: poses over a second are the same wherever a log was cut.
 
-What KISS-ICP answers hangs on all that its map ever took in; two that began at different frames
-differ by millimetres for as long as the sensor is near. So a new map begins with the first frame of
-every two seconds of the clock, is built beside the one in use for a second, and then takes over.
-Whoever comes to a log in the middle has, three seconds later at most, the maps of all others (five
-where a rounded speed differs).
+A pose of KISS-ICP depends on every frame in its map. Two maps that begin at different frames differ
+by millimetres for as long as the sensor is near. A new map therefore begins with the first frame of
+every two seconds of the clock. It is built for a second next to the one in use, which it then
+replaces. A pass that begins in the middle of a log has the same maps as all others at most three
+seconds later (five where a rounded speed differs).
 """
 
 from typing import Final
@@ -19,19 +19,25 @@ from workers.points.se3 import inverse
 
 EVERY_NS: Final = 2 * NS_PER_S
 LEAD_NS: Final = NS_PER_S
-"""A map of half a second is used too early (recall .978 for .980), one of a single frame lags by
-0.17 m behind a car that sets off."""
+"""Time for which a map is built before its use, nanoseconds.
+
+After half a second it is used too early (recall .978 instead of .980); a map of a single frame lags
+by 0.17 m behind a car that sets off."""
 
 FOUND_STEP_M: Final = 1.0
-"""How far the first step may be off from a speed that was looked for. A map that follows another
-one has KISS-ICP's own 2 m; with 1 m false clusters are .09 and .11 a frame, for .065."""
+"""Largest error of the first step from an estimated speed, metres.
+
+A map that follows another one has KISS-ICP's own 2 m; with 1 m false clusters are .09 and .11 per
+frame instead of .065."""
 
 _ROUNDED: Final = np.array([0.01, 0.01, 0.01, 0.1, 0.1, 0.1])
-"""Radians and metres per second, so that two odometries, which differ by less, mostly begin a map
-alike; 0.5 m/s is too much to begin with (false clusters .065 to .15)."""
+"""Rounding of the first twist of a map, rad/s and m/s.
+
+Two odometries differ by less, so they mostly begin a map with the same twist. 0.5 m/s is too coarse
+(false clusters .15 instead of .065)."""
 
 
-class MapsByClock:
+class TimeAnchoredMaps:
     """The map in use and, half of the time, the one that follows it."""
 
     def __init__(self, odom_from_first: Transform, velocity: Twist | None) -> None:
@@ -39,7 +45,7 @@ class MapsByClock:
 
         Args:
             odom_from_first: (4, 4) pose of its first frame.
-            velocity: How the sensor moves, per second; None if that is not known.
+            velocity: Twist of the sensor per second; None if unknown.
         """
         self._map = KissMap(None) if velocity is None else KissMap(velocity, step_m=FOUND_STEP_M)
         self._odom_from_map = odom_from_first
@@ -48,18 +54,18 @@ class MapsByClock:
         self._stamp_ns: int | None = None
 
     def expected(self, stamp_ns: int) -> Transform:
-        """(4, 4) where the sensor would be, had it gone on as it went."""
+        """Predict the pose (4, 4) at constant velocity."""
         return self._odom_from_map @ self._map.expected(self._dt_s(stamp_ns))
 
     def register(
         self, points: Points, stamp_ns: int, velocity: Twist | None
     ) -> tuple[Transform | None, NDArray[np.float64]]:
-        """Register a frame; it is in no map until they are told to take it in.
+        """Register a frame; no map changes until `accept`.
 
         Args:
             points: (N, 3) of the frame, about the sensor.
             stamp_ns: Its time.
-            velocity: How the sensor moved last, per second; None if that is not known.
+            velocity: Last twist of the sensor per second; None if unknown.
 
         Returns:
             (4, 4) its pose in odom space, None if registration failed; and (K, 3) its key points.
@@ -78,18 +84,18 @@ class MapsByClock:
             self._next.register(points, dt_s)
         return (None if pose is None else self._odom_from_map @ pose), keypoints
 
-    def take_in(self) -> None:
-        """Lay the frame that was registered last into the maps."""
-        self._map.take_in()
+    def accept(self) -> None:
+        """Add the last registered frame to the maps."""
+        self._map.accept()
         if self._next is not None:
-            self._next.take_in()
+            self._next.accept()
 
-    def believe(self, pose: Transform, stamp_ns: int) -> None:
-        """Go on from a pose in odom space that no registration gave."""
+    def continue_from(self, pose: Transform, stamp_ns: int) -> None:
+        """Continue from a pose in odom space that no registration found."""
         moved = inverse(self._odom_from_map @ self._map.pose) @ pose
-        self._map.believe(self._map.pose @ moved)
+        self._map.continue_from(self._map.pose @ moved)
         if self._next is not None:
-            self._next.believe(self._next.pose @ moved)
+            self._next.continue_from(self._next.pose @ moved)
         self._stamp_ns = stamp_ns
 
     def _dt_s(self, stamp_ns: int) -> float:

@@ -1,4 +1,4 @@
-"""How a sensor moves as frames begin: speeds that they allow, and which free space contradicts."""
+"""Velocity initialisation: sensor speeds that two frames allow, and free space against them."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -11,46 +11,47 @@ from schemas.frame import LidarFrame, PosedFrame
 from workers.free_space import FREE, OCCUPIED, visibility
 from workers.lidar.beam_table import BeamTable
 from workers.lidar.deskew import Twist, twist
-from workers.lidar.preprocessing import Preparation, Prepared
+from workers.lidar.preprocessing import PreprocessedFrame, Preprocessor
 from workers.points.se3 import inverse, transform
 from workers.points.voxels import voxelize
 
 FASTEST_M_PER_S: Final = 50.0
 NEAR_M: Final = 60.0
 _FEWEST: Final = 100
-"""Places; with fewer nothing is told."""
+"""Places needed for a result."""
 
 _PLACE_M: Final = 0.5
-"""One vote for each place of this size, however many points it has: near cars are few places."""
+"""Cell of one vote, metres: near cars have many points and few cells."""
 
 _CELL_M: Final = 0.25
 _SAMPLES: Final = 1500
 _LEAST_EXPLAINED: Final = 9
-"""Shifts at which a lone place is found again, a cell and its eight neighbours being one."""
+"""Shifts at which a single place is found again, a cell and its eight neighbours being one."""
 
 _PEAKS: Final = 4
 _PEAK_CELLS: Final = 3
 _PEAK: Final = 0.75
-"""Votes over those of the best. The true speed had .87 and more on simulated motorways, in towns
-every other one .6 at most."""
+"""Ratio of a peak's votes to the best one's.
+
+The true speed had .87 and more on simulated motorways; in towns every other one had .6 at most."""
 
 
-def likely_velocities(first: LidarFrame, second: LidarFrame) -> list[Twist]:
-    """Ask two frames how the sensor may have moved between them, whichever way its axes look.
+def candidate_velocities(first: LidarFrame, second: LidarFrame) -> list[Twist]:
+    """Estimate how the sensor may have moved between two frames, at any yaw of its axes.
 
-    Every place of the second frame votes for the shifts that lay it on something of the first, and
-    shares its one vote among them: a rail or a noise wall, which lies on itself at most shifts,
-    says next to nothing, a post nearly all. The speed of what stands wins, or that of a queue that
-    drives along; several may be near the best.
+    Every place of the second frame votes for the shifts that move it onto something of the first,
+    and splits its one vote among them. A rail or a noise wall overlaps itself at most shifts, so it
+    adds almost nothing to each; a post adds almost a whole vote. The speed of static structure
+    wins, or that of a queue of cars; several may be close to the best.
 
     Args:
         first: A frame.
         second: The one after it.
 
     Returns:
-        (6,) each, a twist of no rotation per second in the space of the sensor; best first.
+        (6,) each, a twist without rotation per second in the space of the sensor; best first.
     """
-    prepare = Preparation()
+    prepare = Preprocessor()
     seen = [prepare(frame, np.eye(4), None) for frame in (first, second)]
     if seen[0] is None or seen[1] is None:
         return []
@@ -72,29 +73,31 @@ def likely_velocities(first: LidarFrame, second: LidarFrame) -> list[Twist]:
 
 
 def contradicted_share(posed: Sequence[PosedFrame]) -> float:
-    """How much of what stood about the first frame and the last says that it was not there.
+    """Compute the share of static places that the first or last frame finds to be free.
 
-    Of the places off the ground that the other of the two frames knows, those that it saw through.
-    Only what truly moves is, if the poses are right.
+    The base is the places off the ground that the other of the two frames observes; the share is
+    those that it sees through. Only moving objects are, if the poses are right.
 
     Args:
-        posed: Frames in a row, at least two.
+        posed: Consecutive frames, at least two.
 
     Returns:
-        0 to 1; NaN where the two frames know nothing of each other.
+        0 to 1; NaN where the two frames observe too little of each other.
     """
-    prepare = Preparation()
+    prepare = Preprocessor()
     seen = [prepare(each.frame, each.odom_from_sensor, velocity) for each, velocity in _ends(posed)]
     table = prepare.table
     if seen[0] is None or seen[1] is None or table is None or not table.trusted:
         return float("nan")
-    answers = np.concatenate([_asked(seen[0], seen[1], table), _asked(seen[1], seen[0], table)])
+    answers = np.concatenate(
+        [_visibility_in(seen[0], seen[1], table), _visibility_in(seen[1], seen[0], table)]
+    )
     free, occupied = int((answers >= FREE).sum()), int((answers == OCCUPIED).sum())
     return free / (free + occupied) if free + occupied >= _FEWEST else float("nan")
 
 
 def _ends(posed: Sequence[PosedFrame]) -> list[tuple[PosedFrame, Twist]]:
-    """The first frame and the last, and how the sensor moves there, per second."""
+    """Return the first and last frame, and the twist of the sensor at each, per second."""
     ends = []
     for each, earlier, later in ((posed[0], *posed[:2]), (posed[-1], *posed[-2:])):
         moved = twist(inverse(earlier.odom_from_sensor) @ later.odom_from_sensor)
@@ -102,21 +105,23 @@ def _ends(posed: Sequence[PosedFrame]) -> list[tuple[PosedFrame, Twist]]:
     return ends
 
 
-def _asked(of: Prepared, other: Prepared, table: BeamTable) -> NDArray[np.int8]:
-    """What one frame says of the places of another."""
+def _visibility_in(
+    of: PreprocessedFrame, other: PreprocessedFrame, table: BeamTable
+) -> NDArray[np.int8]:
+    """Return the visibility of one frame's places in the other frame."""
     places = voxelize(_near(of.voxels.centroids_m, of), voxel_m=_PLACE_M).centroids_m
     odom_m = transform(of.odom_from_beams, places.astype(np.float64)).astype(np.float32)
     return visibility(odom_m, other.beams_from_odom, other.image, table)
 
 
-def _near(places_m: Points, seen: Prepared) -> Points:
-    """Places within reach of a frame, about its beams, whatever its pose: thinned alike for all."""
+def _near(places_m: Points, seen: PreprocessedFrame) -> Points:
+    """Select places near a frame, in the space of its beams, so voxels do not depend on poses."""
     about = transform(seen.beams_from_odom, places_m.astype(np.float64)).astype(np.float32)
     return about[about[:, 0] ** 2 + about[:, 1] ** 2 < NEAR_M**2]
 
 
 def _votes(before: Points, after: Points, reach: int) -> NDArray[np.float64]:
-    """Count the votes for every shift of so many cells and less; (2 reach + 1, same)."""
+    """Count the votes for every shift up to `reach` cells; (2 reach + 1, same)."""
     low = np.array([-NEAR_M, -NEAR_M, min(before[:, 2].min(), after[:, 2].min())])
     low -= [(reach + 1) * _CELL_M, (reach + 1) * _CELL_M, 0.0]
     cell_m = np.array([_CELL_M, _CELL_M, _PLACE_M])

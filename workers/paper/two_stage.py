@@ -10,14 +10,14 @@ from schemas.arrays import NS_PER_S
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.labels import Blindness, FrameHealth, FrameLabels, MotionLabel
 from schemas.task import MOTION, Task
-from workers.lidar.preprocessing import Preparation, Prepared
+from workers.lidar.preprocessing import PreprocessedFrame, Preprocessor
 from workers.paper.object_flow import object_flow
 from workers.paper.scene_flow import LearnedFlow, scene_flow_source
 from workers.paper.two_stage_clustering import PER_SECOND, TwoStageRule, two_stage
 from workers.part_version import version_of
 from workers.points.se3 import transform
 from workers.selfsupervised.history import MAX_GAP_NS
-from workers.selfsupervised.labelling import ALONE, GROUND, nothing_known
+from workers.selfsupervised.labelling import ALONE, GROUND, unknown_labels
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,23 +56,23 @@ class TwoStage:
             LookupError: If there is no scene flow of that name.
         """
         source = self.learned or scene_flow_source(self.flow)
-        prepare = Preparation()
-        before: tuple[int, Prepared] | None = None
+        prepare = Preprocessor()
+        before: tuple[int, PreprocessedFrame] | None = None
         for posed in frames:
             frame = posed.frame
             prepared = prepare(frame, posed.odom_from_sensor, None)
             if prepared is None:
                 before = None
-                yield nothing_known(frame, health=prepare.problem(frame))
+                yield unknown_labels(frame, health=prepare.problem(frame))
                 continue
             if posed.odometry is OdometryState.LOST:
                 before = None
                 lost = FrameHealth(Blindness.NO_POSE, f"odometry lost: {posed.reason}")
-                yield nothing_known(frame, prepared, health=lost)
+                yield unknown_labels(frame, prepared, health=lost)
                 continue
             if before is None or not 0 < frame.stamp_ns - before[0] <= MAX_GAP_NS:
                 first = FrameHealth(Blindness.NO_PAST, "no frame before it to compare with")
-                yield nothing_known(frame, prepared, health=first)
+                yield unknown_labels(frame, prepared, health=first)
             else:
                 places = _in_beams(prepared)
                 other_from_this = before[1].beams_from_odom @ prepared.odom_from_beams
@@ -88,13 +88,13 @@ class TwoStage:
             before = (frame.stamp_ns, prepared)
 
 
-def _in_beams(prepared: Prepared) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+def _in_beams(prepared: PreprocessedFrame) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
     return transform(prepared.beams_from_odom, prepared.voxels.centroids_m)
 
 
 def _labels(
     frame: LidarFrame,
-    prepared: Prepared,
+    prepared: PreprocessedFrame,
     dynamic: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
 ) -> FrameLabels:
     labels = np.full(len(frame), MotionLabel.UNKNOWN, np.uint8)

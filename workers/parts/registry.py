@@ -58,9 +58,9 @@ def _recorded(_: PartFiles, *, task: Task = MOTION) -> Stream:
 
 def _registration(_: PartFiles, *, lookahead_s: float = 0.0) -> Stream:
     from workers.selfsupervised.stream import Registration
-    from workers.warmup.jit_warmup import compile_apart
+    from workers.warmup.jit_warmup import compile_in_child
 
-    compile_apart()
+    compile_in_child()
     return Registration(lookahead_s)
 
 

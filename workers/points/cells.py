@@ -1,4 +1,4 @@
-"""Points in small cells, cells in columns, columns by their place: what components are found in."""
+"""Cell grid for connected components: points sorted by cell, cells by column, columns by hash."""
 
 from typing import NamedTuple
 
@@ -10,16 +10,16 @@ from workers.points.compiled import compiled
 
 
 class Cells(NamedTuple):
-    """Points sorted by cell, cells by column and height; cells of two groups are two cells.
+    """Points sorted by cell, and cells by column and height; two groups never share a cell.
 
     Attributes:
         points_m: (M, 3) sorted.
-        order: (M,) which row each of them was; ascending in a cell.
+        order: (M,) row of each in the input; ascending in a cell.
         start: (cells + 1,) first point of each cell.
-        height: (cells,) its place upwards.
-        group: (cells,) of its points.
+        height: (cells,) vertical index of each cell.
+        group: (cells,) group of its points.
         first: (columns + 1,) first cell of each column.
-        place: (columns, 2) of each column.
+        place: (columns, 2) horizontal index of each column.
         slots: Hash table from places to columns.
     """
 
@@ -40,7 +40,7 @@ def _slot(x: int, y: int, mask: int) -> int:
 
 @compiled
 def column_at(place: NDArray[np.int32], slots: NDArray[np.int32], x: int, y: int) -> int:
-    """Number of the column at a place, -1 where there is none."""
+    """Return the number of the column at a place, -1 where there is none."""
     mask = len(slots) - 1
     slot = _slot(x, y, mask)
     while slots[slot] >= 0:
@@ -54,7 +54,7 @@ def column_at(place: NDArray[np.int32], slots: NDArray[np.int32], x: int, y: int
 def sorted_cells(
     points: Points, index: NDArray[np.int32], group: NDArray[np.int32], edge: np.float32
 ) -> Cells:
-    """Sort the chosen points into cells of an edge; (M,) chosen, (M,) their groups."""
+    """Sort selected points into cells of an edge; (M,) selected, (M,) their groups."""
     m = len(index)
     column_of, height_of, place, slots = _columns(points, index, edge)
     first_point = np.zeros(len(place) + 1, np.int32)
@@ -65,7 +65,7 @@ def sorted_cells(
     fill = first_point[:-1].copy()
     order = np.empty(m, np.int32)
     for i in range(m):
-        # columns are short, so that putting each point where it belongs is quick
+        # columns are short, so insertion into the sorted order is quick
         at = fill[column_of[i]]
         fill[column_of[i]] += 1
         while at > first_point[column_of[i]]:
@@ -108,7 +108,7 @@ def sorted_cells(
 def _columns(
     points: Points, index: NDArray[np.int32], edge: np.float32
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
-    """Column and height of each point, place of each column, and the hash table of places."""
+    """Return each point's column and height, each column's place, and the hash table of places."""
     m = len(index)
     size = 16
     while size < 2 * m:

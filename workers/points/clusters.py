@@ -1,4 +1,4 @@
-"""Connected components of a cloud: clusters, without a minimum of neighbours."""
+"""Clusters as connected components of a cloud, without a minimum of neighbours."""
 
 from dataclasses import dataclass
 
@@ -17,7 +17,7 @@ class Clusters:
     Attributes:
         of_point: (N,) cluster of each point, -1 for those in none.
         members: (M,) point indices, cluster after cluster, ascending inside each.
-        start: (K + 1,) where each cluster begins in `members`.
+        start: (K + 1,) first member of each cluster in `members`.
     """
 
     of_point: NDArray[np.int32]
@@ -34,23 +34,23 @@ class Clusters:
         return np.diff(self.start)
 
     def of(self, cluster: int) -> NDArray[np.int32]:
-        """(n,) members of one cluster."""
+        """Return (n,) members of one cluster."""
         return self.members[self.start[cluster] : self.start[cluster + 1]]
 
     def member_mask(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(N,) points that belong to a chosen cluster, of (K,)."""
+        """Return (N,) the points that belong to a selected cluster, of (K,)."""
         return _member_mask(self.of_point, chosen)
 
     def keep(self, chosen: NDArray[np.bool_]) -> "Clusters":
-        """Only the chosen clusters, of (K,), numbered anew."""
+        """Return the selected clusters, of (K,), renumbered."""
         return from_labels(np.where(self.member_mask(chosen), self.of_point, -1).astype(np.int32))
 
     def count(self, mask: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """(K,) members of each cluster for which a mask over the points holds."""
+        """Count (K,) the members of each cluster that a mask over the points selects."""
         return _counted(self.of_point, mask, len(self))
 
     def mean(self, values: NDArray[np.generic]) -> NDArray[np.float64]:
-        """(K,) mean of a value over the members of each cluster, of (N,)."""
+        """Return (K,) the mean of a value over the members of each cluster, of (N,)."""
         return _summed(self.of_point, values, len(self)) / np.maximum(self.sizes, 1)
 
 
@@ -68,7 +68,7 @@ def connected(
         points_m: (N, 3) metres.
         reach_m: Points nearer than this are joined.
         min_points: Smaller sets are dropped.
-        among: (N,) which points take part; all by default.
+        among: (N,) points that take part; all by default.
         groups: (N,) only points of one group are joined; one group by default.
     """
     n = len(points_m)
@@ -85,7 +85,7 @@ def connected(
 
 
 def from_labels(labels: NDArray[np.int32]) -> Clusters:
-    """Collect the members of arbitrary labels, numbered anew in their order; -1 is none."""
+    """Collect the members of arbitrary labels, renumbered in their order; -1 is none."""
     return Clusters(*_collected(labels.astype(np.int32, copy=False)))
 
 
@@ -93,7 +93,7 @@ def from_labels(labels: NDArray[np.int32]) -> Clusters:
 def _collected(
     labels: NDArray[np.int32],
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
-    """Count, number and sort in one go each, as labels are small whole numbers."""
+    """Count, renumber and sort by counting, since labels are small integers."""
     n, most = len(labels), -1
     for i in range(n):
         most = max(most, labels[i])

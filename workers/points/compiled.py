@@ -1,4 +1,4 @@
-"""How inner loops are compiled: the one place that touches numba's options."""
+"""Compiled kernels: the one place with numba's options."""
 
 from collections.abc import Callable
 from functools import cache
@@ -19,7 +19,7 @@ COMPILED: Final = (
     "workers.selfsupervised",
     "workers.witness",
 )
-"""Packages with such loops."""
+"""Packages with compiled loops."""
 
 log = structlog.get_logger(__name__)
 
@@ -27,22 +27,22 @@ Loop = TypeVar("Loop", bound=Callable[..., Any])
 
 
 def compiled(loop: Loop) -> Loop:
-    """Compile a loop over arrays at its first call, and keep the result on disk.
+    """Compile a loop over arrays at its first call, and cache the result on disk.
 
     One thread and no reordering of sums: the same input gives the same bits. The interpreter lock
     is released while a loop runs, so that a lease can be renewed meanwhile.
 
     The cache of numba notices changes of a function's own file only, not of the loops and numbers
     that it takes from others; a digest of all of them in the name makes stale code impossible.
-    Where no cache can be written, that is said once, and every process compiles for itself.
+    Where no cache can be written, one warning is logged, and every process compiles for itself.
     """
     return _compiled(loop, inline=False)
 
 
 def inlined(loop: Loop) -> Loop:
-    """Compile a loop that others call for each point: it is laid into each of them.
+    """Compile a loop that others call for each point, inlined into its callers.
 
-    A call hands over arrays word by word, several for each, which takes as long as a short loop.
+    A call passes an array as several words, which takes as long as a short loop.
     """
     return _compiled(loop, inline=True)
 
@@ -54,18 +54,18 @@ def _compiled(loop: Loop, *, inline: bool) -> Loop:
     try:
         dispatcher.enable_caching()
     except RuntimeError:  # numba's word for a cache that cannot be written anywhere
-        _say_uncached()
+        _warn_uncached()
     return cast(Loop, dispatcher)
 
 
 def cache_folder(loop: Callable[..., Any]) -> str | None:
-    """Where a loop is kept on disk once it is compiled; None where it cannot be."""
+    """Return the folder of a compiled loop's cache; None where there is none."""
     return cast(str | None, cast(Any, loop).stats.cache_path)
 
 
 @cache
-def _say_uncached() -> None:
+def _warn_uncached() -> None:
     log.warning(
-        "no cache for compiled loops: every process compiles them anew, with time and memory",
-        remedy="name a folder that can be written in NUMBA_CACHE_DIR",
+        "no cache for compiled loops: every process compiles them again, in time and memory",
+        remedy="set NUMBA_CACHE_DIR to a writable folder",
     )

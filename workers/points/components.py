@@ -1,4 +1,4 @@
-"""Connected components of points: cells so small that all in them are joined, then cell by cell."""
+"""Connected components of points: cells whose points are all joined, then union-find over cells."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ _EDGE_SHARE = 0.577
 """Edge of a cell over the reach: its diagonal, sqrt(3) edges, is shorter than the reach."""
 
 _SPAN = 2
-"""Cells farther apart than this along an axis hold no points within reach."""
+"""Cells farther apart than this along an axis contain no points within reach."""
 
 
 @compiled
@@ -20,12 +20,12 @@ def components(
 ) -> NDArray[np.int32]:
     """Join points that are nearer than a reach, directly or through others.
 
-    Exact, as a search around every point would be: all points of a cell are joined unseen, and
-    two cells are compared point by point only while they are not joined yet.
+    The result is exact, as that of a search around every point: all points of a cell are joined
+    without a test, and two cells are compared point by point only while they are not joined yet.
 
     Args:
         points: (N, 3) metres.
-        index: (M,) which of them take part.
+        index: (M,) indices of the points that take part.
         group: (M,) only points of one group are joined.
         reach: Metres.
 
@@ -36,7 +36,7 @@ def components(
     count = len(cells.height)
     parent = np.arange(count).astype(np.int32)
     place, slots = cells.place, cells.slots
-    for away in range(_SPAN + 1):  # what touches first: it rules most of the others out
+    for away in range(_SPAN + 1):  # touching columns first: they rule most of the others out
         whole = _whole_columns(cells, parent)
         for c in range(len(place)):
             x, y = place[c, 0], place[c, 1]
@@ -61,7 +61,7 @@ def components(
 
 @compiled
 def _whole_columns(cells: Cells, parent: NDArray[np.int32]) -> NDArray[np.int32]:
-    """(columns,) a cell of each column whose cells are all joined, -1 for the other columns."""
+    """Return (columns,) a cell of each column whose cells are all joined, -1 for the others."""
     first, whole = cells.first, np.empty(len(cells.place), np.int32)
     for c in range(len(whole)):
         whole[c] = _find(parent, first[c])
@@ -74,7 +74,7 @@ def _whole_columns(cells: Cells, parent: NDArray[np.int32]) -> NDArray[np.int32]
 
 @compiled
 def _joined(parent: NDArray[np.int32], one: int, other: int) -> bool:
-    """Whether two cells are joined already; -1 is no cell."""
+    """Return True if two cells are joined already; -1 is no cell."""
     return one >= 0 and other >= 0 and _find(parent, one) == _find(parent, other)
 
 

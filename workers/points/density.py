@@ -1,4 +1,4 @@
-"""DBSCAN over places that weigh as much as the points in them, compiled: the library's answer."""
+"""DBSCAN over weighted places, compiled, with the labels of scikit-learn."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,16 +62,16 @@ def weighted_places(points: Points, voxel: np.float32) -> tuple[Places, Counts, 
 
 @compiled
 def density_clusters(places: Places, weight: Counts, reach: float, least: int) -> Counts:
-    """Cluster places as scikit-learn's DBSCAN does, number for number.
+    """Cluster places with the same labels as scikit-learn's DBSCAN.
 
-    A place is core if what lies within reach, itself included, weighs enough; cores within reach
-    of each other are of one cluster. The others within reach of a core go to the first such
+    A place is core if the weight within reach, its own included, is enough; cores within reach
+    of each other are in one cluster. Other places within reach of a core join the first such
     cluster; clusters are numbered by their first core.
 
     Args:
         places: (V, 3) metres.
         weight: (V,) of each.
-        reach: Metres; what is exactly so far away counts.
+        reach: Metres, inclusive.
         least: Weight that makes a core.
 
     Returns:
@@ -96,7 +96,7 @@ def density_clusters(places: Places, weight: Counts, reach: float, least: int) -
             if weighs >= least:
                 is_core[i] = True
                 break
-    unlabelled = first[1:].copy()  # of each cell, up to where: the others are moved behind
+    unlabelled = first[1:].copy()  # end of each cell's unlabelled places; labelled ones follow
     stack = np.empty(count, np.int64)
     clusters = 0
     for seed in range(count):
@@ -147,7 +147,7 @@ def _blocks(places: Places, edge: float) -> tuple[Counts, Counts, Counts, Counts
             low[axis] = min(low[axis], places[i, axis])
     key = np.zeros(count, np.int64)
     for i in range(count):
-        for axis in range(3):  # from 1 on: what is below the lowest must not be another column's
+        for axis in range(3):  # from 1 on, so that one below the lowest is in no other column
             key[i] = (key[i] << 21) + np.int64(np.floor((places[i, axis] - low[axis]) / edge)) + 1
     members = np.argsort(key)
     cell_of, cells = np.empty(count, np.int64), 0
@@ -162,7 +162,7 @@ def _blocks(places: Places, edge: float) -> tuple[Counts, Counts, Counts, Counts
     block = np.empty((cells, 9, 2), np.int64)
     for side in range(9):
         step = ((side // 3 - 1) << 42) + ((side % 3 - 1) << 21)
-        begin = end = 0  # both only rise, as the keys do
+        begin = end = 0  # both only increase, as the keys do
         for c in range(cells):
             wanted = cell_key[c] + step
             while begin < cells and cell_key[begin] < wanted - 1:

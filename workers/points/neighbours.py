@@ -1,4 +1,4 @@
-"""Nearest-neighbour questions to a grid of points, inside compiled loops."""
+"""Nearest-neighbour search in a grid of points, inside compiled loops."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,32 +18,32 @@ __all__ = [
 ]
 
 _FIRST_REACH_M = 0.5
-"""Within which a few neighbours are looked for first; twice as far where there are too few."""
+"""First search radius for several neighbours, metres; it doubles where there are too few."""
 
 
 @inlined
 def nearer(
     grid: PointGrid, x: float, y: float, z: float, best: float, found: int
 ) -> tuple[float, int]:
-    """Find the nearest point of the grid, if it is nearer than one that is known.
+    """Find the nearest point of the grid, if it is nearer than a known one.
 
     Args:
         grid: The points.
-        x: Of the place asked about, as y and z.
+        x: First coordinate of the query.
         y: The second coordinate.
         z: The third.
-        best: Squared distance of the known one, or of the reach.
+        best: Squared distance of the known point, or of the reach.
         found: Its row in `grid.points_m`, or -1.
 
     Returns:
-        Squared distance and row of the nearest; as given when none is nearer.
+        Squared distance and row of the nearest; unchanged when none is nearer.
     """
     points, column, start, origin = grid.points_m, grid.column, grid.start, grid.origin_m
     count_x, count_y = column.shape
     own_x = cell_along(x, origin[0], count_x)
     own_y = cell_along(y, origin[1], count_y)
     own_z = cell_along(z, origin[2], LAYERS)
-    # the own cell first: what it holds rules most of the others out
+    # the own cell first: its points rule most of the other cells out
     first = column[own_x, own_y] * LAYERS
     if first >= 0:
         for j in range(start[first + own_z], start[first + own_z + 1]):
@@ -51,7 +51,7 @@ def nearer(
             squared = dx * dx + dy * dy + dz * dz
             if squared < best:
                 best, found = squared, j
-    # how far the six sides of the own cell are; negative outside of the grid
+    # distances to the six sides of the own cell; negative outside of the grid
     left, front = x - (origin[0] + own_x * CELL_M), y - (origin[1] + own_y * CELL_M)
     right, back = CELL_M - left, CELL_M - front
     down = z - (origin[2] + own_z * CELL_M)
@@ -86,13 +86,13 @@ def nearer(
 
 @compiled
 def _cells(length: float) -> int:
-    """How many cells a length that leaves the own cell goes through."""
+    """Count the cells that a length beyond the own cell spans."""
     return max(int(np.ceil(length * (1.0 / CELL_M))), 0)
 
 
 @compiled
 def _between(step: int, before: float, after: float) -> float:
-    """How far a place is from a cell so many steps on, along one axis."""
+    """Return the distance from a place to the cell that many steps away, along one axis."""
     if step < 0:
         return before + (-step - 1) * CELL_M
     if step > 0:
@@ -102,7 +102,7 @@ def _between(step: int, before: float, after: float) -> float:
 
 @compiled
 def nearest_distances(grid: PointGrid, points: Points, reach: float) -> NDArray[np.float32]:
-    """Distance of each point to its nearest neighbour in the grid, at most `reach`; (N,)."""
+    """Measure the distance of each point to its neighbour in the grid, at most `reach`; (N,)."""
     distance = np.empty(len(points), np.float32)
     for i in range(len(points)):
         squared, _ = nearer(grid, points[i, 0], points[i, 1], points[i, 2], reach * reach, -1)
@@ -112,7 +112,7 @@ def nearest_distances(grid: PointGrid, points: Points, reach: float) -> NDArray[
 
 @compiled
 def nearest_rows(grid: PointGrid, points: NDArray[np.floating], reach: float) -> NDArray[np.int32]:
-    """Row in `grid.points_m` of each point's nearest neighbour, -1 when none is nearer; (N,)."""
+    """Find the row of each point's nearest neighbour, -1 beyond the reach; (N,)."""
     rows = np.empty(len(points), np.int32)
     for i in range(len(points)):
         _, rows[i] = nearer(grid, points[i, 0], points[i, 1], points[i, 2], reach * reach, -1)
@@ -120,13 +120,13 @@ def nearest_rows(grid: PointGrid, points: NDArray[np.floating], reach: float) ->
 
 
 @compiled
-def nearest_few(grid: PointGrid, points: Points, few: int) -> NDArray[np.int32]:
-    """Rows in `grid.points_m` of each point's nearest neighbours, nearest first; (N, few).
+def nearest_few(grid: PointGrid, points: Points, count: int) -> NDArray[np.int32]:
+    """Find the rows of each point's nearest neighbours, nearest first; (N, few).
 
-    The grid must hold as many points.
+    The grid must contain as many points.
     """
-    rows = np.full((len(points), few), -1, np.int32)
-    squared = np.empty(few, np.float64)
+    rows = np.full((len(points), count), -1, np.int32)
+    squared = np.empty(count, np.float64)
     for i in range(len(points)):
         reach = _FIRST_REACH_M
         squared[:] = np.inf
@@ -144,7 +144,7 @@ def _few_within(
     squared: NDArray[np.float64],
     rows: NDArray[np.int32],
 ) -> bool:
-    """Sort the nearest points of all cells within reach into a list; whether no other is nearer."""
+    """Insert the nearest points of all cells within reach; True if none beyond is nearer."""
     points, column, start, origin = grid.points_m, grid.column, grid.start, grid.origin_m
     count_x, count_y = column.shape
     x, y, z = np.float64(place[0]), np.float64(place[1]), np.float64(place[2])
@@ -175,9 +175,10 @@ def _few_within(
 
 @compiled
 def nearest_indices(grid: PointGrid, points: Points, reach: float) -> NDArray[np.int32]:
-    """Row in `grid.points_m` of each point's nearest neighbour, -1 when none is nearer; (N,).
+    """Find the row of each point's nearest neighbour, -1 beyond the reach; (N,).
 
-    Made for grids of few points: where no column within reach holds one, none is looked at.
+    It is faster than `nearest_rows` for grids of few points: it skips a query without an occupied
+    column within reach.
     """
     index = np.empty(len(points), np.int32)
     around = _around(grid.column, _cells(reach))
@@ -193,7 +194,7 @@ def nearest_indices(grid: PointGrid, points: Points, reach: float) -> NDArray[np
 
 @compiled
 def _around(column: NDArray[np.int32], reach: int) -> Mask:
-    """(X, Y) whether a column of points is that many columns away or nearer."""
+    """Dilate (X, Y) occupied columns by a reach."""
     count_x, count_y = column.shape
     around = np.zeros(column.shape, np.bool_)
     for x in range(count_x):

@@ -1,4 +1,4 @@
-"""Points sorted by the cell they lie in: an index that is quick to build and small."""
+"""Point grid: points sorted by cell, a spatial index that is small and quick to build."""
 
 from typing import NamedTuple
 
@@ -10,20 +10,20 @@ from workers.points.compiled import compiled
 
 CELL_M = 0.5
 LAYERS = 32
-"""Cells above each other: 16 m over the lowest point; what is higher lies in the highest."""
+"""Cells above each other: 16 m over the lowest point; higher points are in the highest cell."""
 
 REACH_M = 82.0
 
 
 class PointGrid(NamedTuple):
-    """Points sorted by the cell of 0.5 m that they lie in.
+    """Points sorted by their cell of 0.5 m.
 
-    Only columns that hold a point have cells. Points beyond the reach lie in the outermost
-    columns, so that answers are exact everywhere.
+    Only columns with a point have cells. Points beyond the reach are in the outermost columns, so
+    searches are exact everywhere.
 
     Attributes:
         points_m: (N, 3) float32, sorted by cell.
-        order: (N,) which of the given points each of them is.
+        order: (N,) index of each in the input.
         column: (X, Y) number of each column, -1 where there is no point.
         start: (columns * LAYERS + 1,) first point of each cell.
         origin_m: (3,) corner of the first cell.
@@ -53,14 +53,14 @@ def build_grid(points_m: Points, centre_m: NDArray[np.floating]) -> PointGrid:
 
 @compiled
 def cell_along(value: float, origin: float, count: int) -> int:
-    """Index of the cell along one axis, clamped into the grid."""
+    """Return the index of the cell along one axis, clamped into the grid."""
     index = int(np.floor((value - origin) * (1.0 / CELL_M)))
     return min(max(index, 0), count - 1)
 
 
 @compiled
 def _bounds(points: Points) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lowest and highest value of each coordinate; zero where there is no point."""
+    """Return the lowest and highest value of each coordinate; zero without points."""
     low, high = np.zeros(3, np.float32), np.zeros(3, np.float32)
     if len(points) > 0:
         low[:], high[:] = points[0], points[0]

@@ -1,4 +1,4 @@
-"""Single passes over the points of a frame: what numpy would do in several, with copies between."""
+"""Point kernels: single passes over the points of a frame, without the copies of numpy."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +9,7 @@ from workers.points.compiled import compiled
 
 @compiled
 def returns_within(points: Points, valid: Mask, farthest: np.float32) -> NDArray[np.int64]:
-    """Rows that are valid, numbers, and nearer than a distance along every axis; (M,)."""
+    """Select rows that are valid, finite, and nearer than a distance along every axis; (M,)."""
     index = np.empty(len(points), np.int64)
     count = 0
     for i in range(len(points)):
@@ -25,7 +25,7 @@ def returns_within(points: Points, valid: Mask, farthest: np.float32) -> NDArray
 
 @compiled
 def rows_about(points: Points, index: NDArray[np.int64], origin: NDArray[np.float32]) -> Points:
-    """Chosen rows about another origin; (M, 3) float32."""
+    """Copy selected rows relative to another origin; (M, 3) float32."""
     rows = np.empty((len(index), 3), np.float32)
     for i in range(len(index)):
         for axis in range(3):
@@ -37,7 +37,7 @@ def rows_about(points: Points, index: NDArray[np.int64], origin: NDArray[np.floa
 def judged_rows(
     points: Points, ground: Mask, nearest: float, farthest: float, highest: float
 ) -> NDArray[np.int64]:
-    """Rows off the ground, between two horizontal ranges and not too high; (J,)."""
+    """Select rows off the ground, between two horizontal ranges and not too high; (J,)."""
     index = np.empty(len(points), np.int64)
     count = 0
     for i in range(len(points)):
@@ -52,7 +52,7 @@ def judged_rows(
 
 @compiled
 def within(points: Points, nearest: float, farthest: float) -> Mask:
-    """Rows between two horizontal ranges; (M,)."""
+    """Mark rows between two horizontal ranges; (M,)."""
     inside = np.empty(len(points), np.bool_)
     for i in range(len(points)):
         x, y = points[i, 0], points[i, 1]
@@ -63,7 +63,7 @@ def within(points: Points, nearest: float, farthest: float) -> Mask:
 
 @compiled
 def within_box(points: Points, farthest: float) -> Mask:
-    """Rows that are no farther than a distance along every axis; (N,)."""
+    """Mark rows that are no farther than a distance along every axis; (N,)."""
     inside = np.empty(len(points), np.bool_)
     for i in range(len(points)):
         inside[i] = (
@@ -76,7 +76,7 @@ def within_box(points: Points, farthest: float) -> Mask:
 
 @compiled
 def moved_rows(points: Points, index: NDArray[np.int64], to_from_from: Transform) -> Points:
-    """Chosen rows in another space; (J, 3) float32, worked out in float64 as poses are large."""
+    """Transform selected rows; (J, 3) float32, computed in float64 since poses are large."""
     rows = np.empty((len(index), 3), np.float32)
     pose = to_from_from
     for i in range(len(index)):
@@ -91,7 +91,7 @@ def moved_rows(points: Points, index: NDArray[np.int64], to_from_from: Transform
 
 @compiled
 def moved(points: Points, to_from_from: Transform) -> Points:
-    """Points in another space; (N, 3) float32, worked out in float64."""
+    """Transform points; (N, 3) float32, computed in float64."""
     rows = np.empty(points.shape, np.float32)
     pose = to_from_from
     for i in range(len(points)):
@@ -106,7 +106,7 @@ def moved(points: Points, to_from_from: Transform) -> Points:
 def in_centimetres(
     points: Points, valid: Mask, farthest: np.float32, nowhere: np.int16
 ) -> NDArray[np.int16]:
-    """Valid points no farther than a distance along every axis, to the centimetre; (N, 3)."""
+    """Quantise valid points within a distance along every axis to centimetres; (N, 3)."""
     rows = np.empty(points.shape, np.int16)
     for i in range(len(points)):
         seen = valid[i] and (
@@ -121,7 +121,7 @@ def in_centimetres(
 
 @compiled
 def first_and_last(values: NDArray[np.int32], valid: Mask) -> tuple[int, int]:
-    """Least and greatest of the valid values; the greatest is the lesser where none is valid."""
+    """Return the least and greatest valid value; the greatest is the lesser where none is valid."""
     first, last = np.int64(1), np.int64(0)
     for i in range(len(values)):
         if valid[i]:

@@ -1,4 +1,4 @@
-"""Rigid transforms of points: apply one, invert one."""
+"""Rigid transforms of points: application, inversion, change of space."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +9,8 @@ from schemas.arrays import Points, Transform
 def transform(to_from_from: Transform, points: NDArray[np.floating]) -> Points:
     """Map points from one space to another.
 
-    The product is taken in float64, because poses far from the origin lose millimetres in float32.
+    The product is computed in float64, because poses far from the origin lose millimetres in
+    float32.
 
     Args:
         to_from_from: (4, 4) rigid transform that maps points of the second space to the first.
@@ -23,7 +24,7 @@ def transform(to_from_from: Transform, points: NDArray[np.floating]) -> Points:
 
 
 def inverse(to_from_from: Transform) -> Transform:
-    """Turn a rigid transform round, exactly: transpose the rotation, no matrix inversion.
+    """Invert a rigid transform exactly: transpose the rotation, no matrix inversion.
 
     Args:
         to_from_from: (4, 4) rigid transform.
@@ -39,11 +40,11 @@ def inverse(to_from_from: Transform) -> Transform:
 
 
 def conjugate(new_from_old: Transform, transforms: Transform) -> Transform:
-    """Say motions of one space in another, as poses of a camera become poses of the lidar.
+    """Express motions of one sensor as motions of another, such as a camera's as the lidar's.
 
     Args:
-        new_from_old: (4, 4) where the old sensor is in the new one's space; rigid up to the digits
-            it was printed with.
+        new_from_old: (4, 4) place of the old sensor in the new one's space; rigid up to its
+            printed digits.
         transforms: (..., 4, 4) motions or poses of the old sensor.
 
     Returns:

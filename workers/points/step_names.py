@@ -1,4 +1,4 @@
-"""The steps of the stream by name: a clock can watch them, and they need not know."""
+"""Names of the stream's steps: a clock can time them, and the steps do not depend on it."""
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -7,7 +7,7 @@ from functools import wraps
 from typing import ParamSpec, TypeVar
 
 Watch = Callable[[str], AbstractContextManager[None]]
-"""Enters a step by its name, and leaves it."""
+"""Context manager of a step, by its name."""
 
 Given = ParamSpec("Given")
 Answer = TypeVar("Answer")
@@ -16,7 +16,7 @@ _WATCH: ContextVar[Watch | None] = ContextVar("watch", default=None)
 
 
 def step(name: str) -> Callable[[Callable[Given, Answer]], Callable[Given, Answer]]:
-    """Name a function as a step; unwatched it is called as it is."""
+    """Name a function as a step; without a clock it is called directly."""
 
     def named(function: Callable[Given, Answer]) -> Callable[Given, Answer]:
         @wraps(function)
@@ -34,7 +34,7 @@ def step(name: str) -> Callable[[Callable[Given, Answer]], Callable[Given, Answe
 
 @contextmanager
 def watched(watch: Watch) -> Iterator[None]:
-    """Let a clock watch every step that is taken inside, in this thread."""
+    """Let a clock time every step inside the context, in this thread."""
     before = _WATCH.set(watch)
     try:
         yield

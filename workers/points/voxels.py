@@ -1,4 +1,4 @@
-"""Thinning a cloud to one centroid per voxel, with the way back to every point."""
+"""Voxel hashing: one centroid per voxel of a cloud, with the voxel of every point."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,8 @@ from workers.points.compiled import compiled
 from workers.points.step_names import step
 
 VOXEL_M = 0.15
-"""A hand's breadth: under the spacing of beams beyond 20 m, over the noise of any range sensor."""
+"""Edge of a voxel, metres: under the spacing of beams beyond 20 m, over the noise of any range
+sensor."""
 
 
 class Voxels(NamedTuple):
@@ -25,7 +26,7 @@ class Voxels(NamedTuple):
     of_point: NDArray[np.int32]
 
     def to_points(self, per_voxel: NDArray[np.generic]) -> NDArray[np.generic]:
-        """Copy an answer per voxel back to the points; nothing is interpolated."""
+        """Copy a value per voxel back to the points, without interpolation."""
         copied: NDArray[np.generic] = per_voxel[self.of_point]
         return copied
 
@@ -35,7 +36,7 @@ def voxelize(points_m: Points, *, voxel_m: float = VOXEL_M) -> Voxels:
     """Replace the points of each voxel by their mean.
 
     Args:
-        points_m: (N, 3) metres, in a space that does not move, so that static things fall into
+        points_m: (N, 3) metres, in a space that does not move, so that static structure falls into
             the same voxels frame after frame.
         voxel_m: Edge of a voxel.
     """
@@ -50,13 +51,13 @@ def _voxelize(points: Points, voxel: np.float32) -> tuple[Points, NDArray[np.int
     while slots < 2 * n + 1:
         slots *= 2
     voxel_of_slot = np.full(slots, -1, np.int32)
-    # of each voxel, filled as it appears: what is never touched costs nothing
+    # per voxel, filled as it appears: untouched pages take no memory
     key_of, count = np.empty(n, np.int64), np.empty(n, np.int32)
     total = np.empty((n, 3), np.float64)
     of_point = np.empty(n, np.int32)
     used = 0
     for i in range(n):
-        # 21 bits per axis hold 300 km at 0.15 m
+        # 21 bits per axis span 300 km at 0.15 m
         kx = np.int64(np.floor(points[i, 0] / voxel)) & 0x1FFFFF
         ky = np.int64(np.floor(points[i, 1] / voxel)) & 0x1FFFFF
         kz = np.int64(np.floor(points[i, 2] / voxel)) & 0x1FFFFF

@@ -1,4 +1,7 @@
-"""Which clusters seem to have moved, by how they fit earlier frames; free space is asked next."""
+"""Motion candidates: clusters that fit earlier frames better after a shift.
+
+`verification.py` then tests each candidate against free space.
+"""
 
 from typing import Final
 
@@ -6,14 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask
-from workers.selfsupervised.registration import Registered
+from workers.selfsupervised.registration import RegistrationResiduals
 
 MIN_SPEED_M_PER_S: Final = 0.7
-"""Half a brisk walk. Over 0.5 s it is 0.35 m, three times what sampling and pose noise fake."""
+"""Half a brisk walk. Over 0.5 s it is 0.35 m, three times what sampling and pose noise imitate."""
 
 GOOD_FIT_FAR_M: Final = 0.22
 GOOD_FIT_NEAR_M: Final = 0.12
-"""A thing that turns and shows other sides fits worse after 0.5 s than after 0.1 s."""
+"""Mean nearest distance of a good fit, metres, after 0.5 s and after 0.1 s.
+
+An object that turns and shows other sides fits worse after the longer time."""
 
 _MIN_GAIN_M: Final = 0.02
 _MIN_GAIN_SHARE: Final = 0.25
@@ -23,17 +28,23 @@ _MAX_CLIMB_M: Final = 0.6
 _MAX_SPEED_CHANGE: Final = 2.0
 _MAX_SPEED_CHANGE_SHARE: Final = 0.3
 _SAME_FIT_M: Final = 0.02
-"""A side that passes us fits the near frame wherever it is shifted: it cannot object then."""
+"""Difference of two energies that counts as equal, metres.
+
+The side of a passing object fits the near frame at any shift along it, so that frame cannot refute
+the motion."""
 
 _MIN_SHORT_SPEED: Final = 3.0
 
 
 def far_candidates(
-    fit: Registered, velocity_far: NDArray[np.float32], velocity_near: NDArray[np.float32]
+    fit: RegistrationResiduals,
+    velocity_far: NDArray[np.float32],
+    velocity_near: NDArray[np.float32],
 ) -> tuple[Mask, Mask]:
-    """Clusters that seem to have moved, and those of them that clearly fit better where they were.
+    """Return the clusters that moved over 0.5 s, and those with a clearly better fit when shifted.
 
-    A slow body overlaps itself and gains little; the others need free space on both ends.
+    A slow body overlaps its earlier place and gains little from a shift: it needs free space at
+    both ends of its motion, the clear ones at one end.
     """
     speed = np.linalg.norm(velocity_far, axis=1)
     change = np.linalg.norm(velocity_near - velocity_far, axis=1)
@@ -51,8 +62,8 @@ def far_candidates(
     return moves, clear
 
 
-def near_candidates(fit: Registered, velocity_near: NDArray[np.float32]) -> Mask:
-    """Clusters that were not to be seen half a second ago."""
+def near_candidates(fit: RegistrationResiduals, velocity_near: NDArray[np.float32]) -> Mask:
+    """Return the clusters that moved over 0.1 s and were not visible half a second ago."""
     speed = np.linalg.norm(velocity_near, axis=1)
     moves: Mask = (
         fit.tried

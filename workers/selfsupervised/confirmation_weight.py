@@ -1,7 +1,7 @@
-"""What one frame's proof of a motion is worth: a whole one, or half of one.
+"""Confirmation weight: the evidence of one frame for a motion counts in full or by half.
 
-Free space and registration err in single frames, at the rims of things: half a proof takes another
-frame to say that a thing moves, and an error is seldom made twice.
+Free space and registration err in single frames, at the rims of objects. A motion confirmed by half
+needs another frame before its cluster is labelled dynamic; an error seldom occurs twice.
 """
 
 from typing import Final
@@ -17,24 +17,29 @@ from workers.points.clusters import Clusters
 from workers.points.voxels import VOXEL_M
 
 SMALL_M2: Final = 0.36
-"""As much as a wheel shows, 0.6 by 0.6 m: all that takes part in traffic has more than one."""
+"""Visible area of a wheel, m², 0.6 by 0.6 m: every road user shows more."""
 
 SMALL_VOXELS: Final = 12
-"""What shows less, or has fewer voxels, may be the rim of a shadow, or the end of a thing that just
-came into sight."""
+"""Voxels below which a cluster may be the rim of a shadow.
 
-TAKEN_VOTES: Final = 1.0
-TAKEN_FREE_SHARE: Final = 0.3
-"""Something was there where it is, and little of it was seen through: a wall that seems to slide
-along itself, a bush that lost some leaves; or what is slow, or long, or drives close behind."""
+It may also be the end of an object that has just come into view."""
+
+OCCUPIED_VOTES: Final = 1.0
+OCCUPIED_FREE_SHARE: Final = 0.3
+"""Mean occupied votes above which a place was taken before, and free share up to which it still is.
+
+Such clusters are walls that seem to slide along themselves and bushes that lost some leaves. Slow
+and long objects, and those that follow another closely, look the same."""
 
 LINE_M: Final = 0.25
 LINE_LENGTH_M: Final = 1.2
-"""Seen from above next to no breadth: the upper edge of a wall, a rail, a kerb, which a beam meets
-in one frame and passes over in the next. A car has a second side, or a roof."""
+"""Breadth below which, and length above which, a cluster seen from above is a line.
+
+The upper edge of a wall, a rail or a kerb is a line: a beam meets it in one frame and passes over
+it in the next. A car has a second side, or a roof."""
 
 
-def proves_whole(
+def confirms_in_full(
     points_m: Points,
     clusters: Clusters,
     votes: Votes,
@@ -42,31 +47,33 @@ def proves_whole(
     centre_m: NDArray[np.floating],
     table: BeamTable,
 ) -> Mask:
-    """Say of which clusters one frame proves a motion whole.
+    """Return the clusters whose motion one frame confirms in full.
 
     Args:
         points_m: (V, 3) voxel centroids off the ground, odom space.
         clusters: K sets of them.
-        votes: What free space says about the voxels.
+        votes: Free-space votes on the voxels.
         centre_m: (3,) the sensor, odom space.
-        table: Beams of the sensor, which say how many voxels a thing can show.
+        table: Beams of the sensor, which determine how many voxels an object can show.
 
     Returns:
-        (K,) bool; of the others it is half a proof.
+        (K,) bool; the other clusters are confirmed by half.
     """
     about_m = points_m - centre_m.astype(np.float32)
-    large: Mask = clusters.sizes >= _voxels_of(SMALL_M2, about_m, clusters, table)
-    return large & ~_were_there(clusters, votes) & ~_are_lines(about_m, clusters)
+    large: Mask = clusters.sizes >= _visible_voxels(SMALL_M2, about_m, clusters, table)
+    return large & ~_were_occupied(clusters, votes) & ~_are_lines(about_m, clusters)
 
 
-def _were_there(clusters: Clusters, votes: Votes) -> Mask:
+def _were_occupied(clusters: Clusters, votes: Votes) -> Mask:
     free_share = clusters.count(votes.seen_through) / np.maximum(clusters.sizes, 1)
-    there: Mask = (clusters.mean(votes.occupied) > TAKEN_VOTES) & (free_share < TAKEN_FREE_SHARE)
-    return there
+    occupied: Mask = (clusters.mean(votes.occupied) > OCCUPIED_VOTES) & (
+        free_share < OCCUPIED_FREE_SHARE
+    )
+    return occupied
 
 
 def _are_lines(about_m: Points, clusters: Clusters) -> Mask:
-    """(K,) whether a cluster, seen from above, is long and next to no breadth."""
+    """Return (K,) clusters that are long and almost without breadth, seen from above."""
     x, y = about_m[:, :2].T.astype(np.float64)
     mean_x, mean_y = clusters.mean(x), clusters.mean(y)
     of_x = clusters.mean(x * x) - mean_x**2
@@ -80,10 +87,10 @@ def _are_lines(about_m: Points, clusters: Clusters) -> Mask:
     return lines
 
 
-def _voxels_of(
+def _visible_voxels(
     area_m2: float, about_m: Points, clusters: Clusters, table: BeamTable
 ) -> NDArray[np.float64]:
-    """(K,) how many voxels an area shows as far away as each cluster: as many as beams reach it."""
+    """Return (K,) voxels that an area shows at the range of each cluster: one per beam on it."""
     range_m = clusters.mean(np.linalg.norm(about_m, axis=1))
     gaps = np.diff(table.tangents)
     up_m = np.maximum(range_m * (np.median(gaps) if len(gaps) else 0.0), VOXEL_M)

@@ -1,4 +1,4 @@
-"""What free space says about the voxels of a frame: the witness that motions are held against."""
+"""Free-space evidence on the voxels of a frame, against which motions are verified."""
 
 from dataclasses import dataclass
 
@@ -11,18 +11,18 @@ from workers.lidar.beam_table import BeamTable
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Evidence:
-    """What free space says about every voxel of a frame.
+class FreeSpaceEvidence:
+    """Free-space evidence on every voxel of a frame.
 
     Attributes:
-        votes: Of the frames of the last second.
-        after: Of the frames after it, where it waited for them; no votes otherwise.
-        near: (N,) answers of the near reference frame alone.
-        far: (N,) answers of the far reference frame alone.
+        votes: Votes of the frames of the last second.
+        after: Votes of the frames after it, where the stream waited for them; empty otherwise.
+        near: (N,) visibility codes from the near reference frame alone.
+        far: (N,) visibility codes from the far reference frame alone.
         image: Range image of the frame itself.
         table: Beams of the sensor.
-        sensor_height_m: Of the origin of the beams over the road.
-        beams_from_odom: (4, 4) pose of the frame, turned round.
+        sensor_height_m: Height of the origin of the beams over the road.
+        beams_from_odom: (4, 4) inverse pose of the frame.
     """
 
     votes: Votes
@@ -36,5 +36,5 @@ class Evidence:
 
     @property
     def seen_through(self) -> Mask:
-        """(N,) places that were free before, or are free after."""
+        """(N,) voxels whose place was free before, or is free afterwards."""
         return self.votes.seen_through | self.after.seen_through

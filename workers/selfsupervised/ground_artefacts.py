@@ -1,4 +1,7 @@
-"""Flat clusters low over the road: strips of ground and kerb, which come and go with shadows."""
+"""Ground artefacts: flat clusters low over the road, strips of ground and kerb.
+
+They appear and disappear with shadows and are not objects.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,52 +14,53 @@ from workers.points.step_names import step
 FLAT_M = 0.25
 ROAD_M = 0.4
 ROAD_PER_M = 0.02
-"""What is lower than this over the plane under the car may be road: a kerb, and a slope of 2 %."""
+"""Height over the plane under the car below which a cluster may be road, metres, and its growth
+per metre of range: a kerb, and a slope of 2 %."""
 
 _LOW, _HIGH = 0.03, 0.97
 
 
 @step("strips")
-def are_strips(
+def are_ground_artefacts(
     points_m: Points,
     clusters: Clusters,
-    asked: Mask,
+    candidates: Mask,
     *,
     beams_from_odom: Transform,
     sensor_height_m: float,
 ) -> Mask:
-    """Say which of the clusters asked about are flat and as low as the road may be.
+    """Return the candidate clusters that are flat and as low as the road may be.
 
-    Flat things above the road are roofs and bonnets, which a single beam may graze.
+    Flat objects above the road are roofs and bonnets, which a single beam may graze.
 
     Args:
         points_m: (N, 3) voxel centroids, odom space.
         clusters: K sets of them.
-        asked: (K,) which of them are looked at.
-        beams_from_odom: (4, 4) pose of the frame, turned round.
-        sensor_height_m: Of the origin of the beams over the road.
+        candidates: (K,) candidate clusters.
+        beams_from_odom: (4, 4) inverse pose of the frame.
+        sensor_height_m: Height of the origin of the beams over the road.
 
     Returns:
-        (K,) bool; False for those not asked about.
+        (K,) bool; False outside the candidates.
     """
-    return _are_strips(
-        points_m, clusters.members, clusters.start, asked, beams_from_odom[:3], sensor_height_m
+    return _are_ground_artefacts(
+        points_m, clusters.members, clusters.start, candidates, beams_from_odom[:3], sensor_height_m
     )
 
 
 @compiled
-def _are_strips(
+def _are_ground_artefacts(
     points: Points,
     members: NDArray[np.int32],
     start: NDArray[np.int32],
-    asked: Mask,
+    candidates: Mask,
     pose: NDArray[np.float64],
     sensor_height: float,
 ) -> Mask:
-    strip = np.zeros(len(asked), np.bool_)
-    for k in range(len(asked)):
+    artefact = np.zeros(len(candidates), np.bool_)
+    for k in range(len(candidates)):
         inside = members[start[k] : start[k + 1]]
-        if not asked[k] or len(inside) == 0:
+        if not candidates[k] or len(inside) == 0:
             continue
         heights = np.empty(len(inside), np.float64)
         x, y = 0.0, 0.0
@@ -68,13 +72,13 @@ def _are_strips(
         heights.sort()
         low, high = _quantile(heights, _LOW), _quantile(heights, _HIGH)
         away = np.sqrt(x * x + y * y) / len(inside)
-        strip[k] = high - low < FLAT_M and high < ROAD_M + ROAD_PER_M * away - sensor_height
-    return strip
+        artefact[k] = high - low < FLAT_M and high < ROAD_M + ROAD_PER_M * away - sensor_height
+    return artefact
 
 
 @compiled
 def _quantile(rising: NDArray[np.float64], share: float) -> float:
-    """Linear between the two nearest ranks."""
+    """Interpolate a quantile of sorted values linearly between the two nearest ranks."""
     place = share * (len(rising) - 1)
     below = int(place)
     above = min(below + 1, len(rising) - 1)

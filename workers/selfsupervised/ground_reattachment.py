@@ -1,7 +1,7 @@
-"""Ground that belongs to movers: ground removal takes the low and level parts of what stands on it.
+"""Ground reattachment: ground points that belong to movers get their mover's label back.
 
-Sills, bumpers and bonnets are as even as a road. A road was never seen through; where a mover is
-now, frames before it saw the street behind.
+Sills, bumpers and bonnets are as even as a road, so ground removal takes them. No beam passes
+through a road, but frames before a mover came saw the street behind its present place.
 """
 
 from collections.abc import Callable
@@ -10,37 +10,37 @@ from typing import Final
 import numpy as np
 
 from schemas.arrays import Mask, Points
-from workers.lidar.preprocessing import Prepared
+from workers.lidar.preprocessing import PreprocessedFrame
 from workers.points.neighbours import build_grid, nearest_indices
 from workers.points.point_kernels import moved_rows
 from workers.points.step_names import step
 
 TOUCHING_M: Final = 0.2
-"""From the mean of a voxel's points to those in the next one: the lowest hand's breadth."""
+"""Distance between the mean of a voxel's points and those in the next one, metres."""
 
 REACH_M: Final = 0.5
-"""Between points of one body, as clusters are joined."""
+"""Largest gap between points of one body, metres, as in clustering."""
 
 SeenThrough = Callable[[Points], Mask]
-"""Says which places other frames saw through."""
+"""A function that returns which places other frames saw through."""
 
 
 @step("reattach")
-def ground_of_movers(
-    prepared: Prepared,
+def reattach_ground(
+    prepared: PreprocessedFrame,
     moves: Mask,
     confirmed: Mask,
     ground: Mask,
     seen_through: SeenThrough,
 ) -> tuple[Mask, Mask]:
-    """Find the ground points that touch a mover, or lie beside it where the road was seen before.
+    """Find the ground points that touch a mover, or are next to it where frames saw through.
 
     Args:
         prepared: The frame.
         moves: (V,) voxels that move.
         confirmed: (V,) those that are confirmed.
-        ground: (M,) which of the frame's points are asked about.
-        seen_through: Asks other frames about places in odom space.
+        ground: (M,) candidate ground points of the frame.
+        seen_through: Tests places in odom space against other frames.
 
     Returns:
         (M,) ground that belongs to a mover, and (M,) to a confirmed one.
@@ -53,8 +53,8 @@ def ground_of_movers(
     grid = build_grid(prepared.voxels.centroids_m[moving], prepared.odom_from_beams[:3, 3])
     places = moved_rows(prepared.points_m, asked, prepared.odom_from_beams)
     nearest = nearest_indices(grid, places, REACH_M)
-    beside = np.flatnonzero(nearest >= 0)
-    asked, places, nearest = asked[beside], places[beside], nearest[beside]
+    within_reach = np.flatnonzero(nearest >= 0)
+    asked, places, nearest = asked[within_reach], places[within_reach], nearest[within_reach]
     apart_m = np.linalg.norm(places - grid.points_m[nearest], axis=1)
     belongs = apart_m < TOUCHING_M
     further = np.flatnonzero(~belongs)

@@ -1,4 +1,4 @@
-"""The task `ground` without labels: what Patchwork++ finds in each frame."""
+"""The task `ground` without labels: the ground points of Patchwork++ in each frame."""
 
 from collections.abc import Iterable, Iterator
 from typing import ClassVar, Final
@@ -9,7 +9,7 @@ from schemas.frame import PosedFrame
 from schemas.labels import FrameHealth, FrameLabels
 from schemas.task import GROUND, Task
 from workers.lidar.beam_table import MIN_RANGE_M
-from workers.lidar.preprocessing import MAX_RANGE_M, Preparation, Prepared
+from workers.lidar.preprocessing import MAX_RANGE_M, PreprocessedFrame, Preprocessor
 from workers.part_version import version_of
 from workers.points.point_kernels import within
 from workers.selfsupervised.labelling import GROUND as GROUND_SURE
@@ -19,11 +19,11 @@ _GROUND: Final = GROUND.classes.index("ground")
 
 
 class GroundStream:
-    """Labels what lies on the ground, frame by frame, as the default motion stream sets it aside.
+    """Labels the ground points of each frame that the default motion stream removes.
 
-    Patchwork++ tells no probability: every answer is as sure as the next. What is nearer than the
-    roof of the car, or farther than 80 m, is unknown. `FrameLabels.ground_mask` stays None: ground
-    is what this task is about, so none of it may be left out as background.
+    Patchwork++ has no probability, so all labels have one confidence. Points nearer than the roof
+    of the car, or farther than 80 m, are unknown. `FrameLabels.ground_mask` stays None: this task
+    is about the ground, so none of it may be left out as background.
     """
 
     task: ClassVar[Task] = GROUND
@@ -36,14 +36,14 @@ class GroundStream:
 
     def __call__(self, frames: Iterable[PosedFrame]) -> Iterator[FrameLabels]:
         """Yield the labels of each frame, in order."""
-        prepare = Preparation()
+        prepare = Preprocessor()
         for posed in frames:
             prepared = prepare(posed.frame, posed.odom_from_sensor, None)
             health = prepare.problem(posed.frame) if prepared is None else FrameHealth()
             yield _labels(len(posed.frame), prepared, health)
 
 
-def _labels(points: int, prepared: Prepared | None, health: FrameHealth) -> FrameLabels:
+def _labels(points: int, prepared: PreprocessedFrame | None, health: FrameHealth) -> FrameLabels:
     labels = np.full(points, GROUND.unknown, np.uint8)
     confidence = np.zeros(points, np.float16)
     if prepared is not None:

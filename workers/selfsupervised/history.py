@@ -1,4 +1,4 @@
-"""The last second of frames, chosen from by time, never by count."""
+"""History of the last second of frames, selected by time and never by count."""
 
 from collections import deque
 from collections.abc import Iterable, Sequence
@@ -18,7 +18,7 @@ VOTE_AGES_S: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0)
 NEAR_AGE_S: Final = 0.1
 FAR_AGE_S: Final = 0.5
 MAX_GAP_NS: Final = NS_PER_S // 2
-"""After a longer silence nothing is known of what lay between."""
+"""Longest gap in time between frames, nanoseconds: nothing is known about a longer one."""
 
 _TOLERANCE_S: Final = 0.06
 """Half a revolution at 10 Hz and its jitter."""
@@ -26,13 +26,13 @@ _TOLERANCE_S: Final = 0.06
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PastFrame:
-    """What is kept of a frame.
+    """The kept part of an earlier frame.
 
     Attributes:
         stamp_ns: Its time.
-        space: (4, 4) odom from the space that poses and places are said in.
-        odom_from_beams: (4, 4) where the beams met.
-        beams_from_odom: (4, 4) the same, turned round.
+        space: (4, 4) odom from the space of its poses and places.
+        odom_from_beams: (4, 4) pose of the origin of the beams.
+        beams_from_odom: (4, 4) the inverse pose.
         image: (R, C) its range image.
         grid: Its voxel centroids off the ground, odom space.
     """
@@ -44,8 +44,8 @@ class PastFrame:
     image: NDArray[np.float32]
     grid: PointGrid
 
-    def said_in(self, space: Transform) -> "PastFrame":
-        """The same frame, its poses and places said in another space, (4, 4) odom from it."""
+    def expressed_in(self, space: Transform) -> "PastFrame":
+        """Return the frame with poses and places in another space, given (4, 4) odom from it."""
         if self.space is space:
             return self
         moved = inverse(space) @ self.space
@@ -54,7 +54,7 @@ class PastFrame:
         return PastFrame(self.stamp_ns, space, pose, inverse(pose), self.image, grid)
 
     def beams_from(self, space: Transform) -> Transform:
-        """(4, 4) where the beams met, from another space, (4, 4) odom from it."""
+        """Return (4, 4) beams from another space, given (4, 4) odom from that space."""
         if self.space is space:
             return self.beams_from_odom
         return self.beams_from_odom @ inverse(self.space) @ space
@@ -67,46 +67,46 @@ class History:
         self._frames: deque[PastFrame] = deque(maxlen=max_frames)
 
     def clear(self) -> None:
-        """Forget everything: after a gap, or when the pose is lost."""
+        """Forget all frames, after a gap or when the pose is lost."""
         self._frames.clear()
 
     def add(self, frame: PastFrame) -> None:
-        """Remember a frame, forget what is older than a second before it."""
+        """Add a frame and forget the frames more than a second before it."""
         self._frames.append(frame)
         while self.age_s(self._frames[0], frame.stamp_ns) > LOOKBACK_S + _TOLERANCE_S:
             self._frames.popleft()
 
-    def say_in(self, space: Transform) -> None:
-        """Say all frames in another space, (4, 4) odom from it."""
-        said = [frame.said_in(space) for frame in self._frames]
-        self._frames = deque(said, maxlen=self._frames.maxlen)
+    def express_in(self, space: Transform) -> None:
+        """Express all frames in another space, given (4, 4) odom from it."""
+        expressed = [frame.expressed_in(space) for frame in self._frames]
+        self._frames = deque(expressed, maxlen=self._frames.maxlen)
 
     @staticmethod
     def age_s(frame: PastFrame, now_ns: int) -> float:
-        """How much earlier a frame was."""
+        """Return the age of a frame, seconds."""
         return (now_ns - frame.stamp_ns) / NS_PER_S
 
     def span_s(self, now_ns: int) -> float:
-        """How far back it reaches; 0 when empty."""
+        """Return the age of the oldest frame, seconds; 0 without frames."""
         return self.age_s(self._frames[0], now_ns) if self._frames else 0.0
 
     def expected_m(self, now_ns: int) -> NDArray[np.float64] | None:
-        """(3,) where the sensor would be had it gone on as it went; None where that is unknown."""
+        """Return (3,) the sensor's place at constant velocity; None where that is unknown."""
         return expected_m(self._frames, now_ns)
 
     def closest(
         self, age_s: float, now_ns: int, *, between: tuple[float, float]
     ) -> PastFrame | None:
-        """The frame whose age is closest to the one asked for, if any lies between two ages."""
+        """Return the frame whose age is closest to the given one, if any lies between two ages."""
         return closest(self._frames, age_s, now_ns, between=between)
 
     def voters(self, now_ns: int) -> list[PastFrame]:
-        """Frames that vote: spread over the last second whatever the rate of the sensor."""
+        """Return the frames that vote, spread over the last second at any sensor rate."""
         return voters(self._frames, now_ns)
 
 
 def expected_m(frames: Sequence[PastFrame], now_ns: int) -> NDArray[np.float64] | None:
-    """Where the sensor would be had it gone on as between the last two frames, (3,), odom space."""
+    """Extrapolate the sensor's place from the last two frames, (3,), odom space."""
     if len(frames) < 2:
         return None
     before, last = frames[-2], frames[-1]
@@ -119,7 +119,7 @@ def expected_m(frames: Sequence[PastFrame], now_ns: int) -> NDArray[np.float64] 
 def closest(
     frames: Iterable[PastFrame], age_s: float, now_ns: int, *, between: tuple[float, float]
 ) -> PastFrame | None:
-    """The frame as far away in time as asked for, if any lies between two distances in time."""
+    """Return the frame closest to a distance in time, if any lies between two distances."""
     fitting = [
         (abs(apart_s - age_s), -frame.stamp_ns, frame)
         for frame in frames
@@ -129,7 +129,7 @@ def closest(
 
 
 def voters(frames: Iterable[PastFrame], now_ns: int) -> list[PastFrame]:
-    """Those of some frames that vote, all before or all after an instant; latest first."""
+    """Return the frames that vote, all before or all after an instant; latest first."""
     known = list(frames)
     chosen = {
         frame.stamp_ns: frame

@@ -1,4 +1,4 @@
-"""From what is known of clusters and voxels to one label, confidence and cluster per point."""
+"""Labelling: the evidence on clusters and voxels becomes one label and confidence per point."""
 
 from typing import Final
 
@@ -8,36 +8,37 @@ from schemas.frame import LidarFrame
 from schemas.labels import FrameHealth, FrameLabels, MotionLabel
 from workers.free_space import Votes
 from workers.lidar.beam_table import MIN_RANGE_M
-from workers.lidar.preprocessing import MAX_RANGE_M, Prepared
+from workers.lidar.preprocessing import MAX_RANGE_M, PreprocessedFrame
 from workers.points.point_kernels import within
 from workers.points.step_names import step
-from workers.selfsupervised.ground_reattachment import SeenThrough, ground_of_movers
+from workers.selfsupervised.ground_reattachment import SeenThrough, reattach_ground
 from workers.selfsupervised.motion import ClusterMotions
 from workers.selfsupervised.point_labels import (
-    answer_ground,
-    answer_voxels,
-    nothing_said,
-    spread,
+    copy_to_points,
+    label_ground,
+    label_voxels,
+    unlabelled_points,
 )
 from workers.selfsupervised.tracker import Tracked
 
 AGREED: Final = 0.95
-"""Registration and free space say the same: measured point precision .999 and .965 to .99."""
+"""Confidence where registration and free space agree: measured point precision .999 and .965 to
+.99."""
 
 ALONE: Final = 0.7
-"""Only one of them has an opinion, or the frames before have."""
+"""Confidence where one of them, or only the earlier frames, supports the label."""
 
 GROUND: Final = 0.9
-"""Ground does not move; nine in ten points called ground are."""
+"""Confidence of static ground; nine in ten points labelled ground are ground."""
 
 _CONFIDENCE: Final = np.array([0.0, ALONE, GROUND, AGREED], np.float16)
-"""In the order of `point_answers`: unsure, alone, ground, agreed."""
+"""Confidences in the order of `point_labels`: unsure, alone, ground, agreed."""
 
 
-def nothing_known(
-    frame: LidarFrame, prepared: Prepared | None = None, *, health: FrameHealth
+def unknown_labels(
+    frame: LidarFrame, prepared: PreprocessedFrame | None = None, *, health: FrameHealth
 ) -> FrameLabels:
-    """Answer UNKNOWN for everything; the ground is still the ground where it was found."""
+    """Label every point UNKNOWN; the ground mask is kept where the ground was found."""
     n = len(frame)
     ground = np.zeros(n, np.bool_)
     if prepared is not None:
@@ -56,7 +57,7 @@ def nothing_known(
 @step("answer")
 def to_labels(
     frame: LidarFrame,
-    prepared: Prepared,
+    prepared: PreprocessedFrame,
     found: ClusterMotions,
     tracked: Tracked,
     votes: Votes,
@@ -65,39 +66,41 @@ def to_labels(
 ) -> FrameLabels:
     """Label every point of a frame.
 
-    DYNAMIC: its cluster moves, as the frames so far prove. STATIC: ground, or its cluster fits
-    where it was, or the frames that vote saw something there more often than not. UNKNOWN: no
-    witness, or a motion that is not proved; whatever is invalid, too near, too far or too high.
+    DYNAMIC: the frames so far confirm that its cluster moves. STATIC: it is ground, its cluster
+    fits its earlier place, or most voting frames saw its place occupied. UNKNOWN: no evidence, or
+    a motion that is not confirmed, and every point that is invalid, too near, too far or too high.
     """
     clusters, voxels = found.clusters, prepared.voxels
     of_voxel = clusters.of_point
     in_range = prepared.ground & within(prepared.points_m, MIN_RANGE_M, MAX_RANGE_M)
-    touching, touching_confirmed = ground_of_movers(
+    touching, touching_confirmed = reattach_ground(
         prepared,
         clusters.member_mask(tracked.dynamic),
         clusters.member_mask(tracked.confirmed),
         in_range,
         seen_through,
     )
-    voxel_labels, voxel_sureness = answer_voxels(
+    voxel_labels, voxel_sureness = label_voxels(
         of_voxel,
         moves=tracked.dynamic,
         both=found.registered & found.seen_through,
-        stands=found.still & ~found.proved,
-        doubted=found.unconfirmed | found.proved,
-        was_there=votes.occupied > votes.free,
+        static=found.still & ~found.dynamic_now,
+        doubted=found.unconfirmed | found.dynamic_now,
+        occupied_before=votes.occupied > votes.free,
     )
-    said = nothing_said(len(frame))
+    labelled = unlabelled_points(len(frame))
     valid = prepared.valid_index
-    answer_ground(said, valid, prepared.ground, in_range, touching, touching_confirmed)
+    label_ground(labelled, valid, prepared.ground, in_range, touching, touching_confirmed)
     judged = valid[prepared.judged_index]
-    spread(said, judged, voxels.of_point, voxel_labels, voxel_sureness, of_voxel, tracked.confirmed)
+    copy_to_points(
+        labelled, judged, voxels.of_point, voxel_labels, voxel_sureness, of_voxel, tracked.confirmed
+    )
     velocity = np.where(tracked.dynamic[:, None], tracked.velocity_m_per_s, 0.0)
     return FrameLabels(
-        labels=said.labels,
-        confidence=_CONFIDENCE[said.sureness],
-        ground_mask=said.ground,
-        cluster=said.cluster,
+        labels=labelled.labels,
+        confidence=_CONFIDENCE[labelled.sureness],
+        ground_mask=labelled.ground,
+        cluster=labelled.cluster,
         cluster_velocity_m_per_s=velocity.astype(np.float32),
-        confirmed=said.confirmed,
+        confirmed=labelled.confirmed,
     )

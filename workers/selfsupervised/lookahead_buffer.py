@@ -1,4 +1,4 @@
-"""Frames that wait for later ones: what leaves its place moves, but it takes time to see."""
+"""Lookahead buffer: frames wait for later ones, which show what leaves its place."""
 
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -9,32 +9,32 @@ from schemas.arrays import NS_PER_S
 from schemas.frame import LidarFrame
 from schemas.labels import FrameHealth, FrameLabels
 from workers.lidar.beam_table import BeamTable
-from workers.lidar.preprocessing import Prepared
+from workers.lidar.preprocessing import PreprocessedFrame
 from workers.selfsupervised.history import PastFrame
 
 LOOKAHEADS_S: Final = (0.0, 0.5, 1.0)
-"""None, what slow cars need, and what people on foot need to leave their place."""
+"""Selectable lookaheads, seconds: none, enough for slow cars, and enough for pedestrians."""
 
 _TOLERANCE_NS: Final = NS_PER_S // 20
-"""Half a revolution at 10 Hz: the frame closest to the end of the wait ends it."""
+"""Tolerance at the end of the lookahead: half a revolution at 10 Hz."""
 
 _MOST_FRAMES: Final = 24
-"""As many as are remembered of the past, however fast the sensor."""
+"""Frames that wait at most, at any sensor rate; the history has the same limit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ready:
-    """A frame that can be compared, and what other frames may ask of it.
+class ComparableFrame:
+    """A frame that can be compared, with its state for comparisons by other frames.
 
     Attributes:
-        prepared: What it was turned into.
-        seen: What others ask.
-        table: Beams of the sensor as they were known then; later frames may teach others.
-        sensor_height_m: Of the origin of the beams over the road, as it was known then.
-        blind: Why nothing can be judged in it all the same; None where it can.
+        prepared: The preprocessed frame.
+        seen: Its entry in the history.
+        table: Beams of the sensor known at that time; later frames may change them.
+        sensor_height_m: Height of the origin of the beams over the road, known at that time.
+        blind: Reason for which nothing in it can be labelled; None where labels are possible.
     """
 
-    prepared: Prepared
+    prepared: PreprocessedFrame
     seen: PastFrame
     table: BeamTable
     sensor_height_m: float
@@ -42,36 +42,36 @@ class Ready:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Waiting:
-    """A frame that is not answered yet.
+class BufferedFrame:
+    """A frame that waits for its labels.
 
     Attributes:
-        frame: As it came.
-        content: What it was turned into; or its labels, where it cannot be compared.
-        anew: What was before it cannot be compared with it.
-        apart: It does not fit the frame before it, so that one of the two poses is wrong.
+        frame: The frame of the log.
+        content: The prepared frame; or its labels, where it cannot be compared.
+        restarts: The frames before it cannot be compared with it.
+        disconnected: It does not fit the frame before it, so that one of the two poses is wrong.
     """
 
     frame: LidarFrame
-    content: Ready | FrameLabels
-    anew: bool = False
-    apart: bool = False
+    content: ComparableFrame | FrameLabels
+    restarts: bool = False
+    disconnected: bool = False
 
 
-class Ahead:
-    """Holds frames back until those up to a lookahead later were seen; none without one."""
+class LookaheadBuffer:
+    """Delays frames until all frames within the lookahead have arrived; 0 s is no delay."""
 
     def __init__(self, lookahead_s: float) -> None:
         self._lookahead_ns = round(lookahead_s * NS_PER_S)
-        self._frames: deque[Waiting] = deque()
+        self._frames: deque[BufferedFrame] = deque()
 
-    def add(self, frame: Waiting) -> Iterator[tuple[Waiting, Sequence[PastFrame]]]:
-        """Take a frame in.
+    def add(self, frame: BufferedFrame) -> Iterator[tuple[BufferedFrame, Sequence[PastFrame]]]:
+        """Add a frame.
 
         Yields:
-            Those that wait no longer, in order, each with the later frames that it may ask.
+            Frames that wait no longer, in order, each with the later frames available to it.
         """
-        if frame.anew or frame.apart:
+        if frame.restarts or frame.disconnected:
             yield from self.flush()
         self._frames.append(frame)
         newest_ns = frame.frame.stamp_ns
@@ -81,12 +81,14 @@ class Ahead:
         ):
             yield self._next()
 
-    def flush(self) -> Iterator[tuple[Waiting, Sequence[PastFrame]]]:
-        """Let all go: the log ends, or begins anew."""
+    def flush(self) -> Iterator[tuple[BufferedFrame, Sequence[PastFrame]]]:
+        """Yield all waiting frames, at the end of the log or of a comparable stretch."""
         while self._frames:
             yield self._next()
 
-    def _next(self) -> tuple[Waiting, Sequence[PastFrame]]:
+    def _next(self) -> tuple[BufferedFrame, Sequence[PastFrame]]:
         first = self._frames.popleft()
-        later = [each.content.seen for each in self._frames if isinstance(each.content, Ready)]
+        later = [
+            each.content.seen for each in self._frames if isinstance(each.content, ComparableFrame)
+        ]
         return first, later

@@ -10,10 +10,10 @@ from schemas.arrays import Mask, Points
 from workers.points.clusters import Clusters, from_labels
 from workers.points.step_names import step
 from workers.selfsupervised.candidates import GOOD_FIT_NEAR_M
-from workers.selfsupervised.evidence import Evidence
-from workers.selfsupervised.ground_artefacts import are_strips
-from workers.selfsupervised.registration import STILL_M, Reference, Registered, register
-from workers.selfsupervised.verification import Motions, judge
+from workers.selfsupervised.evidence import FreeSpaceEvidence
+from workers.selfsupervised.ground_artefacts import are_ground_artefacts
+from workers.selfsupervised.registration import STILL_M, Reference, RegistrationResiduals, register
+from workers.selfsupervised.verification import VerifiedMotions, verify_motions
 from workers.selfsupervised.voxel_clusters import find_clusters, find_parts
 
 _CHILD_FREE_VOXELS: Final = 12
@@ -24,14 +24,14 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClusterMotions:
-    """The clusters of a frame and what each of them does.
+    """The clusters of a frame and their motions.
 
     Attributes:
         clusters: Sets of voxels.
         registered: (K,) a motion was found and free space confirms it.
-        seen_through: (K,) free space alone says that it was not there before, or not after.
+        seen_through: (K,) free space alone shows that its place was free before or is free after.
         unconfirmed: (K,) a motion was found that free space does not confirm.
-        still: (K,) the cluster fits where it is half a second ago.
+        still: (K,) the cluster fits its present place half a second ago.
         velocity_m_per_s: (K, 3) over the ground, odom space, as registered, confirmed or not.
         extent_m: (K,) longest horizontal side.
     """
@@ -45,50 +45,50 @@ class ClusterMotions:
     extent_m: NDArray[np.float32]
 
     @property
-    def proved(self) -> Mask:
-        """(K,) clusters that at least one witness of this frame proves to move."""
+    def dynamic_now(self) -> Mask:
+        """(K,) clusters that at least one kind of evidence in this frame shows to move."""
         return self.registered | self.seen_through
 
 
 def find_motions(
-    points_m: Points, near: Reference, far: Reference, evidence: Evidence
+    points_m: Points, near: Reference, far: Reference, evidence: FreeSpaceEvidence
 ) -> ClusterMotions:
-    """Find what moves among the voxels of a frame.
+    """Find the moving clusters among the voxels of a frame.
 
     Args:
         points_m: (V, 3) voxel centroids off the ground, odom space.
         near: The frame about 0.1 s ago.
         far: The frame about 0.5 s ago.
-        evidence: What free space says about the voxels.
+        evidence: Free-space evidence on the voxels.
     """
     clusters = find_clusters(points_m, evidence)
     fit = register(points_m, clusters, near, far)
     ages = {"near_age_s": near.age_s, "far_age_s": far.age_s}
-    motions = judge(points_m, clusters, fit, evidence, **ages)
+    motions = verify_motions(points_m, clusters, fit, evidence, **ages)
 
     parts = find_parts(points_m, clusters, fit, motions.dynamic, far, evidence)
     part_fit = register(points_m, parts, near, far)
-    part_motions = judge(points_m, parts, part_fit, evidence, **ages)
+    part_motions = verify_motions(points_m, parts, part_fit, evidence, **ages)
     certain = (part_motions.registered & (part_fit.energy_far < GOOD_FIT_NEAR_M)) | (
         part_motions.seen_through
         & (part_fit.still_energy_far >= _CHILD_FREE_ENERGY_M)
         & (parts.sizes >= _CHILD_FREE_VOXELS)
     )
     whole = _joined(clusters, fit, motions, parts, part_fit, part_motions, certain)
-    return _without_strips(points_m, whole, evidence)
+    return _without_ground_artefacts(points_m, whole, evidence)
 
 
 @step("joining")
 def _joined(
     clusters: Clusters,
-    fit: Registered,
-    motions: Motions,
+    fit: RegistrationResiduals,
+    motions: VerifiedMotions,
     parts: Clusters,
-    part_fit: Registered,
-    part_motions: Motions,
+    part_fit: RegistrationResiduals,
+    part_motions: VerifiedMotions,
     certain: Mask,
 ) -> ClusterMotions:
-    """Take certain parts out of their clusters and put them beside them."""
+    """Remove certain parts from their clusters and append them as clusters of their own."""
     labels = clusters.of_point.copy()
     kept = np.flatnonzero(certain)
     for number, part in enumerate(kept.tolist()):
@@ -109,18 +109,20 @@ def _joined(
     )
 
 
-def _without_strips(points_m: Points, found: ClusterMotions, evidence: Evidence) -> ClusterMotions:
-    """Nothing flat on the road moves."""
-    strip = are_strips(
+def _without_ground_artefacts(
+    points_m: Points, found: ClusterMotions, evidence: FreeSpaceEvidence
+) -> ClusterMotions:
+    """Mark flat clusters on the road as not moving."""
+    artefact = are_ground_artefacts(
         points_m,
         found.clusters,
-        found.proved,
+        found.dynamic_now,
         beams_from_odom=evidence.beams_from_odom,
         sensor_height_m=evidence.sensor_height_m,
     )
     return replace(
         found,
-        registered=found.registered & ~strip,
-        seen_through=found.seen_through & ~strip,
-        unconfirmed=found.unconfirmed | strip,
+        registered=found.registered & ~artefact,
+        seen_through=found.seen_through & ~artefact,
+        unconfirmed=found.unconfirmed | artefact,
     )

@@ -1,4 +1,4 @@
-"""Where points were, as bits of columns: a coarse look for where a cluster came from."""
+"""Occupancy grid as bit columns, for the coarse search of a cluster's earlier place."""
 
 from typing import NamedTuple
 
@@ -18,7 +18,7 @@ class Occupancy(NamedTuple):
     """Occupied cells of 0.3 m, 64 of them above each other in one integer.
 
     Attributes:
-        bits: (C, C, 2) cells with a point, and cells with a point in them or beside them.
+        bits: (C, C, 2) cells with a point, and cells with a point in them or in a neighbour.
         origin_m: (3,) corner of the first cell.
     """
 
@@ -61,20 +61,20 @@ def _mark(points: Points, origin: NDArray[np.float32], bits: NDArray[np.uint64])
 def scores_around(
     occupancy: Occupancy, cells: NDArray[np.int64], cx: int, cy: int, reach: int
 ) -> NDArray[np.float64]:
-    """Score shifts of cells: the share that falls on occupied ones, a third for beside one.
+    """Score shifts of cells by the share on occupied cells; a neighbouring cell counts a third.
 
     Args:
-        occupancy: Of the frame that is shifted to.
+        occupancy: Grid of the frame that the cells are shifted to.
         cells: (n, 3) from `cells_of`.
-        cx: Shift in the middle of those tried, in cells along x.
+        cx: Shift in the middle of the search window, cells along x.
         cy: The same along y.
-        reach: How many cells around it are tried along each axis.
+        reach: Half the side of the window, cells.
 
     Returns:
         (2 * reach + 1, 2 * reach + 1), 1 where all cells fall on points.
     """
     side = 2 * reach + 1
-    # both kinds of cells beside each other, as they lie in memory: for vector instructions
+    # both kinds of cells next to each other, as in memory, for vector instructions
     hits = np.zeros((side, 2 * side), np.uint64)
     bits = occupancy.bits.reshape((_COLUMNS, 2 * _COLUMNS))
     one = np.uint64(1)
@@ -97,7 +97,7 @@ def scores_around(
 
 @compiled
 def cells_of(occupancy: Occupancy, points: Points) -> NDArray[np.int64]:
-    """Cell of each point, (n, 3); heights beyond the integer are put into its first bit, unused."""
+    """Return the cell of each point, (n, 3); heights outside the grid get its unused first bit."""
     cells = np.empty((len(points), 3), np.int64)
     for i in range(len(points)):
         for axis in range(3):

@@ -1,4 +1,4 @@
-"""One label for every voxel and every point, in a single pass over each."""
+"""Point labels: one label for every voxel and every point, in a single pass over each."""
 
 from typing import Final, NamedTuple
 
@@ -10,21 +10,21 @@ from schemas.labels import MotionLabel
 from workers.points.compiled import compiled
 
 UNSURE, ALONE, GROUND, AGREED = 0, 1, 2, 3
-"""How sure a label is: of nothing, one witness, ground removal, two witnesses."""
+"""Sureness of a label, by its evidence: none, one kind, ground removal, two kinds."""
 
 _UNKNOWN: Final = int(MotionLabel.UNKNOWN)
 _STATIC: Final = int(MotionLabel.STATIC)
 _DYNAMIC: Final = int(MotionLabel.DYNAMIC)
 
 
-class Answers(NamedTuple):
-    """What is said of N points.
+class PointLabels(NamedTuple):
+    """Labels of N points.
 
     Attributes:
         labels: (N,) codes of `MotionLabel`.
         sureness: (N,) UNSURE, ALONE, GROUND or AGREED.
         cluster: (N,) int32, -1 for none.
-        confirmed: (N,) moves, and that was proved more than once.
+        confirmed: (N,) the point moves, and more than one frame confirms it.
         ground: (N,) ground that does not belong to a mover.
     """
 
@@ -36,26 +36,26 @@ class Answers(NamedTuple):
 
 
 @compiled
-def answer_voxels(
+def label_voxels(
     of_voxel: NDArray[np.int32],
     moves: Mask,
     both: Mask,
-    stands: Mask,
+    static: Mask,
     doubted: Mask,
-    was_there: Mask,
+    occupied_before: Mask,
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Label V voxels by the K clusters they belong to.
 
     Args:
         of_voxel: (V,) cluster of each, -1 for none.
         moves: (K,) clusters that move.
-        both: (K,) those that registration and free space both prove to move.
-        stands: (K,) clusters that fit where they were, and that nothing proves to move.
-        doubted: (K,) clusters of which a motion was found, proved or not.
-        was_there: (V,) more frames saw something there than saw through.
+        both: (K,) clusters whose motion registration and free space both show.
+        static: (K,) clusters that fit their earlier place and have no evidence of motion.
+        doubted: (K,) clusters with a motion, confirmed or not.
+        occupied_before: (V,) voxels that more frames saw occupied than free.
 
     Returns:
-        (V,) labels and (V,) how sure they are.
+        (V,) labels and (V,) their sureness.
     """
     labels = np.full(len(of_voxel), _UNKNOWN, np.uint8)
     sureness = np.zeros(len(of_voxel), np.uint8)
@@ -65,8 +65,8 @@ def answer_voxels(
             labels[v] = _DYNAMIC
             sureness[v] = AGREED if both[k] else ALONE
             continue
-        still = k >= 0 and stands[k]
-        seen = was_there[v] and not (k >= 0 and doubted[k])
+        still = k >= 0 and static[k]
+        seen = occupied_before[v] and not (k >= 0 and doubted[k])
         if still or seen:
             labels[v] = _STATIC
             sureness[v] = AGREED if still and seen else ALONE
@@ -74,8 +74,8 @@ def answer_voxels(
 
 
 @compiled
-def answer_ground(
-    answers: Answers,
+def label_ground(
+    labelled: PointLabels,
     valid_index: NDArray[np.int64],
     ground: Mask,
     in_range: Mask,
@@ -85,29 +85,29 @@ def answer_ground(
     """Label the ground: static, or part of the mover that it touches.
 
     Args:
-        answers: Of all N points, filled in.
-        valid_index: (M,) which of them are valid.
-        ground: (M,) which of those lie on the ground.
-        in_range: (M,) ground that is near enough to be judged, and far enough.
+        labelled: Labels of all N points, filled in.
+        valid_index: (M,) indices of the valid points.
+        ground: (M,) valid points on the ground.
+        in_range: (M,) ground within the range that is labelled.
         touching: (M,) ground that touches a mover.
         touching_confirmed: (M,) ground that touches a confirmed one.
     """
     for i in range(len(valid_index)):
         point = valid_index[i]
         if touching[i]:
-            answers.labels[point] = _DYNAMIC
-            answers.sureness[point] = ALONE
-            answers.confirmed[point] = touching_confirmed[i]
+            labelled.labels[point] = _DYNAMIC
+            labelled.sureness[point] = ALONE
+            labelled.confirmed[point] = touching_confirmed[i]
         elif ground[i]:
-            answers.ground[point] = True
+            labelled.ground[point] = True
             if in_range[i]:
-                answers.labels[point] = _STATIC
-                answers.sureness[point] = GROUND
+                labelled.labels[point] = _STATIC
+                labelled.sureness[point] = GROUND
 
 
 @compiled
-def spread(
-    answers: Answers,
+def copy_to_points(
+    labelled: PointLabels,
     point_index: NDArray[np.int64],
     of_point: NDArray[np.int32],
     labels: NDArray[np.uint8],
@@ -115,12 +115,12 @@ def spread(
     of_voxel: NDArray[np.int32],
     confirmed: Mask,
 ) -> None:
-    """Copy the answer of each voxel to its points.
+    """Copy the label of each voxel to its points.
 
     Args:
-        answers: Of all N points, filled in.
-        point_index: (J,) which of them lie in voxels.
-        of_point: (J,) in which voxel.
+        labelled: Labels of all N points, filled in.
+        point_index: (J,) indices of the points in voxels.
+        of_point: (J,) voxel of each of them.
         labels: (V,) of the voxels.
         sureness: (V,) of those labels.
         of_voxel: (V,) cluster of each voxel.
@@ -129,15 +129,15 @@ def spread(
     for i in range(len(point_index)):
         point, voxel = point_index[i], of_point[i]
         k = of_voxel[voxel]
-        answers.labels[point] = labels[voxel]
-        answers.sureness[point] = sureness[voxel]
-        answers.cluster[point] = k
-        answers.confirmed[point] = k >= 0 and confirmed[k]
+        labelled.labels[point] = labels[voxel]
+        labelled.sureness[point] = sureness[voxel]
+        labelled.cluster[point] = k
+        labelled.confirmed[point] = k >= 0 and confirmed[k]
 
 
-def nothing_said(n: int) -> Answers:
-    """Answers for N points that say nothing yet."""
-    return Answers(
+def unlabelled_points(n: int) -> PointLabels:
+    """Return UNKNOWN labels for N points."""
+    return PointLabels(
         labels=np.full(n, _UNKNOWN, np.uint8),
         sureness=np.zeros(n, np.uint8),
         cluster=np.full(n, -1, np.int32),

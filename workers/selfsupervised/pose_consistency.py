@@ -1,4 +1,4 @@
-"""Whether a frame fits those before it: most of a street stands still, so most of it must."""
+"""Pose consistency: a frame must fit those before it, since most of a street is static."""
 
 from collections import deque
 from typing import Final
@@ -8,44 +8,49 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
 from workers.lidar.motion_limits import MAX_ACCELERATION_M_PER_S2, POSE_NOISE_M
-from workers.lidar.registration_check import misfit_between, structure_of
+from workers.lidar.registration_check import extract_structure, register_structures
 from workers.points.neighbours import nearest_distances
 from workers.points.point_kernels import within
 from workers.selfsupervised.registration import Reference
 
 SHARE: Final = 0.75
-"""Of what is near, how much must fit. A side that slides along itself fits whatever the error, so
-two thirds miss half a metre along a real street; movers seldom take a quarter of what is near, and
-most of a long side lies on itself a tenth of a second later."""
+"""Share of the nearby points that must fit.
+
+A side that slides along itself fits at any pose error, so two thirds miss half a metre along a real
+street. Movers seldom take a quarter of the nearby points, and most of a long side overlaps itself a
+tenth of a second later."""
 
 NEAR_M: Final = 40.0
-"""Beyond it beams lie so far apart that distances to neighbours tell of them alone."""
+"""Range up to which points are compared, metres; beyond it the distance to a neighbour measures
+only the spacing of the beams."""
 
 FLOOR_M: Final = 0.15
-"""Half a voxel (0.075 m), range noise (0.03 m) and a pose error of 3 cm: fits, whatever was before.
+"""Misfit that counts as a fit in any log, metres.
 
-0.3 degrees of yaw, or 0.2 m of a step, exceed it on real logs; noise of 0.1 degrees per frame does
-not."""
+It is half a voxel (0.075 m), range noise (0.03 m) and a pose error of 3 cm. On real logs 0.3
+degrees of yaw, or a step of 0.2 m, exceed it; noise of 0.1 degrees per frame does not."""
 
 JUMP: Final = 2.0
 
 _REACH_M: Final = 1.0
 _SAMPLES: Final = 1000
 _FEWEST: Final = _SAMPLES
-"""With fewer places the distance to a neighbour tells how far apart the beams are, which a car that
-starts to drive changes as much as a wrong pose does: nothing can be told."""
+"""Points needed for a comparison.
+
+With fewer, the distance to a neighbour measures the spacing of the beams. A car that starts to
+drive changes that spacing as much as a wrong pose does."""
 
 _REMEMBERED: Final = 10
 
 
-class FitMonitor:
-    """Compares how well a frame fits with how well frames of this log usually do.
+class PoseConsistency:
+    """Compares the fit of a frame with the usual fit of this log's frames.
 
-    What is usual depends on the spacing of the beams and the speed of the car, so it is learned. A
-    frame that fits twice as badly as the frames of the last second is under suspicion: with a wrong
-    pose everything in it would seem to move. But streets change, too, and between rails at speed
-    other things are seen in every frame. A wrong pose is one that another pose would mend: where a
-    second registration leaves the frame in its place, and the car goes on as it went, it fits.
+    The usual fit depends on the spacing of the beams and the speed of the car, so it is learned. A
+    frame with twice the misfit of the last second is suspect: with a wrong pose everything in it
+    would seem to move. But streets change too, and a train at speed sees other objects in every
+    frame. A wrong pose is one that another pose would improve. A suspect frame therefore fits if a
+    second registration does not move it and the car keeps its velocity.
     """
 
     def __init__(self) -> None:
@@ -62,14 +67,14 @@ class FitMonitor:
         far: tuple[Reference, Mask],
         expected_m: NDArray[np.floating] | None,
     ) -> str:
-        """Say why a frame cannot be compared with two earlier ones; empty when it can.
+        """Return why a frame cannot be compared with two earlier ones; empty when it can.
 
         Args:
             points_m: (V, 3) voxel centroids off the ground, odom space.
-            centre_m: (3,) where the sensor is, odom space.
-            near: The frame about 0.1 s ago, and (V,) which places it has an opinion on.
+            centre_m: (3,) place of the sensor, odom space.
+            near: The frame about 0.1 s ago, and (V,) places at which it has evidence.
             far: The same of the frame about 0.5 s ago.
-            expected_m: (3,) where the sensor would be had it gone on as it went; None if unknown.
+            expected_m: (3,) place of the sensor at constant velocity; None if unknown.
         """
         stray_m = MAX_ACCELERATION_M_PER_S2 * near[0].age_s ** 2 + POSE_NOISE_M
         goes_on = expected_m is not None and np.linalg.norm(centre_m - expected_m) < stray_m
@@ -83,7 +88,7 @@ class FitMonitor:
             found_m[name] = misfit_m(asked, past)
             typical_m = float(np.median(usual_m)) if usual_m else found_m[name]
             suspect = found_m[name] > max(FLOOR_M, JUMP * typical_m)
-            if suspect and not (goes_on and stays(points_m, centre_m, past)):
+            if suspect and not (goes_on and is_stable(points_m, centre_m, past)):
                 return (
                     f"does not fit the frame {past.age_s:.1f} s ago: a quarter of what is near "
                     f"is more than {found_m[name]:.2f} m off, {typical_m:.2f} m is usual"
@@ -94,29 +99,33 @@ class FitMonitor:
 
 
 def misfit_m(points_m: Points, past: Reference) -> float:
-    """Distance to an earlier frame that three quarters of these points keep, metres, at most 1.
+    """Return the distance to an earlier frame within which three quarters of the points lie.
 
     Args:
-        points_m: (N, 3) of which up to 1000 are asked, evenly spread over their order.
+        points_m: (N, 3), of which up to 1000 are compared, evenly spread over their order.
         past: The earlier frame.
+
+    Returns:
+        Metres, at most 1.
     """
     step = max(1, -(-len(points_m) // _SAMPLES))
     return float(np.quantile(nearest_distances(past.grid, points_m[::step], _REACH_M), SHARE))
 
 
-def stays(points_m: Points, centre_m: NDArray[np.floating], past: Reference) -> bool:
-    """Whether a second registration leaves a frame where it is, all that is near within 0.15 m.
+def is_stable(points_m: Points, centre_m: NDArray[np.floating], past: Reference) -> bool:
+    """Return True if a second registration moves a frame by less than 0.15 m within 40 m.
 
-    Along what nothing holds, such as a rail, it leaves any frame; False where too little stands.
+    Along a direction without constraints, such as a rail, every frame stays. False where too
+    little structure is static.
 
     Args:
         points_m: (V, 3) voxel centroids off the ground, odom space.
-        centre_m: (3,) where the sensor is.
+        centre_m: (3,) place of the sensor.
         past: The earlier frame.
     """
-    before = structure_of(past.grid.points_m, centre_m)
-    now = structure_of(points_m, centre_m)
+    before = extract_structure(past.grid.points_m, centre_m)
+    now = extract_structure(points_m, centre_m)
     if before is None or now is None:
         return False
-    found = misfit_between(before, now)
+    found = register_structures(before, now)
     return found is not None and max(found.shift_m, NEAR_M * found.turn_rad) < FLOOR_M

@@ -1,4 +1,4 @@
-"""Whether a frame follows the one before it: later frames are asked only as far as poses go on."""
+"""Pose continuity: later frames vote only while consecutive poses fit each other."""
 
 from collections import deque
 from typing import Final
@@ -8,58 +8,58 @@ from numpy.typing import NDArray
 
 from schemas.arrays import NS_PER_S, Points
 from workers.selfsupervised.history import PastFrame, expected_m
-from workers.selfsupervised.pose_consistency import FitMonitor
+from workers.selfsupervised.pose_consistency import PoseConsistency
 from workers.selfsupervised.registration import reference_to
 
 LONGEST_S: Final = 0.45
-"""Between two frames; after longer gaps too little of a street is still in sight to compare."""
+"""Longest gap between two frames, seconds; after it too little of a street is still in view."""
 
 
-class Following:
-    """Compares each frame with the one before it, as it comes."""
+class PoseContinuity:
+    """Compares each arriving frame with the one before it."""
 
     def __init__(self) -> None:
-        self._fit = FitMonitor()
+        self._fit = PoseConsistency()
         self._before: deque[PastFrame] = deque(maxlen=2)
 
-    def follows(self, frame: PastFrame, points_m: Points, *, anew: bool) -> bool:
-        """Say whether a frame fits the one before it, so that both may be asked of one place.
+    def follows(self, frame: PastFrame, points_m: Points, *, restarts: bool) -> bool:
+        """Return True if a frame fits the one before it, so that both can vote on one place.
 
         Args:
             frame: The frame.
             points_m: (V, 3) its voxel centroids off the ground, odom space.
-            anew: Whether it is not compared with any before it.
+            restarts: The frame begins a stretch and is compared with none before it.
         """
-        if anew:
+        if restarts:
             self._before.clear()
-        said = [each.said_in(frame.space) for each in self._before]
-        expected = expected_m(said, frame.stamp_ns)
-        last = said[-1] if said else None
+        expressed = [each.expressed_in(frame.space) for each in self._before]
+        expected = expected_m(expressed, frame.stamp_ns)
+        last = expressed[-1] if expressed else None
         self._before.append(frame)
         return last is None or fits(self._fit, frame, points_m, last, expected_m=expected)
 
 
 def fits(
-    monitor: FitMonitor,
+    monitor: PoseConsistency,
     frame: PastFrame,
     points_m: Points,
     last: PastFrame,
     *,
     expected_m: NDArray[np.floating] | None = None,
 ) -> bool:
-    """Say whether a frame fits one before it, as far as frames of this log usually do.
+    """Return True if a frame fits an earlier one as well as frames of this log usually do.
 
     Args:
-        monitor: Knows what is usual, and learns of it.
+        monitor: Learned usual fit, updated.
         frame: The frame.
         points_m: (V, 3) its voxel centroids off the ground, odom space.
         last: The frame before it, in any space.
-        expected_m: (3,) where the sensor would be had it gone on as it went; None if unknown.
+        expected_m: (3,) place of the sensor at constant velocity; None if unknown.
     """
     age_s = (frame.stamp_ns - last.stamp_ns) / NS_PER_S
     if age_s > LONGEST_S:
         return False
-    centre_m, last = frame.odom_from_beams[:3, 3], last.said_in(frame.space)
+    centre_m, last = frame.odom_from_beams[:3, 3], last.expressed_in(frame.space)
     reference = reference_to(last.grid, last.odom_from_beams[:3, 3], age_s)
     known = np.ones(len(points_m), np.bool_)
     # one frame is asked, of what is known: of the far one nothing

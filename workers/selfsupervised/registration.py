@@ -1,4 +1,4 @@
-"""Where each cluster was a moment ago: rigid registration to earlier frames, by translation."""
+"""Rigid registration of clusters to earlier frames, by translation."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -18,42 +18,43 @@ from workers.selfsupervised.translation_search import (
     search,
 )
 
-__all__ = ["Reference", "Registered", "build_reference", "reference_to", "register"]
+__all__ = ["Reference", "RegistrationResiduals", "build_reference", "reference_to", "register"]
 
 MIN_POINTS: Final = 5
 MAX_EXTENT_M: Final = 18.0
-"""An articulated bus or lorry; longer clusters are walls."""
+"""Longest side of a vehicle, metres: an articulated bus or lorry; longer clusters are walls."""
 
 MAX_SPEED_M_PER_S: Final = 30.0
 STILL_M: Final = 0.10
-"""Mean nearest distance of a cluster that was where it is: half a voxel and the pose error."""
+"""Mean nearest distance of a cluster that did not move, metres: half a voxel and the pose error."""
 
 _SAMPLES: Final = 150
 _MIN_GAIN_M: Final = 0.01
 _BACK_WINDOW_M: Final = 1.2
 _UNSEEN_SHIFT_M: Final = 0.6
-"""A side that passes us lies on itself when shifted by less: the near frame cannot tell."""
+"""Shift of the near frame that is not observable, metres: the side of a passing object overlaps
+itself when shifted by less."""
 
 _MAX_WINDOW_M: Final = 3.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Registered:
-    """How well each of K clusters fits the near (0.1 s) and the far (0.5 s) reference.
+class RegistrationResiduals:
+    """Registration residuals of K clusters to the near (0.1 s) and the far (0.5 s) reference.
 
     Energies are mean nearest distances in metres, at most 0.5; shifts take a cluster back to
-    where it was.
+    its earlier place.
 
     Attributes:
-        tried: (K,) large enough and not larger than a vehicle.
-        extent_m: (K,) longest horizontal side of its box.
-        still_energy_far: (K,) energy in the far reference if it had not moved.
+        tried: (K,) clusters of at least 5 points and at most the length of a vehicle.
+        extent_m: (K,) longest horizontal side of the box.
+        still_energy_far: (K,) energy in the far reference without a shift.
         still_energy_near: (K,) the same in the near reference; NaN where not computed.
         energy_far: (K,) after the best shift.
         energy_near: (K,) after the best shift.
         shift_far_m: (K, 3) best shift to the far reference.
         shift_near_m: (K, 3) best shift to the near reference.
-        energy_between: (K,) in the near reference, after the part of the far shift that is due.
+        energy_between: (K,) in the near reference, after the far shift scaled to its age.
     """
 
     tried: NDArray[np.bool_]
@@ -68,12 +69,14 @@ class Registered:
 
 
 @step("registration")
-def register(points_m: Points, clusters: Clusters, near: Reference, far: Reference) -> Registered:
-    """Look for the shift that takes each cluster back to where it was.
+def register(
+    points_m: Points, clusters: Clusters, near: Reference, far: Reference
+) -> RegistrationResiduals:
+    """Find the shift that takes each cluster back to its earlier place.
 
     Near reference: all shifts up to 30 m/s on a coarse occupancy grid, the three best refined by
-    ICP. Far reference: around what the near one predicts and around standing still. The long
-    baseline makes the velocity exact, the short one makes the search small.
+    ICP. Far reference: shifts around the near one's prediction and around zero. The long baseline
+    makes the velocity exact, the short one makes the search small.
 
     Args:
         points_m: (N, 3) voxel centroids, odom space.
@@ -82,7 +85,7 @@ def register(points_m: Points, clusters: Clusters, near: Reference, far: Referen
         far: The frame about 0.5 s ago.
     """
     table = _register_all(points_m, clusters.members, clusters.start, near, far)
-    return Registered(
+    return RegistrationResiduals(
         tried=table[:, 0] > 0,
         extent_m=table[:, 1],
         still_energy_far=table[:, 2],
@@ -97,7 +100,7 @@ def register(points_m: Points, clusters: Clusters, near: Reference, far: Referen
 
 @compiled
 def _sample(points: Points, members: NDArray[np.int32]) -> Points:
-    """Up to 150 members, evenly spread over the order of the points: no randomness."""
+    """Select up to 150 members, evenly spread over the order of the points, without randomness."""
     n = min(len(members), _SAMPLES)
     sample = np.empty((n, 3), np.float32)
     for i in range(n):
@@ -132,13 +135,13 @@ def _register_all(
             continue
         table[k, 0] = 1.0
         sample = _sample(points, inside)
-        nobody = np.full(len(sample), -1, np.int32)
-        still_far = energy_of(far.grid, sample, 0.0, 0.0, 0.0, nobody.copy(), np.inf)
+        no_rows = np.full(len(sample), -1, np.int32)
+        still_far = energy_of(far.grid, sample, 0.0, 0.0, 0.0, no_rows.copy(), np.inf)
         table[k, 2] = still_far
         table[k, 4] = still_far
         if still_far < STILL_M:
             continue
-        still_near = energy_of(near.grid, sample, 0.0, 0.0, 0.0, nobody.copy(), np.inf)
+        still_near = energy_of(near.grid, sample, 0.0, 0.0, 0.0, no_rows.copy(), np.inf)
         table[k, 3] = still_near
         best[:3], best[3] = 0.0, still_near
         search(near, sample, origin, MAX_SPEED_M_PER_S * near.age_s, 3, best)
@@ -156,5 +159,5 @@ def _register_all(
         table[k, 4] = best[3]
         table[k, 6:9] = best[:3]
         part = best[:3] * (near.age_s / far.age_s)
-        table[k, 12] = energy_of(near.grid, sample, part[0], part[1], part[2], nobody, np.inf)
+        table[k, 12] = energy_of(near.grid, sample, part[0], part[1], part[2], no_rows, np.inf)
     return table

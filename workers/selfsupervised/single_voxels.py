@@ -1,4 +1,4 @@
-"""Specks of movers: single voxels that no cluster took, beside something that moves."""
+"""Single voxels of movers: voxels outside every cluster, next to something that moves."""
 
 from dataclasses import replace
 
@@ -11,12 +11,12 @@ from workers.points.clusters import from_labels
 from workers.points.neighbours import build_grid, nearest_indices
 from workers.points.step_names import step
 from workers.selfsupervised.motion import ClusterMotions
-from workers.selfsupervised.occlusion_fragments import REACH_M, WAS_THERE_VOTES
+from workers.selfsupervised.occlusion_fragments import OCCUPIED_BEFORE_VOTES, REACH_M
 from workers.selfsupervised.voxel_clusters import REACH_M as BODY_REACH_M
 
 
 @step("specks")
-def specks_of_movers(
+def assign_single_voxels(
     points_m: Points,
     found: ClusterMotions,
     moves: Mask,
@@ -24,16 +24,16 @@ def specks_of_movers(
     *,
     centre_m: NDArray[np.floating],
 ) -> ClusterMotions:
-    """Give voxels of no cluster to the mover that they lie beside.
+    """Assign voxels outside every cluster to the mover next to them.
 
-    As near as points of one body are, if nothing stood there; as near as pieces of one thing may
-    be, where earlier frames saw through.
+    The largest gap is that between points of one body if nothing was there before. It is that
+    between fragments of one object where earlier frames saw through.
 
     Args:
         points_m: (V, 3) voxel centroids off the ground, odom space.
         found: Their clusters and motions.
-        moves: (K,) which of the clusters move.
-        votes: What free space says about the voxels.
+        moves: (K,) clusters that move.
+        votes: Free-space votes on the voxels.
         centre_m: (3,) the sensor, odom space.
 
     Returns:
@@ -41,15 +41,15 @@ def specks_of_movers(
     """
     of_voxel = found.clusters.of_point
     moving = np.flatnonzero(found.clusters.member_mask(moves))
-    asked = np.flatnonzero(of_voxel < 0)
-    if len(moving) == 0 or len(asked) == 0:
+    candidates = np.flatnonzero(of_voxel < 0)
+    if len(moving) == 0 or len(candidates) == 0:
         return found
     grid = build_grid(points_m[moving], centre_m)
-    nearest = nearest_indices(grid, points_m[asked], REACH_M)
-    asked, nearest = asked[nearest >= 0], nearest[nearest >= 0]
-    apart_m = np.linalg.norm(points_m[asked] - grid.points_m[nearest], axis=1)
-    of_body = (apart_m < BODY_REACH_M) & (votes.occupied[asked] <= WAS_THERE_VOTES)
-    belongs = votes.seen_through[asked] | of_body
+    nearest = nearest_indices(grid, points_m[candidates], REACH_M)
+    candidates, nearest = candidates[nearest >= 0], nearest[nearest >= 0]
+    apart_m = np.linalg.norm(points_m[candidates] - grid.points_m[nearest], axis=1)
+    of_body = (apart_m < BODY_REACH_M) & (votes.occupied[candidates] <= OCCUPIED_BEFORE_VOTES)
+    belongs = votes.seen_through[candidates] | of_body
     labels = of_voxel.copy()
-    labels[asked[belongs]] = of_voxel[moving[grid.order[nearest[belongs]]]]
+    labels[candidates[belongs]] = of_voxel[moving[grid.order[nearest[belongs]]]]
     return replace(found, clusters=from_labels(labels))

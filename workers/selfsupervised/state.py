@@ -1,4 +1,4 @@
-"""One pass of the default self-supervised stream over the frames of a shard: all its state."""
+"""State of the default self-supervised stream in one pass over the frames of a shard."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,10 +12,10 @@ from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.labels import Blindness, FrameHealth, FrameLabels
 from workers.free_space import HIDDEN, count_votes, visibility
 from workers.lidar.deskew import Twist, twist
-from workers.lidar.preprocessing import Preparation
+from workers.lidar.preprocessing import Preprocessor
 from workers.points.neighbours import build_grid
 from workers.points.se3 import inverse
-from workers.selfsupervised.evidence import Evidence
+from workers.selfsupervised.evidence import FreeSpaceEvidence
 from workers.selfsupervised.history import (
     FAR_AGE_S,
     MAX_GAP_NS,
@@ -24,139 +24,144 @@ from workers.selfsupervised.history import (
     PastFrame,
     voters,
 )
-from workers.selfsupervised.labelling import nothing_known, to_labels
-from workers.selfsupervised.lookahead_buffer import Ready, Waiting
+from workers.selfsupervised.labelling import to_labels, unknown_labels
+from workers.selfsupervised.lookahead_buffer import BufferedFrame, ComparableFrame
 from workers.selfsupervised.motion import find_motions
-from workers.selfsupervised.occlusion_fragments import fragments_of_movers
-from workers.selfsupervised.pose_consistency import FitMonitor
-from workers.selfsupervised.pose_continuity import Following, fits
+from workers.selfsupervised.occlusion_fragments import merge_fragments
+from workers.selfsupervised.pose_consistency import PoseConsistency
+from workers.selfsupervised.pose_continuity import PoseContinuity, fits
 from workers.selfsupervised.registration import Reference, reference_to
-from workers.selfsupervised.single_voxels import specks_of_movers
+from workers.selfsupervised.single_voxels import assign_single_voxels
 from workers.selfsupervised.tracker import Tracker
 
 _NEAR_AGES_S: Final = (0.04, 0.45)
 _FAR_AGES_S: Final = (0.38, 0.75)
-"""From 0.38 s on: at 5 Hz the closest is 0.4 s old."""
+"""Ages of the far reference, seconds; at 5 Hz the closest is 0.4 s old."""
 
 
-class Run:
+class StreamState:
     """State of one pass over the frames of a shard.
 
-    Within a second of the clock everything is said in the space of its first frame: voxels are then
-    the same wherever a log was cut, if poses are. To what is below, that is odom space.
+    Within one second of the clock all poses and places are in the space of its first frame. Voxels
+    are then the same wherever a log was cut, if the poses are. The modules called from here receive
+    that space as odom space.
     """
 
     def __init__(self, *, looks_ahead: bool = False) -> None:
-        self._prepare = Preparation()
+        self._prepare = Preprocessor()
         self._history = History()
         self._tracker = Tracker()
-        self._fit = FitMonitor()
-        self._following = Following() if looks_ahead else None
+        self._consistency = PoseConsistency()
+        self._continuity = PoseContinuity() if looks_ahead else None
         self._refused: PastFrame | None = None
-        self._apart = False
+        self._disconnected = False
         self._last: PosedFrame | None = None
         self._first_ns = 0
         self._space: Transform = np.eye(4)
-        self._said_in = self._space
+        self._expressed_in = self._space
 
-    def prepare(self, posed: PosedFrame) -> Waiting:
-        """Turn a frame into what can be compared, as soon as it is there."""
+    def prepare(self, posed: PosedFrame) -> BufferedFrame:
+        """Preprocess an arriving frame for comparison."""
         frame = posed.frame
         last_ns = None if self._last is None else self._last.frame.stamp_ns
-        anew = last_ns is not None and not 0 < frame.stamp_ns - last_ns <= MAX_GAP_NS
-        if anew:
+        restarts = last_ns is not None and not 0 < frame.stamp_ns - last_ns <= MAX_GAP_NS
+        if restarts:
             self._last = None
-        if anew or frame.stamp_ns // NS_PER_S != self._first_ns // NS_PER_S:
+        if restarts or frame.stamp_ns // NS_PER_S != self._first_ns // NS_PER_S:
             self._first_ns, self._space = frame.stamp_ns, posed.odom_from_sensor
         before, local = self._prepare.table, inverse(self._space) @ posed.odom_from_sensor
         prepared = self._prepare(frame, local, self._velocity(posed))
         table = self._prepare.table
-        anew |= table is not before
+        restarts |= table is not before
         self._last = posed
         if prepared is None or table is None:
             health = self._prepare.problem(frame)
-            return Waiting(frame, nothing_known(frame, health=health), anew=anew)
+            return BufferedFrame(frame, unknown_labels(frame, health=health), restarts=restarts)
         if posed.odometry is OdometryState.LOST:
             self._last = None
             health = FrameHealth(Blindness.NO_POSE, f"odometry lost: {posed.reason}")
-            return Waiting(frame, nothing_known(frame, prepared, health=health), anew=True)
+            return BufferedFrame(
+                frame, unknown_labels(frame, prepared, health=health), restarts=True
+            )
         places, pose = prepared.voxels.centroids_m, prepared.odom_from_beams
         grid = build_grid(places, pose[:3, 3])
         away, image = prepared.beams_from_odom, prepared.image
         seen = PastFrame(frame.stamp_ns, self._space, pose, away, image, grid)
-        if self._following is not None:
-            self._apart = not self._following.follows(seen, places, anew=anew)
+        if self._continuity is not None:
+            self._disconnected = not self._continuity.follows(seen, places, restarts=restarts)
         blind = None if table.trusted else self._prepare.problem(frame)
-        ready = Ready(prepared, seen, table, self._prepare.sensor_height_m, blind)
-        return Waiting(frame, ready, anew=anew, apart=self._apart)
+        ready = ComparableFrame(prepared, seen, table, self._prepare.sensor_height_m, blind)
+        return BufferedFrame(frame, ready, restarts=restarts, disconnected=self._disconnected)
 
-    def label(self, waiting: Waiting, later: Sequence[PastFrame]) -> FrameLabels:
-        """Label a frame, asking those before it, and those after it that it waited for.
+    def label(self, waiting: BufferedFrame, later: Sequence[PastFrame]) -> FrameLabels:
+        """Label a frame, given earlier frames and the later ones that it waited for.
 
-        A frame that does not fit is left out. One that fits the frame left out right before it says
-        that poses went on from another place: it is the first of what follows (of the one before it
-        the sweep was bent by the jump).
+        A frame that does not fit is left out. If the next frame fits the one left out, the poses
+        continued from another place. That next frame is then the first of a new stretch, since the
+        jump distorted the sweep of the frame before it.
         """
-        if waiting.anew:
-            self._begin_anew()
-        if not isinstance(waiting.content, Ready):
+        if waiting.restarts:
+            self._restart()
+        if not isinstance(waiting.content, ComparableFrame):
             return waiting.content
-        self._say_in(waiting.content.seen.space)
+        self._express_in(waiting.content.seen.space)
         answer = self._compare(waiting.frame, waiting.content, later)
         seen, refused = waiting.content.seen, self._refused
         match answer.health.blindness:
             case Blindness.NO_FIT:
                 places = waiting.content.prepared.voxels.centroids_m
-                if refused is None or not fits(self._fit, seen, places, refused):
+                if refused is None or not fits(self._consistency, seen, places, refused):
                     self._refused = seen
                     return answer
-                self._begin_anew()
+                self._restart()
             case Blindness.NO_PAST if refused is not None:
-                self._begin_anew()
+                self._restart()
         self._refused = None
         self._history.add(seen)
         return answer
 
-    def _say_in(self, space: Transform) -> None:
-        """Say what is remembered in another space, (4, 4) odom from it."""
-        if space is not self._said_in:
-            self._history.say_in(space)
-            self._tracker.move(inverse(space) @ self._said_in)
-            self._said_in = space
+    def _express_in(self, space: Transform) -> None:
+        """Express the remembered frames in another space, given (4, 4) odom from it."""
+        if space is not self._expressed_in:
+            self._history.express_in(space)
+            self._tracker.move(inverse(space) @ self._expressed_in)
+            self._expressed_in = space
 
-    def _begin_anew(self) -> None:
-        """Forget the frames so far: what comes cannot be compared with them."""
+    def _restart(self) -> None:
+        """Forget the frames so far, which cannot be compared with later ones."""
         self._history.clear()
         self._tracker.clear()
         self._refused = None
 
-    def _compare(self, frame: LidarFrame, ready: Ready, later: Sequence[PastFrame]) -> FrameLabels:
+    def _compare(
+        self, frame: LidarFrame, ready: ComparableFrame, later: Sequence[PastFrame]
+    ) -> FrameLabels:
         """Compare a frame with those before it, and with those after it."""
         prepared, now_ns, space = ready.prepared, frame.stamp_ns, ready.seen.space
         near = self._history.closest(NEAR_AGE_S, now_ns, between=_NEAR_AGES_S)
         far = self._history.closest(FAR_AGE_S, now_ns, between=_FAR_AGES_S)
         if ready.blind is not None:
-            return nothing_known(frame, prepared, health=ready.blind)
+            return unknown_labels(frame, prepared, health=ready.blind)
         if near is None or far is None:
             health = FrameHealth(Blindness.NO_PAST, self._no_past(now_ns))
-            return nothing_known(frame, prepared, health=health)
+            return unknown_labels(frame, prepared, health=health)
 
         places, centre_m = prepared.voxels.centroids_m, prepared.odom_from_beams[:3, 3]
 
-        def ask(points_m: Points, other: PastFrame) -> NDArray[np.int8]:
+        def visible_from(points_m: Points, other: PastFrame) -> NDArray[np.int8]:
             return visibility(points_m, other.beams_from(space), other.image, ready.table)
 
         def seen_through(points_m: Points) -> Mask:
             before, later = (
-                count_votes([ask(points_m, each) for each in frames], len(points_m))
+                count_votes([visible_from(points_m, each) for each in frames], len(points_m))
                 for frames in (asked.values(), afterwards)
             )
             return before.seen_through | later.seen_through
 
         asked = {past.stamp_ns: past for past in (*self._history.voters(now_ns), near, far)}
-        answers = {stamp_ns: ask(places, past) for stamp_ns, past in asked.items()}
+        answers = {stamp_ns: visible_from(places, past) for stamp_ns, past in asked.items()}
         references = _reference(near, now_ns), _reference(far, now_ns)
-        misfit = self._fit.problem(
+        misfit = self._consistency.problem(
             places,
             centre_m,
             near=(references[0], answers[near.stamp_ns] != HIDDEN),
@@ -165,11 +170,11 @@ class Run:
         )
         if misfit:
             health = FrameHealth(Blindness.NO_FIT, misfit)
-            return nothing_known(frame, prepared, health=health)
+            return unknown_labels(frame, prepared, health=health)
         votes = count_votes(answers.values(), len(places))
         afterwards = voters(later, now_ns)
-        after = count_votes([ask(places, each) for each in afterwards], len(places))
-        evidence = Evidence(
+        after = count_votes([visible_from(places, each) for each in afterwards], len(places))
+        evidence = FreeSpaceEvidence(
             votes=votes,
             after=after,
             near=answers[near.stamp_ns],
@@ -183,24 +188,24 @@ class Run:
         tracked = self._tracker.update(
             places, found, votes, centre_m=centre_m, now_ns=now_ns, table=ready.table
         )
-        tracked = fragments_of_movers(places, found, tracked, evidence, centre_m=centre_m)
-        found = specks_of_movers(places, found, tracked.dynamic, votes, centre_m=centre_m)
+        tracked = merge_fragments(places, found, tracked, evidence, centre_m=centre_m)
+        found = assign_single_voxels(places, found, tracked.dynamic, votes, centre_m=centre_m)
         velocity = (tracked.velocity_m_per_s @ space[:3, :3].T).astype(np.float32)
         tracked = replace(tracked, velocity_m_per_s=velocity)
-        opinions = votes + after
-        known = opinions.known
+        all_votes = votes + after
+        known = all_votes.known
         seen_share = float(known.mean()) if len(known) else float("nan")
-        labels = to_labels(frame, prepared, found, tracked, opinions, seen_through=seen_through)
+        labels = to_labels(frame, prepared, found, tracked, all_votes, seen_through=seen_through)
         return replace(labels, health=FrameHealth(seen_share=seen_share))
 
     def _velocity(self, posed: PosedFrame) -> Twist | None:
-        """Twist of the sensor per second; None where two poses in a row cannot be believed.
+        """Return the twist of the sensor per second; None without two consecutive reliable poses.
 
-        A jump of one pose would be undone within the next sweep as well, and bend its cloud.
+        A jump of one pose would also be compensated within the next sweep, and distort its cloud.
         """
         last = self._last
-        # who looks ahead judges frames later, but knows at once whether one follows another
-        doubted = self._apart if self._following is not None else self._refused is not None
+        # with a lookahead frames are labelled later, but continuity is known when they arrive
+        doubted = self._disconnected if self._continuity is not None else self._refused is not None
         healthy = posed.odometry is OdometryState.HEALTHY
         if last is None or doubted or not healthy or last.odometry is not OdometryState.HEALTHY:
             return None

@@ -7,18 +7,18 @@ from schemas.frame import PosedFrame
 from schemas.labels import FrameLabels
 from schemas.task import MOTION, Task
 from workers.part_version import version_of
-from workers.selfsupervised.lookahead_buffer import LOOKAHEADS_S, Ahead
-from workers.selfsupervised.state import Run
+from workers.selfsupervised.lookahead_buffer import LOOKAHEADS_S, LookaheadBuffer
+from workers.selfsupervised.state import StreamState
 
 
 class Registration:
-    """Motion without labels or learned weights, from past frames only unless told to look ahead.
+    """Motion without labels or learned weights, from past frames only unless it looks ahead.
 
-    Each cluster of points off the ground is registered to the frames 0.1 s and 0.5 s ago; a motion
+    Each cluster of points off the ground is registered to the frames 0.1 s and 0.5 s ago. A motion
     counts only if free space confirms it: its place was seen through before, or the place that it
-    left is seen through now. Free space alone may decide too, from the votes of the last second,
-    and of the next, as far as labels may wait for it.
-    Nothing is known, and said, in the first half second, after a gap, and where the pose is lost.
+    left is seen through now. Free space alone may also decide, from the votes of the last second,
+    and of the next one within the lookahead. All points are UNKNOWN in the first half second, after
+    a gap, and where the pose is lost.
     """
 
     task: ClassVar[Task] = MOTION
@@ -28,7 +28,7 @@ class Registration:
         """Build the stream.
 
         Args:
-            lookahead_s: How long labels wait for later frames, at most; memory holds those.
+            lookahead_s: Longest wait of labels for later frames, which stay in memory until then.
 
         Raises:
             ValueError: If it is not one of 0, 0.5 and 1.
@@ -43,10 +43,13 @@ class Registration:
         return version_of("registration", f"lookahead_s={self.lookahead_s:g}")
 
     def __call__(self, frames: Iterable[PosedFrame]) -> Iterator[FrameLabels]:
-        """Yield the labels of each frame, in order: at once, or the lookahead later."""
-        run, ahead = Run(looks_ahead=self.lookahead_s > 0.0), Ahead(self.lookahead_s)
+        """Yield the labels of each frame, in order, at once or after the lookahead."""
+        state, buffer = (
+            StreamState(looks_ahead=self.lookahead_s > 0.0),
+            LookaheadBuffer(self.lookahead_s),
+        )
         for posed in frames:
-            for waiting, later in ahead.add(run.prepare(posed)):
-                yield run.label(waiting, later)
-        for waiting, later in ahead.flush():
-            yield run.label(waiting, later)
+            for waiting, later in buffer.add(state.prepare(posed)):
+                yield state.label(waiting, later)
+        for waiting, later in buffer.flush():
+            yield state.label(waiting, later)

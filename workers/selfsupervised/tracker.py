@@ -1,8 +1,8 @@
-"""What moved a moment ago still moves: evidence is carried along with the things that move.
+"""Tracker: evidence of motion is carried along with the points of moving clusters.
 
-One frame may show a mover in pieces, half hidden, or too flat to be verified; the frames before say
-what it is. The points of moving clusters are carried on by their velocity, and a cluster that most
-of them hit inherits what was known.
+One frame may show a mover in pieces, half hidden, or too flat to be verified; earlier frames have
+the evidence. The points of moving clusters are carried on by their velocity, and a cluster that
+most of them hit inherits their score.
 """
 
 from dataclasses import dataclass
@@ -17,54 +17,59 @@ from workers.lidar.beam_table import BeamTable
 from workers.points.neighbours import build_grid, nearest_indices
 from workers.points.se3 import transform
 from workers.points.step_names import step
-from workers.selfsupervised.confirmation_weight import proves_whole
+from workers.selfsupervised.confirmation_weight import confirms_in_full
 from workers.selfsupervised.motion import ClusterMotions
 
 DYNAMIC_SCORE: Final = 0.6
-"""The proof of one frame is worth 1, and still counts two tenths of a second later."""
+"""Score from which a cluster is dynamic; one frame in full gives 1, and 0.7 a tenth of a second
+later."""
 
 KEPT_PER_S: Final = 0.7**10
-"""What is left of a score after a second without evidence: 30 % are lost in a tenth."""
+"""Share of a score left after a second without evidence: 30 % are lost in a tenth."""
 
 CONFIRMED_SCORE: Final = 1.15
-"""A proof and half a proof in two frames in a row, a little late: 0.7 + 0.5. One frame gives 1."""
+"""Score from which a motion is confirmed: a full and a half confirmation in consecutive frames, a
+little late (0.7 + 0.5). One frame gives at most 1."""
 
 CONFIRMED_VOXELS: Final = 150
-"""Free space that is wrong about so many voxels at once has not been seen."""
+"""Voxels from which one frame confirms a motion; free space was never wrong about so many at once.
+"""
 
 CARRIED_SCORE: Final = 0.2
 MIN_SCORE, MAX_SCORE = -1.0, 2.0
-"""Two frames' worth: what was proved for long may be doubted as fast as what was proved twice."""
+"""Bounds of a score: two frames' worth, so that a long motion can be refuted as fast as a short
+one."""
 
 REACH_M: Final = 0.5
-"""How far from a carried point its thing may be: a velocity that is wrong by 5 m/s."""
+"""Distance between a carried point and its object, metres: a velocity error of 5 m/s."""
 
 MIN_HIT_SHARE: Final = 0.3
 MOST_GROWTH: Final = 2.0
-"""What was proved of a piece is not proved of a thing more than twice its size."""
+"""Growth up to which a cluster inherits a score: evidence on a fragment is not valid for an object
+more than twice its size."""
 
-_PROOF: Final = 1.0
-_HALF_PROOF: Final = 0.5
+_FULL: Final = 1.0
+_HALF: Final = 0.5
 _HINT: Final = 0.2
-_STANDS: Final = -0.7
-_WAS_THERE: Final = -0.2
+_STATIC: Final = -0.7
+_OCCUPIED_BEFORE: Final = -0.2
 _MAX_HINT_EXTENT_M: Final = 6.0
 _SAME_SPEED_M_PER_S: Final = 0.5
 _SAME_SPEED_SHARE: Final = 0.2
-_STANDS_FREE_SHARE: Final = 0.2
-_STANDS_VOTES: Final = 2.0
-_WAS_THERE_VOTES: Final = 4.0
+_STATIC_FREE_SHARE: Final = 0.2
+_STATIC_VOTES: Final = 2.0
+_OCCUPIED_BEFORE_VOTES: Final = 4.0
 _NEW_WEIGHT: Final = np.float32(0.6)
-"""Of a velocity just measured; the rest is what was carried: two measurements' worth of memory."""
+"""Weight of a new velocity; the rest is the carried one: a memory of two measurements."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tracked:
-    """What time makes of the motions of K clusters.
+    """Motions of K clusters after the evidence of earlier frames.
 
     Attributes:
-        dynamic: (K,) moves, all evidence taken together.
-        confirmed: (K,) and that was proved in two frames, or of very many voxels.
+        dynamic: (K,) clusters that move by all evidence together.
+        confirmed: (K,) those that two frames, or very many voxels, confirm.
         velocity_m_per_s: (K, 3) over the ground, odom space; zero where nothing is known.
     """
 
@@ -81,20 +86,20 @@ class _Inherited:
 
 
 class Tracker:
-    """Carries the points of what moves from frame to frame."""
+    """Carries the points of moving clusters from frame to frame."""
 
     def __init__(self) -> None:
         self.clear()
 
     def clear(self) -> None:
-        """Forget everything: after a gap, or when the pose is lost."""
+        """Forget everything, after a gap or when the pose is lost."""
         self._points_m: Points = np.zeros((0, 3), np.float32)
         self._velocity = np.zeros((0, 3), np.float32)
         self._score = np.zeros(0, np.float32)
         self._stamp_ns = 0
 
     def move(self, to_from_from: Transform) -> None:
-        """Say what is carried in another space, (4, 4) from the one it was said in."""
+        """Express the carried points in another space, given (4, 4) from their present one."""
         self._points_m = transform(to_from_from, self._points_m)
         self._velocity = (self._velocity @ to_from_from[:3, :3].T).astype(np.float32)
 
@@ -109,22 +114,22 @@ class Tracker:
         now_ns: int,
         table: BeamTable,
     ) -> Tracked:
-        """Add the evidence of a frame to what is carried.
+        """Add the evidence of a frame to the carried evidence.
 
         Args:
             points_m: (V, 3) voxel centroids off the ground, odom space.
             found: Their clusters and motions.
-            votes: What free space says about the voxels.
+            votes: Free-space votes on the voxels.
             centre_m: (3,) the sensor, odom space.
             now_ns: Time of the frame.
-            table: Beams of the sensor, which say how many voxels a thing can show.
+            table: Beams of the sensor, which determine how many voxels an object can show.
         """
         clusters = found.clusters
         dt_s = (now_ns - self._stamp_ns) / NS_PER_S
         before = self._inherited(points_m, found, centre_m, np.float32(dt_s))
         kept = before.score * np.float32(KEPT_PER_S**dt_s)
-        whole = proves_whole(points_m, clusters, votes, centre_m=centre_m, table=table)
-        summed = kept + _evidence(found, votes, before, whole)
+        in_full = confirms_in_full(points_m, clusters, votes, centre_m=centre_m, table=table)
+        summed = kept + _evidence(found, votes, before, in_full)
         score = np.clip(summed, MIN_SCORE, MAX_SCORE).astype(np.float32)
 
         measured = found.velocity_m_per_s
@@ -146,7 +151,7 @@ class Tracker:
         centre_m: NDArray[np.floating],
         dt_s: np.float32,
     ) -> _Inherited:
-        """Mean score and velocity of the carried points that land on each cluster."""
+        """Average score and velocity of the carried points that land on each cluster."""
         clusters, k = found.clusters, len(found.clusters)
         if k == 0 or len(self._points_m) == 0:
             nothing = np.zeros(k, np.float32)
@@ -170,9 +175,9 @@ class Tracker:
 
 
 def _evidence(
-    found: ClusterMotions, votes: Votes, before: _Inherited, whole: Mask
+    found: ClusterMotions, votes: Votes, before: _Inherited, in_full: Mask
 ) -> NDArray[np.float64]:
-    """(K,) what this frame alone says: for motion above zero, against it below."""
+    """Return (K,) evidence of this frame alone, above zero for motion and below it against."""
     clusters = found.clusters
     size = np.maximum(clusters.sizes, 1)
     seen = clusters.mean(votes.occupied)
@@ -182,10 +187,10 @@ def _evidence(
         before.velocity, axis=1
     )
     hint = found.unconfirmed & before.known & as_before & (found.extent_m < _MAX_HINT_EXTENT_M)
-    stands = found.still & (free_share < _STANDS_FREE_SHARE) & (seen > _STANDS_VOTES)
-    was_there = ~found.unconfirmed & (seen > _WAS_THERE_VOTES)
+    static = found.still & (free_share < _STATIC_FREE_SHARE) & (seen > _STATIC_VOTES)
+    occupied_before = ~found.unconfirmed & (seen > _OCCUPIED_BEFORE_VOTES)
     return np.select(
-        [found.proved & whole, found.proved, hint, stands, was_there],
-        [_PROOF, _HALF_PROOF, _HINT, _STANDS, _WAS_THERE],
+        [found.dynamic_now & in_full, found.dynamic_now, hint, static, occupied_before],
+        [_FULL, _HALF, _HINT, _STATIC, _OCCUPIED_BEFORE],
         default=0.0,
     )

@@ -1,4 +1,4 @@
-"""The best shift of a cluster within a window: a coarse look at cells, then ICP on the best few."""
+"""Translation search: the best shift of a cluster within a window, coarse cells first, then ICP."""
 
 from typing import Final, NamedTuple
 
@@ -25,19 +25,18 @@ _ICP_STEPS: Final = 8
 _ICP_DONE_M: Final = 0.01
 _EARLY_STEPS: Final = 2
 _HOPELESS: Final = 1.2
-"""A shift that fits worse by a fifth than another did after as many steps is not refined further.
-"""
+"""Ratio to the lowest energy at which a shift is not refined further, after as many ICP steps."""
 
 _DISTANCE_PENALTY_PER_M: Final = 0.004
 
 
 class Reference(NamedTuple):
-    """An earlier frame, ready to be registered to.
+    """An earlier frame in the form that registration needs.
 
     Attributes:
         grid: Its points, for nearest neighbours.
         occupancy: Its points, for the coarse search.
-        age_s: How much earlier it was.
+        age_s: Its age, seconds.
     """
 
     grid: PointGrid
@@ -46,21 +45,21 @@ class Reference(NamedTuple):
 
 
 def build_reference(points_m: Points, centre_m: NDArray[np.floating], age_s: float) -> Reference:
-    """Make an earlier frame ready to be registered to.
+    """Build the reference of an earlier frame.
 
     Args:
         points_m: (N, 3) its voxel centroids off the ground, odom space.
-        centre_m: (3,) where its sensor was, odom space.
-        age_s: How much earlier it was than the frame to register.
+        centre_m: (3,) place of its sensor, odom space.
+        age_s: Time from it to the frame to register, seconds.
     """
     return reference_to(build_grid(points_m, centre_m), centre_m, age_s)
 
 
 @step("references")
 def reference_to(grid: PointGrid, centre_m: NDArray[np.floating], age_s: float) -> Reference:
-    """The same from a grid of its points, which is kept; cells are marked anew.
+    """Build a reference from the kept grid of its points; the cells are marked again.
 
-    They take 5 MB a frame, and a millisecond and a half.
+    The cells take 5 MB per frame, and 1.5 ms.
     """
     return Reference(grid, build_occupancy(grid.points_m, centre_m), age_s)
 
@@ -75,10 +74,10 @@ def energy_of(
     rows: NDArray[np.int32],
     enough: float = np.inf,
 ) -> float:
-    """Mean nearest distance after a shift; `rows` remembers who was nearest, for the next shift.
+    """Return the mean nearest distance after a shift, and keep the nearest rows for the next one.
 
-    Once it is certain not to be less than `enough`, a lower bound is answered, and not all of
-    `rows` is up to date.
+    Once the result cannot be less than `enough`, a lower bound is returned, and not all of `rows`
+    is up to date.
     """
     total, most = 0.0, enough * len(points)
     for i in range(len(points)):
@@ -100,7 +99,7 @@ def energy_of(
 def _near(
     grid: PointGrid, x: float, y: float, z: float, reach: float, row: int
 ) -> tuple[float, int]:
-    """Nearest point within reach, given who was nearest to a place close by (-1 for nobody)."""
+    """Find the nearest point within reach, given the nearest row of a close place, -1 for none."""
     best, found = reach * reach, -1
     if row >= 0:
         nearest = grid.points_m
@@ -119,7 +118,7 @@ def _refine(
     rows: NDArray[np.int32],
     steps: int,
 ) -> bool:
-    """Translation-only ICP; outliers count less, (d/0.15)^2. Whether there is more to be done."""
+    """Run translation-only ICP with weights 1 / (1 + (d / 0.15)²); True if it has not converged."""
     for _ in range(steps):
         mx, my, mz, total = 0.0, 0.0, 0.0, 0.0
         for i in range(len(points)):
@@ -153,12 +152,12 @@ def search(
     keep: int,
     best: NDArray[np.float64],
 ) -> None:
-    """Best shift within a square window about a centre: coarse score, then ICP on the best few.
+    """Find the best shift within a square window: a coarse score, then ICP on the best few.
 
-    `best` holds the best shift so far and its energy, and is improved in place.
+    `best` is the best shift so far and its energy, and is improved in place.
     """
     occupancy, grid = reference.occupancy, reference.grid
-    # cells are twice as coarse as voxels: a third of the points says as much about them
+    # cells are twice as coarse as voxels: a third of the points gives the same score
     few = points[:: max(1, len(points) // _COARSE_SAMPLES)]
     cells = cells_of(occupancy, few)
     reach = int(np.ceil(window / CELL_M))

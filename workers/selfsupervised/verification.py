@@ -1,4 +1,4 @@
-"""Which clusters move: a registered motion counts only if free space confirms it."""
+"""Motion verification: a registered motion counts only if free space confirms it."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -11,8 +11,8 @@ from workers.free_space import FREE, Votes, visibility
 from workers.points.clusters import Clusters
 from workers.points.step_names import step
 from workers.selfsupervised.candidates import far_candidates, near_candidates
-from workers.selfsupervised.evidence import Evidence
-from workers.selfsupervised.registration import Registered
+from workers.selfsupervised.evidence import FreeSpaceEvidence
+from workers.selfsupervised.registration import RegistrationResiduals
 
 MIN_FREE_SHARE: Final = 0.25
 """Share of a cluster that free space must confirm; .15 doubles false clusters, .40 loses movers."""
@@ -20,16 +20,16 @@ MIN_FREE_SHARE: Final = 0.25
 _MAX_FREE_EXTENT_M: Final = 20.0
 
 FLAT_M: Final = 0.25
-"""What one beam sees of a thing, which may be all that there is of it."""
+"""Height that one beam sees of an object, metres; a lower cluster may be all of it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Motions:
-    """What is known of the motion of K clusters.
+class VerifiedMotions:
+    """Verified motions of K clusters.
 
     Attributes:
         registered: (K,) registration found a motion and free space confirms it.
-        seen_through: (K,) free space alone says that it was not there before, or not after.
+        seen_through: (K,) free space alone shows that its place was free before or is free after.
         unconfirmed: (K,) registration found a motion that free space does not confirm.
         velocity_m_per_s: (K, 3) over the ground, odom space; zero where none was found.
     """
@@ -41,27 +41,27 @@ class Motions:
 
     @property
     def dynamic(self) -> Mask:
-        """(K,) clusters that at least one witness proves to move."""
+        """(K,) clusters that at least one kind of evidence shows to move."""
         return self.registered | self.seen_through
 
 
 @step("verification")
-def judge(
+def verify_motions(
     points_m: Points,
     clusters: Clusters,
-    fit: Registered,
-    evidence: Evidence,
+    fit: RegistrationResiduals,
+    evidence: FreeSpaceEvidence,
     *,
     near_age_s: float,
     far_age_s: float,
-) -> Motions:
+) -> VerifiedMotions:
     """Decide which clusters move.
 
     Args:
         points_m: (N, 3) voxel centroids, odom space.
         clusters: Sets of them.
         fit: Their registration.
-        evidence: What free space says about the voxels.
+        evidence: Free-space evidence on the voxels.
         near_age_s: Age of the near reference.
         far_age_s: Age of the far reference.
     """
@@ -86,7 +86,7 @@ def judge(
     confirmed = np.where(clear | near, once, twice)
 
     velocity = np.where(near[:, None], velocity_near, velocity_far)
-    return Motions(
+    return VerifiedMotions(
         registered=candidate & confirmed,
         seen_through=_seen_through(points_m, clusters, fit, evidence.votes)
         | _seen_through(points_m, clusters, fit, evidence.after),
@@ -100,9 +100,9 @@ def _left_free(
     clusters: Clusters,
     candidate: Mask,
     shift: NDArray[np.float32],
-    evidence: Evidence,
+    evidence: FreeSpaceEvidence,
 ) -> NDArray[np.int64]:
-    """(K,) points whose earlier place the frame itself sees through: what has left is gone."""
+    """Count (K,) points whose earlier place the frame itself sees through, now that they left."""
     of_member = np.repeat(np.arange(len(clusters)), clusters.sizes)
     asked = candidate[of_member]
     members, owner = clusters.members[asked], of_member[asked]
@@ -115,10 +115,12 @@ def _left_free(
     return np.bincount(owner[answer >= FREE], minlength=len(clusters))
 
 
-def _seen_through(points_m: Points, clusters: Clusters, fit: Registered, votes: Votes) -> Mask:
-    """Clusters that were not there before, or not after, by free space alone.
+def _seen_through(
+    points_m: Points, clusters: Clusters, fit: RegistrationResiduals, votes: Votes
+) -> Mask:
+    """Return the clusters whose place was free before or is free after, by free space alone.
 
-    A flat thing may have been there, between two beams that are far apart.
+    A flat object may have been there unseen, between two beams that are far apart.
     """
     size = clusters.sizes
     seen_through = np.where(

@@ -1,4 +1,4 @@
-"""Which voxels belong together: clusters, and the parts of them that were not there before."""
+"""Voxel clusters by connected components, and the parts of them that are new."""
 
 from typing import Final
 
@@ -8,11 +8,11 @@ from schemas.arrays import Mask, Points
 from workers.points.clusters import Clusters, connected, from_labels
 from workers.points.neighbours import nearest_distances
 from workers.points.step_names import step
-from workers.selfsupervised.evidence import Evidence
-from workers.selfsupervised.registration import Reference, Registered
+from workers.selfsupervised.evidence import FreeSpaceEvidence
+from workers.selfsupervised.registration import Reference, RegistrationResiduals
 
 REACH_M: Final = 0.5
-"""Between beams of 0.3 degrees up to 80 m away; .4 to .7 give the same answers."""
+"""Largest gap within a cluster, metres: beams of 0.3 degrees up to 80 m; .4 to .7 give the same."""
 
 CLOSE_REACH_M: Final = 0.3
 SPLIT_REACH_M: Final = 0.4
@@ -27,8 +27,8 @@ _NEW_M: Final = 0.2
 
 
 @step("clusters")
-def find_clusters(points_m: Points, evidence: Evidence) -> Clusters:
-    """Cluster the voxels; clusters in which movers and others seem to be mixed, more closely."""
+def find_clusters(points_m: Points, evidence: FreeSpaceEvidence) -> Clusters:
+    """Cluster the voxels, with a smaller gap where a cluster seems to mix movers and others."""
     clusters = connected(points_m, reach_m=REACH_M, min_points=MIN_VOXELS)
     free, known = clusters.count(evidence.seen_through), clusters.count(evidence.votes.known)
     mixed = (free >= _MIXED_FREE) & (free < _MIXED_SHARE * known)
@@ -53,14 +53,14 @@ def find_clusters(points_m: Points, evidence: Evidence) -> Clusters:
 def find_parts(
     points_m: Points,
     clusters: Clusters,
-    fit: Registered,
+    fit: RegistrationResiduals,
     decided: Mask,
     far: Reference,
-    evidence: Evidence,
+    evidence: FreeSpaceEvidence,
 ) -> Clusters:
     """Find parts of undecided clusters that were not there half a second ago.
 
-    A cyclist beside a parked car is one cluster with it, which stands still as a whole.
+    A cyclist next to a parked car forms one cluster with it, which is static as a whole.
     """
     whole = ~decided & (clusters.sizes >= _SPLIT_VOXELS) & (fit.extent_m > _SPLIT_EXTENT_M)
     asked = np.flatnonzero(clusters.member_mask(whole))

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.arrays import Mask
-from workers.lidar.pixel_windows import likeliest
+from workers.lidar.pixel_windows import argmax_code
 
 
 class ClassMeaning(BaseModel):
@@ -54,7 +54,7 @@ class ClassSet:
             (...) one plus the rank of the class among the trained ones.
         """
         taught = np.ascontiguousarray(probabilities[self._outputs])
-        return likeliest(taught.reshape(len(taught), -1)).reshape(probabilities.shape[1:])
+        return argmax_code(taught.reshape(len(taught), -1)).reshape(probabilities.shape[1:])
 
     def class_of(self, codes: NDArray[np.uint8]) -> NDArray[np.int16]:
         """Return the class index of each code; 0 gives the first ignored class, or -1."""

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from workers.lidar.fidelity import Form
 from workers.lidar.pixel_windows import (
-    commonest,
     look_up,
+    majority_code,
     mean_of,
     mixed_windows,
     nearest_in_window,
@@ -78,7 +78,7 @@ class Voters:
         """
         labels = self.look_up(class_image)
         nobody = np.uint8(1 if self.form is Form.PAPER else 0)
-        labels[self.contested] = commonest(class_image, self.pixel, nobody)
+        labels[self.contested] = majority_code(class_image, self.pixel, nobody)
         return labels
 
     def average(self, value_image: NDArray[np.float32]) -> NDArray[np.float32]:

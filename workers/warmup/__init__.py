@@ -1,1 +1,1 @@
-"""Compilation of loops ahead of time, in a process of its own."""
+"""Ahead-of-time compilation of the loops, in a process of its own."""

@@ -1,8 +1,8 @@
-"""Compiles the loops of the stages in a process of its own: the compiler's memory goes with it.
+"""JIT warm-up: a child process compiles the stages' loops, and frees the compiler's memory.
 
-What the compiler leaves behind in a process is half as much again as the stream needs. A child
-compiles, on a small street, and leaves the loops in numba's cache on disk; whoever labels loads
-them from there.
+The compiler leaves half as much memory again in a process as the stream needs. A child therefore
+compiles on a small street and leaves the loops in numba's cache on disk, from which workers load
+them.
 """
 
 import fcntl
@@ -30,58 +30,61 @@ from workers.sources import source_digest
 log = structlog.get_logger(__name__)
 
 _CHILD_S: Final = 3600.0
-"""Fifteen to thirty seconds on a quiet core, ten minutes were seen on one shared by fourteen."""
+"""Time limit of the child, seconds.
+
+It takes fifteen to thirty seconds on a quiet core; ten minutes were measured on one shared by
+fourteen."""
 
 
-def compile_apart() -> None:
-    """See to it that the loops of the default stream are compiled, once for a machine.
+def compile_in_child() -> None:
+    """Compile the loops of the default stream in a child process, once per machine.
 
     Of several processes that begin at once, one compiles and the others wait for it. Where the
-    cache cannot be written, or the child fails, that is said, and this process compiles by itself.
+    cache cannot be written, or the child fails, a warning is logged and this process compiles.
     """
     folder = cache_folder(within)
     if folder is None:
-        return  # said where the loops were made
+        return  # logged where the loops were made
     marker = Path(folder) / _marker()
     if marker.exists():
         return
     try:
-        with _alone(marker.with_suffix(".lock")):
+        with _locked(marker.with_suffix(".lock")):
             if not marker.exists():
                 log.info("compiling loops, once for this version", folder=folder)
                 _in_child()
                 marker.touch()
     except (OSError, subprocess.SubprocessError) as error:
         log.warning(
-            "loops could not be compiled apart: this process compiles them, and needs more memory",
+            "loops not compiled in a child process: this process compiles them, with more memory",
             folder=folder,
             problem=str(error),
         )
 
 
-def rehearse() -> None:
-    """Mine a small street by the default parts, so that every loop is called.
+def mine_warmup_scene() -> None:
+    """Mine a small street with the default parts, so that every loop is called.
 
-    Networks take no part: their loops are called beside. What the supervised stream says stands in
-    for it, so that something contradicts.
+    Networks take no part; their loops are called separately. The supervised stream is replaced by
+    one that labels every point dynamic, so that there are contradictions.
     """
     from workers.contradiction.instances import find_instances
     from workers.contradiction.track_score import rank_tracks
     from workers.odometry.odometry import KissOdometry
     from workers.selfsupervised.stream import Registration
     from workers.warmup.loops import call_loops
-    from workers.warmup.warmup_scene import rehearsal
+    from workers.warmup.warmup_scene import warmup_frames
     from workers.witness.free_space import TwoSidedFreeSpace
 
     for with_beams in (True, False):
-        posed = list(KissOdometry()(rehearsal(with_beams=with_beams)))
-        labelled = map(_all_moves, posed, Registration()(iter(posed)))
+        posed = list(KissOdometry()(warmup_frames(with_beams=with_beams)))
+        labelled = map(_labelled_dynamic, posed, Registration()(iter(posed)))
         scene = Scene("rehearsal/0", tuple(TwoSidedFreeSpace()(labelled)))
         rank_tracks(scene, find_instances(scene, class_names=()))
-    call_loops(next(rehearsal(with_beams=True)))
+    call_loops(next(warmup_frames(with_beams=True)))
 
 
-def _all_moves(posed: PosedFrame, predictive: FrameLabels) -> LabelledFrame:
+def _labelled_dynamic(posed: PosedFrame, predictive: FrameLabels) -> LabelledFrame:
     count = len(posed.frame)
     semantic = FrameLabels(
         labels=np.full(count, MotionLabel.DYNAMIC, np.uint8),
@@ -92,12 +95,12 @@ def _all_moves(posed: PosedFrame, predictive: FrameLabels) -> LabelledFrame:
 
 
 def _marker() -> str:
-    """Name all that compiled code hangs on: sources, compiler, processor."""
+    """Name everything that compiled code depends on: sources, compiler, processor."""
     from numba.core.registry import cpu_target
 
     processor = repr(cpu_target.target_context.codegen().magic_tuple())
-    said = f"{source_digest(*COMPILED)} {metadata.version('numba')} {sys.version} {processor}"
-    return f"loops-{hashlib.sha256(said.encode()).hexdigest()[:16]}.compiled"
+    key = f"{source_digest(*COMPILED)} {metadata.version('numba')} {sys.version} {processor}"
+    return f"loops-{hashlib.sha256(key.encode()).hexdigest()[:16]}.compiled"
 
 
 def _in_child() -> None:
@@ -110,12 +113,12 @@ def _in_child() -> None:
 
 
 @contextmanager
-def _alone(path: Path) -> Iterator[None]:
-    """Hold a lock between processes; it ends with its holder, however that ends."""
+def _locked(path: Path) -> Iterator[None]:
+    """Keep a lock between processes; it ends with its process, however that ends."""
     with path.open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         yield
 
 
 if __name__ == "__main__":
-    rehearse()
+    mine_warmup_scene()

@@ -1,20 +1,20 @@
-"""Calls the loops that stages share, once: so the compiler need not stay in a worker."""
+"""Warm-up calls of the loops that stages share, so that the compiler need not stay in a worker."""
 
 import numpy as np
 
 from schemas.frame import LidarFrame
 from workers.contradiction.neighbour_counts import counts_around
 from workers.lidar.pixel_windows import (
-    commonest,
-    likeliest,
+    argmax_code,
     look_up,
+    majority_code,
     mean_of,
     mixed_windows,
     nearest_in_window,
     padded,
 )
 from workers.lidar.range_image import SensorProfile, image_channels, project
-from workers.lidar.registration_check import misfit_between, structure_of
+from workers.lidar.registration_check import extract_structure, register_structures
 from workers.points.density import density_clusters, weighted_places
 from workers.points.point_kernels import in_centimetres, moved, within_box
 
@@ -24,18 +24,18 @@ _PROFILE = SensorProfile(name="rehearsal", rows=16, columns=64, fov_up_deg=10, f
 def call_loops(frame: LidarFrame) -> None:
     """Call the loops over range images, static structure, instances and overlays with a frame.
 
-    Arrays that may not be written to, as those of a frame, and such that may are two types to the
-    compiler: each loop is called with what its stage gives it.
+    Read-only arrays, as those of a frame, and writable ones are two types to the compiler: each
+    loop is called with the types of its stage.
     """
     image = project(frame.points_m, _PROFILE, valid_mask=frame.valid_mask)
     seen = frame.points_m[image.index[image.index >= 0]]
     placed_m = moved(seen, np.eye(4))
     project(placed_m, _PROFILE, gate_m=(2.0, 100.0))
-    stands = structure_of(placed_m, np.zeros(3))
-    if stands is not None:
-        misfit_between(stands, stands)
+    structure = extract_structure(placed_m, np.zeros(3))
+    if structure is not None:
+        register_structures(structure, structure)
     channels = image_channels(image, frame.points_m, frame.intensity, _PROFILE)
-    likeliest(channels.reshape(len(channels), -1))
+    argmax_code(channels.reshape(len(channels), -1))
     codes, flat = np.ones(image.index.shape, np.uint8), image.row * np.int32(64) + image.column
     mixed_windows(codes, image.index, 2, True)
     voters = nearest_in_window(
@@ -51,7 +51,7 @@ def call_loops(frame: LidarFrame) -> None:
     )
     look_up(codes, flat, np.uint8(0))
     look_up(image.range_m, flat, np.float32(0))
-    commonest(codes, voters, np.uint8(0))
+    majority_code(codes, voters, np.uint8(0))
     mean_of(image.range_m, voters)
     places_m, _, weight = weighted_places(seen, np.float32(0.1))
     density_clusters(places_m, weight, 1.0, 10)

@@ -1,4 +1,4 @@
-"""A street of a few walls and a car that passes: enough to call every loop of the stream once."""
+"""Warm-up scene: a street of a few walls and a passing car, enough to call every loop once."""
 
 from collections.abc import Iterator
 from typing import Final
@@ -20,11 +20,11 @@ _ELEVATIONS: Final = np.radians(np.arange(-16.0, 6.0, 0.8))
 _AZIMUTHS: Final = np.radians(np.arange(-180.0, 180.0, 0.4))
 
 
-def rehearsal(*, with_beams: bool) -> Iterator[LidarFrame]:
-    """Yield the frames of a sensor that stands between two walls while a car comes towards it.
+def warmup_frames(*, with_beams: bool) -> Iterator[LidarFrame]:
+    """Yield the frames of a sensor that is still between two walls while a car approaches.
 
     Args:
-        with_beams: Whether clouds say which beam each point is of, and when it was taken.
+        with_beams: Clouds contain the beam and the time of each point.
     """
     elevation, azimuth = (
         each.ravel() for each in np.meshgrid(_ELEVATIONS, _AZIMUTHS, indexing="ij")
@@ -60,7 +60,7 @@ def rehearsal(*, with_beams: bool) -> Iterator[LidarFrame]:
 
 
 def _distances(direction: NDArray[np.float64], *, car_x_m: float) -> NDArray[np.float64]:
-    """Range of each beam to the road, the walls and a car, from above the road's middle."""
+    """Compute the range of each beam to the road, the walls and a car, over the road's middle."""
     with np.errstate(divide="ignore", invalid="ignore"):
         road = np.where(direction[:, 2] < 0.0, -_HEIGHT_M / direction[:, 2], np.inf)
         walls = np.abs(_WALL_M / direction[:, 1])

@@ -1,1 +1,1 @@
-"""The third witness: what free space says, of the seconds before and after."""
+"""The third witness: free-space votes of the seconds before and after each frame."""

@@ -1,4 +1,4 @@
-"""The third witness: what was seen through a second before, or is a second after, is not static."""
+"""The third witness: a place seen through within a second before or after is not static."""
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
@@ -14,26 +14,26 @@ from schemas.labels import FrameHealth, FrameLabels, MotionLabel
 from workers.free_space import visibility
 from workers.points.clusters import Clusters, connected
 from workers.sources import syntax_digest
-from workers.witness.free_space_votes import Opinions, opinions_of
-from workers.witness.observation import Sight, Sights
-from workers.witness.pose_doubt import Doubt
+from workers.witness.free_space_votes import FreeSpaceVotes, votes_of
+from workers.witness.observation import Observation, Observer
+from workers.witness.pose_doubt import PoseDoubt
 
 REACH_S: Final = 1.0
 AGES_S: Final = (1.0, 0.8, 0.6, 0.4, 0.2)
-"""Farthest first. A frame in between says what its neighbours say."""
+"""Ages of the voting frames, seconds, farthest first; frames in between agree with these."""
 
 _TOLERANCE_NS: Final = NS_PER_S // 16
 """Half a revolution at 10 Hz and its jitter."""
 
 MAX_FRAMES: Final = 64
-"""Kept at most, however fast the sensor: two seconds at 30 Hz."""
+"""Frames kept at most, at any sensor rate: two seconds at 30 Hz."""
 
 
 class TwoSidedFreeSpace:
-    """Free space a second before and after: the future included, which no live stream has seen.
+    """Free space from a second before to a second after, a future that no live stream has seen.
 
-    Frames are held back until those a second later were seen, or until the shard ends: what lies
-    beyond it is not seen. Nothing is known across a gap, a lost pose or a jump of it.
+    Frames are held back until those a second later have arrived, or until the shard ends; later
+    frames are unknown. No frame votes across a gap, a lost pose or a pose jump.
     """
 
     @property
@@ -42,84 +42,92 @@ class TwoSidedFreeSpace:
         return f"free-space@{syntax_digest('workers.witness')[:12]}"
 
     def __call__(self, frames: Iterable[LabelledFrame]) -> Iterator[LabelledFrame]:
-        """Yield each frame with what the witness says of it, in order, a second later."""
-        look, doubt = Sights(), Doubt()
-        past: deque[Sight] = deque(maxlen=MAX_FRAMES)
-        waiting: deque[tuple[LabelledFrame, Sight]] = deque()
+        """Yield each frame with the witness's labels, in order, a second later."""
+        observe, pose_doubt = Observer(), PoseDoubt()
+        past: deque[Observation] = deque(maxlen=MAX_FRAMES)
+        waiting: deque[tuple[LabelledFrame, Observation]] = deque()
         for labelled in frames:
-            newest = look(labelled)
-            waiting.append((doubt.of(labelled, newest), newest))
-            while _waited(waiting[0][1], newest) or len(waiting) > MAX_FRAMES:
+            newest = observe(labelled)
+            waiting.append((pose_doubt.of(labelled, newest), newest))
+            while _has_waited(waiting[0][1], newest) or len(waiting) > MAX_FRAMES:
                 yield _next(past, waiting)
         while waiting:
             yield _next(past, waiting)
 
 
-def _waited(first: Sight, newest: Sight) -> bool:
+def _has_waited(first: Observation, newest: Observation) -> bool:
     long = newest.stamp_ns - first.stamp_ns >= round(REACH_S * NS_PER_S) - _TOLERANCE_NS // 4
     return long or first.stretch != newest.stretch
 
 
-def _next(past: deque[Sight], waiting: deque[tuple[LabelledFrame, Sight]]) -> LabelledFrame:
-    labelled, sight = waiting.popleft()
-    said = testify(labelled, sight, before=past, after=[later for _, later in waiting])
-    past.append(sight)
-    horizon_ns = sight.stamp_ns - round(REACH_S * NS_PER_S) - _TOLERANCE_NS
-    while past[0].stamp_ns < horizon_ns or past[0].stretch != sight.stretch:
+def _next(
+    past: deque[Observation], waiting: deque[tuple[LabelledFrame, Observation]]
+) -> LabelledFrame:
+    labelled, observation = waiting.popleft()
+    classified = classify(labelled, observation, before=past, after=[later for _, later in waiting])
+    past.append(observation)
+    horizon_ns = observation.stamp_ns - round(REACH_S * NS_PER_S) - _TOLERANCE_NS
+    while past[0].stamp_ns < horizon_ns or past[0].stretch != observation.stretch:
         past.popleft()
-    return replace(labelled, witness=said)
+    return replace(labelled, witness=classified)
 
 
-def testify(
-    labelled: LabelledFrame, sight: Sight, *, before: Iterable[Sight], after: Iterable[Sight]
+def classify(
+    labelled: LabelledFrame,
+    observation: Observation,
+    *,
+    before: Iterable[Observation],
+    after: Iterable[Observation],
 ) -> FrameLabels:
-    """Label the points of a frame by what other frames saw at their places.
+    """Label the points of a frame by the votes of other frames on their places.
 
     Args:
         labelled: The frame.
-        sight: What it saw.
+        observation: Observation of the frame.
         before: Earlier ones.
         after: Later ones.
 
     Returns:
-        DYNAMIC, STATIC or UNKNOWN for every point, and how sure: the share of the frames asked
-        that have an opinion.
+        DYNAMIC, STATIC or UNKNOWN for every point; the confidence is the share of the frames asked
+        that vote on it.
     """
     n = len(labelled.posed.frame)
     labels = np.full(n, MotionLabel.UNKNOWN, np.uint8)
     confidence = np.zeros(n, np.float16)
-    view = sight.view
+    view = observation.view
     if view is None:
         return FrameLabels(labels, confidence)
     centroids = view.places.centroids_m
-    sides = [_ask(sight, centroids, others) for others in (before, after)]
-    opinions = [opinions_of(answers, len(centroids)) for answers in sides]
+    sides = [_visibilities(observation, centroids, others) for others in (before, after)]
+    votes = [votes_of(answers, len(centroids)) for answers in sides]
     asked = sum(len(answers) for answers in sides)
-    seen_through = opinions[0].seen_through | opinions[1].seen_through
-    free, occupied = _sums(opinions)
+    seen_through = votes[0].seen_through | votes[1].seen_through
+    free, occupied = _sums(votes)
     moves = _moving(centroids, seen_through, free + occupied > 0)
-    said = np.full(len(centroids), MotionLabel.UNKNOWN, np.uint8)
-    said[(occupied > free) & ~seen_through] = MotionLabel.STATIC
-    said[moves] = MotionLabel.DYNAMIC
+    classified = np.full(len(centroids), MotionLabel.UNKNOWN, np.uint8)
+    classified[(occupied > free) & ~seen_through] = MotionLabel.STATIC
+    classified[moves] = MotionLabel.DYNAMIC
     known = (free + occupied) / max(1, asked)
-    sure = np.where(said == MotionLabel.UNKNOWN, 0.0, known)
+    sure = np.where(classified == MotionLabel.UNKNOWN, 0.0, known)
     of_point = view.places.of_point
-    labels[view.judged_index] = said[of_point]
+    labels[view.judged_index] = classified[of_point]
     confidence[view.judged_index] = sure.astype(np.float16)[of_point]
     seen_share = float(np.mean(known > 0)) if len(known) else float("nan")
     return FrameLabels(labels, confidence, health=FrameHealth(seen_share=seen_share))
 
 
-def _sums(opinions: Sequence[Opinions]) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
-    return opinions[0].free + opinions[1].free, opinions[0].occupied + opinions[1].occupied
+def _sums(votes: Sequence[FreeSpaceVotes]) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
+    return votes[0].free + votes[1].free, votes[0].occupied + votes[1].occupied
 
 
-def _ask(sight: Sight, places_m: Points, others: Iterable[Sight]) -> list[NDArray[np.int8]]:
-    """Answers of the frames of one side about the places of a frame, farthest first."""
+def _visibilities(
+    observation: Observation, places_m: Points, others: Iterable[Observation]
+) -> list[NDArray[np.int8]]:
+    """Return the visibility of a frame's places from the frames of one side, farthest first."""
     able = {
-        abs(other.stamp_ns - sight.stamp_ns): other.view
+        abs(other.stamp_ns - observation.stamp_ns): other.view
         for other in others
-        if other.stretch == sight.stretch and other.view is not None
+        if other.stretch == observation.stretch and other.view is not None
     }
     answers = []
     for age_s in AGES_S:
@@ -132,12 +140,12 @@ def _ask(sight: Sight, places_m: Points, others: Iterable[Sight]) -> list[NDArra
     return answers
 
 
-THING_REACH_M: Final = 0.5
+OBJECT_REACH_M: Final = 0.5
 FINDING_REACH_M: Final = 0.6
 MIN_FINDING: Final = 5
-MIN_THING_SHARE: Final = 0.3
+MIN_OBJECT_SHARE: Final = 0.3
 FLAT_M: Final = 0.3
-"""What is flatter is a strip of road, which goes with the car, or a kerb."""
+"""Height below which a finding is a strip of road, which moves with the car, or a kerb, metres."""
 
 
 def _heights_m(places_m: Points, clusters: Clusters) -> NDArray[np.float32]:
@@ -149,10 +157,10 @@ def _heights_m(places_m: Points, clusters: Clusters) -> NDArray[np.float32]:
 
 
 def _moving(places_m: NDArray[np.float32], seen_through: Mask, known: Mask) -> Mask:
-    """Places of things that move: enough of them seen through, together, and most of the thing."""
+    """Return the places of objects with enough connected free places, as a share of the object."""
     found = connected(places_m, reach_m=FINDING_REACH_M, min_points=MIN_FINDING, among=seen_through)
     moves = found.member_mask(_heights_m(places_m, found) >= FLAT_M)
-    things = connected(places_m, reach_m=THING_REACH_M, min_points=MIN_FINDING)
-    share = things.count(moves) / np.maximum(things.count(known), 1)
-    whole = (things.count(moves) >= MIN_FINDING) & (share >= MIN_THING_SHARE)
-    return moves | things.member_mask(whole)
+    objects = connected(places_m, reach_m=OBJECT_REACH_M, min_points=MIN_FINDING)
+    share = objects.count(moves) / np.maximum(objects.count(known), 1)
+    whole = (objects.count(moves) >= MIN_FINDING) & (share >= MIN_OBJECT_SHARE)
+    return moves | objects.member_mask(whole)

@@ -1,4 +1,4 @@
-"""What frames before and after say about places: which were seen through, which were taken."""
+"""Free-space votes of earlier and later frames on places: seen through, occupied or hidden."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -11,21 +11,21 @@ from workers.free_space import FREE, OCCUPIED
 from workers.points.compiled import compiled
 
 MIN_FREE: Final = 2
-"""One frame may err by a mixed pixel."""
+"""Votes needed for free; one frame may err by a mixed pixel."""
 
 MIN_FREE_SHARE: Final = 0.5
-"""A thin or leafy thing is seen through now and then, but is seen as well."""
+"""Share of the votes needed for free; a thin or leafy object is seen through only now and then."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Opinions:
-    """What the frames on one side of an instant say about V places.
+class FreeSpaceVotes:
+    """Votes of the frames on one side of an instant on V places.
 
     Attributes:
         free: (V,) frames that saw through the place.
         occupied: (V,) frames that saw something there.
-        run: (V,) of those farthest in time, how many in a row saw through it; hidden ones do not
-            count, the first that saw something there ends it.
+        run: (V,) consecutive frames that saw through it, from the farthest in time; hidden frames
+            do not count, and the first that saw something there ends the run.
     """
 
     free: NDArray[np.int16]
@@ -34,27 +34,27 @@ class Opinions:
 
     @property
     def seen_through(self) -> Mask:
-        """(V,) places where nothing was: by most frames, or by all but the closest in time.
+        """(V,) places that were empty, by most frames or by all but the closest in time.
 
-        What walks leaves its place after half a second: the closest frames still see it there.
+        A pedestrian leaves its place after half a second: the closest frames still see it there.
         """
         mostly = self.free >= MIN_FREE_SHARE * (self.free + self.occupied)
         seen: Mask = ((self.free >= MIN_FREE) & mostly) | (self.run >= MIN_FREE)
         return seen
 
 
-def opinions_of(answers: list[NDArray[np.int8]], count: int) -> Opinions:
-    """Sum up the answers of the frames on one side.
+def votes_of(answers: list[NDArray[np.int8]], count: int) -> FreeSpaceVotes:
+    """Sum the votes of the frames on one side.
 
     Args:
-        answers: (V,) each, farthest in time first.
-        count: How many places.
+        answers: (V,) visibility codes of each frame, farthest in time first.
+        count: Number of places.
     """
     free, occupied, run = np.zeros((3, count), np.int16)
     ended = np.zeros(count, np.bool_)
     for answer in answers:
         _add(answer, free, occupied, run, ended)
-    return Opinions(free, occupied, run)
+    return FreeSpaceVotes(free, occupied, run)
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""What one frame saw, as other frames ask it, and which of its places are asked about."""
+"""Observation: the range image of a frame for votes, and its places to be voted on."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -18,35 +18,39 @@ from workers.points.point_kernels import judged_rows, moved_rows, returns_within
 from workers.points.se3 import inverse, transform
 from workers.points.voxels import Voxels, voxelize
 from workers.witness.pose_repair import PoseCheck
-from workers.witness.recorded_motion import MotionCheck, Verdict
+from workers.witness.recorded_motion import MotionCheck, MotionComparison
 
 MAX_RANGE_M: Final = 80.0
-"""Beyond it neighbouring beams are 0.6 m apart or more, and a car is a handful of points."""
+"""Range up to which places are labelled, metres.
+
+Beyond it neighbouring beams are 0.6 m apart or more, and a car is a handful of points."""
 
 MAX_HEIGHT_M: Final = 3.0
-"""Over the sensor: the highest lorry ends below it wherever the sensor is on a car's roof."""
+"""Height over the sensor up to which places are labelled, metres: above every lorry, for a sensor
+on the roof of a car."""
 
 PLACE_M: Final = 0.2
-"""Finer than the margins of free space (0.4 m), so that a place stands for its points."""
+"""Voxel size, metres; finer than the margins of free space (0.4 m), so a place represents its
+points."""
 
 MAX_GAP_NS: Final = NS_PER_S // 2
-"""After a longer silence poses do not hang together."""
+"""Longest gap between frames of one stretch, nanoseconds."""
 
 _FARTHEST: Final = np.float32(1000.0)
 _FEWEST_RETURNS: Final = 100
-_HERE: Final = np.zeros(3, np.float32)
+_SENSOR_ORIGIN: Final = np.zeros(3, np.float32)
 _FASTEST_M_PER_S: Final = 70.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """What a frame saw, and what is asked about in it.
+    """The range image of a frame and its places to be labelled.
 
     Attributes:
         image: (R, C) its range image.
         table: The beams of that image.
-        beams_from_odom: (4, 4) where the beams met.
-        judged_index: (J,) which points of the frame are asked about: off the ground, in reach.
+        beams_from_odom: (4, 4) inverse pose of the origin of the beams.
+        judged_index: (J,) indices of the points to label: off the ground, within range.
         places: Their voxels, odom space.
     """
 
@@ -58,15 +62,15 @@ class View:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sight:
-    """One frame as the witness keeps it.
+class Observation:
+    """One frame in the witness's memory.
 
     Attributes:
         stamp_ns: Its time.
-        stretch: Number of the stretch of frames whose poses hang together; others are not asked.
-        view: What it saw; None where nothing can be asked of it.
-        problem: Why its pose is doubted; empty where it is not.
-        remark: Why what the car recorded of its motion is not believed; empty where it is.
+        stretch: Number of its stretch of consistent poses; only frames of one stretch vote.
+        view: Its range image and places; None where it cannot vote.
+        problem: Reason to doubt its pose; empty where there is none.
+        remark: Reason not to believe the recorded motion; empty where it is believed.
     """
 
     stamp_ns: int
@@ -76,44 +80,44 @@ class Sight:
     remark: str = ""
 
 
-class Sights:
-    """Turns the frames of a shard into sights; knows the beams, the last pose and the stretch."""
+class Observer:
+    """Builds the observations of a shard; keeps the beams, the last pose and the stretch."""
 
     def __init__(self) -> None:
         self._beams = BeamLearner()
         self._poses = PoseCheck()
         self._recorded = MotionCheck()
-        self._put_back: Transform = np.eye(4)
+        self._correction: Transform = np.eye(4)
         self._last: PosedFrame | None = None
         self._stretch = 0
 
-    def __call__(self, labelled: LabelledFrame) -> Sight:
-        """Turn one frame into what others ask of it."""
-        velocity, told = self._follow(labelled.posed)
-        sight = self._look(labelled, velocity)
-        if told.problem and not sight.problem:
-            # nothing says where the frame belongs: what comes hangs together with none before it
-            self._begin_anew()
-            sight = replace(sight, stretch=self._stretch, problem=told.problem)
-        return replace(sight, remark=told.remark) if told.remark else sight
+    def __call__(self, labelled: LabelledFrame) -> Observation:
+        """Return the observation of one frame."""
+        velocity, verdict = self._follow(labelled.posed)
+        observation = self._observe(labelled, velocity)
+        if verdict.problem and not observation.problem:
+            # the frame has no known place: later frames are consistent with none before it
+            self._begin_stretch()
+            observation = replace(observation, stretch=self._stretch, problem=verdict.problem)
+        return replace(observation, remark=verdict.remark) if verdict.remark else observation
 
-    def _look(self, labelled: LabelledFrame, velocity: Twist | None) -> Sight:
+    def _observe(self, labelled: LabelledFrame, velocity: Twist | None) -> Observation:
         posed = labelled.posed
         frame = posed.frame
         index = returns_within(frame.points_m, frame.valid_mask, _FARTHEST)
         if len(index) < _FEWEST_RETURNS or posed.odometry is OdometryState.LOST:
-            return Sight(frame.stamp_ns, self._stretch)
-        points_m = rows_about(frame.points_m, index, _HERE)
+            return Observation(frame.stamp_ns, self._stretch)
+        points_m = rows_about(frame.points_m, index, _SENSOR_ORIGIN)
         if self._beams.learn(points_m, frame.ring[index]):
-            self._begin_anew()
+            self._begin_stretch()
         table = self._beams.table
         if table is None or not table.trusted or not len(table.tangents):
-            return Sight(frame.stamp_ns, self._stretch)
+            return Observation(frame.stamp_ns, self._stretch)
         time_s = time_from_middle_s(frame)
         if velocity is not None and time_s is not None:
             points_m = deskew(points_m, time_s[index], velocity)
         points_m = points_m - table.origin_m.astype(np.float32)
-        odom_from_beams = self._put_back @ posed.odom_from_sensor
+        odom_from_beams = self._correction @ posed.odom_from_sensor
         odom_from_beams[:3, 3] += odom_from_beams[:3, :3] @ table.origin_m
         judged = judged_rows(
             points_m, _ground(labelled, index), MIN_RANGE_M, MAX_RANGE_M, MAX_HEIGHT_M
@@ -122,7 +126,7 @@ class Sights:
         still_m = places.centroids_m[~_moving(labelled, index[judged], places)]
         fit = self._poses.judge(still_m, odom_from_beams, frame.stamp_ns)
         if fit.correction is not None:
-            self._put_back = fit.correction @ self._put_back
+            self._correction = fit.correction @ self._correction
             odom_from_beams = fit.correction @ odom_from_beams
             places = Voxels(transform(fit.correction, places.centroids_m), places.of_point)
         view = View(
@@ -132,29 +136,29 @@ class Sights:
             judged_index=index[judged],
             places=places,
         )
-        return Sight(frame.stamp_ns, self._stretch, view, fit.problem)
+        return Observation(frame.stamp_ns, self._stretch, view, fit.problem)
 
-    def _follow(self, posed: PosedFrame) -> tuple[Twist | None, Verdict]:
-        """Begin a new stretch where poses do not hang together; else say how the sensor moves.
+    def _follow(self, posed: PosedFrame) -> tuple[Twist | None, MotionComparison]:
+        """Begin a new stretch where poses are not consistent, else estimate the sensor's motion.
 
         Returns:
-            Its twist per second, None if unknown, and how that fits what the car recorded.
+            Its twist per second, None if unknown, and the comparison with the recorded motion.
         """
         last, self._last = self._last, posed
         if last is None:
-            return None, Verdict()
+            return None, MotionComparison()
         step_ns = posed.frame.stamp_ns - last.frame.stamp_ns
         lost = OdometryState.LOST in (posed.odometry, last.odometry)
         if not 0 < step_ns <= MAX_GAP_NS or lost:
-            self._begin_anew()
-            return None, Verdict()
+            self._begin_stretch()
+            return None, MotionComparison()
         moved = twist(inverse(last.odom_from_sensor) @ posed.odom_from_sensor)
         velocity: Twist = moved * (NS_PER_S / step_ns)
         fast = float(np.linalg.norm(velocity[3:])) > _FASTEST_M_PER_S
-        told = self._recorded.judge(velocity, posed.frame.moved, step_ns / NS_PER_S)
-        return (None if fast or posed.jumped else velocity), told
+        verdict = self._recorded.judge(velocity, posed.frame.moved, step_ns / NS_PER_S)
+        return (None if fast or posed.jumped else velocity), verdict
 
-    def _begin_anew(self) -> None:
+    def _begin_stretch(self) -> None:
         self._stretch += 1
         self._poses.clear()
 
@@ -165,7 +169,7 @@ def _ground(labelled: LabelledFrame, index: NDArray[np.int64]) -> Mask:
 
 
 def _moving(labelled: LabelledFrame, index: NDArray[np.int64], places: Voxels) -> Mask:
-    """(V,) places in which either stream calls a point dynamic."""
+    """Return (V,) places in which either stream labels a point dynamic."""
     dynamic = labelled.semantic.labels[index] == MotionLabel.DYNAMIC
     dynamic |= labelled.predictive.labels[index] == MotionLabel.DYNAMIC
     moving = np.zeros(len(places.centroids_m), np.bool_)

@@ -1,4 +1,4 @@
-"""Whether steps of the odometry are what the car itself recorded of its motion."""
+"""Recorded-motion check: steps of the odometry against the car's own recording."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -11,34 +11,37 @@ from workers.lidar.deskew import Twist
 
 NOISE_M: Final = 0.12
 NOISE_RAD: Final = float(np.radians(0.4))
-"""Of one step of a healthy odometry: a little over what the second registration calls a slip."""
+"""Noise of one step of a healthy odometry, slightly over the threshold of a slip."""
 
 SCALE: Final = 0.04
 TURN_SCALE: Final = 0.10
-"""Tyres wear, load and slip by a few parts in a hundred; turns are often those of steered wheels,
-and a lidar's own axis leans."""
+"""Relative errors of recorded speed and turn rate.
+
+Tyre wear, load and wheel slip change the speed by a few parts in a hundred. Turn rates are often
+those of steered wheels, and the axis of a lidar leans."""
 
 LATE_S: Final = 0.05
-"""How far the two clocks may lie apart, and recorded values lag behind."""
+"""Largest offset between the two clocks, and lag of recorded values, seconds."""
 
 AHEAD_M: Final = 4.0
 ASIDE_M: Final = 1.0
 ABOVE_M: Final = 2.0
-"""How far the lidar may be from where the speed holds: another place of a car that turns, pitches
-or rolls goes at another speed."""
+"""Largest distances between the lidar and the place that the recorded speed refers to, metres.
+
+Another place of a car that turns, pitches or rolls has another speed."""
 
 TILTS_RAD_PER_S: Final = 0.5
-"""A car over a speed bump; a slip that tilts excuses no more than that."""
+"""Largest rate of roll and pitch that excuses a difference: a car over a speed bump."""
 
-STANDS_M_PER_S: Final = 0.5
-STANDS_RAD_PER_S: Final = float(np.radians(2.0))
+STILL_M_PER_S: Final = 0.5
+STILL_RAD_PER_S: Final = float(np.radians(2.0))
 DRIVES_M_PER_S: Final = 3.0
 FASTEST_M_PER_S: Final = 70.0
 CREEPS: Final = 0.1
-"""An odometry that never caught on creeps; no unit of speed is that much smaller than another."""
+"""Speed ratio below which the odometry never locked on and creeps; units of speed differ less."""
 
 FEWEST: Final = 8
-"""Steps with motion after which a recording may be judged, and believed."""
+"""Steps with motion after which a recording can be judged, and believed."""
 
 REMEMBERED: Final = 30
 AGREEING: Final = 0.5
@@ -46,12 +49,12 @@ _SAME: Final = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
-    """What is thought of one step.
+class MotionComparison:
+    """Result of comparing one step.
 
     Attributes:
-        problem: How it differs, in words; empty where it does not, or nothing can be told.
-        remark: Why what was recorded is not believed; empty where it is, or there is nothing.
+        problem: The difference in words; empty where there is none, or nothing is known.
+        remark: Reason not to believe the recording; empty where it is believed, or absent.
     """
 
     problem: str = ""
@@ -66,33 +69,35 @@ class _Step:
 
 
 class MotionCheck:
-    """Compares steps, and the recording as a whole: one that hardly ever agrees is not believed.
+    """Compares single steps, and the recording as a whole: one that seldom agrees is not believed.
 
-    Wrong units, another vehicle's motion, a value that froze: none of that is a fault of the
-    odometry. Steps without any motion say nothing of it, so that a value frozen at zero is not
-    believed for having agreed at a red light. The other way about, where the odometry stands still
-    and the recording drives and varies, the odometry is what failed.
+    Wrong units, another vehicle's motion or a frozen value are not faults of the odometry. Steps
+    without any motion are not counted, so a value frozen at zero is not believed for having agreed
+    at a red light. In the opposite case, where the odometry is still and the recording drives and
+    varies, the odometry has failed.
     """
 
     def __init__(self) -> None:
         self._steps: deque[_Step] = deque(maxlen=REMEMBERED)
         self._before: RecordedMotion | None = None
-        self._says_turns = False
+        self._has_turns = False
 
-    def judge(self, velocity: Twist, moved: RecordedMotion | None, step_s: float) -> Verdict:
-        """Compare one step of the odometry with what was recorded.
+    def judge(
+        self, velocity: Twist, moved: RecordedMotion | None, step_s: float
+    ) -> MotionComparison:
+        """Compare one step of the odometry with the recording.
 
         Args:
             velocity: (6,) twist of the sensor per second, in its own space.
-            moved: What was recorded of the same time; None where nothing was.
-            step_s: That time.
+            moved: The recording of the same time; None where there is none.
+            step_s: That time, seconds.
         """
         before, self._before = self._before, moved
         if moved is None:
-            return Verdict(remark=self._disbelief())
+            return MotionComparison(remark=self._distrust())
         ours = float(np.linalg.norm(velocity[3:])), abs(float(velocity[2]))
-        self._says_turns |= moved.turn_rad_per_s > 0.0
-        turn = moved.turn_rad_per_s if self._says_turns else ours[1]
+        self._has_turns |= moved.turn_rad_per_s > 0.0
+        turn = moved.turn_rad_per_s if self._has_turns else ours[1]
         off_m = abs(ours[0] - moved.speed_m_per_s) * step_s
         off_rad = abs(ours[1] - turn) * step_s
         speeding = turning = 0.0
@@ -108,25 +113,25 @@ class MotionCheck:
         most_rad = NOISE_RAD + step_s * (TURN_SCALE * turn + LATE_S * turning)
         agrees = off_m <= most_m and off_rad <= most_rad
         if (
-            max(ours[0], moved.speed_m_per_s) > STANDS_M_PER_S
-            or max(ours[1], moved.turn_rad_per_s) > STANDS_RAD_PER_S
+            max(ours[0], moved.speed_m_per_s) > STILL_M_PER_S
+            or max(ours[1], moved.turn_rad_per_s) > STILL_RAD_PER_S
         ):
             self._steps.append(_Step(ours[0], moved.speed_m_per_s, agrees))
-        remark = self._disbelief()
+        remark = self._distrust()
         if agrees or remark or len(self._steps) < FEWEST:
-            return Verdict(remark=remark)
-        return Verdict(
+            return MotionComparison(remark=remark)
+        return MotionComparison(
             problem=f"the step differs from the recorded odometry by {off_m:.2f} m and "
             f"{np.degrees(off_rad):.1f} degrees"
         )
 
-    def _disbelief(self) -> str:
-        """Why the recording is not believed; empty where it is, or too little is known."""
+    def _distrust(self) -> str:
+        """Return why the recording is not believed; empty where it is, or too little is known."""
         steps = self._steps
         if len(steps) < FEWEST:
             return ""
         agreeing = sum(step.agrees for step in steps) / len(steps)
-        if agreeing >= AGREEING or self._ours_stands():
+        if agreeing >= AGREEING or self._odometry_is_still():
             return ""
         speeds = [step.recorded_m_per_s for step in steps]
         return (
@@ -135,8 +140,8 @@ class MotionCheck:
             f"{np.median([step.ours_m_per_s for step in steps]):.1f} m/s by the lidar)"
         )
 
-    def _ours_stands(self) -> bool:
-        """Whether the odometry stands still while the recording drives, and is alive."""
+    def _odometry_is_still(self) -> bool:
+        """Return True if the odometry is still while the recording drives and varies."""
         recorded = np.array([step.recorded_m_per_s for step in self._steps])
         ours = np.array([step.ours_m_per_s for step in self._steps])
         usual = float(np.median(recorded))
@@ -145,7 +150,7 @@ class MotionCheck:
 
 
 def _lever_m_per_s(speed_m_per_s: float, turn_rad_per_s: float) -> float:
-    """How much faster or slower another place of a car that turns may go."""
+    """Return the largest difference in speed between two places of a turning car."""
     ahead = turn_rad_per_s * AHEAD_M
     longer = ahead**2 / (2 * speed_m_per_s) if speed_m_per_s > ahead else ahead
     return turn_rad_per_s * ASIDE_M + longer

@@ -1,7 +1,8 @@
-"""What a worker accepts of the settings that a service names: whoever answers `hello` is believed.
+"""Acceptance of a service's settings: which buckets, models and weights a worker may be sent to.
 
-Whoever reaches the router can answer. On this machine that is a process like ourselves; elsewhere a
-worker reads, writes and loads only what its own settings name, or what lies in it.
+Any process that reaches the router can answer `hello`. On this machine such a process is trusted.
+From another machine a worker reads, writes and loads only the places of its own settings, or places
+inside them.
 """
 
 from ipaddress import ip_address
@@ -23,17 +24,17 @@ _LOCAL_PROTOCOLS: Final = ("unixsock-stream", "unixpipe")
 
 
 def refusal(asked: MiningSettings, config: WorkerConfig) -> str:
-    """Say in one sentence what of this is not accepted; empty: all of it is.
+    """Return in one sentence which setting is not accepted; empty when all are.
 
     Args:
-        asked: What the service names.
-        config: Of the worker, with its own settings.
+        asked: The settings of the service.
+        config: Configuration of the worker, with its own settings.
     """
     if all(is_loopback(endpoint) for endpoint in config.connect):
         return ""
     for setting, verb in _ASKED.items():
         named, own = getattr(asked, setting), getattr(config.accepts, setting)
-        if named and not (own and lies_in(named, own)):
+        if named and not (own and is_inside(named, own)):
             mine = f"{setting} = {own!r}" if own else f"{setting} is empty"
             return (
                 f"the service at {', '.join(config.connect)} asks this worker to {verb} {named!r}, "
@@ -44,7 +45,7 @@ def refusal(asked: MiningSettings, config: WorkerConfig) -> str:
 
 
 def is_loopback(endpoint: str) -> bool:
-    """Whether whoever listens there runs on this machine.
+    """Return True if an endpoint can only be on this machine.
 
     Args:
         endpoint: Of a router, such as `tcp/127.0.0.1:7447`.
@@ -61,12 +62,12 @@ def is_loopback(endpoint: str) -> bool:
         return False
 
 
-def lies_in(named: str, own: str) -> bool:
-    """Whether a URL or path is another one, or lies in it.
+def is_inside(named: str, own: str) -> bool:
+    """Return True if a URL or path is another one, or is inside it.
 
     Args:
-        named: What is asked for; links of a local path are followed.
-        own: What it must be or lie in; not empty.
+        named: The requested place; links of a local path are followed.
+        own: The accepted place; not empty.
     """
     if named == own:
         return True
@@ -79,6 +80,6 @@ def _place(url: str) -> tuple[str, PurePosixPath]:
     if parts.scheme in ("", "file"):
         local = real_path(Path(unquote(parts.path) if parts.scheme else url))
         return "file", PurePosixPath(local)
-    # A query can change what a URL means: only the same one is the same place.
+    # a query can change the meaning of a URL: only the same one is the same place
     root = f"{parts.scheme}://{parts.netloc}?{parts.query}#{parts.fragment}"
     return root, PurePosixPath("/", unquote(parts.path).strip("/"))

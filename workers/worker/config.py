@@ -1,4 +1,4 @@
-"""What a worker is told, and what it tells: all of a worker that its pool has to load."""
+"""Worker configuration and observer: the part of a worker that its pool has to load."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -6,18 +6,18 @@ from typing import Final
 from schemas.transport import keys
 
 DRAIN_S: Final = 20.0
-"""A worker told to stop finishes its shard if that takes no longer; systems kill after 30 s."""
+"""Time to finish a shard after a stop, seconds; systems kill a process after 30 s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Accepted:
-    """What the settings of the worker itself name: nothing else is accepted from afar.
+    """Places in the worker's own settings; no other place is accepted from another machine.
 
     Attributes:
         bucket: URL or path of the logs.
         artifacts: URL or path for overlays.
-        model: Adapter of one's own model, or a folder it lies in; empty: none is loaded.
-        weights: Folder of weights, or one it lies in; empty: only those that ship.
+        model: Adapter of one's own model, or a folder it is in; empty: none is loaded.
+        weights: Folder of weights, or one it is in; empty: only those that ship.
     """
 
     bucket: str = ""
@@ -28,14 +28,14 @@ class Accepted:
 
 @dataclass(frozen=True, slots=True)
 class WorkerConfig:
-    """What a worker must know before it can ask the service for the rest.
+    """Settings that a worker needs before it can ask the service for the others.
 
     Attributes:
         worker_id: Unique; the ids of one pool share a prefix.
         connect: Endpoints of routers.
         root: First part of every key.
-        drain_s: How long a lease may still be worked on after being told to stop, seconds.
-        accepts: Which places the service may name, where a router is on another machine.
+        drain_s: Time to work on a lease after a stop, seconds.
+        accepts: Places that the service may name, where a router is on another machine.
     """
 
     worker_id: str
@@ -46,13 +46,13 @@ class WorkerConfig:
 
 
 class WorkerObserver:
-    """What a worker tells whoever started it; does nothing until it is overridden."""
+    """Receives the state of a worker for the process that started it; does nothing by default."""
 
     def connected(self, connected: bool) -> None:
-        """Told whether a router is there, at the beginning and at every change."""
+        """Receive the presence of a router, at the beginning and at every change."""
 
     def equipped(self, pipeline_version: str) -> None:
-        """Told when the worker can mine what the service asks for, and as what."""
+        """Receive the pipeline version once the worker can mine for the service; empty if not."""
 
     def working(self, working: bool) -> None:
-        """Told true when work on a lease begins and false when it ends."""
+        """Receive true when work on a lease begins and false when it ends."""

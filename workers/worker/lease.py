@@ -1,4 +1,4 @@
-"""A worker's side of a lease: asked for, kept alive while worked on, finished or given back."""
+"""A worker's side of a lease: claimed, renewed during work, finished or given back."""
 
 import time
 from collections.abc import Callable
@@ -32,31 +32,32 @@ from schemas.work import (
 log = structlog.get_logger(__name__)
 
 RENEW_SHARE: Final = 1 / 3
-"""Of a lease's term: two renewals may fail before it expires."""
+"""Renewal interval as a share of a lease's term: two renewals may fail before it expires."""
 
 ASK_S: Final = 10.0
 RENEW_ASK_S: Final = 5.0
-"""How long one question may take, seconds; then it is asked again, a renewal at its next time."""
+"""Timeouts of a request and of a renewal, seconds; a request is repeated, a renewal at its next
+time."""
 
 Reply = TypeVar("Reply", bound=BaseModel)
 
 
 class LeaseLostError(CounterpointError):
-    """The lease is another's now: what was done under it is dropped, without a word."""
+    """The lease belongs to another worker now; its results are dropped without a message."""
 
 
 class Leases:
-    """Asks the service, again and again until it answers: it may be restarting."""
+    """Requests to the service, repeated until it answers, since it may be restarting."""
 
     def __init__(self, session: zenoh.Session, *, root: str, worker_id: str) -> None:
         self._session, self._root, self.worker_id = session, root, worker_id
 
     def hello(self, *, stop: Event) -> MiningSettings:
-        """Ask what every worker must do alike."""
+        """Request the settings that all workers share."""
         return self._ask("hello", b"", MiningSettings, stop=stop)
 
     def claim(self, pipeline_version: str, *, stop: Event) -> ClaimReply:
-        """Ask for something to do."""
+        """Request a lease."""
         request = ClaimRequest(worker_id=self.worker_id, pipeline_version=pipeline_version)
         return self._ask("claim", encode(request), ClaimReply, stop=stop)
 
@@ -65,17 +66,17 @@ class Leases:
         return self._ask("commit", encode(request), Answer, stop=stop)
 
     def fail(self, request: FailRequest, *, patience_s: float) -> None:
-        """Give a lease back with its error; unanswered, it expires by itself."""
+        """Give a lease back with its error; without an answer it expires by itself."""
         try:
             self._ask("fail", encode(request), Answer, stop=Event(), patience_s=patience_s)
         except TransientError as error:
-            log.warning("lease left to expire", problem=str(error))
+            log.warning("failure not reported: the lease will expire", problem=str(error))
 
     def renew(self, lease_id: str) -> Answer:
-        """Lengthen a lease; asked once.
+        """Extend a lease, with a single request.
 
         Raises:
-            CounterpointError: If nobody answers now, or not as expected.
+            CounterpointError: If there is no answer now, or not an expected one.
         """
         request = RenewRequest(worker_id=self.worker_id, lease_id=lease_id)
         answer = ask(self._session, self._key("renew"), encode(request), timeout_s=RENEW_ASK_S)
@@ -102,7 +103,7 @@ class Leases:
             return decode(kind, answer)
         except ValidationError as error:
             raise PermanentError(
-                f"the service answers {verb} in words of another version; install the same version "
+                f"the service's answer to {verb} is of another version; install the same version "
                 f"on both sides ({error.error_count()} fields differ)"
             ) from None
 
@@ -111,10 +112,10 @@ class Leases:
 
 
 class LeaseKeeper(AbstractContextManager["LeaseKeeper"]):
-    """Renews a lease from a thread of its own, and says when working on it makes no more sense.
+    """Renews a lease in a thread of its own, and signals when work on it has become pointless.
 
     Attributes:
-        drained: Set when a worker told to stop has worked on for as long as it may.
+        drained: Set when the time to work on after a stop is over.
         over: Set then, and when the lease is lost: mining on would be in vain. A commit would not
             be: the service takes finished work under a lost lease, unless another was faster.
     """
@@ -129,14 +130,14 @@ class LeaseKeeper(AbstractContextManager["LeaseKeeper"]):
         on_unrenewed: Callable[[], None] = lambda: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Take the lease.
+        """Keep a lease.
 
         Args:
-            leases: Where to renew it.
-            lease: Which.
+            leases: Requests to the service.
+            lease: The lease.
             stop: Set when the worker should end.
-            drain_s: How long after that the lease may still be worked on, seconds.
-            on_unrenewed: Told of every renewal that got no answer.
+            drain_s: Time to work on the lease after that, seconds.
+            on_unrenewed: Called for every renewal without an answer.
             clock: Monotonic seconds.
         """
         self.over, self.drained = Event(), Event()
@@ -148,11 +149,11 @@ class LeaseKeeper(AbstractContextManager["LeaseKeeper"]):
         self._thread = Thread(target=self._keep, name="lease", daemon=True)
 
     def check(self) -> None:
-        """Go on only while it makes sense.
+        """Return only while the lease can still be finished.
 
         Raises:
-            LeaseLostError: If the lease is another's.
-            StoppedError: If the worker was told to stop, and has drained long enough.
+            LeaseLostError: If the lease belongs to another worker.
+            StoppedError: If the worker was stopped, and has drained long enough.
         """
         if self.drained.is_set():
             raise StoppedError(f"stopped after draining for {self._drain_s:g} s")
@@ -160,7 +161,7 @@ class LeaseKeeper(AbstractContextManager["LeaseKeeper"]):
             raise LeaseLostError(f"lease lost: {self._lost}")
 
     def __enter__(self) -> Self:
-        """Begin to renew."""
+        """Start renewing."""
         self._thread.start()
         return self
 
@@ -170,7 +171,7 @@ class LeaseKeeper(AbstractContextManager["LeaseKeeper"]):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Renew no more."""
+        """Stop renewing."""
         self._done.set()
         self._thread.join()
 

@@ -1,4 +1,4 @@
-"""One attempt at a lease: plan a log, or mine a shard; publish, and commit."""
+"""Lease execution: one attempt to plan a log or mine a shard, to publish and to commit."""
 
 import time
 from contextlib import closing
@@ -10,12 +10,12 @@ import zenoh
 from schemas.work import CommitRequest, ManifestEntry, MineLease, PlanLease
 from workers.ingest.footer import TruncatedPart
 from workers.ingest.plan import plan_recording
-from workers.mine import Account, mine_records
+from workers.mine import MiningReport, mine_records
 from workers.worker.lease import LeaseKeeper, LeaseLostError, Leases
-from workers.worker.logging import tell_mined, tell_planned, tell_truncated, tell_unread_labels
+from workers.worker.logging import log_mined, log_planned, log_truncated, log_unread_labels
 from workers.worker.metrics import WorkerMetrics
 from workers.worker.store_health import put_artifact
-from workers.worker.worker_context import Equipment
+from workers.worker.worker_context import WorkerContext
 
 log = structlog.get_logger(__name__)
 
@@ -23,122 +23,122 @@ Lease = PlanLease | MineLease
 
 
 @dataclass(frozen=True, slots=True)
-class Attempts:
-    """What every attempt of one worker needs.
+class LeaseExecution:
+    """Services that every attempt of one worker needs.
 
     Attributes:
-        publisher: Where records are published.
-        leases: The service.
-        metrics: Where is counted.
+        publisher: Publisher of the records.
+        leases: Requests to the service.
+        metrics: Counters of the worker.
     """
 
     publisher: zenoh.ext.AdvancedPublisher
     leases: Leases
     metrics: WorkerMetrics
 
-    def plan(self, lease: PlanLease, equipment: Equipment, keeper: LeaseKeeper) -> None:
+    def plan(self, lease: PlanLease, context: WorkerContext, keeper: LeaseKeeper) -> None:
         """Plan a recording.
 
         Raises:
-            StillGrowingError: If it is not whole yet, and was listed only a moment ago.
+            StillGrowingError: If it is incomplete, and was listed only a moment ago.
             BucketUnreachableError: If the bucket does not answer.
-            BucketRefusedError: If it says no.
-            ObjectChangedError: If a part is no longer what was listed.
-            LeaseLostError: If another was faster.
-            StoppedError: If told to stop, and nobody took the commit in time.
+            BucketRefusedError: If the bucket refuses.
+            ObjectChangedError: If a part is no longer the listed one.
+            LeaseLostError: If another worker was faster.
+            StoppedError: If the worker was stopped, and the commit was not accepted in time.
         """
         began_s = time.monotonic()
         truncated: list[TruncatedPart] = []
         unread_labels: list[str] = []
         plan = plan_recording(
-            equipment.bucket,
+            context.bucket,
             lease.recording,
-            equipment.settings,
+            context.settings,
             settled=lease.settled,
             on_truncated=truncated.append,
             on_unread_labels=unread_labels.append,
         )
         self.metrics.planned(plan, truncated_parts=len(truncated))
-        tell_truncated(truncated)
-        tell_unread_labels(unread_labels)
+        log_truncated(truncated)
+        log_unread_labels(unread_labels)
         self._commit(self._request(lease, plan=plan), {}, keeper)
         seconds = time.monotonic() - began_s
         self.metrics.plan_committed(seconds)
         self.metrics.plan_ended("refused" if plan.refused else "committed")
-        tell_planned(plan, seconds=seconds)
+        log_planned(plan, seconds=seconds)
 
-    def mine(self, lease: MineLease, equipment: Equipment, keeper: LeaseKeeper) -> None:
+    def mine(self, lease: MineLease, context: WorkerContext, keeper: LeaseKeeper) -> None:
         """Mine a shard.
 
         Raises:
             BucketUnreachableError: If the bucket does not answer.
-            BucketRefusedError: If it says no.
+            BucketRefusedError: If the bucket refuses.
             StoreTroubleError: If overlays cannot be written.
-            ObjectChangedError: If an object is no longer the one that was planned.
-            LeaseLostError: If the lease is another's.
-            StoppedError: If told to stop, and it was not done in time.
+            ObjectChangedError: If an object is no longer the planned one.
+            LeaseLostError: If the lease belongs to another worker.
+            StoppedError: If the worker was stopped, and mining did not end in time.
             PermanentError: If the shard can never be mined.
         """
         began_s = time.monotonic()
-        account = Account()
+        report = MiningReport()
         records: dict[str, bytes] = {}
         manifest: list[ManifestEntry] = []
         mining = mine_records(
-            equipment.bucket,
+            context.bucket,
             lease.recording,
             lease.shard,
-            settings=equipment.settings,
-            parts=equipment.parts,
-            pipeline_version=equipment.version,
-            account=account,
+            settings=context.settings,
+            parts=context.parts,
+            pipeline_version=context.version,
+            report=report,
             check=keeper.check,
         )
         try:
             with closing(mining):
                 for mined in mining:
-                    with account.clock.stage("publishing"):
-                        put_artifact(equipment.artifacts, mined.overlay_key, mined.overlay)
+                    with report.clock.stage("publishing"):
+                        put_artifact(context.artifacts, mined.overlay_key, mined.overlay)
                         self.publisher.put(mined.record)
                     self.metrics.scene_mined(mined.score)
                     scene_id = mined.score.scene_id
                     records[scene_id] = mined.record
                     manifest.append(ManifestEntry(scene_id=scene_id, sha256=mined.sha256))
         finally:
-            self._count(account)
+            self._count(report)
         request = self._request(
             lease,
             manifest=tuple(manifest),
-            damage=tuple(account.damage),
-            stats=account.stats(),
+            damage=tuple(report.damage),
+            stats=report.stats(),
         )
-        with account.clock.stage("committing"):
+        with report.clock.stage("committing"):
             self._commit(request, records, keeper)
         seconds = time.monotonic() - began_s
-        self.metrics.shard_committed(account.clock.seconds, seconds=seconds)
+        self.metrics.shard_committed(report.clock.seconds, seconds=seconds)
         self.metrics.shard_ended("committed")
-        tell_mined(account, seconds=seconds)
+        log_mined(report, seconds=seconds)
 
-    def _count(self, account: Account) -> None:
+    def _count(self, report: MiningReport) -> None:
         self.metrics.mined(
-            account.stats(),
-            scenes=account.scenes,
-            damaged=len(account.damage),
-            odometry_frames=account.odometry,
-            blind_frames=account.blindness,
-            motion_points=account.labels,
+            report.stats(),
+            scenes=report.scenes,
+            damaged=len(report.damage),
+            odometry_frames=report.odometry,
+            blind_frames=report.blindness,
+            motion_points=report.labels,
         )
 
     def _commit(
         self, request: CommitRequest, records: dict[str, bytes], keeper: LeaseKeeper
     ) -> None:
-        """Repeat the commit, with what is missing, until the service has everything on disk."""
+        """Repeat the commit, with the missing records, until the service has everything on disk."""
         while True:
             answer = self.leases.commit(request, stop=keeper.drained)
             if answer.ok:
                 return
             if not answer.missing:
                 raise LeaseLostError(f"commit refused: {answer.problem}")
-            log.debug("sending again", scenes=len(answer.missing))
+            log.debug("sending missing records again", scenes=len(answer.missing))
             again = tuple(records[scene_id].decode() for scene_id in answer.missing)
             request = request.model_copy(update={"records": again})
 

@@ -1,8 +1,8 @@
 """The worker's loop: claim, read, mine, publish, commit; killed at any point, nothing is lost.
 
-A worker keeps no state. Records go out on the bus as they are mined, overlays to the artifacts, and
-then a commit names them all; the service answers it once everything is on disk. What was done
-without that answer will be done again, byte for byte the same.
+A worker keeps no state. It publishes records on the bus and writes overlays to the artifacts during
+mining. A commit then names them all, and the service answers it once everything is on disk. Work
+without that answer is repeated, with the same bytes.
 """
 
 import sys
@@ -32,21 +32,22 @@ from workers.ingest.footer import StillGrowingError
 from workers.worker.acceptance import refusal
 from workers.worker.config import WorkerConfig, WorkerObserver
 from workers.worker.lease import LeaseKeeper, LeaseLostError, Leases
-from workers.worker.lease_execution import Attempts, Lease
+from workers.worker.lease_execution import Lease, LeaseExecution
 from workers.worker.metrics import ShardOutcome, WorkerMetrics
 from workers.worker.store_health import StoreTroubleError, cause_of, wait_until_over
-from workers.worker.worker_context import Equipment, equip
+from workers.worker.worker_context import WorkerContext, build_context
 
 log = structlog.get_logger(__name__)
 
 FAIL_PATIENCE_S: Final = 20.0
 LAST_PATIENCE_S: Final = 3.0
-"""How long to try to say that a lease failed, and how long when told to stop; after that it
-expires, which says the same."""
+"""Time to report a failed lease, seconds, in normal operation and after a stop; the lease then
+expires, with the same effect."""
 
 FIRST_REFUSED_S: Final = 2.0
 MOST_REFUSED_S: Final = 60.0
-"""How long until a service that was not accepted is asked again: its settings may be mended."""
+"""First and longest wait before a service that was not accepted is asked again, seconds: its
+settings may change."""
 
 
 def run_worker(
@@ -56,17 +57,17 @@ def run_worker(
     observer: WorkerObserver | None = None,
     metrics: WorkerMetrics | None = None,
 ) -> None:
-    """Work until told to stop.
+    """Work until stopped.
 
     Args:
-        config: Whom to ask.
-        stop: When to end; a lease that is soon done is still finished.
-        observer: Told how the worker is.
-        metrics: Where it counts.
+        config: Configuration of the worker.
+        stop: Set to end; a lease that is soon done is still finished.
+        observer: Receives the state of the worker.
+        metrics: Counters of the worker.
 
     Raises:
         TransientError: If bucket or artifacts cannot be opened now.
-        PermanentError: If what the service asks for cannot be done here at all.
+        PermanentError: If the service's settings can never be used here.
     """
     observer, metrics = observer or WorkerObserver(), metrics or WorkerMetrics()
     with (
@@ -102,58 +103,58 @@ class Worker:
         self._observer = observer or WorkerObserver()
         self._metrics = metrics or WorkerMetrics()
         self._leases = Leases(session, root=config.root, worker_id=config.worker_id)
-        self._equipped: Equipment | None = None
+        self._context: WorkerContext | None = None
         self._suspect: tuple[str, str] | None = None
         self._refused = ""
 
     def run(self) -> None:
-        """Claim and work until told to stop."""
+        """Claim and work until stopped."""
         key = keys.score(root=self._config.root, worker_id=self._config.worker_id)
         try:
-            # One publisher for life: a router never forgets a key that was declared.
+            # one publisher for the worker's life: a router never forgets a declared key
             with recoverable_publisher(self._session, key) as publisher:
-                attempts = Attempts(publisher, self._leases, self._metrics)
+                execution = LeaseExecution(publisher, self._leases, self._metrics)
                 while not self._stop.is_set():
-                    self._claim_and_work(attempts)
+                    self._claim_and_work(execution)
         except StoppedError:
             pass
         log.info("worker stops")
 
-    def _claim_and_work(self, attempts: Attempts) -> None:
-        equipment = self._equipment()
-        grant = self._leases.claim(equipment.version, stop=self._stop).grant
+    def _claim_and_work(self, execution: LeaseExecution) -> None:
+        context = self._current_context()
+        grant = self._leases.claim(context.version, stop=self._stop).grant
         if isinstance(grant, NothingToDo):
             self._stop.wait(grant.retry_after_s)
             return
         self._observer.working(True)
         self._metrics.lease_began()
-        trouble = self._work(attempts, grant, equipment)
+        store_trouble = self._work(execution, grant, context)
         self._metrics.lease_ended()
         self._observer.working(False)
-        if trouble is not None:
-            wait_until_over(trouble, stop=self._stop, metrics=self._metrics)
+        if store_trouble is not None:
+            wait_until_over(store_trouble, stop=self._stop, metrics=self._metrics)
 
-    def _equipment(self) -> Equipment:
-        """Ask every time: a service that was restarted may want something else now."""
-        settings = self._asked()
-        if self._equipped is None or self._equipped.settings != settings:
-            self._equipped = equip(settings)
-            one_thread_only()
-            self._observer.equipped(self._equipped.version)
-            log.info("worker ready", pipeline_version=self._equipped.version)
-        return self._equipped
+    def _current_context(self) -> WorkerContext:
+        """Build parts and buckets if the settings changed; a restarted service may have others."""
+        settings = self._accepted_settings()
+        if self._context is None or self._context.settings != settings:
+            self._context = build_context(settings)
+            limit_threads()
+            self._observer.equipped(self._context.version)
+            log.info("worker ready", pipeline_version=self._context.version)
+        return self._context
 
-    def _asked(self) -> MiningSettings:
-        """Ask until the service names only what this worker accepts; say once what it does not.
+    def _accepted_settings(self) -> MiningSettings:
+        """Request settings until this worker accepts them; log once why it does not.
 
         Raises:
-            StoppedError: If told to stop meanwhile.
+            StoppedError: If stopped meanwhile.
         """
         waits = backoff_s(first_s=FIRST_REFUSED_S, most_s=MOST_REFUSED_S)
         settings = self._leases.hello(stop=self._stop)
         while problem := refusal(settings, self._config):
             if problem != self._refused:
-                log.error("service not accepted, asking it again now and then", problem=problem)
+                log.error("service not accepted, asking it again periodically", problem=problem)
                 self._observer.equipped("")
             self._refused = problem
             pause(self._stop, next(waits))
@@ -161,17 +162,17 @@ class Worker:
         if self._refused:
             log.info("service accepted")
             self._refused = ""
-            if self._equipped is not None:
-                self._observer.equipped(self._equipped.version)
+            if self._context is not None:
+                self._observer.equipped(self._context.version)
         return settings
 
     def _work(
-        self, attempts: Attempts, lease: Lease, equipment: Equipment
+        self, execution: LeaseExecution, lease: Lease, context: WorkerContext
     ) -> StoreTroubleError | None:
-        """Do what a lease asks for, or say why not; only a bug escapes, after it was said too.
+        """Execute a lease, or report its failure; only a bug is raised, after it was reported.
 
         Returns:
-            The trouble with a store that any other lease would meet too.
+            The trouble with a store that any other lease would also meet.
         """
         with (
             structlog.contextvars.bound_contextvars(**_ids(lease)),
@@ -186,14 +187,14 @@ class Worker:
             log.debug("lease begins", lease_id=lease.lease_id)
             try:
                 if isinstance(lease, PlanLease):
-                    attempts.plan(lease, equipment, keeper)
+                    execution.plan(lease, context, keeper)
                 else:
-                    attempts.mine(lease, equipment, keeper)
+                    execution.mine(lease, context, keeper)
             except LeaseLostError as error:
                 log.warning("work dropped", problem=str(error))
                 self._count(lease, "lost")
             except (BucketUnreachableError, BucketRefusedError) as error:
-                return self._blame(error, lease, equipment)
+                return self._fail_reading(error, lease, context)
             except CounterpointError as error:
                 return self._fail(lease, error)
             except Exception as error:
@@ -202,19 +203,19 @@ class Worker:
             self._suspect = None
         return None
 
-    def _blame(
-        self, error: CounterpointError, lease: Lease, equipment: Equipment
+    def _fail_reading(
+        self, error: CounterpointError, lease: Lease, context: WorkerContext
     ) -> StoreTroubleError | None:
-        """Find out whose fault it is that a log could not be read, and fail accordingly."""
-        if self._stop.is_set():  # whoever starts after us finds out
-            return self._fail(lease, StoppedError(f"told to stop while a store fails: {error}"))
+        """Find the cause of a log that could not be read, and fail accordingly."""
+        if self._stop.is_set():  # the next worker finds the cause
+            return self._fail(lease, StoppedError(f"stopped while a store fails: {error}"))
         target = _target(lease)
         repeated, self._suspect = target == self._suspect, target
-        cause = cause_of(error, equipment.bucket, lease.recording, repeated=repeated)
+        cause = cause_of(error, context.bucket, lease.recording, repeated=repeated)
         return self._fail(lease, cause)
 
     def _fail(self, lease: Lease, error: Exception) -> StoreTroubleError | None:
-        """Tell the service why a lease ended without its work.
+        """Report to the service why a lease ended without its work.
 
         Returns:
             The error, if it is one that must be waited out.
@@ -224,7 +225,7 @@ class Worker:
         is_plan = isinstance(lease, PlanLease)
         say = log.warning if outcome in ("failed", "replaced") else log.info
         if outcome in ("store_away", "growing"):
-            say = log.debug  # the wait for the store is said; the service counts what grows
+            say = log.debug  # the wait for the store is logged; the service counts growing logs
         say(f"{'plan' if is_plan else 'shard'} {outcome.replace('_', ' ')}", problem=problem)
         if outcome == "growing":
             self._metrics.plan_ended("growing")
@@ -278,14 +279,14 @@ def _ids(lease: Lease) -> dict[str, str]:
 
 
 def _summary(error: Exception) -> str:
-    """Say what and where in one line: a ledger is no place for a whole traceback."""
+    """Summarise an error and its place in one line: a ledger is no place for a traceback."""
     frames: Sequence[traceback.FrameSummary] = traceback.extract_tb(error.__traceback__)
     where = "; ".join(f"{Path(f.filename).name}:{f.lineno} {f.name}" for f in frames[-3:])
     return f"{type(error).__name__}: {error} ({where})"
 
 
-def one_thread_only() -> None:
-    """More cores are more workers, and results must not hang on how many there are.
+def limit_threads() -> None:
+    """Limit torch to one thread: more cores are more workers, and results must not depend on them.
 
     Parts that need torch load it when they are built; without them it would only take 150 MiB.
     """

@@ -1,4 +1,4 @@
-"""Every metric of the workers and of their pool, with its labels and when to worry."""
+"""Every metric of the workers and of their pool, with its labels and alarm conditions."""
 
 from collections.abc import Mapping
 from itertools import product
@@ -23,26 +23,29 @@ NAMESPACE: Final = "counterpoint"
 SUBSYSTEM: Final = "worker"
 
 ShardOutcome = Literal["committed", "failed", "lost", "given_back", "replaced", "store_away"]
-"""How work on a shard ended: committed; the attempt failed; the lease went to another; handed back
-at a stop; its object was replaced; a store was away, or refused everything."""
+"""Ends of a shard's lease: committed; failed attempt; lease lost to another worker; given back at a
+stop; object replaced; store unreachable, or refusing everything."""
 
 PlanOutcome = Literal[
     "committed", "refused", "growing", "failed", "lost", "given_back", "replaced", "store_away"
 ]
-"""As of shards; refused: committed as a log that cannot be mined; growing: not yet whole."""
+"""Ends of a plan's lease, as those of shards; refused: committed as a log that cannot be mined;
+growing: not yet complete."""
 
 Work = Literal["plan", "mine"]
 Store = Literal["bucket", "artifacts"]
 StoreError = Literal["unreachable", "refused"]
 Death = Literal["crashed", "stuck", "unready", "gave_up", "stopped"]
-"""Why a worker process ended unasked by its pool: a crash or kill; too long on one lease; what it
-needs was not there at its start; it cannot do what the service asks; someone else told it to."""
+"""Causes of a worker process's end without its pool's request.
+
+They are: a crash or kill; too long on one lease; a requirement missing at its start; settings of
+the service that it cannot use; a stop by another process."""
 
 SHARD_BUCKETS_S: Final = (0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 20.0, 40.0, 80.0, 160.0)
-"""Around the 20 s of lidar that a shard holds by default."""
+"""Buckets around the 20 s of lidar in a default shard, seconds."""
 
 RESIDUAL_BUCKETS_M: Final = (0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.2, 0.3, 0.5)
-"""Around 0.1 m, what the spacing of 64 beams alone makes of it."""
+"""Buckets around 0.1 m, the residual from the spacing of 64 beams alone, metres."""
 
 SHARE_BUCKETS: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 
@@ -50,28 +53,28 @@ Metric = TypeVar("Metric", Counter, Gauge, Histogram)
 
 
 class WorkerMetrics:
-    """What one worker counts; a pool serves the sum over its workers.
+    """Metrics of one worker; a pool serves the sum over its workers.
 
-    Everything here counts attempts: a shard that is mined twice counts twice. What counts each
-    scene once is the service's.
+    All of them count attempts: a shard that is mined twice counts twice. The service's metrics
+    count each scene once.
     """
 
     def __init__(self, registry: CollectorRegistry | None = None) -> None:
-        """Make every series at once, so that each is there from the first scrape on.
+        """Create every series at once, so that each is there from the first scrape on.
 
         Args:
-            registry: Where to register; by default one of its own.
+            registry: Registry of the metrics; by default one of its own.
         """
         self.registry = registry or CollectorRegistry()
         self._shards = self._counter(
             "shards",
-            "Shards whose lease ended here, by how. Worry when `failed` grows: the ledger "
+            "Shards whose lease ended here, by outcome. Worry when `failed` grows: the ledger "
             "names log and error. `store_away` costs no attempt.",
             outcome=get_args(ShardOutcome),
         )
         self._plans = self._counter(
             "plans",
-            "Logs whose planning lease ended here, by how. `growing` is an upload in progress; "
+            "Logs whose planning lease ended here, by outcome. `growing` is an upload in progress; "
             "worry when one log stays so for longer than an upload takes.",
             outcome=get_args(PlanOutcome),
         )
@@ -85,25 +88,26 @@ class WorkerMetrics:
         )
         self._odometry_frames = self._counter(
             "odometry_frames",
-            "Mined frames by how far their pose may be trusted. Worry when more than a tenth are "
+            "Mined frames by the health of their pose. Worry when more than a tenth are "
             "not healthy: degraded poses lower a scene's score, lost ones void it.",
             state=tuple(OdometryState),
         )
         self._pose_jumps = self._counter(
             "pose_jumps",
-            "Mined frames whose pose went where no car goes from one frame to the next. Worry when "
+            "Mined frames whose pose moved as no car can from one frame to the next. Worry when "
             "it grows steadily: frames are dropped, or time stamps are wrong.",
         )
         self._blind_frames = self._counter(
             "blind_frames",
-            "Mined frames in which the self-supervised stream judged nothing off the ground, by "
-            "why. `no_past` is the start of a log or a gap. Worry when the others exceed a tenth.",
+            "Mined frames in which the self-supervised stream labelled nothing off the ground, "
+            "by cause. `no_past` is the start of a log or a gap. Worry when the others exceed a "
+            "tenth.",
             cause=tuple(Blindness),
         )
         self._motion_points = self._counter(
             "motion_points",
-            "Returns of the mined frames by what the self-supervised stream says of them. Worry "
-            "when the share of `unknown` rises: it lost its footing, and finds nothing.",
+            "Returns of the mined frames by their label of the self-supervised stream. Worry when "
+            "the share of `unknown` rises: the stream has lost its evidence, and finds no motion.",
             label=MOTION.labels,
         )
         self._static_residual = self._histogram(
@@ -114,8 +118,9 @@ class WorkerMetrics:
         )
         self._seen_share = self._histogram(
             "seen_share",
-            "Share of what the self-supervised stream was asked about that an earlier frame saw or "
-            "saw through, by scene. Worry below a half: beams or origin of the sensor are wrong.",
+            "Share of the voxels off the ground that another frame saw or saw through, by scene, "
+            "for the self-supervised stream. Worry below a half: beams or origin of the sensor "
+            "are wrong.",
             buckets=SHARE_BUCKETS,
         )
         self._damaged_chunks = self._counter(
@@ -191,11 +196,11 @@ class WorkerMetrics:
         )
 
     def lease_began(self) -> None:
-        """A worker is at work."""
+        """Note the start of work on a lease."""
         self._busy.set(1)
 
     def lease_ended(self) -> None:
-        """It no longer is."""
+        """Note the end of work on a lease."""
         self._busy.set(0)
 
     def shard_ended(self, outcome: ShardOutcome) -> None:
@@ -207,14 +212,14 @@ class WorkerMetrics:
         self._plans.labels(outcome).inc()
 
     def planned(self, plan: LogPlan, *, truncated_parts: int) -> None:
-        """Count what planning took and found."""
+        """Count the reads and findings of planning."""
         self._bytes_read.labels("plan").inc(plan.bytes_read)
         self._range_reads.labels("plan").inc(plan.range_reads)
         self._damaged_chunks.inc(len(plan.damage))
         self._truncated_parts.inc(truncated_parts)
 
     def plan_committed(self, seconds: float) -> None:
-        """Note how long a plan took, from lease to commit."""
+        """Note the time of a plan, from lease to commit."""
         self._plan_seconds.observe(seconds)
 
     def mined(
@@ -227,15 +232,15 @@ class WorkerMetrics:
         blind_frames: Mapping[Blindness, int],
         motion_points: Mapping[str, int],
     ) -> None:
-        """Count what one attempt at a shard took and found, whether it will be committed or not.
+        """Count the reads and results of one attempt at a shard, committed or not.
 
         Args:
             stats: Sums over the attempt.
-            scenes: How many were published.
+            scenes: Number of published scenes.
             damaged: Stretches that could not be read.
             odometry_frames: Frames by the health of their pose.
-            blind_frames: Frames without an answer of the self-supervised stream, by why.
-            motion_points: Returns by that stream's answer, by name.
+            blind_frames: Frames without labels of the self-supervised stream, by cause.
+            motion_points: Returns by that stream's label, by name.
         """
         self._frames.inc(stats.frames)
         self._scenes.inc(scenes)
@@ -252,7 +257,7 @@ class WorkerMetrics:
             self._motion_points.labels(label).inc(points)
 
     def scene_mined(self, score: SceneScore) -> None:
-        """Note what the streams of one scene had to go by."""
+        """Note the odometry residual and the free-space coverage of one scene."""
         if score.odometry.static_residual_m > 0.0:  # 0 where nothing was measured
             self._static_residual.observe(score.odometry.static_residual_m)
         if score.health is not None:
@@ -261,13 +266,13 @@ class WorkerMetrics:
                 self._seen_share.observe(score.health.seen_share)
 
     def shard_committed(self, stage_s: Mapping[Stage, float], *, seconds: float) -> None:
-        """Note how long a shard took, by stage and from lease to commit."""
+        """Note the time of a shard, by stage and from lease to commit."""
         for stage, spent_s in stage_s.items():
             self._stage_seconds.labels(stage).observe(spent_s)
         self._shard_seconds.observe(seconds)
 
     def router_seen(self, connected: bool) -> None:
-        """Note whether this worker has a router now."""
+        """Note the presence of a router."""
         self._connected.set(connected)
 
     def store_failed(self, store: Store, kind: StoreError) -> None:
@@ -327,11 +332,11 @@ class WorkerMetrics:
 
 
 class PoolMetrics:
-    """What the process that keeps workers alive counts of them."""
+    """Metrics of the processes that a pool keeps alive."""
 
     def __init__(self, registry: CollectorRegistry) -> None:
-        """Make every series at once."""
-        # a series more for each counter, which nobody reads
+        """Create every series at once."""
+        # one more series per counter, without a reader
         disable_created_metrics()  # type: ignore[no-untyped-call]  # upstream lacks the types
         self.wanted = Gauge(
             "processes_wanted",
@@ -352,7 +357,7 @@ class PoolMetrics:
         self._deaths = _with_series(
             Counter(
                 "restarts",
-                "Worker processes that ended unasked, by why; all but `gave_up` are replaced. "
+                "Worker processes that ended unasked, by cause; all but `gave_up` are replaced. "
                 "Worry when it grows more than once an hour: `crashed` is often too little memory.",
                 ("cause",),
                 NAMESPACE,
@@ -368,7 +373,7 @@ class PoolMetrics:
 
 
 def _with_series(metric: Metric, labels: Mapping[str, tuple[str, ...]]) -> Metric:
-    """Make the series of every combination of labels: a rate needs a zero to rise from."""
+    """Create the series of every combination of labels: a rate needs a zero to rise from."""
     if labels:
         for combination in product(*labels.values()):
             metric.labels(*combination)

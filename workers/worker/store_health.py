@@ -1,7 +1,7 @@
-"""Whose fault a store's error is: the store's as a whole, which is waited out, or one object's.
+"""Store health: separates trouble of a store as a whole, which is waited out, from one object's.
 
-An outage or expired credentials would fail every shard there is, one after the other; so a store in
-trouble costs no attempt, and a worker claims nothing until it works again.
+An outage or expired credentials would fail every shard, one after the other. A store in trouble
+therefore costs no attempt, and a worker claims nothing until it works again.
 """
 
 import time
@@ -28,22 +28,22 @@ from workers.worker.metrics import Store, StoreError, WorkerMetrics
 log = structlog.get_logger(__name__)
 
 PROBE_KEY: Final = "counterpoint-probe"
-"""Object of the artifacts that is written, and deleted again, to see whether they can be."""
+"""Object of the artifacts that is written, and deleted again, to test write access."""
 
 FIRST_WAIT_S: Final = 1.0
 MOST_WAIT_S: Final = 30.0
 
 
 class StoreTroubleError(TransientError):
-    """A store as a whole is away or refuses: no fault of what was being worked on."""
+    """A store as a whole is unreachable or refuses, independently of the lease."""
 
     def __init__(
         self, error: CounterpointError, *, store: Store, again: Callable[[], None]
     ) -> None:
-        """Keep how to find out whether it is over.
+        """Keep a probe for the end of the trouble.
 
         Args:
-            error: What the store said.
+            error: The error of the store.
             store: Which one.
             again: Raises a store's error for as long as the trouble lasts.
         """
@@ -54,31 +54,31 @@ class StoreTroubleError(TransientError):
 
 
 def kind_of(error: CounterpointError) -> StoreError:
-    """Say whether a store was away or refused."""
+    """Classify a store's error as unreachable or refused."""
     return "refused" if isinstance(error, BucketRefusedError) else "unreachable"
 
 
 def cause_of(
     error: CounterpointError, bucket: Bucket, recording: Recording, *, repeated: bool
 ) -> CounterpointError:
-    """Find out what an error while reading a log really means.
+    """Find the cause of an error while reading a log.
 
     Args:
-        error: What the bucket raised.
+        error: The error of the bucket.
         bucket: The log bucket.
-        recording: What was read.
-        repeated: Whether the same work ended so the last time: a stretch of an object that never
-            comes is the object's fault, though its beginning can be read.
+        recording: The recording that was read.
+        repeated: The same work ended with this error before: a stretch of an object that can never
+            be read is the object's fault, though its beginning can be read.
 
     Returns:
         A `StoreTroubleError` if the bucket as a whole is in trouble, or was and no longer is; an
-        `ObjectChangedError` if the log is another by now; else the error itself.
+        `ObjectChangedError` if the log was replaced; else the error itself.
     """
     trouble = StoreTroubleError(error, store="bucket", again=lambda: _list(bucket))
     if not _works(trouble.again):
         return trouble
     try:
-        # Objects may be refused one by one, or lie on a part of the store that is gone.
+        # objects may be refused one by one, or be on a part of the store that is gone
         own = _works(lambda: _read_first_bytes(bucket, recording))
     except ObjectChangedError as changed:
         return changed
@@ -100,7 +100,7 @@ def put_artifact(artifacts: Bucket, key: str, data: bytes) -> None:
         try:
             artifacts.put(PROBE_KEY, data)
         finally:
-            _take_away_probe(artifacts)
+            _delete_probe(artifacts)
 
     try:
         artifacts.put(key, data)
@@ -116,12 +116,12 @@ def put_artifact(artifacts: Bucket, key: str, data: bytes) -> None:
         raise PermanentError(str(error)) from None
 
 
-def _take_away_probe(artifacts: Bucket) -> None:
+def _delete_probe(artifacts: Bucket) -> None:
     """Delete the probe; where only writing is allowed, it stays and is empty."""
     try:
         artifacts.delete(PROBE_KEY)
     except CounterpointError:
-        with suppress(CounterpointError):  # the probe itself has said what is wrong
+        with suppress(CounterpointError):  # the probe itself has reported the error
             artifacts.put(PROBE_KEY, b"")
 
 
@@ -132,10 +132,10 @@ def wait_until_over(
     metrics: WorkerMetrics,
     clock: Callable[[], float] = time.monotonic,
 ) -> None:
-    """Wait until a store works again; say so once at the beginning and once at the end.
+    """Wait until a store works again; log once at the beginning and once at the end.
 
     Raises:
-        StoppedError: If told to stop meanwhile.
+        StoppedError: If stopped meanwhile.
     """
     log.warning("waiting for a store", store=trouble.store, problem=str(trouble))
     metrics.waiting_for(trouble.store, True)

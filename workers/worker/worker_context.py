@@ -1,4 +1,4 @@
-"""What the service's settings come down to in a worker: parts, their version, open buckets."""
+"""Worker context: the parts, version and open buckets that the service's settings name."""
 
 from dataclasses import dataclass
 
@@ -11,15 +11,15 @@ from workers.version import parts_of, pipeline_version
 
 
 @dataclass(frozen=True, slots=True)
-class Equipment:
-    """Everything to mine with, built once and used for many shards.
+class WorkerContext:
+    """Parts and buckets for mining, built once and used for many shards.
 
     Attributes:
-        settings: What every worker must do alike.
+        settings: Settings that all workers share.
         parts: Odometry and streams.
         version: Pipeline version of both.
         bucket: The logs.
-        artifacts: Where overlays go.
+        artifacts: Bucket of the overlays.
     """
 
     settings: MiningSettings
@@ -29,12 +29,12 @@ class Equipment:
     artifacts: Bucket
 
 
-def equip(settings: MiningSettings) -> Equipment:
+def build_context(settings: MiningSettings) -> WorkerContext:
     """Build the parts and open the buckets that the service names.
 
     Raises:
-        PermanentError: If a part does not exist here, or answers another task than motion, or a
-            bucket's URL means nothing.
+        PermanentError: If a part does not exist here, or has another task than motion, or a
+            bucket's URL is invalid.
         TransientError: If a store does not answer.
     """
     parts = parts_of(settings)
@@ -43,7 +43,7 @@ def equip(settings: MiningSettings) -> Equipment:
             f"the chosen streams answer the task {parts.task.name}, but a service ranks and counts "
             "motion alone: mine such logs with `counterpoint score`"
         )
-    return Equipment(
+    return WorkerContext(
         settings=settings,
         parts=parts,
         version=pipeline_version(settings, parts),

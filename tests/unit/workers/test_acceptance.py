@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from schemas.mining import MiningSettings
-from workers.worker.acceptance import is_loopback, lies_in, refusal
+from workers.worker.acceptance import is_inside, is_loopback, refusal
 from workers.worker.config import Accepted, WorkerConfig
 
 ELSEWHERE = "tcp/router:7447"
@@ -97,6 +97,6 @@ def test_local_places_are_compared_as_they_are_on_this_machine(tmp_path: Path) -
     (tmp_path / "ours").mkdir()
     (tmp_path / "ours" / "out").symlink_to(tmp_path)
     ours = str(tmp_path / "ours")
-    assert lies_in((tmp_path / "ours" / "deep er").as_uri(), ours)
-    assert lies_in(ours, (tmp_path / "ours").as_uri())
-    assert not lies_in(f"{ours}/out/theirs", ours)
+    assert is_inside((tmp_path / "ours" / "deep er").as_uri(), ours)
+    assert is_inside(ours, (tmp_path / "ours").as_uri())
+    assert not is_inside(f"{ours}/out/theirs", ours)

@@ -17,7 +17,7 @@ from workers.ingest.read import read_shard
 from workers.lab.evaluation.truth.whole_log import shards_of_log
 from workers.lab.simulation.sensor.lidar import UNEVEN_64, UNIFORM_64, Lidar, SimulatedFrame, sweep
 from workers.lab.simulation.world.street_builder import build_street
-from workers.lidar.beam_origin import MAX_BEHIND_SHARE, behind_share
+from workers.lidar.beam_origin import MAX_HIDDEN_SHARE, hidden_share
 from workers.lidar.beam_table import estimate_beam_table
 from workers.odometry.odometry import KissOdometry
 from workers.selfsupervised.stream import Registration
@@ -46,9 +46,9 @@ def drive(table: str, frames: int = 1) -> tuple[SimulatedFrame, ...]:
 @pytest.mark.parametrize("table", TABLES)
 def test_from_where_the_beams_meet_next_to_nothing_hides_anything(table: str) -> None:
     points = drive(table)[0].points_m
-    assert behind_share(points, ZERO) < 0.5 * MAX_BEHIND_SHARE
+    assert hidden_share(points, ZERO) < 0.5 * MAX_HIDDEN_SHARE
     for shift in SHIFTS:
-        assert behind_share(points, -np.array(shift)) > MAX_BEHIND_SHARE
+        assert hidden_share(points, -np.array(shift)) > MAX_HIDDEN_SHARE
     found = estimate_beam_table(points, unknown(points))
     assert found.trusted
     np.testing.assert_array_equal(found.origin_m, ZERO)
@@ -91,7 +91,7 @@ def test_a_stream_of_such_clouds_judges_nothing_and_says_why() -> None:
 def test_a_cloud_that_tells_nothing_is_no_reason_to_move_the_origin(
     points: NDArray[np.float64],
 ) -> None:
-    assert behind_share(points, ZERO) == 0.0
+    assert hidden_share(points, ZERO) == 0.0
 
 
 def first_cloud(reference: Path, vehicle: str) -> tuple[NDArray[np.float32], NDArray[np.int16]]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from workers.selfsupervised.pose_consistency import FLOOR_M, FitMonitor, misfit_m
+from workers.selfsupervised.pose_consistency import FLOOR_M, PoseConsistency, misfit_m
 from workers.selfsupervised.registration import Reference, build_reference
 
 CENTRE_M = np.zeros(3)
@@ -29,7 +29,7 @@ def problems(
     *frames: NDArray[np.float32], expected_m: NDArray[np.float64] | None = CENTRE_M
 ) -> list[str]:
     """Let a monitor see frames, each compared with the first one of the street."""
-    monitor, first = FitMonitor(), street(seed=99)
+    monitor, first = PoseConsistency(), street(seed=99)
     near, far = reference(first), reference(first, age_s=0.5)
     return [
         monitor.problem(
@@ -82,7 +82,7 @@ def test_a_turn_of_the_pose_is_seen_and_noise_of_a_tenth_of_a_degree_is_not() ->
 def test_a_sensor_that_is_always_coarse_is_not_refused() -> None:
     some = np.random.default_rng(1)
     coarse = [street(seed=i)[some.permutation(10_000)[:300]] for i in range(4)]
-    monitor, past = FitMonitor(), reference(coarse[0])
+    monitor, past = PoseConsistency(), reference(coarse[0])
     assert misfit_m(coarse[1], past) > FLOOR_M
     known = np.ones(300, np.bool_)
     for points in coarse[1:]:

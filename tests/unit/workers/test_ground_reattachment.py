@@ -3,10 +3,10 @@ import pytest
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
-from workers.lidar.preprocessing import Prepared
+from workers.lidar.preprocessing import PreprocessedFrame
 from workers.points.se3 import inverse
 from workers.points.voxels import Voxels
-from workers.selfsupervised.ground_reattachment import ground_of_movers
+from workers.selfsupervised.ground_reattachment import reattach_ground
 
 MOVER_M = np.array([[10.0, 0.0, -1.0], [10.5, 0.0, -1.0]], np.float32)
 CONFIRMED = np.array([False, True])
@@ -14,10 +14,10 @@ POSE = np.eye(4)
 POSE[:3, 3] = (100.0, 50.0, 2.0)
 
 
-def prepared(ground_m: NDArray[np.float32]) -> Prepared:
+def prepared(ground_m: NDArray[np.float32]) -> PreprocessedFrame:
     """Two voxels of a mover, and points that were taken for ground, far off the origin."""
     places = np.concatenate([MOVER_M, ground_m]).astype(np.float32)
-    return Prepared(
+    return PreprocessedFrame(
         points_m=places,
         valid_index=np.arange(len(places)),
         ground=np.arange(len(places)) >= len(MOVER_M),
@@ -40,7 +40,7 @@ def belongs(at: tuple[float, float, float], *, free: bool, moves: bool = True) -
         return np.full(len(places_m), free)
 
     moving = np.full(len(MOVER_M), moves)
-    of_mover, of_confirmed = ground_of_movers(frame, moving, CONFIRMED, frame.ground, seen_through)
+    of_mover, of_confirmed = reattach_ground(frame, moving, CONFIRMED, frame.ground, seen_through)
     for places_m in asked:
         expected_m = np.broadcast_to(at, places_m.shape)
         np.testing.assert_allclose(places_m - POSE[:3, 3], expected_m, atol=1e-4)

@@ -27,7 +27,7 @@ from workers.supervised.classes import ClassMeaning, ClassSet
 from workers.supervised.ground_classes import GroundFusion, ground_labels_of
 from workers.supervised.recorded import Recorded
 from workers.supervised.stream import SHIPPED, RangeImageStream
-from workers.worker.worker_context import equip
+from workers.worker.worker_context import build_context
 
 OTHER, ON_GROUND, UNKNOWN = 0, 1, 2
 NAMES = ("unlabeled", "Road", "other-ground", "lane marking", "vegetation", "car")
@@ -136,7 +136,7 @@ def test_a_worker_of_a_service_refuses_any_task_but_motion(tmp_path: Path) -> No
         selfsupervised="ground",
     )
     with pytest.raises(UnknownPartError, match="counterpoint score"):
-        equip(settings)
+        build_context(settings)
 
 
 def test_what_judges_motion_refuses_streams_of_another_task() -> None:

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from schemas.frame import OdometryState
-from workers.odometry.health import HealthMonitor, Judgement, Residual
+from workers.odometry.health import HealthMonitor, PoseHealth, Residual
 
 DRIVES = np.array([0.0, 0.0, 0.0, 25.0, 0.0, 0.0])
 
 
-def _judged(residual: Residual, *, jump_m: float = 0.0) -> Judgement:
+def _judged(residual: Residual, *, jump_m: float = 0.0) -> PoseHealth:
     monitor = HealthMonitor()
     for _ in range(5):
         monitor.remember(DRIVES, 0.3)

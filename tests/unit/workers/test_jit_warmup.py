@@ -9,10 +9,10 @@ from workers.points.compiled import COMPILED
 
 RUN_ONE_LOOP = """
 import numpy as np
-from workers.warmup.jit_warmup import compile_apart
+from workers.warmup.jit_warmup import compile_in_child
 from workers.points.point_kernels import within
 
-compile_apart()
+compile_in_child()
 print(within(np.ones((1, 3), np.float32), 0.0, 2.0).tolist())
 """
 COMPILED_BEFORE = """
@@ -22,7 +22,7 @@ from workers.points.compiled import cache_folder
 from workers.points.point_kernels import within
 
 Path(cache_folder(within), jit_warmup._marker()).touch()
-jit_warmup.compile_apart()
+jit_warmup.compile_in_child()
 """
 
 

@@ -7,7 +7,7 @@ import pytest
 from mcap.reader import NonSeekingReader
 
 from schemas.work import Channel
-from workers.ingest.lidar import choose_lidars, lidar_evidence
+from workers.ingest.lidar import choose_lidars, lidar_properties
 from workers.ingest.messages import RawMessage
 from workers.ingest.pointcloud import DecodedCloud, decode_cloud
 
@@ -40,7 +40,7 @@ def cloud(
     )
 
 
-SPINNING = lidar_evidence([cloud(100_000)])
+SPINNING = lidar_properties([cloud(100_000)])
 
 
 def test_a_dense_cloud_all_around_is_a_lidars() -> None:
@@ -51,7 +51,7 @@ def test_a_dense_cloud_all_around_is_a_lidars() -> None:
 
 
 def test_a_lidar_thinned_to_a_thousand_points_is_still_one() -> None:
-    assert lidar_evidence([cloud(1000), cloud(0), cloud(1000)]).is_lidar
+    assert lidar_properties([cloud(1000), cloud(0), cloud(1000)]).is_lidar
 
 
 @pytest.mark.parametrize(
@@ -70,7 +70,7 @@ def test_a_lidar_thinned_to_a_thousand_points_is_still_one() -> None:
 def test_what_is_no_spinning_lidar_is_told_apart_with_a_reason(
     of: DecodedCloud, why_not: str
 ) -> None:
-    evidence = lidar_evidence([of])
+    evidence = lidar_properties([of])
     assert not evidence.is_lidar
     assert why_not in evidence.why_not
     assert choose_lidars({"/points": evidence}) == []
@@ -78,16 +78,16 @@ def test_what_is_no_spinning_lidar_is_told_apart_with_a_reason(
 
 def test_clouds_without_positions_and_no_clouds_are_no_lidars() -> None:
     bare = DecodedCloud(1, "lidar", 2, 1, {"range": np.ones(2)}, b"")
-    assert not lidar_evidence([bare]).is_lidar
-    assert not lidar_evidence([]).is_lidar
+    assert not lidar_properties([bare]).is_lidar
+    assert not lidar_properties([]).is_lidar
 
 
 def test_all_lidars_are_chosen_densest_first_whatever_order_they_come_in() -> None:
     candidates = {
-        "/depth": lidar_evidence([cloud(300_000, azimuth_deg=(-40, 40), frame_id="camera")]),
-        "/rear": lidar_evidence([cloud(30_000, frame_id="rear")]),
-        "/top": lidar_evidence([cloud(100_000, frame_id="top")]),
-        "/left": lidar_evidence([cloud(30_000, frame_id="left")]),
+        "/depth": lidar_properties([cloud(300_000, azimuth_deg=(-40, 40), frame_id="camera")]),
+        "/rear": lidar_properties([cloud(30_000, frame_id="rear")]),
+        "/top": lidar_properties([cloud(100_000, frame_id="top")]),
+        "/left": lidar_properties([cloud(30_000, frame_id="left")]),
     }
     assert choose_lidars(candidates) == ["/top", "/left", "/rear"]
     assert choose_lidars(dict(reversed(candidates.items()))) == ["/top", "/left", "/rear"]
@@ -95,24 +95,24 @@ def test_all_lidars_are_chosen_densest_first_whatever_order_they_come_in() -> No
 
 def test_a_filtered_copy_of_a_lidar_is_not_chosen_beside_it() -> None:
     candidates = {
-        "/points_no_ground": lidar_evidence([cloud(60_000, stamp_ns=5)]),
-        "/points": lidar_evidence([cloud(100_000, stamp_ns=5), cloud(100_000, stamp_ns=6)]),
+        "/points_no_ground": lidar_properties([cloud(60_000, stamp_ns=5)]),
+        "/points": lidar_properties([cloud(100_000, stamp_ns=5), cloud(100_000, stamp_ns=6)]),
     }
     assert choose_lidars(candidates) == ["/points"]
 
 
 def test_two_lidars_that_share_a_space_are_both_chosen() -> None:
     candidates = {
-        "/front": lidar_evidence([cloud(100_000, stamp_ns=5, frame_id="base_link")]),
-        "/rear": lidar_evidence([cloud(90_000, stamp_ns=7, frame_id="base_link")]),
+        "/front": lidar_properties([cloud(100_000, stamp_ns=5, frame_id="base_link")]),
+        "/rear": lidar_properties([cloud(90_000, stamp_ns=7, frame_id="base_link")]),
     }
     assert choose_lidars(candidates) == ["/front", "/rear"]
 
 
 def test_the_lidar_is_chosen_rather_than_the_topic_with_its_labels() -> None:
     candidates = {
-        "/labels": lidar_evidence([cloud(100_000, extra="label")]),
-        "/points": lidar_evidence([cloud(100_000)]),
+        "/labels": lidar_properties([cloud(100_000, extra="label")]),
+        "/points": lidar_properties([cloud(100_000)]),
     }
     assert choose_lidars(candidates) == ["/points"]
 
@@ -133,4 +133,4 @@ def test_a_real_lidar_thinned_a_hundred_times_is_chosen(reference: Path, damage:
             decode_cloud(RawMessage(where, message.log_time, message.data))
             for _, _, message in NonSeekingReader(file).iter_messages()
         ]
-    assert choose_lidars({"/lidar/top/points": lidar_evidence(clouds)}) == ["/lidar/top/points"]
+    assert choose_lidars({"/lidar/top/points": lidar_properties(clouds)}) == ["/lidar/top/points"]

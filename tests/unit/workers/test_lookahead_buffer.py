@@ -9,15 +9,15 @@ from tests.tiny_logs import Recorder, drive, only_recording, settings
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard
 from workers.parts.registry import build_parts
-from workers.selfsupervised.labelling import nothing_known
-from workers.selfsupervised.lookahead_buffer import Ahead, Waiting
+from workers.selfsupervised.labelling import unknown_labels
+from workers.selfsupervised.lookahead_buffer import BufferedFrame, LookaheadBuffer
 
 AHEAD = "registration:lookahead-1.0"
 
 
-def waiting(at_s: float, *, anew: bool = False) -> Waiting:
+def waiting(at_s: float, *, restarts: bool = False) -> BufferedFrame:
     posed = frame([[1.0, 0.0, 0.0]], at_s=at_s)
-    return Waiting(posed, nothing_known(posed, health=FrameHealth()), anew=anew)
+    return BufferedFrame(posed, unknown_labels(posed, health=FrameHealth()), restarts=restarts)
 
 
 def stamps(released: object) -> list[float]:
@@ -26,7 +26,7 @@ def stamps(released: object) -> list[float]:
 
 
 def test_without_a_lookahead_no_frame_waits() -> None:
-    ahead = Ahead(0.0)
+    ahead = LookaheadBuffer(0.0)
     for k in range(5):
         assert len(stamps(ahead.add(waiting(0.1 * k)))) == 1
     assert stamps(ahead.flush()) == []
@@ -34,7 +34,7 @@ def test_without_a_lookahead_no_frame_waits() -> None:
 
 @pytest.mark.parametrize("period_s", [0.05, 0.1, 0.2])
 def test_a_frame_waits_for_half_a_second_whatever_the_rate(period_s: float) -> None:
-    ahead, released = Ahead(0.5), 0
+    ahead, released = LookaheadBuffer(0.5), 0
     for k in range(20):
         released += len(stamps(ahead.add(waiting(period_s * k))))
         held_s = period_s * (k + 1 - released)
@@ -43,16 +43,16 @@ def test_a_frame_waits_for_half_a_second_whatever_the_rate(period_s: float) -> N
 
 
 def test_a_sensor_of_any_rate_holds_only_so_many_frames() -> None:
-    ahead, released = Ahead(1.0), 0
+    ahead, released = LookaheadBuffer(1.0), 0
     for k in range(100):
         released += len(stamps(ahead.add(waiting(0.001 * k))))
     assert 100 - released == 24
 
 
 def test_where_frames_begin_anew_those_before_wait_no_longer() -> None:
-    ahead = Ahead(1.0)
+    ahead = LookaheadBuffer(1.0)
     assert stamps(ahead.add(waiting(0.0))) == stamps(ahead.add(waiting(0.1))) == []
-    assert len(stamps(ahead.add(waiting(5.0, anew=True)))) == 2
+    assert len(stamps(ahead.add(waiting(5.0, restarts=True)))) == 2
 
 
 def mining(name: str) -> MiningSettings:

@@ -14,7 +14,7 @@ from workers.contradiction.reasons import reasons_of
 from workers.contradiction.scene_statistics import odometry_health, stream_health
 from workers.contradiction.score import judge_odometry
 from workers.witness.free_space import TwoSidedFreeSpace
-from workers.witness.recorded_motion import FEWEST, MotionCheck, Verdict
+from workers.witness.recorded_motion import FEWEST, MotionCheck, MotionComparison
 
 STEP_S = 0.1
 
@@ -25,8 +25,8 @@ def going(speed: float, turn: float = 0.0) -> NDArray[np.float64]:
 
 def after(
     check: MotionCheck, steps: int, ours: NDArray[np.float64], recorded: RecordedMotion
-) -> Verdict:
-    verdict = Verdict()
+) -> MotionComparison:
+    verdict = MotionComparison()
     for _ in range(steps):
         verdict = check.judge(ours, recorded, STEP_S)
     return verdict
@@ -40,7 +40,7 @@ def test_a_healthy_odometry_agrees_with_worn_tyres_and_late_brakes() -> None:
         late, recorded = recorded, speed * 1.03 + float(rng.normal(0.0, 0.05))
         ours = going(speed + float(rng.normal(0.0, 0.2)), float(rng.normal(0.0, 0.01)))
         moved = RecordedMotion((late + recorded) / 2, abs(float(rng.normal(0.0, 0.004))))
-        assert check.judge(ours, moved, STEP_S) == Verdict()
+        assert check.judge(ours, moved, STEP_S) == MotionComparison()
 
 
 @pytest.mark.parametrize(
@@ -52,17 +52,17 @@ def test_a_healthy_odometry_agrees_with_worn_tyres_and_late_brakes() -> None:
 )
 def test_a_slip_is_told_by_how_far_it_went(ours: NDArray[np.float64], said: str) -> None:
     check = MotionCheck()
-    assert after(check, 10, going(10.0), RecordedMotion(10.0, 1e-3)) == Verdict()
+    assert after(check, 10, going(10.0), RecordedMotion(10.0, 1e-3)) == MotionComparison()
     verdict = check.judge(ours, RecordedMotion(10.0, 1e-3), STEP_S)
     assert said in verdict.problem
     assert verdict.remark == ""
-    assert after(check, 1, going(10.0), RecordedMotion(10.0, 1e-3)) == Verdict()
+    assert after(check, 1, going(10.0), RecordedMotion(10.0, 1e-3)) == MotionComparison()
 
 
 def test_a_lidar_far_ahead_of_the_wheels_goes_faster_in_a_turn() -> None:
     turn = 0.6
     ours = np.array([0.0, 0.0, turn, 5.0, 3.5 * turn, 0.0])
-    assert after(MotionCheck(), 30, ours, RecordedMotion(5.0, turn)) == Verdict()
+    assert after(MotionCheck(), 30, ours, RecordedMotion(5.0, turn)) == MotionComparison()
 
 
 @pytest.mark.parametrize("factor", [0.0, 3.6, 2.24])
@@ -97,7 +97,7 @@ def test_an_odometry_that_stands_while_the_wheels_turn_is_what_failed() -> None:
 
 def test_wheel_speed_without_a_turn_says_nothing_of_turns() -> None:
     check = MotionCheck()
-    assert after(check, 30, going(6.0, 0.5), RecordedMotion(6.0, 0.0)) == Verdict()
+    assert after(check, 30, going(6.0, 0.5), RecordedMotion(6.0, 0.0)) == MotionComparison()
     assert "0.40 m" in check.judge(going(10.0, 0.5), RecordedMotion(6.0, 0.0), STEP_S).problem
 
 

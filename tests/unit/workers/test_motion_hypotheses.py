@@ -8,8 +8,8 @@ from schemas.frame import OdometryState, PosedFrame
 from tests.unit.workers.test_odometry import drive
 from workers.lidar.deskew import Twist
 from workers.odometry import motion_hypotheses
-from workers.odometry.motion_hypotheses import Likeliest, Unsure
-from workers.odometry.registration_pass import Run
+from workers.odometry.motion_hypotheses import AmbiguousMotion, MotionHypothesis
+from workers.odometry.registration_pass import RegistrationPass
 
 HEALTHY, DOUBTED, LOST = OdometryState.HEALTHY, OdometryState.DEGRADED, OdometryState.LOST
 
@@ -21,21 +21,23 @@ def _states(monkeypatch: pytest.MonkeyPatch, looks: Sequence[Look]) -> list[Odom
     """Drive for eight seconds, with a look each second that finds what it is told to."""
     said = list(looks)
 
-    def look(run: Run, posed: list[PosedFrame], begin: Callable[[Twist], Run]) -> Likeliest:
+    def look(
+        run: RegistrationPass, posed: list[PosedFrame], begin: Callable[[Twist], RegistrationPass]
+    ) -> MotionHypothesis:
         changes, alike = said.pop(0)
         if not changes:
-            return Likeliest(run, posed, alike)
-        other = Run(posed[0].odom_from_sensor)
-        return Likeliest(other, [other.pose(each.frame) for each in posed], alike)
+            return MotionHypothesis(run, posed, alike)
+        other = RegistrationPass(posed[0].odom_from_sensor)
+        return MotionHypothesis(other, [other.pose(each.frame) for each in posed], alike)
 
-    monkeypatch.setattr(motion_hypotheses, "likeliest", look)
-    run, states, unsure = Run(), list[OdometryState](), None
+    monkeypatch.setattr(motion_hypotheses, "most_likely_motion", look)
+    run, states, unsure = RegistrationPass(), list[OdometryState](), None
     for number, frame in enumerate(drive(80)):
         now = run.pose(frame)
         if number == 3:
-            unsure = Unsure(Likeliest(run, [now], "0 m/s would fit alike"))
+            unsure = AmbiguousMotion(MotionHypothesis(run, [now], "0 m/s would fit alike"))
         elif unsure is not None:
-            run, now, unsure = unsure.look_again(run, now)
+            run, now, unsure = unsure.test_again(run, now)
         states.append(now.odometry)
     assert not said, "looks that were never taken"
     return states[4:]

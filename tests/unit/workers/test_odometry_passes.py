@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from workers.odometry.kiss_map import chosen
+from workers.odometry.kiss_map import subsample
 from workers.odometry.registration_pass import structure, usable
 
 
@@ -45,6 +45,6 @@ def test_half_of_the_points_are_chosen_and_few_of_the_road(n: int) -> None:
     mixed = points.astype(np.float64)[np.arange(n // 2) * step % n]
     keep = mixed[:, 2] > road_m
     keep[np.flatnonzero(~keep)[::20]] = True
-    found = chosen(points, road_m)
+    found = subsample(points, road_m)
     assert found.dtype == np.float64
     np.testing.assert_array_equal(found, mixed[keep])

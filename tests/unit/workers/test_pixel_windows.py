@@ -6,9 +6,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from workers.lidar.pixel_windows import (
-    commonest,
-    likeliest,
+    argmax_code,
     look_up,
+    majority_code,
     mean_of,
     mixed_windows,
     nearest_in_window,
@@ -62,7 +62,7 @@ def test_the_commonest_code_wins_and_of_equals_the_lowest(nobody: int) -> None:
     counts = (ballots[:, :, None] == np.arange(4)).sum(axis=1)
     counts[:, 0] = 0
     expected = np.where(counts.any(axis=1), counts.argmax(axis=1), nobody)
-    np.testing.assert_array_equal(commonest(codes, voters, np.uint8(nobody)), expected)
+    np.testing.assert_array_equal(majority_code(codes, voters, np.uint8(nobody)), expected)
 
 
 def test_a_mean_is_over_those_who_vote_and_a_point_without_pixel_has_nothing() -> None:
@@ -93,4 +93,4 @@ def test_windows_are_mixed_where_filters_say_so(wrap: bool) -> None:
 
 def test_the_likeliest_is_the_first_of_the_greatest() -> None:
     values = np.random.default_rng(5).integers(0, 4, (7, 300)).astype(np.float32) / np.float32(4)
-    assert np.array_equal(likeliest(values), values.argmax(axis=0) + 1)
+    assert np.array_equal(argmax_code(values), values.argmax(axis=0) + 1)

@@ -21,10 +21,10 @@ from workers.selfsupervised.point_labels import (
     ALONE,
     GROUND,
     UNSURE,
-    answer_ground,
-    answer_voxels,
-    nothing_said,
-    spread,
+    copy_to_points,
+    label_ground,
+    label_voxels,
+    unlabelled_points,
 )
 
 S, D, U = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
@@ -101,21 +101,23 @@ def test_voxels_take_the_label_of_their_cluster_or_of_what_was_seen_there() -> N
     stands, doubted = np.array([False, True, True, False]), np.array([True, True, False, True])
     of_voxel = np.array([0, 1, 2, 2, 3, 3, -1, -1], np.int32)
     was_there = np.array([True, True, True, False, True, False, True, False])
-    labels, sureness = answer_voxels(of_voxel, moves, both, stands, doubted, was_there)
+    labels, sureness = label_voxels(of_voxel, moves, both, stands, doubted, was_there)
     assert labels.tolist() == [D, D, S, S, U, U, S, U]
     assert sureness.tolist() == [AGREED, ALONE, AGREED, ALONE, UNSURE, UNSURE, ALONE, UNSURE]
 
 
 def test_points_take_the_label_of_their_voxel_and_ground_that_of_what_it_touches() -> None:
-    said = nothing_said(7)
+    said = unlabelled_points(7)
     valid = np.array([0, 2, 3, 4, 6])
     ground = np.array([True, True, True, False, False])
     in_range = np.array([True, False, True, False, False])
     touching = np.array([False, False, True, False, False])
-    answer_ground(said, valid, ground, in_range, touching, touching)
+    label_ground(said, valid, ground, in_range, touching, touching)
     labels, sureness = np.array([D, S], np.uint8), np.array([AGREED, ALONE], np.uint8)
     of_voxel, confirmed = np.array([0, -1], np.int32), np.array([True])
-    spread(said, valid[3:], np.array([1, 0], np.int32), labels, sureness, of_voxel, confirmed)
+    copy_to_points(
+        said, valid[3:], np.array([1, 0], np.int32), labels, sureness, of_voxel, confirmed
+    )
     assert said.labels.tolist() == [S, U, U, D, S, U, D]
     assert said.sureness.tolist() == [GROUND, UNSURE, UNSURE, ALONE, ALONE, UNSURE, AGREED]
     assert said.cluster.tolist() == [-1, -1, -1, -1, -1, -1, 0]

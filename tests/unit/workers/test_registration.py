@@ -6,7 +6,12 @@ from scipy.spatial import cKDTree
 from workers.points.clusters import connected
 from workers.points.neighbours import build_grid, nearest_distances
 from workers.points.voxels import voxelize
-from workers.selfsupervised.registration import STILL_M, Registered, build_reference, register
+from workers.selfsupervised.registration import (
+    STILL_M,
+    RegistrationResiduals,
+    build_reference,
+    register,
+)
 
 
 def car(x: float, y: float, *, seed: int) -> NDArray[np.float32]:
@@ -20,7 +25,7 @@ def car(x: float, y: float, *, seed: int) -> NDArray[np.float32]:
 
 def fit(
     now: NDArray[np.float32], near: NDArray[np.float32], far: NDArray[np.float32]
-) -> Registered:
+) -> RegistrationResiduals:
     clusters = connected(now, reach_m=0.5, min_points=3)
     return register(
         now,

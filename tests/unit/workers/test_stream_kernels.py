@@ -13,9 +13,9 @@ from scipy.spatial import cKDTree
 from workers.lidar.spherical import (
     BLOCK,
     column_of,
-    fill,
-    look,
+    fill_block,
     new_block,
+    project_block,
     row_above,
     rows_of_steps,
 )
@@ -23,7 +23,7 @@ from workers.points.clusters import connected, from_labels
 from workers.points.compiled import compiled
 from workers.points.neighbours import build_grid, nearest_few, nearest_indices, nearest_rows
 from workers.points.step_names import step, watched
-from workers.selfsupervised.ground_artefacts import are_strips
+from workers.selfsupervised.ground_artefacts import are_ground_artefacts
 from workers.selfsupervised.occupancy import CELL_M, build_occupancy, cells_of, scores_around
 
 HERE = np.eye(4, dtype=np.float32)[:3]
@@ -193,8 +193,8 @@ def looked_at(
     """Horizontal distance, distance, tangent, azimuth and a row of each place, block by block."""
     block, steps, seen = new_block(), rows_of_steps(tangents), []
     for first in range(0, len(places), BLOCK):
-        n = fill(block, places, first, pose)
-        look(block, n, tangents, steps)
+        n = fill_block(block, places, first, pose)
+        project_block(block, n, tangents, steps)
         said = block.across, block.distance, block.tangent, block.angle, block.row
         seen.append(np.stack([each[:n].astype(np.float64) for each in said]))
     return np.concatenate(seen, axis=1)
@@ -207,7 +207,7 @@ def test_only_what_is_flat_and_low_is_a_strip() -> None:
     child = flat * np.array([0.1, 0.3, 10]) + np.array([10, -5, -2.0])
     points = np.concatenate([kerb, bonnet, child, kerb]).astype(np.float32)
     clusters = from_labels(np.repeat(np.arange(4, dtype=np.int32), 40))
-    found = are_strips(
+    found = are_ground_artefacts(
         points,
         clusters,
         np.array([True, True, True, False]),

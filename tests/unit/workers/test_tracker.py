@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 from workers.free_space import Votes
 from workers.lidar.beam_table import BeamTable
 from workers.points.clusters import from_labels
-from workers.selfsupervised.evidence import Evidence
+from workers.selfsupervised.evidence import FreeSpaceEvidence
 from workers.selfsupervised.motion import ClusterMotions
-from workers.selfsupervised.occlusion_fragments import fragments_of_movers
-from workers.selfsupervised.single_voxels import specks_of_movers
+from workers.selfsupervised.occlusion_fragments import merge_fragments
+from workers.selfsupervised.single_voxels import assign_single_voxels
 from workers.selfsupervised.tracker import Tracked, Tracker
 
 PERIOD_NS = 100_000_000
@@ -61,10 +61,10 @@ def world(*things: Thing) -> tuple[NDArray[np.float32], ClusterMotions, Votes]:
     )
 
 
-def evidence_of(votes: Votes) -> Evidence:
+def evidence_of(votes: Votes) -> FreeSpaceEvidence:
     """Votes of a sensor that lies on the road."""
     nothing = Votes(*np.zeros((3, len(votes.free)), np.int16))
-    return Evidence(
+    return FreeSpaceEvidence(
         votes=votes,
         after=nothing,
         near=np.zeros(len(votes.free), np.int8),
@@ -247,7 +247,7 @@ def test_a_small_piece_beside_a_mover_belongs_to_it_unless_something_speaks_agai
     for confirmed in (True, False):
         tracked = tracked_as([True, False], confirmed=[confirmed, False])
         evidence = evidence_of(votes)
-        whole = fragments_of_movers(points_m, found, tracked, evidence, centre_m=CENTRE_M)
+        whole = merge_fragments(points_m, found, tracked, evidence, centre_m=CENTRE_M)
         assert whole.dynamic.tolist() == [True, belongs]
         assert whole.confirmed.tolist() == [confirmed, belongs and confirmed]
 
@@ -255,7 +255,7 @@ def test_a_small_piece_beside_a_mover_belongs_to_it_unless_something_speaks_agai
 def test_without_a_mover_no_piece_belongs_to_one() -> None:
     points_m, found, votes = world(Thing(at=(5.0, 0.0)), Thing(at=(8.1, 0.0)))
     tracked = tracked_as([False, False], confirmed=[False, False])
-    none = fragments_of_movers(points_m, found, tracked, evidence_of(votes), centre_m=CENTRE_M)
+    none = merge_fragments(points_m, found, tracked, evidence_of(votes), centre_m=CENTRE_M)
     assert not none.dynamic.any()
     assert not none.confirmed.any()
 
@@ -283,7 +283,7 @@ def test_a_speck_that_no_cluster_took_belongs_to_the_mover_beside_it(
     )
 
     def owner(*, moves: bool) -> int:
-        given = specks_of_movers(points_m, found, np.array([moves]), votes, centre_m=CENTRE_M)
+        given = assign_single_voxels(points_m, found, np.array([moves]), votes, centre_m=CENTRE_M)
         assert given.clusters.of_point[:-1].tolist() == found.clusters.of_point[:-1].tolist()
         return int(given.clusters.of_point[-1])
 

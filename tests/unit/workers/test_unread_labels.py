@@ -11,7 +11,7 @@ from service.cli.main import main
 from tests.factories import street_log
 from workers.ingest.plan import plan_recording
 from workers.lab.simulation.output.write import LABEL_TOPIC, LIDAR_TOPIC, RecordedAs
-from workers.worker.logging import tell_unread_labels
+from workers.worker.logging import log_unread_labels
 
 
 @pytest.mark.parametrize(
@@ -53,7 +53,7 @@ def test_score_names_what_it_judged_and_hints_at_what_it_did_not(
 
 
 def test_a_worker_logs_the_hint(capsys: pytest.CaptureFixture[str]) -> None:
-    tell_unread_labels([LIDAR_TOPIC])
+    log_unread_labels([LIDAR_TOPIC])
     said = capsys.readouterr()
     assert "compare them by --supervised recorded" in said.out + said.err
     assert LIDAR_TOPIC in said.out + said.err

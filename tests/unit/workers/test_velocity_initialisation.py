@@ -12,7 +12,7 @@ from workers.lab.simulation.sensor.lidar import Lidar, sensor_poses, sweep
 from workers.lab.simulation.world.street_builder import build_street
 from workers.lab.simulation.world.street_plan import StreetPlan
 from workers.odometry.odometry import KissOdometry
-from workers.odometry.velocity_initialisation import contradicted_share, likely_velocities
+from workers.odometry.velocity_initialisation import candidate_velocities, contradicted_share
 
 RAIL_Y_M = 9.0
 SPEED_M_PER_S = 25.0
@@ -46,7 +46,7 @@ def between_rails(x_m: float, *, posts: int = 24, heading_rad: float = 0.0) -> L
 @pytest.mark.parametrize("heading_rad", [0.0, np.pi / 2])
 def test_rails_share_their_votes_and_posts_tell_the_speed(heading_rad: float) -> None:
     first, second = (between_rails(x, heading_rad=heading_rad) for x in (0.0, 2.5))
-    best = likely_velocities(first, second)[0]
+    best = candidate_velocities(first, second)[0]
     ahead = SPEED_M_PER_S * np.array([np.cos(heading_rad), -np.sin(heading_rad), 0.0])
     np.testing.assert_allclose(best[3:], ahead, atol=2.6)
     np.testing.assert_array_equal(best[:3], 0.0)
@@ -54,7 +54,7 @@ def test_rails_share_their_votes_and_posts_tell_the_speed(heading_rad: float) ->
 
 def test_two_frames_of_next_to_nothing_allow_no_speed() -> None:
     nothing = factories.frame(np.zeros((0, 3)))
-    assert likely_velocities(nothing, factories.frame(np.zeros((0, 3)), at_s=0.1)) == []
+    assert candidate_velocities(nothing, factories.frame(np.zeros((0, 3)), at_s=0.1)) == []
 
 
 def highway(frames: int) -> Iterator[tuple[LidarFrame, NDArray[np.float64]]]:

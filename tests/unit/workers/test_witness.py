@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from workers.free_space import FREE, HIDDEN, OCCUPIED
-from workers.lidar.registration_check import misfit_between, structure_of
+from workers.lidar.registration_check import extract_structure, register_structures
 from workers.points.se3 import transform
-from workers.witness.free_space_votes import opinions_of
+from workers.witness.free_space_votes import votes_of
 from workers.witness.pose_repair import PoseCheck
 
 S = np.int8
@@ -16,7 +16,7 @@ def _answers(*by_frame: tuple[int, ...]) -> list[np.ndarray[tuple[int], np.dtype
 
 def test_what_leaves_its_place_late_is_seen_through_by_the_farthest_frames() -> None:
     # farthest first; the third place is hidden from the farthest
-    said = opinions_of(
+    said = votes_of(
         _answers(
             (FREE, FREE, HIDDEN),
             (FREE, OCCUPIED, FREE),
@@ -31,7 +31,7 @@ def test_what_leaves_its_place_late_is_seen_through_by_the_farthest_frames() -> 
 
 
 def test_one_frame_is_no_opinion() -> None:
-    assert not opinions_of(_answers((FREE,)), 1).seen_through[0]
+    assert not votes_of(_answers((FREE,)), 1).seen_through[0]
 
 
 def _street() -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
@@ -59,11 +59,11 @@ def _moved(turn_deg: float, ahead_m: float) -> np.ndarray[tuple[int, int], np.dt
 @pytest.mark.parametrize(("turn_deg", "ahead_m"), [(0.5, 0.0), (0.0, 0.2), (1.0, -0.25)])
 def test_a_second_registration_says_how_far_a_pose_is_off(turn_deg: float, ahead_m: float) -> None:
     street = _street()
-    reference = structure_of(street, np.zeros(3))
-    slipped = structure_of(transform(_moved(turn_deg, ahead_m), street), np.zeros(3))
+    reference = extract_structure(street, np.zeros(3))
+    slipped = extract_structure(transform(_moved(turn_deg, ahead_m), street), np.zeros(3))
     assert reference is not None
     assert slipped is not None
-    misfit = misfit_between(reference, slipped)
+    misfit = register_structures(reference, slipped)
     assert misfit is not None
     assert np.degrees(misfit.turn_rad) == pytest.approx(abs(turn_deg), abs=0.1)
     assert misfit.after_m < misfit.before_m

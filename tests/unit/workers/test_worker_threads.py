@@ -7,11 +7,11 @@ EQUIPPED = """
 import sys
 import workers.worker.loop
 from schemas.mining import MiningSettings
-from workers.worker.worker_context import equip
+from workers.worker.worker_context import build_context
 
 settings = MiningSettings(bucket="memory://", artifacts="memory://", supervised=sys.argv[1])
-equip(settings)
-workers.worker.loop.one_thread_only()
+build_context(settings)
+workers.worker.loop.limit_threads()
 if "torch" in sys.modules:
     import torch
 

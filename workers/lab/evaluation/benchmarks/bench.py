@@ -23,7 +23,7 @@ from workers.lab.evaluation.benchmarks.lower_bounds import (
     reading_ms,
 )
 from workers.lab.evaluation.truth.whole_log import shards_of_log
-from workers.mine import Account, mine_records
+from workers.mine import MiningReport, mine_records
 from workers.parts.registry import build_parts
 from workers.version import files_of, pipeline_version
 
@@ -119,7 +119,7 @@ def _whole_path(
         instances=settings.instances,
         files=files_of(settings),
     )
-    account = Account()
+    account = MiningReport()
     instants: list[float] = []
     seconds: list[dict[str, float]] = []
 
@@ -134,7 +134,7 @@ def _whole_path(
         settings=settings,
         parts=parts,
         pipeline_version=pipeline_version(settings, parts),
-        account=account,
+        report=account,
         check=look,
     ):
         pass
