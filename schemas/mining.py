@@ -52,10 +52,7 @@ class MiningSettings(BaseModel):
     grid: Grid = Field(default_factory=Grid, description="Scene and shard lengths, warm-up.")
     supervised: Name = Field(
         default="salsanext-lmnet",
-        description="Supervised stream, by name: salsanext-lmnet, recorded (what the model on the "
-        "car said), own (your model), salsanext-lmnet:published (image and votes bug for bug); "
-        "for `score` of the task ground "
-        "salsanext:ground, recorded:ground.",
+        description="Supervised stream, one that `counterpoint parts` lists.",
     )
     model: Url = Field(
         default="",
@@ -69,21 +66,19 @@ class MiningSettings(BaseModel):
     )
     selfsupervised: Name = Field(
         default="registration",
-        description="Self-supervised stream, by name: registration, two-stage (on any flow), or "
-        "paper (the published chain); registration:lookahead-0.5 and :lookahead-1.0 wait so many "
-        "seconds for later frames; ground is of another task.",
+        description="Self-supervised stream, one that `counterpoint parts` lists.",
     )
     odometry: Name = Field(
-        default="kiss-icp", description="Odometry, by name: kiss-icp, or delora (the paper's)."
+        default="kiss-icp", description="Odometry, one that `counterpoint parts` lists."
     )
     witness: Name = Field(
         default="free-space",
-        description="Third witness, by name: free-space (what was seen through a second before or "
-        "after is not static), or none.",
+        description="Third witness, one that `counterpoint parts` lists.",
     )
-    instances: Literal["default", "paper"] = Field(
+    instances: Name = Field(
         default="default",
-        description="How contradicting points become instances; paper: the published numbers.",
+        description="Rule by which contradicting points become instances, one that "
+        "`counterpoint parts` lists.",
     )
     lidar_topic: Url = Field(default="", description="Mine this topic only; empty: by evidence.")
     odometry_topic: Url = Field(

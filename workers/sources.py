@@ -25,6 +25,13 @@ SHAPE_NO_RECORD: Final = frozenset(
 alone import."""
 
 
+FOR_READERS: Final[Mapping[str, frozenset[str]]] = {
+    "Field": frozenset({"description"}),
+    "Part": frozenset({"text", "source", "licence", "weights"}),
+}
+"""Keywords of calls, by the name of what is called, whose texts shape no record."""
+
+
 @cache
 def source_digest(*roots: str) -> str:
     """Digest the files of some modules, byte for byte.
@@ -50,8 +57,8 @@ def source_digest(*roots: str) -> str:
 def syntax_digest(*roots: str) -> str:
     """Digest the syntax of some modules and of all modules of ours that they import.
 
-    Comments, layout, docstrings and the descriptions of fields do not count. A module that is
-    moved or renamed does: its name is part of the syntax of those that import it.
+    Comments, layout, docstrings and the texts that `FOR_READERS` names do not count. A module that
+    is moved or renamed does: its name is part of the syntax of those that import it.
 
     Args:
         roots: Modules; a package names every module in it.
@@ -184,11 +191,10 @@ def _is_docstring(node: ast.AST) -> bool:
 def _is_description(call: ast.AST, node: ast.AST) -> bool:
     return (
         isinstance(node, ast.keyword)
-        and node.arg == "description"
         and _is_text(node.value)
         and isinstance(call, ast.Call)
         and isinstance(call.func, ast.Name)
-        and call.func.id == "Field"
+        and node.arg in FOR_READERS.get(call.func.id, ())
     )
 
 

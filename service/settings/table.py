@@ -6,8 +6,8 @@ from typing import Any, Final
 from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.mining import MiningSettings
-from service.settings.config import NOT_IN_VERSION, ReadSettings, Settings
-from service.settings.messages import allowed, shown
+from service.settings.config import NOT_IN_VERSION, ReadSettings, Settings, allowed_values
+from service.settings.messages import shown
 from service.settings.sources import CONFIG_VARIABLE, flag_of, leaves, variable_of
 
 _HEAD: Final = f"""# Settings
@@ -72,7 +72,7 @@ class SettingRow(BaseModel):
 
 def setting_rows(read: ReadSettings) -> Iterator[SettingRow]:
     """Yield every setting with its value and where that came from, in the order of the model."""
-    values, may_be = read.settings.model_dump(mode="json"), allowed(Settings)
+    values, may_be = read.settings.model_dump(mode="json"), allowed_values()
     defaults = Settings().model_dump(mode="json")
     for setting, field in leaves(Settings).items():
         written = read.written.get(setting)

@@ -1,13 +1,11 @@
-"""Which networks there are, and how a published checkpoint becomes weights of this project."""
+"""Turns published checkpoints of the networks in the catalogue into weights of this project."""
 
 import hashlib
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from schemas.runtime.named_file import open_named_file, read_named_file
 from workers.checkpoints import stored_weights
@@ -16,32 +14,19 @@ from workers.checkpoints.model_files import MAX_TEXT_BYTES, read_regular
 from workers.checkpoints.parameter_loading import load_into
 from workers.checkpoints.published import read_checkpoint
 from workers.checkpoints.stored_weights import Card
-from workers.errors import UnknownPartError
-
-NETWORKS: Final = ("salsanext", "lmnet", "gndnet", "flowstep3d", "delora")
-"""Of the paper; the names of their files in a folder of weights, too."""
+from workers.parts.catalogue import find_part
+from workers.parts.files import PartFiles
 
 _CONFIGS: Final = resources.files("workers.checkpoints") / "configs"
 
 
-@cache
 def _card_type(network: str) -> type[Card]:
-    """Find what the card of a network must be; the networks load only when one is wanted."""
-    if network in ("salsanext", "lmnet"):
-        from workers.supervised.weights import WeightsCard
+    """Return the type of the card of a network; the networks load only when one is wanted.
 
-        return WeightsCard
-    from workers.paper import weights
-
-    cards: Mapping[str, type[Card]] = {
-        "gndnet": weights.GndNetCard,
-        "flowstep3d": weights.FlowStep3DCard,
-        "delora": weights.DeLORACard,
-    }
-    try:
-        return cards[network]
-    except KeyError:
-        raise UnknownPartError(f"no network {network!r}; known: {', '.join(NETWORKS)}") from None
+    Raises:
+        UnknownPartError: If there is no such network.
+    """
+    return cast("type[Card]", find_part("network", network).factory(PartFiles()))
 
 
 def known_configs() -> tuple[str, ...]:
@@ -140,7 +125,7 @@ def import_weights(checkpoint: Path, *, network: str, config: str, out: Path) ->
 
     Args:
         checkpoint: As `read_checkpoint` takes it.
-        network: Name in `NETWORKS`.
+        network: Name of a network in the catalogue.
         config: As `read_config` takes it.
         out: Folder, made if need be.
 
