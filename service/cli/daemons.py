@@ -4,10 +4,10 @@ from typing import Annotated
 
 import typer
 
+from service.cli.option_groups import MiningOptions, grouped
 from service.cli.options import (
     Artifacts,
     BucketUrl,
-    Camera,
     Config,
     Connect,
     Database,
@@ -16,12 +16,8 @@ from service.cli.options import (
     LogFormat,
     LogLevel,
     Model,
-    Odometry,
-    PresetName,
-    SelfSupervised,
     ShardSeconds,
     StateDir,
-    Supervised,
     Weights,
     settings_for,
 )
@@ -45,22 +41,6 @@ Listen = Annotated[
 Workers = Annotated[int | None, typer.Option("--workers", help="Worker processes; 2.")]
 
 
-AcceptedBucket = Annotated[
-    str | None,
-    typer.Option("--bucket", help="Read only here, where the router is on another machine."),
-]
-AcceptedArtifacts = Annotated[
-    str | None,
-    typer.Option("--artifacts", help="Write overlays only here, where it is."),
-]
-AcceptedModel = Annotated[
-    str | None, typer.Option("--model", help="Load only this adapter, or one in this folder.")
-]
-AcceptedWeights = Annotated[
-    str | None, typer.Option("--weights", help="Load weights only from this folder.")
-]
-
-
 def add_to(app: typer.Typer) -> None:
     """Add the verbs of this file to the command."""
     app.command(epilog="counterpoint run --bucket s3://fleet --state /var/lib/counterpoint")(run)
@@ -74,7 +54,9 @@ def add_to(app: typer.Typer) -> None:
     app.command(epilog="counterpoint router --listen tcp/127.0.0.1:7447")(router)
 
 
+@grouped
 def run(
+    *,
     bucket: BucketUrl = None,
     state: StateDir = None,
     workers: Workers = None,
@@ -86,13 +68,7 @@ def run(
     listen: Listen = None,
     artifacts: Artifacts = None,
     database: Database = None,
-    supervised: Supervised = None,
-    model: Model = None,
-    weights: Weights = None,
-    odometry: Odometry = None,
-    camera: Camera = None,
-    preset: PresetName = None,
-    selfsupervised: SelfSupervised = None,
+    mining: MiningOptions,
     config: Config = None,
     log_format: LogFormat = None,
     log_level: LogLevel = None,
@@ -113,13 +89,7 @@ def run(
         listen=listen,
         artifacts=artifacts,
         database=database,
-        supervised=supervised,
-        model=model,
-        weights=weights,
-        odometry=odometry,
-        camera=camera,
-        preset=preset,
-        selfsupervised=selfsupervised,
+        **mining.flags(),
         log_format=log_format,
         log_level=log_level,
     )
@@ -149,7 +119,9 @@ def run(
             raise typer.Exit(EX_PARKED)
 
 
+@grouped
 def service(
+    *,
     bucket: BucketUrl = None,
     state: StateDir = None,
     connect: Connect = None,
@@ -158,13 +130,7 @@ def service(
     exclude: Exclude = None,
     artifacts: Artifacts = None,
     database: Database = None,
-    supervised: Supervised = None,
-    model: Model = None,
-    weights: Weights = None,
-    odometry: Odometry = None,
-    camera: Camera = None,
-    preset: PresetName = None,
-    selfsupervised: SelfSupervised = None,
+    mining: MiningOptions,
     config: Config = None,
     log_format: LogFormat = None,
     log_level: LogLevel = None,
@@ -182,13 +148,7 @@ def service(
         exclude=exclude,
         artifacts=artifacts,
         database=database,
-        supervised=supervised,
-        model=model,
-        weights=weights,
-        odometry=odometry,
-        camera=camera,
-        preset=preset,
-        selfsupervised=selfsupervised,
+        **mining.flags(),
         log_format=log_format,
         log_level=log_level,
     )
@@ -199,17 +159,18 @@ def service(
 def worker(
     connect: Connect = None,
     workers: Workers = None,
-    bucket: AcceptedBucket = None,
-    artifacts: AcceptedArtifacts = None,
-    model: AcceptedModel = None,
-    weights: AcceptedWeights = None,
+    bucket: BucketUrl = None,
+    artifacts: Artifacts = None,
+    model: Model = None,
+    weights: Weights = None,
     config: Config = None,
     log_format: LogFormat = None,
     log_level: LogLevel = None,
 ) -> None:
     """Run workers for a service elsewhere; they learn bucket and mining settings from it.
 
-    Where the router is on another machine they accept only what their own settings name, too.
+    Where the router is on another machine, they read only the --bucket that is named here, write
+    only to its --artifacts, and load only its --model and --weights, or what lies in them.
     """
     from service.embedded import run_workers
 

@@ -10,18 +10,13 @@ import typer
 from schemas.transport.bucket import Bucket, open_bucket, open_object
 from schemas.transport.recordings import recording_of
 from schemas.work import Recording
+from service.cli.option_groups import MiningOptions, grouped
 from service.cli.options import (
-    Camera,
+    BucketRoot,
     Config,
     Force,
     Json,
-    Model,
-    Odometry,
-    PresetName,
-    SelfSupervised,
     ShardSeconds,
-    Supervised,
-    Weights,
     settings_for,
 )
 from service.cli.output import json_line, progress, remark, table
@@ -33,10 +28,6 @@ if TYPE_CHECKING:
     from workers.mine import MinedRecord
 
 LogUrl = Annotated[str, typer.Argument(help="URL or path of one .mcap file; any part of a split.")]
-BucketRoot = Annotated[
-    str | None,
-    typer.Option("--bucket", help="Root that log_id is relative to, else COUNTERPOINT_BUCKET."),
-]
 
 
 def add_to(app: typer.Typer) -> None:
@@ -72,18 +63,14 @@ def inspect(
     say_inspected(report.model_dump(mode="json"))
 
 
+@grouped
 def score(
+    *,
     url: LogUrl,
     json: Json = False,
     bucket: BucketRoot = None,
     shard_seconds: ShardSeconds = None,
-    supervised: Supervised = None,
-    model: Model = None,
-    weights: Weights = None,
-    odometry: Odometry = None,
-    camera: Camera = None,
-    preset: PresetName = None,
-    selfsupervised: SelfSupervised = None,
+    mining: MiningOptions,
     pictures: Annotated[
         Path | None, typer.Option("--pictures", help="Folder for a picture of each scene.")
     ] = None,
@@ -99,13 +86,7 @@ def score(
         config,
         bucket=bucket,
         shard_seconds=shard_seconds,
-        supervised=supervised,
-        model=model,
-        weights=weights,
-        odometry=odometry,
-        camera=camera,
-        preset=preset,
-        selfsupervised=selfsupervised,
+        **mining.flags(),
     )
     store, recording = locate(url, root_url=settings.bucket)
     scored = []

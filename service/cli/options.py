@@ -46,8 +46,15 @@ BucketUrl = Annotated[
     str | None,
     typer.Option("--bucket", help="URL or path of the log bucket, else COUNTERPOINT_BUCKET."),
 ]
+BucketRoot = Annotated[
+    str | None,
+    typer.Option("--bucket", help="Root that log_id is relative to, else COUNTERPOINT_BUCKET."),
+]
 StateDir = Annotated[
     Path | None, typer.Option("--state", help="Folder of ledger and overlays; counterpoint-state.")
+]
+StateToRead = Annotated[
+    Path | None, typer.Option("--state", help="Folder of a run; no daemon is needed then.")
 ]
 Database = Annotated[
     str | None,

@@ -12,11 +12,13 @@ from service.api.reader import Reader, StateReader, choose_endpoint, overlay_of
 from service.cli.options import (
     MOST,
     Artifacts,
+    BucketUrl,
     Config,
     Connect,
     Database,
     Force,
     Json,
+    StateToRead,
     settings_for,
 )
 from service.cli.output import counted, json_line, remark, result_line, table
@@ -27,10 +29,6 @@ from service.curation.selection import left_out
 from service.errors import NothingFoundError, UsageError
 from service.output_files import need_writable, save_picture
 from service.settings.config import Settings
-
-StateDir = Annotated[
-    Path | None, typer.Option("--state", help="Folder of a run; no daemon is needed then.")
-]
 
 
 def add_to(app: typer.Typer) -> None:
@@ -107,7 +105,7 @@ def top(
         int | None, typer.Option("-n", min=1, max=MAX_SCENES_ASKED, help="Rows; all by default.")
     ] = None,
     connect: Connect = None,
-    state: StateDir = None,
+    state: StateToRead = None,
     database: Database = None,
     json: Json = False,
     config: Config = None,
@@ -144,7 +142,7 @@ def select(
     ],
     name: Annotated[str | None, typer.Option("--name", help="Name of the selection.")] = None,
     connect: Connect = None,
-    state: StateDir = None,
+    state: StateToRead = None,
     database: Database = None,
     json: Json = False,
     config: Config = None,
@@ -184,13 +182,12 @@ def show(
     ],
     out: Annotated[Path, typer.Option("--out", help="PNG file to write.")],
     on_image: Annotated[
-        bool, typer.Option("--on-image", help="The points on the car's camera image instead.")
+        bool,
+        typer.Option("--on-image", help="On the camera image, which is read from --bucket."),
     ] = False,
-    bucket: Annotated[
-        str | None, typer.Option("--bucket", help="Log bucket, for the camera image.")
-    ] = None,
+    bucket: BucketUrl = None,
     connect: Connect = None,
-    state: StateDir = None,
+    state: StateToRead = None,
     artifacts: Artifacts = None,
     database: Database = None,
     config: Config = None,
@@ -234,7 +231,7 @@ def _scene_id(source: Reader, said: str) -> str:
 
 def status(
     connect: Connect = None,
-    state: StateDir = None,
+    state: StateToRead = None,
     database: Database = None,
     json: Json = False,
     config: Config = None,
