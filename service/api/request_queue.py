@@ -24,16 +24,12 @@ from pydantic import ValidationError
 from schemas.bounds import MAX_COMMIT_BYTES, MAX_QUESTION_BYTES
 from schemas.errors import CounterpointError, PermanentError, TransientError
 from schemas.transport.ask import reply_problem
-from schemas.transport.keys import Verb
 from schemas.transport.wire import first_problem
 from service.api.bounded_queue import Waiting
-from service.api.verbs import VERBS
+from service.api.verbs import HISTORY, VERBS
 from service.errors import StateUnusableError
 
 log = structlog.get_logger(__name__)
-
-Asked = Literal[Verb, "history"]
-"""What was asked: a verb, or the scenes and selections that there are."""
 
 Answer = Callable[[bytes], bytes]
 """Makes the answer to a payload; what it raises on purpose becomes the reply."""
@@ -54,10 +50,6 @@ MOST_WAITING_BYTES: Final = 2 * MAX_COMMIT_BYTES
 LARGE_BYTES: Final = 4 * 2**20
 """A message takes some ten times its bytes once it is decoded: those beyond this one at a time."""
 
-WHOLE: Final[frozenset[Asked]] = frozenset({"top", "status", "rates"})
-"""Questions that read the whole ledger. One of each verb is answered at a time, and after it that
-verb rests as long as the answer took: however many ask, workers find the processor free."""
-
 MOST_REST_S: Final = 0.25
 
 _IDLE_S: Final = 0.2
@@ -68,7 +60,7 @@ _IDLE_S: Final = 0.2
 class _Question:
     """One question, with who answers it: `answer` its payload, or `replier` the query itself."""
 
-    asked: Asked
+    asked: str
     query: zenoh.Query
     payload: bytes
     answer: Answer | None = None
@@ -82,7 +74,7 @@ class Questions:
         self,
         session: zenoh.Session,
         *,
-        on_outcome: Callable[[Asked, Outcome], None] = lambda _asked, _outcome: None,
+        on_outcome: Callable[[str, Outcome], None] = lambda _asked, _outcome: None,
         on_fault: Callable[[], None] = lambda: None,
     ) -> None:
         """Take the session.
@@ -96,7 +88,7 @@ class Questions:
         self._writes: Waiting[_Question] = Waiting(most=MOST_WAITING, most_bytes=MOST_WAITING_BYTES)
         self._reads: Waiting[_Question] = Waiting(most=MOST_WAITING, most_bytes=MOST_WAITING_BYTES)
         self._large = threading.Lock()
-        self._unable: dict[Asked, str] = {}
+        self._unable: dict[str, str] = {}
         """What cannot be answered now, and why: said once, until it can be again."""
         self._queryables = ExitStack()
 
@@ -105,7 +97,7 @@ class Questions:
         """How many questions nobody has taken up yet."""
         return len(self._writes) + len(self._reads)
 
-    def declare(self, key: str, answer: Answer, *, asked: Verb) -> None:
+    def declare(self, key: str, answer: Answer, *, asked: str) -> None:
         """Answer the questions of a verb, completely: nobody else does.
 
         Args:
@@ -122,7 +114,7 @@ class Questions:
             key: What they are put to.
             replier: Replies to one.
         """
-        self._declare(key, lambda query: self._enqueue("history", query, replier=replier))
+        self._declare(key, lambda query: self._enqueue(HISTORY, query, replier=replier))
 
     def serve(self, stop: Event, *, writes: bool) -> None:
         """Answer questions until told to stop; run it in as many threads as should answer.
@@ -144,7 +136,7 @@ class Questions:
                 self._serve(questions)
             finally:
                 took_s = time.monotonic() - began_s
-                rests = questions[0].asked in WHOLE
+                rests = _reads_all(questions[0].asked)
                 waiting.done(taken, rest_s=min(took_s, MOST_REST_S) if rests else 0.0)
 
     def close(self) -> None:
@@ -164,13 +156,13 @@ class Questions:
 
     def _enqueue(
         self,
-        asked: Asked,
+        asked: str,
         query: zenoh.Query,
         *,
         answer: Answer | None = None,
         replier: Replier | None = None,
     ) -> None:
-        verb = None if asked == "history" else VERBS[asked]
+        verb = VERBS.get(asked)
         most_bytes = MAX_QUESTION_BYTES if verb is None else verb.most_bytes
         size = 0 if query.payload is None else len(query.payload)
         if size > most_bytes:
@@ -183,13 +175,13 @@ class Questions:
         waiting = self._writes if verb is not None and verb.writes else self._reads
         alike = verb is not None and not verb.writes
         kind = (asked, payload) if alike else object()
-        turn = asked if asked in WHOLE else None
+        turn = asked if _reads_all(asked) else None
         if not waiting.offer(kind, question, size=size, turn=turn):
             busy = TransientError("the service is busy; ask again")
             self._send_back(asked, query, busy, "try_again")
 
     def _send_back(
-        self, asked: Asked, query: zenoh.Query, error: CounterpointError, outcome: Outcome
+        self, asked: str, query: zenoh.Query, error: CounterpointError, outcome: Outcome
     ) -> None:
         with query:
             self._refuse(query, error)
@@ -283,10 +275,14 @@ class Questions:
             reply_problem(query, error)
 
 
+def _reads_all(asked: str) -> bool:
+    return asked in VERBS and VERBS[asked].reads_all
+
+
 class MalformedError(PermanentError):
     """A payload is not the question that its verb takes."""
 
 
-def malformed(asked: Asked, error: ValidationError) -> MalformedError:
+def malformed(asked: str, error: ValidationError) -> MalformedError:
     """Say in one sentence what is wrong with a question."""
     return MalformedError(f"not a question for {asked}: {first_problem(error)}")

@@ -15,7 +15,8 @@ from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, disa
 from schemas.contradiction import ContradictionKind, SceneState
 from schemas.labels import Agreement
 from schemas.score import SceneScore
-from service.api.request_queue import Asked, Outcome
+from service.api.request_queue import Outcome
+from service.api.verbs import ASKED
 from service.monitoring.gauges import NAMESPACE, ServiceGauges, Sources
 from service.store.events import point_counts
 from service.store.transaction_effects import CommitOutcome, Effects, WorkKind
@@ -144,7 +145,7 @@ class ServiceMetrics:
             "questions",
             "Questions from the bus by verb and outcome. Worry when `try_again` grows: the service "
             "is too busy, or its database does not answer.",
-            verb=get_args(Asked),
+            verb=ASKED,
             outcome=get_args(Outcome),
         )
         self._database_errors = self._counter(
@@ -199,7 +200,7 @@ class ServiceMetrics:
         """Note how long it took to make a commit durable."""
         self._commit_seconds.observe(seconds)
 
-    def asked(self, verb: Asked, outcome: Outcome) -> None:
+    def asked(self, verb: str, outcome: Outcome) -> None:
         """Count a question."""
         self._questions.labels(verb, outcome).inc()
 
