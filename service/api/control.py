@@ -158,7 +158,7 @@ class Control:
 
     def answer_select(self, request: SelectRequest) -> Selection:
         """Make, store and publish a selection."""
-        chosen = self._ledger.best_distinct(budget=request.budget)
+        chosen = self._ledger.select(budget=request.budget)
         selection = self._ledger.save_selection(request.name, budget=request.budget, scenes=chosen)
         self._on_selection(selection)
         return selection

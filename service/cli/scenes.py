@@ -21,12 +21,13 @@ from service.cli.options import (
     StateToRead,
     settings_for,
 )
-from service.cli.output import counted, json_line, remark, result_line, table
+from service.cli.output import counted, json_line, page, remark, result_line, table
 from service.cli.report import first_of, said_of, say_judged, say_ranking, say_what_was_found
 from service.client.merge import SceneEvent
 from service.curation.scene_names import is_short_name, named, short_names
 from service.curation.selection import left_out
 from service.errors import NothingFoundError, UsageError
+from service.export.formats import FORMATS
 from service.output_files import need_writable, save_picture
 from service.settings.config import Settings
 
@@ -153,8 +154,8 @@ def select(
     source = reader(config, connect=connect, state=state, database=database)
     selection = source.select(budget=budget, name=name)
     if json:
-        for row in selection.scenes:
-            json_line({"selection": selection.name} | row.model_dump(mode="json"))
+        for line in FORMATS["json"](selection):
+            page(line)
         return
     ranking = source.top(selection.last_rank)
     name_of = short_names(ranking)
