@@ -136,7 +136,7 @@ def test_the_weights_that_ship_tell_ground() -> None:
     stream = RangeImageStream.salsanext_ground(SHIPPED)
     assert stream.task == GROUND
     assert "sidewalk" in stream.class_names
-    assert stream.version != RangeImageStream.shipped().version
+    assert stream.version != RangeImageStream.salsanext_lmnet(SHIPPED).version
 
 
 def test_a_worker_of_a_service_refuses_any_task_but_motion(tmp_path: Path) -> None:

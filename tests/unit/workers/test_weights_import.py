@@ -15,7 +15,7 @@ from workers.lidar.range_image import SensorProfile
 from workers.paper.weights import load_delora, load_flowstep3d, load_gndnet
 from workers.parts.catalogue import names_of
 from workers.parts.networks import import_weights, known_configs, read_config, read_known
-from workers.supervised.stream import RangeImageStream
+from workers.supervised.stream import SHIPPED, RangeImageStream
 from workers.supervised.weights import WeightsCard, load_weights
 
 PUBLISHED = {
@@ -76,7 +76,7 @@ def test_the_stream_runs_on_a_folder_of_imported_weights(tmp_path: Path) -> None
         )
     stream = RangeImageStream.salsanext_lmnet(tmp_path / "w")
     assert stream.class_names[14] == "car"
-    assert stream.version != RangeImageStream.shipped().version
+    assert stream.version != RangeImageStream.salsanext_lmnet(SHIPPED).version
     assert stream.version == RangeImageStream.salsanext_lmnet(tmp_path / "w").version
 
 

@@ -5,7 +5,7 @@ is written into the truth, and put into the poses by whoever mines the log to ju
 (`workers.lab.evaluation.slips`).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
@@ -92,11 +92,6 @@ def delay_ns(index: int, time_s: float, disturbances: Iterable[Disturbance]) -> 
         return 0
     rng = np.random.default_rng([jitters[0].seed, index])
     return round(float(rng.uniform(0.0, _JITTER_S)) * NS_PER_S)
-
-
-def slips_of(disturbances: Sequence[Disturbance]) -> tuple[Disturbance, ...]:
-    """Which of them are for the poses."""
-    return tuple(each for each in disturbances if each.kind is DisturbanceKind.ODOMETRY_SLIP)
 
 
 def only_points(frame: SimulatedFrame, kept: Mask) -> SimulatedFrame:
