@@ -1,4 +1,4 @@
-"""What may be asked of the service over the bus: each verb with what it takes and answers."""
+"""The verbs of the bus: each with its request, its reply and its limits."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -46,6 +46,9 @@ or give workers the same four values.
 **Mined anew**: those settings are part of the pipeline version. Change one, and everything in the
 bucket is mined anew under the new version; scenes of the old one stay until theirs replace them.
 
+**Parts**: what each value of `supervised`, `selfsupervised`, `odometry`, `witness` and `instances`
+does, where it is from and what weights it needs is on the page of [parts](PARTS.md).
+
 A variable's name is `COUNTERPOINT_` and the setting's in capitals, two underscores for the dot
 (`{variable_of("grid.shard_s")}`). Lists are written `a,b` in variables. Variables that Kubernetes
 sets in every pod for a service of this name (`COUNTERPOINT_PORT_7447_TCP`, ...) are passed over.

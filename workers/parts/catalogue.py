@@ -29,7 +29,7 @@ PARTS: Final[tuple[Part, ...]] = (
         name="delora",
         factory=factories.delora,
         networks=("delora",),
-        text="A network says how the sensor moved between two frames; no trust in a pose is known.",
+        text="A network estimates the motion between two frames; the trust in a pose is unknown.",
         source="DeLORA (Nubert et al., ICRA 2021)",
         paper=True,
     ),
@@ -39,7 +39,7 @@ PARTS: Final[tuple[Part, ...]] = (
         factory=factories.salsanext_lmnet,
         networks=("salsanext", "lmnet"),
         ships=True,
-        text="SalsaNext says what can move, LMNet what moves, both over one range image.",
+        text="SalsaNext labels what can move, LMNet what moves, both over one range image.",
         source="SalsaNext (Cortinhal et al., 2020), LiDAR-MOS (Chen et al., RA-L 2021)",
         weights="ships: width 8, simulated streets and PandaSet (CC BY 4.0); or a folder in the "
         "setting weights",
@@ -77,7 +77,7 @@ PARTS: Final[tuple[Part, ...]] = (
         factory=factories.salsanext_ground,
         networks=("salsanext",),
         ships=True,
-        text="Task ground: SalsaNext says which points lie on road, sidewalk, terrain.",
+        text="Task ground: SalsaNext labels the points on road, sidewalk and terrain.",
         source="SalsaNext (Cortinhal et al., 2020)",
         weights="salsanext alone, as salsanext-lmnet",
     ),
@@ -158,8 +158,8 @@ PARTS: Final[tuple[Part, ...]] = (
         name="two-stage:flowstep3d",
         factory=factories.flowstep3d,
         networks=("flowstep3d",),
-        text="The paper's clustering, numbers per second; FlowStep3D says where each point within "
-        "35 m goes beyond ego-motion.",
+        text="The paper's clustering, numbers per second; FlowStep3D estimates the motion of each "
+        "point within 35 m beyond ego-motion.",
         source="arXiv 2407.14306, section III-B; FlowStep3D (Kittenplon et al., 2021)",
     ),
     Part(
@@ -207,15 +207,15 @@ PARTS: Final[tuple[Part, ...]] = (
         kind="witness",
         name="free-space",
         factory=factories.free_space,
-        text="Free space a second before and after: where something else was seen through, nothing "
-        "stands.",
+        text="Free space a second before and after: a place that a beam passed through then is "
+        "not static.",
         source="own",
     ),
     Part(
         kind="witness",
         name="none",
         factory=factories.no_witness,
-        text="Nobody is asked beside the two streams.",
+        text="No third witness: the two streams alone.",
         source="none",
         paper=True,
     ),

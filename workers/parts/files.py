@@ -1,11 +1,11 @@
-"""What parts read in addition to the files of the package."""
+"""Files of the user that parts read."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
 class PartFiles:
-    """What parts read in addition to the files of the package.
+    """Files that parts read in addition to those of the package.
 
     Attributes:
         model: Adapter of the user's own model; empty: none.

@@ -62,7 +62,7 @@ class Part:
 
     @property
     def weights_needed(self) -> str:
-        """What weights it needs, in words; `none`: nothing."""
+        """Describe the weights it needs; `none`: nothing."""
         if self.weights or not self.networks:
             return self.weights or "none"
         return f"{' and '.join(self.networks)}, imported; none ship"
