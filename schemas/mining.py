@@ -52,10 +52,7 @@ class MiningSettings(BaseModel):
     grid: Grid = Field(default_factory=Grid, description="Scene and shard lengths, warm-up.")
     supervised: Name = Field(
         default="salsanext-lmnet",
-        description="Supervised stream, by name: salsanext-lmnet, recorded (labels of the model "
-        "on the car), own (your model), salsanext-lmnet:published (image and votes "
-        "with the bugs of the publication); for `score` of the task ground "
-        "salsanext:ground, recorded:ground.",
+        description="Supervised stream, one that `counterpoint parts` lists.",
     )
     model: Url = Field(
         default="",
@@ -69,22 +66,19 @@ class MiningSettings(BaseModel):
     )
     selfsupervised: Name = Field(
         default="registration",
-        description="Self-supervised stream, by name: registration, two-stage (on any flow), or "
-        "paper (the published chain); registration:lookahead-0.5 and :lookahead-1.0 "
-        "wait 0.5 s and 1 s for later frames; ground is of another task.",
+        description="Self-supervised stream, one that `counterpoint parts` lists.",
     )
     odometry: Name = Field(
-        default="kiss-icp", description="Odometry, by name: kiss-icp, or delora (the paper's)."
+        default="kiss-icp", description="Odometry, one that `counterpoint parts` lists."
     )
     witness: Name = Field(
         default="free-space",
-        description="Third witness, by name: free-space (an object in space that was free a "
-        "second before or after is not static), or none.",
+        description="Third witness, one that `counterpoint parts` lists.",
     )
-    instances: Literal["default", "paper"] = Field(
+    instances: Name = Field(
         default="default",
-        description="Clustering of contradicting points into instances; paper: the published "
-        "parameters.",
+        description="Rule by which contradicting points become instances, one that "
+        "`counterpoint parts` lists.",
     )
     lidar_topic: Url = Field(default="", description="Lidar topic to mine; empty: detected.")
     odometry_topic: Url = Field(

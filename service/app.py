@@ -10,7 +10,7 @@
 Only the ledger is durable; everything else may be killed at any moment and is rebuilt from it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack
 from functools import partial
@@ -22,7 +22,6 @@ import structlog
 import zenoh
 
 from schemas.errors import BucketRefusedError, TransientError
-from schemas.mining import MiningSettings
 from schemas.transport import keys
 from schemas.transport.bucket import Bucket, open_bucket
 from schemas.transport.bus import is_connected, recoverable_subscriber
@@ -35,13 +34,15 @@ from service.api.staging import Staging
 from service.background.bucket_watch import BucketWatch
 from service.background.clock_watch import ClockWatch
 from service.background.heartbeat import Heartbeat, Standing, service_standing
-from service.background.overlay_cleanup import OverlaySweep
+from service.background.overlay_cleanup import DAY_S, OverlaySweep
 from service.background.periodic import tick
 from service.errors import StateInUseError, StatementFailedError
 from service.monitoring.gauges import Sources
 from service.monitoring.metrics import ServiceMetrics
 from service.monitoring.readiness import not_ready
+from service.settings.config import Settings
 from service.store.ledger import Ledger
+from service.store.state import free_bytes
 
 log = structlog.get_logger(__name__)
 
@@ -82,77 +83,66 @@ class Service:
 
     def __init__(
         self,
+        settings: Settings,
         session: zenoh.Session,
         ledger: Ledger,
         *,
         bucket: Bucket,
-        settings: MiningSettings,
-        root: str = keys.DEFAULT_ROOT,
-        list_interval_s: float = 10.0,
-        include: Sequence[str] = (),
-        exclude: Sequence[str] = (),
-        settle_s: float = 0.0,
         once: bool = False,
-        heartbeat_s: float = 300.0,
         hold: Callable[[], object] | None = None,
         metrics: ServiceMetrics | None = None,
-        state_free_bytes: Callable[[], int | None] = lambda: None,
-        keep_withdrawn_s: float = 0.0,
     ) -> None:
         """Wire the parts; nothing happens before the block is entered.
 
         Args:
+            settings: What this process runs with, and what every worker must do alike.
             session: On the bus.
             ledger: Durable state.
             bucket: The log bucket, which is only listed.
-            settings: Settings that every worker shares.
-            root: First part of every key.
-            list_interval_s: Interval of listings of the bucket, seconds.
-            include: Only keys that match one of these patterns count; empty: all.
-            exclude: Keys that match one of these do not.
-            settle_s: Time for which a suddenly empty bucket must stay empty before it is believed,
-                seconds.
-            once: List the bucket only at the start, unless an object changes under a reader.
-            heartbeat_s: Longest silence of the log, seconds.
-            hold: Checks that this service is still the only writer of the ledger; None: that cannot
-                change.
-            metrics: Receives all counts; None: a private set.
-            state_free_bytes: Returns the free space on the disk of the state, bytes; None: unknown.
-            keep_withdrawn_s: Age at which overlays of withdrawn scenes are deleted, seconds; 0:
-                never.
+            once: List the bucket only at the start, unless an object changes under a reader, and
+                believe at once that it is empty.
+            hold: Makes sure that the ledger is still ours alone to write; None: it cannot be lost.
+            metrics: Told of everything that is counted; None: some that nobody reads.
 
         Raises:
             UsageError: If overlays are to be deleted in the log bucket.
         """
-        self._session, self._ledger, self._root = session, ledger, root
-        self._list_interval_s, self._once = list_interval_s, once
+        self._session, self._ledger, self._root = session, ledger, settings.root
+        self._list_interval_s, self._once = settings.list_interval_s, once
         self._stop, self._news = Event(), Event()
         self._hold = hold
         self._watch = BucketWatch(
-            bucket, ledger, include=include, exclude=exclude, settle_s=settle_s
+            bucket,
+            ledger,
+            include=settings.include,
+            exclude=settings.exclude,
+            settle_s=0.0 if once else settings.settle_s,
         )
-        self._heartbeat = Heartbeat(self._standing, heartbeat_s=heartbeat_s)
+        self._heartbeat = Heartbeat(self._standing, heartbeat_s=settings.heartbeat_s)
         self._staging = Staging()
         self._clock = ClockWatch()
+        mining = settings.mining()
         self._sweep = None
-        if keep_withdrawn_s:
-            artifacts = open_bucket(settings.artifacts, create=True)
+        if settings.keep_withdrawn_days:
             self._sweep = OverlaySweep(
-                artifacts, ledger, keep_s=keep_withdrawn_s, log_bucket_url=bucket.url
+                open_bucket(mining.artifacts, create=True),
+                ledger,
+                keep_s=settings.keep_withdrawn_days * DAY_S,
+                log_bucket_url=bucket.url,
             )
         self.metrics = metrics or ServiceMetrics()
         ledger.observe(self.metrics)
         self._outbox = Outbox(
-            session, ledger, root=root, on_fault=partial(self.metrics.faulted, "event")
+            session, ledger, root=self._root, on_fault=partial(self.metrics.faulted, "event")
         )
-        self._history = History(session, ledger, root=root)
+        self._history = History(session, ledger, root=self._root)
         self._questions = Questions(
             session,
             on_outcome=self.metrics.asked,
             on_fault=partial(self.metrics.faulted, "question"),
         )
         self._control = Control(
-            settings=settings,
+            settings=mining,
             ledger=ledger,
             staging=self._staging,
             on_scenes=self._news.set,
@@ -167,7 +157,7 @@ class Service:
                 staging_bytes=lambda: self._staging.waiting_bytes,
                 questions_waiting=lambda: self._questions.waiting,
                 bus_misses=lambda: self._staging.missed,
-                state_free_bytes=state_free_bytes,
+                state_free_bytes=partial(free_bytes, settings.state),
                 router_connected=lambda: is_connected(session),
                 clock_steps=lambda: self._clock.steps,
                 overlays_deleted=lambda: 0 if self._sweep is None else self._sweep.deleted,

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Final
 
 from prometheus_client import CollectorRegistry
 
-from schemas.mining import MiningSettings
 from schemas.runtime.http_endpoint import HttpEndpoint
 from schemas.runtime.process import stop_on_signals
 from schemas.runtime.retry import StoppedError
@@ -17,7 +16,6 @@ from schemas.transport.bucket import Bucket, open_bucket
 from schemas.transport.bus import check_endpoints, client_session, free_endpoint, router_session
 from service.app import Service
 from service.background.heartbeat import Heartbeat
-from service.background.overlay_cleanup import DAY_S
 from service.curation.status import Status
 from service.errors import NothingFoundError
 from service.monitoring.gauges import Sources
@@ -71,7 +69,7 @@ def run_embedded(
         stop = opened.enter_context(stop_on_signals())
         bucket = open_bucket(settings.bucket)
         lock, sole, ledger = _open_state(settings, opened, once=once)
-        mining = _mining(settings)
+        _make_artifacts(settings)
         endpoint = settings.listen or free_endpoint()
         opened.enter_context(router_session([endpoint]))
         ledger.free_leases(LOCAL_WORKERS)
@@ -79,7 +77,6 @@ def run_embedded(
             settings,
             ledger,
             bucket,
-            mining,
             [endpoint],
             opened,
             stop=stop,
@@ -125,7 +122,7 @@ def run_service(settings: Settings, *, on_ready: Callable[[str], None]) -> None:
         stop = opened.enter_context(stop_on_signals())
         bucket = open_bucket(settings.bucket)
         lock, sole, ledger = _open_state(settings, opened)
-        mining = _mining(settings)
+        _make_artifacts(settings)
         metrics = ServiceMetrics(vehicles=settings.vehicles)
         daemon = Daemon(router=f"waiting for a router at {', '.join(connect)}")
         http = None
@@ -137,7 +134,6 @@ def run_service(settings: Settings, *, on_ready: Callable[[str], None]) -> None:
                 settings,
                 ledger,
                 bucket,
-                mining,
                 connect,
                 opened,
                 stop=stop,
@@ -196,10 +192,9 @@ def accepted_by(settings: Settings) -> "Accepted":
     return Accepted(settings.bucket, settings.artifacts_url, settings.model, settings.weights)
 
 
-def _mining(settings: Settings) -> MiningSettings:
-    mining = settings.mining()
-    open_bucket(mining.artifacts, create=True)
-    return mining
+def _make_artifacts(settings: Settings) -> None:
+    """Make the place of overlays, so that one that cannot be written to ends the start."""
+    open_bucket(settings.mining().artifacts, create=True)
 
 
 def _open_state(
@@ -229,7 +224,6 @@ def _enter_service(
     settings: Settings,
     ledger: Ledger,
     bucket: Bucket,
-    mining: MiningSettings,
     connect: Sequence[str],
     opened: ExitStack,
     *,
@@ -241,21 +235,13 @@ def _enter_service(
     session = opened.enter_context(client_session(connect, stop=stop))
     return opened.enter_context(
         Service(
+            settings,
             session,
             ledger,
             bucket=bucket,
-            settings=mining,
-            root=settings.root,
-            list_interval_s=settings.list_interval_s,
-            include=settings.include,
-            exclude=settings.exclude,
-            settle_s=0.0 if once else settings.settle_s,
             once=once,
-            heartbeat_s=settings.heartbeat_s,
             hold=None if sole is None else sole.check,
             metrics=metrics,
-            state_free_bytes=partial(free_bytes, settings.state),
-            keep_withdrawn_s=settings.keep_withdrawn_days * DAY_S,
         )
     )
 

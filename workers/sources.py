@@ -26,6 +26,13 @@ NO_EFFECT_ON_RECORDS: Final = frozenset(
 They are in no version, nor are the modules that they alone import."""
 
 
+FOR_READERS: Final[Mapping[str, frozenset[str]]] = {
+    "Field": frozenset({"description"}),
+    "Part": frozenset({"text", "source", "licence", "weights"}),
+}
+"""Keywords of calls, by the name of what is called, whose texts shape no record."""
+
+
 @cache
 def source_digest(*roots: str) -> str:
     """Digest the files of some modules, byte for byte.
@@ -51,8 +58,8 @@ def source_digest(*roots: str) -> str:
 def syntax_digest(*roots: str) -> str:
     """Digest the syntax of some modules and of all modules of ours that they import.
 
-    Comments, layout, docstrings and the descriptions of fields do not count. A module that is
-    moved or renamed does: its name is part of the syntax of those that import it.
+    Comments, layout, docstrings and the texts that `FOR_READERS` names do not count. A module that
+    is moved or renamed does: its name is part of the syntax of those that import it.
 
     Args:
         roots: Modules; a package names every module in it.
@@ -185,11 +192,10 @@ def _is_docstring(node: ast.AST) -> bool:
 def _is_description(call: ast.AST, node: ast.AST) -> bool:
     return (
         isinstance(node, ast.keyword)
-        and node.arg == "description"
         and _is_text(node.value)
         and isinstance(call, ast.Call)
         and isinstance(call.func, ast.Name)
-        and call.func.id == "Field"
+        and node.arg in FOR_READERS.get(call.func.id, ())
     )
 
 

@@ -1,29 +1,12 @@
 """Zenoh keys of the system. Segments are percent-encoded ASCII; no other module builds a key."""
 
-from typing import Final, Literal
+from typing import Final
 from urllib.parse import quote, unquote
 
 from schemas.bounds import MAX_KEY_BYTES
 from schemas.errors import PermanentError
 
 DEFAULT_ROOT: Final = "counterpoint"
-
-Verb = Literal[
-    "about",
-    "hello",
-    "claim",
-    "renew",
-    "commit",
-    "fail",
-    "top",
-    "select",
-    "overlay",
-    "status",
-    "scene",
-    "rates",
-    "retry",
-]
-"""Verbs of requests to the service."""
 
 
 class KeyTooLongError(PermanentError):
@@ -78,8 +61,8 @@ def selected(*, root: str, selection: str, log_id: str, scene_id: str) -> str:
     return _whole(f"{root}/v1/selected/{'/'.join(map(_part, parts))}")
 
 
-def control(*, root: str, verb: Verb) -> str:
-    """Key of a request to the service."""
+def control(*, root: str, verb: str) -> str:
+    """Key of a question to the service."""
     return f"{root}/v1/ctl/{verb}"
 
 

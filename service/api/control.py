@@ -6,16 +6,22 @@ from functools import partial
 from importlib.metadata import version
 from itertools import groupby
 from operator import attrgetter
-from typing import Any, Final, get_args
+from typing import Any, Final
 
 import structlog
 from pydantic import BaseModel, ValidationError
 
 from schemas.mining import MiningSettings
 from schemas.transport import keys
-from schemas.transport.keys import Verb
 from schemas.transport.wire import decode, encode
-from schemas.work import Answer, CommitRequest
+from schemas.work import (
+    Answer,
+    ClaimReply,
+    ClaimRequest,
+    CommitRequest,
+    FailRequest,
+    RenewRequest,
+)
 from service.api.messages import (
     AboutReply,
     RatesReply,
@@ -33,6 +39,7 @@ from service.api.staging import Staging
 from service.api.verbs import VERBS
 from service.curation.rates import RatesRequest, rates
 from service.curation.selection import Selection
+from service.curation.status import Status
 from service.store.ledger import Ledger, StoredScene
 
 log = structlog.get_logger(__name__)
@@ -42,7 +49,10 @@ STAGING_PATIENCE_S: Final = 0.2
 
 
 class Control:
-    """Answers every verb of `schemas.transport.keys.Verb`; acknowledged changes are on disk."""
+    """Answers every verb of `service.api.verbs`; what it acknowledges is on disk.
+
+    Verb `x` is answered by `answer_x`, which takes the request that the row names, None for none.
+    """
 
     def __init__(
         self,
@@ -61,33 +71,20 @@ class Control:
         self._on_commit_seconds = on_commit_seconds
         self._settings, self._ledger, self._staging = settings, ledger, staging
         self._on_scenes, self._on_selection = on_scenes, on_selection
-        about = AboutReply(package=version("counterpoint"))  # now: an upgrade changes the files
-        self._answers: Mapping[Verb, Callable[[Any], BaseModel | bytes]] = {
-            "about": lambda _: about,
-            "hello": lambda _: self._settings,
-            "claim": self._ledger.claim,
-            "renew": self._ledger.renew,
-            "commit": self._commit,
-            "fail": self._ledger.fail,
-            "top": self._top,
-            "select": self._select,
-            "status": lambda _: self._ledger.status(),
-            "rates": self._rates,
-            "scene": lambda request: self._scene(request).record,
-            "overlay": self._overlay,
-            "retry": self._retry,
+        self._about = AboutReply(package=version("counterpoint"))  # an upgrade changes the files
+        self._answers: Mapping[str, Callable[[Any], BaseModel | bytes]] = {
+            verb: getattr(self, f"answer_{verb}") for verb in VERBS
         }
-        """Handler of each verb; its argument is the request type in `service.api.verbs`."""
 
     def declare(self, questions: Questions, *, root: str) -> None:
-        """Register the handlers of every verb."""
-        for verb in get_args(Verb):
+        """Take the questions of every verb."""
+        for verb in VERBS:
             questions.declare(
                 keys.control(root=root, verb=verb), partial(self.answer, verb), asked=verb
             )
 
-    def answer(self, verb: Verb, payload: bytes) -> bytes:
-        """Answer one request.
+    def answer(self, verb: str, payload: bytes) -> bytes:
+        """Answer one question.
 
         Raises:
             MalformedError: If the payload does not fit the verb.
@@ -103,7 +100,36 @@ class Control:
         answer = self._answers[verb](request)
         return answer if isinstance(answer, bytes) else encode(answer)
 
-    def _commit(self, request: CommitRequest) -> Answer:
+    def answer_about(self, _: None) -> AboutReply:
+        """Say which program this is."""
+        return self._about
+
+    def answer_hello(self, _: None) -> MiningSettings:
+        """Say what every worker must do alike."""
+        return self._settings
+
+    def answer_claim(self, request: ClaimRequest) -> ClaimReply:
+        """Give a lease, if there is work."""
+        return self._ledger.claim(request)
+
+    def answer_renew(self, request: RenewRequest) -> Answer:
+        """Lengthen a lease."""
+        return self._ledger.renew(request)
+
+    def answer_fail(self, request: FailRequest) -> Answer:
+        """Take back work that failed."""
+        return self._ledger.fail(request)
+
+    def answer_status(self, _: None) -> Status:
+        """Say how far everything is."""
+        return self._ledger.status()
+
+    def answer_scene(self, request: SceneRequest) -> bytes:
+        """Return the record of a current scene."""
+        return self._scene(request).record
+
+    def answer_commit(self, request: CommitRequest) -> Answer:
+        """Store what was mined, records from the message or from the bus."""
         digests = [entry.sha256 for entry in request.manifest]
         patience_s = 0.0 if request.records else STAGING_PATIENCE_S
         staged = self._staging.collect(digests, patience_s=patience_s)
@@ -122,19 +148,23 @@ class Control:
             self._on_scenes()
         return answer
 
-    def _top(self, request: TopRequest) -> TopReply:
+    def answer_top(self, request: TopRequest) -> TopReply:
+        """List the ranking."""
         return TopReply(scenes=tuple(self._ledger.ranking(most=request.most)))
 
-    def _rates(self, request: RatesRequest) -> RatesReply:
+    def answer_rates(self, request: RatesRequest) -> RatesReply:
+        """Count contradictions by group."""
         return RatesReply(rows=tuple(rates(self._ledger.rate_sums(request), request.by)))
 
-    def _select(self, request: SelectRequest) -> Selection:
-        chosen = self._ledger.best_distinct(budget=request.budget)
+    def answer_select(self, request: SelectRequest) -> Selection:
+        """Make, store and publish a selection."""
+        chosen = self._ledger.select(budget=request.budget)
         selection = self._ledger.save_selection(request.name, budget=request.budget, scenes=chosen)
         self._on_selection(selection)
         return selection
 
-    def _retry(self, request: RetryRequest) -> RetryReply:
+    def answer_retry(self, request: RetryRequest) -> RetryReply:
+        """Try parked work again."""
         retried = self._ledger.retry(request.log_ids)
         for log_id, works in groupby(retried, key=attrgetter("log_id")):
             parked = list(works)
@@ -153,5 +183,6 @@ class Control:
             raise no_such_scene(request.scene_id)
         return stored
 
-    def _overlay(self, request: SceneRequest) -> bytes:
+    def answer_overlay(self, request: SceneRequest) -> bytes:
+        """Return the stored points of a current scene."""
         return read_overlay(self._settings.artifacts, self._scene(request))

@@ -107,7 +107,7 @@ class StateReader:
         """
         asked = question(SelectRequest, budget=budget, name=name)
         with self._ledger_to_write(what="select") as ledger:
-            chosen = ledger.best_distinct(budget=asked.budget)
+            chosen = ledger.select(budget=asked.budget)
             return ledger.save_selection(asked.name, budget=asked.budget, scenes=chosen)
 
     def retry(self, log_ids: Sequence[str] | None = None) -> list[ParkedWork]:

@@ -24,16 +24,12 @@ from pydantic import ValidationError
 from schemas.bounds import MAX_COMMIT_BYTES, MAX_QUESTION_BYTES
 from schemas.errors import CounterpointError, PermanentError, TransientError
 from schemas.transport.ask import reply_problem
-from schemas.transport.keys import Verb
 from schemas.transport.wire import first_problem
 from service.api.bounded_queue import Waiting
-from service.api.verbs import VERBS
+from service.api.verbs import HISTORY, VERBS
 from service.errors import StateUnusableError
 
 log = structlog.get_logger(__name__)
-
-Asked = Literal[Verb, "history"]
-"""Kind of a request: a verb, or the history of scenes and selections."""
 
 Answer = Callable[[bytes], bytes]
 """Handler that maps a payload to a reply; an error raised on purpose becomes the reply."""
@@ -57,11 +53,6 @@ MOST_WAITING_BYTES: Final = 2 * MAX_COMMIT_BYTES
 LARGE_BYTES: Final = 4 * 2**20
 """Payload size above which requests are decoded one at a time, bytes; memory is ten times that."""
 
-WHOLE: Final[frozenset[Asked]] = frozenset({"top", "status", "rates"})
-"""Verbs that read the whole ledger. One request of each is answered at a time, and afterwards that
-verb rests as long as the answer took, so that workers find the processor free.
-"""
-
 MOST_REST_S: Final = 0.25
 
 _IDLE_S: Final = 0.2
@@ -72,7 +63,7 @@ _IDLE_S: Final = 0.2
 class _Question:
     """One request and its handler: `answer` takes the payload, `replier` the query itself."""
 
-    asked: Asked
+    asked: str
     query: zenoh.Query
     payload: bytes
     answer: Answer | None = None
@@ -86,7 +77,7 @@ class Questions:
         self,
         session: zenoh.Session,
         *,
-        on_outcome: Callable[[Asked, Outcome], None] = lambda _asked, _outcome: None,
+        on_outcome: Callable[[str, Outcome], None] = lambda _asked, _outcome: None,
         on_fault: Callable[[], None] = lambda: None,
     ) -> None:
         """Keep the session and the callbacks.
@@ -100,8 +91,8 @@ class Questions:
         self._writes: Waiting[_Question] = Waiting(most=MOST_WAITING, most_bytes=MOST_WAITING_BYTES)
         self._reads: Waiting[_Question] = Waiting(most=MOST_WAITING, most_bytes=MOST_WAITING_BYTES)
         self._large = threading.Lock()
-        self._unable: dict[Asked, str] = {}
-        """Current problem, by kind of request; each is logged once until it passes."""
+        self._unable: dict[str, str] = {}
+        """What cannot be answered now, and why: said once, until it can be again."""
         self._queryables = ExitStack()
 
     @property
@@ -109,8 +100,8 @@ class Questions:
         """Count the requests that no thread has taken yet."""
         return len(self._writes) + len(self._reads)
 
-    def declare(self, key: str, answer: Answer, *, asked: Verb) -> None:
-        """Answer the requests of a verb as the only queryable of its key.
+    def declare(self, key: str, answer: Answer, *, asked: str) -> None:
+        """Answer the questions of a verb, completely: nobody else does.
 
         Args:
             key: Key of the requests.
@@ -126,7 +117,7 @@ class Questions:
             key: Key of the requests.
             replier: Handler of one query.
         """
-        self._declare(key, lambda query: self._enqueue("history", query, replier=replier))
+        self._declare(key, lambda query: self._enqueue(HISTORY, query, replier=replier))
 
     def serve(self, stop: Event, *, writes: bool) -> None:
         """Answer requests until `stop` is set; call it in each answering thread.
@@ -148,7 +139,7 @@ class Questions:
                 self._serve(questions)
             finally:
                 took_s = time.monotonic() - began_s
-                rests = questions[0].asked in WHOLE
+                rests = _reads_all(questions[0].asked)
                 waiting.done(taken, rest_s=min(took_s, MOST_REST_S) if rests else 0.0)
 
     def close(self) -> None:
@@ -168,13 +159,13 @@ class Questions:
 
     def _enqueue(
         self,
-        asked: Asked,
+        asked: str,
         query: zenoh.Query,
         *,
         answer: Answer | None = None,
         replier: Replier | None = None,
     ) -> None:
-        verb = None if asked == "history" else VERBS[asked]
+        verb = VERBS.get(asked)
         most_bytes = MAX_QUESTION_BYTES if verb is None else verb.most_bytes
         size = 0 if query.payload is None else len(query.payload)
         if size > most_bytes:
@@ -187,13 +178,13 @@ class Questions:
         waiting = self._writes if verb is not None and verb.writes else self._reads
         alike = verb is not None and not verb.writes
         kind = (asked, payload) if alike else object()
-        turn = asked if asked in WHOLE else None
+        turn = asked if _reads_all(asked) else None
         if not waiting.offer(kind, question, size=size, turn=turn):
             busy = TransientError("the service is busy; ask again")
             self._send_back(asked, query, busy, "try_again")
 
     def _send_back(
-        self, asked: Asked, query: zenoh.Query, error: CounterpointError, outcome: Outcome
+        self, asked: str, query: zenoh.Query, error: CounterpointError, outcome: Outcome
     ) -> None:
         with query:
             self._refuse(query, error)
@@ -287,10 +278,14 @@ class Questions:
             reply_problem(query, error)
 
 
+def _reads_all(asked: str) -> bool:
+    return asked in VERBS and VERBS[asked].reads_all
+
+
 class MalformedError(PermanentError):
     """A payload is no valid request of its verb."""
 
 
-def malformed(asked: Asked, error: ValidationError) -> MalformedError:
-    """Make the error that names the first invalid field of a request."""
-    return MalformedError(f"not a request for {asked}: {first_problem(error)}")
+def malformed(asked: str, error: ValidationError) -> MalformedError:
+    """Say in one sentence what is wrong with a question."""
+    return MalformedError(f"not a question for {asked}: {first_problem(error)}")

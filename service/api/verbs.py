@@ -1,4 +1,4 @@
-"""Table of the verbs on the bus, with the request and the reply of each."""
+"""The verbs of the bus: each with its request, its reply and its limits."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,7 +10,6 @@ from pydantic import BaseModel
 from schemas.bounds import MAX_COMMIT_BYTES, MAX_QUESTION_BYTES
 from schemas.mining import MiningSettings
 from schemas.score import SceneScore
-from schemas.transport.keys import Verb
 from schemas.work import (
     Answer,
     ClaimReply,
@@ -39,19 +38,22 @@ class VerbType:
     """Types and limits of one verb.
 
     Attributes:
-        request: Request message; None: no payload, and one that is sent is ignored.
-        reply: Reply message; None: the bytes of an overlay.
-        writes: True if the reply waits for a transaction.
-        most_bytes: Largest payload, bytes; a longer one is refused before it is read.
+        request: Message that it takes; None: nothing, and a payload is passed over.
+        reply: Message that it answers; None: the bytes of an overlay.
+        writes: It is answered only after a transaction.
+        reads_all: It reads the whole ledger. One is answered at a time, and after it the verb
+            rests as long as the answer took: however many ask, workers find the processor free.
+        most_bytes: A longer payload is refused before it is read.
     """
 
     request: type[BaseModel] | None
     reply: type[BaseModel] | None
     writes: bool = False
+    reads_all: bool = False
     most_bytes: int = MAX_QUESTION_BYTES
 
 
-VERBS: Final[Mapping[Verb, VerbType]] = MappingProxyType(
+VERBS: Final[Mapping[str, VerbType]] = MappingProxyType(
     {
         "about": VerbType(None, AboutReply),
         "hello": VerbType(None, MiningSettings),
@@ -59,13 +61,19 @@ VERBS: Final[Mapping[Verb, VerbType]] = MappingProxyType(
         "renew": VerbType(RenewRequest, Answer, writes=True),
         "commit": VerbType(CommitRequest, Answer, writes=True, most_bytes=MAX_COMMIT_BYTES),
         "fail": VerbType(FailRequest, Answer, writes=True),
-        "top": VerbType(TopRequest, TopReply),
+        "top": VerbType(TopRequest, TopReply, reads_all=True),
         "select": VerbType(SelectRequest, Selection, writes=True),
-        "status": VerbType(None, Status),
-        "rates": VerbType(RatesRequest, RatesReply),
-        "scene": VerbType(SceneRequest, SceneScore),
         "overlay": VerbType(SceneRequest, None),
+        "status": VerbType(None, Status, reads_all=True),
+        "scene": VerbType(SceneRequest, SceneScore),
+        "rates": VerbType(RatesRequest, RatesReply, reads_all=True),
         "retry": VerbType(RetryRequest, RetryReply, writes=True),
     }
 )
-"""Entry of every verb of `schemas.transport.keys.Verb`."""
+"""Every verb. `service.api.control.Control.answer_VERB` answers it."""
+
+HISTORY: Final = "history"
+"""The scenes and selections that there are: asked by their keys, so it is no verb of the table."""
+
+ASKED: Final = (*VERBS, HISTORY)
+"""Everything that is asked and counted."""

@@ -4,10 +4,10 @@ from typing import Annotated
 
 import typer
 
+from service.cli.option_groups import MiningOptions, grouped
 from service.cli.options import (
     Artifacts,
     BucketUrl,
-    Camera,
     Config,
     Connect,
     Database,
@@ -16,12 +16,8 @@ from service.cli.options import (
     LogFormat,
     LogLevel,
     Model,
-    Odometry,
-    PresetName,
-    SelfSupervised,
     ShardSeconds,
     StateDir,
-    Supervised,
     Weights,
     settings_for,
 )
@@ -46,22 +42,6 @@ Listen = Annotated[
 Workers = Annotated[int | None, typer.Option("--workers", help="Worker processes; default 2.")]
 
 
-AcceptedBucket = Annotated[
-    str | None,
-    typer.Option("--bucket", help="Only bucket to accept, if the router is on another machine."),
-]
-AcceptedArtifacts = Annotated[
-    str | None,
-    typer.Option("--artifacts", help="Only place for overlays to accept, if it is."),
-]
-AcceptedModel = Annotated[
-    str | None, typer.Option("--model", help="Only adapter to accept, or the folder of it.")
-]
-AcceptedWeights = Annotated[
-    str | None, typer.Option("--weights", help="Only folder of weights to accept.")
-]
-
-
 def add_to(app: typer.Typer) -> None:
     """Add the verbs of this file to the command."""
     app.command(epilog="counterpoint run --bucket s3://fleet --state /var/lib/counterpoint")(run)
@@ -75,7 +55,9 @@ def add_to(app: typer.Typer) -> None:
     app.command(epilog="counterpoint router --listen tcp/127.0.0.1:7447")(router)
 
 
+@grouped
 def run(
+    *,
     bucket: BucketUrl = None,
     state: StateDir = None,
     workers: Workers = None,
@@ -87,13 +69,7 @@ def run(
     listen: Listen = None,
     artifacts: Artifacts = None,
     database: Database = None,
-    supervised: Supervised = None,
-    model: Model = None,
-    weights: Weights = None,
-    odometry: Odometry = None,
-    camera: Camera = None,
-    preset: PresetName = None,
-    selfsupervised: SelfSupervised = None,
+    mining: MiningOptions,
     config: Config = None,
     log_format: LogFormat = None,
     log_level: LogLevel = None,
@@ -114,13 +90,7 @@ def run(
         listen=listen,
         artifacts=artifacts,
         database=database,
-        supervised=supervised,
-        model=model,
-        weights=weights,
-        odometry=odometry,
-        camera=camera,
-        preset=preset,
-        selfsupervised=selfsupervised,
+        **mining.flags(),
         log_format=log_format,
         log_level=log_level,
     )
@@ -150,7 +120,9 @@ def run(
             raise typer.Exit(EX_PARKED)
 
 
+@grouped
 def service(
+    *,
     bucket: BucketUrl = None,
     state: StateDir = None,
     connect: Connect = None,
@@ -159,13 +131,7 @@ def service(
     exclude: Exclude = None,
     artifacts: Artifacts = None,
     database: Database = None,
-    supervised: Supervised = None,
-    model: Model = None,
-    weights: Weights = None,
-    odometry: Odometry = None,
-    camera: Camera = None,
-    preset: PresetName = None,
-    selfsupervised: SelfSupervised = None,
+    mining: MiningOptions,
     config: Config = None,
     log_format: LogFormat = None,
     log_level: LogLevel = None,
@@ -183,13 +149,7 @@ def service(
         exclude=exclude,
         artifacts=artifacts,
         database=database,
-        supervised=supervised,
-        model=model,
-        weights=weights,
-        odometry=odometry,
-        camera=camera,
-        preset=preset,
-        selfsupervised=selfsupervised,
+        **mining.flags(),
         log_format=log_format,
         log_level=log_level,
     )
@@ -200,17 +160,18 @@ def service(
 def worker(
     connect: Connect = None,
     workers: Workers = None,
-    bucket: AcceptedBucket = None,
-    artifacts: AcceptedArtifacts = None,
-    model: AcceptedModel = None,
-    weights: AcceptedWeights = None,
+    bucket: BucketUrl = None,
+    artifacts: Artifacts = None,
+    model: Model = None,
+    weights: Weights = None,
     config: Config = None,
     log_format: LogFormat = None,
     log_level: LogLevel = None,
 ) -> None:
     """Run workers for a service elsewhere; it sends them the bucket and the mining settings.
 
-    With a router on another machine they accept only what their own settings name as well.
+    Where the router is on another machine, they read only the --bucket that is named here, write
+    only to its --artifacts, and load only its --model and --weights, or what lies in them.
     """
     from service.embedded import run_workers
 

@@ -6,15 +6,12 @@ from urllib.parse import unquote, urlsplit
 
 import typer
 
+from service.cli.option_groups import MiningOptions, grouped
 from service.cli.options import (
     MOST,
     Config,
     Force,
     Json,
-    Model,
-    SelfSupervised,
-    Supervised,
-    Weights,
     settings_for,
 )
 from service.cli.output import counted, json_line, progress, remark, table
@@ -31,7 +28,9 @@ if TYPE_CHECKING:
 TABLES = ("planted", "natural")
 
 
+@grouped
 def failures(
+    *,
     url: Annotated[
         str, typer.Argument(help="A fleet of `simulate`, or with --truth any bucket of logs.")
     ],
@@ -86,10 +85,7 @@ def failures(
         int,
         typer.Option("--draws", min=0, max=MOST, help="Draws of the bootstrap; 0: no intervals."),
     ] = 1000,
-    supervised: Supervised = None,
-    model: Model = None,
-    weights: Weights = None,
-    selfsupervised: SelfSupervised = None,
+    mining: MiningOptions,
     json: Json = False,
     config: Config = None,
     force: Force = False,
@@ -110,10 +106,7 @@ def failures(
     settings = settings_for(
         config,
         bucket=logs_url,
-        supervised=supervised,
-        model=model,
-        weights=weights,
-        selfsupervised=selfsupervised,
+        **mining.flags(),
     )
     from workers.lab.evaluation.failures.bench import bench_failures
     from workers.lab.evaluation.failures.uncertainty import Probing

@@ -10,18 +10,13 @@ import typer
 from schemas.transport.bucket import Bucket, open_bucket, open_object
 from schemas.transport.recordings import recording_of
 from schemas.work import Recording
+from service.cli.option_groups import MiningOptions, grouped
 from service.cli.options import (
-    Camera,
+    BucketRoot,
     Config,
     Force,
     Json,
-    Model,
-    Odometry,
-    PresetName,
-    SelfSupervised,
     ShardSeconds,
-    Supervised,
-    Weights,
     settings_for,
 )
 from service.cli.output import json_line, progress, remark, table
@@ -32,13 +27,7 @@ from service.output_files import need_folder, save_picture
 if TYPE_CHECKING:
     from workers.mine import MinedRecord
 
-LogUrl = Annotated[
-    str, typer.Argument(help="URL or path of one .mcap file, or of any part of a split recording.")
-]
-BucketRoot = Annotated[
-    str | None,
-    typer.Option("--bucket", help="Root that log_id is relative to, else COUNTERPOINT_BUCKET."),
-]
+LogUrl = Annotated[str, typer.Argument(help="URL or path of one .mcap file; any part of a split.")]
 
 
 def add_to(app: typer.Typer) -> None:
@@ -74,18 +63,14 @@ def inspect(
     say_inspected(report.model_dump(mode="json"))
 
 
+@grouped
 def score(
+    *,
     url: LogUrl,
     json: Json = False,
     bucket: BucketRoot = None,
     shard_seconds: ShardSeconds = None,
-    supervised: Supervised = None,
-    model: Model = None,
-    weights: Weights = None,
-    odometry: Odometry = None,
-    camera: Camera = None,
-    preset: PresetName = None,
-    selfsupervised: SelfSupervised = None,
+    mining: MiningOptions,
     pictures: Annotated[
         Path | None, typer.Option("--pictures", help="Folder for a picture of each scene.")
     ] = None,
@@ -101,13 +86,7 @@ def score(
         config,
         bucket=bucket,
         shard_seconds=shard_seconds,
-        supervised=supervised,
-        model=model,
-        weights=weights,
-        odometry=odometry,
-        camera=camera,
-        preset=preset,
-        selfsupervised=selfsupervised,
+        **mining.flags(),
     )
     store, recording = locate(url, root_url=settings.bucket)
     scored = []

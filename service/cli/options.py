@@ -6,10 +6,11 @@ from typing import Annotated, Any, Final
 
 import typer
 
-from schemas.parts import PART_LINES, PartSetting
 from schemas.runtime.process import log_to_stderr
 from service.cli.output import remark_as_events
 from service.settings.config import Settings, load_settings
+from workers.parts.catalogue import parts_of_kind
+from workers.parts.part import PartSetting
 
 MOST: Final = 1_000_000_000
 """Largest count of any option; it exceeds every fleet, and fits a database column."""
@@ -21,10 +22,14 @@ _HELP_WIDTH: Final = 50
 def _choice_of(setting: PartSetting, what: str) -> str:
     """Describe the choice of an option, and below it each accepted name with its line."""
     lines = [f"{what}, one of:"]
-    for name, does in PART_LINES[setting].items():
-        lines.append(name)
+    for part in parts_of_kind(setting):
+        lines.append(part.name)
         lines += textwrap.wrap(
-            does, _HELP_WIDTH, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False
+            part.text,
+            _HELP_WIDTH,
+            initial_indent="  ",
+            subsequent_indent="  ",
+            break_on_hyphens=False,
         )
     return "\b\n" + "\n".join(lines)
 
@@ -41,8 +46,15 @@ BucketUrl = Annotated[
     str | None,
     typer.Option("--bucket", help="URL or path of the log bucket, else COUNTERPOINT_BUCKET."),
 ]
+BucketRoot = Annotated[
+    str | None,
+    typer.Option("--bucket", help="Root that log_id is relative to, else COUNTERPOINT_BUCKET."),
+]
 StateDir = Annotated[
     Path | None, typer.Option("--state", help="Folder of ledger and overlays; counterpoint-state.")
+]
+StateToRead = Annotated[
+    Path | None, typer.Option("--state", help="Folder of a run; no daemon is needed then.")
 ]
 Database = Annotated[
     str | None,

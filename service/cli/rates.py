@@ -6,9 +6,9 @@ from typing import Annotated, Final
 
 import typer
 
-from service.cli.options import Config, Connect, Database, Json
+from service.cli.options import Config, Connect, Database, Json, StateToRead
 from service.cli.output import json_line, remark, table
-from service.cli.scenes import StateDir, reader
+from service.cli.scenes import reader
 from service.curation.rates import RateRow, RatesRequest, rates_request
 
 BAR_CHARACTERS: Final = 20
@@ -41,7 +41,7 @@ def rates(
     ] = "",
     until: Annotated[str, typer.Option("--until", help="Recorded before; as --since.")] = "",
     connect: Connect = None,
-    state: StateDir = None,
+    state: StateToRead = None,
     database: Database = None,
     json: Json = False,
     config: Config = None,

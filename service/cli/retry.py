@@ -4,9 +4,9 @@ from typing import Annotated
 
 import typer
 
-from service.cli.options import Config, Connect, Database, Json
+from service.cli.options import Config, Connect, Database, Json, StateToRead
 from service.cli.output import json_line, remark, table
-from service.cli.scenes import StateDir, reader
+from service.cli.scenes import reader
 from service.errors import UsageError
 
 
@@ -22,7 +22,7 @@ def retry(
     ] = None,
     everything: Annotated[bool, typer.Option("--all", help="Retry all parked work.")] = False,
     connect: Connect = None,
-    state: StateDir = None,
+    state: StateToRead = None,
     database: Database = None,
     json: Json = False,
     config: Config = None,

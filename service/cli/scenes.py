@@ -12,25 +12,24 @@ from service.api.reader import Reader, StateReader, choose_endpoint, overlay_of
 from service.cli.options import (
     MOST,
     Artifacts,
+    BucketUrl,
     Config,
     Connect,
     Database,
     Force,
     Json,
+    StateToRead,
     settings_for,
 )
-from service.cli.output import counted, json_line, remark, result_line, table
+from service.cli.output import counted, json_line, page, remark, result_line, table
 from service.cli.report import first_of, said_of, say_judged, say_ranking, say_what_was_found
 from service.client.merge import SceneEvent
 from service.curation.scene_names import is_short_name, named, short_names
 from service.curation.selection import left_out
 from service.errors import NothingFoundError, UsageError
+from service.export.formats import FORMATS
 from service.output_files import need_writable, save_picture
 from service.settings.config import Settings
-
-StateDir = Annotated[
-    Path | None, typer.Option("--state", help="State folder of a run, read without a daemon.")
-]
 
 
 def add_to(app: typer.Typer) -> None:
@@ -112,7 +111,7 @@ def top(
         typer.Option("-n", min=1, max=MAX_SCENES_ASKED, help="Number of rows; default: all."),
     ] = None,
     connect: Connect = None,
-    state: StateDir = None,
+    state: StateToRead = None,
     database: Database = None,
     json: Json = False,
     config: Config = None,
@@ -152,7 +151,7 @@ def select(
     ],
     name: Annotated[str | None, typer.Option("--name", help="Name of the selection.")] = None,
     connect: Connect = None,
-    state: StateDir = None,
+    state: StateToRead = None,
     database: Database = None,
     json: Json = False,
     config: Config = None,
@@ -163,8 +162,8 @@ def select(
     source = reader(config, connect=connect, state=state, database=database)
     selection = source.select(budget=budget, name=name)
     if json:
-        for row in selection.scenes:
-            json_line({"selection": selection.name} | row.model_dump(mode="json"))
+        for line in FORMATS["json"](selection):
+            page(line)
         return
     ranking = source.top(selection.last_rank)
     name_of = short_names(ranking)
@@ -192,13 +191,12 @@ def show(
     ],
     out: Annotated[Path, typer.Option("--out", help="PNG file to write.")],
     on_image: Annotated[
-        bool, typer.Option("--on-image", help="Draw the points on the car's camera image instead.")
+        bool,
+        typer.Option("--on-image", help="On the camera image, which is read from --bucket."),
     ] = False,
-    bucket: Annotated[
-        str | None, typer.Option("--bucket", help="Log bucket, for the camera image.")
-    ] = None,
+    bucket: BucketUrl = None,
     connect: Connect = None,
-    state: StateDir = None,
+    state: StateToRead = None,
     artifacts: Artifacts = None,
     database: Database = None,
     config: Config = None,
@@ -242,7 +240,7 @@ def _scene_id(source: Reader, said: str) -> str:
 
 def status(
     connect: Connect = None,
-    state: StateDir = None,
+    state: StateToRead = None,
     database: Database = None,
     json: Json = False,
     config: Config = None,

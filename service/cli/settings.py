@@ -4,21 +4,15 @@ from typing import Annotated
 
 import typer
 
+from service.cli.option_groups import MiningOptions, grouped
 from service.cli.options import (
     Artifacts,
     BucketUrl,
-    Camera,
     Config,
     Connect,
     Database,
     Json,
-    Model,
-    Odometry,
-    PresetName,
-    SelfSupervised,
     StateDir,
-    Supervised,
-    Weights,
     log_as,
 )
 from service.cli.output import json_line, page, progress, remark, table
@@ -33,15 +27,11 @@ def add_to(app: typer.Typer) -> None:
     app.command(epilog="counterpoint doctor --config fleet.toml")(doctor)
 
 
+@grouped
 def print_settings(
+    *,
     context: typer.Context,
-    preset: PresetName = None,
-    supervised: Supervised = None,
-    model: Model = None,
-    weights: Weights = None,
-    selfsupervised: SelfSupervised = None,
-    odometry: Odometry = None,
-    camera: Camera = None,
+    mining: MiningOptions,
     config: Config = None,
     json: Json = False,
     markdown: Annotated[
@@ -54,13 +44,7 @@ def print_settings(
         return
     read = read_settings(
         config=config,
-        preset=preset,
-        supervised=supervised,
-        model=model,
-        weights=weights,
-        selfsupervised=selfsupervised,
-        odometry=odometry,
-        camera=camera,
+        **mining.flags(),
     )
     log_as(read.settings, is_daemon=False)
     rows = list(setting_rows(read))
@@ -89,19 +73,15 @@ def print_settings(
     )
 
 
+@grouped
 def doctor(
+    *,
     bucket: BucketUrl = None,
     state: StateDir = None,
     connect: Connect = None,
     artifacts: Artifacts = None,
     database: Database = None,
-    preset: PresetName = None,
-    supervised: Supervised = None,
-    model: Model = None,
-    weights: Weights = None,
-    selfsupervised: SelfSupervised = None,
-    odometry: Odometry = None,
-    camera: Camera = None,
+    mining: MiningOptions,
     config: Config = None,
     json: Json = False,
 ) -> None:
@@ -115,13 +95,7 @@ def doctor(
         connect=connect,
         artifacts=artifacts,
         database=database,
-        preset=preset,
-        supervised=supervised,
-        model=model,
-        weights=weights,
-        selfsupervised=selfsupervised,
-        odometry=odometry,
-        camera=camera,
+        **mining.flags(),
     )
     log_as(read.settings, is_daemon=False)
     findings = []

@@ -13,7 +13,6 @@ from schemas.score import SceneScore
 from schemas.transport import keys
 from schemas.transport.ask import ask_until
 from schemas.transport.bus import client_session
-from schemas.transport.keys import Verb
 from schemas.transport.wire import decode, encode
 from service.api.messages import (
     RatesReply,
@@ -103,7 +102,7 @@ class ControlClient:
         """Return the name of the source of a scene's overlay, for messages."""
         return f"{scene_id}, from the service at {','.join(self._connect)}"
 
-    def _ask(self, verb: Verb, request: BaseModel | None = None) -> bytes:
+    def _ask(self, verb: str, request: BaseModel | None = None) -> bytes:
         with client_session(self._connect) as session:
             return ask_until(
                 session,

@@ -1,8 +1,7 @@
-"""Selection of the best distinct scenes under a budget of labels. Pure."""
+"""A stored choice of scenes, and what it passed over; `strategies` make the choice. Pure."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import islice, takewhile
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -25,28 +24,6 @@ class Selection(BaseModel):
     def last_rank(self) -> int | None:
         """Lowest rank that was considered; None: all, since the budget was not used up."""
         return self.scenes[-1].rank if len(self.scenes) == self.budget else None
-
-
-def select(ranking: Iterable[RankedScene], *, budget: int) -> list[RankedScene]:
-    """Choose the best distinct scenes.
-
-    Twins are left out, because a labeller who sees the better neighbour sees the same street.
-    Scenes without any contradiction are left out too, even when the budget is not used up.
-
-    Args:
-        ranking: Best first; read only as far as needed.
-        budget: Scenes that the labellers can take, at least 1.
-
-    Returns:
-        At most `budget` scenes, best first.
-
-    Raises:
-        ValueError: If the budget is below 1.
-    """
-    if budget < 1:
-        raise ValueError(f"budget must be at least 1 scene, got {budget}")
-    contradicting = takewhile(lambda scene: scene.score > 0, ranking)
-    return list(islice((scene for scene in contradicting if scene.twin_of is None), budget))
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,8 @@ from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, disa
 from schemas.contradiction import ContradictionKind, SceneState
 from schemas.labels import Agreement
 from schemas.score import SceneScore
-from service.api.request_queue import Asked, Outcome
+from service.api.request_queue import Outcome
+from service.api.verbs import ASKED
 from service.monitoring.gauges import NAMESPACE, ServiceGauges, Sources
 from service.store.events import point_counts
 from service.store.transaction_effects import CommitOutcome, Effects, WorkKind
@@ -146,9 +147,9 @@ class ServiceMetrics:
         )
         self._questions = self._counter(
             "questions",
-            "Requests from the bus by verb and outcome. Worry when `try_again` grows: the "
-            "service is too busy, or its database does not answer.",
-            verb=get_args(Asked),
+            "Questions from the bus by verb and outcome. Worry when `try_again` grows: the service "
+            "is too busy, or its database does not answer.",
+            verb=ASKED,
             outcome=get_args(Outcome),
         )
         self._database_errors = self._counter(
@@ -204,8 +205,8 @@ class ServiceMetrics:
         """Record the time of one durable commit."""
         self._commit_seconds.observe(seconds)
 
-    def asked(self, verb: Asked, outcome: Outcome) -> None:
-        """Count a request."""
+    def asked(self, verb: str, outcome: Outcome) -> None:
+        """Count a question."""
         self._questions.labels(verb, outcome).inc()
 
     def faulted(self, part: FaultyPart) -> None:

@@ -26,7 +26,6 @@ from pydantic_core import from_json
 from schemas.bounds import Url
 from schemas.camera import RECORDED, CameraCalibration
 from schemas.mining import MiningSettings
-from schemas.parts import PART_LINES
 from schemas.runtime.named_file import read_named_file
 from schemas.runtime.real_path import real_path
 from schemas.transport.keys import DEFAULT_ROOT
@@ -71,6 +70,20 @@ _POSTGRES: Final = ("postgres", "postgresql", "postgresql+psycopg")
 
 Names = Annotated[tuple[str, ...], BeforeValidator(_listed)]
 PostgresUrl = Annotated[str, AfterValidator(_postgres)]
+
+
+def part_names() -> Mapping[str, list[str]]:
+    """Return what each setting that names a part may be, by the catalogue of parts."""
+    from workers.parts.catalogue import names_of
+    from workers.parts.part import KINDS
+
+    return {kind: names_of(kind) for kind in KINDS if kind != "network"}
+
+
+def allowed_values() -> dict[str, str]:
+    """Describe what the value of every setting may be, by its dotted name."""
+    parts = {setting: f"one of {', '.join(names)}" for setting, names in part_names().items()}
+    return allowed(Settings) | parts
 
 
 class Settings(MiningSettings):
@@ -182,11 +195,10 @@ class Settings(MiningSettings):
         description="Longest time of a worker on one lease; then it is killed.",
     )
 
-    @field_validator("odometry", "supervised", "selfsupervised", "witness")
+    @field_validator("odometry", "supervised", "selfsupervised", "witness", "instances")
     @classmethod
     def _is_a_part(cls, name: str, setting: ValidationInfo) -> str:
-        known = next(lines for kind, lines in PART_LINES.items() if kind == setting.field_name)
-        if name not in known:
+        if name not in (known := part_names()[setting.field_name or ""]):
             raise ValueError(f"one of {', '.join(known)}")
         return name
 
@@ -299,7 +311,7 @@ def read_settings(*, config: Path | None = None, **flags: Any) -> ReadSettings:
     try:
         settings = Settings.model_validate(nested(laid))
     except ValidationError as error:
-        problems += impossible(error, laid, allowed(Settings))
+        problems += impossible(error, laid, allowed_values())
     else:
         if not problems:
             return ReadSettings(settings, laid, file)

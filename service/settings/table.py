@@ -6,8 +6,8 @@ from typing import Any, Final
 from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.mining import MiningSettings
-from service.settings.config import NOT_IN_VERSION, ReadSettings, Settings
-from service.settings.messages import allowed, shown
+from service.settings.config import NOT_IN_VERSION, ReadSettings, Settings, allowed_values
+from service.settings.messages import shown
 from service.settings.sources import CONFIG_VARIABLE, flag_of, leaves, variable_of
 
 _HEAD: Final = f"""# Settings
@@ -47,6 +47,9 @@ processes one file, or give workers the same four values.
 bucket is mined again under the new version; scenes of the old one stay until new ones supersede
 them.
 
+**Parts**: what each value of `supervised`, `selfsupervised`, `odometry`, `witness` and `instances`
+does, where it is from and what weights it needs is on the page of [parts](PARTS.md).
+
 A variable's name is `COUNTERPOINT_` and the setting's in capitals, two underscores for the dot
 (`{variable_of("grid.shard_s")}`). Lists are written `a,b` in variables. Variables that Kubernetes
 sets in every pod for a service of this name (`COUNTERPOINT_PORT_7447_TCP`, ...) are ignored.
@@ -74,8 +77,8 @@ class SettingRow(BaseModel):
 
 
 def setting_rows(read: ReadSettings) -> Iterator[SettingRow]:
-    """Yield every setting with its value and its source, in the order of the model."""
-    values, may_be = read.settings.model_dump(mode="json"), allowed(Settings)
+    """Yield every setting with its value and where that came from, in the order of the model."""
+    values, may_be = read.settings.model_dump(mode="json"), allowed_values()
     defaults = Settings().model_dump(mode="json")
     for setting, field in leaves(Settings).items():
         written = read.written.get(setting)

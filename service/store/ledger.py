@@ -23,8 +23,9 @@ from schemas.work import (
 )
 from service.curation.ranking import RankedScene
 from service.curation.rates import RatesRequest, RateSums
-from service.curation.selection import Selection, select
+from service.curation.selection import Selection
 from service.curation.status import ParkedWork, Status
+from service.curation.strategies.catalogue import DEFAULT, select
 from service.store import (
     backlog,
     claims,
@@ -334,17 +335,13 @@ class Ledger:
         with self._store.reading() as connection:
             return list(ranking.ranked(connection, most=most, on_damaged=self._store.note_damaged))
 
-    def best_distinct(self, *, budget: int) -> list[RankedScene]:
-        """Choose the scenes of a selection with this budget, best first.
-
-        Raises:
-            ValueError: If the budget is below 1.
-        """
+    def select(self, *, budget: int, strategy: str = DEFAULT) -> list[RankedScene]:
+        """Choose scenes of the ranking, or raise as `service.curation.strategies` does."""
         with (
             self._store.reading() as connection,
             closing(ranking.ranked(connection, on_damaged=self._store.note_damaged)) as ranked,
         ):
-            return select(ranked, budget=budget)
+            return select(ranked, budget=budget, strategy=strategy)
 
     def rate_sums(self, request: RatesRequest) -> list[RateSums]:
         """Return sums over the requested groups of current scenes, in no order."""

@@ -14,10 +14,10 @@ from prometheus_client.core import Metric
 
 from deploy.grafana.make_dashboards import made
 from deploy.grafana.panels import COLUMNS, PROMETHEUS, RATES
-from deploy.grafana.reading import ReadPanel, metrics_in, read_dashboard
 from service.curation.rates import RateRow, rates_request
 from service.monitoring.gauges import ServiceGauges, Sources
 from service.monitoring.metrics import ServiceMetrics
+from tests.dashboard_reading import ReadPanel, metrics_in, read_dashboard
 from workers.worker.metrics import PoolMetrics, WorkerMetrics
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"

@@ -558,10 +558,10 @@ class LedgerContract(StoreContract):
     def test_a_selection_is_durable_and_never_changes(self, world: World) -> None:
         world.listed("a", "b")
         world.mine_all()
-        chosen = world.ledger.best_distinct(budget=2)
+        chosen = world.ledger.select(budget=2)
         first = world.ledger.save_selection(None, budget=2, scenes=chosen)
         named = world.ledger.save_selection(
-            "for-monday", budget=3, scenes=world.ledger.best_distinct(budget=3)
+            "for-monday", budget=3, scenes=world.ledger.select(budget=3)
         )
         assert first.name == "selection-1"
         assert list(first.scenes) == chosen

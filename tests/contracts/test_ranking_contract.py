@@ -137,7 +137,7 @@ class RankingContract(StoreContract):
 
     def test_nothing_ranks_as_nothing(self, world: World) -> None:
         assert world.ledger.ranking() == []
-        assert world.ledger.best_distinct(budget=3) == []
+        assert world.ledger.select(budget=3) == []
 
     def test_a_scene_that_is_not_current_has_no_rank_and_no_twin(self, world: World) -> None:
         rank(world, scene(0, 0.9), scene(1, 0.5), scene(1, 0.2, log_id="b"))
@@ -180,8 +180,8 @@ class RankingContract(StoreContract):
             ]
             assert row.twin_of == min(better, key=place.__getitem__, default=None)
         distinct = [row for row in ranking if row.twin_of is None and row.score > 0]
-        assert world.ledger.best_distinct(budget=40) == distinct[:40]
-        assert world.ledger.best_distinct(budget=4000) == distinct
+        assert world.ledger.select(budget=40) == distinct[:40]
+        assert world.ledger.select(budget=4000) == distinct
 
 
 class TestRankingOnSqlite(OnSqlite, RankingContract):

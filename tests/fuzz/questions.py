@@ -16,31 +16,7 @@ from hypothesis import strategies as st
 from hypothesis.strategies import SearchStrategy
 from pydantic import BaseModel
 
-from schemas.transport.keys import Verb
-from schemas.work import ClaimRequest, CommitRequest, FailRequest, RenewRequest
-from service.api.messages import RetryRequest, SceneRequest, SelectRequest, TopRequest
-from service.curation.rates import RatesRequest
-
-Asked = Literal[Verb, "history", "selections", "cache"]
-
-MESSAGES: Final[Mapping[Verb, type[BaseModel] | None]] = {
-    "about": None,
-    "hello": None,
-    "claim": ClaimRequest,
-    "renew": RenewRequest,
-    "commit": CommitRequest,
-    "fail": FailRequest,
-    "top": TopRequest,
-    "select": SelectRequest,
-    "overlay": SceneRequest,
-    "status": None,
-    "scene": SceneRequest,
-    "rates": RatesRequest,
-    "retry": RetryRequest,
-}
-"""Which message each verb takes; None: whatever is sent is not read."""
-
-assert MESSAGES.keys() == set(get_args(Verb)), "a verb that nobody asks absurd things"
+from service.api.verbs import VERBS
 
 NAMES: Final = ("$LEASE", "$LOG", "$SCENE", "$WORKER", "$VERSION")
 """Stand for what the service knows when the question is asked."""
@@ -83,7 +59,7 @@ class Question:
         parameters: Of the selector.
     """
 
-    asked: Asked
+    asked: str
     base: Any
     spoilt: tuple[tuple[int, Any], ...] = ()
     damage: str = "none"
@@ -133,7 +109,7 @@ DAMAGES: Final[Mapping[str, Change]] = {
 
 def questions() -> SearchStrategy[Question]:
     """Make questions of every kind."""
-    verbs = [_of_verb(verb, message) for verb, message in MESSAGES.items()]
+    verbs = [_of_verb(verb, kind.request) for verb, kind in VERBS.items()]
     return st.one_of(*verbs, _right_commits(), _right_commits(), _history())
 
 
@@ -208,7 +184,7 @@ def _damage() -> SearchStrategy[str]:
     return st.one_of(st.just("none"), st.just("none"), st.sampled_from(sorted(DAMAGES)))
 
 
-def _of_verb(verb: Verb, message: type[BaseModel] | None) -> SearchStrategy[Question]:
+def _of_verb(verb: str, message: type[BaseModel] | None) -> SearchStrategy[Question]:
     base = st.sampled_from(WILD) if message is None else _message(message)
     return st.builds(Question, st.just(verb), base, _spoilt(), _damage())
 
@@ -228,7 +204,7 @@ def _history() -> SearchStrategy[Question]:
     names = ("since", "most", "newest", "withdrawn", "_max", "_time", "other")
     pair = st.builds("{}={}".format, st.sampled_from(names), st.sampled_from(numbers))
     parameters = st.lists(pair, max_size=3).map(";".join)
-    asked: SearchStrategy[Asked] = st.sampled_from(("history", "selections", "cache"))
+    asked: SearchStrategy[str] = st.sampled_from(("history", "selections", "cache"))
     return st.builds(
         Question, asked, st.just(""), st.just(()), st.just("none"), parameters=parameters
     )

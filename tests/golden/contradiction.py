@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
+from tests.golden.categories import categories
 from tests.golden.difference import Difference, same
 from tests.golden.files import Arrays, arrays
+from tests.golden.fused_labels import is_dynamic_label
 from workers.contradiction.agreement import compare
-from workers.contradiction.categories import categories
 from workers.contradiction.instances import cluster_places
 from workers.contradiction.settings import PAPER_INSTANCES
-from workers.supervised.fusion import is_dynamic_label
 
 
 def check_discrepancy(folder: Path, file: Path) -> list[Difference]:

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from schemas.labels import MotionLabel
 from tests.golden.difference import Difference, same
 from tests.golden.files import arrays
-from workers.supervised.fusion import (
+from tests.golden.fused_labels import (
     KITTI360_MOVABLE,
     MOVING_CLASS,
-    fuse,
     is_dynamic_label,
     semantic_kitti_motion,
     semantic_motion_labels,
 )
+from workers.supervised.fusion import fuse
 
 
 def check_arrays(folder: Path, file: Path) -> list[Difference]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Points, Transform
 from schemas.camera import CameraCalibration
+from tests.golden.conjugation import conjugate
 from tests.golden.difference import Difference, near, same
 from tests.golden.files import AbsentError, Arrays, arrays, document, number_of, parameters, present
 from workers.lidar.fidelity import Form
@@ -26,7 +27,7 @@ from workers.paper.gndnet import GndNet, decorate
 from workers.paper.ground_rule import ground_labels
 from workers.paper.pillars import Pillars, pillars
 from workers.parts.networks import read_known
-from workers.points.se3 import conjugate, inverse
+from workers.points.se3 import inverse
 from workers.supervised.paper_residuals import PaperResiduals
 from workers.supervised.postprocess import KnnSettings, find_voters
 from workers.supervised.residual_image import ResidualSettings, with_residuals

@@ -8,13 +8,13 @@ import numpy as np
 
 from tests.golden.difference import Difference, near, same
 from tests.golden.files import arrays, document
-from workers.lab.evaluation.motion.paper_measures import (
+from tests.golden.paper_measures import (
     Averaging,
     Measures,
     PointSet,
     paper_measures,
 )
-from workers.lab.evaluation.motion.point_matching import COLUMNS, match_points, sums_of
+from tests.golden.point_matching import COLUMNS, match_points, sums_of
 from workers.lidar.fidelity import Form
 
 TOLERANCE: Final = 1e-12

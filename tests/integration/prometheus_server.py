@@ -13,7 +13,7 @@ from typing import Any, Final, Self
 import pytest
 import yaml
 
-from deploy.grafana.asking import AnswerError, get
+from tests.integration.prometheus_asking import AnswerError, get
 
 PROMETHEUS_DEADLINE_S: Final = 120.0
 DEPLOY: Final = Path(__file__).resolve().parents[2] / "deploy"

@@ -7,13 +7,13 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-from schemas.mining import MiningSettings
 from schemas.transport import keys
 from schemas.transport.bucket import open_bucket
 from schemas.transport.bus import client_session, free_endpoint, router_session
 from service.app import Service
 from service.client import watch_scenes
 from service.client.merge import SceneEvent
+from service.settings.config import Settings
 from service.store.engine import open_store
 from tests.contracts.ledger_world import World
 
@@ -37,8 +37,12 @@ class Running:
         (folder / "state").mkdir()
         self.endpoint = free_endpoint()
         self.world = World.on(open_store(folder / "state"))
-        self.settings = MiningSettings(
-            bucket=str(self.logs), artifacts=str(folder / "overlays"), supervised="recorded"
+        self.settings = Settings(
+            bucket=str(self.logs),
+            artifacts=str(folder / "overlays"),
+            supervised="recorded",
+            list_interval_s=0.1,
+            settle_s=0.0,
         )
         self._router = ExitStack()
         self._service = ExitStack()
@@ -56,11 +60,10 @@ class Running:
         session = self._service.enter_context(client_session([self.endpoint]))
         self.service = self._service.enter_context(
             Service(
+                self.settings,
                 session,
                 self.world.ledger,
                 bucket=open_bucket(str(self.logs)),
-                settings=self.settings,
-                list_interval_s=0.1,
             )
         )
 

@@ -278,7 +278,9 @@ def test_a_question_that_is_no_question_is_refused_and_the_service_lives(running
             ask(session, keys.control(root=ROOT, verb="commit"), b"{}")
         with pytest.raises(PermanentError, match="not a request"):
             ask(session, keys.control(root=ROOT, verb="claim"), b"\xff")
-        assert ask(session, keys.control(root=ROOT, verb="hello")) == encode(running.settings)
+        assert ask(session, keys.control(root=ROOT, verb="hello")) == encode(
+            running.settings.mining()
+        )
 
 
 def test_without_a_service_a_verb_says_so_and_to_try_again() -> None:
@@ -325,11 +327,10 @@ def test_a_bucket_that_refuses_for_a_while_is_waited_out(
         bucket = open_bucket("s3://fleet", options=options)
         try:
             with Service(
+                running.settings,
                 session,
                 running.world.ledger,
                 bucket=bucket,
-                settings=running.settings,
-                list_interval_s=0.1,
             ) as service:
                 until(lambda: Revoked.listings > LAST_REFUSED, "a listing after the refused ones")
                 service.check()
@@ -363,10 +364,10 @@ class Revoked(http.server.BaseHTTPRequestHandler):
 def test_a_second_service_under_the_same_root_is_refused(running: Running) -> None:
     with client_session([running.endpoint]) as session:
         second = Service(
+            running.settings,
             session,
             running.world.ledger,
             bucket=open_bucket(str(running.logs)),
-            settings=running.settings,
         )
         with pytest.raises(TransientError, match="another service"):
             second.__enter__()

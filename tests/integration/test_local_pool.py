@@ -20,12 +20,12 @@ import pytest
 from structlog.testing import capture_logs
 
 from schemas.errors import PermanentError, TransientError
-from schemas.mining import MiningSettings
 from schemas.runtime.http_endpoint import HttpEndpoint
 from schemas.transport.bucket import open_bucket
 from schemas.transport.bus import client_session, free_endpoint, router_session
 from schemas.transport.keys import DEFAULT_ROOT
 from service.app import Service
+from service.settings.config import Settings
 from service.store.engine import open_store
 from tests.contracts.ledger_world import World
 from workers.pool.local import LocalPool
@@ -204,17 +204,16 @@ class Served:
     def serve(self, **asked: str) -> None:
         """Start the service, with other settings than before, in the place of the one before."""
         self._serving.close()
-        self.settings = MiningSettings.model_validate(
+        self.settings = Settings.model_validate(
             {"bucket": str(self.logs), "artifacts": str(self.logs.parent / "overlays")}
-            | {"supervised": "recorded"}
+            | {"supervised": "recorded", "list_interval_s": 0.2, "settle_s": 0.0}
             | asked
         )
         service = Service(
+            self.settings,
             self._serving.enter_context(client_session([self.endpoint])),
             self.world.ledger,
             bucket=open_bucket(str(self.logs)),
-            settings=self.settings,
-            list_interval_s=0.2,
         )
         self._serving.enter_context(service)
 
@@ -354,7 +353,7 @@ def test_a_pool_serves_what_its_workers_count_and_the_counts_survive_them(
     opened.enter_context(pool)
     assert get(f"{url}/healthz") == (200, "ok\n")
     until(lambda: get(f"{url}/readyz") == (200, "ok\n"), "a pool that is ready")
-    assert pool.pipeline_version() == version_of(served.settings)
+    assert pool.pipeline_version() == version_of(served.settings.mining())
     until(lambda: counted(pool, "plans_total", outcome="refused") == 1, "a plan")
     assert counted(pool, "connected") == 1
 

@@ -14,11 +14,11 @@ from typing import Final
 
 import pytest
 
-from deploy.grafana.asking import AnswerError, query, query_range, rates
-from deploy.grafana.reading import FOLDER, ReadPanel, read_dashboard, variables_of
 from service.store.engine import DATABASE_NAME
+from tests.dashboard_reading import FOLDER, ReadPanel, read_dashboard, variables_of
 from tests.factories import street_log
 from tests.integration.daemons import System
+from tests.integration.prometheus_asking import AnswerError, query, query_range, rates
 from tests.integration.prometheus_server import (
     PrometheusServer,
     free_port,

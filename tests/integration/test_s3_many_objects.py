@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from schemas.mining import MiningSettings
 from schemas.transport.bucket import Bucket, open_bucket
 from schemas.transport.bus import client_session, free_endpoint, router_session
 from schemas.transport.keys import DEFAULT_ROOT
 from service.app import Service
 from service.client import ControlClient
+from service.settings.config import Settings
 from service.store.engine import open_store
 from tests.contracts.ledger_world import World, plan_of
 from tests.integration.faulty_proxy import FaultyProxy
@@ -55,10 +55,10 @@ def serving(bucket: Bucket, folder: Path) -> Iterator[tuple[World, ControlClient
         endpoint = free_endpoint()
         opened.enter_context(router_session([endpoint]))
         session = opened.enter_context(client_session([endpoint]))
-        settings = MiningSettings(bucket=bucket.url, artifacts="memory://")
-        service = Service(
-            session, world.ledger, bucket=bucket, settings=settings, list_interval_s=0.1
+        settings = Settings(
+            bucket=bucket.url, artifacts="memory://", list_interval_s=0.1, settle_s=0.0
         )
+        service = Service(settings, session, world.ledger, bucket=bucket)
         opened.enter_context(service)
         yield world, ControlClient([endpoint], root=DEFAULT_ROOT)
 

@@ -10,7 +10,7 @@ import pytest
 import zenoh
 from structlog.testing import capture_logs
 
-from schemas.mining import Grid, MiningSettings
+from schemas.mining import Grid
 from schemas.runtime.retry import StoppedError
 from schemas.transport.bucket import open_bucket
 from schemas.transport.bus import client_session, free_endpoint, router_session
@@ -18,6 +18,7 @@ from schemas.transport.keys import DEFAULT_ROOT
 from schemas.transport.router_watch import RouterWatch
 from schemas.work import PlanLease
 from service.app import Service
+from service.settings.config import Settings
 from service.store.engine import open_store
 from tests.contracts.ledger_world import World
 from tests.integration.small_s3 import SmallS3
@@ -57,18 +58,19 @@ class Place:
         opened.callback(self.world.store.close)
         endpoint = free_endpoint()
         self.router = opened.enter_context(router_session([endpoint]))
-        settings = MiningSettings(
+        settings = Settings(
             bucket=bucket or str(self.logs),
             artifacts=artifacts or str(folder / "overlays"),
             grid=Grid(shard_s=2.0),
             supervised="recorded",
+            list_interval_s=0.1,
+            settle_s=0.0,
         )
         service = Service(
+            settings,
             opened.enter_context(client_session([endpoint])),
             self.world.ledger,
             bucket=open_bucket(str(self.logs)),
-            settings=settings,
-            list_interval_s=0.1,
         )
         opened.enter_context(service)
         self.session: zenoh.Session = opened.enter_context(client_session([endpoint]))

@@ -10,10 +10,11 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 
-from schemas.mining import Grid, MiningSettings
+from schemas.mining import Grid
 from schemas.transport.bucket import open_bucket
 from schemas.transport.bus import client_session, free_endpoint, router_session
 from service.app import Service
+from service.settings.config import Settings
 from service.store.engine import open_store
 from tests.contracts.ledger_world import World
 from tests.factories import street_log
@@ -67,16 +68,17 @@ class Afar(WorkerObserver):
         """Answer in the place of whoever answered before."""
         self._serving.close()
         service = Service(
-            self._serving.enter_context(client_session([self.endpoint])),
-            self.world.ledger,
-            bucket=open_bucket(str(self.logs)),
-            settings=MiningSettings(
+            Settings(
                 bucket=str(self.logs),
                 artifacts=str(artifacts),
                 grid=Grid(shard_s=2.0),
                 supervised="recorded",
+                list_interval_s=0.1,
+                settle_s=0.0,
             ),
-            list_interval_s=0.1,
+            self._serving.enter_context(client_session([self.endpoint])),
+            self.world.ledger,
+            bucket=open_bucket(str(self.logs)),
         )
         self._serving.enter_context(service)
 

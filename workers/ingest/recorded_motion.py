@@ -17,9 +17,6 @@ from workers.ingest.messages import RawMessage
 from workers.ingest.topics import Topic
 from workers.ingest.transforms import member
 
-NOT_LOOKED_FOR: Final = "none"
-"""Value of the setting `odometry_topic` that disables the search."""
-
 KINDS: Final = (
     ("nav_msgs/Odometry", ""),
     ("geometry_msgs/TwistWithCovarianceStamped", ""),

@@ -8,7 +8,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
-from typing import Final, Protocol, TypeVar
+from typing import Final, TypeVar
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -66,11 +66,6 @@ class ChunkHeader:
     compression: str
     records_offset: int
     records_bytes: int
-
-
-class _Readable(Protocol):
-    @staticmethod
-    def read(stream: ReadDataStream) -> object: ...
 
 
 Small = TypeVar("Small")

@@ -1,8 +1,9 @@
-"""Scene flow sources by name, each a function of two clouds."""
+"""Scene flow as a function of two clouds, and the simplest one.
 
-from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import Final, Protocol
+Others are `workers.paper.rigid_flow` and `workers.paper.learned_flow`.
+"""
+
+from collections.abc import Callable
 
 import numpy as np
 
@@ -31,57 +32,3 @@ def nearest_neighbour_flow(
     _, nearest = cKDTree(other_points_m).query(expected)
     flow: Flow = other_points_m[nearest] - points_m
     return flow
-
-
-def registered_clusters_flow(
-    points_m: Points, other_points_m: Points, other_from_this: Transform
-) -> Flow:
-    """Return the flow of rigid clusters, each registered to the other frame."""
-    from workers.paper.rigid_flow import rigid_flow
-
-    return rigid_flow(points_m, other_points_m, other_from_this)
-
-
-SCENE_FLOWS: Final[Mapping[str, SceneFlowSource]] = {
-    "nearest-neighbour": nearest_neighbour_flow,
-    "registered-clusters": registered_clusters_flow,
-}
-"""Sources without weights; each is also a stream `two-stage:NAME`."""
-
-
-class LearnedFlow(Protocol):
-    """A source that is a network with its weights."""
-
-    @property
-    def version(self) -> str:
-        """Return the version of everything but code that changes the output."""
-        ...
-
-    def __call__(
-        self, points_m: Points, other_points_m: Points, other_from_this: Transform
-    ) -> Flow:
-        """Estimate flow as a `SceneFlowSource`."""
-        ...
-
-
-def _flowstep3d(folder: Path) -> LearnedFlow:
-    from workers.paper.learned_flow import FlowStep3DFlow
-
-    return FlowStep3DFlow.load(folder)
-
-
-LEARNED_FLOWS: Final[Mapping[str, Callable[[Path], LearnedFlow]]] = {"flowstep3d": _flowstep3d}
-"""Sources with weights of the network of the same name; each is a stream `two-stage:NAME`."""
-
-
-def scene_flow_source(name: str) -> SceneFlowSource:
-    """Find the source of this name.
-
-    Raises:
-        LookupError: If there is none; the message lists those that exist.
-    """
-    try:
-        return SCENE_FLOWS[name]
-    except KeyError:
-        known = ", ".join(sorted(SCENE_FLOWS))
-        raise LookupError(f"no scene flow {name!r}; known: {known}") from None

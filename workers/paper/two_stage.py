@@ -10,9 +10,9 @@ from schemas.arrays import NS_PER_S
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.labels import Blindness, FrameHealth, FrameLabels, MotionLabel
 from schemas.task import MOTION, Task
-from workers.lidar.preprocessing import PreprocessedFrame, Preprocessor
+from workers.lidar.preprocessing import PreprocessedFrame
 from workers.paper.object_flow import object_flow
-from workers.paper.scene_flow import LearnedFlow, scene_flow_source
+from workers.paper.scene_flow import SceneFlowSource
 from workers.paper.two_stage_clustering import PER_SECOND, TwoStageRule, two_stage
 from workers.part_version import version_of
 from workers.points.se3 import transform
@@ -29,20 +29,21 @@ class TwoStage:
 
     Attributes:
         flow: Name of the scene flow.
-        rule: Thresholds of the clustering.
-        learned: The network of that name; None for a flow that needs none.
+        source: The scene flow itself.
+        rule: Numbers of the clustering.
+        weights: Version of the weights of a learned flow; empty: it has none.
     """
 
-    flow: str = "nearest-neighbour"
+    flow: str
+    source: SceneFlowSource
     rule: TwoStageRule = PER_SECOND
-    learned: LearnedFlow | None = None
+    weights: str = ""
     task: ClassVar[Task] = MOTION
 
     @property
     def version(self) -> str:
         """`two-stage@digest` of code, libraries, flow with its weights, and rule."""
-        weights = "" if self.learned is None else f" {self.learned.version}"
-        return version_of("two-stage", f"{self.flow} {self.rule}{weights}")
+        return version_of("two-stage", f"{self.flow} {self.rule} {self.weights}")
 
     @property
     def class_names(self) -> tuple[str, ...]:
@@ -50,12 +51,7 @@ class TwoStage:
         return ()
 
     def __call__(self, frames: Iterable[PosedFrame]) -> Iterator[FrameLabels]:
-        """Yield the labels of each frame.
-
-        Raises:
-            LookupError: If there is no scene flow of that name.
-        """
-        source = self.learned or scene_flow_source(self.flow)
+        """Yield the labels of each frame."""
         prepare = Preprocessor()
         before: tuple[int, PreprocessedFrame] | None = None
         for posed in frames:
@@ -76,7 +72,7 @@ class TwoStage:
             else:
                 places = _in_beams(prepared)
                 other_from_this = before[1].beams_from_odom @ prepared.odom_from_beams
-                flow = source(places, _in_beams(before[1]), other_from_this)
+                flow = self.source(places, _in_beams(before[1]), other_from_this)
                 found = two_stage(
                     places,
                     object_flow(flow, places, other_from_this),

@@ -1,13 +1,11 @@
-"""Networks of the parts, and import of published checkpoints as weights of this project."""
+"""Turns published checkpoints of the networks in the catalogue into weights of this project."""
 
 import hashlib
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from schemas.runtime.named_file import open_named_file, read_named_file
 from workers.checkpoints import stored_weights
@@ -16,32 +14,19 @@ from workers.checkpoints.model_files import MAX_TEXT_BYTES, read_regular
 from workers.checkpoints.parameter_loading import load_into
 from workers.checkpoints.published import read_checkpoint
 from workers.checkpoints.stored_weights import Card
-from workers.errors import UnknownPartError
-
-NETWORKS: Final = ("salsanext", "lmnet", "gndnet", "flowstep3d", "delora")
-"""Networks of the paper; these are also the names of their files in a folder of weights."""
+from workers.parts.catalogue import find_part
+from workers.parts.files import PartFiles
 
 _CONFIGS: Final = resources.files("workers.checkpoints") / "configs"
 
 
-@cache
 def _card_type(network: str) -> type[Card]:
-    """Return the card type of a network; its module is imported on demand."""
-    if network in ("salsanext", "lmnet"):
-        from workers.supervised.weights import WeightsCard
+    """Return the type of the card of a network; the networks load only when one is wanted.
 
-        return WeightsCard
-    from workers.paper import weights
-
-    cards: Mapping[str, type[Card]] = {
-        "gndnet": weights.GndNetCard,
-        "flowstep3d": weights.FlowStep3DCard,
-        "delora": weights.DeLORACard,
-    }
-    try:
-        return cards[network]
-    except KeyError:
-        raise UnknownPartError(f"no network {network!r}; known: {', '.join(NETWORKS)}") from None
+    Raises:
+        UnknownPartError: If there is no such network.
+    """
+    return cast("type[Card]", find_part("network", network).factory(PartFiles()))
 
 
 def known_configs() -> tuple[str, ...]:
@@ -139,10 +124,10 @@ def import_weights(checkpoint: Path, *, network: str, config: str, out: Path) ->
     Nothing is written unless every parameter fits. The numbers are unchanged.
 
     Args:
-        checkpoint: Input of `read_checkpoint`.
-        network: Name in `NETWORKS`.
-        config: Input of `read_config`.
-        out: Folder; created if needed.
+        checkpoint: As `read_checkpoint` takes it.
+        network: Name of a network in the catalogue.
+        config: As `read_config` takes it.
+        out: Folder, made if need be.
 
     Returns:
         Path, digest and origin of the weights.

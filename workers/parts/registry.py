@@ -1,160 +1,16 @@
-"""Registry of replaceable parts: tables of constructors by name; parts are imported when chosen."""
+"""Builds parts by the names that settings give, from the rows of the catalogue."""
 
-from collections.abc import Callable, Mapping
-from functools import partial
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import TYPE_CHECKING, cast
 
-from schemas.mining import LOOKAHEAD
-from schemas.task import GROUND, MOTION, Task
-from workers.contradiction.settings import DEFAULT_INSTANCES, PAPER_INSTANCES, InstanceSettings
 from workers.errors import UnknownPartError
-from workers.paper.scene_flow import LEARNED_FLOWS, SCENE_FLOWS
-from workers.parts.files import PartFiles, all_there, weights_of
+from workers.parts.catalogue import find_part
+from workers.parts.files import PartFiles
+from workers.parts.part import KINDS, PartKind
 from workers.parts.protocols import NoWitness, Odometry, Parts, Stream, Witness
 
-
-def _kiss_icp(_: PartFiles) -> Odometry:
-    from workers.odometry.odometry import KissOdometry
-
-    return KissOdometry()
-
-
-def _delora(files: PartFiles) -> Odometry:
-    from workers.paper.delora_odometry import DeLORAOdometry
-
-    return DeLORAOdometry.load(weights_of(files, "odometry", "delora"))
-
-
-def _salsanext_lmnet(files: PartFiles, *, published: bool = False) -> Stream:
-    from workers.lidar.fidelity import Form
-    from workers.supervised.stream import SHIPPED, RangeImageStream
-
-    folder = Path(files.weights) if files.weights else SHIPPED
-    form = Form.PAPER if published else Form.CORRECTED
-    return RangeImageStream.salsanext_lmnet(folder, form=form)
-
-
-def _salsanext_ground(files: PartFiles) -> Stream:
-    from workers.supervised.stream import SHIPPED, RangeImageStream
-
-    folder = Path(files.weights) if files.weights else SHIPPED
-    return RangeImageStream.salsanext_ground(folder)
-
-
-def _own(files: PartFiles) -> Stream:
-    from workers.supervised.own_model import open_own_model
-
-    if not files.model:
-        raise UnknownPartError("supervised stream 'own' needs the setting model: an adapter.toml")
-    return open_own_model(Path(files.model))
-
-
-def _recorded(_: PartFiles, *, task: Task = MOTION) -> Stream:
-    from workers.supervised.recorded import Recorded
-
-    return Recorded(task)
-
-
-def _registration(_: PartFiles, *, lookahead_s: float = 0.0) -> Stream:
-    from workers.selfsupervised.stream import Registration
-    from workers.warmup.jit_warmup import compile_in_child
-
-    compile_in_child()
-    return Registration(lookahead_s)
-
-
-def _two_stage(files: PartFiles, *, flow: str, published: bool = False) -> Stream:
-    from workers.paper.two_stage import TwoStage
-    from workers.paper.two_stage_clustering import PAPER, PER_SECOND
-
-    rule = PAPER if published else PER_SECOND
-    if flow not in LEARNED_FLOWS:
-        return TwoStage(flow, rule)
-    weights = weights_of(files, "self-supervised stream", f"two-stage:{flow}")
-    return TwoStage(flow, rule, LEARNED_FLOWS[flow](weights))
-
-
-def _two_stage_tracked(_: PartFiles, *, published: bool = False) -> Stream:
-    from workers.paper.two_stage_clustering import PAPER, PER_SECOND
-    from workers.paper.two_stage_tracked import TrackedTwoStage
-
-    return TrackedTwoStage(PAPER if published else PER_SECOND)
-
-
-def _ground(_: PartFiles) -> Stream:
-    from workers.selfsupervised.ground_stream import GroundStream
-
-    return GroundStream()
-
-
-def _paper(files: PartFiles) -> Stream:
-    from workers.paper.paper_chain import PaperChain
-
-    return PaperChain.load(weights_of(files, "self-supervised stream", "paper"))
-
-
-_FLOWS: Final = (*SCENE_FLOWS, *LEARNED_FLOWS)
-
-ODOMETRIES: Final[Mapping[str, Callable[[PartFiles], Odometry]]] = {
-    "kiss-icp": _kiss_icp,
-    "delora": _delora,
-}
-SUPERVISED: Final[Mapping[str, Callable[[PartFiles], Stream]]] = {
-    "salsanext-lmnet": _salsanext_lmnet,
-    "salsanext-lmnet:published": partial(_salsanext_lmnet, published=True),
-    "recorded": _recorded,
-    "own": _own,
-    "salsanext:ground": _salsanext_ground,
-    "recorded:ground": partial(_recorded, task=GROUND),
-}
-SELFSUPERVISED: Final[Mapping[str, Callable[[PartFiles], Stream]]] = {
-    "registration": _registration,
-    **{
-        f"registration{LOOKAHEAD}{lookahead_s:.1f}": partial(_registration, lookahead_s=lookahead_s)
-        for lookahead_s in (0.5, 1.0)
-    },
-    "paper": _paper,
-    "two-stage": partial(_two_stage, flow="nearest-neighbour"),
-    "two-stage:tracked": _two_stage_tracked,
-    "two-stage:tracked:published": partial(_two_stage_tracked, published=True),
-    **{f"two-stage:{flow}": partial(_two_stage, flow=flow) for flow in _FLOWS},
-    **{
-        f"two-stage:{flow}:published": partial(_two_stage, flow=flow, published=True)
-        for flow in _FLOWS
-    },
-    "ground": _ground,
-}
-"""`two-stage:FLOW` is the rule of the paper on a scene flow, `…:published` with the published
-thresholds per frame; `two-stage` alone uses the nearest neighbour. Each entry of `SCENE_FLOWS` or
-`LEARNED_FLOWS` is a stream of that name."""
-
-
-def _free_space() -> Witness:
-    from workers.witness.free_space import TwoSidedFreeSpace
-
-    return TwoSidedFreeSpace()
-
-
-WITNESSES: Final[Mapping[str, Callable[[], Witness]]] = {
-    "free-space": _free_space,
-    "none": NoWitness,
-}
-
-INSTANCES: Final[Mapping[str, InstanceSettings]] = {
-    "default": DEFAULT_INSTANCES,
-    "paper": PAPER_INSTANCES,
-}
-
-Maker = TypeVar("Maker")
-
-
-def _named(what: str, name: str, table: Mapping[str, Maker]) -> Maker:
-    try:
-        return table[name]
-    except KeyError:
-        known = ", ".join(sorted(table))
-        raise UnknownPartError(f"no {what} {name!r}; known: {known}") from None
+if TYPE_CHECKING:
+    from workers.contradiction.settings import InstanceSettings
 
 
 def build_parts(
@@ -166,15 +22,15 @@ def build_parts(
     instances: str = "default",
     files: PartFiles | None = None,
 ) -> Parts:
-    """Build the parts of these names.
+    """Build the parts of these names; `workers.parts.catalogue` lists those of each kind.
 
     Args:
-        odometry: One of `ODOMETRIES`.
-        supervised: One of `SUPERVISED`.
-        selfsupervised: One of `SELFSUPERVISED`.
-        witness: One of `WITNESSES`; unused where the task is not motion.
-        instances: One of `INSTANCES`.
-        files: Files that they read outside of the package.
+        odometry: Name of an odometry.
+        supervised: Name of a supervised stream.
+        selfsupervised: Name of a self-supervised stream.
+        witness: Name of a witness; it is not built where the task is not about motion.
+        instances: Name of a rule of instances.
+        files: What they read in addition to the files of the package.
 
     Raises:
         UnknownPartError: If one does not exist, with the known names in the message; or if it needs
@@ -187,28 +43,73 @@ def build_parts(
             f"model names your own model, but the supervised stream is {supervised}: choose it "
             f"with --supervised own; a folder of imported weights goes to --weights ({files.model})"
         )
-    all_there(files, odometry, supervised, selfsupervised)
-    asked = _named("witness", witness, WITNESSES)
+    _need_weights(files, odometry=odometry, supervised=supervised, selfsupervised=selfsupervised)
+    find_part("witness", witness)
     semantic = build_supervised(supervised, files)
     return Parts(
         odometry=build_odometry(odometry, files),
         supervised=semantic,
         selfsupervised=build_selfsupervised(selfsupervised, files),
-        witness=asked() if semantic.task.moving else NoWitness(),
-        instances=_named("rule of instances", instances, INSTANCES),
+        witness=_build_witness(witness, files) if semantic.task.moving else NoWitness(),
+        instances=cast("InstanceSettings", _build("instances", instances, files)),
     )
 
 
 def build_odometry(name: str, files: PartFiles | None = None) -> Odometry:
     """Build the odometry of this name, or raise as `build_parts` does."""
-    return _named("odometry", name, ODOMETRIES)(files or PartFiles())
+    return cast(Odometry, _build("odometry", name, files))
 
 
 def build_supervised(name: str, files: PartFiles | None = None) -> Stream:
     """Build the supervised stream of this name, or raise as `build_parts` does."""
-    return _named("supervised stream", name, SUPERVISED)(files or PartFiles())
+    return cast(Stream, _build("supervised", name, files))
 
 
 def build_selfsupervised(name: str, files: PartFiles | None = None) -> Stream:
     """Build the self-supervised stream of this name, or raise as `build_parts` does."""
-    return _named("self-supervised stream", name, SELFSUPERVISED)(files or PartFiles())
+    return cast(Stream, _build("selfsupervised", name, files))
+
+
+def _build_witness(name: str, files: PartFiles) -> Witness:
+    return cast(Witness, _build("witness", name, files))
+
+
+def _build(kind: PartKind, name: str, files: PartFiles | None) -> object:
+    """Call the factory of a part, once the weights that it needs are named.
+
+    Raises:
+        UnknownPartError: If the part does not exist, or its weights neither ship nor are named.
+    """
+    part, files = find_part(kind, name), files or PartFiles()
+    if part.networks and not part.ships and not files.weights:
+        raise UnknownPartError(
+            f"{KINDS[kind]} {name} needs weights that do not ship ({', '.join(part.networks)}): "
+            "import them with `counterpoint weights import` and name their folder in the setting "
+            "weights"
+        )
+    return part.factory(files)
+
+
+def _need_weights(files: PartFiles, **chosen: str) -> None:
+    """Refuse a folder of weights that lacks a network, and name every one that it lacks.
+
+    Raises:
+        UnknownPartError: If a part does not exist, or the folder or a network in it is missing.
+    """
+    if not files.weights:
+        return
+    folder = Path(files.weights)
+    if not folder.is_dir():
+        raise UnknownPartError(f"weights: there is no such folder ({folder})")
+    networks = [
+        network
+        for kind, name in chosen.items()
+        for network in find_part(cast(PartKind, kind), name).networks
+    ]
+    missing = [each for each in networks if not (folder / f"{each}.safetensors").is_file()]
+    if missing:
+        raise UnknownPartError(
+            f"the folder of weights lacks {', '.join(missing)}, which the chosen parts need: "
+            "`counterpoint weights import CHECKPOINT --network NAME --config CONFIG --out FOLDER` "
+            f"for each; `counterpoint weights configs` lists those of published ones ({folder})"
+        )

@@ -37,18 +37,3 @@ def inverse(to_from_from: Transform) -> Transform:
     turned[:3, :3] = rotation
     turned[:3, 3] = -rotation @ to_from_from[:3, 3]
     return turned
-
-
-def conjugate(new_from_old: Transform, transforms: Transform) -> Transform:
-    """Express motions of one sensor as motions of another, such as a camera's as the lidar's.
-
-    Args:
-        new_from_old: (4, 4) place of the old sensor in the new one's space; rigid up to its
-            printed digits.
-        transforms: (..., 4, 4) motions or poses of the old sensor.
-
-    Returns:
-        (..., 4, 4) the same motions of the new sensor.
-    """
-    moved: Transform = new_from_old @ transforms @ np.linalg.inv(new_from_old)
-    return moved

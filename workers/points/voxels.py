@@ -25,11 +25,6 @@ class Voxels(NamedTuple):
     centroids_m: Points
     of_point: NDArray[np.int32]
 
-    def to_points(self, per_voxel: NDArray[np.generic]) -> NDArray[np.generic]:
-        """Copy a value per voxel back to the points, without interpolation."""
-        copied: NDArray[np.generic] = per_voxel[self.of_point]
-        return copied
-
 
 @step("voxels")
 def voxelize(points_m: Points, *, voxel_m: float = VOXEL_M) -> Voxels:

@@ -80,15 +80,6 @@ class RangeImageStream:
         self._name, self._form, self._knn = name, form, KnnSettings(form=form)
 
     @classmethod
-    def shipped(cls) -> Self:
-        """Build SalsaNext and LMNet from the weights in the package.
-
-        Raises:
-            WeightsUnusableError: If they are missing or damaged.
-        """
-        return cls.salsanext_lmnet(SHIPPED)
-
-    @classmethod
     def salsanext_lmnet(cls, folder: Path, *, form: Form = Form.CORRECTED) -> Self:
         """Build the stream from `salsanext.safetensors` and `lmnet.safetensors` of a folder.
 

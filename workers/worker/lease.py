@@ -5,7 +5,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from threading import Event, Thread
 from types import TracebackType
-from typing import Final, Self, TypeVar
+from typing import Final, Literal, Self, TypeVar
 
 import structlog
 import zenoh
@@ -16,7 +16,6 @@ from schemas.mining import MiningSettings
 from schemas.runtime.retry import StoppedError
 from schemas.transport import keys
 from schemas.transport.ask import ask, ask_until
-from schemas.transport.keys import Verb
 from schemas.transport.wire import decode, encode
 from schemas.work import (
     Answer,
@@ -28,6 +27,9 @@ from schemas.work import (
     PlanLease,
     RenewRequest,
 )
+
+Verb = Literal["hello", "claim", "renew", "commit", "fail"]
+"""What a worker asks of the service."""
 
 log = structlog.get_logger(__name__)
 

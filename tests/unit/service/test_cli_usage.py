@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from schemas.parts import PART_LINES, PartSetting
 from service.cli.main import main
+from workers.parts.catalogue import parts_of_kind
+from workers.parts.part import PartSetting
 
 
 @pytest.mark.parametrize(
@@ -146,7 +147,7 @@ def test_help_lists_every_part_that_an_option_takes_with_a_line(
     assert main(["score", "--help"]) == 0
     told = [line.strip() for line in capsys.readouterr().out.splitlines()]
     said = " ".join(told)
-    for name, does in PART_LINES[setting].items():
-        assert name in told, "alone in its line, to be copied"
-        assert f"{name} {does}" in said
+    for part in parts_of_kind(setting):
+        assert part.name in told, "alone in its line, to be copied"
+        assert f"{part.name} {part.text}" in said
     assert max(map(len, told)) <= 80

@@ -1,9 +1,14 @@
-"""The best distinct scenes under a budget."""
+"""The best distinct scenes under a budget, and strategies by name."""
+
+from collections.abc import Iterable
 
 import pytest
 
 from service.curation.ranking import RankedScene
-from service.curation.selection import LeftOut, Selection, left_out, select
+from service.curation.selection import LeftOut, Selection, left_out
+from service.curation.strategies import catalogue
+from service.curation.strategies.catalogue import STRATEGIES, Strategy, select
+from service.errors import UsageError
 
 
 def row(rank: int, score: float, *, twin_of: str | None = None) -> RankedScene:
@@ -49,3 +54,16 @@ def test_what_a_selection_passed_over_is_counted_by_why() -> None:
     assert passed(1) == LeftOut(twins=0, without=0), "the twin comes after the last one selected"
     assert passed(2) == LeftOut(twins=1, without=0)
     assert passed(50) == LeftOut(twins=1, without=1)
+
+
+def last_first(ranking: Iterable[RankedScene], *, budget: int) -> list[RankedScene]:
+    return list(ranking)[::-1][:budget]
+
+
+def test_one_row_makes_a_strategy(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(UsageError, match="no selection strategy 'last-first'; known: best-dist"):
+        select(RANKING, budget=2, strategy="last-first")
+    row = Strategy("last-first", last_first, "The least contradicting scenes.")
+    monkeypatch.setattr(catalogue, "STRATEGIES", (*STRATEGIES, row))
+    assert [scene.rank for scene in select(RANKING, budget=2, strategy="last-first")] == [5, 4]
+    assert [scene.rank for scene in select(RANKING, budget=2)] == [1, 3], "the default stays"

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from schemas.labels import Agreement, MotionLabel
+from tests.golden.categories import categories
 from workers.contradiction.agreement import compare
-from workers.contradiction.categories import categories
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
 

@@ -26,7 +26,7 @@ def frames() -> list[PosedFrame]:
 def test_a_probed_stream_says_what_the_stream_says(frames: list[PosedFrame]) -> None:
     probed = ProbedStream.of(SETTINGS, Probing(dropout_every=2))
     assert probed is not None
-    plain = RangeImageStream.shipped()
+    plain = RangeImageStream.salsanext_lmnet(SHIPPED)
     assert probed.version == plain.version
     for number, (mine, theirs) in enumerate(zip(probed(frames), plain(frames), strict=True)):
         np.testing.assert_array_equal(mine.labels, theirs.labels)

@@ -2,13 +2,12 @@ import numpy as np
 import pytest
 
 from schemas.labels import MotionLabel
-from workers.supervised.fusion import (
-    confidence_of,
-    fuse,
+from tests.golden.fused_labels import (
     is_dynamic_label,
     semantic_kitti_motion,
     semantic_motion_labels,
 )
+from workers.supervised.fusion import confidence_of, fuse
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
 

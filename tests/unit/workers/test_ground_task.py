@@ -20,8 +20,9 @@ from tests import factories
 from workers.checkpoints.errors import WeightsUnusableError
 from workers.errors import TasksDifferError, UnknownPartError
 from workers.lab.evaluation.motion.alternatives import build_streams
-from workers.parts.files import PartFiles
-from workers.parts.registry import SELFSUPERVISED, SUPERVISED, build_parts
+from workers.parts.catalogue import parts_of_kind
+from workers.parts.part import PartKind
+from workers.parts.registry import build_parts, build_selfsupervised, build_supervised
 from workers.selfsupervised.ground_stream import GroundStream
 from workers.supervised.classes import ClassMeaning, ClassSet
 from workers.supervised.ground_classes import GroundFusion, ground_labels_of
@@ -104,14 +105,24 @@ def test_a_frame_without_points_has_no_ground_and_says_why() -> None:
     assert said.health.reason
 
 
+def without_files(kind: PartKind) -> list[str]:
+    """Names of the parts of a kind that need no file of the user's."""
+    return [
+        part.name
+        for part in parts_of_kind(kind)
+        if part.name != "own" and (part.ships or not part.networks)
+    ]
+
+
 def test_every_stream_answers_a_task_and_those_of_one_task_can_be_chosen_together() -> None:
     named = {"salsanext:ground", "recorded:ground", "ground"}
-    files = PartFiles()
-    for name in (*SUPERVISED, *SELFSUPERVISED):
-        if name in ("own", "paper") or "flowstep3d" in name:  # which need files
-            continue
-        build = SUPERVISED.get(name) or SELFSUPERVISED[name]
-        assert build(files).task == (GROUND if name in named else MOTION), name
+    streams = {
+        **{name: build_supervised(name) for name in without_files("supervised")},
+        **{name: build_selfsupervised(name) for name in without_files("selfsupervised")},
+    }
+    assert named < set(streams)
+    for name, stream in streams.items():
+        assert stream.task == (GROUND if name in named else MOTION), name
     parts = build_parts(odometry="kiss-icp", supervised="recorded:ground", selfsupervised="ground")
     assert parts.task == GROUND
 
@@ -125,7 +136,7 @@ def test_the_weights_that_ship_tell_ground() -> None:
     stream = RangeImageStream.salsanext_ground(SHIPPED)
     assert stream.task == GROUND
     assert "sidewalk" in stream.class_names
-    assert stream.version != RangeImageStream.shipped().version
+    assert stream.version != RangeImageStream.salsanext_lmnet(SHIPPED).version
 
 
 def test_a_worker_of_a_service_refuses_any_task_but_motion(tmp_path: Path) -> None:

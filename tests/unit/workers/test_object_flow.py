@@ -1,9 +1,8 @@
 import numpy as np
-import pytest
 
 from schemas.arrays import Transform
 from workers.paper.object_flow import object_flow
-from workers.paper.scene_flow import nearest_neighbour_flow, scene_flow_source
+from workers.paper.scene_flow import nearest_neighbour_flow
 from workers.points.se3 import transform
 
 POINTS = np.random.default_rng(0).uniform(-30, 30, (200, 3)).astype(np.float32)
@@ -43,9 +42,3 @@ def test_there_is_no_flow_to_nowhere() -> None:
     nothing = np.zeros((0, 3), np.float32)
     assert (nearest_neighbour_flow(POINTS, nothing, np.eye(4)) == 0).all()
     assert nearest_neighbour_flow(nothing, POINTS, np.eye(4)).shape == (0, 3)
-
-
-def test_an_unknown_flow_is_refused_with_those_that_exist() -> None:
-    assert scene_flow_source("nearest-neighbour") is nearest_neighbour_flow
-    with pytest.raises(LookupError, match="nearest-neighbour"):
-        scene_flow_source("crystal-ball")

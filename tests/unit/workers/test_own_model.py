@@ -148,8 +148,8 @@ def test_our_own_networks_fed_back_as_exports_give_our_labels(
         **entries,
     )
     stream = open_own_model(adapter)
-    ours, theirs = list(RangeImageStream.shipped()(frames)), list(stream(frames))
-    assert stream.class_names == RangeImageStream.shipped().class_names
+    ours, theirs = list(RangeImageStream.salsanext_lmnet(SHIPPED)(frames)), list(stream(frames))
+    assert stream.class_names == RangeImageStream.salsanext_lmnet(SHIPPED).class_names
     assert _share_equal(ours, theirs) > 0.9999
     assert (np.concatenate([a.labels for a in ours]) == MotionLabel.DYNAMIC).sum() > 1000
     for a, b in zip(ours, theirs, strict=True):

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from workers.lab.evaluation.motion.paper_measures import Averaging, PointSet, paper_measures
-from workers.lab.evaluation.motion.point_matching import COLUMNS, match_points, sums_of
+from tests.golden.paper_measures import Averaging, PointSet, paper_measures
+from tests.golden.point_matching import COLUMNS, match_points, sums_of
 from workers.lidar.fidelity import Form
 
 PAPER = Form.PAPER

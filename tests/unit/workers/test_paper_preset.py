@@ -16,9 +16,9 @@ from schemas.transport.bucket import open_bucket
 from schemas.transport.recordings import group_recordings
 from service.errors import UsageError
 from service.settings.config import read_settings
+from tests.golden.categories import categories
 from workers.checkpoints import stored_weights
 from workers.contradiction.agreement import compare
-from workers.contradiction.categories import categories
 from workers.contradiction.settings import PAPER_INSTANCES
 from workers.errors import LogUnusableError, UnknownPartError
 from workers.ingest.plan import plan_recording

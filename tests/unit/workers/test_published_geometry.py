@@ -6,12 +6,13 @@ from numpy.testing import assert_allclose
 
 from schemas.arrays import Points
 from schemas.camera import CameraCalibration
+from tests.golden.conjugation import conjugate
 from workers.lidar.fidelity import Form
 from workers.lidar.range_image import SensorProfile, image_channels, project
 from workers.paper.camera_filter import camera_filter, from_flow_space, to_flow_space
 from workers.paper.ground_rule import GROUND, NOT_GROUND, OUTSIDE, ground_labels
 from workers.paper.pillars import GNDNET_GRID, pillars
-from workers.points.se3 import conjugate, inverse
+from workers.points.se3 import inverse
 from workers.supervised.paper_residuals import PaperResiduals
 from workers.supervised.residual_image import ResidualSettings, with_residuals
 

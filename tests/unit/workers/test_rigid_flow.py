@@ -4,7 +4,8 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Points
 from workers.paper.object_flow import object_flow
-from workers.paper.scene_flow import nearest_neighbour_flow, scene_flow_source
+from workers.paper.rigid_flow import rigid_flow
+from workers.paper.scene_flow import nearest_neighbour_flow
 from workers.points.se3 import transform
 
 EGO = np.eye(4)
@@ -39,7 +40,7 @@ def seen(
 
 def test_a_car_goes_as_a_whole_and_a_parked_one_only_as_we_drive() -> None:
     points, other, (moving, parked) = seen((-1.1, 0.0), (0.0, 0.0))
-    flow = object_flow(scene_flow_source("registered-clusters")(points, other, EGO), points, EGO)
+    flow = object_flow(rigid_flow(points, other, EGO), points, EGO)
     assert np.ptp(flow[moving], axis=0).max() < 1e-5
     np.testing.assert_allclose(flow[moving].mean(axis=0)[:2], (-1.1, 0.0), atol=0.05)
     np.testing.assert_allclose(flow[parked].mean(axis=0), 0.0, atol=0.05)
@@ -56,7 +57,7 @@ def test_it_looks_as_far_as_eighty_kilometres_per_hour_go_in_a_fifth_of_a_second
     moved_m: float,
 ) -> None:
     points, other, (moving,) = seen((0.0, moved_m))
-    flow = object_flow(scene_flow_source("registered-clusters")(points, other, EGO), points, EGO)
+    flow = object_flow(rigid_flow(points, other, EGO), points, EGO)
     found = float(np.linalg.norm(flow[moving].mean(axis=0)))
     assert (found == pytest.approx(moved_m, abs=0.1)) == (moved_m < 4.5)
 
@@ -67,10 +68,9 @@ def test_specks_walls_and_an_empty_other_frame_have_the_flow_of_the_car_alone() 
         np.float32
     )
     points = np.concatenate([speck, wall])
-    source = scene_flow_source("registered-clusters")
     shifted = (transform(EGO, points) + np.float32(0.7)).astype(np.float32)
     for other in (shifted, np.zeros((0, 3), np.float32)):
-        flow = object_flow(source(points, other, EGO), points, EGO)
+        flow = object_flow(rigid_flow(points, other, EGO), points, EGO)
         np.testing.assert_allclose(flow, 0.0, atol=1e-5)
     nothing = np.zeros((0, 3), np.float32)
-    assert source(nothing, shifted, EGO).shape == (0, 3)
+    assert rigid_flow(nothing, shifted, EGO).shape == (0, 3)

@@ -13,11 +13,13 @@ from workers.lab.evaluation.motion.counts import LogCounts, StreamCounts, total_
 from workers.lab.evaluation.motion.motion import EvaluatedFrame, evaluate_motion
 from workers.lab.evaluation.motion.table import LogEvaluation, evaluation_of
 from workers.lab.simulation.sensor.lidar import Lidar
-from workers.paper.scene_flow import SCENE_FLOWS
+from workers.paper.rigid_flow import rigid_flow
+from workers.paper.scene_flow import nearest_neighbour_flow
 from workers.paper.two_stage import TwoStage
 from workers.paper.two_stage_clustering import PAPER, PER_SECOND
 from workers.paper.two_stage_tracked import TrackedTwoStage
-from workers.parts.registry import SELFSUPERVISED, build_selfsupervised
+from workers.parts.catalogue import parts_of_kind
+from workers.parts.registry import build_selfsupervised
 
 KEY = "car-7/2026-03-02/drive"
 FRAMES = 4
@@ -108,14 +110,14 @@ def test_a_row_is_about_its_own_time_and_that_of_what_all_streams_need() -> None
 
 
 def test_every_scene_flow_is_a_stream_by_name_with_both_sets_of_numbers() -> None:
-    for flow in SCENE_FLOWS:
-        assert build_selfsupervised(f"two-stage:{flow}") == TwoStage(flow, PER_SECOND)
-        assert build_selfsupervised(f"two-stage:{flow}:published") == TwoStage(flow, PAPER)
-    assert build_selfsupervised("two-stage") == TwoStage("nearest-neighbour", PER_SECOND)
+    flows = {"nearest-neighbour": nearest_neighbour_flow, "registered-clusters": rigid_flow}
+    for name, flow in flows.items():
+        assert build_selfsupervised(f"two-stage:{name}") == TwoStage(name, flow, PER_SECOND)
+        assert build_selfsupervised(f"two-stage:{name}:published") == TwoStage(name, flow, PAPER)
+    assert build_selfsupervised("two-stage") == build_selfsupervised("two-stage:nearest-neighbour")
     assert build_selfsupervised("two-stage:tracked:published") == TrackedTwoStage(PAPER)
-    names = [name for name in SELFSUPERVISED if name.startswith("two-stage")]
-    names = [name for name in names if "flowstep3d" not in name]  # which needs weights
-    versions = [build_selfsupervised(name).version for name in names]
+    parts = [each for each in parts_of_kind("selfsupervised") if each.name.startswith("two-stage")]
+    versions = [build_selfsupervised(part.name).version for part in parts if not part.networks]
     assert len(set(versions)) == len(versions) - 1  # the nearest neighbour has two names
 
 

@@ -124,6 +124,17 @@ def test_the_description_of_a_field_does_not_count_and_its_bound_does(package: P
     assert digests()[1] != syntax
 
 
+def test_the_texts_of_a_part_do_not_count_and_its_name_does(package: Path) -> None:
+    file = package / "lazy.py"
+    file.write_text("from thing.other import Part\nROW = Part(name='a', text='Old.', source='b')\n")
+    _, syntax = digests()
+    change(file, "Old.", "New.")
+    change(file, "source='b'", "source='c'")
+    assert digests()[1] == syntax
+    change(file, "name='a'", "name='d'")
+    assert digests()[1] != syntax
+
+
 def test_a_string_that_is_used_counts(package: Path) -> None:
     change(package / "lazy.py", "0.5", "len('ab', description='c')")
     _, syntax = digests()

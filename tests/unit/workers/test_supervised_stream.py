@@ -14,7 +14,7 @@ from workers.lidar.range_image import SensorProfile
 from workers.supervised.classes import ClassMeaning
 from workers.supervised.lmnet import MOTION_CLASSES
 from workers.supervised.residual_image import ResidualSettings
-from workers.supervised.stream import RangeImageStream
+from workers.supervised.stream import SHIPPED, RangeImageStream
 from workers.supervised.weights import (
     LoadedWeights,
     WeightsCard,
@@ -172,7 +172,7 @@ def test_each_network_sees_the_frame_as_its_own_training_normalised_it(tmp_path:
 def test_the_shipped_weights_are_small_and_say_where_they_come_from() -> None:
     folder = Path(__file__).parents[3] / "workers" / "supervised" / "weights"
     assert sum(path.stat().st_size for path in folder.iterdir()) < 4_000_000
-    stream = RangeImageStream.shipped()
+    stream = RangeImageStream.salsanext_lmnet(SHIPPED)
     assert {"car", "pedestrian", "building"} <= set(stream.class_names)
     for name in ("salsanext", "lmnet"):
         card = load_weights(folder / f"{name}.safetensors").card
@@ -187,7 +187,7 @@ def test_the_shipped_weights_fit_the_scene_they_were_made_from(reference: Path) 
     name = Path("pandaset", "panda-01", "2019-05-11", "pandaset-002")
     log = reference / "data" / "logs" / name.with_suffix(".mcap")
     clouds = list(read_clouds(log, reference / "data" / "truth" / name, range(40, 50)))
-    stream = RangeImageStream.shipped()
+    stream = RangeImageStream.salsanext_lmnet(SHIPPED)
     movable_classes = [
         index
         for index, (_, movable) in enumerate(CLASSES)

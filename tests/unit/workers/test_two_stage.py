@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -8,10 +10,12 @@ from schemas.labels import MotionLabel
 from tests.factories import frame, posed
 from workers.paper.camera_filter import to_flow_space
 from workers.paper.object_flow import flow_ends
+from workers.paper.scene_flow import nearest_neighbour_flow
 from workers.paper.two_stage import TwoStage
 from workers.paper.two_stage_clustering import PAPER, PER_SECOND, TwoStageRule, two_stage
 
 DT_S = 0.1
+NEAREST = TwoStage("nearest-neighbour", nearest_neighbour_flow)
 
 
 def blob(centre: tuple[float, float, float], count: int = 200) -> NDArray[np.float32]:
@@ -118,7 +122,7 @@ def thin_line(x: float) -> NDArray[np.float32]:
 
 def test_the_stream_sees_a_post_that_moves_and_a_wall_that_stands() -> None:
     frames = [at_rest(thin_line(10.0 + 0.4 * i), 10**18 + i * 100_000_000) for i in range(3)]
-    answers = list(TwoStage()(frames))
+    answers = list(NEAREST(frames))
     assert (answers[0].labels == MotionLabel.UNKNOWN).all()
     for answer in answers[1:]:
         assert (answer.labels[150:] == MotionLabel.DYNAMIC).all()
@@ -132,9 +136,9 @@ def test_nothing_is_known_after_a_gap_or_without_a_pose() -> None:
         at_rest(thin_line(10.8), 10**18 + 11 * 10**8, OdometryState.LOST),
         at_rest(np.zeros((0, 3), np.float32), 10**18 + 12 * 10**8),
     ]
-    for answer in TwoStage()(frames):
+    for answer in NEAREST(frames):
         assert (answer.labels == MotionLabel.UNKNOWN).all()
 
 
 def test_versions_differ_with_the_rule() -> None:
-    assert TwoStage().version != TwoStage(rule=PAPER).version
+    assert NEAREST.version != replace(NEAREST, rule=PAPER).version

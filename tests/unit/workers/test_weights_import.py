@@ -13,8 +13,9 @@ from workers.checkpoints.errors import UnfitWeightsError, WeightsUnusableError
 from workers.errors import UnknownPartError
 from workers.lidar.range_image import SensorProfile
 from workers.paper.weights import load_delora, load_flowstep3d, load_gndnet
-from workers.parts.networks import NETWORKS, import_weights, known_configs, read_config, read_known
-from workers.supervised.stream import RangeImageStream
+from workers.parts.catalogue import names_of
+from workers.parts.networks import import_weights, known_configs, read_config, read_known
+from workers.supervised.stream import SHIPPED, RangeImageStream
 from workers.supervised.weights import WeightsCard, load_weights
 
 PUBLISHED = {
@@ -43,7 +44,7 @@ def _published(path: Path, network: str) -> dict[str, Tensor]:
     return parameters
 
 
-@pytest.mark.parametrize("network", NETWORKS)
+@pytest.mark.parametrize("network", names_of("network"))
 def test_every_network_of_the_paper_is_imported_number_by_number(
     tmp_path: Path, network: str
 ) -> None:
@@ -75,7 +76,7 @@ def test_the_stream_runs_on_a_folder_of_imported_weights(tmp_path: Path) -> None
         )
     stream = RangeImageStream.salsanext_lmnet(tmp_path / "w")
     assert stream.class_names[14] == "car"
-    assert stream.version != RangeImageStream.shipped().version
+    assert stream.version != RangeImageStream.salsanext_lmnet(SHIPPED).version
     assert stream.version == RangeImageStream.salsanext_lmnet(tmp_path / "w").version
 
 
@@ -159,7 +160,7 @@ def test_a_checkpoint_of_another_network_or_class_count_leaves_nothing_behind(
         )
     with pytest.raises(UnfitWeightsError, match="weights are of another network"):
         import_weights(tmp_path / "net.pth", network="delora", config="delora-kitti", out=out)
-    with pytest.raises(UnknownPartError, match="known: salsanext, lmnet, gndnet"):
+    with pytest.raises(UnknownPartError, match="known: delora, flowstep3d, gndnet"):
         import_weights(tmp_path / "net.pth", network="unet", config="{}", out=out)
     assert not out.exists()
 

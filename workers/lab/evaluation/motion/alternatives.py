@@ -7,13 +7,9 @@ from schemas.mining import MiningSettings
 from schemas.task import MOTION
 from workers.errors import UnknownPartError
 from workers.lab.evaluation.motion.counts import StreamName
+from workers.parts.catalogue import names_of
 from workers.parts.protocols import Stream
-from workers.parts.registry import (
-    SELFSUPERVISED,
-    SUPERVISED,
-    build_selfsupervised,
-    build_supervised,
-)
+from workers.parts.registry import build_selfsupervised, build_supervised
 from workers.version import files_of
 
 OF_SETTINGS: Final[tuple[StreamName, ...]] = ("selfsupervised", "supervised")
@@ -21,8 +17,8 @@ OF_SETTINGS: Final[tuple[StreamName, ...]] = ("selfsupervised", "supervised")
 
 
 def is_supervised(name: StreamName) -> bool:
-    """Test whether a stream's labels come from a supervised model."""
-    return name == "supervised" or name in SUPERVISED
+    """Say whether a stream's labels come of a supervised model."""
+    return name == "supervised" or name in names_of("supervised")
 
 
 def build_streams(
@@ -52,9 +48,10 @@ def _build(name: StreamName, settings: MiningSettings) -> Stream:
         if is_supervised(name):
             return build_supervised(settings.supervised, files_of(settings))
         return build_selfsupervised(settings.selfsupervised, files_of(settings))
-    if name in SUPERVISED:
+    if name in names_of("supervised"):
         return build_supervised(name, files_of(settings))
-    if name in SELFSUPERVISED:
+    if name in names_of("selfsupervised"):
         return build_selfsupervised(name, files_of(settings))
-    known = ", ".join([*OF_SETTINGS, *sorted(SELFSUPERVISED), *sorted(SUPERVISED)])
+    parts = [*sorted(names_of("selfsupervised")), *sorted(names_of("supervised"))]
+    known = ", ".join([*OF_SETTINGS, *parts])
     raise UnknownPartError(f"no stream {name!r}; known: {known}")

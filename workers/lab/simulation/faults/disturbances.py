@@ -4,7 +4,7 @@ All but the odometry slip change the sensor data. A log cannot contain a slip: t
 and the failure benchmark injects it into the poses (`workers.lab.evaluation.failures.pose_slips`).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
@@ -91,11 +91,6 @@ def delay_ns(index: int, time_s: float, disturbances: Iterable[Disturbance]) -> 
         return 0
     rng = np.random.default_rng([jitters[0].seed, index])
     return round(float(rng.uniform(0.0, _JITTER_S)) * NS_PER_S)
-
-
-def slips_of(disturbances: Sequence[Disturbance]) -> tuple[Disturbance, ...]:
-    """Return the odometry slips, which are applied to poses."""
-    return tuple(each for each in disturbances if each.kind is DisturbanceKind.ODOMETRY_SLIP)
 
 
 def only_points(frame: SimulatedFrame, kept: Mask) -> SimulatedFrame:

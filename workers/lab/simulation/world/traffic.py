@@ -72,7 +72,7 @@ class Traffic:
                     taken = self.rng.random() < 0.55
                     wiggle, turn = self.rng.uniform(-0.4, 0.4), self.rng.normal(0.0, 0.02)
                     what = self._drawn(PARKED_MIX)
-                    if not taken or self._at_junction(number, float(at), place):
+                    if not taken or self._at_junction(number, float(at)):
                         continue
                     model = self._model(what, small=True)
                     facing = np.pi if (side > 0) != (self.rng.random() < 0.1) else 0.0
@@ -162,7 +162,7 @@ class Traffic:
         self.actors.append(actor)
         return True
 
-    def _at_junction(self, number: int, at_m: float, place: Place) -> bool:
+    def _at_junction(self, number: int, at_m: float) -> bool:
         if number > 0:
             return abs(at_m) < self.place.kerb_m + 5.0
         return any(abs(at_m - j) < p.kerb_m + 5.0 for j, _, p in self.crossings)

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.lab.evaluation.motion.point_matching import COLUMNS
+from tests.golden.point_matching import COLUMNS
 from workers.lidar.fidelity import Form
 
 

@@ -1,0 +1,1 @@
+"""Selection strategies: which scenes of the ranking go to the labellers; pure."""

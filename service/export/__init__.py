@@ -1,0 +1,1 @@
+"""Formats in which a selection leaves the house; pure."""
