@@ -10,7 +10,7 @@ from schemas.arrays import NS_PER_S
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.labels import Blindness, FrameHealth, FrameLabels, MotionLabel
 from schemas.task import MOTION, Task
-from workers.lidar.preprocessing import PreprocessedFrame
+from workers.lidar.preprocessing import PreprocessedFrame, Preprocessor
 from workers.paper.object_flow import object_flow
 from workers.paper.scene_flow import SceneFlowSource
 from workers.paper.two_stage_clustering import PER_SECOND, TwoStageRule, two_stage
