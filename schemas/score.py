@@ -1,6 +1,7 @@
 """The scored scene: the record that travels, is stored, ranked and reviewed."""
 
-from typing import Annotated, Final, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -16,6 +17,15 @@ MAX_TRACKS: Final = 32
 """Tracks a record carries, strongest first: keeps it under MAX_RECORD_BYTES on the bus."""
 
 MAX_RECORD_BYTES: Final = 16_384
+
+MAX_SUPPORTING: Final = 3
+"""Phrases of evidence for a verdict that a reason carries."""
+
+MAX_OPPOSING: Final = 1
+"""Phrases of evidence against a verdict that a reason carries."""
+
+SCHEMA_VERSION: Final = 2
+"""Version of the records that this program writes; it reads version 1 too."""
 
 
 class AgreementShares(BaseModel):
@@ -76,6 +86,45 @@ class StreamHealth(BaseModel):
     reason: str = Field(default="", max_length=200, description="Why it was blind, if it was.")
 
 
+class Reason(BaseModel):
+    """One reason of a score: a headline, and the evidence for and against its verdict."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    headline: Text = Field(
+        description="What the streams label and what is probable instead, where, for how long, and "
+        "which stream is wrong with which probability; or what lowered the score of the scene."
+    )
+    track_id: Tally | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="The track it is about; absent where it is about the whole scene.",
+    )
+    supporting: tuple[Text, ...] = Field(
+        default=(),
+        max_length=MAX_SUPPORTING,
+        exclude_if=lambda value: not value,
+        description="Strongest evidence for the verdict, strongest first.",
+    )
+    opposing: tuple[Text, ...] = Field(
+        default=(),
+        max_length=MAX_OPPOSING,
+        exclude_if=lambda value: not value,
+        description="Strongest evidence against it.",
+    )
+
+    @property
+    def evidence(self) -> str:
+        """Both lists as one phrase; empty without evidence."""
+        known = (("for", self.supporting), ("against", self.opposing))
+        return "; ".join(f"{how}: {', '.join(phrases)}" for how, phrases in known if phrases)
+
+    @property
+    def text(self) -> str:
+        """The whole reason on one line."""
+        return "; ".join(part for part in (self.headline, self.evidence) if part)
+
+
 class Producers(BaseModel):
     """What made the labels: the name and version of each stream's model."""
 
@@ -95,7 +144,7 @@ class SceneScore(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    schema_version: Literal[1] = 1
+    schema_version: Literal[2] = SCHEMA_VERSION
     task: Name = Field(
         default=MOTION.name,
         exclude_if=lambda value: value == MOTION.name,
@@ -112,8 +161,15 @@ class SceneScore(BaseModel):
     frames: Positive = Field(description="Frames of the scene.")
     state: SceneState = Field(description="`too_short` and `odometry_lost` have score 0.")
     score: Share = Field(description="0: no contradiction worth a look; towards 1: many strong.")
-    reasons: tuple[Text, ...] = Field(
-        max_length=MAX_TRACKS, description="What made the score, in words; strongest first."
+    reasons: tuple[Reason, ...] = Field(
+        max_length=MAX_TRACKS,
+        description="Reasons of the score, by strength; reasons that lowered it are last.",
+    )
+    sentences_version: Literal[1, 2] = Field(
+        default=SCHEMA_VERSION,
+        exclude_if=lambda value: value == SCHEMA_VERSION,
+        description="Version of the words in reasons and attributions; 1: the record was written "
+        "as version 1 and keeps its sentences, each as a headline; absent: 2.",
     )
     points: Tally = Field(description="Points of all frames, invalid ones included.")
     compared_share: Share = Field(description="Share of points that both streams labelled.")
@@ -133,6 +189,11 @@ class SceneScore(BaseModel):
     )
     producers: Producers
 
+    @model_validator(mode="before")
+    @classmethod
+    def _read_version_1(cls, record: Any) -> Any:
+        return from_version_1(record) if _is_of_version_1(record) else record
+
     @model_validator(mode="after")
     def _names_are_those_of_the_task(self) -> "SceneScore":
         try:
@@ -148,3 +209,53 @@ class SceneScore(BaseModel):
         if unknown := said - kinds:
             raise ValueError(f"task {task.name} has no kind {sorted(unknown)}")
         return self
+
+
+_OF_THE_SCENE: Final = (
+    "odometry ",
+    "recorded odometry ",
+    "self-supervised stream ",
+    "nothing was compared",
+)
+"""First words of the reasons of version 1 that are about the whole scene."""
+
+_RENAMED: Final = {"because": "supporting", "against": "opposing", "also": "neutral"}
+"""Fields of an attribution, version 1 to version 2."""
+
+
+def from_version_1(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a record of version 1 as one of version 2.
+
+    Its sentences stay as they were written, each as the headline of a reason, and
+    `sentences_version` marks them. No number changes.
+    """
+    return {
+        **record,
+        "schema_version": SCHEMA_VERSION,
+        "sentences_version": 1,
+        "reasons": _reasons_from_version_1(record),
+        "tracks": [_track_from_version_1(track) for track in record.get("tracks", ())],
+    }
+
+
+def _reasons_from_version_1(record: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Number the reasons as the tracks, which have the same order, but for those of the scene."""
+    tracks = len(record.get("tracks", ())) if record.get("state") == SceneState.SCORED else 0
+    return [
+        {"headline": reason, "track_id": number}
+        if number < tracks and not str(reason).startswith(_OF_THE_SCENE)
+        else {"headline": reason}
+        for number, reason in enumerate(record.get("reasons", ()))
+    ]
+
+
+def _is_of_version_1(record: Any) -> bool:
+    return isinstance(record, Mapping) and record.get("schema_version") == 1
+
+
+def _track_from_version_1(track: Any) -> Any:
+    attribution = track.get("attribution") if isinstance(track, Mapping) else None
+    if not isinstance(attribution, Mapping):
+        return track
+    renamed = {_RENAMED.get(name, name): value for name, value in attribution.items()}
+    return {**track, "attribution": renamed}

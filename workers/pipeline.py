@@ -9,9 +9,12 @@ from schemas.frame import LidarFrame
 from schemas.score import SceneScore
 from schemas.work import Shard
 from workers.contradiction.agreement import compare
+from workers.contradiction.attribution import attribute_tracks
+from workers.contradiction.feature_extraction import extract_features
 from workers.contradiction.instances import find_instances
 from workers.contradiction.score import score_scene
 from workers.contradiction.track_score import RankedTrack, rank_tracks
+from workers.contradiction.tracks import associate_instances
 from workers.ingest.scenes import cut_scenes
 from workers.parts.protocols import Parts
 
@@ -58,8 +61,11 @@ def mine_shard(
         instances = find_instances(
             scene, class_names=parts.supervised.class_names, settings=parts.instances
         )
-        tracks = rank_tracks(scene, instances)
+        tracks = associate_instances(scene, instances)
+        described = extract_features(scene, instances, tracks)
+        attributions = attribute_tracks(described)
+        ranked = rank_tracks(scene, described, attributions)
         score = score_scene(
-            shard, scene, instances, tracks, parts=parts, pipeline_version=pipeline_version
+            shard, scene, instances, ranked, parts=parts, pipeline_version=pipeline_version
         )
-        yield MinedScene(score, scene, instances, tracks)
+        yield MinedScene(score, scene, instances, ranked)

@@ -5,21 +5,21 @@ import re
 from collections.abc import Iterator, Mapping
 
 from service.cli.output import page
-from workers.contradiction.explanations import TOLD
-from workers.contradiction.track_features import Evidence
+from workers.contradiction.explanations import EXPLANATION_TEXTS
+from workers.contradiction.track_features import TrackFeatures
 from workers.lab.simulation.faults.plan import DISTURBANCE_MEANS, FAILURE_MEANS
 
 _HEAD = """\
-# What reasons and reports name
+# Names in reasons and reports
 
-Written by `python -m service.cli.glossary_page`. The words of the system itself, from log to
-selection, stand in [`schemas/README.md`](../schemas/README.md).
+Written by `python -m service.cli.glossary_page`. [`schemas/README.md`](../schemas/README.md)
+defines the terms of the system itself, from log to selection.
 """
 
 
-def evidence_means() -> dict[str, str]:
-    """Say of each named number of evidence what it is, as its class documents it."""
-    text = inspect.getdoc(Evidence) or ""
+def feature_meanings() -> dict[str, str]:
+    """Return the meaning of each feature, as its class documents it."""
+    text = inspect.getdoc(TrackFeatures) or ""
     rows = re.findall(r"^ {4}(\w+): (.+(?:\n {8}.+)*)", text, flags=re.MULTILINE)
     return {name: " ".join(meaning.split()).rstrip(".") for name, meaning in rows}
 
@@ -32,30 +32,31 @@ def glossary_page() -> str:
         _HEAD,
         *_section(
             "Planted failures",
-            "What the model on a simulated car was made to do, by `simulate` and `demo`.",
+            "Errors that `simulate` and `demo` give to the model on a simulated car.",
             ("kind", "the model on the car"),
             failures,
         ),
         *_section(
             "Disturbances",
-            "What disturbs a simulated scene without being a failure of the model.",
+            "Disturbances of a simulated scene that are no failure of the model.",
             ("kind", "the recording"),
             disturbances,
         ),
         *_section(
-            "What is told of a track",
-            "In reasons and records, `for` a verdict, `against` it, or neither (`also`). All are "
-            "read off points, none is the truth: of a pole or rail passed fast few points are seen "
-            "before and after, and it may be told to come from elsewhere or to leave its place.",
-            ("words", "meaning"),
-            TOLD,
+            "Evidence",
+            "Phrases in reasons and records that support a verdict, oppose it, or are neutral. All "
+            "are measured on points, and none is the truth. A pole or rail passed at speed has few "
+            "points before and after, for example, and may have the evidence `arrival from "
+            "elsewhere` or `departure from its place`.",
+            ("phrase", "meaning"),
+            EXPLANATION_TEXTS,
         ),
         *_section(
-            "Evidence",
+            "TrackFeatures",
             "The numbers, each 0 to 1, that the chances of a verdict follow from by one table "
             "([`attribution.json`](../workers/contradiction/attribution.json)).",
             ("name", "what it is"),
-            evidence_means(),
+            feature_meanings(),
         ),
     ]
     return "\n".join(lines) + "\n"

@@ -77,9 +77,11 @@ class DemoScene:
 
     @property
     def why(self) -> str:
-        """What its first reason tells, without who errs and what speaks for it: a table's worth."""
-        first = next(iter(self.record.reasons), "-")
-        return first.partition("; ")[0] if self.told else first
+        """Headline of its first reason, without the verdict, which has a column of its own."""
+        if not self.record.reasons:
+            return "-"
+        headline = self.record.reasons[0].headline
+        return headline.rpartition(": ")[0] if self.told else headline
 
 
 def beside_truth(
@@ -97,7 +99,7 @@ def beside_truth(
         truth: Folder of its truth.
         overlay_of: Reads the points of a scene; asked for those with a failure and a reason.
     """
-    from workers.contradiction.reasons import WORTH_SAYING
+    from workers.contradiction.reasons import MIN_REPORTED_STRENGTH
     from workers.lab.simulation.faults.fault_truth import PlantedTruth
 
     begins_ns = {
@@ -110,7 +112,7 @@ def beside_truth(
         known, record = planted[row.log_id], records[row.scene_id]
         failures = _within(known.failures, row) if known else ()
         named = False if failures else None
-        worth = bool(record.tracks) and record.tracks[0].strength >= WORTH_SAYING
+        worth = bool(record.tracks) and record.tracks[0].strength >= MIN_REPORTED_STRENGTH
         told = record.score > 0 and worth
         if known and failures and told:
             points = PlantedPoints(truth / row.log_id)

@@ -22,7 +22,7 @@ BEFORE_M: Final = 0.5
 _FARTHEST: Final = np.float32(1000.0)
 
 
-class Glances:
+class Keyframes:
     """What stands off the ground every half second of a scene, and right before and after it."""
 
     def __init__(self, scene: Scene) -> None:

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S
 from schemas.contradiction import Instance, Scene
 from schemas.frame import OdometryState
-from workers.contradiction.keyframes import Glances
+from workers.contradiction.keyframes import Keyframes
 from workers.contradiction.rising_ground import RisingGround
 from workers.contradiction.temporal_context import CalledMoving, called_moving
 from workers.contradiction.tracks import frame_period_s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Surroundings:
+class SceneContext:
     """Where a scene is, and what is about its tracks.
 
     Attributes:
@@ -26,7 +26,7 @@ class Surroundings:
         doubted: (F,) 1 where the pose is not healthy.
         crowd: Instances of each kind in each frame.
         called: What the supervised stream calls moving, right before and after the scene as well.
-        glances: What stands off the ground every half second of it.
+        keyframes: What stands off the ground every half second of it.
         period_s: Between its frames.
         ground: Where the ground itself rises.
     """
@@ -36,12 +36,12 @@ class Surroundings:
     doubted: NDArray[np.float64]
     crowd: dict[tuple[str, int], int]
     called: CalledMoving
-    glances: Glances
+    keyframes: Keyframes
     period_s: float
     ground: RisingGround
 
 
-def surroundings_of(scene: Scene, instances: Sequence[Instance]) -> Surroundings:
+def scene_context_of(scene: Scene, instances: Sequence[Instance]) -> SceneContext:
     """Work out what all tracks of a scene share."""
     frames = scene.frames
     poses = np.stack([frame.posed.odom_from_sensor for frame in frames])
@@ -58,13 +58,13 @@ def surroundings_of(scene: Scene, instances: Sequence[Instance]) -> Surroundings
     for instance in instances:
         key = (instance.kind.name, instance.frame_index)
         crowd[key] = crowd.get(key, 0) + 1
-    return Surroundings(
+    return SceneContext(
         turn_rad_per_s=np.abs(turn),
         unseen=1.0 - np.nan_to_num(np.array(seen), nan=0.0),
         doubted=np.array([float(f.posed.odometry is not OdometryState.HEALTHY) for f in frames]),
         crowd=crowd,
         called=called_moving(scene),
-        glances=Glances(scene),
+        keyframes=Keyframes(scene),
         period_s=frame_period_s(scene),
         ground=RisingGround([frame.posed for frame in frames]),
     )

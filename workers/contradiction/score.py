@@ -1,4 +1,4 @@
-"""A scene's score, made of its tracks, and the record that travels.
+"""Score of a scene, combined from its tracks, and the record that is published.
 
     score = 1 - (1 - s1)(1 - s2 / 2)(1 - s3 / 4) ...
 
@@ -31,7 +31,7 @@ from schemas.score import MAX_RECORD_BYTES, MAX_TRACKS, KindTotal, Producers, Sc
 from schemas.task import Outcome
 from schemas.transport.wire import encode
 from schemas.work import Shard
-from workers.contradiction.reasons import WORTH_SAYING, class_word, reasons_of
+from workers.contradiction.reasons import MIN_REPORTED_STRENGTH, class_word, reasons_of
 from workers.contradiction.scene_statistics import odometry_health, point_shares, stream_health
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
 from workers.contradiction.track_score import RankedTrack, pose_weights
@@ -57,6 +57,11 @@ class Streams(Protocol):
     @property
     def selfsupervised(self) -> Versioned:
         """The self-supervised stream."""
+        ...
+
+    @property
+    def own_model(self) -> str:
+        """Name of the user's own model; empty where the supervised stream is a shipped one."""
         ...
 
 
@@ -101,7 +106,13 @@ def score_scene(
         frames=len(scene.frames),
         state=state,
         score=combine([counts * each.strength for each in ranked], decay=settings.decay),
-        reasons=reasons_of(scene, instances, ranked, state=state, health=health, stream=stream),
+        reasons=reasons_of(
+            *(scene, instances, ranked),
+            state=state,
+            health=health,
+            stream=stream,
+            own_model=parts.own_model,
+        ),
         points=shares.points,
         compared_share=shares.compared_share,
         all_points=shares.all_points,
@@ -180,16 +191,20 @@ def _track_record(
         confirmed_share=(
             None if ranked.confirmed_share is None else _round(ranked.confirmed_share, 3)
         ),
-        attribution=_told(ranked.attribution, strength),
+        attribution=_reported(ranked.attribution, strength),
         strongest=_instance_record(scene, instances[ranked.strongest]),
     )
 
 
-def _told(attribution: Attribution | None, strength: float) -> Attribution | None:
-    """Words are kept for tracks that are worth saying: a record has to fit the bus."""
-    if attribution is None or strength >= WORTH_SAYING:
-        return attribution
-    return attribution.model_copy(update={"because": (), "against": (), "also": ()})
+def _reported(attribution: Attribution | None, strength: float) -> Attribution | None:
+    """Return the attribution; a weak track loses its evidence, so that the record fits the bus."""
+    return attribution if strength >= MIN_REPORTED_STRENGTH else _without_evidence(attribution)
+
+
+def _without_evidence(attribution: Attribution | None) -> Attribution | None:
+    if attribution is None:
+        return None
+    return attribution.model_copy(update={"supporting": (), "opposing": (), "neutral": ()})
 
 
 def _instance_record(scene: Scene, instance: Instance) -> InstanceRecord:
@@ -212,7 +227,17 @@ def _round(value: float, digits: int) -> float:
 
 
 def _fit(record: SceneScore) -> SceneScore:
-    """Leave out the weakest tracks until the record fits the bus; `totals` still count them."""
+    """Make the record fit the bus: drop the evidence of weak tracks, then the weakest tracks.
+
+    `totals` count every track in any case.
+    """
+    for index in reversed(range(len(record.tracks))):
+        if len(encode(record)) <= MAX_RECORD_BYTES:
+            return record
+        tracks = list(record.tracks)
+        attribution = _without_evidence(tracks[index].attribution)
+        tracks[index] = tracks[index].model_copy(update={"attribution": attribution})
+        record = record.model_copy(update={"tracks": tuple(tracks)})
     while record.tracks and len(encode(record)) > MAX_RECORD_BYTES:
         record = record.model_copy(update={"tracks": record.tracks[:-1]})
     return record

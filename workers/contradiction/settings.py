@@ -87,7 +87,7 @@ class ScoreSettings:
             compare its path with its speed.
         path_error_m_per_s: How far the path of the box may be from the measured velocity.
         path_error_share: And this much more per m/s.
-        implausible: What remains of a track whose path says otherwise.
+        implausible: What remains of a track whose path says counterfactual.
         decay: Each further track counts this much less than the one before.
         degraded_weight: What a frame with a degraded pose counts; a lost one counts nothing.
         lost_below: Below this mean weight of its frames a scene is `odometry_lost`.

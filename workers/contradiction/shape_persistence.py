@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from schemas.arrays import NS_PER_S
 from schemas.contradiction import Instance, Scene
-from workers.contradiction.keyframes import Glances
+from workers.contradiction.clamp import clamp01
+from workers.contradiction.keyframes import Keyframes
 from workers.contradiction.shape_matching import Cells, misfits
 from workers.contradiction.temporal_context import MOST
-from workers.contradiction.unit import clip
 
 NEAREST_S: Final = 0.4
 """Sooner, who walks is where he was."""
@@ -74,7 +74,7 @@ _ROUND: Final = np.array([(x, y) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 
 
 
 @dataclass(frozen=True, slots=True)
-class Whereabouts:
+class ShapePersistence:
     """How sure it is where a thing was and will be, 0 to 1; both 0 where nothing is known.
 
     Attributes:
@@ -109,13 +109,13 @@ class _Pair:
     away_s: float
 
 
-def whereabouts_of(
+def shape_persistence_of(
     scene: Scene,
     members: Sequence[Instance],
     places_m: Sequence[NDArray[np.float64]],
     velocity_m_per_s: NDArray[np.float64],
-    glances: Glances,
-) -> Whereabouts:
+    keyframes: Keyframes,
+) -> ShapePersistence:
     """Say where the shape of a thing was, and where it will be.
 
     Args:
@@ -123,32 +123,34 @@ def whereabouts_of(
         members: Its instances, in the order of their frames.
         places_m: (M, 3) their points, odom space.
         velocity_m_per_s: (2,) of its path: where to look for what is fast.
-        glances: Of the scene.
+        keyframes: Of the scene.
     """
     shapes = _shapes(scene, members, places_m)
-    here_before, elsewhere_before = _side(_pairs(shapes, glances, -1), velocity_m_per_s, glances)
-    here_after, elsewhere_after = _side(_pairs(shapes, glances, 1), velocity_m_per_s, glances)
-    return Whereabouts(here_before, elsewhere_before, here_after, elsewhere_after)
+    here_before, elsewhere_before = _side(
+        _pairs(shapes, keyframes, -1), velocity_m_per_s, keyframes
+    )
+    here_after, elsewhere_after = _side(_pairs(shapes, keyframes, 1), velocity_m_per_s, keyframes)
+    return ShapePersistence(here_before, elsewhere_before, here_after, elsewhere_after)
 
 
 def _side(
-    pairs: Sequence[_Pair], velocity_m_per_s: NDArray[np.float64], glances: Glances
+    pairs: Sequence[_Pair], velocity_m_per_s: NDArray[np.float64], keyframes: Keyframes
 ) -> tuple[float, float]:
     """How sure the shapes lie where they are, and elsewhere, on one side in time."""
     if not pairs:
         return 0.0, 0.0
-    about = _about(pairs, glances, np.zeros(2), _SLOW_M_PER_S)
+    about = _about(pairs, keyframes, np.zeros(2), _SLOW_M_PER_S)
     as_is_m = _misfit_m(pairs, about, np.zeros((1, 2)))[:, 0]
-    here = clip((AWAY_M - float(np.quantile(as_is_m, ALWAYS))) / (AWAY_M - HERE_M))
-    away = clip(_away_share(pairs, as_is_m) / OFTEN)
+    here = clamp01((AWAY_M - float(np.quantile(as_is_m, ALWAYS))) / (AWAY_M - HERE_M))
+    away = clamp01(_away_share(pairs, as_is_m) / OFTEN)
     if here == 1.0 or away == 0.0:
         return here, 0.0
     shifted_m = _best_m(pairs, about, _GRID, _STEPS_M_PER_S[1:])
     if np.hypot(*velocity_m_per_s) > _GOES_M_PER_S:
-        along = _about(pairs, glances, velocity_m_per_s, sum(_STEPS_M_PER_S) * 2)
+        along = _about(pairs, keyframes, velocity_m_per_s, sum(_STEPS_M_PER_S) * 2)
         near = velocity_m_per_s + _ROUND * _STEPS_M_PER_S[0] * 2
         shifted_m = min(shifted_m, _best_m(pairs, along, near, _STEPS_M_PER_S))
-    fits = clip((FITS_NOT - shifted_m / float(as_is_m.mean())) / (FITS_NOT - FITS))
+    fits = clamp01((FITS_NOT - shifted_m / float(as_is_m.mean())) / (FITS_NOT - FITS))
     return here, (1.0 - here) * away * fits
 
 
@@ -194,7 +196,7 @@ def _misfit_m(
 
 def _about(
     pairs: Sequence[_Pair],
-    glances: Glances,
+    keyframes: Keyframes,
     velocity_m_per_s: NDArray[np.float64],
     spread_m_per_s: float,
 ) -> list[Cells]:
@@ -205,24 +207,24 @@ def _about(
         margin_m = np.full(3, HIDDEN_M + spread_m_per_s * abs(pair.away_s))
         margin_m[2] = _HEIGHT_M
         low_m, high_m = pair.shape.low_m + shift_m, pair.shape.high_m + shift_m
-        about.append(glances.near(pair.number, low_m - margin_m, high_m + margin_m))
+        about.append(keyframes.near(pair.number, low_m - margin_m, high_m + margin_m))
     return about
 
 
-def _pairs(shapes: Sequence[_Shape], glances: Glances, side: int) -> list[_Pair]:
+def _pairs(shapes: Sequence[_Shape], keyframes: Keyframes, side: int) -> list[_Pair]:
     """Shapes and the frames they are laid over, spread evenly; before: side -1, after: 1."""
     pairs = []
     for shape in shapes:
-        away_s = (glances.stamps_ns - shape.stamp_ns) / NS_PER_S
+        away_s = (keyframes.stamps_ns - shape.stamp_ns) / NS_PER_S
         due = (side * away_s >= NEAREST_S) & (side * away_s <= FARTHEST_S)
         pairs += [_Pair(shape, int(each), float(away_s[each])) for each in np.flatnonzero(due)]
     chosen = [pairs[each] for each in _spread(len(pairs), _PAIRS)]
-    return [each for each in chosen if _is_asked(each, glances)]
+    return [each for each in chosen if _is_asked(each, keyframes)]
 
 
-def _is_asked(pair: _Pair, glances: Glances) -> bool:
+def _is_asked(pair: _Pair, keyframes: Keyframes) -> bool:
     """Whether the place of a shape could be seen in the frame it is laid over."""
-    return glances.hidden_share(pair.number, pair.shape.places_m) < HIDDEN
+    return keyframes.hidden_share(pair.number, pair.shape.places_m) < HIDDEN
 
 
 def _shapes(

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from workers.contradiction.clamp import clamp01
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
-from workers.contradiction.unit import clip
 
 
 def box_plausibility(size_m: NDArray[np.float64], settings: ScoreSettings = DEFAULT_SCORE) -> float:
@@ -12,16 +12,16 @@ def box_plausibility(size_m: NDArray[np.float64], settings: ScoreSettings = DEFA
     length_m, _, height_m = (float(side) for side in size_m)
 
     def rise(value: float) -> float:
-        return clip((value - settings.low_m) / (settings.high_m - settings.low_m))
+        return clamp01((value - settings.low_m) / (settings.high_m - settings.low_m))
 
     long = (settings.longest_m - length_m) / (settings.longest_m - settings.long_m)
-    return rise(length_m) * rise(height_m) * clip(long)
+    return rise(length_m) * rise(height_m) * clamp01(long)
 
 
 def not_too_long(size_m: NDArray[np.float64], settings: ScoreSettings = DEFAULT_SCORE) -> float:
     """1 up to the length of a lorry with its trailer, 0 from that of a tram, or a facade, on."""
     span_m = settings.tram_m - settings.lorry_m
-    return clip((settings.tram_m - float(size_m[0])) / span_m)
+    return clamp01((settings.tram_m - float(size_m[0])) / span_m)
 
 
 def not_flat(
@@ -38,4 +38,4 @@ def not_flat(
     share = height_m / max(float(size_m[0]), 1e-3)
     flat = (settings.flat_share - share) / (settings.flat_share - settings.flattest_share)
     low = (settings.tall_m - height_m) / (settings.tall_m - settings.flat_below_m)
-    return 1.0 - clip(flat) * clip(low)
+    return 1.0 - clamp01(flat) * clamp01(low)

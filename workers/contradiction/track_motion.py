@@ -1,11 +1,15 @@
 """Where a track went over the ground: how far, and how straight."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from workers.contradiction.clamp import clamp01
+from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
 
 _PATH_M: Final = 1.0
 _STEADY_M: Final = 0.2
@@ -82,3 +86,33 @@ def path_of(
         went=went_m / (went_m + _PATH_M),
         straight=went_m / (went_m + 2.0 * jumps_m + _STEADY_M),
     )
+
+
+def motion_plausibility(
+    centres_m: NDArray[np.float64],
+    stamps_s: NDArray[np.float64],
+    velocities_m_per_s: NDArray[np.float64],
+    settings: ScoreSettings = DEFAULT_SCORE,
+) -> float:
+    """Return the agreement of a track's path with the measured velocity, 0 to 1.
+
+    Args:
+        centres_m: (F, 3) box centres, odom space.
+        stamps_s: (F,) their times.
+        velocities_m_per_s: (F, 3) measured, odom space; zero rows were not measured.
+        settings: Tolerances.
+    """
+    measured = velocities_m_per_s[np.any(velocities_m_per_s != 0.0, axis=1)]
+    if not len(measured):
+        return settings.unmeasured
+    velocity = np.median(measured, axis=0)
+    speed = float(np.median(np.linalg.norm(measured, axis=1)))
+    fast_enough = clamp01(speed / settings.slow_m_per_s)
+    span_s = float(stamps_s[-1] - stamps_s[0])
+    if span_s < 0.4:  # a box jumps by decimetres: too short a path says nothing
+        return fast_enough * (1.0 + settings.unmeasured) / 2
+    path = (centres_m[-1] - centres_m[0]) / span_s
+    tolerance = settings.path_error_m_per_s + settings.path_error_share * speed
+    error = float(np.linalg.norm((path - velocity)[:2])) / tolerance
+    agrees = settings.implausible + (1.0 - settings.implausible) * math.exp(-(error**2))
+    return fast_enough * agrees

@@ -62,7 +62,7 @@ def centres_in_odom(scene: Scene, instances: Sequence[Instance]) -> NDArray[np.f
     return centres_m
 
 
-def tie_tracks(
+def associate_instances(
     scene: Scene, instances: Sequence[Instance], *, settings: TrackSettings = DEFAULT_TRACKS
 ) -> tuple[Track, ...]:
     """Tie instances of one kind over frames by where they should be by now.

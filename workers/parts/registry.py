@@ -196,6 +196,7 @@ def build_parts(
         selfsupervised=build_selfsupervised(selfsupervised, files),
         witness=asked() if semantic.task.moving else NoWitness(),
         instances=_named("rule of instances", instances, INSTANCES),
+        own_model=semantic.version.partition("@")[0] if supervised == "own" else "",
     )
 
 

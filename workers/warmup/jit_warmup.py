@@ -65,8 +65,9 @@ def rehearse() -> None:
     Networks take no part: their loops are called beside. What the supervised stream says stands in
     for it, so that something contradicts.
     """
+    from workers.contradiction.feature_extraction import extract_features
     from workers.contradiction.instances import find_instances
-    from workers.contradiction.track_score import rank_tracks
+    from workers.contradiction.tracks import associate_instances
     from workers.odometry.odometry import KissOdometry
     from workers.selfsupervised.stream import Registration
     from workers.warmup.loops import call_loops
@@ -77,7 +78,8 @@ def rehearse() -> None:
         posed = list(KissOdometry()(rehearsal(with_beams=with_beams)))
         labelled = map(_all_moves, posed, Registration()(iter(posed)))
         scene = Scene("rehearsal/0", tuple(TwoSidedFreeSpace()(labelled)))
-        rank_tracks(scene, find_instances(scene, class_names=()))
+        instances = find_instances(scene, class_names=())
+        extract_features(scene, instances, associate_instances(scene, instances))
     call_loops(next(rehearsal(with_beams=True)))
 
 

@@ -7,21 +7,27 @@ from numpy.typing import NDArray
 
 from schemas.contradiction import ContradictionKind, Scene
 from schemas.labels import Blindness, FrameHealth, MotionLabel
-from tests.labelled_worlds import CLASS_NAMES, START_NS, Thing, labelled_frame, labelled_scene
+from tests.labelled_worlds import (
+    CLASS_NAMES,
+    START_NS,
+    Thing,
+    labelled_frame,
+    labelled_scene,
+    ranked_tracks,
+)
 from workers.contradiction.instances import find_instances
 from workers.contradiction.temporal_context import MARGIN_M, at_other_times, called_moving
-from workers.contradiction.track_features import Evidence
+from workers.contradiction.track_features import TrackFeatures
 from workers.contradiction.track_motion import Path, path_of
-from workers.contradiction.track_score import rank_tracks
 from workers.contradiction.tracks import centres_in_odom
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
 SEMANTIC = ContradictionKind.ONLY_SEMANTIC_DYNAMIC
 
 
-def _evidence(scene: Scene) -> Evidence:
-    (track,) = rank_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))
-    return track.evidence
+def _evidence(scene: Scene) -> TrackFeatures:
+    (track,) = ranked_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))
+    return track.features
 
 
 def _scene(
@@ -50,7 +56,7 @@ def test_what_both_call_moving_before_or_after_is_told(
     said: Sequence[tuple[int, int]], before: float, after: float, step_m: float
 ) -> None:
     evidence = _evidence(_scene(said, step_m=step_m))
-    assert (evidence.agreed_before, evidence.undenied_after) == (before, after)
+    assert (evidence.agreed_before, evidence.not_refuted_after) == (before, after)
 
 
 @pytest.mark.parametrize("step_m", [0.0, 0.3], ids=["in its place", "as it goes"])
@@ -59,7 +65,7 @@ def test_what_is_said_beyond_the_ends_of_the_scene_counts(step_m: float) -> None
     whole = _scene(said, step_m=step_m)
     cut = replace(whole, frames=whole.frames[4:14], before=whole.frames[1:4])
     alone = replace(cut, before=())
-    assert (_evidence(cut).agreed_before, _evidence(cut).undenied_after) == (1.0, 0.0)
+    assert (_evidence(cut).agreed_before, _evidence(cut).not_refuted_after) == (1.0, 0.0)
     assert _evidence(alone).agreed_before == 0.0
 
 
@@ -67,7 +73,7 @@ def test_a_mover_that_passes_beside_a_thing_says_nothing_of_it() -> None:
     said = [(STATIC, STATIC)] * 4 + [(DYNAMIC, STATIC)] * 6 + [(STATIC, STATIC)] * 4
     beside = Thing((12.0, 9.0, 0.0), DYNAMIC, DYNAMIC, points=400)
     evidence = _evidence(_scene(said, step_m=0.0, others=(beside,)))
-    assert (evidence.agreed_before, evidence.undenied_after) == (0.0, 0.0)
+    assert (evidence.agreed_before, evidence.not_refuted_after) == (0.0, 0.0)
 
 
 def test_a_path_of_two_frames_says_nothing() -> None:
@@ -112,14 +118,14 @@ def test_what_comes_into_sight_as_it_goes_went_as_far_as_its_slower_end() -> Non
 )
 def test_what_is_no_longer_called_standing_starts(after: tuple[int, int], agreed: float) -> None:
     said = [(STATIC, STATIC)] * 4 + [(DYNAMIC, STATIC)] * 6 + [after] * 4
-    assert _evidence(_scene(said, step_m=0.05)).undenied_after == agreed
+    assert _evidence(_scene(said, step_m=0.05)).not_refuted_after == agreed
 
 
 def test_what_goes_on_while_it_is_called_static_is_told_from_what_stops() -> None:
     said = [(DYNAMIC, DYNAMIC)] * 4 + [(STATIC, DYNAMIC)] * 6 + [(DYNAMIC, DYNAMIC)] * 4
     goes, stands = _evidence(_scene(said, step_m=0.5)), _evidence(_scene(said, step_m=0.0))
-    assert min(goes.agreed_before, goes.undenied_after) > 0.8
-    assert (stands.agreed_before, stands.undenied_after) == (0.0, 0.0)
+    assert min(goes.agreed_before, goes.not_refuted_after) > 0.8
+    assert (stands.agreed_before, stands.not_refuted_after) == (0.0, 0.0)
 
 
 def test_a_new_thing_is_left_open_whatever_it_does() -> None:
@@ -135,7 +141,7 @@ def test_a_stream_that_goes_blind_leaves_nothing_open() -> None:
         replace(each, predictive=replace(each.predictive, health=blind)) if number >= 10 else each
         for number, each in enumerate(scene.frames)
     ]
-    assert _evidence(replace(scene, frames=tuple(frames))).undenied_after == 0.0
+    assert _evidence(replace(scene, frames=tuple(frames))).not_refuted_after == 0.0
 
 
 @pytest.mark.parametrize(
@@ -147,7 +153,7 @@ def test_low_is_what_is_near_and_has_no_height(
     height_m: float, range_m: float, least: float, most: float
 ) -> None:
     thing = Thing((range_m, 0.0, 0.0), DYNAMIC, STATIC, size_m=(3.0, 1.5, height_m))
-    assert least <= _evidence(labelled_scene([replace(thing, points=200)])).low <= most
+    assert least <= _evidence(labelled_scene([replace(thing, points=200)])).lowness <= most
 
 
 def test_what_both_see_move_is_found_up_to_a_second_away_and_no_further() -> None:
@@ -163,9 +169,9 @@ def test_scraps_that_are_tied_to_a_track_do_not_hide_that_it_starts() -> None:
     scrap = Thing((12.0, 5.0, 0.0), DYNAMIC, STATIC, (1.0, 0.5, 0.5), points=30, frames=late)
     said = [(STATIC, STATIC)] * 4 + [(DYNAMIC, STATIC)] * 4 + [(DYNAMIC, DYNAMIC)] * 6
     scene = _scene(said, step_m=0.0, others=(scrap,))
-    (track,) = rank_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))
+    (track,) = ranked_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))
     assert max(track.track.members) == len(track.track.members) - 1 == 9  # to the last frame
-    assert track.evidence.undenied_after == 1.0
+    assert track.features.not_refuted_after == 1.0
 
 
 @pytest.mark.parametrize(
@@ -175,7 +181,7 @@ def test_scraps_that_are_tied_to_a_track_do_not_hide_that_it_starts() -> None:
         ([(STATIC, UNKNOWN)] * 4 + [(STATIC, DYNAMIC)] * 6 + [(DYNAMIC, STATIC)] * 4, 0.0, 1.0),
         ([(STATIC, UNKNOWN)] * 4 + [(STATIC, DYNAMIC)] * 6 + [(STATIC, STATIC)] * 4, 0.0, 0.0),
     ],
-    ids=["called moving before", "called moving later", "never"],
+    ids=["supervised label dynamic earlier", "supervised label dynamic later", "never"],
 )
 def test_whether_the_answer_of_the_supervised_stream_changes_is_told(
     said: Sequence[tuple[int, int]], before: float, after: float
@@ -183,10 +189,10 @@ def test_whether_the_answer_of_the_supervised_stream_changes_is_told(
     scene = _scene(said, step_m=0.3)
     (track,) = (
         track
-        for track in rank_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))
+        for track in ranked_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))
         if track.track.kind.measured
     )
-    assert (track.evidence.called_before, track.evidence.called_after) == (before, after)
+    assert (track.features.dynamic_before, track.features.dynamic_after) == (before, after)
 
 
 def test_the_points_in_a_box_are_those_that_a_plain_search_finds() -> None:

@@ -39,7 +39,7 @@ BALANCE: Final = 0.5
 _FEW: Final = 10
 """Answers that occur less often than this are not made up for: one track is no rule."""
 
-USED: Final = tuple(name for name in NAMES if name not in ("lasting", "many_points"))
+USED: Final = tuple(name for name in NAMES if name not in ("duration", "point_count"))
 """Length and points are terms of a track's strength already, and say little of who is wrong."""
 
 _DIGITS: Final = 3
@@ -146,7 +146,7 @@ def fit_kind(kind: str, rows: Sequence[TrackRow]) -> dict[str, Any]:
 
 def _unwitnessed(row: TrackRow) -> TrackRow:
     """The same track where no witness is asked: `--witness none` must not be a guess."""
-    silent = {"witness_moving": 0.0, "witness_still": 0.0}
+    silent = {"witness_dynamic": 0.0, "witness_static": 0.0}
     return row.model_copy(update={"evidence": {**row.evidence, **silent}})
 
 
@@ -173,10 +173,10 @@ def _matrix(rows: Sequence[TrackRow]) -> NDArray[np.float64]:
 def _weights(rows: Sequence[TrackRow]) -> NDArray[np.float64]:
     """What is worth a look weighs more, and so do rare answers."""
     counts = {answer: sum(row.verdict is answer for row in rows) for answer in Wrong}
-    worth = [row.evidence["lasting"] * row.evidence["many_points"] + 0.05 for row in rows]
+    worth = [row.evidence["duration"] * row.evidence["point_count"] + 0.05 for row in rows]
     rare = [(len(rows) / (counts[_verdict(row)] + _FEW)) ** BALANCE for row in rows]
     asked = [
-        1.0 if row.evidence["witness_moving"] + row.evidence["witness_still"] else _UNWITNESSED
+        1.0 if row.evidence["witness_dynamic"] + row.evidence["witness_static"] else _UNWITNESSED
         for row in rows
     ]
     weights: NDArray[np.float64] = np.array(worth) * np.array(rare) * np.array(asked)
