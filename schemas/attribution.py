@@ -1,4 +1,4 @@
-"""Attribution of a contradiction: which stream is probably wrong, with its probability and why."""
+"""Attribution of a contradiction: the probability that each stream is wrong, and its evidence."""
 
 from enum import StrEnum
 from typing import Annotated, Final
@@ -11,7 +11,7 @@ Chance = Annotated[float, Field(ge=0, le=1)]
 """A probability."""
 
 MAX_EVIDENCE: Final = 6
-"""Evidence phrases of one track, in all three lists together: a record has to fit the bus."""
+"""Evidence phrases of one track at most, in all three lists: a record has to fit the bus."""
 
 Phrases = tuple[Text, ...]
 

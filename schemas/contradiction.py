@@ -1,4 +1,4 @@
-"""What is made of contradicting points: labelled frames, instances, tracks."""
+"""Types of contradictions: labelled frames, scenes, instances, and records of tracks."""
 
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -16,14 +16,17 @@ from schemas.labels import FrameLabels
 from schemas.task import MOTION, Outcome, Task
 
 BESIDE_S: Final = 1.0
-"""Frames this near before and after a scene, or a track, say what it was: what starts, at a metre
-per second squared, is half a metre on by then, and still in its place."""
+"""Temporal context before and after a scene or a track, seconds.
+
+An object that starts at one metre per second squared moves by half a metre in this time, and still
+overlaps its place.
+"""
 
 
 class ContradictionKind(StrEnum):
-    """The kinds of the task `MOTION`, as records name them: who alone says that something moves.
+    """Kinds of the task `MOTION`, as records name them: the only source that labels dynamic.
 
-    It does not say who errs.
+    A kind does not name the source that is wrong.
     """
 
     ONLY_SEMANTIC_DYNAMIC = "only_semantic_dynamic"
@@ -33,15 +36,15 @@ class ContradictionKind(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledFrame:
-    """A posed frame with both streams' answers and their agreement, point by point.
+    """A posed frame with both streams' labels and their agreement, per point.
 
     Attributes:
         posed: The frame and its pose.
         semantic: Labels of the supervised stream.
         predictive: Labels of the self-supervised stream.
         agreements: (N,) codes of the task's outcomes.
-        task: What both were asked.
-        witness: What the third witness says; None where none was asked.
+        task: The task of both streams.
+        witness: Labels of the third witness; None where none was queried.
     """
 
     posed: PosedFrame
@@ -59,12 +62,12 @@ class LabelledFrame:
 
     @property
     def stamp_ns(self) -> int:
-        """Nanoseconds since the Unix epoch, of the frame."""
+        """Stamp of the frame, nanoseconds since the Unix epoch."""
         return self.posed.frame.stamp_ns
 
 
 class SceneState(StrEnum):
-    """What may be made of a scene's score."""
+    """State of a scene's score: only a scored scene is ranked."""
 
     SCORED = "scored"
     TOO_SHORT = "too_short"
@@ -77,11 +80,11 @@ class Scene:
 
     Attributes:
         scene_id: `<log_id>/<lidar>/<start_ns>`, unique in the bucket.
-        frames: In the order of their stamps; at least one.
-        too_short: A piece under a second between gaps, or a log too short to judge.
-        before: Up to a second of the log right before it, where no gap lies between:
-            what a thing at its edge was, never scored with it.
-        after: And right after it.
+        frames: Its frames in the order of their stamps; at least one.
+        too_short: True for a piece under a second between gaps, or of a log too short to judge.
+        before: Frames of up to one second of the log right before it, up to a gap: the context of
+            objects at its edge, which is never scored with it.
+        after: Frames of up to one second right after it.
     """
 
     scene_id: str
@@ -92,17 +95,17 @@ class Scene:
 
     @property
     def task(self) -> Task:
-        """What both streams were asked about its points."""
+        """Task of both streams."""
         return self.frames[0].task
 
     @property
     def start_ns(self) -> int:
-        """First frame, nanoseconds since the Unix epoch."""
+        """Stamp of the first frame, nanoseconds since the Unix epoch."""
         return self.frames[0].stamp_ns
 
     @property
     def end_ns(self) -> int:
-        """Last frame, nanoseconds since the Unix epoch."""
+        """Stamp of the last frame, nanoseconds since the Unix epoch."""
         return self.frames[-1].stamp_ns
 
 
@@ -111,24 +114,25 @@ class Instance:
     """A cluster of contradicting points of one kind in one frame, large enough to keep.
 
     Attributes:
-        kind: How the two streams contradict each other about its points.
-        frame_index: Which frame of the scene it was found in.
-        point_index: (M,) the points that make it up.
+        kind: Kind of contradiction of its points.
+        frame_index: Index of its frame in the scene.
+        point_index: (M,) rows of its points in the frame.
         centre_m: (3,) centre of its box, sensor space, metres.
         size_m: (3,) length (>= width), width, height of its box, metres.
         yaw_rad: Heading of the length axis about z, sensor space, in [-pi/2, pi/2).
-        semantic_confidence: Mean of the supervised stream over its points, 0 to 1.
-        predictive_confidence: Mean of the self-supervised stream over its points, 0 to 1.
-        class_name: Commonest semantic class of its points; empty when the stream knows none.
+        semantic_confidence: Mean confidence of the supervised stream over its points, 0 to 1.
+        predictive_confidence: Mean confidence of the self-supervised stream, 0 to 1.
+        class_name: Commonest semantic class of its points; empty for a stream without classes.
         velocity_m_per_s: (3,) mean velocity over the ground, odom space; zero when not measured.
         own_share: Share of the compared points in and close around it that contradict in the same
-            way: 1 for a thing on its own, little for the rim of an agreed mover or for specks on a
+            way: 1 for an isolated object, low for the rim of an agreed mover or for specks on a
             wall.
-        confirmed_share: Share of its points of which the self-supervised stream proved more than
-            once that they move; None where that stream says static, or does not tell.
-        denied_share: Of all that the one who says dynamic calls so in and around its box, a metre
-            each way: share that the other stream calls static.
-        agreed_share: And dynamic; about the rest it is silent.
+        confirmed_share: Share of its points whose motion the self-supervised stream confirmed more
+            than once; None where that stream labels them static, or does not report it.
+        denied_share: Share of the points around it labelled dynamic by its source that the other
+            stream labels static. They are all in its box and a margin of one metre.
+        agreed_share: Share of these points that the other stream labels dynamic too. It labels the
+            rest unknown.
     """
 
     kind: Outcome
@@ -152,18 +156,18 @@ KindName = Annotated[
     Field(
         max_length=MAX_NAME,
         pattern=r"^[a-z0-9_]+$",
-        description="How the streams contradict each other: for motion, which alone says that it "
-        "moves, `only_semantic_dynamic` or `only_predictive_dynamic`.",
+        description="Kind of contradiction: for motion the only source that labels it dynamic, "
+        "such as `only_semantic_dynamic` or `only_predictive_dynamic`.",
     ),
 ]
 
 
 class InstanceRecord(BaseModel):
-    """An instance as it travels: its box, size and what both sides thought."""
+    """Record of an instance: its box, its points and the confidences of both streams."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    stamp_ns: StampNs = Field(description="Frame it was found in, nanoseconds since the epoch.")
+    stamp_ns: StampNs = Field(description="Stamp of its frame, nanoseconds since the epoch.")
     points: Positive = Field(description="Contradicting points in it.")
     centre_m: tuple[Finite, Finite, Finite] = Field(description="Box centre, sensor space, metres.")
     size_m: tuple[Finite, Finite, Finite] = Field(description="Length, width, height, metres.")
@@ -174,11 +178,11 @@ class InstanceRecord(BaseModel):
 
 
 class TrackRecord(BaseModel):
-    """One contradicting thing followed over the frames of a scene."""
+    """Record of a track: one contradicting object followed over the frames of a scene."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    track_id: Tally = Field(description="Counts within the scene, strongest first.")
+    track_id: Tally = Field(description="Number within the scene, strongest first.")
     kind: KindName
     class_name: Said = Field(default="", description="Commonest semantic class; may be empty.")
     strength: float = Field(ge=0, le=1, description="What this track adds to the scene score.")
@@ -192,12 +196,12 @@ class TrackRecord(BaseModel):
         ge=0,
         le=1,
         exclude_if=lambda value: value is None,
-        description="Share of its points that the self-supervised stream proved to move more than "
-        "once; absent where that stream says static or does not tell.",
+        description="Share of its points whose motion the self-supervised stream confirmed more "
+        "than once; absent where that stream labels it static or does not report it.",
     )
     attribution: Attribution | None = Field(
         default=None,
         exclude_if=lambda value: value is None,
-        description="Who is probably wrong about it; absent from records of earlier services.",
+        description="Verdict on both streams; absent from records of earlier services.",
     )
     strongest: InstanceRecord = Field(description="Its instance with the most evidence.")

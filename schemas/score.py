@@ -1,4 +1,4 @@
-"""The scored scene: the record that travels, is stored, ranked and reviewed."""
+"""Record of a scored scene, which is published, stored, ranked and reviewed."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal
@@ -14,7 +14,7 @@ Share = Annotated[float, Field(ge=0, le=1)]
 """A fraction, 0 to 1."""
 
 MAX_TRACKS: Final = 32
-"""Tracks a record carries, strongest first: keeps it under MAX_RECORD_BYTES on the bus."""
+"""Tracks of a record at most, strongest first: more would exceed MAX_RECORD_BYTES on the bus."""
 
 MAX_RECORD_BYTES: Final = 16_384
 
@@ -39,17 +39,17 @@ class AgreementShares(BaseModel):
     __pydantic_extra__: dict[str, Share]
 
     def __getitem__(self, outcome: str) -> float:
-        """Share of the outcome of this name."""
+        """Return the share of an outcome, by name."""
         return self.__pydantic_extra__[outcome]
 
     @property
     def outcomes(self) -> frozenset[str]:
-        """Names of all that have a share."""
+        """Names of the outcomes that have a share."""
         return frozenset(self.__pydantic_extra__)
 
 
 class KindTotal(BaseModel):
-    """How many contradictions of one kind a scene holds, those beyond the record included."""
+    """Totals of one kind of contradiction in a scene, with those that the record leaves out."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -60,7 +60,7 @@ class KindTotal(BaseModel):
 
 
 class OdometryHealth(BaseModel):
-    """Whether the poses of the scene may be trusted: it gates the score."""
+    """Health of a scene's poses, which gates its score."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -68,22 +68,22 @@ class OdometryHealth(BaseModel):
     healthy_share: Share = Field(description="Share of frames with a healthy pose.")
     static_residual_m: Finite = Field(ge=0, description="Median over the frames, metres.")
     distance_m: Finite = Field(ge=0, description="Path of the sensor over the scene, metres.")
-    reason: str = Field(default="", max_length=200, description="Why not healthy, if so.")
+    reason: str = Field(default="", max_length=200, description="Cause if not healthy.")
 
 
 class StreamHealth(BaseModel):
-    """What the self-supervised stream had to go by: silence where blind means nothing."""
+    """Health of the self-supervised stream: a frame in which it is blind is no evidence."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    unknown_share: Share = Field(description="Share of the returns that it did not judge.")
+    unknown_share: Share = Field(description="Share of the returns that it did not label.")
     seen_share: Share | None = Field(
-        description="Mean share of what it was asked about, off the ground and in reach, that an "
-        "earlier frame saw or saw through; null if it was never asked."
+        description="Mean share of the queried places, off the ground and in range, that an "
+        "earlier frame observed or saw through; null without a query."
     )
-    blind_share: Share = Field(description="Share of frames in which it judged nothing.")
-    pose_jumps: Tally = Field(description="Frames whose pose went where no car goes.")
-    reason: str = Field(default="", max_length=200, description="Why it was blind, if it was.")
+    blind_share: Share = Field(description="Share of frames in which it labelled no point.")
+    pose_jumps: Tally = Field(description="Frames whose pose moved as no car can move.")
+    reason: str = Field(default="", max_length=200, description="Cause of its blindness.")
 
 
 class Reason(BaseModel):
@@ -126,7 +126,7 @@ class Reason(BaseModel):
 
 
 class Producers(BaseModel):
-    """What made the labels: the name and version of each stream's model."""
+    """Sources of the labels: name and version of each stream's model, and of the pipeline."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -136,10 +136,11 @@ class Producers(BaseModel):
 
 
 class SceneScore(BaseModel):
-    """How much the two streams contradict each other in one scene.
+    """Score of one scene by the contradictions of its two streams, with reasons and tracks.
 
-    No times of processing, worker or attempt are inside, and floats are rounded: the same shard
-    plan, weights and settings give the same bytes (`schemas.transport.wire.encode_scene_score`).
+    The record contains no processing time, worker or attempt, and its floats are rounded. The same
+    shard plan, weights and settings give the same bytes
+    (`schemas.transport.wire.encode_scene_score`).
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -148,7 +149,7 @@ class SceneScore(BaseModel):
     task: Name = Field(
         default=MOTION.name,
         exclude_if=lambda value: value == MOTION.name,
-        description="What both streams were asked about each point; absent: motion.",
+        description="Task of both streams, which label each point; absent: motion.",
     )
     scene_id: SceneId = Field(description="`<log_id>/<lidar>/<start_ns>`, unique.")
     log_id: LogId = Field(description="Bucket-relative key of the recording.")
@@ -160,7 +161,7 @@ class SceneScore(BaseModel):
     end_ns: StampNs = Field(description="Last frame, nanoseconds since the Unix epoch.")
     frames: Positive = Field(description="Frames of the scene.")
     state: SceneState = Field(description="`too_short` and `odometry_lost` have score 0.")
-    score: Share = Field(description="0: no contradiction worth a look; towards 1: many strong.")
+    score: Share = Field(description="0: no strong contradiction; towards 1: many.")
     reasons: tuple[Reason, ...] = Field(
         max_length=MAX_TRACKS,
         description="Reasons of the score, by strength; reasons that lowered it are last.",
@@ -226,8 +227,8 @@ _RENAMED: Final = {"because": "supporting", "against": "opposing", "also": "neut
 def from_version_1(record: Mapping[str, Any]) -> dict[str, Any]:
     """Return a record of version 1 as one of version 2.
 
-    Its sentences stay as they were written, each as the headline of a reason, and
-    `sentences_version` marks them. No number changes.
+    Its sentences are unchanged: each is the headline of a reason, and `sentences_version` marks
+    them. No number changes.
     """
     return {
         **record,
@@ -239,7 +240,7 @@ def from_version_1(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _reasons_from_version_1(record: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Number the reasons as the tracks, which have the same order, but for those of the scene."""
+    """Give each reason about a track its number: reasons and tracks have the same order."""
     tracks = len(record.get("tracks", ())) if record.get("state") == SceneState.SCORED else 0
     return [
         {"headline": reason, "track_id": number}

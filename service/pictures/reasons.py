@@ -1,4 +1,4 @@
-"""Reasons of a scene on its picture: what lowered its score always, tracks as space allows."""
+"""Drawing of a scene's reasons: those of the whole scene always, tracks as space allows."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -14,7 +14,7 @@ _LINE_PX: Final = 21
 _SIZE_PX: Final = 16
 _INDENT_PX: Final = 20
 _FEWEST: Final = 2
-"""Lines of a reason that is shown; more where there is room for all of them."""
+"""Lines of a shown reason at most, unless there is room for all of its lines."""
 
 
 def draw_reasons(
@@ -46,15 +46,15 @@ def draw_reasons(
 
 
 def lines_of(wanted: Sequence[int], *, gates: int, room: int) -> list[int]:
-    """Share out lines: first what gates have, then tracks, and what is left to the first of all.
+    """Allocate lines to reasons: first to gates, then to tracks, and the rest in order.
 
     Args:
-        wanted: Lines that each reason takes in full; the gates come last.
-        gates: How many of them are about the whole scene; none of these is left out.
-        room: Lines; one is kept to say how many tracks are left out.
+        wanted: Number of lines of each reason in full; the gates come last.
+        gates: Number of reasons about the whole scene; none of them is left out.
+        room: Number of lines; one is reserved for the number of tracks that are left out.
 
     Returns:
-        Lines of each; 0 for those that are left out.
+        Lines of each reason; 0 for one that is left out.
     """
     tracks = len(wanted) - gates
     lines = [min(each, _FEWEST) for each in wanted]

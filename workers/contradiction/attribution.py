@@ -136,7 +136,7 @@ def attribute(
     Args:
         kind: Name of the kind of contradiction.
         features: Features of the track.
-        explanations: Explanations that hold for it.
+        explanations: Explanations that apply to it.
     """
     table, named = tables()[kind], features.named()
     known = chances(table, named)

@@ -1,4 +1,4 @@
-"""How many places lie in boxes, compiled: none is copied to be asked."""
+"""Box queries: compiled counts of points in boxes, which copy no point."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ Places = NDArray[np.float64]
 
 @compiled
 def rows_said(points: Points, said: Labels, wanted: int, ground: Mask) -> Counts:
-    """Rows off the ground of which something is said, and that are somewhere; (M,)."""
+    """Return the rows (M,) with a given label that are off the ground and have a finite place."""
     index = np.empty(len(said), np.int64)
     count = 0
     for i in range(len(said)):
@@ -35,17 +35,17 @@ def counts_in_boxes(
     axes: Places,
     half: Places,
 ) -> Counts:
-    """Count places of three sorts in boxes.
+    """Count the agreed, the not refuted and all places in oriented boxes.
 
     Args:
         places: (M, 3) metres.
-        agreed: (M,) of the first sort.
-        undenied: (M,) of the second; all are of the third.
-        first: (R,) which places are asked about each box: from here on.
-        last: (R,) and before here.
-        middle: (R, 3) of the boxes.
-        axes: (R, 3, 3) their axes, as columns.
-        half: (R, 3) half their sizes; what lies on a side is inside.
+        agreed: (M,) mask of the first count.
+        undenied: (M,) mask of the second count; the third counts all places.
+        first: (R,) first row of the places that are searched for each box.
+        last: (R,) end of these rows, exclusive.
+        middle: (R, 3) centres of the boxes, metres.
+        axes: (R, 3, 3) axes of the boxes, as columns.
+        half: (R, 3) half sizes, metres; a place on a face is inside.
 
     Returns:
         (3, R) counts.
@@ -70,16 +70,16 @@ def counts_in_boxes(
 
 @compiled
 def answers_around(points: Points, answers: Labels, thing: Points, margin: np.float32) -> Counts:
-    """Count the answers about points in the upright box around a thing, and its margin.
+    """Count the labels of points in the axis-aligned box around an object, with a margin.
 
     Args:
         points: (M, 3) metres.
-        answers: (M,) about each.
-        thing: (N, 3) what the box is put around, N >= 1.
-        margin: Metres on every side; what lies on its edge is inside.
+        answers: (M,) label of each point.
+        thing: (N, 3) points of the object that the box encloses, metres; N >= 1.
+        margin: Distance by which each face is moved outwards, metres; a point on a face is inside.
 
     Returns:
-        (256,) points of each answer.
+        (256,) number of points with each label.
     """
     low, high = thing[0].copy(), thing[0].copy()
     for i in range(len(thing)):
@@ -97,7 +97,7 @@ def answers_around(points: Points, answers: Labels, thing: Points, margin: np.fl
 
 @compiled
 def areas_of(places: Places, axes: Places) -> Places:
-    """(H,) areas of the rectangles around places (N, 2), N >= 1, whose sides are axes (2, 2, H)."""
+    """Return the areas (H,) of rectangles around places (N, 2), N >= 1, along axes (2, 2, H)."""
     areas = np.ones(axes.shape[2], np.float64)
     for heading in range(axes.shape[2]):
         for side in range(2):

@@ -1,4 +1,4 @@
-"""Gathers what is known about a track (`track_features.py`), from it and from what surrounds it."""
+"""Feature extraction: features of a track (`track_features.py`) from it and its scene context."""
 
 import math
 from collections.abc import Sequence
@@ -33,14 +33,17 @@ _LOWEST_M: Final = 0.5
 _LOW_WITHIN_M: Final = 50.0
 _RISES_SHARE: Final = 0.03
 _RISES_ALL: Final = 0.1
-"""Shares of the ground around a thing that rises."""
+"""Shares of rising ground around an object at which feature `rising_ground` is 0 and 1."""
 
 _SETS_OFF_S: Final = 0.5
 _SET_OFF_S: Final = 1.0
-"""So soon nothing is seen to set off, and so late everything: 1.5 m/s2 make 0.2 m and 0.75 m."""
+"""Times observed from the first frame on, seconds, at which feature `log_end` is 1 and 0.
+
+An object that sets off at 1.5 m/s2 covers 0.2 m and 0.75 m in them: too little and enough to show.
+"""
 
 _WORTH_IT: Final = 0.1
-"""`lasting` times `many_points`, from which on it is asked where a thing was and will be."""
+"""Product of `duration` and `point_count` from which on shape persistence is tested."""
 
 
 def extract_features(
@@ -56,7 +59,7 @@ def extract_features(
         scene: The scene.
         instances: Its instances.
         tracks: Their tracks.
-        settings: Scales of time and points.
+        settings: Scales of duration, points and size.
 
     Returns:
         One described track per track, in their order.
@@ -166,7 +169,7 @@ def _features_of(
 
 
 def places_in_odom(scene: Scene, members: Sequence[Instance]) -> list[NDArray[np.float64]]:
-    """(M, 3) points of each instance, odom space."""
+    """Return the points (M, 3) of each instance, odom space, metres."""
     places = []
     for member in members:
         posed = scene.frames[member.frame_index].posed
@@ -177,7 +180,7 @@ def places_in_odom(scene: Scene, members: Sequence[Instance]) -> list[NDArray[np
 
 
 def _testimony(scene: Scene, members: Sequence[Instance]) -> tuple[float, float]:
-    """Shares of the points of a track that the witness calls dynamic and static."""
+    """Return the shares of a track's points that the witness labels dynamic and static."""
     counts = np.zeros(3)
     for member in members:
         witness = scene.frames[member.frame_index].witness
@@ -190,7 +193,7 @@ def _testimony(scene: Scene, members: Sequence[Instance]) -> tuple[float, float]
 
 
 def _silence(scene: Scene, members: Sequence[Instance]) -> float:
-    """Share of the points of a track that the self-supervised stream does not judge."""
+    """Return the share of a track's points without a label of the self-supervised stream."""
     silent = total = 0
     for member in members:
         said = scene.frames[member.frame_index].predictive.labels[member.point_index]

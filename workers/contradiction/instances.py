@@ -1,4 +1,4 @@
-"""Contradicting points become instances: clusters of one kind in one frame, with their boxes."""
+"""Instance clustering: contradicting points of one kind in one frame, with their boxes."""
 
 from collections.abc import Iterator, Sequence
 
@@ -26,8 +26,8 @@ def find_instances(
     """Cluster the contradicting points of every frame, each kind on its own.
 
     DBSCAN (scikit-learn) as in the paper, on places instead of points (see `InstanceSettings`).
-    Ground is left out: a network's dynamic labels bleed onto the road beside a mover, and as
-    ground those points are no thing of their own. The raw shares still count them.
+    Ground is left out: a network's dynamic labels bleed onto the road next to a mover, and these
+    points are no object of their own. The raw shares still count them.
 
     Args:
         scene: Labelled frames of one scene.
@@ -83,7 +83,7 @@ def _instances_in(
     class_names: Sequence[str],
     settings: InstanceSettings,
 ) -> Iterator[Instance]:
-    """Instances of one frame, kind by kind."""
+    """Yield the instances of one frame, by kind."""
     points_m, ground_mask = frame.posed.frame.points_m, frame.predictive.ground_mask
     apart = within_box(points_m, settings.max_coordinate_m)
     if ground_mask is not None:
@@ -108,7 +108,7 @@ def _instances_of(
     class_names: Sequence[str],
     settings: InstanceSettings,
 ) -> Iterator[Instance]:
-    """Instances of one kind among the points (N,) that are off the ground and in reach."""
+    """Yield the instances of one kind among the points (N,) off the ground and within bounds."""
     points_m = frame.posed.frame.points_m
     asked, contradicting = _candidates(frame, kind)
     asked &= apart
@@ -147,7 +147,7 @@ def _instances_of(
 
 
 def _candidates(frame: LabelledFrame, kind: Outcome) -> tuple[Mask, Mask]:
-    """(N,) points that can contradict in this way, and those that do."""
+    """Return masks (N,) of the points that can contradict in this way, and of those that do."""
     if not kind.of_witness:
         return frame.agreements != frame.task.not_compared, frame.agreements == kind.code
     if frame.witness is None:
@@ -161,7 +161,7 @@ def _candidates(frame: LabelledFrame, kind: Outcome) -> tuple[Mask, Mask]:
 
 
 def _claims(frame: LabelledFrame, kind: Outcome) -> Claims:
-    """What the one who alone says it says so about, and what the other stream answers."""
+    """Return all points with the contradicting source's label, and the other stream's labels."""
     if kind.of_witness and frame.witness is not None:
         said, other = frame.witness.labels == MotionLabel.DYNAMIC, frame.predictive.labels
     elif kind.measured:

@@ -1,4 +1,4 @@
-"""What hides what: how near and how far a frame saw in each direction, whatever its beams."""
+"""Occlusion test: nearest and farthest range of a frame per direction, for any beam layout."""
 
 from typing import NamedTuple
 
@@ -9,23 +9,25 @@ from schemas.arrays import Mask, Points, Transform
 from workers.points.compiled import compiled
 
 _COLUMNS, _ROWS = 900, 150
-"""Steps of 0.25 to 0.5 degrees round, and of 1.1 up and down, from 55 degrees to 55: with the ones
-beside it, each direction has a beam of a sensor of 32 rows."""
+"""Bins of direction: 0.25 to 0.5 degrees of azimuth, 1.1 degrees of elevation within +-55 degrees.
+
+With its neighbours each bin contains a beam of a sensor with 32 rows.
+"""
 
 _PER_TANGENT = 50.0
-"""Rows for a rise of one in one."""
+"""Rows per unit of the tangent of elevation."""
 
 _TINY_M = 1e-9
 _NEAREST_M = 1.0
-"""Nearer, it is the car itself."""
+"""Least range, metres: nearer points are on the car itself."""
 
 
 class Shades(NamedTuple):
-    """What a frame saw about each direction, that is in its step and those beside it.
+    """Ranges of a frame in each bin of direction and its eight neighbours.
 
     Attributes:
-        nearest_m: (150, 900) of what stands off the ground; infinite where nothing does.
-        farthest_m: (150, 900) of all; 0 where nothing came back.
+        nearest_m: (150, 900) least range of the points off the ground; infinite without one.
+        farthest_m: (150, 900) greatest range of all points; 0 without a return.
     """
 
     nearest_m: NDArray[np.float32]
@@ -34,7 +36,7 @@ class Shades(NamedTuple):
 
 @compiled
 def shades_of(points: Points, index: NDArray[np.int64], ground: Mask) -> Shades:
-    """Sort chosen rows of a cloud (N, 3), the sensor's space, by direction; ground is (N,)."""
+    """Bin chosen rows of a cloud (N, 3), sensor space, by direction; the ground mask is (N,)."""
     near = np.full((_ROWS, _COLUMNS), np.float32(np.inf))
     far = np.zeros((_ROWS, _COLUMNS), np.float32)
     for i in index:
@@ -51,13 +53,16 @@ def shades_of(points: Points, index: NDArray[np.int64], ground: Mask) -> Shades:
 def hidden_share(
     places: NDArray[np.float64], sensor_from_places: Transform, shades: Shades, margin_m: float
 ) -> float:
-    """Share of places (P, 3) before which something stands, and about which nothing is seen.
+    """Return the occluded share of places (P, 3).
+
+    A place is occluded where a point off the ground is in front of it, and no point is seen near
+    it or beyond.
 
     Args:
-        places: Any space, P >= 1.
-        sensor_from_places: To that of the frame.
-        shades: Of the frame.
-        margin_m: So much nearer than a place is before it.
+        places: Places in any space, P >= 1.
+        sensor_from_places: Transform to the sensor space of the frame.
+        shades: Ranges of the frame.
+        margin_m: Least distance of an occluder in front of a place, metres.
     """
     hidden = 0
     to = sensor_from_places
@@ -76,10 +81,10 @@ def hidden_share(
 
 @compiled
 def _seen(x: float, y: float, z: float) -> tuple[int, int, float]:
-    """Row and column of a direction, and the distance.
+    """Return the row and column of a direction, and the range, metres.
 
-    Tangents and, round about, the share of the way from one axis to the next stand for angles:
-    every point of a cloud is asked, and angles take most of the time.
+    The tangent replaces the elevation, and the share of the way from one axis to the next the
+    azimuth: angles of every point of a cloud would take most of the time.
     """
     across = np.sqrt(x * x + y * y)
     row = z / max(across, _TINY_M) * _PER_TANGENT + _ROWS / 2
@@ -91,7 +96,7 @@ def _seen(x: float, y: float, z: float) -> tuple[int, int, float]:
 
 @compiled
 def _beside(image: NDArray[np.float32], least: bool) -> NDArray[np.float32]:
-    """Take the least, or the greatest, of each step and the eight beside it; columns go round."""
+    """Return the minimum, or maximum, of each bin and its eight neighbours; columns wrap around."""
     across = image.copy()
     for row in range(_ROWS):
         for column in range(_COLUMNS):

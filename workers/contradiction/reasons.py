@@ -56,7 +56,7 @@ def reasons_of(
         scene: The scene.
         instances: Its instances.
         ranked: Its tracks, strongest first.
-        state: Whether it has a score.
+        state: State of its score.
         health: Health of its poses.
         stream: Health of the self-supervised stream.
         own_model: Name of the user's own model; empty: the supervised stream is a shipped one.
@@ -208,7 +208,7 @@ def bearing(x_m: float, y_m: float) -> str:
 
 
 def class_word(name: str) -> str:
-    """Shorten a class name, which a recorded model may choose at will, to what a record holds."""
+    """Shorten a class name, which any recorded model may choose, to what fits a record."""
     printable = "".join(c if c.isascii() and c.isprintable() else "?" for c in name)
     return (
         printable if len(printable) <= MAX_CLASS_LENGTH else printable[: MAX_CLASS_LENGTH - 1] + "~"

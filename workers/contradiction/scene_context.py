@@ -1,4 +1,4 @@
-"""What the tracks of a scene share, worked out once."""
+"""Scene context: data that all tracks of a scene share, computed once."""
 
 import math
 from collections.abc import Sequence
@@ -18,17 +18,18 @@ from workers.contradiction.tracks import frame_period_s
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneContext:
-    """Where a scene is, and what is about its tracks.
+    """Ego-motion, observation and surroundings of a scene.
 
     Attributes:
-        turn_rad_per_s: (F,) how fast the sensor turned in each frame.
-        unseen: (F,) share of what was asked about that no other frame saw.
-        doubted: (F,) 1 where the pose is not healthy.
-        crowd: Instances of each kind in each frame.
-        called: What the supervised stream calls moving, right before and after the scene as well.
-        keyframes: What stands off the ground every half second of it.
-        period_s: Between its frames.
-        ground: Where the ground itself rises.
+        turn_rad_per_s: (F,) absolute turn rate of the sensor in each frame.
+        unseen: (F,) share of the places queried by the witness that no other frame observed.
+        doubted: (F,) 1 where the pose is not healthy, else 0.
+        crowd: Number of instances, by kind and frame.
+        called: Points that the supervised stream labels dynamic, from a second before the scene to
+            a second after.
+        keyframes: Points off the ground every half second.
+        period_s: Median time between its frames.
+        ground: Its rising ground.
     """
 
     turn_rad_per_s: NDArray[np.float64]
@@ -42,7 +43,7 @@ class SceneContext:
 
 
 def scene_context_of(scene: Scene, instances: Sequence[Instance]) -> SceneContext:
-    """Work out what all tracks of a scene share."""
+    """Compute the context of a scene."""
     frames = scene.frames
     poses = np.stack([frame.posed.odom_from_sensor for frame in frames])
     heading = np.unwrap(np.arctan2(poses[:, 1, 0], poses[:, 0, 0]))

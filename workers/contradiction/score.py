@@ -2,17 +2,17 @@
 
     score = 1 - (1 - s1)(1 - s2 / 2)(1 - s3 / 4) ...
 
-s1 >= s2 >= ... are the strengths of the scene's tracks (`track_score.py`); poses doubted while a
-track is seen have taken from it already.
+s1 >= s2 >= ... are the strengths of the scene's tracks (`track_score.py`). They are already reduced
+by poses that were doubted in the frames of the track.
 
-Range: 0 when nothing contradicts, below 1 always, and at least the strength of the strongest track,
-so that one clear failure is enough. It never falls when a track is added or grows. Each further
-track counts half of the one before: a plain noisy-or is near 1 for every scene as soon as the
-supervised network is mediocre and leaves a hundred small contradictions everywhere; here any number
+The score is 0 without a contradiction, always below 1, and at least the strength of the strongest
+track, so that one clear failure is enough. It never falls when a track is added or grows. Each
+further track counts half of the one before. A plain noisy-or would be near 1 for every scene of a
+mediocre supervised network, which leaves a hundred small contradictions everywhere. Here any number
 of tracks of strength 0.2 stays below 0.35, under one clear track of 0.5.
 
-`too_short` and `odometry_lost` scenes (mean weight of their poses below 1/2) have score 0, and so
-have their tracks: they are listed, last, and never ranked.
+Scenes in state `too_short` or `odometry_lost` (mean weight of the poses below 1/2) have score 0,
+and their tracks have strength 0. They are listed last and never ranked.
 """
 
 import math
@@ -38,7 +38,7 @@ from workers.contradiction.track_score import RankedTrack, pose_weights
 
 
 class Versioned(Protocol):
-    """A part that says what changes its output."""
+    """A part with a version that changes with its output."""
 
     @property
     def version(self) -> str:
@@ -47,7 +47,7 @@ class Versioned(Protocol):
 
 
 class Streams(Protocol):
-    """What of `workers.parts.protocols.Parts` a record names."""
+    """The members of `workers.parts.protocols.Parts` that a record names."""
 
     @property
     def supervised(self) -> Versioned:
@@ -75,19 +75,19 @@ def score_scene(
     pipeline_version: str,
     settings: ScoreSettings = DEFAULT_SCORE,
 ) -> SceneScore:
-    """Score one scene and make its record.
+    """Score one scene and build its record.
 
     Args:
-        shard: Where the scene was cut from: names the log, the vehicle and the software.
+        shard: Shard of the scene, which names the log, the vehicle and the software.
         scene: Its labelled frames.
-        instances: As `find_instances` found them in it.
-        ranked: Their tracks, as `rank_tracks` made them.
+        instances: Its instances, from `find_instances`.
+        ranked: Their tracks, from `rank_tracks`.
         parts: The streams that labelled it, for their versions.
-        pipeline_version: Digest of all that changes a record.
+        pipeline_version: Digest of everything that changes a record.
         settings: Constants of the score.
 
     Returns:
-        The record; it fits the bus, with fewer than 32 tracks where names are very long.
+        The record, which fits the bus: with very long names it has fewer than 32 tracks.
     """
     state = judge_odometry(scene, settings=settings)
     counts = 1.0 if state is SceneState.SCORED else 0.0
@@ -138,7 +138,7 @@ def combine(strengths: Sequence[float], *, decay: float) -> float:
 
     Args:
         strengths: Each in [0, 1).
-        decay: What each further track counts of the one before.
+        decay: Weight of each track relative to the stronger one before it.
     """
     remaining = math.prod(
         1.0 - strength * decay**rank
@@ -148,7 +148,7 @@ def combine(strengths: Sequence[float], *, decay: float) -> float:
 
 
 def judge_odometry(scene: Scene, *, settings: ScoreSettings = DEFAULT_SCORE) -> SceneState:
-    """Say what may be made of the scene."""
+    """Return the state of a scene's score, from its length and the weights of its poses."""
     if scene.too_short:
         return SceneState.TOO_SHORT
     if float(pose_weights(scene, settings=settings).mean()) < settings.lost_below:
@@ -227,7 +227,7 @@ def _round(value: float, digits: int) -> float:
 
 
 def _fit(record: SceneScore) -> SceneScore:
-    """Make the record fit the bus: drop the evidence of weak tracks, then the weakest tracks.
+    """Fit the record to the bus: drop the evidence of weak tracks, then the weakest tracks.
 
     `totals` count every track in any case.
     """

@@ -1,4 +1,4 @@
-"""What both streams say of a thing at other times than when they contradict each other about it."""
+"""Temporal context: labels of an object by both streams before and after they contradict."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,32 +12,33 @@ from schemas.contradiction import BESIDE_S, Instance, LabelledFrame, Scene
 from workers.contradiction.box_queries import counts_in_boxes, rows_said
 
 MARGIN_M: Final = 0.5
-"""Boxes of half-seen things end short."""
+"""Margin around a box, metres: boxes of partly observed objects are too short."""
 
 MOST: Final = 0.5
-"""So many points as this share of the track's own are the whole thing; and so much of its usual
-points a scrap of it has not."""
+"""Minimum point ratio of a complete observation: of an instance to its track's median, and of the
+points labelled at another time to the nearest instance."""
 
 BEST_S: Final = 0.3
-"""A label that holds for as long is no flicker: three frames at 10 Hz."""
+"""Time over which a label is no flicker, seconds: three frames at 10 Hz."""
 
 _WIDE_M: Final = 2e6
-"""No scene is wider: frames lie side by side along one axis."""
+"""Extent of a frame on the sort axis, metres: no scene is wider, and frames follow each other."""
 
 _MOST_M: Final = _WIDE_M / 2 - 1.0
-"""Either way: a pose that is lost leaves no moment for another."""
+"""Bound of a coordinate either way, metres: points of a lost pose stay in their own frame."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalledMoving:
-    """Points that the supervised stream calls moving, in a scene and right before and after it.
+    """Points that the supervised stream labels dynamic, in a scene and its context.
 
     Attributes:
-        stamps_ns: (T,) of `moments`.
-        order: (M,) rising: 2,000 km times the moment, and x from the first pose on.
-        places_m: (M, 3) where they are, odom space.
-        agreed: (M,) whether the self-supervised stream calls them moving as well.
-        undenied: (M,) whether it does, or leaves them open while it judges others.
+        stamps_ns: (T,) stamps of the frames of `moments`.
+        order: (M,) ascending sort key: 2,000 km times the frame number, plus x from the first pose.
+        places_m: (M, 3) the points, odom space.
+        agreed: (M,) mask of points that the self-supervised stream labels dynamic too.
+        undenied: (M,) mask of points not refuted by it: labelled dynamic too, or left unlabelled in
+            a frame in which it is not blind.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -49,15 +50,17 @@ class CalledMoving:
 
 @dataclass(frozen=True, slots=True)
 class OtherTimes:
-    """Shares of a thing, 0 to 1, in the third of a second in which they are highest.
+    """Shares of an object, 0 to 1, over the frames in which they are highest, a third of a second.
 
-    Before and after are the halves of its track, by its points, and a second beyond its ends.
+    The halves of its track, by points, and a second beyond each end are `before` and `after`.
 
     Attributes:
-        agreed_before: That both streams call moving.
-        undenied_after: That the supervised stream calls moving, and the other one does not deny.
-        called_before: That the supervised stream calls moving, whatever the other one says.
-        called_after: The same, later.
+        agreed_before: Share that both streams label dynamic earlier.
+        undenied_after: Share that the supervised stream labels dynamic later, and the other stream
+            does not label static.
+        called_before: Share that the supervised stream labels dynamic earlier, whatever the other
+            stream labels.
+        called_after: Share that the supervised stream labels dynamic later.
     """
 
     agreed_before: float
@@ -67,14 +70,14 @@ class OtherTimes:
 
 
 def moments(scene: Scene) -> tuple[LabelledFrame, ...]:
-    """List the frames of a scene, and those that lie right before and after it."""
+    """Return the frames of a scene with those of its context before and after it, in order."""
     return (*scene.before, *scene.frames, *scene.after)
 
 
 def called_moving(scene: Scene) -> CalledMoving:
-    """List the points that the supervised stream calls moving, off the ground and somewhere.
+    """Collect the points off the ground that the supervised stream labels dynamic.
 
-    None where the task asks for no motion.
+    Points without a finite place are left out; a task other than motion has none.
     """
     origin_m = scene.frames[0].posed.odom_from_sensor[0, 3]
     places, order = [np.zeros((0, 3))], [np.zeros(0)]
@@ -117,19 +120,20 @@ def at_other_times(
     *,
     period_s: float,
 ) -> OtherTimes:
-    """Say what both streams say of a thing where it should be in all frames around its track.
+    """Measure the labels of an object at its predicted places in all frames around its track.
 
-    Of what starts the self-supervised stream says "stands", nothing, "moves": later it need not
-    agree, not to deny is enough. Earlier it is not: what is new is left open whatever it does.
-    Scraps that are tied to a track do not say where the thing is.
+    When an object starts, the self-supervised stream labels it static, then unknown, then dynamic.
+    Later it therefore need not agree: it suffices that it does not refute. Earlier that does not
+    suffice, since a new object has no label whatever its motion. Fragments in a track do not
+    determine the place of the object.
 
     Args:
-        scene: Where the track was found.
+        scene: Scene of the track.
         members: Its instances, in the order of their frames.
-        centres_m: (len(members), 3) of their boxes, odom space.
-        velocity_m_per_s: (2,) or (3,) how it goes, odom space.
-        called: As `called_moving` lists it.
-        period_s: Between frames; 0 where there is but one.
+        centres_m: (len(members), 3) centres of their boxes, odom space.
+        velocity_m_per_s: (2,) or (3,) velocity of the track, odom space.
+        called: Points of `called_moving`.
+        period_s: Median time between frames; 0 for a single frame.
     """
     points = np.array([len(member.point_index) for member in members])
     large = points >= MOST * np.median(points)
@@ -171,20 +175,20 @@ def _counts(
     velocity_m_per_s: NDArray[np.float64],
     called: CalledMoving,
 ) -> NDArray[np.int64]:
-    """Count the points that are called moving in a box, and its margin, at some moments.
+    """Count the points labelled dynamic in predicted boxes and their margins.
 
     Args:
-        scene: Where the boxes were found.
-        edges: Whose boxes.
-        centres_m: (len(edges), 3) their centres, odom space.
-        edge: (R,) which of them.
-        moment: (R,) when.
-        away_s: (R,) how much later than the box.
-        velocity_m_per_s: How the boxes go.
+        scene: Scene of the boxes.
+        edges: Instances with the boxes.
+        centres_m: (len(edges), 3) centres of the boxes, odom space.
+        edge: (R,) index of the box in each query.
+        moment: (R,) index of the frame in each query.
+        away_s: (R,) time from the box to the frame, seconds.
+        velocity_m_per_s: (2,) or (3,) velocity of the boxes, odom space.
         called: The points.
 
     Returns:
-        (3, R) those agreed, undenied, and all of them.
+        (3, R) agreed points, points not refuted, and all points.
     """
     poses = np.stack([scene.frames[each.frame_index].posed.odom_from_sensor for each in edges])
     half_m = np.stack([each.size_m for each in edges]) / 2.0 + MARGIN_M
@@ -204,7 +208,7 @@ def _counts(
 
 
 def _about_z(yaw_rad: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N, 3, 3) turns, the axes of a box as columns."""
+    """Return rotations (N, 3, 3) about z, with the axes of a box as columns."""
     turns = np.zeros((len(yaw_rad), 3, 3))
     turns[:, 0, 0] = turns[:, 1, 1] = np.cos(yaw_rad)
     turns[:, 1, 0] = np.sin(yaw_rad)
@@ -214,6 +218,6 @@ def _about_z(yaw_rad: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _along(moment: NDArray[np.int64] | int, x_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Where points of several moments lie on one axis."""
+    """Return sort keys of points, from their frame and x."""
     clipped_m: NDArray[np.float64] = np.clip(x_m, -_MOST_M, _MOST_M)
     return clipped_m + np.asarray(moment, np.float64) * _WIDE_M

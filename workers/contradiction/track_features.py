@@ -136,10 +136,10 @@ class DescribedTrack:
 
     @property
     def points(self) -> NDArray[np.int64]:
-        """(len(members),) points of each instance."""
+        """Number of points of each instance, (len(members),)."""
         return np.array([len(member.point_index) for member in self.members])
 
     @property
     def is_motion(self) -> bool:
-        """Whether the self-supervised stream or the witness labels it dynamic."""
+        """True if the self-supervised stream or the witness labels it dynamic."""
         return self.track.kind.measured or self.track.kind.of_witness

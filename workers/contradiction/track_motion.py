@@ -1,4 +1,4 @@
-"""Where a track went over the ground: how far, and how straight."""
+"""Motion of a track over the ground: velocity, displacement and straightness."""
 
 import math
 from collections.abc import Sequence
@@ -14,23 +14,23 @@ from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
 _PATH_M: Final = 1.0
 _STEADY_M: Final = 0.2
 FEWEST: Final = 3
-"""Frames that make a path."""
+"""Least number of frames of a path."""
 
 _END: Final = 0.01
-"""Of the points, those left aside at either end: one stray return moves no end."""
+"""Share of the points that is ignored at either end: one stray return must not move an end."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Path:
     """A straight line through the box centres of a track.
 
-    Of a standing thing more or less is seen as the car passes, so that the middle of what is seen
-    goes, but one of its ends stays where it is. What goes, goes with both ends.
+    As the car passes a static object, the observed part of it changes. The centre of this part
+    moves, but one of its ends stays in place. Both ends of a moving object move.
 
     Attributes:
-        velocity_m_per_s: (2,) of the centres over the ground; zero where there are too few frames.
-        went: How far the end that went less far went: half at a metre.
-        straight: How much of that is a path, and how much the box jumps about.
+        velocity_m_per_s: (2,) velocity of the centres over the ground; zero for too few frames.
+        went: Displacement of the end that moved less, 0 to 1: 0.5 at one metre.
+        straight: Share of the displacement in displacement and jitter of the box, 0 to 1.
     """
 
     velocity_m_per_s: NDArray[np.float64]
@@ -41,7 +41,7 @@ class Path:
 def velocity_of(
     centres_m: NDArray[np.float64], stamps_s: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(2,) how the centres of boxes go over the ground; zero where there are too few.
+    """Return the velocity (2,) of box centres over the ground; zero for too few frames.
 
     Args:
         centres_m: (F, 3) box centres, odom space.
@@ -61,12 +61,12 @@ def path_of(
     stamps_s: NDArray[np.float64],
     places_m: Sequence[NDArray[np.float64]],
 ) -> Path:
-    """Fit a path.
+    """Fit a straight path to the boxes of a track.
 
     Args:
         centres_m: (F, 3) box centres, odom space.
         stamps_s: (F,) their times.
-        places_m: F times (M, 2), the points in the boxes over the ground, M >= 1, odom space.
+        places_m: Points (M, 2) of each of the F boxes over the ground, M >= 1, odom space.
     """
     if len(stamps_s) < FEWEST:
         return Path(np.zeros(2), 0.0, 0.0)

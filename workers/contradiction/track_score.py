@@ -4,21 +4,21 @@
 
 - persistence  1 - exp(-seen x continuity / 0.5 s). `seen` is the number of frames of the track less
   a half, times the frame period; `continuity` is the share of the frames of its span in which it
-  contradicts. Errors flicker. Sightings of the same object by the other motion source count by
-  their points, and less in clutter (`cross_stream_sightings.py`).
+  contradicts. Errors flicker. Sightings by the other motion source add frames, by their points and
+  less in clutter (`cross_stream_sightings.py`).
 - points       1 - exp(-points / 25), for the median points per frame.
-- size         0 above 30 m of length, since a facade is no road user, and 0 for a near and flat
-  box, such as a stretch of road, a kerb or a rail.
+- size         0 above 30 m of length, since a facade is no road user. It is also 0 for a near and
+  flat box: a stretch of road, a kerb, a rail.
 - chance       Probability that the supervised stream is wrong, alone or with the other stream
   (`attribution.py`).
 - poses        Square of the mean weight of the poses of its frames: healthy 1, degraded 1/2, lost
   0. It applies less to an isolated contradiction, because wrong poses make the whole street appear
-  to move, and not to tracks that only the supervised stream labels dynamic, because wrong poses
-  never make a mover appear static.
+  to move. Tracks that only the supervised stream labels dynamic lose by lost poses alone, because
+  wrong poses never make a mover appear static.
 
 Attribution was fitted for motion only. For other tasks `chance` is the product of both streams'
-confidences and of the isolation of the track, and `size` is the plausibility of its box where the
-task is about objects.
+confidences and of the isolation of the track. `size` is then the plausibility of its box where the
+task is about objects, else 1.
 
 A review looks for failures of the supervised stream: a track on which the other stream is wrong has
 a strength near 0, however large it is. Every factor is in the record or follows from it.
@@ -47,7 +47,7 @@ from workers.contradiction.tracks import Track, frame_period_s
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RankedTrack:
-    """A ranked track with everything that the record holds of it.
+    """A ranked track with the data of its record.
 
     Attributes:
         track: The track.
@@ -180,7 +180,7 @@ def _gate(weights: NDArray[np.float64], lone: float, *, static: bool) -> float:
 
     Args:
         weights: Of the poses of its frames.
-        lone: One minus its clutter: how few others contradict alike.
+        lone: One minus its clutter, which counts others that contradict in the same way.
         static: Whether the other source labels the track static; then only lost poses count.
     """
     if static:
