@@ -15,7 +15,7 @@ from schemas.frame import PosedFrame
 from schemas.labels import FrameLabels
 from schemas.task import MOTION, Outcome, Task
 
-BESIDE_S: Final = 1.0
+CONTEXT_S: Final = 1.0
 """Temporal context before and after a scene or a track, seconds.
 
 An object that starts at one metre per second squared moves by half a metre in this time, and still

@@ -206,8 +206,8 @@ class SceneScore(BaseModel):
         for shares in (self.all_points, self.nonground_points):
             if shares.outcomes != outcomes:
                 raise ValueError(f"shares of task {task.name} must be of {sorted(outcomes)}")
-        said = {total.kind for total in self.totals} | {track.kind for track in self.tracks}
-        if unknown := said - kinds:
+        named = {total.kind for total in self.totals} | {track.kind for track in self.tracks}
+        if unknown := named - kinds:
             raise ValueError(f"task {task.name} has no kind {sorted(unknown)}")
         return self
 

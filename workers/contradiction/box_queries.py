@@ -11,12 +11,12 @@ Places = NDArray[np.float64]
 
 
 @compiled
-def rows_said(points: Points, said: Labels, wanted: int, ground: Mask) -> Counts:
+def rows_labelled(points: Points, labels: Labels, wanted: int, ground: Mask) -> Counts:
     """Return the rows (M,) with a given label that are off the ground and have a finite place."""
-    index = np.empty(len(said), np.int64)
+    index = np.empty(len(labels), np.int64)
     count = 0
-    for i in range(len(said)):
-        if said[i] == wanted and not ground[i]:
+    for i in range(len(labels)):
+        if labels[i] == wanted and not ground[i]:
             x, y, z = points[i, 0], points[i, 1], points[i, 2]
             if np.isfinite(x) and np.isfinite(y) and np.isfinite(z):
                 index[count] = i
@@ -28,7 +28,7 @@ def rows_said(points: Points, said: Labels, wanted: int, ground: Mask) -> Counts
 def counts_in_boxes(
     places: Places,
     agreed: Mask,
-    undenied: Mask,
+    not_refuted: Mask,
     first: Counts,
     last: Counts,
     middle: Places,
@@ -40,7 +40,7 @@ def counts_in_boxes(
     Args:
         places: (M, 3) metres.
         agreed: (M,) mask of the first count.
-        undenied: (M,) mask of the second count; the third counts all places.
+        not_refuted: (M,) mask of the second count; the third counts all places.
         first: (R,) first row of the places that are searched for each box.
         last: (R,) end of these rows, exclusive.
         middle: (R, 3) centres of the boxes, metres.
@@ -63,18 +63,18 @@ def counts_in_boxes(
                     break
             if inside:
                 counts[0, r] += agreed[i]
-                counts[1, r] += undenied[i]
+                counts[1, r] += not_refuted[i]
                 counts[2, r] += 1
     return counts
 
 
 @compiled
-def answers_around(points: Points, answers: Labels, thing: Points, margin: np.float32) -> Counts:
+def labels_around(points: Points, labels: Labels, thing: Points, margin: np.float32) -> Counts:
     """Count the labels of points in the axis-aligned box around an object, with a margin.
 
     Args:
         points: (M, 3) metres.
-        answers: (M,) label of each point.
+        labels: (M,) label of each point.
         thing: (N, 3) points of the object that the box encloses, metres; N >= 1.
         margin: Distance by which each face is moved outwards, metres; a point on a face is inside.
 
@@ -91,7 +91,7 @@ def answers_around(points: Points, answers: Labels, thing: Points, margin: np.fl
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         if low[0] <= x <= high[0] and low[1] <= y <= high[1] and low[2] <= z <= high[2]:
-            counts[answers[i]] += 1
+            counts[labels[i]] += 1
     return counts
 
 

@@ -30,20 +30,20 @@ class _Cells(NamedTuple):
 
 @compiled
 def counts_around(
-    points: Points, chosen: Counts, asked: Mask, cell: np.float32
+    points: Points, chosen: Counts, queried: Mask, cell: np.float32
 ) -> tuple[Counts, Counts]:
     """Count the points in the 3 x 3 x 3 cells around every chosen point.
 
     Cells replace spheres: they take 27 look-ups per occupied cell at any density.
 
     Args:
-        points: (N, 3) metres; those chosen or in `asked` are within 400 km.
+        points: (N, 3) metres; those chosen or in `queried` are within 400 km.
         chosen: (M,) rows at the centres of the counts.
-        asked: (N,) mask of the points of the second count.
+        queried: (N,) mask of the points of the second count.
         cell: Side of a cell, metres.
 
     Returns:
-        (M,) chosen points around each chosen point, and (M,) points of `asked` around it.
+        (M,) chosen points around each chosen point, and (M,) points of `queried` around it.
     """
     own = _table(len(chosen))
     slot_of = np.empty(len(chosen), np.int64)
@@ -61,19 +61,19 @@ def counts_around(
         for side in range(27):
             _entered(around, own.key[slots[k]] + _step(side))
     for i in range(len(points)):
-        if asked[i]:
+        if queried[i]:
             at = _found(around, _key(points, i, cell))
             if at >= 0:
                 around.counted[at] += 1
-    chosen_there, asked_there = np.zeros((2, len(own.key)), np.int64)
+    chosen_there, queried_there = np.zeros((2, len(own.key)), np.int64)
     for k in range(occupied):
         for side in range(27):
             key = own.key[slots[k]] + _step(side)
-            asked_there[slots[k]] += around.counted[_found(around, key)]
+            queried_there[slots[k]] += around.counted[_found(around, key)]
             at = _found(own, key)
             if at >= 0:
                 chosen_there[slots[k]] += own.counted[at]
-    return chosen_there[slot_of], asked_there[slot_of]
+    return chosen_there[slot_of], queried_there[slot_of]
 
 
 @compiled

@@ -7,14 +7,14 @@ import numpy as np
 
 from schemas.arrays import Labels, Points
 from schemas.labels import MotionLabel
-from workers.contradiction.box_queries import answers_around
+from workers.contradiction.box_queries import labels_around
 
 AROUND_M: Final = 1.0
 """Margin around an instance, metres: a rim lies within it, and other road users seldom do."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Claims:
+class LabelledPoints:
     """All points off the ground of a frame with the label of the contradicting source.
 
     For motion this label is dynamic.
@@ -27,7 +27,7 @@ class Claims:
     points_m: Points
     other: Labels
 
-    def answered(self, thing_m: Points) -> tuple[float, float]:
+    def label_shares(self, thing_m: Points) -> tuple[float, float]:
         """Return the refuted and the agreed share of these points in and around an object's box.
 
         The other stream labels a refuted point static and an agreed one dynamic.
@@ -35,8 +35,8 @@ class Claims:
         Args:
             thing_m: (N, 3) points of the object, which are among these points.
         """
-        said = answers_around(self.points_m, self.other, thing_m, np.float32(AROUND_M))
-        total = int(said.sum())
+        counts = labels_around(self.points_m, self.other, thing_m, np.float32(AROUND_M))
+        total = int(counts.sum())
         if not total:
             return 1.0, 0.0
-        return int(said[MotionLabel.STATIC]) / total, int(said[MotionLabel.DYNAMIC]) / total
+        return int(counts[MotionLabel.STATIC]) / total, int(counts[MotionLabel.DYNAMIC]) / total

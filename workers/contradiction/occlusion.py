@@ -22,7 +22,7 @@ _NEAREST_M = 1.0
 """Least range, metres: nearer points are on the car itself."""
 
 
-class Shades(NamedTuple):
+class RangeBounds(NamedTuple):
     """Ranges of a frame in each bin of direction and its eight neighbours.
 
     Attributes:
@@ -35,23 +35,23 @@ class Shades(NamedTuple):
 
 
 @compiled
-def shades_of(points: Points, index: NDArray[np.int64], ground: Mask) -> Shades:
+def range_bounds_of(points: Points, index: NDArray[np.int64], ground: Mask) -> RangeBounds:
     """Bin chosen rows of a cloud (N, 3), sensor space, by direction; the ground mask is (N,)."""
     near = np.full((_ROWS, _COLUMNS), np.float32(np.inf))
     far = np.zeros((_ROWS, _COLUMNS), np.float32)
     for i in index:
-        row, column, distance = _seen(points[i, 0], points[i, 1], points[i, 2])
+        row, column, distance = _bin_of(points[i, 0], points[i, 1], points[i, 2])
         if distance < _NEAREST_M:
             continue
         far[row, column] = max(far[row, column], np.float32(distance))
         if not ground[i]:
             near[row, column] = min(near[row, column], np.float32(distance))
-    return Shades(_beside(near, True), _beside(far, False))
+    return RangeBounds(_over_neighbours(near, True), _over_neighbours(far, False))
 
 
 @compiled
-def hidden_share(
-    places: NDArray[np.float64], sensor_from_places: Transform, shades: Shades, margin_m: float
+def occluded_share(
+    places: NDArray[np.float64], sensor_from_places: Transform, bounds: RangeBounds, margin_m: float
 ) -> float:
     """Return the occluded share of places (P, 3).
 
@@ -61,26 +61,26 @@ def hidden_share(
     Args:
         places: Places in any space, P >= 1.
         sensor_from_places: Transform to the sensor space of the frame.
-        shades: Ranges of the frame.
+        bounds: Ranges of the frame.
         margin_m: Least distance of an occluder in front of a place, metres.
     """
     hidden = 0
     to = sensor_from_places
     for p in range(len(places)):
         x, y, z = places[p, 0], places[p, 1], places[p, 2]
-        row, column, distance = _seen(
+        row, column, distance = _bin_of(
             to[0, 0] * x + to[0, 1] * y + to[0, 2] * z + to[0, 3],
             to[1, 0] * x + to[1, 1] * y + to[1, 2] * z + to[1, 3],
             to[2, 0] * x + to[2, 1] * y + to[2, 2] * z + to[2, 3],
         )
         before_m = distance - margin_m
-        if shades.nearest_m[row, column] < before_m and shades.farthest_m[row, column] < before_m:
+        if bounds.nearest_m[row, column] < before_m and bounds.farthest_m[row, column] < before_m:
             hidden += 1
     return hidden / len(places)
 
 
 @compiled
-def _seen(x: float, y: float, z: float) -> tuple[int, int, float]:
+def _bin_of(x: float, y: float, z: float) -> tuple[int, int, float]:
     """Return the row and column of a direction, and the range, metres.
 
     The tangent replaces the elevation, and the share of the way from one axis to the next the
@@ -95,7 +95,7 @@ def _seen(x: float, y: float, z: float) -> tuple[int, int, float]:
 
 
 @compiled
-def _beside(image: NDArray[np.float32], least: bool) -> NDArray[np.float32]:
+def _over_neighbours(image: NDArray[np.float32], least: bool) -> NDArray[np.float32]:
     """Return the minimum, or maximum, of each bin and its eight neighbours; columns wrap around."""
     across = image.copy()
     for row in range(_ROWS):
@@ -105,9 +105,9 @@ def _beside(image: NDArray[np.float32], least: bool) -> NDArray[np.float32]:
                 across[row, column] = min(own, other) if least else max(own, other)
     both = across.copy()
     for row in range(_ROWS):
-        for beside in (row - 1, row + 1):
-            if 0 <= beside < _ROWS:
+        for neighbour in (row - 1, row + 1):
+            if 0 <= neighbour < _ROWS:
                 for column in range(_COLUMNS):
-                    other, own = across[beside, column], both[row, column]
+                    other, own = across[neighbour, column], both[row, column]
                     both[row, column] = min(own, other) if least else max(own, other)
     return both

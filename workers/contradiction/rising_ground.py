@@ -36,7 +36,7 @@ _TALL_M: Final = 1.2
 Between the two a cell is tested, and does not count as rising.
 """
 
-_BESIDE: Final = 3
+_OBJECT_MARGIN: Final = 3
 """Cells around an object that are not tested, 1.5 m: bonnets and arms are low too."""
 
 _BARE_SHARE: Final = 0.3
@@ -47,10 +47,10 @@ _FEWEST_BARE: Final = 2
 _USUAL_SHARE: Final = 0.3
 """Quantile of the lowest points over all frames that is the height of the ground."""
 
-_FEWEST_ASKED: Final = 12
+_FEWEST_TESTED: Final = 12
 """Least number of tested cells, three square metres: of fewer, some rise by chance."""
 
-_ASTRAY_M: Final = 100.0
+_MAX_OFFSET_M: Final = 100.0
 """Bound each way from the median position, metres: frames of a lost pose beyond it are ignored."""
 
 _NOTHING: Final = np.float32(1e9)
@@ -74,7 +74,7 @@ class RisingGround:
         self._frames = frames
         at_m = np.array([posed.odom_from_sensor[:2, 3] for posed in frames])
         middle_m = np.median(at_m, axis=0)
-        at_m = at_m.clip(middle_m - _ASTRAY_M, middle_m + _ASTRAY_M)
+        at_m = at_m.clip(middle_m - _MAX_OFFSET_M, middle_m + _MAX_OFFSET_M)
         self._origin_m = at_m.min(axis=0) - WITHIN_M - CELL_M
         across = np.ceil((at_m.max(axis=0) - self._origin_m + WITHIN_M) / CELL_M) + 1
         shape = (len(frames), int(across[0]), int(across[1]))
@@ -82,8 +82,8 @@ class RisingGround:
         for number, posed in enumerate(frames):
             frame, pose = posed.frame, posed.odom_from_sensor
             _span(frame.points_m, frame.valid_mask, pose, self._origin_m, low[number], high[number])
-        self._asked, self._rises = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
-        _compare(low, high, self._asked, self._rises)
+        self._tested, self._rises = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
+        _compare(low, high, self._tested, self._rises)
 
     def around(self, number: int, point_index: NDArray[np.int64]) -> tuple[int, int]:
         """Count rising and tested cells around an object, without those under it.
@@ -104,20 +104,20 @@ class RisingGround:
         first = np.maximum(places.min(axis=0) - reach, 0)
         last = np.maximum(places.max(axis=0) + reach + 1, 0)
         window = (number, slice(first[0], last[0]), slice(first[1], last[1]))
-        asked, rises = self._asked[window].copy(), self._rises[window]
-        _leave_out(places - first, asked)
-        return int((asked & rises).sum()), int(asked.sum())
+        tested, rises = self._tested[window].copy(), self._rises[window]
+        _exclude(places - first, tested)
+        return int((tested & rises).sum()), int(tested.sum())
 
 
-def share_of(told: Sequence[tuple[int, int]]) -> float:
+def rising_share(counts: Sequence[tuple[int, int]]) -> float:
     """Return the share of rising ground around an object over its frames; near 0 for few cells.
 
     Args:
-        told: Counts of `RisingGround.around` for each frame.
+        counts: Counts of `RisingGround.around` for each frame.
     """
-    rises = sum(each for each, _ in told)
-    asked = sum(each for _, each in told)
-    return rises / max(asked, _FEWEST_ASKED * len(told))
+    rises = sum(each for each, _ in counts)
+    tested = sum(each for _, each in counts)
+    return rises / max(tested, _FEWEST_TESTED * len(counts))
 
 
 @compiled
@@ -146,7 +146,7 @@ def _span(
 
 
 @compiled
-def _compare(low: Heights, high: Heights, asked: Cells, rises: Cells) -> None:
+def _compare(low: Heights, high: Heights, tested: Cells, rises: Cells) -> None:
     """Compare each cell of each frame with its usual height; mark tested and rising cells."""
     frames, wide, deep = low.shape
     ground = np.full((wide, deep), _NOTHING)
@@ -172,18 +172,18 @@ def _compare(low: Heights, high: Heights, asked: Cells, rises: Cells) -> None:
                 if (
                     bare[a, b]
                     and low[f, a, b] < _NOTHING
-                    and not _beside(f, a, b, low, high, ground)
+                    and not _is_near_object(f, a, b, low, high, ground)
                 ):
-                    asked[f, a, b] = True
+                    tested[f, a, b] = True
                     up, top = low[f, a, b] - ground[a, b], high[f, a, b] - ground[a, b]
                     rises[f, a, b] = up > _RISES_M and top < _LOW_M
 
 
 @compiled
-def _beside(f: int, a: int, b: int, low: Heights, high: Heights, ground: Heights) -> bool:
+def _is_near_object(f: int, a: int, b: int, low: Heights, high: Heights, ground: Heights) -> bool:
     """Return whether an object is in a cell or close to it."""
-    for i in range(max(0, a - _BESIDE), min(low.shape[1], a + _BESIDE + 1)):
-        for j in range(max(0, b - _BESIDE), min(low.shape[2], b + _BESIDE + 1)):
+    for i in range(max(0, a - _OBJECT_MARGIN), min(low.shape[1], a + _OBJECT_MARGIN + 1)):
+        for j in range(max(0, b - _OBJECT_MARGIN), min(low.shape[2], b + _OBJECT_MARGIN + 1)):
             if low[f, i, j] < _NOTHING and high[f, i, j] > _TALL_M + min(
                 ground[i, j], low[f, i, j]
             ):
@@ -192,9 +192,9 @@ def _beside(f: int, a: int, b: int, low: Heights, high: Heights, ground: Heights
 
 
 @compiled
-def _leave_out(places: NDArray[np.int64], asked: Cells) -> None:
+def _exclude(places: NDArray[np.int64], tested: Cells) -> None:
     """Remove the cells of an object, and their neighbours, from the tested cells."""
     for i in range(len(places)):
-        for a in range(max(0, places[i, 0] - 1), min(asked.shape[0], places[i, 0] + 2)):
-            for b in range(max(0, places[i, 1] - 1), min(asked.shape[1], places[i, 1] + 2)):
-                asked[a, b] = False
+        for a in range(max(0, places[i, 0] - 1), min(tested.shape[0], places[i, 0] + 2)):
+            for b in range(max(0, places[i, 1] - 1), min(tested.shape[1], places[i, 1] + 2)):
+                tested[a, b] = False

@@ -12,7 +12,7 @@ from schemas.contradiction import Instance, Scene
 from schemas.frame import OdometryState
 from workers.contradiction.keyframes import Keyframes
 from workers.contradiction.rising_ground import RisingGround
-from workers.contradiction.temporal_context import CalledMoving, called_moving
+from workers.contradiction.temporal_context import DynamicPoints, dynamic_points_of
 from workers.contradiction.tracks import frame_period_s
 
 
@@ -22,21 +22,21 @@ class SceneContext:
 
     Attributes:
         turn_rad_per_s: (F,) absolute turn rate of the sensor in each frame.
-        unseen: (F,) share of the places queried by the witness that no other frame observed.
+        unobserved: (F,) share of the places queried by the witness that no other frame observed.
         doubted: (F,) 1 where the pose is not healthy, else 0.
-        crowd: Number of instances, by kind and frame.
-        called: Points that the supervised stream labels dynamic, from a second before the scene to
-            a second after.
+        clutter: Number of instances, by kind and frame.
+        dynamic_points: Points that the supervised stream labels dynamic, from a second before the
+            scene to a second after.
         keyframes: Points off the ground every half second.
         period_s: Median time between its frames.
         ground: Its rising ground.
     """
 
     turn_rad_per_s: NDArray[np.float64]
-    unseen: NDArray[np.float64]
+    unobserved: NDArray[np.float64]
     doubted: NDArray[np.float64]
-    crowd: dict[tuple[str, int], int]
-    called: CalledMoving
+    clutter: dict[tuple[str, int], int]
+    dynamic_points: DynamicPoints
     keyframes: Keyframes
     period_s: float
     ground: RisingGround
@@ -55,16 +55,16 @@ def scene_context_of(scene: Scene, instances: Sequence[Instance]) -> SceneContex
         frame.witness.health.seen_share if frame.witness is not None else math.nan
         for frame in frames
     ]
-    crowd: dict[tuple[str, int], int] = {}
+    clutter: dict[tuple[str, int], int] = {}
     for instance in instances:
         key = (instance.kind.name, instance.frame_index)
-        crowd[key] = crowd.get(key, 0) + 1
+        clutter[key] = clutter.get(key, 0) + 1
     return SceneContext(
         turn_rad_per_s=np.abs(turn),
-        unseen=1.0 - np.nan_to_num(np.array(seen), nan=0.0),
+        unobserved=1.0 - np.nan_to_num(np.array(seen), nan=0.0),
         doubted=np.array([float(f.posed.odometry is not OdometryState.HEALTHY) for f in frames]),
-        crowd=crowd,
-        called=called_moving(scene),
+        clutter=clutter,
+        dynamic_points=dynamic_points_of(scene),
         keyframes=Keyframes(scene),
         period_s=frame_period_s(scene),
         ground=RisingGround([frame.posed for frame in frames]),

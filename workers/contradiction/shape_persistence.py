@@ -21,7 +21,7 @@ from schemas.contradiction import Instance, Scene
 from workers.contradiction.clamp import clamp01
 from workers.contradiction.keyframes import Keyframes
 from workers.contradiction.shape_matching import Cells, misfits
-from workers.contradiction.temporal_context import MOST
+from workers.contradiction.temporal_context import COMPLETE_SHARE
 
 NEAREST_S: Final = 0.4
 """Least time between a shape and a keyframe, seconds: sooner, a pedestrian has hardly moved."""
@@ -29,26 +29,26 @@ NEAREST_S: Final = 0.4
 FARTHEST_S: Final = 2.05
 """Greatest time between them, seconds: two plus half a frame. Later no velocity lasts."""
 
-HERE_M: Final = 0.1
-AWAY_M: Final = 0.25
+IN_PLACE_M: Final = 0.1
+MOVED_M: Final = 0.25
 """Mean distances of a shape to the nearest points, metres: in place up to the first, and
 moved from the second on."""
 
-HIDDEN_M: Final = 1.0
+MAX_DISTANCE_M: Final = 1.0
 """Upper bound of a point's distance, metres: a farther point is hidden, however far."""
 
 BULK: Final = 0.8
 """Share of a shape's points, the nearest, that are compared: the others may be hidden."""
 
-ALWAYS: Final = 0.8
-"""Share of the comparisons in which a static shape is in place. A lorry sets off slowly, and most of
-its length still overlaps at first."""
+STATIC_SHARE: Final = 0.8
+"""Share of the comparisons in which a static shape is in place. A lorry sets off slowly, and
+most of its length still overlaps at first."""
 
-OFTEN: Final = 0.3
-"""Excess share of comparisons that show a moved shape away, over those that show it in place, beyond
-the time at which it may have stopped or set off."""
+MOVED_SHARE: Final = 0.3
+"""Excess share of comparisons that show a moved shape away, over those that show it in place,
+beyond the time at which it may have stopped or set off."""
 
-HIDDEN: Final = 0.5
+OCCLUDED_SHARE: Final = 0.5
 """Occluded share of a shape from which on a keyframe is left out."""
 
 FITS: Final = 0.5
@@ -67,7 +67,7 @@ _COARSE: Final = 2
 
 _SLOW_M_PER_S: Final = 2.0
 _STEPS_M_PER_S: Final = (0.5, 0.25, 0.125)
-_GOES_M_PER_S: Final = _SLOW_M_PER_S + _STEPS_M_PER_S[1]
+_FAST_M_PER_S: Final = _SLOW_M_PER_S + _STEPS_M_PER_S[1]
 """Speed of a track, m/s, above which velocities around its own are searched too."""
 
 _GRID: Final = np.stack(
@@ -142,75 +142,79 @@ def _side(
     """Return the evidence for the same place, and for another one, on one side in time."""
     if not pairs:
         return 0.0, 0.0
-    about = _about(pairs, keyframes, np.zeros(2), _SLOW_M_PER_S)
-    as_is_m = _misfit_m(pairs, about, np.zeros((1, 2)))[:, 0]
-    here = clamp01((AWAY_M - float(np.quantile(as_is_m, ALWAYS))) / (AWAY_M - HERE_M))
-    away = clamp01(_away_share(pairs, as_is_m) / OFTEN)
+    observed = _observed_around(pairs, keyframes, np.zeros(2), _SLOW_M_PER_S)
+    unshifted_m = _misfit_m(pairs, observed, np.zeros((1, 2)))[:, 0]
+    here = clamp01(
+        (MOVED_M - float(np.quantile(unshifted_m, STATIC_SHARE))) / (MOVED_M - IN_PLACE_M)
+    )
+    away = clamp01(_away_share(pairs, unshifted_m) / MOVED_SHARE)
     if here == 1.0 or away == 0.0:
         return here, 0.0
-    shifted_m = _best_m(pairs, about, _GRID, _STEPS_M_PER_S[1:])
-    if np.hypot(*velocity_m_per_s) > _GOES_M_PER_S:
-        along = _about(pairs, keyframes, velocity_m_per_s, sum(_STEPS_M_PER_S) * 2)
+    shifted_m = _best_m(pairs, observed, _GRID, _STEPS_M_PER_S[1:])
+    if np.hypot(*velocity_m_per_s) > _FAST_M_PER_S:
+        along = _observed_around(pairs, keyframes, velocity_m_per_s, sum(_STEPS_M_PER_S) * 2)
         near = velocity_m_per_s + _ROUND * _STEPS_M_PER_S[0] * 2
         shifted_m = min(shifted_m, _best_m(pairs, along, near, _STEPS_M_PER_S))
-    fits = clamp01((FITS_NOT - shifted_m / float(as_is_m.mean())) / (FITS_NOT - FITS))
+    fits = clamp01((FITS_NOT - shifted_m / float(unshifted_m.mean())) / (FITS_NOT - FITS))
     return here, (1.0 - here) * away * fits
 
 
-def _away_share(pairs: Sequence[_Pair], as_is_m: NDArray[np.float64]) -> float:
+def _away_share(pairs: Sequence[_Pair], unshifted_m: NDArray[np.float64]) -> float:
     """Return the excess share of pairs away, over pairs in place, beyond the best time limit.
 
     A shape in place at 1.5 s was not elsewhere at 0.5 s: it was partly observed then.
     """
     farthest_first = np.argsort([-abs(pair.away_s) for pair in pairs], kind="stable")
-    away = np.clip((as_is_m[farthest_first] - HERE_M) / (AWAY_M - HERE_M), 0.0, 1.0)
+    away = np.clip((unshifted_m[farthest_first] - IN_PLACE_M) / (MOVED_M - IN_PLACE_M), 0.0, 1.0)
     return max(0.0, float(np.cumsum(2.0 * away - 1.0).max())) / len(pairs)
 
 
 def _best_m(
     pairs: Sequence[_Pair],
-    about: Sequence[Cells],
+    observed: Sequence[Cells],
     velocities: NDArray[np.float64],
     steps: Sequence[float],
 ) -> float:
     """Return the least misfit of some velocities, refined around the best one by each step."""
-    misfit_m = _misfit_m(pairs[::_COARSE], about[::_COARSE], velocities, every=_COARSE).mean(axis=0)
+    misfit_m = _misfit_m(pairs[::_COARSE], observed[::_COARSE], velocities, every=_COARSE).mean(
+        axis=0
+    )
     for step in steps:
         velocities = velocities[int(misfit_m.argmin())] + _ROUND * step
-        misfit_m = _misfit_m(pairs, about, velocities).mean(axis=0)
+        misfit_m = _misfit_m(pairs, observed, velocities).mean(axis=0)
     return float(misfit_m.min())
 
 
 def _misfit_m(
     pairs: Sequence[_Pair],
-    about: Sequence[Cells],
+    observed: Sequence[Cells],
     velocities: NDArray[np.float64],
     *,
     every: int = 1,
 ) -> NDArray[np.float64]:
     """Return the misfit (pairs, V) of each shape, shifted by each velocity; metres."""
     misfit_m = np.empty((len(pairs), len(velocities)))
-    for number, (pair, seen) in enumerate(zip(pairs, about, strict=True)):
+    for number, (pair, seen) in enumerate(zip(pairs, observed, strict=True)):
         shape_m, shifts_m = pair.shape.places_m[::every, :2], velocities * pair.away_s
-        misfit_m[number] = misfits(shape_m, shifts_m, seen, HIDDEN_M, BULK)
+        misfit_m[number] = misfits(shape_m, shifts_m, seen, MAX_DISTANCE_M, BULK)
     return misfit_m
 
 
-def _about(
+def _observed_around(
     pairs: Sequence[_Pair],
     keyframes: Keyframes,
     velocity_m_per_s: NDArray[np.float64],
     spread_m_per_s: float,
 ) -> list[Cells]:
     """Return the observed places around each shape, shifted by a velocity within a spread."""
-    about = []
+    observed = []
     for pair in pairs:
         shift_m = np.append(velocity_m_per_s * pair.away_s, 0.0)
-        margin_m = np.full(3, HIDDEN_M + spread_m_per_s * abs(pair.away_s))
+        margin_m = np.full(3, MAX_DISTANCE_M + spread_m_per_s * abs(pair.away_s))
         margin_m[2] = _HEIGHT_M
         low_m, high_m = pair.shape.low_m + shift_m, pair.shape.high_m + shift_m
-        about.append(keyframes.near(pair.number, low_m - margin_m, high_m + margin_m))
-    return about
+        observed.append(keyframes.near(pair.number, low_m - margin_m, high_m + margin_m))
+    return observed
 
 
 def _pairs(shapes: Sequence[_Shape], keyframes: Keyframes, side: int) -> list[_Pair]:
@@ -221,12 +225,12 @@ def _pairs(shapes: Sequence[_Shape], keyframes: Keyframes, side: int) -> list[_P
         due = (side * away_s >= NEAREST_S) & (side * away_s <= FARTHEST_S)
         pairs += [_Pair(shape, int(each), float(away_s[each])) for each in np.flatnonzero(due)]
     chosen = [pairs[each] for each in _spread(len(pairs), _PAIRS)]
-    return [each for each in chosen if _is_asked(each, keyframes)]
+    return [each for each in chosen if _is_visible(each, keyframes)]
 
 
-def _is_asked(pair: _Pair, keyframes: Keyframes) -> bool:
+def _is_visible(pair: _Pair, keyframes: Keyframes) -> bool:
     """Return whether the place of a shape is visible in the keyframe."""
-    return keyframes.hidden_share(pair.number, pair.shape.places_m) < HIDDEN
+    return keyframes.occluded_share(pair.number, pair.shape.places_m) < OCCLUDED_SHARE
 
 
 def _shapes(
@@ -234,7 +238,7 @@ def _shapes(
 ) -> list[_Shape]:
     """Return shapes of complete instances, evenly spread over the track."""
     points = np.array([len(each) for each in places_m])
-    whole = np.flatnonzero(points >= MOST * np.median(points))
+    whole = np.flatnonzero(points >= COMPLETE_SHARE * np.median(points))
     shapes = []
     for each in whole[_spread(len(whole), _SHAPES)]:
         placed_m = places_m[each]

@@ -29,13 +29,13 @@ class Path:
 
     Attributes:
         velocity_m_per_s: (2,) velocity of the centres over the ground; zero for too few frames.
-        went: Displacement of the end that moved less, 0 to 1: 0.5 at one metre.
-        straight: Share of the displacement in displacement and jitter of the box, 0 to 1.
+        displacement: Displacement of the end that moved less, 0 to 1: 0.5 at one metre.
+        straightness: Share of the displacement in displacement and jitter of the box, 0 to 1.
     """
 
     velocity_m_per_s: NDArray[np.float64]
-    went: float
-    straight: float
+    displacement: float
+    straightness: float
 
 
 def velocity_of(
@@ -80,11 +80,11 @@ def path_of(
     ends_m = np.array([np.quantile(each @ along, (_END, 1.0 - _END)) for each in places_m])
     speeds = time_s @ (ends_m - ends_m.mean(axis=0)) / spread
     slower = max(0.0, min(speed, float(speeds.min())))
-    went_m = slower * float(stamps_s[-1] - stamps_s[0])
+    displacement_m = slower * float(stamps_s[-1] - stamps_s[0])
     return Path(
         velocity_m_per_s=velocity,
-        went=went_m / (went_m + _PATH_M),
-        straight=went_m / (went_m + 2.0 * jumps_m + _STEADY_M),
+        displacement=displacement_m / (displacement_m + _PATH_M),
+        straightness=displacement_m / (displacement_m + 2.0 * jumps_m + _STEADY_M),
     )
 
 

@@ -191,12 +191,14 @@ def _gate(weights: NDArray[np.float64], lone: float, *, static: bool) -> float:
 
 def _confirmed_share(members: Sequence[Instance], points: NDArray[np.int64]) -> float | None:
     shares = [member.confirmed_share for member in members]
-    told = [
+    reported = [
         (share, count) for share, count in zip(shares, points, strict=True) if share is not None
     ]
-    if not told:
+    if not reported:
         return None
-    return float(np.average([share for share, _ in told], weights=[count for _, count in told]))
+    return float(
+        np.average([share for share, _ in reported], weights=[count for _, count in reported])
+    )
 
 
 def _commonest(names: Sequence[str], points: NDArray[np.int64]) -> str:

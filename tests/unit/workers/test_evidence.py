@@ -16,7 +16,7 @@ from tests.labelled_worlds import (
     ranked_tracks,
 )
 from workers.contradiction.instances import find_instances
-from workers.contradiction.temporal_context import MARGIN_M, at_other_times, called_moving
+from workers.contradiction.temporal_context import MARGIN_M, dynamic_points_of, temporal_context_of
 from workers.contradiction.track_features import TrackFeatures
 from workers.contradiction.track_motion import Path, path_of
 from workers.contradiction.tracks import centres_in_odom
@@ -79,7 +79,7 @@ def test_a_mover_that_passes_beside_a_thing_says_nothing_of_it() -> None:
 def test_a_path_of_two_frames_says_nothing() -> None:
     centres_m = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     path = path_of(centres_m, np.array([0.0, 0.1]), [centres_m[:1, :2], centres_m[1:, :2]])
-    assert (path.went, path.straight) == (0.0, 0.0)
+    assert (path.displacement, path.straightness) == (0.0, 0.0)
     assert not path.velocity_m_per_s.any()
 
 
@@ -99,16 +99,17 @@ def test_what_is_seen_more_of_at_one_end_did_not_go() -> None:
     unveiled = _seen_from(np.zeros(11), shown)
     covered = _seen_from(4.0 - shown, np.full(11, 4.0))
     driven = _seen_from(shown - 1.0, shown + 3.0)
-    assert max(unveiled.went, covered.went) < 0.05  # 3 m more of it are seen, or 3 m less
-    assert max(unveiled.straight, covered.straight) < 0.2
-    assert driven.went == pytest.approx(0.75)
-    assert driven.straight > 0.9
+    # 3 m more of it are seen, or 3 m less
+    assert max(unveiled.displacement, covered.displacement) < 0.05
+    assert max(unveiled.straightness, covered.straightness) < 0.2
+    assert driven.displacement == pytest.approx(0.75)
+    assert driven.straightness > 0.9
     assert np.allclose(unveiled.velocity_m_per_s, [1.5, 0.0])
 
 
 def test_what_comes_into_sight_as_it_goes_went_as_far_as_its_slower_end() -> None:
     coming = _seen_from(np.linspace(0.0, 1.0, 11), np.linspace(0.5, 5.0, 11))
-    assert 0.45 < coming.went < 0.6
+    assert 0.45 < coming.displacement < 0.6
 
 
 @pytest.mark.parametrize(
@@ -217,12 +218,12 @@ def test_the_points_in_a_box_are_those_that_a_plain_search_finds() -> None:
         for number, part in enumerate((things[:30], things, things[10:]))
     ]
     scene = Scene(scene_id="fleet/car-1/drive/lidar/0", frames=tuple(frames))
-    called = called_moving(scene)
+    dynamic_points = dynamic_points_of(scene)
     instances = find_instances(scene, class_names=CLASS_NAMES)
     assert len(instances) > 20
     for instance in instances:
-        told = at_other_times(
-            *(scene, [instance], centres_in_odom(scene, [instance]), np.zeros(2), called),
+        found = temporal_context_of(
+            *(scene, [instance], centres_in_odom(scene, [instance]), np.zeros(2), dynamic_points),
             period_s=0.3,
         )
         shares = []
@@ -235,5 +236,5 @@ def test_the_points_in_a_box_are_those_that_a_plain_search_finds() -> None:
             inside = (box <= instance.size_m / 2 + MARGIN_M).all(axis=1)
             shares.append(min(1.0, inside.sum() / (0.5 * len(instance.point_index))))
         at = instance.frame_index
-        assert told.called_before == pytest.approx(max(shares[:at], default=0.0))
-        assert told.called_after == pytest.approx(max(shares[at:]))
+        assert found.dynamic_before == pytest.approx(max(shares[:at], default=0.0))
+        assert found.dynamic_after == pytest.approx(max(shares[at:]))
