@@ -1,4 +1,4 @@
-"""Attribution: which stream is probably wrong about a contradicting object, and the evidence."""
+"""Attribution of a contradiction: the probability that each stream is wrong, and its evidence."""
 
 from enum import StrEnum
 from typing import Annotated, Final
@@ -10,14 +10,14 @@ from schemas.bounds import Text
 Chance = Annotated[float, Field(ge=0, le=1)]
 """A probability."""
 
-MOST_WORDS: Final = 6
-"""Number of names in `because`, `against` and `also` together; a record has to fit the bus."""
+MAX_EVIDENCE: Final = 6
+"""Evidence phrases of one track at most, in all three lists: a record has to fit the bus."""
 
-Words = tuple[Text, ...]
+Phrases = tuple[Text, ...]
 
 
 class Wrong(StrEnum):
-    """Stream or streams that are wrong about an object."""
+    """Verdicts on a track: the stream, or streams, whose labels are wrong."""
 
     SUPERVISED = "supervised"
     SELFSUPERVISED = "selfsupervised"
@@ -26,41 +26,41 @@ class Wrong(StrEnum):
 
 
 class Attribution(BaseModel):
-    """Attribution of one track; the four probabilities add up to 1, but for rounding."""
+    """Probabilities of the four verdicts on a track; they add up to 1, up to rounding."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    wrong: Wrong = Field(description="The likeliest of the four.")
+    wrong: Wrong = Field(description="The most probable of the four.")
     supervised: Chance = Field(description="That the supervised stream alone is wrong.")
     selfsupervised: Chance = Field(description="That the self-supervised stream alone is wrong.")
     both: Chance = Field(description="That both are wrong, and the witness right.")
     neither: Chance = Field(description="That both are right, and the witness wrong.")
-    because: Words = Field(
+    supporting: Phrases = Field(
         default=(),
-        max_length=MOST_WORDS,
+        max_length=MAX_EVIDENCE,
         exclude_if=lambda value: not value,
-        description="What speaks for what it says of the supervised stream (wrong, or not), the "
-        "weightiest first; of tracks hardly worth a look no word is told.",
+        description="Evidence for the verdict on the supervised stream (wrong, or not wrong), the "
+        "weightiest first; empty for tracks of low strength.",
     )
-    against: Words = Field(
+    opposing: Phrases = Field(
         default=(),
-        max_length=MOST_WORDS,
+        max_length=MAX_EVIDENCE,
         exclude_if=lambda value: not value,
-        description="What speaks against that, the weightiest first.",
+        description="Evidence against it, the weightiest first.",
     )
-    also: Words = Field(
+    neutral: Phrases = Field(
         default=(),
-        max_length=MOST_WORDS,
+        max_length=MAX_EVIDENCE,
         exclude_if=lambda value: not value,
-        description="What else is known of the track and speaks neither for nor against it.",
+        description="Further facts about the track that neither support nor oppose it.",
     )
 
     @property
     def chance(self) -> float:
-        """Return the largest of the four probabilities."""
+        """Probability of the most probable verdict."""
         return float(getattr(self, self.wrong.value))
 
     @property
     def supervised_wrong(self) -> float:
-        """Probability that the supervised stream is wrong, alone or together with the other."""
+        """Probability that the supervised stream is wrong, alone or not."""
         return min(1.0, self.supervised + self.both)

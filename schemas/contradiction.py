@@ -1,4 +1,4 @@
-"""Labelled frames, scenes, and the instances and tracks of contradicting points."""
+"""Types of contradictions: labelled frames, scenes, instances, and records of tracks."""
 
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -15,16 +15,18 @@ from schemas.frame import PosedFrame
 from schemas.labels import FrameLabels
 from schemas.task import MOTION, Outcome, Task
 
-BESIDE_S: Final = 1.0
-"""Context before and after a scene or a track, seconds. An object that starts at 1 m/s² has moved
-0.5 m by then, and still overlaps its first position.
+CONTEXT_S: Final = 1.0
+"""Temporal context before and after a scene or a track, seconds.
+
+An object that starts at one metre per second squared moves by half a metre in this time, and still
+overlaps its place.
 """
 
 
 class ContradictionKind(StrEnum):
-    """Kinds of contradiction of the task `MOTION`: which stream alone labels a point dynamic.
+    """Kinds of the task `MOTION`, as records name them: the only source that labels dynamic.
 
-    A kind does not identify the stream that is wrong.
+    A kind does not name the source that is wrong.
     """
 
     ONLY_SEMANTIC_DYNAMIC = "only_semantic_dynamic"
@@ -34,7 +36,7 @@ class ContradictionKind(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledFrame:
-    """A posed frame with the labels of both streams and their agreement, per point.
+    """A posed frame with both streams' labels and their agreement, per point.
 
     Attributes:
         posed: The frame and its pose.
@@ -42,7 +44,7 @@ class LabelledFrame:
         predictive: Labels of the self-supervised stream.
         agreements: (N,) codes of the task's outcomes.
         task: The task of both streams.
-        witness: Labels of the third witness; None without a witness.
+        witness: Labels of the third witness; None where none was queried.
     """
 
     posed: PosedFrame
@@ -65,7 +67,7 @@ class LabelledFrame:
 
 
 class SceneState(StrEnum):
-    """Usability of a scene's score: usable, or the cause that it is not."""
+    """State of a scene's score: only a scored scene is ranked."""
 
     SCORED = "scored"
     TOO_SHORT = "too_short"
@@ -78,11 +80,11 @@ class Scene:
 
     Attributes:
         scene_id: `<log_id>/<lidar>/<start_ns>`, unique in the bucket.
-        frames: In the order of their stamps; at least one.
-        too_short: True for a stretch under a second between gaps, or a log too short to judge.
-        before: Up to a second of the log right before it, where no gap lies between. It gives
-            context for objects at the start, and is never scored.
-        after: The same for the second right after it.
+        frames: Its frames in the order of their stamps; at least one.
+        too_short: True for a piece under a second between gaps, or of a log too short to judge.
+        before: Frames of up to one second of the log right before it, up to a gap: the context of
+            objects at its edge, which is never scored with it.
+        after: Frames of up to one second right after it.
     """
 
     scene_id: str
@@ -93,7 +95,7 @@ class Scene:
 
     @property
     def task(self) -> Task:
-        """Return the task of both streams."""
+        """Task of both streams."""
         return self.frames[0].task
 
     @property
@@ -113,24 +115,24 @@ class Instance:
 
     Attributes:
         kind: Kind of contradiction of its points.
-        frame_index: Index in the scene of the frame in which it was found.
-        point_index: (M,) indices of its points.
+        frame_index: Index of its frame in the scene.
+        point_index: (M,) rows of its points in the frame.
         centre_m: (3,) centre of its box, sensor space, metres.
         size_m: (3,) length (>= width), width, height of its box, metres.
         yaw_rad: Heading of the length axis about z, sensor space, in [-pi/2, pi/2).
-        semantic_confidence: Mean of the supervised stream over its points, 0 to 1.
-        predictive_confidence: Mean of the self-supervised stream over its points, 0 to 1.
-        class_name: Commonest semantic class of its points; empty when the stream knows none.
+        semantic_confidence: Mean confidence of the supervised stream over its points, 0 to 1.
+        predictive_confidence: Mean confidence of the self-supervised stream, 0 to 1.
+        class_name: Commonest semantic class of its points; empty for a stream without classes.
         velocity_m_per_s: (3,) mean velocity over the ground, odom space; zero when not measured.
         own_share: Share of the compared points in and close around it that contradict in the same
-            way. It is 1 for an isolated object, and small for the rim of an object that both
-            streams label dynamic or for scattered points on a wall.
-        confirmed_share: Share of its points that the self-supervised stream confirmed as dynamic
-            more than once. None where that stream labels them static, or confirms nothing.
-        denied_share: Share of points labelled static by the other stream, among those in and 1 m
-            around its box that one stream labels dynamic.
-        agreed_share: The same share labelled dynamic by the other stream; the rest is unknown to
-            it.
+            way: 1 for an isolated object, low for the rim of an agreed mover or for specks on a
+            wall.
+        confirmed_share: Share of its points whose motion the self-supervised stream confirmed more
+            than once; None where that stream labels them static, or does not report it.
+        denied_share: Share of the points around it labelled dynamic by its source that the other
+            stream labels static. They are all in its box and a margin of one metre.
+        agreed_share: Share of these points that the other stream labels dynamic too. It labels the
+            rest unknown.
     """
 
     kind: Outcome
@@ -154,18 +156,18 @@ KindName = Annotated[
     Field(
         max_length=MAX_NAME,
         pattern=r"^[a-z0-9_]+$",
-        description="Kind of contradiction: for motion the stream that alone labels it dynamic, "
-        "`only_semantic_dynamic` or `only_predictive_dynamic`.",
+        description="Kind of contradiction: for motion the only source that labels it dynamic, "
+        "such as `only_semantic_dynamic` or `only_predictive_dynamic`.",
     ),
 ]
 
 
 class InstanceRecord(BaseModel):
-    """An instance in a record: box, size, and the class and confidences of both streams."""
+    """Record of an instance: its box, its points and the confidences of both streams."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    stamp_ns: StampNs = Field(description="Frame it was found in, nanoseconds since the epoch.")
+    stamp_ns: StampNs = Field(description="Stamp of its frame, nanoseconds since the epoch.")
     points: Positive = Field(description="Contradicting points in it.")
     centre_m: tuple[Finite, Finite, Finite] = Field(description="Box centre, sensor space, metres.")
     size_m: tuple[Finite, Finite, Finite] = Field(description="Length, width, height, metres.")
@@ -176,11 +178,11 @@ class InstanceRecord(BaseModel):
 
 
 class TrackRecord(BaseModel):
-    """A track in a record: one contradicting object followed over the frames of a scene."""
+    """Record of a track: one contradicting object followed over the frames of a scene."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    track_id: Tally = Field(description="Counts within the scene, strongest first.")
+    track_id: Tally = Field(description="Number within the scene, strongest first.")
     kind: KindName
     class_name: Said = Field(default="", description="Commonest semantic class; may be empty.")
     strength: float = Field(ge=0, le=1, description="What this track adds to the scene score.")
@@ -194,13 +196,12 @@ class TrackRecord(BaseModel):
         ge=0,
         le=1,
         exclude_if=lambda value: value is None,
-        description="Share of its points that the self-supervised stream confirmed as dynamic "
-        "more than once; absent where that stream labels it static or confirms "
-        "nothing.",
+        description="Share of its points whose motion the self-supervised stream confirmed more "
+        "than once; absent where that stream labels it static or does not report it.",
     )
     attribution: Attribution | None = Field(
         default=None,
         exclude_if=lambda value: value is None,
-        description="Who is probably wrong about it; absent from records of earlier services.",
+        description="Verdict on both streams; absent from records of earlier services.",
     )
     strongest: InstanceRecord = Field(description="Its instance with the most evidence.")

@@ -29,7 +29,7 @@ class RankedScene(BaseModel):
     end_ns: StampNs = Field(description="Last frame, nanoseconds since the Unix epoch.")
     score: float = Field(ge=0, le=1, description="As in the record.")
     reasons: tuple[Kept, ...] = Field(
-        default=(), max_length=MAX_LISTED, description="As in the record."
+        default=(), max_length=MAX_LISTED, description="Headlines of the record's reasons."
     )
     twin_of: Kept | None = Field(default=None, description="A better scene next to it.")
     sha256: Kept = Field(description="Digest of the record as published.")

@@ -1,6 +1,7 @@
-"""Scored scene: the record that is published, stored, ranked and reviewed."""
+"""Record of a scored scene, which is published, stored, ranked and reviewed."""
 
-from typing import Annotated, Final, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -13,9 +14,18 @@ Share = Annotated[float, Field(ge=0, le=1)]
 """A fraction, 0 to 1."""
 
 MAX_TRACKS: Final = 32
-"""Tracks a record carries, strongest first: keeps it under MAX_RECORD_BYTES on the bus."""
+"""Tracks of a record at most, strongest first: more would exceed MAX_RECORD_BYTES on the bus."""
 
 MAX_RECORD_BYTES: Final = 16_384
+
+MAX_SUPPORTING: Final = 3
+"""Phrases of evidence for a verdict that a reason carries."""
+
+MAX_OPPOSING: Final = 1
+"""Phrases of evidence against a verdict that a reason carries."""
+
+SCHEMA_VERSION: Final = 2
+"""Version of the records that this program writes; it reads version 1 too."""
 
 
 class AgreementShares(BaseModel):
@@ -29,17 +39,17 @@ class AgreementShares(BaseModel):
     __pydantic_extra__: dict[str, Share]
 
     def __getitem__(self, outcome: str) -> float:
-        """Share of the outcome of this name."""
+        """Return the share of an outcome, by name."""
         return self.__pydantic_extra__[outcome]
 
     @property
     def outcomes(self) -> frozenset[str]:
-        """Names of all that have a share."""
+        """Names of the outcomes that have a share."""
         return frozenset(self.__pydantic_extra__)
 
 
 class KindTotal(BaseModel):
-    """Number of contradictions of one kind in a scene, including those beyond the record."""
+    """Totals of one kind of contradiction in a scene, with those that the record leaves out."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -50,7 +60,7 @@ class KindTotal(BaseModel):
 
 
 class OdometryHealth(BaseModel):
-    """Odometry state of the scene; it gates the score."""
+    """Health of a scene's poses, which gates its score."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -58,26 +68,65 @@ class OdometryHealth(BaseModel):
     healthy_share: Share = Field(description="Share of frames with a healthy pose.")
     static_residual_m: Finite = Field(ge=0, description="Median over the frames, metres.")
     distance_m: Finite = Field(ge=0, description="Path of the sensor over the scene, metres.")
-    reason: str = Field(default="", max_length=200, description="Why not healthy, if so.")
+    reason: str = Field(default="", max_length=200, description="Cause if not healthy.")
 
 
 class StreamHealth(BaseModel):
-    """Input quality of the self-supervised stream; it distinguishes silence from blindness."""
+    """Health of the self-supervised stream: a frame in which it is blind is no evidence."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    unknown_share: Share = Field(description="Share of the returns that it did not judge.")
+    unknown_share: Share = Field(description="Share of the returns that it did not label.")
     seen_share: Share | None = Field(
-        description="Mean share of what it was asked about, off the ground and in reach, that an "
-        "earlier frame saw or saw through; null if it was never asked."
+        description="Mean share of the queried places, off the ground and in range, that an "
+        "earlier frame observed or saw through; null without a query."
     )
-    blind_share: Share = Field(description="Share of frames in which it judged nothing.")
-    pose_jumps: Tally = Field(description="Frames whose pose went where no car goes.")
-    reason: str = Field(default="", max_length=200, description="Why it was blind, if it was.")
+    blind_share: Share = Field(description="Share of frames in which it labelled no point.")
+    pose_jumps: Tally = Field(description="Frames whose pose moved as no car can move.")
+    reason: str = Field(default="", max_length=200, description="Cause of its blindness.")
+
+
+class Reason(BaseModel):
+    """One reason of a score: a headline, and the evidence for and against its verdict."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    headline: Text = Field(
+        description="What the streams label and what is probable instead, where, for how long, and "
+        "which stream is wrong with which probability; or what lowered the score of the scene."
+    )
+    track_id: Tally | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="The track it is about; absent where it is about the whole scene.",
+    )
+    supporting: tuple[Text, ...] = Field(
+        default=(),
+        max_length=MAX_SUPPORTING,
+        exclude_if=lambda value: not value,
+        description="Strongest evidence for the verdict, strongest first.",
+    )
+    opposing: tuple[Text, ...] = Field(
+        default=(),
+        max_length=MAX_OPPOSING,
+        exclude_if=lambda value: not value,
+        description="Strongest evidence against it.",
+    )
+
+    @property
+    def evidence(self) -> str:
+        """Both lists as one phrase; empty without evidence."""
+        known = (("for", self.supporting), ("against", self.opposing))
+        return "; ".join(f"{how}: {', '.join(phrases)}" for how, phrases in known if phrases)
+
+    @property
+    def text(self) -> str:
+        """The whole reason on one line."""
+        return "; ".join(part for part in (self.headline, self.evidence) if part)
 
 
 class Producers(BaseModel):
-    """Name and version of each stream's model."""
+    """Sources of the labels: name and version of each stream's model, and of the pipeline."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -87,19 +136,20 @@ class Producers(BaseModel):
 
 
 class SceneScore(BaseModel):
-    """Score of one scene: the amount of contradiction between the two streams.
+    """Score of one scene by the contradictions of its two streams, with reasons and tracks.
 
-    It contains no processing time, worker or attempt, and floats are rounded. The same shard plan,
-    weights and settings give the same bytes (`schemas.transport.wire.encode_scene_score`).
+    The record contains no processing time, worker or attempt, and its floats are rounded. The same
+    shard plan, weights and settings give the same bytes
+    (`schemas.transport.wire.encode_scene_score`).
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    schema_version: Literal[1] = 1
+    schema_version: Literal[2] = SCHEMA_VERSION
     task: Name = Field(
         default=MOTION.name,
         exclude_if=lambda value: value == MOTION.name,
-        description="What both streams were asked about each point; absent: motion.",
+        description="Task of both streams, which label each point; absent: motion.",
     )
     scene_id: SceneId = Field(description="`<log_id>/<lidar>/<start_ns>`, unique.")
     log_id: LogId = Field(description="Bucket-relative key of the recording.")
@@ -111,9 +161,16 @@ class SceneScore(BaseModel):
     end_ns: StampNs = Field(description="Last frame, nanoseconds since the Unix epoch.")
     frames: Positive = Field(description="Frames of the scene.")
     state: SceneState = Field(description="`too_short` and `odometry_lost` have score 0.")
-    score: Share = Field(description="0: no contradiction worth a look; towards 1: many strong.")
-    reasons: tuple[Text, ...] = Field(
-        max_length=MAX_TRACKS, description="What made the score, in words; strongest first."
+    score: Share = Field(description="0: no strong contradiction; towards 1: many.")
+    reasons: tuple[Reason, ...] = Field(
+        max_length=MAX_TRACKS,
+        description="Reasons of the score, by strength; reasons that lowered it are last.",
+    )
+    sentences_version: Literal[1, 2] = Field(
+        default=SCHEMA_VERSION,
+        exclude_if=lambda value: value == SCHEMA_VERSION,
+        description="Version of the words in reasons and attributions; 1: the record was written "
+        "as version 1 and keeps its sentences, each as a headline; absent: 2.",
     )
     points: Tally = Field(description="Points of all frames, invalid ones included.")
     compared_share: Share = Field(description="Share of points that both streams labelled.")
@@ -133,6 +190,11 @@ class SceneScore(BaseModel):
     )
     producers: Producers
 
+    @model_validator(mode="before")
+    @classmethod
+    def _read_version_1(cls, record: Any) -> Any:
+        return from_version_1(record) if _is_of_version_1(record) else record
+
     @model_validator(mode="after")
     def _names_are_those_of_the_task(self) -> "SceneScore":
         try:
@@ -144,7 +206,57 @@ class SceneScore(BaseModel):
         for shares in (self.all_points, self.nonground_points):
             if shares.outcomes != outcomes:
                 raise ValueError(f"shares of task {task.name} must be of {sorted(outcomes)}")
-        said = {total.kind for total in self.totals} | {track.kind for track in self.tracks}
-        if unknown := said - kinds:
+        named = {total.kind for total in self.totals} | {track.kind for track in self.tracks}
+        if unknown := named - kinds:
             raise ValueError(f"task {task.name} has no kind {sorted(unknown)}")
         return self
+
+
+_OF_THE_SCENE: Final = (
+    "odometry ",
+    "recorded odometry ",
+    "self-supervised stream ",
+    "nothing was compared",
+)
+"""First words of the reasons of version 1 that are about the whole scene."""
+
+_RENAMED: Final = {"because": "supporting", "against": "opposing", "also": "neutral"}
+"""Fields of an attribution, version 1 to version 2."""
+
+
+def from_version_1(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a record of version 1 as one of version 2.
+
+    Its sentences are unchanged: each is the headline of a reason, and `sentences_version` marks
+    them. No number changes.
+    """
+    return {
+        **record,
+        "schema_version": SCHEMA_VERSION,
+        "sentences_version": 1,
+        "reasons": _reasons_from_version_1(record),
+        "tracks": [_track_from_version_1(track) for track in record.get("tracks", ())],
+    }
+
+
+def _reasons_from_version_1(record: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Give each reason about a track its number: reasons and tracks have the same order."""
+    tracks = len(record.get("tracks", ())) if record.get("state") == SceneState.SCORED else 0
+    return [
+        {"headline": reason, "track_id": number}
+        if number < tracks and not str(reason).startswith(_OF_THE_SCENE)
+        else {"headline": reason}
+        for number, reason in enumerate(record.get("reasons", ()))
+    ]
+
+
+def _is_of_version_1(record: Any) -> bool:
+    return isinstance(record, Mapping) and record.get("schema_version") == 1
+
+
+def _track_from_version_1(track: Any) -> Any:
+    attribution = track.get("attribution") if isinstance(track, Mapping) else None
+    if not isinstance(attribution, Mapping):
+        return track
+    renamed = {_RENAMED.get(name, name): value for name, value in attribution.items()}
+    return {**track, "attribution": renamed}

@@ -18,7 +18,7 @@ from schemas.contradiction import (
 )
 from schemas.frame import LidarFrame, OdometryState, PosedFrame, RecordedLabels
 from schemas.labels import FrameLabels
-from schemas.score import AgreementShares, KindTotal, OdometryHealth, Producers, SceneScore
+from schemas.score import AgreementShares, KindTotal, OdometryHealth, Producers, Reason, SceneScore
 from workers.contradiction.agreement import compare
 from workers.lab.simulation.faults.fault_truth import PlantedFaults
 from workers.lab.simulation.faults.faults import PlantedFailure
@@ -179,7 +179,7 @@ def scene_score(*, number: int = 0, score: float = 0.5, **changes: Any) -> Scene
         "frames": 20,
         "state": SceneState.SCORED,
         "score": score,
-        "reasons": ("only predictive dynamic: car",),
+        "reasons": (Reason(headline="supervised calls car static, but it moves"),),
         "points": 40_000,
         "compared_share": 0.8,
         "all_points": shares,

@@ -7,12 +7,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.contradiction import LabelledFrame, Scene
+from schemas.contradiction import Instance, LabelledFrame, Scene
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.labels import FrameLabels
 from schemas.task import MOTION, Task
 from schemas.work import Channel, Shard
 from workers.contradiction.agreement import compare
+from workers.contradiction.attribution import attribute_tracks
+from workers.contradiction.feature_extraction import extract_features
+from workers.contradiction.track_score import RankedTrack, rank_tracks
+from workers.contradiction.tracks import associate_instances
 
 START_NS = 1_700_000_000_000_000_000
 CLASS_NAMES = ("building", "car", "pedestrian")
@@ -160,3 +164,9 @@ def shard_of(log_id: str = "fleet/car-1/drive") -> Shard:
         date="2023-11-14",
         software_version="7.1",
     )
+
+
+def ranked_tracks(scene: Scene, instances: Sequence[Instance]) -> tuple[RankedTrack, ...]:
+    """Associate, describe, attribute and rank the instances of a scene, as `mine_shard` does."""
+    described = extract_features(scene, instances, associate_instances(scene, instances))
+    return rank_tracks(scene, described, attribute_tracks(described))

@@ -4,7 +4,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeVar
 
 from schemas.contradiction import LabelledFrame
@@ -120,11 +120,11 @@ class _TimedWitness:
 
 
 def timed(parts: Parts, clock: StageClock) -> Parts:
-    """Return the same parts, timed by the clock."""
-    return Parts(
+    """Return the same parts, with the clock watching them."""
+    return replace(
+        parts,
         odometry=_TimedOdometry(parts.odometry, clock),
         supervised=_TimedStream("supervised", parts.supervised, clock),
         selfsupervised=_TimedStream("selfsupervised", parts.selfsupervised, clock),
         witness=_TimedWitness(parts.witness, clock),
-        instances=parts.instances,
     )

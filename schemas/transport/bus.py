@@ -18,7 +18,12 @@ import zenoh.ext
 
 from schemas.errors import PermanentError, TransientError
 from schemas.runtime.retry import backoff_s, pause
-from schemas.transport.wire import RANKED_SCENE_ENCODING, SCENE_SCORE_ENCODING
+from schemas.transport.wire import (
+    RANKED_SCENE_ENCODING,
+    SCENE_SCORE_ENCODING,
+    SCENE_SCORE_V1_ENCODING,
+    is_of_version_1,
+)
 
 log = structlog.get_logger(__name__)
 
@@ -34,8 +39,18 @@ CACHE_SAMPLES: Final = 128
 RECORD: Final = zenoh.Encoding(SCENE_SCORE_ENCODING[0]).with_schema(SCENE_SCORE_ENCODING[1])
 """Encoding of a scored scene."""
 
+RECORD_V1: Final = zenoh.Encoding(SCENE_SCORE_V1_ENCODING[0]).with_schema(
+    SCENE_SCORE_V1_ENCODING[1]
+)
+"""Encoding of a scored scene that an earlier service stored."""
+
 RANKED: Final = zenoh.Encoding(RANKED_SCENE_ENCODING[0]).with_schema(RANKED_SCENE_ENCODING[1])
 """Encoding of one scene of a selection."""
+
+
+def encoding_of(record: bytes) -> zenoh.Encoding:
+    """Return the encoding of a stored record, by its version."""
+    return RECORD_V1 if is_of_version_1(record) else RECORD
 
 
 def free_endpoint(host: str = "127.0.0.1") -> str:

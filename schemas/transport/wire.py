@@ -5,10 +5,17 @@ from typing import Final, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from schemas.canonical import canonical_json
-from schemas.score import MAX_RECORD_BYTES, SceneScore
+from schemas.score import MAX_RECORD_BYTES, SCHEMA_VERSION, SceneScore
 
-SCENE_SCORE_ENCODING: Final = ("application/json", "counterpoint.scene_score.v1")
+SCENE_SCORE_ENCODING: Final = ("application/json", f"counterpoint.scene_score.v{SCHEMA_VERSION}")
 """Zenoh encoding and schema suffix of a scored scene."""
+
+SCENE_SCORE_V1_ENCODING: Final = ("application/json", "counterpoint.scene_score.v1")
+"""The same of a scene that an earlier service stored: its bytes are never rewritten, because its
+digest names its overlay."""
+
+_VERSION_1: Final = b'"schema_version":1,'
+"""Part of every record of version 1; in canonical JSON no text can contain its quotes."""
 
 RANKED_SCENE_ENCODING: Final = ("application/json", "counterpoint.ranked_scene.v1")
 """Zenoh encoding and schema suffix of one scene of a selection."""
@@ -34,6 +41,11 @@ def first_problem(error: ValidationError) -> str:
     """Describe in one line the first invalid field of a message."""
     first = error.errors(include_url=False, include_input=False)[0]
     return f"{'.'.join(map(str, first['loc'])) or 'payload'}: {first['msg']}"[:500]
+
+
+def is_of_version_1(record: bytes) -> bool:
+    """Return whether an encoded scene was written as version 1."""
+    return _VERSION_1 in record
 
 
 def encode_scene_score(score: SceneScore) -> bytes:

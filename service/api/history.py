@@ -17,7 +17,7 @@ from schemas.bounds import MAX_INTEGER, MAX_NEWEST
 from schemas.errors import PermanentError
 from schemas.events import SceneNumber
 from schemas.transport import keys
-from schemas.transport.bus import RANKED, RECORD
+from schemas.transport.bus import RANKED, encoding_of
 from schemas.transport.wire import encode
 from service.api.outbox import selected_scenes
 from service.api.request_queue import Questions
@@ -73,7 +73,12 @@ class History:
             if event.withdrawn:
                 query.reply_del(key, attachment=_attachment(event))
             else:
-                query.reply(key, event.record, encoding=RECORD, attachment=_attachment(event))
+                query.reply(
+                    key,
+                    event.record,
+                    encoding=encoding_of(event.record),
+                    attachment=_attachment(event),
+                )
 
     def answer_as_cache(self, query: zenoh.Query) -> None:
         """Reply as the caches of publishers would: every current scene once, with a timestamp.
@@ -87,7 +92,7 @@ class History:
             query.reply(
                 key,
                 scene.record,
-                encoding=RECORD,
+                encoding=encoding_of(scene.record),
                 attachment=_attachment(scene),
                 timestamp=self._session.new_timestamp(),
             )

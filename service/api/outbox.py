@@ -9,7 +9,7 @@ import zenoh
 
 from schemas.events import SceneNumber
 from schemas.transport import keys
-from schemas.transport.bus import RANKED, RECORD, is_connected
+from schemas.transport.bus import RANKED, encoding_of, is_connected
 from schemas.transport.wire import encode
 from service.curation.selection import Selection
 from service.store.ledger import Ledger, StoredScene
@@ -77,7 +77,11 @@ class Outbox:
             self._session.delete(key, attachment=number, congestion_control=drop)
         else:
             self._session.put(
-                key, event.record, encoding=RECORD, attachment=number, congestion_control=drop
+                key,
+                event.record,
+                encoding=encoding_of(event.record),
+                attachment=number,
+                congestion_control=drop,
             )
 
 

@@ -5,21 +5,21 @@ import re
 from collections.abc import Iterator, Mapping
 
 from service.cli.output import page
-from workers.contradiction.explanations import TOLD
-from workers.contradiction.track_features import Evidence
+from workers.contradiction.explanations import EXPLANATION_TEXTS
+from workers.contradiction.track_features import TrackFeatures
 from workers.lab.simulation.faults.plan import DISTURBANCE_MEANS, FAILURE_MEANS
 
 _HEAD = """\
-# Glossary of reasons and reports
+# Names in reasons and reports
 
-Written by `python -m service.cli.glossary_page`. The words of the system itself, from log to
-selection, are in [`schemas/README.md`](../schemas/README.md).
+Written by `python -m service.cli.glossary_page`. [`schemas/README.md`](../schemas/README.md)
+defines the terms of the system itself, from log to selection.
 """
 
 
-def evidence_means() -> dict[str, str]:
-    """Return the meaning of each evidence field, as its class documents it."""
-    text = inspect.getdoc(Evidence) or ""
+def feature_meanings() -> dict[str, str]:
+    """Return the meaning of each feature, as its class documents it."""
+    text = inspect.getdoc(TrackFeatures) or ""
     rows = re.findall(r"^ {4}(\w+): (.+(?:\n {8}.+)*)", text, flags=re.MULTILINE)
     return {name: " ".join(meaning.split()).rstrip(".") for name, meaning in rows}
 
@@ -32,32 +32,32 @@ def glossary_page() -> str:
         _HEAD,
         *_section(
             "Planted failures",
-            "Errors that `simulate` and `demo` inject into the labels of the model on a "
-            "simulated car.",
+            "Errors that `simulate` and `demo` give to the model on a simulated car.",
             ("kind", "the model on the car"),
             failures,
         ),
         *_section(
             "Disturbances",
-            "Disturbances of a simulated scene that are no failures of the model.",
+            "Disturbances of a simulated scene that are no failure of the model.",
             ("kind", "the recording"),
             disturbances,
         ),
         *_section(
-            "Properties of a track",
-            "Reasons and records list them `for` an attribution, `against` it, or as neutral "
-            "(`also`). All are measured on points, and none is the truth. A pole or rail that is "
-            "passed fast has few points before and after, and may seem to arrive or to leave.",
-            ("words", "meaning"),
-            TOLD,
+            "Evidence",
+            "Phrases in reasons and records that support a verdict, oppose it, or are neutral. All "
+            "are measured on points, and none is the truth. A pole or rail passed at speed has few "
+            "points before and after, for example, and may have the evidence `arrival from "
+            "elsewhere` or `departure from its place`.",
+            ("phrase", "meaning"),
+            EXPLANATION_TEXTS,
         ),
         *_section(
-            "Evidence",
+            "Track features",
             "Numbers from 0 to 1, from which one table "
             "([`attribution.json`](../workers/contradiction/attribution.json)) computes the "
-            "probabilities of an attribution.",
+            "probability of each verdict.",
             ("name", "meaning"),
-            evidence_means(),
+            feature_meanings(),
         ),
     ]
     return "\n".join(lines) + "\n"

@@ -114,7 +114,16 @@ def score(
         table(
             recording.log_id,
             ("scene", "state", "frames", "score", "reasons"),
-            ((s.scene_id, s.state.value, s.frames, s.score, first_of(s.reasons)) for s in scored),
+            (
+                (
+                    s.scene_id,
+                    s.state.value,
+                    s.frames,
+                    s.score,
+                    first_of([each.headline for each in s.reasons]),
+                )
+                for s in scored
+            ),
         )
     say_judged(scored)
 

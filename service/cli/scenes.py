@@ -97,7 +97,7 @@ def watch(
             elif (score := event.score) is None:
                 result_line(f"[{event.seq}] withdrawn  {event.scene_id}")
             else:
-                reason = score.reasons[0] if score.reasons else score.state.value
+                reason = score.reasons[0].headline if score.reasons else score.state.value
                 result_line(f"[{event.seq}] {score.score:.3f}  {score.scene_id}  {reason}")
 
 

@@ -77,9 +77,11 @@ class DemoScene:
 
     @property
     def why(self) -> str:
-        """First reason without attribution and evidence, short enough for a table."""
-        first = next(iter(self.record.reasons), "-")
-        return first.partition("; ")[0] if self.is_about_track else first
+        """Headline of its first reason, without the verdict, which has a column of its own."""
+        if not self.record.reasons:
+            return "-"
+        headline = self.record.reasons[0].headline
+        return headline.rpartition(": ")[0] if self.is_about_track else headline
 
 
 def with_truth(
@@ -97,7 +99,7 @@ def with_truth(
         truth: Folder of its truth.
         overlay_of: Reads the overlay of a scene; called for those with a failure and a reason.
     """
-    from workers.contradiction.reasons import WORTH_SAYING
+    from workers.contradiction.reasons import MIN_REPORTED_STRENGTH
     from workers.lab.simulation.faults.fault_truth import PlantedTruth
 
     begins_ns = {
@@ -110,7 +112,7 @@ def with_truth(
         known, record = planted[row.log_id], records[row.scene_id]
         failures = _within(known.failures, row) if known else ()
         named = False if failures else None
-        worth = bool(record.tracks) and record.tracks[0].strength >= WORTH_SAYING
+        worth = bool(record.tracks) and record.tracks[0].strength >= MIN_REPORTED_STRENGTH
         is_about_track = record.score > 0 and worth
         if known and failures and is_about_track:
             points = PlantedPoints(truth / row.log_id)

@@ -1,4 +1,4 @@
-"""Reasons of a scene on its picture: all gates, and as many tracks as fit."""
+"""Drawing of a scene's reasons: those of the whole scene always, tracks as space allows."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -6,7 +6,6 @@ from typing import Final
 from PIL import ImageDraw
 
 from schemas.arrays import NS_PER_S
-from schemas.contradiction import SceneState
 from schemas.score import SceneScore
 from schemas.task import task_named
 from service.pictures.style import SOFT_TEXT, TEXT, Colour, font, inks_of, wrap
@@ -15,38 +14,30 @@ _LINE_PX: Final = 21
 _SIZE_PX: Final = 16
 _INDENT_PX: Final = 20
 _FEWEST: Final = 2
-"""Lines of a reason at least; more where all of them fit."""
-
-_GATES: Final = (
-    "odometry ",
-    "recorded odometry ",
-    "self-supervised stream ",
-    "nothing was compared",
-)
-"""First words of reasons that are gates: they lower the score, or leave nothing to compare."""
+"""Lines of a shown reason at most, unless there is room for all of its lines."""
 
 
 def draw_reasons(
     draw: ImageDraw.ImageDraw, score: SceneScore, *, left: int, top: int, width: int, bottom: int
 ) -> None:
-    """Draw the reasons; one about a track has its number, colour and strongest moment."""
+    """List the reasons; one about a track has its number, colour and strongest moment."""
     task = task_named(score.task)
-    told: list[tuple[str, Colour, str]] = []
+    of_tracks: list[tuple[str, Colour, str]] = []
     gates: list[tuple[str, Colour, str]] = []
-    for index, reason in enumerate(score.reasons):
-        if index >= len(score.tracks) or not _tells_a_track(reason, score):
-            gates.append(("-", SOFT_TEXT, reason))
+    for reason in score.reasons:
+        if reason.track_id is None or reason.track_id >= len(score.tracks):
+            gates.append(("-", SOFT_TEXT, reason.text))
             continue
-        track = score.tracks[index]
+        track = score.tracks[reason.track_id]
         at_s = (track.strongest.stamp_ns - score.start_ns) / NS_PER_S
         ink = inks_of(task)[task.kind(track.kind).code]
-        told.append((str(track.track_id + 1), ink, f"at {at_s:.1f} s: {reason}"))
-    rows = [*told, *gates]
+        of_tracks.append((str(track.track_id + 1), ink, f"at {at_s:.1f} s: {reason.text}"))
+    rows = [*of_tracks, *gates]
     wanted = [len(wrap(text, width - _INDENT_PX, _SIZE_PX, max_lines=99)) for _, _, text in rows]
     lines = lines_of(wanted, gates=len(gates), room=(bottom - top) // _LINE_PX)
     shown = [(*row, count) for row, count in zip(rows, lines, strict=True) if count]
     if left_out := len(rows) - len(shown):
-        shown.insert(len(told) - left_out, ("-", SOFT_TEXT, f"and {left_out} more", 1))
+        shown.insert(len(of_tracks) - left_out, ("-", SOFT_TEXT, f"and {left_out} more", 1))
     for mark, ink, text, count in shown:
         draw.text((left, top), mark, fill=ink, font=font(_SIZE_PX))
         for line in wrap(text, width - _INDENT_PX, _SIZE_PX, max_lines=count):
@@ -55,15 +46,15 @@ def draw_reasons(
 
 
 def lines_of(wanted: Sequence[int], *, gates: int, room: int) -> list[int]:
-    """Distribute lines: first to the gates, then to the tracks, and the rest to the first reason.
+    """Allocate lines to reasons: first to gates, then to tracks, and the rest in order.
 
     Args:
-        wanted: Lines that each reason takes in full; the gates come last.
-        gates: Number of gates among them; none is left out, whatever room there is.
-        room: Lines in total; one is kept for the number of omitted tracks.
+        wanted: Number of lines of each reason in full; the gates come last.
+        gates: Number of reasons about the whole scene; none of them is left out.
+        room: Number of lines; one is reserved for the number of tracks that are left out.
 
     Returns:
-        Lines of each reason; 0 for omitted ones.
+        Lines of each reason; 0 for one that is left out.
     """
     tracks = len(wanted) - gates
     lines = [min(each, _FEWEST) for each in wanted]
@@ -80,8 +71,3 @@ def lines_of(wanted: Sequence[int], *, gates: int, room: int) -> list[int]:
             lines[index] += more
             spare -= more
     return lines
-
-
-def _tells_a_track(reason: str, score: SceneScore) -> bool:
-    """Return true if a reason is about a track; gates have none, and come last."""
-    return score.state is SceneState.SCORED and not reason.startswith(_GATES)

@@ -14,7 +14,7 @@ from schemas.arrays import NS_PER_S
 from schemas.canonical import sha256
 from schemas.contradiction import SceneState
 from schemas.frame import OdometryState
-from schemas.score import AgreementShares, OdometryHealth, Producers, SceneScore
+from schemas.score import AgreementShares, OdometryHealth, Producers, Reason, SceneScore
 from schemas.transport.wire import encode_scene_score
 from schemas.work import (
     Channel,
@@ -337,7 +337,7 @@ _SCORE: Final = SceneScore(
     frames=20,
     state=SceneState.SCORED,
     score=0.5,
-    reasons=("pedestrian only semantic",),
+    reasons=(Reason(headline="supervised calls pedestrian dynamic, but it is static"),),
     points=1_000_000,
     compared_share=0.8,
     all_points=_SHARES,

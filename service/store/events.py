@@ -13,6 +13,11 @@ from service.store.tables import COUNTERS, SCENES
 from service.store.work_items import Work
 
 
+def reasons_as_stored(score: SceneScore) -> str:
+    """Return the reasons of a record as its JSON has them."""
+    return canonical_json([each.model_dump(mode="json") for each in score.reasons]).decode()
+
+
 def insert_scenes(
     connection: Connection,
     work: Work,
@@ -52,7 +57,7 @@ def insert_scenes(
                 "frames": score.frames,
                 "state": score.state.value,
                 "score": score.score,
-                "reasons": canonical_json(score.reasons).decode(),
+                "reasons": reasons_as_stored(score),
                 **point_counts(score),
                 "record": record,
                 "sha256": sha256,

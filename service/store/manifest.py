@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pydantic import ValidationError
 
 from schemas.canonical import sha256
-from schemas.score import SceneScore
+from schemas.score import SCHEMA_VERSION, SceneScore
 from schemas.task import MOTION
 from schemas.transport.wire import decode
 from schemas.work import CommitRequest
@@ -48,6 +48,10 @@ def verify(request: CommitRequest, staged: Mapping[str, bytes]) -> Verified:
             cause = error.errors()[0]
             where = ".".join(map(str, cause["loc"])) or "the record"
             return Verified({}, f"not a scene score: {where}: {cause['msg']} ({entry.scene_id})")
+        if score.sentences_version != SCHEMA_VERSION:
+            return Verified(
+                {}, f"a record of an earlier version; update the worker ({entry.scene_id})"
+            )
         if score.task != MOTION.name:
             return Verified({}, f"a scene of the task {score.task}: motion alone is ranked here")
         if score.scene_id != entry.scene_id:

@@ -45,7 +45,7 @@ def ranked(
                 start_ns=row.start_ns,
                 end_ns=row.end_ns,
                 score=row.score,
-                reasons=tuple(json.loads(row.reasons)),
+                reasons=headlines_of(row.reasons),
                 twin_of=_twin_of(connection, row),
                 sha256=row.sha256,
             )
@@ -95,3 +95,10 @@ _BEFORE: Final = Statement(
 _AFTER: Final = Statement(
     _OF_LIDAR.where(_C.start_ns > bindparam("start")).order_by(_C.start_ns).limit(1)
 )
+
+
+def headlines_of(reasons: str) -> tuple[str, ...]:
+    """Return the headlines of stored reasons; those of version 1 are sentences, kept as such."""
+    return tuple(
+        each if isinstance(each, str) else each["headline"] for each in json.loads(reasons)
+    )

@@ -33,4 +33,10 @@ def test_every_field_says_what_it_means(name: str) -> None:
         for field, about in json.loads(schema_text(name))["properties"].items()
         if "description" not in about and "$ref" not in about
     }
-    assert undescribed == ({"schema_version"} if name == "counterpoint.scene_score.v1" else set())
+    assert undescribed == ({"schema_version"} if name == "counterpoint.scene_score.v2" else set())
+
+
+def test_the_schema_of_version_1_stays_for_what_was_stored_by_it() -> None:
+    schema = json.loads(schema_file("counterpoint.scene_score.v1").read_text(encoding="utf-8"))
+    assert schema["properties"]["schema_version"]["const"] == 1
+    assert schema["properties"]["reasons"]["items"]["type"] == "string"

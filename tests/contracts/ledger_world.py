@@ -8,7 +8,7 @@ from schemas.arrays import NS_PER_S
 from schemas.canonical import sha256
 from schemas.contradiction import SceneState
 from schemas.frame import OdometryState
-from schemas.score import AgreementShares, OdometryHealth, Producers, SceneScore
+from schemas.score import AgreementShares, OdometryHealth, Producers, Reason, SceneScore
 from schemas.transport.wire import encode_scene_score
 from schemas.work import (
     Answer,
@@ -160,7 +160,7 @@ def score_of(
         frames=20,
         state=state,
         score=score,
-        reasons=reasons,
+        reasons=tuple(Reason(headline=each) for each in reasons),
         points=1000,
         compared_share=0.8,
         all_points=shares,

@@ -88,7 +88,7 @@ class RankingContract(StoreContract):
             "start_ns": one.start_ns,
             "end_ns": one.end_ns,
             "score": 0.5,
-            "reasons": one.reasons,
+            "reasons": tuple(each.headline for each in one.reasons),
             "twin_of": None,
             "sha256": sha256(encode_scene_score(one)),
         }

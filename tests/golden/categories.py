@@ -15,13 +15,13 @@ CATEGORIES: Final = {
     Agreement.ONLY_SEMANTIC_DYNAMIC: 4,
     Agreement.NOT_COMPARED: 0,
 }
-"""Published number of each agreement; what is not compared is in none of its files: 0."""
+"""Published number of each agreement; 0 for points not compared, which no published file has."""
 
 _TABLE: Final = np.array([CATEGORIES[each] for each in sorted(Agreement)], dtype=np.int16)
 
 
 def categories(agreements: Agreements) -> NDArray[np.int16]:
-    """Give each point the paper's number (section III-C and its code).
+    """Return the paper's number of each point (section III-C and its code).
 
     Args:
         agreements: (N,) values of `Agreement`.

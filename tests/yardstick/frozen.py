@@ -11,7 +11,9 @@ from schemas.overlay import Overlay
 from schemas.transport.overlay_codec import decode_overlay
 from workers.mine import MinedRecord
 
-TEXTS: Final = frozenset({"reasons", "reason", "because", "against", "also"})
+TEXTS: Final = frozenset(
+    {"reasons", "reason", "supporting", "opposing", "neutral", "schema_version"}
+)
 """Fields of a record, at any depth, that hold words for people."""
 
 PRODUCERS: Final = "producers"

@@ -1,1 +1,1 @@
-"""Where the two streams contradict each other: points, instances, tracks, scores, overlays."""
+"""Contradictions of the two streams: points, instances, tracks, scores and overlays."""

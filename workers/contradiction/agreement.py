@@ -1,4 +1,4 @@
-"""Whether the two streams agree, point by point."""
+"""Agreement of the two streams, per point."""
 
 from typing import cast
 
@@ -9,18 +9,18 @@ from schemas.task import MOTION, Task
 
 
 def compare(semantic: Labels, predictive: Labels, task: Task = MOTION) -> Agreements:
-    """Say, for every point, whether the two streams agree.
+    """Compare the labels of the two streams, per point.
 
-    For motion the outcomes are the four of the paper (arXiv 2407.14306, section III-C). Ours adds
-    `not_compared`, since a stream that does not know must not be counted as saying static.
+    For motion the outcomes are the four of the paper (arXiv 2407.14306, section III-C). This method
+    adds `not_compared`: a point without a label of one stream must not count as static.
 
     Args:
         semantic: (N,) uint8 labels of the supervised stream.
         predictive: (N,) uint8 labels of the self-supervised stream.
-        task: What both were asked.
+        task: The task of both streams.
 
     Returns:
-        (N,) uint8 codes of the task's outcomes; `not_compared` wherever either said `unknown`.
+        (N,) uint8 codes of the task's outcomes; `not_compared` where either label is `unknown`.
 
     Raises:
         ValueError: If the two streams labelled a different number of points.

@@ -1,12 +1,12 @@
-"""Who is wrong about a track: chances that follow from named evidence by one published table.
+"""Attribute a contradiction to a stream: probabilities of four verdicts, from one fitted table.
 
-    odds of each answer = intercept + sum of weight x evidence;   chance = exp(odds) / sum of exp
+    log-odds of a verdict = intercept + sum of weight x feature
+    chance of a verdict   = exp(log-odds) / sum of exp(log-odds)
 
-One multinomial logistic regression for each kind of contradiction, over the numbers of
-`track_features.py`, all between 0 and 1, so that a weight says what its evidence is worth. Fitted
-by `python -m workers.lab.training.attribution` on logs with truth and written to
-`attribution.json`, with a card that says on what, and how well. An answer without a row has no
-chance.
+The table holds one multinomial logistic regression per kind of contradiction, over the features of
+`track_features.py`. All features are between 0 and 1, so that weights can be compared. `python -m
+workers.lab.training.attribution` fits it on logs with truth and writes `attribution.json`, with a
+card of its data and scores. A verdict without a row has no chance.
 """
 
 import json
@@ -17,69 +17,74 @@ from functools import cache
 from importlib import resources
 from typing import Any, Final
 
-from schemas.attribution import MOST_WORDS, Attribution, Wrong
-from workers.contradiction.explanations import AS_MOST, LIKELIEST, Remark
-from workers.contradiction.track_features import NAMES, Evidence
+from schemas.attribution import MAX_EVIDENCE, Attribution, Wrong
+from workers.contradiction.explanations import (
+    MOST_PROBABLE,
+    TYPICAL_OF_KIND,
+    Explanation,
+    explanations_of,
+)
+from workers.contradiction.track_features import NAMES, DescribedTrack, TrackFeatures
 
 FILE: Final = "attribution.json"
 _DIGITS: Final = 3
 _MOST_ODDS: Final = 30.0
 
 _SUPERVISED: Final = frozenset({Wrong.SUPERVISED, Wrong.BOTH})
-"""Answers by which the supervised stream is wrong."""
+"""Verdicts by which the supervised stream is wrong."""
 
-NOTHING: Final = 0.1
-"""Log-odds: what moves a chance of a half by less than 0.025 speaks neither for nor against."""
+NEGLIGIBLE: Final = 0.1
+"""Log-odds below which a feature is neutral: it moves a chance of 0.5 by less than 0.025."""
 
 
 @dataclass(frozen=True, slots=True)
 class Odds:
-    """Log-odds of one answer.
+    """Log-odds of one verdict.
 
     Attributes:
-        intercept: Where all evidence is 0.
-        weights: What each named number adds at 1; those left out add nothing.
+        intercept: Log-odds where all features are 0.
+        weights: Log-odds that each feature adds at 1; those left out add nothing.
     """
 
     intercept: float
     weights: Mapping[str, float]
 
-    def of(self, evidence: Mapping[str, float]) -> float:
-        """Log-odds that follow from evidence, against those of the other answers."""
+    def of(self, features: Mapping[str, float]) -> float:
+        """Return the log-odds for given features, against the other verdicts."""
         odds = self.intercept + sum(
-            weight * evidence[name] for name, weight in self.weights.items()
+            weight * features[name] for name, weight in self.weights.items()
         )
         return max(-_MOST_ODDS, min(_MOST_ODDS, odds))
 
 
 Table = Mapping[Wrong, Odds]
-"""The odds of each answer that a kind of contradiction allows."""
+"""Log-odds of each verdict that a kind of contradiction allows."""
 
 
 def table_of(rows: Mapping[str, Any]) -> Table:
     """Read the rows of one kind.
 
     Raises:
-        ValueError: If they rest on evidence that does not exist.
+        ValueError: If they use features that do not exist.
     """
     table = {}
     for wrong, row in rows.items():
         if unknown := sorted(set(row["weights"]) - set(NAMES)):
-            raise ValueError(f"{FILE} rests on evidence that there is not: {', '.join(unknown)}")
+            raise ValueError(f"{FILE} uses features that do not exist: {', '.join(unknown)}")
         table[Wrong(wrong)] = Odds(float(row["intercept"]), dict(row["weights"]))
     return table
 
 
 @cache
 def tables() -> Mapping[str, Table]:
-    """Read the tables that ship, by the name of the kind of contradiction."""
+    """Read the shipped tables, by the name of the kind of contradiction."""
     text = resources.files("workers.contradiction").joinpath(FILE).read_text(encoding="utf-8")
     return {kind: table_of(rows) for kind, rows in json.loads(text)["kinds"].items()}
 
 
-def chances(table: Table, evidence: Mapping[str, float]) -> dict[Wrong, float]:
-    """Chance of each answer; they add up to 1."""
-    odds = {wrong: row.of(evidence) for wrong, row in table.items()}
+def chances(table: Table, features: Mapping[str, float]) -> dict[Wrong, float]:
+    """Return the chance of each verdict; they add up to 1."""
+    odds = {wrong: row.of(features) for wrong, row in table.items()}
     highest = max(odds.values())
     shares = {wrong: math.exp(value - highest) for wrong, value in odds.items()}
     total = sum(shares.values())
@@ -87,86 +92,112 @@ def chances(table: Table, evidence: Mapping[str, float]) -> dict[Wrong, float]:
 
 
 def weight_of(
-    otherwise: Mapping[str, float], table: Table, evidence: Mapping[str, float], wrong: Wrong
+    counterfactual: Mapping[str, float], table: Table, features: Mapping[str, float], wrong: Wrong
 ) -> float:
-    """What evidence adds to the log-odds that the supervised stream is wrong, or that it is not.
+    """Return the log-odds that features add to the verdict on the supervised stream.
 
-    Which of the two is what the answer says of it: that decides what a look is worth. It is the
-    difference to the same track with that evidence as it would be otherwise.
+    The verdict on the supervised stream (wrong, or not wrong) decides the strength of the track.
+    The weight is the difference to the same track with the counterfactual features.
     """
-    there = _log_odds(table, evidence)
-    added = there - _log_odds(table, {**evidence, **otherwise})
+    there = _log_odds(table, features)
+    added = there - _log_odds(table, {**features, **counterfactual})
     return added if wrong in _SUPERVISED else -added
 
 
-def attribute(kind: str, evidence: Evidence, *, remarks: Sequence[Remark] = ()) -> Attribution:
-    """Say who is wrong about a track.
+def attribute_tracks(
+    described: Sequence[DescribedTrack],
+) -> tuple[Attribution | None, ...]:
+    """Attribute the contradiction of each track to a stream.
+
+    Args:
+        described: The tracks of a scene with their features.
+
+    Returns:
+        One attribution per track; None for a kind of contradiction that no table was fitted for.
+    """
+    return tuple(_attribution_of(each) for each in described)
+
+
+def _attribution_of(described: DescribedTrack) -> Attribution | None:
+    kind = described.track.kind
+    if kind.name not in tables():
+        return None
+    explanations = explanations_of(
+        kind.name, described.features, described.size_m, of_witness=kind.of_witness
+    )
+    return attribute(kind.name, described.features, explanations=explanations)
+
+
+def attribute(
+    kind: str, features: TrackFeatures, *, explanations: Sequence[Explanation] = ()
+) -> Attribution:
+    """Estimate which stream is wrong about a track, and sort the explanations by their weight.
 
     Args:
         kind: Name of the kind of contradiction.
-        evidence: What is known about the track.
-        remarks: What of it is worth saying; sorted by whether it speaks for the answer.
+        features: Features of the track.
+        explanations: Explanations that apply to it.
     """
-    table, named = tables()[kind], evidence.named()
+    table, named = tables()[kind], features.named()
     known = chances(table, named)
     rounded = {wrong: round(chance, _DIGITS) for wrong, chance in known.items()}
     answer = max(Wrong, key=lambda wrong: rounded[wrong])
     weighed = sorted(
         (
-            (round(weight_of(remark.otherwise, table, named, answer), _DIGITS), remark)
-            for remark in remarks
+            (round(weight_of(each.counterfactual, table, named, answer), _DIGITS), each)
+            for each in explanations
         ),
         key=lambda each: -abs(each[0]),
     )
-    told = [(weight, remark.words) for weight, remark in weighed if not remark.quiet][:MOST_WORDS]
-    if weighed and all(weight < NOTHING for weight, _ in told):
+    kept = [(weight, each.words) for weight, each in weighed if not each.quiet][:MAX_EVIDENCE]
+    if weighed and all(weight < NEGLIGIBLE for weight, _ in kept):
         quiet = max((each for each in weighed if each[1].quiet), key=_by_weight, default=None)
-        if quiet is not None and quiet[0] >= NOTHING:
+        if quiet is not None and quiet[0] >= NEGLIGIBLE:
             first = (quiet[0], quiet[1].words)
         else:
-            first = (NOTHING, _by_kind(kind, table, named, answer, remarks))
-        told = [first, *told[: MOST_WORDS - 1]]
+            first = (NEGLIGIBLE, _by_kind(kind, table, named, answer, explanations))
+        kept = [first, *kept[: MAX_EVIDENCE - 1]]
     return Attribution(
         wrong=answer,
         supervised=rounded[Wrong.SUPERVISED],
         selfsupervised=rounded[Wrong.SELFSUPERVISED],
         both=rounded[Wrong.BOTH],
         neither=rounded[Wrong.NEITHER],
-        because=tuple(words for weight, words in told if weight >= NOTHING),
-        against=tuple(words for weight, words in told if weight <= -NOTHING),
-        also=tuple(words for weight, words in told if abs(weight) < NOTHING),
+        supporting=tuple(words for weight, words in kept if weight >= NEGLIGIBLE),
+        opposing=tuple(words for weight, words in kept if weight <= -NEGLIGIBLE),
+        neutral=tuple(words for weight, words in kept if abs(weight) < NEGLIGIBLE),
     )
 
 
-def _by_weight(weighed: tuple[float, Remark]) -> float:
+def _by_weight(weighed: tuple[float, Explanation]) -> float:
     return weighed[0]
 
 
 def _by_kind(
     kind: str,
     table: Table,
-    evidence: Mapping[str, float],
+    features: Mapping[str, float],
     answer: Wrong,
-    remarks: Sequence[Remark],
+    explanations: Sequence[Explanation],
 ) -> str:
-    """What speaks for an answer for which no remark does.
+    """Return the explanation of a verdict that no feature supports.
 
-    It is the kind, where a track of it would be so without all that is remarked; else nothing but
-    that the other three are less likely still.
+    It is the kind of contradiction, where a track of that kind without the explained features gets
+    the same verdict; otherwise the verdict is only the most probable of the four.
     """
-    without = dict(evidence)
-    for remark in remarks:
-        if not remark.quiet:
-            without |= remark.otherwise
+    without = dict(features)
+    for each in explanations:
+        if not each.quiet:
+            without |= each.counterfactual
     odds = _log_odds(table, without)
-    if (odds if answer in _SUPERVISED else -odds) >= NOTHING:
-        return AS_MOST[kind]
-    return LIKELIEST
+    if (odds if answer in _SUPERVISED else -odds) >= NEGLIGIBLE:
+        return TYPICAL_OF_KIND[kind]
+    return MOST_PROBABLE
 
 
-def _log_odds(table: Table, evidence: Mapping[str, float]) -> float:
-    """Log-odds that the supervised stream is wrong, alone or not."""
-    odds = {answer: row.of(evidence) for answer, row in table.items()}
+def _log_odds(table: Table, features: Mapping[str, float]) -> float:
+    """Return the log-odds that the supervised stream is wrong, alone or not."""
+    odds = {answer: row.of(features) for answer, row in table.items()}
     errs = [value for answer, value in odds.items() if answer in _SUPERVISED]
     rest = [value for answer, value in odds.items() if answer not in _SUPERVISED]
     return _log_sum(errs) - _log_sum(rest)

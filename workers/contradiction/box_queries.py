@@ -1,4 +1,4 @@
-"""How many places lie in boxes, compiled: none is copied to be asked."""
+"""Box queries: compiled counts of points in boxes, which copy no point."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +11,12 @@ Places = NDArray[np.float64]
 
 
 @compiled
-def rows_said(points: Points, said: Labels, wanted: int, ground: Mask) -> Counts:
-    """Rows off the ground of which something is said, and that are somewhere; (M,)."""
-    index = np.empty(len(said), np.int64)
+def rows_labelled(points: Points, labels: Labels, wanted: int, ground: Mask) -> Counts:
+    """Return the rows (M,) with a given label that are off the ground and have a finite place."""
+    index = np.empty(len(labels), np.int64)
     count = 0
-    for i in range(len(said)):
-        if said[i] == wanted and not ground[i]:
+    for i in range(len(labels)):
+        if labels[i] == wanted and not ground[i]:
             x, y, z = points[i, 0], points[i, 1], points[i, 2]
             if np.isfinite(x) and np.isfinite(y) and np.isfinite(z):
                 index[count] = i
@@ -28,24 +28,24 @@ def rows_said(points: Points, said: Labels, wanted: int, ground: Mask) -> Counts
 def counts_in_boxes(
     places: Places,
     agreed: Mask,
-    undenied: Mask,
+    not_refuted: Mask,
     first: Counts,
     last: Counts,
     middle: Places,
     axes: Places,
     half: Places,
 ) -> Counts:
-    """Count places of three sorts in boxes.
+    """Count the agreed, the not refuted and all places in oriented boxes.
 
     Args:
         places: (M, 3) metres.
-        agreed: (M,) of the first sort.
-        undenied: (M,) of the second; all are of the third.
-        first: (R,) which places are asked about each box: from here on.
-        last: (R,) and before here.
-        middle: (R, 3) of the boxes.
-        axes: (R, 3, 3) their axes, as columns.
-        half: (R, 3) half their sizes; what lies on a side is inside.
+        agreed: (M,) mask of the first count.
+        not_refuted: (M,) mask of the second count; the third counts all places.
+        first: (R,) first row of the places that are searched for each box.
+        last: (R,) end of these rows, exclusive.
+        middle: (R, 3) centres of the boxes, metres.
+        axes: (R, 3, 3) axes of the boxes, as columns.
+        half: (R, 3) half sizes, metres; a place on a face is inside.
 
     Returns:
         (3, R) counts.
@@ -63,23 +63,23 @@ def counts_in_boxes(
                     break
             if inside:
                 counts[0, r] += agreed[i]
-                counts[1, r] += undenied[i]
+                counts[1, r] += not_refuted[i]
                 counts[2, r] += 1
     return counts
 
 
 @compiled
-def answers_around(points: Points, answers: Labels, thing: Points, margin: np.float32) -> Counts:
-    """Count the answers about points in the upright box around a thing, and its margin.
+def labels_around(points: Points, labels: Labels, thing: Points, margin: np.float32) -> Counts:
+    """Count the labels of points in the axis-aligned box around an object, with a margin.
 
     Args:
         points: (M, 3) metres.
-        answers: (M,) about each.
-        thing: (N, 3) what the box is put around, N >= 1.
-        margin: Metres on every side; what lies on its edge is inside.
+        labels: (M,) label of each point.
+        thing: (N, 3) points of the object that the box encloses, metres; N >= 1.
+        margin: Distance by which each face is moved outwards, metres; a point on a face is inside.
 
     Returns:
-        (256,) points of each answer.
+        (256,) number of points with each label.
     """
     low, high = thing[0].copy(), thing[0].copy()
     for i in range(len(thing)):
@@ -91,13 +91,13 @@ def answers_around(points: Points, answers: Labels, thing: Points, margin: np.fl
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         if low[0] <= x <= high[0] and low[1] <= y <= high[1] and low[2] <= z <= high[2]:
-            counts[answers[i]] += 1
+            counts[labels[i]] += 1
     return counts
 
 
 @compiled
 def areas_of(places: Places, axes: Places) -> Places:
-    """(H,) areas of the rectangles around places (N, 2), N >= 1, whose sides are axes (2, 2, H)."""
+    """Return the areas (H,) of rectangles around places (N, 2), N >= 1, along axes (2, 2, H)."""
     areas = np.ones(axes.shape[2], np.float64)
     for heading in range(axes.shape[2]):
         for side in range(2):

@@ -1,4 +1,4 @@
-"""The upright box around a cluster of points."""
+"""Oriented bounding boxes: upright boxes around clusters of points."""
 
 from typing import Final
 
@@ -11,26 +11,27 @@ _HEADINGS_RAD: Final = np.deg2rad(np.arange(0.0, 90.0, 2.0))
 _AXES: Final = np.stack(
     [np.cos(_HEADINGS_RAD), np.sin(_HEADINGS_RAD), -np.sin(_HEADINGS_RAD), np.cos(_HEADINGS_RAD)]
 ).reshape(2, 2, -1)
-"""(2, 2, H) length and width axis, x and y, of every heading tried."""
+"""(2, 2, H) length and width axis, x and y, of every heading that is tried."""
 
 MAX_BOX_POINTS: Final = 2_000
-"""Points beyond are thinned by a fixed stride: the box of a wall does not need 50,000."""
+"""Points of one fit at most: more are thinned by a fixed stride, as for the 50,000 of a wall."""
 
 
 def fit_box(
     points_m: NDArray[np.float32],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Fit the upright box whose ground rectangle is smallest.
+    """Fit the upright box with the smallest ground rectangle.
 
-    Headings are tried every two degrees: a lidar sees one or two sides of a thing, which fixes its
-    heading no better, and principal axes would follow the denser side instead of the outline.
+    Headings are tried every two degrees: a lidar sees one or two sides of an object, which do not
+    determine its heading more precisely. Principal axes would follow the denser side instead of the
+    outline.
 
     Args:
         points_m: (N, 3) points, N >= 1, metres.
 
     Returns:
-        Centre (3,), size (3,) as length >= width and height, both in metres, and the heading of
-        the length axis about z in [-pi/2, pi/2), all in the space of the points.
+        Centre (3,), metres; size (3,) as length >= width and height, metres; heading of the length
+        axis about z in [-pi/2, pi/2). All are in the space of the points.
     """
     points = points_m.astype(np.float64)
     thin = points[:: -(-len(points) // MAX_BOX_POINTS), :2]

@@ -1,10 +1,10 @@
-"""When else a thing was seen to move: by the one of the two onlookers whose track it is not.
+"""Sightings of an object by the other motion source, which extend the duration of its track.
 
-The self-supervised stream proves a motion from the past, the witness from the future as well: of a
-thing that comes into sight the witness speaks first, and where the stream falls silent it speaks
-alone. Both contradict a supervised stream that says it stands, and what lasts is the contradiction.
-What is seen in a thing's stead may be a scrap of it, or of something else: it counts by the share
-of the thing's points that it has.
+The self-supervised stream measures motion from the past, the witness from the future too. The
+witness therefore labels an emerging object first, and alone where the stream has no label. Both
+contradict a supervised stream that labels the object static, and persistence is that of the
+contradiction. A sighting may be a part of the object, or another object: it counts by its share of
+the track's points.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,17 +16,18 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S
 from schemas.contradiction import Instance, Scene
 from workers.contradiction.settings import DEFAULT_TRACKS, TrackSettings
+from workers.contradiction.track_features import DescribedTrack
 from workers.contradiction.track_motion import FEWEST, velocity_of
 from workers.contradiction.tracks import Track, frame_period_s, longest_gap_s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sighting:
-    """Where one of the onlookers sees motion.
+    """A place that one motion source labels dynamic.
 
     Attributes:
         centre_m: (2,) of its box, odom space.
-        points: How many.
+        points: Its points.
     """
 
     centre_m: NDArray[np.float64]
@@ -34,13 +35,13 @@ class Sighting:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Company:
-    """What the tracks of a scene share when asked who else saw their thing: worked out once.
+class CrossStreamSightings:
+    """Sightings of a scene, by the kind of the tracks that they may extend.
 
     Attributes:
         stamps_s: (F,) times of the frames since the scene began.
-        longest_gap_s: How long a thing may go unseen.
-        others: By kind of contradiction and frame: what the other onlooker sees.
+        longest_gap_s: Longest time that an object may go unobserved, seconds.
+        others: Sightings of the other motion source, by kind of contradiction and frame index.
     """
 
     stamps_s: NDArray[np.float64]
@@ -48,32 +49,29 @@ class Company:
     others: Mapping[str, Mapping[int, Sequence[Sighting]]]
 
 
-def company_of(
+def sightings_of(
     scene: Scene,
-    tracks: Sequence[Track],
-    instances: Sequence[Instance],
+    described: Sequence[DescribedTrack],
     *,
     settings: TrackSettings = DEFAULT_TRACKS,
-) -> Company:
-    """Say for each kind in which one onlooker sees motion where the other one sees it.
+) -> CrossStreamSightings:
+    """Collect, for each kind with one motion source, where the other motion source labels dynamic.
 
     Args:
-        scene: Where it was found.
-        tracks: All of it; every instance is in exactly one.
-        instances: As the tracks count them.
+        scene: The scene.
+        described: All of its tracks; every instance is in exactly one.
         settings: Gates.
     """
-    onlookers = [kind for kind in scene.task.kinds if kind.measured or kind.of_witness]
-    others: dict[str, dict[int, list[Sighting]]] = {kind.name: {} for kind in onlookers}
-    for track in tracks:
-        for kind in onlookers if track.kind in onlookers else ():
-            if kind == track.kind:
+    sources = [kind for kind in scene.task.kinds if kind.measured or kind.of_witness]
+    others: dict[str, dict[int, list[Sighting]]] = {kind.name: {} for kind in sources}
+    for each in described:
+        for kind in sources if each.track.kind in sources else ():
+            if kind == each.track.kind:
                 continue
-            for member, centre_m in zip(track.members, track.centres_m, strict=True):
-                instance = instances[member]
-                seen = others[kind.name].setdefault(instance.frame_index, [])
-                seen.append(Sighting(centre_m[:2], len(instance.point_index)))
-    return Company(
+            for member, centre_m in zip(each.members, each.track.centres_m, strict=True):
+                seen = others[kind.name].setdefault(member.frame_index, [])
+                seen.append(Sighting(centre_m[:2], len(member.point_index)))
+    return CrossStreamSightings(
         stamps_s=np.array([(f.stamp_ns - scene.start_ns) / NS_PER_S for f in scene.frames]),
         longest_gap_s=longest_gap_s(frame_period_s(scene), settings),
         others=others,
@@ -83,29 +81,29 @@ def company_of(
 def frames_seen(
     track: Track,
     members: Sequence[Instance],
-    company: Company,
+    sightings: CrossStreamSightings,
     *,
     settings: TrackSettings = DEFAULT_TRACKS,
 ) -> Mapping[int, float]:
-    """Find the frames in which a thing was seen, by its own track or in its stead.
+    """Find the frames in which either motion source observed an object.
 
-    From either end of the track, and in its gaps, it is looked for where it should be. Two frames
-    do not say where that is.
+    The search extends from both ends of the track and into its gaps, at the predicted place. A
+    track of two frames is not extended: its velocity is too uncertain.
 
     Args:
         track: Its track.
         members: The instances of the track.
-        company: Who else saw something.
+        sightings: Sightings of the scene.
         settings: Gates.
 
     Returns:
-        What each frame counts, by its index, rising: 1 where the track itself is seen, else the
-        share of its usual points that was seen, at most 1.
+        Weight of each frame, by ascending index: 1 where the track itself has an instance, else the
+        points of the sighting as a share of the track's median, at most 1.
     """
     own = [member.frame_index for member in members]
     counts = dict.fromkeys(own, 1.0)
-    stamps_s = company.stamps_s
-    theirs = company.others.get(track.kind.name, {})
+    stamps_s = sightings.stamps_s
+    theirs = sightings.others.get(track.kind.name, {})
     if len(own) < FEWEST or not theirs:
         return counts
     velocity = velocity_of(track.centres_m, stamps_s[own])
@@ -113,10 +111,11 @@ def frames_seen(
     gate_m = min(settings.gate_m + settings.gate_per_length * longest_m, settings.max_gate_m)
     usual = float(np.median([len(member.point_index) for member in members]))
     known = {at: centre[:2] for at, centre in zip(own, track.centres_m, strict=True)}
+    gap_s = sightings.longest_gap_s
     for steps in (range(own[0] - 1, -1, -1), range(own[0] + 1, len(stamps_s))):
         at = own[0]
         for frame in steps:
-            if frame not in known and abs(stamps_s[frame] - stamps_s[at]) <= company.longest_gap_s:
+            if frame not in known and abs(stamps_s[frame] - stamps_s[at]) <= gap_s:
                 due = known[at] + velocity * (stamps_s[frame] - stamps_s[at])
                 found = _nearest(due, theirs.get(frame, ()))
                 if found is not None and _away_m(found, due) <= gate_m:

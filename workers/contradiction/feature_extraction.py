@@ -1,4 +1,4 @@
-"""Gathers what is known about a track (`track_features.py`), from it and from what surrounds it."""
+"""Feature extraction: features of a track (`track_features.py`) from it and its scene context."""
 
 import math
 from collections.abc import Sequence
@@ -10,20 +10,21 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S
 from schemas.contradiction import Instance, Scene
 from schemas.labels import MotionLabel
-from workers.contradiction.rising_ground import RisingGround, share_of
-from workers.contradiction.scene_context import Surroundings
+from workers.contradiction.clamp import clamp01
+from workers.contradiction.rising_ground import RisingGround, rising_share
+from workers.contradiction.scene_context import SceneContext, scene_context_of
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
-from workers.contradiction.shape_persistence import Whereabouts, whereabouts_of
-from workers.contradiction.temporal_context import at_other_times
-from workers.contradiction.track_features import Evidence
-from workers.contradiction.track_motion import path_of
+from workers.contradiction.shape_persistence import ShapePersistence, shape_persistence_of
+from workers.contradiction.size_priors import box_plausibility
+from workers.contradiction.temporal_context import temporal_context_of
+from workers.contradiction.track_features import DescribedTrack, TrackFeatures
+from workers.contradiction.track_motion import motion_plausibility, path_of
 from workers.contradiction.tracks import Track
-from workers.contradiction.unit import clip
 
 _FAR_M: Final = 80.0
 _TURN_RAD_PER_S: Final = 0.3
 _FAST_M_PER_S: Final = 10.0
-_CROWD: Final = 8.0
+_CLUTTER: Final = 8.0
 _LONG_M: Final = 12.0
 _TALL_M: Final = 3.0
 _THIN_M: Final = 0.4
@@ -32,108 +33,147 @@ _LOWEST_M: Final = 0.5
 _LOW_WITHIN_M: Final = 50.0
 _RISES_SHARE: Final = 0.03
 _RISES_ALL: Final = 0.1
-"""Shares of the ground around a thing that rises."""
+"""Shares of rising ground around an object at which feature `rising_ground` is 0 and 1."""
 
-_SETS_OFF_S: Final = 0.5
-_SET_OFF_S: Final = 1.0
-"""So soon nothing is seen to set off, and so late everything: 1.5 m/s2 make 0.2 m and 0.75 m."""
+_DEPARTURE_UNSEEN_S: Final = 0.5
+_DEPARTURE_SEEN_S: Final = 1.0
+"""Times observed from the first frame on, seconds, at which feature `log_end` is 1 and 0.
 
-_WORTH_IT: Final = 0.1
-"""`lasting` times `many_points`, from which on it is asked where a thing was and will be."""
+An object that sets off at 1.5 m/s2 covers 0.2 m and 0.75 m in them: too little and enough to show.
+"""
+
+_MIN_EVIDENCE: Final = 0.1
+"""Product of `duration` and `point_count` from which on shape persistence is tested."""
 
 
-def evidence_of(
+def extract_features(
+    scene: Scene,
+    instances: Sequence[Instance],
+    tracks: Sequence[Track],
+    *,
+    settings: ScoreSettings = DEFAULT_SCORE,
+) -> tuple[DescribedTrack, ...]:
+    """Extract the features of every track of a scene.
+
+    Args:
+        scene: The scene.
+        instances: Its instances.
+        tracks: Their tracks.
+        settings: Scales of duration, points and size.
+
+    Returns:
+        One described track per track, in their order.
+    """
+    if not tracks:
+        return ()
+    context = scene_context_of(scene, instances)
+    return tuple(_describe(scene, track, instances, context, settings) for track in tracks)
+
+
+def _describe(
+    scene: Scene,
+    track: Track,
+    instances: Sequence[Instance],
+    context: SceneContext,
+    settings: ScoreSettings,
+) -> DescribedTrack:
+    members = tuple(instances[i] for i in track.members)
+    size_m = np.median([member.size_m for member in members], axis=0)
+    features = _features_of(scene, track, members, size_m, context, settings)
+    return DescribedTrack(track, members, size_m, features)
+
+
+def _features_of(
     scene: Scene,
     track: Track,
     members: Sequence[Instance],
-    around: Surroundings,
-    *,
-    road_user: float,
-    speed_fits: float,
-    settings: ScoreSettings = DEFAULT_SCORE,
-) -> Evidence:
-    """Gather what is known about a track.
-
-    Args:
-        scene: Where it was found.
-        track: The track.
-        members: Its instances.
-        around: What all tracks of the scene share.
-        road_user: How much its box looks like one.
-        speed_fits: How well its path bears out a measured speed; 0 where none is.
-        settings: Scales of time and points.
-    """
+    size_m: NDArray[np.float64],
+    context: SceneContext,
+    settings: ScoreSettings,
+) -> TrackFeatures:
     points = np.array([len(member.point_index) for member in members], dtype=np.float64)
     at = np.array([member.frame_index for member in members])
     stamps_s = np.array([(scene.frames[i].stamp_ns - scene.start_ns) / NS_PER_S for i in at])
-    size_m = np.median([member.size_m for member in members], axis=0)
     places_m = places_in_odom(scene, members)
     path = path_of(track.centres_m, stamps_s, [each[:, :2] for each in places_m])
-    others = at_other_times(
-        *(scene, members, track.centres_m, path.velocity_m_per_s, around.called),
-        period_s=around.period_s,
+    temporal = temporal_context_of(
+        *(scene, members, track.centres_m, path.velocity_m_per_s, context.dynamic_points),
+        period_s=context.period_s,
     )
-    goes_on = 1.0 if track.kind.semantic == scene.task.moving else path.straight
-    moving, still = _testimony(scene, members)
-    speeds = np.linalg.norm([member.velocity_m_per_s for member in members], axis=1)
+    path_weight = 1.0 if track.kind.semantic == scene.task.moving else path.straightness
+    witness_dynamic, witness_static = _witness_shares(scene, members)
+    velocities = np.stack([member.velocity_m_per_s for member in members])
+    speeds = np.linalg.norm(velocities, axis=1)
+    speed_consistency = 0.0
+    if track.kind.measured or track.kind.of_witness:
+        speed_consistency = motion_plausibility(track.centres_m, stamps_s, velocities, settings)
     lasts_s = float(stamps_s[-1] - stamps_s[0])
     first_ns = scene.frames[at[0]].stamp_ns
-    watched_s = float(around.called.stamps_ns[-1] - first_ns) / NS_PER_S
+    observed_s = float(context.dynamic_points.stamps_ns[-1] - first_ns) / NS_PER_S
     kind = track.kind.name
-    lasting = 1.0 - math.exp(-lasts_s / settings.persistence_s)
-    many_points = 1.0 - math.exp(-float(np.median(points)) / settings.evidence_points)
-    where = Whereabouts()
-    if scene.task.moving and lasting * many_points >= _WORTH_IT:
-        where = whereabouts_of(scene, members, places_m, path.velocity_m_per_s, around.glances)
+    duration = 1.0 - math.exp(-lasts_s / settings.persistence_s)
+    point_count = 1.0 - math.exp(-float(np.median(points)) / settings.evidence_points)
+    persistence = ShapePersistence()
+    if scene.task.moving and duration * point_count >= _MIN_EVIDENCE:
+        persistence = shape_persistence_of(
+            scene, members, places_m, path.velocity_m_per_s, context.keyframes
+        )
 
     def mean(values: Sequence[float]) -> float:
         return float(np.average(values, weights=points))
 
     range_m = mean([float(np.hypot(*m.centre_m[:2])) for m in members])
-    return Evidence(
-        witness_moving=moving,
-        witness_still=still,
-        went=path.went,
-        straight=path.straight,
-        lasting=lasting,
-        steady=len(members) / float(at[-1] - at[0] + 1),
-        many_points=many_points,
-        far=clip(range_m / _FAR_M),
-        road_user=clip(road_user),
-        long=clip(float(size_m[0]) / _LONG_M),
-        tall=clip(float(size_m[2]) / _TALL_M),
-        thin=clip(1.0 - float(size_m[1]) / _THIN_M),
-        low=clip((_LOW_M - float(size_m[2])) / _LOWEST_M) * clip(1.0 - range_m / _LOW_WITHIN_M),
-        agreed_before=others.agreed_before * goes_on,
-        undenied_after=others.undenied_after * goes_on,
-        called_before=others.called_before,
-        called_after=others.called_after,
-        stays=min(where.here_before, where.here_after),
-        stands_after=where.here_after,
-        came=where.elsewhere_before,
-        leaves=where.elsewhere_after,
-        passes=min(where.elsewhere_before, where.elsewhere_after),
-        log_ends=clip((_SET_OFF_S - watched_s) / (_SET_OFF_S - _SETS_OFF_S)),
-        own=clip(mean([member.own_share for member in members])),
-        supervised_sure=clip(mean([member.semantic_confidence for member in members])),
-        selfsupervised_sure=clip(mean([member.predictive_confidence for member in members])),
-        confirmed=clip(mean([_told(member.confirmed_share) for member in members])),
-        speed_fits=clip(speed_fits),
-        fast=clip(float(np.median(speeds)) / _FAST_M_PER_S),
-        doubted=mean(around.doubted[at].tolist()),
-        turning=clip(float(around.turn_rad_per_s[at].max()) / _TURN_RAD_PER_S),
-        unseen=clip(float(around.unseen[at].mean())),
-        denied=clip(mean([member.denied_share for member in members])),
-        agreed=clip(mean([member.agreed_share for member in members])),
-        silent=_silence(scene, members),
-        crowded=1.0
-        - math.exp(-(float(np.median([around.crowd[kind, i] for i in at.tolist()])) - 1) / _CROWD),
-        ground_rises=_rises(members, around.ground),
+    return TrackFeatures(
+        witness_dynamic=witness_dynamic,
+        witness_static=witness_static,
+        displacement=path.displacement,
+        straightness=path.straightness,
+        duration=duration,
+        continuity=len(members) / float(at[-1] - at[0] + 1),
+        point_count=point_count,
+        distance=clamp01(range_m / _FAR_M),
+        road_user_size=clamp01(box_plausibility(size_m, settings)),
+        length=clamp01(float(size_m[0]) / _LONG_M),
+        height=clamp01(float(size_m[2]) / _TALL_M),
+        thinness=clamp01(1.0 - float(size_m[1]) / _THIN_M),
+        lowness=clamp01((_LOW_M - float(size_m[2])) / _LOWEST_M)
+        * clamp01(1.0 - range_m / _LOW_WITHIN_M),
+        agreed_before=temporal.agreed_before * path_weight,
+        not_refuted_after=temporal.not_refuted_after * path_weight,
+        dynamic_before=temporal.dynamic_before,
+        dynamic_after=temporal.dynamic_after,
+        shape_static=min(persistence.here_before, persistence.here_after),
+        shape_static_after=persistence.here_after,
+        arrived=persistence.elsewhere_before,
+        departed=persistence.elsewhere_after,
+        transits=min(persistence.elsewhere_before, persistence.elsewhere_after),
+        log_end=clamp01(
+            (_DEPARTURE_SEEN_S - observed_s) / (_DEPARTURE_SEEN_S - _DEPARTURE_UNSEEN_S)
+        ),
+        isolation=clamp01(mean([member.own_share for member in members])),
+        supervised_confidence=clamp01(mean([member.semantic_confidence for member in members])),
+        selfsupervised_confidence=clamp01(
+            mean([member.predictive_confidence for member in members])
+        ),
+        confirmed=clamp01(mean([_confirmed_share(member.confirmed_share) for member in members])),
+        speed_consistency=clamp01(speed_consistency),
+        speed=clamp01(float(np.median(speeds)) / _FAST_M_PER_S),
+        pose_doubted=mean(context.doubted[at].tolist()),
+        turn_rate=clamp01(float(context.turn_rad_per_s[at].max()) / _TURN_RAD_PER_S),
+        unobserved=clamp01(float(context.unobserved[at].mean())),
+        denied_share=clamp01(mean([member.denied_share for member in members])),
+        agreed_share=clamp01(mean([member.agreed_share for member in members])),
+        unlabelled_share=_unlabelled_share(scene, members),
+        clutter=1.0
+        - math.exp(
+            -(float(np.median([context.clutter[kind, i] for i in at.tolist()])) - 1) / _CLUTTER
+        ),
+        rising_ground=_rising_ground(members, context.ground),
     )
 
 
 def places_in_odom(scene: Scene, members: Sequence[Instance]) -> list[NDArray[np.float64]]:
-    """(M, 3) points of each instance, odom space."""
+    """Return the points (M, 3) of each instance, odom space, metres."""
     places = []
     for member in members:
         posed = scene.frames[member.frame_index].posed
@@ -143,8 +183,8 @@ def places_in_odom(scene: Scene, members: Sequence[Instance]) -> list[NDArray[np
     return places
 
 
-def _testimony(scene: Scene, members: Sequence[Instance]) -> tuple[float, float]:
-    """Shares of the points of a track that the witness calls dynamic and static."""
+def _witness_shares(scene: Scene, members: Sequence[Instance]) -> tuple[float, float]:
+    """Return the shares of a track's points that the witness labels dynamic and static."""
     counts = np.zeros(3)
     for member in members:
         witness = scene.frames[member.frame_index].witness
@@ -156,20 +196,20 @@ def _testimony(scene: Scene, members: Sequence[Instance]) -> tuple[float, float]
     return float(shares[MotionLabel.DYNAMIC]), float(shares[MotionLabel.STATIC])
 
 
-def _silence(scene: Scene, members: Sequence[Instance]) -> float:
-    """Share of the points of a track that the self-supervised stream does not judge."""
+def _unlabelled_share(scene: Scene, members: Sequence[Instance]) -> float:
+    """Return the share of a track's points without a label of the self-supervised stream."""
     silent = total = 0
     for member in members:
-        said = scene.frames[member.frame_index].predictive.labels[member.point_index]
-        silent += int((said == MotionLabel.UNKNOWN).sum())
-        total += len(said)
+        labels = scene.frames[member.frame_index].predictive.labels[member.point_index]
+        silent += int((labels == MotionLabel.UNKNOWN).sum())
+        total += len(labels)
     return silent / max(1, total)
 
 
-def _rises(members: Sequence[Instance], ground: RisingGround) -> float:
-    share = share_of([ground.around(each.frame_index, each.point_index) for each in members])
-    return clip((share - _RISES_SHARE) / (_RISES_ALL - _RISES_SHARE))
+def _rising_ground(members: Sequence[Instance], ground: RisingGround) -> float:
+    share = rising_share([ground.around(each.frame_index, each.point_index) for each in members])
+    return clamp01((share - _RISES_SHARE) / (_RISES_ALL - _RISES_SHARE))
 
 
-def _told(share: float | None) -> float:
+def _confirmed_share(share: float | None) -> float:
     return 1.0 if share is None else share

@@ -1,4 +1,4 @@
-"""Contradicting points become instances: clusters of one kind in one frame, with their boxes."""
+"""Instance clustering: contradicting points of one kind in one frame, with their boxes."""
 
 from collections.abc import Iterator, Sequence
 
@@ -11,7 +11,7 @@ from schemas.labels import MotionLabel
 from schemas.task import Outcome
 from workers.contradiction.boxes import fit_box
 from workers.contradiction.neighbour_counts import counts_around
-from workers.contradiction.neighbourhood import Claims
+from workers.contradiction.neighbourhood import LabelledPoints
 from workers.contradiction.settings import DEFAULT_INSTANCES, InstanceSettings
 from workers.points.density import density_clusters, weighted_places
 from workers.points.point_kernels import within_box
@@ -26,8 +26,8 @@ def find_instances(
     """Cluster the contradicting points of every frame, each kind on its own.
 
     DBSCAN (scikit-learn) as in the paper, on places instead of points (see `InstanceSettings`).
-    Ground is left out: a network's dynamic labels bleed onto the road beside a mover, and as
-    ground those points are no thing of their own. The raw shares still count them.
+    Ground is left out: a network's dynamic labels bleed onto the road next to a mover, and these
+    points are no object of their own. The raw shares still count them.
 
     Args:
         scene: Labelled frames of one scene.
@@ -83,7 +83,7 @@ def _instances_in(
     class_names: Sequence[str],
     settings: InstanceSettings,
 ) -> Iterator[Instance]:
-    """Instances of one frame, kind by kind."""
+    """Yield the instances of one frame, by kind."""
     points_m, ground_mask = frame.posed.frame.points_m, frame.predictive.ground_mask
     apart = within_box(points_m, settings.max_coordinate_m)
     if ground_mask is not None:
@@ -108,17 +108,17 @@ def _instances_of(
     class_names: Sequence[str],
     settings: InstanceSettings,
 ) -> Iterator[Instance]:
-    """Instances of one kind among the points (N,) that are off the ground and in reach."""
+    """Yield the instances of one kind among the points (N,) off the ground and within bounds."""
     points_m = frame.posed.frame.points_m
-    asked, contradicting = _candidates(frame, kind)
-    asked &= apart
-    candidates = np.flatnonzero(asked & contradicting)
+    queried, contradicting = _candidates(frame, kind)
+    queried &= apart
+    candidates = np.flatnonzero(queried & contradicting)
     clusters = cluster_places(points_m[candidates], settings=settings)
     found = int(clusters.max(initial=-1)) + 1
     if not found:
         return
-    own, around = counts_around(points_m, candidates, asked, np.float32(settings.around_m))
-    claims = _claims(frame, kind)
+    own, around = counts_around(points_m, candidates, queried, np.float32(settings.around_m))
+    labelled_points = _labelled_points(frame, kind)
     order = np.argsort(clusters, kind="stable")
     first = np.searchsorted(clusters[order], np.arange(found + 1))
     members = [order[first[c] : first[c + 1]] for c in range(found)]
@@ -127,7 +127,7 @@ def _instances_of(
         if len(index) < settings.min_points and settings.voxel_m > 0:
             continue  # a border place may have gone to a neighbour: what is left is too small
         centre_m, size_m, yaw_rad = fit_box(points_m[index])
-        denied_share, agreed_share = claims.answered(points_m[index])
+        denied_share, agreed_share = labelled_points.label_shares(points_m[index])
         yield Instance(
             kind=kind,
             frame_index=frame_index,
@@ -147,33 +147,33 @@ def _instances_of(
 
 
 def _candidates(frame: LabelledFrame, kind: Outcome) -> tuple[Mask, Mask]:
-    """(N,) points that can contradict in this way, and those that do."""
+    """Return masks (N,) of the points that can contradict in this way, and of those that do."""
     if not kind.of_witness:
         return frame.agreements != frame.task.not_compared, frame.agreements == kind.code
     if frame.witness is None:
         nowhere = np.zeros(len(frame.agreements), np.bool_)
         return nowhere, nowhere
     witness, moving = frame.witness.labels, frame.task.classes.index(frame.task.moving)
-    told = (frame.semantic.labels < frame.task.unknown) & (witness != MotionLabel.UNKNOWN)
+    comparable = (frame.semantic.labels < frame.task.unknown) & (witness != MotionLabel.UNKNOWN)
     # the self-supervised stream may also be silent
     static = (frame.semantic.labels != moving) & (frame.predictive.labels != moving)
-    return told, told & static & (witness == MotionLabel.DYNAMIC)
+    return comparable, comparable & static & (witness == MotionLabel.DYNAMIC)
 
 
-def _claims(frame: LabelledFrame, kind: Outcome) -> Claims:
-    """What the one who alone says it says so about, and what the other stream answers."""
+def _labelled_points(frame: LabelledFrame, kind: Outcome) -> LabelledPoints:
+    """Return all points with the contradicting source's label, and the other stream's labels."""
     if kind.of_witness and frame.witness is not None:
-        said, other = frame.witness.labels == MotionLabel.DYNAMIC, frame.predictive.labels
+        chosen, other = frame.witness.labels == MotionLabel.DYNAMIC, frame.predictive.labels
     elif kind.measured:
-        said = frame.predictive.labels == frame.task.classes.index(kind.predictive)
+        chosen = frame.predictive.labels == frame.task.classes.index(kind.predictive)
         other = frame.semantic.labels
     else:
-        said = frame.semantic.labels == frame.task.classes.index(kind.semantic)
+        chosen = frame.semantic.labels == frame.task.classes.index(kind.semantic)
         other = frame.predictive.labels
     if frame.predictive.ground_mask is not None:
-        said = said & ~frame.predictive.ground_mask
-    claimed = np.flatnonzero(said)
-    return Claims(frame.posed.frame.points_m[claimed], other[claimed])
+        chosen = chosen & ~frame.predictive.ground_mask
+    rows = np.flatnonzero(chosen)
+    return LabelledPoints(frame.posed.frame.points_m[rows], other[rows])
 
 
 def _class_name(frame: LabelledFrame, index: NDArray[np.int64], class_names: Sequence[str]) -> str:

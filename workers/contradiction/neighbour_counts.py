@@ -1,4 +1,4 @@
-"""How many points of a cloud lie in and close around some of them: what a thing stands in."""
+"""Neighbour counts: points in and close around chosen points of a cloud."""
 
 from typing import NamedTuple
 
@@ -9,18 +9,18 @@ from schemas.arrays import Mask, Points
 from workers.points.compiled import compiled
 
 _COLUMNS = 1 << 14
-"""Marks for columns of cells: most points lie in none that is asked about."""
+"""Marks for columns of cells: they skip most points, whose column has no queried cell."""
 
 Counts = NDArray[np.int64]
 
 
 class _Cells(NamedTuple):
-    """A hash table of cells; (S,) each, as many slots as a power of two.
+    """A hash table of cells with S slots, a power of two; `key` and `counted` are (S,).
 
     Attributes:
-        key: Of the cell in each slot, -1 where there is none.
-        counted: What is counted there.
-        marked: (_COLUMNS,) whether a column may hold a cell of the table.
+        key: Key of the cell in each slot, -1 in an empty one.
+        counted: Points counted in each cell.
+        marked: (_COLUMNS,) mask of the columns that may contain a cell of the table.
     """
 
     key: Counts
@@ -30,20 +30,20 @@ class _Cells(NamedTuple):
 
 @compiled
 def counts_around(
-    points: Points, chosen: Counts, asked: Mask, cell: np.float32
+    points: Points, chosen: Counts, queried: Mask, cell: np.float32
 ) -> tuple[Counts, Counts]:
-    """Count the points in the block of three cells each way around every chosen point.
+    """Count the points in the 3 x 3 x 3 cells around every chosen point.
 
-    Cells instead of spheres: 27 look-ups per occupied cell, whatever the density.
+    Cells replace spheres: they take 27 look-ups per occupied cell at any density.
 
     Args:
-        points: (N, 3) metres, those chosen or asked about within 400 km.
-        chosen: (M,) rows around which is counted.
-        asked: (N,) rows that are counted beside the chosen ones.
+        points: (N, 3) metres; those chosen or in `queried` are within 400 km.
+        chosen: (M,) rows at the centres of the counts.
+        queried: (N,) mask of the points of the second count.
         cell: Side of a cell, metres.
 
     Returns:
-        (M,) chosen points around each, and (M,) points asked about.
+        (M,) chosen points around each chosen point, and (M,) points of `queried` around it.
     """
     own = _table(len(chosen))
     slot_of = np.empty(len(chosen), np.int64)
@@ -61,19 +61,19 @@ def counts_around(
         for side in range(27):
             _entered(around, own.key[slots[k]] + _step(side))
     for i in range(len(points)):
-        if asked[i]:
+        if queried[i]:
             at = _found(around, _key(points, i, cell))
             if at >= 0:
                 around.counted[at] += 1
-    chosen_there, asked_there = np.zeros((2, len(own.key)), np.int64)
+    chosen_there, queried_there = np.zeros((2, len(own.key)), np.int64)
     for k in range(occupied):
         for side in range(27):
             key = own.key[slots[k]] + _step(side)
-            asked_there[slots[k]] += around.counted[_found(around, key)]
+            queried_there[slots[k]] += around.counted[_found(around, key)]
             at = _found(own, key)
             if at >= 0:
                 chosen_there[slots[k]] += own.counted[at]
-    return chosen_there[slot_of], asked_there[slot_of]
+    return chosen_there[slot_of], queried_there[slot_of]
 
 
 @compiled
@@ -87,7 +87,7 @@ def _table(cells: int) -> _Cells:
 
 @compiled
 def _key(points: Points, i: int, cell: np.float32) -> int:
-    """Number of the cell a point lies in: a million cells each way along each axis."""
+    """Return the key of a point's cell; each axis has a million cells each way."""
     key = np.int64(0)
     for axis in range(3):
         key = (key << 21) + np.int64(np.floor(points[i, axis] / cell)) + (1 << 20)
@@ -96,7 +96,7 @@ def _key(points: Points, i: int, cell: np.float32) -> int:
 
 @compiled
 def _step(side: int) -> int:
-    """From the key of a cell to that of one of the 27 of its block."""
+    """Return the key offset from a cell to one of the 27 cells of its block."""
     return ((side // 9 - 1) << 42) + ((side // 3 % 3 - 1) << 21) + side % 3 - 1
 
 
@@ -107,7 +107,7 @@ def _spread(key: int) -> int:
 
 @compiled
 def _entered(table: _Cells, key: int) -> int:
-    """Slot of a cell, which is entered if it is new."""
+    """Return the slot of a cell, and enter the cell if it is new."""
     mask = len(table.key) - 1
     slot = _spread(key) & mask
     while table.key[slot] != key and table.key[slot] >= 0:
@@ -119,7 +119,7 @@ def _entered(table: _Cells, key: int) -> int:
 
 @compiled
 def _found(table: _Cells, key: int) -> int:
-    """Slot of a cell, -1 if it is not in the table."""
+    """Return the slot of a cell, -1 if it is not in the table."""
     if not table.marked[_spread(key >> 21) & (_COLUMNS - 1)]:
         return -1
     mask = len(table.key) - 1

@@ -1,4 +1,4 @@
-"""The overlay of a mined scene: every point with what both streams said of it."""
+"""Overlay of a mined scene: every point with its agreement, confidences and instance."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, Final
@@ -22,16 +22,16 @@ def overlay_of(
     *,
     class_names: Sequence[str],
 ) -> Overlay:
-    """Gather the overlay of a scene.
+    """Build the overlay of a scene.
 
     Args:
         scene: Its labelled frames.
-        instances: As `find_instances` found them in it.
-        ranked: Their tracks, as in the scene's record.
+        instances: Its instances, from `find_instances`.
+        ranked: Their tracks, in the order of the scene's record.
         class_names: Names that the supervised stream's class ids index.
 
     Returns:
-        Points in the order of the log, tracks numbered as in the scene's record.
+        The overlay: points in the order of the log, tracks numbered as in the scene's record.
     """
     frames = scene.frames
     lengths = [len(frame.posed.frame) for frame in frames]

@@ -1,4 +1,4 @@
-"""What made a scene's score, in words a reviewer reads at a glance."""
+"""Reasons of a score: a headline per track with its evidence, then what lowered the score."""
 
 import math
 from collections.abc import Sequence
@@ -8,15 +8,22 @@ from schemas.arrays import NS_PER_S
 from schemas.attribution import Attribution, Wrong
 from schemas.contradiction import Instance, Scene, SceneState
 from schemas.frame import OdometryState
-from schemas.score import OdometryHealth, StreamHealth
+from schemas.score import MAX_OPPOSING, MAX_SUPPORTING, OdometryHealth, Reason, StreamHealth
 from schemas.task import Outcome, Task
 from workers.contradiction.track_score import RankedTrack
 from workers.contradiction.tracks import frame_period_s
 
 MAX_REASONS: Final = 5
 MAX_CLASS_LENGTH: Final = 24
-WORTH_SAYING: Final = 0.05
-"""Tracks below this strength are counted in the totals, not told."""
+MIN_REPORTED_STRENGTH: Final = 0.05
+"""Strength below which a track is counted in the totals and has no reason."""
+
+SUPERVISED: Final = "supervised"
+SELFSUPERVISED: Final = "self-supervised"
+WITNESS: Final = "witness"
+
+_MIN_SPEED_M_PER_S: Final = 0.5
+"""Speed below which a headline gives no number."""
 
 _SECTORS: Final = (
     "ahead",
@@ -28,12 +35,6 @@ _SECTORS: Final = (
     "right",
     "ahead right",
 )
-_PROBABLY: Final = {
-    Wrong.SUPERVISED: "the supervised stream errs",
-    Wrong.SELFSUPERVISED: "the self-supervised stream errs",
-    Wrong.BOTH: "both streams err",
-    Wrong.NEITHER: "neither stream errs",
-}
 
 
 def reasons_of(
@@ -44,105 +45,161 @@ def reasons_of(
     state: SceneState,
     health: OdometryHealth,
     stream: StreamHealth,
-) -> tuple[str, ...]:
-    """Say what made the score, strongest first; the state of a scene without one comes first.
+    own_model: str = "",
+) -> tuple[Reason, ...]:
+    """Return the reasons of a score, strongest first.
 
-    What held it down comes last: poses that were not trusted, frames in which the self-supervised
-    stream judged nothing, so that nothing could contradict.
+    The state of a scene without a score comes first. What lowered a score comes last: poses that
+    were doubted, and frames without a label of the self-supervised stream.
+
+    Args:
+        scene: The scene.
+        instances: Its instances.
+        ranked: Its tracks, strongest first.
+        state: State of its score.
+        health: Health of its poses.
+        stream: Health of the self-supervised stream.
+        own_model: Name of the user's own model; empty: the supervised stream is a shipped one.
     """
     span_s = (scene.end_ns - scene.start_ns) / NS_PER_S
-    because = f" ({health.reason})" if health.reason else ""
+    cause = f" ({health.reason})" if health.reason else ""
     if state is SceneState.TOO_SHORT:
-        return (f"too short to judge: {len(scene.frames)} frames in {span_s:.1f} s",)
+        short = f"too short to judge: {len(scene.frames)} frames in {span_s:.1f} s"
+        return (Reason(headline=short),)
     if state is SceneState.ODOMETRY_LOST:
-        return (f"odometry lost{because}: not judged",)
-    told = tuple(
-        describe(scene, instances, each)
-        for each in ranked[:MAX_REASONS]
-        if each.strength >= WORTH_SAYING
-    )
+        return (Reason(headline=f"odometry lost{cause}: not judged"),)
+    reasons = [
+        reason_of(scene, instances, each, track_id=track_id, own_model=own_model)
+        for track_id, each in enumerate(ranked[:MAX_REASONS])
+        if each.strength >= MIN_REPORTED_STRENGTH
+    ]
+    lowered = []
     if health.state is not OdometryState.HEALTHY:
         doubted = 1.0 - health.healthy_share
-        told += (
-            f"odometry {health.state.value}{because} in {doubted:.0%} of the frames: what is "
-            "seen there counts less",
+        lowered.append(
+            f"odometry {health.state.value}{cause} in {doubted:.0%} of the frames, which have a "
+            "lower weight"
         )
-    told += tuple(remark for remark in [_remark(scene)] if remark)
+    lowered.append(_remark(scene))
     if stream.blind_share > 0.0:
-        told += (_blind(stream),)
-    if stream.blind_share < 1.0 and (silent := _nothing_compared(scene)):
-        told += (silent,)
-    return told
+        lowered.append(_blind(stream))
+    if stream.blind_share < 1.0:
+        lowered.append(_nothing_compared(scene))
+    return (*reasons, *(Reason(headline=each) for each in lowered if each))
+
+
+def reason_of(
+    scene: Scene,
+    instances: Sequence[Instance],
+    ranked: RankedTrack,
+    *,
+    track_id: int,
+    own_model: str = "",
+) -> Reason:
+    """Return the reason for one track: its headline, and the strongest evidence.
+
+    Args:
+        scene: The scene.
+        instances: Its instances.
+        ranked: The track.
+        track_id: Number of the track within the scene.
+        own_model: Name of the user's own model, or empty.
+    """
+    attribution = ranked.attribution
+    return Reason(
+        headline=headline_of(scene, instances, ranked, own_model=own_model),
+        track_id=track_id,
+        supporting=attribution.supporting[:MAX_SUPPORTING] if attribution else (),
+        opposing=attribution.opposing[:MAX_OPPOSING] if attribution else (),
+    )
+
+
+def headline_of(
+    scene: Scene, instances: Sequence[Instance], ranked: RankedTrack, *, own_model: str = ""
+) -> str:
+    """Return labels, place, duration and verdict of a track in one sentence.
+
+    For example "supervised calls car static, but it moves at 6.5 m/s, 10 m behind, for 1.4 s:
+    supervised wrong, 96 %".
+    """
+    members = ranked.track.members
+    first, last = (scene.frames[instances[m].frame_index] for m in (members[0], members[-1]))
+    duration_s = (last.stamp_ns - first.stamp_ns) / NS_PER_S + frame_period_s(scene)
+    x_m, y_m = (float(value) for value in instances[ranked.strongest].centre_m[:2])
+    supervised = own_model or SUPERVISED
+    claim = _claim(ranked, scene.task, class_word(ranked.class_name) or "object", supervised)
+    return (
+        f"{claim}, {math.hypot(x_m, y_m):.0f} m {bearing(x_m, y_m)}, for {duration_s:.1f} s"
+        f"{_verdict(ranked.track.kind, ranked.attribution, supervised)}"
+    )
+
+
+def _claim(ranked: RankedTrack, task: Task, class_name: str, supervised: str) -> str:
+    """Return the wrong label and the probable motion; both labels where no stream is wrong."""
+    kind, attribution = ranked.track.kind, ranked.attribution
+    wrong = attribution.wrong if attribution is not None else Wrong.NEITHER
+    if not task.moving or (wrong is Wrong.NEITHER and not kind.of_witness):
+        return (
+            f"{supervised} calls {class_name} {kind.semantic}, "
+            f"{SELFSUPERVISED} calls it {kind.predictive}"
+        )
+    if wrong is Wrong.NEITHER:
+        return f"{WITNESS} calls {class_name} {task.moving}, but it is static"
+    if wrong is Wrong.BOTH:
+        subject, label = f"{supervised} and {SELFSUPERVISED} call", kind.semantic
+    elif wrong is Wrong.SUPERVISED:
+        subject, label = f"{supervised} calls", kind.semantic
+    else:
+        subject, label = f"{SELFSUPERVISED} calls", kind.predictive
+    motion = "is static" if label == task.moving else _moves(ranked.speed_m_per_s)
+    return f"{subject} {class_name} {label}, but it {motion}"
+
+
+def _moves(speed_m_per_s: float) -> str:
+    known = speed_m_per_s >= _MIN_SPEED_M_PER_S
+    return f"moves at {speed_m_per_s:.1f} m/s" if known else "moves"
+
+
+def _verdict(kind: Outcome, attribution: Attribution | None, supervised: str) -> str:
+    if attribution is None:
+        return ""
+    wrong = {
+        Wrong.SUPERVISED: f"{supervised} wrong",
+        Wrong.SELFSUPERVISED: f"{SELFSUPERVISED} wrong",
+        Wrong.BOTH: "both wrong",
+        Wrong.NEITHER: f"{WITNESS} wrong" if kind.of_witness else "neither wrong",
+    }[attribution.wrong]
+    return f": {wrong}, {100 * attribution.chance:.0f} %"
 
 
 def _nothing_compared(scene: Scene) -> str:
-    """Say who was silent where no point was compared; empty where one was."""
+    """Return why no point was compared; empty where one was."""
     unknown = scene.task.unknown
     if any((frame.agreements != scene.task.not_compared).any() for frame in scene.frames):
         return ""
     silent = [
         name
-        for name, said in (
-            ("supervised", [frame.semantic for frame in scene.frames]),
-            ("self-supervised", [frame.predictive for frame in scene.frames]),
+        for name, labelled in (
+            (SUPERVISED, [frame.semantic for frame in scene.frames]),
+            (SELFSUPERVISED, [frame.predictive for frame in scene.frames]),
         )
-        if all((labels.labels == unknown).all() for labels in said)
+        if all((labels.labels == unknown).all() for labels in labelled)
     ]
     if not silent:
-        return "nothing was compared: no point was judged by both streams"
-    return f"nothing was compared: the {' and the '.join(silent)} stream judged no point"
+        return "nothing was compared: no point was labelled by both streams"
+    return f"nothing was compared: the {' and the '.join(silent)} stream labelled no point"
 
 
 def _remark(scene: Scene) -> str:
-    """What was said of the poses beside whether they may be trusted, once; empty for nothing."""
+    """Return the first remark on the poses of the scene; empty without one."""
     return next((frame.posed.remark for frame in scene.frames if frame.posed.remark), "")
 
 
 def _blind(stream: StreamHealth) -> str:
-    because = f" ({stream.reason})" if stream.reason else ""
+    cause = f" ({stream.reason})" if stream.reason else ""
     if stream.blind_share < 1.0:
-        return f"self-supervised stream blind in {stream.blind_share:.0%} of the frames{because}"
-    return f"self-supervised stream blind throughout{because}: nothing was compared"
-
-
-def describe(scene: Scene, instances: Sequence[Instance], ranked: RankedTrack) -> str:
-    """Tell one track: what, who says what of it, how long, how fast, where."""
-    members = ranked.track.members
-    first, last = (scene.frames[instances[m].frame_index] for m in (members[0], members[-1]))
-    seen_s = (last.stamp_ns - first.stamp_ns) / NS_PER_S + frame_period_s(scene)
-    x_m, y_m = (float(value) for value in instances[ranked.strongest].centre_m[:2])
-    once = ", never confirmed" if ranked.confirmed_share == 0.0 else ""
-    moving = f" at {ranked.speed_m_per_s:.1f} m/s" if ranked.speed_m_per_s >= 0.5 else ""
-    return (
-        f"{class_word(ranked.class_name) or 'object'} "
-        f"{_claim(ranked.track.kind, scene.task, moving)} for {seen_s:.1f} s{once}, "
-        f"{math.hypot(x_m, y_m):.0f} m {bearing(x_m, y_m)}{_blame(ranked.attribution)}"
-    )
-
-
-def _claim(kind: Outcome, task: Task, moving: str) -> str:
-    if kind.of_witness:
-        return f"seen moving{moving} by the witness alone"
-    if task.moving and (kind.semantic == task.moving or kind.measured):
-        stream = "self-supervised" if kind.measured else "supervised"
-        return f"seen moving{moving} by the {stream} stream alone"
-    return (
-        f"called {kind.semantic} by the supervised and {kind.predictive} by the self-supervised "
-        "stream"
-    )
-
-
-def _blame(attribution: Attribution | None) -> str:
-    """Who probably errs, how sure that is, and what speaks for and against it."""
-    if attribution is None:
-        return ""
-    known = (
-        ("for", attribution.because),
-        ("against", attribution.against),
-        ("also", attribution.also),
-    )
-    why = "".join(f"; {how}: {', '.join(words)}" for how, words in known if words)
-    return f"; {_PROBABLY[attribution.wrong]} ({attribution.chance:.0%}{why})"
+        return f"self-supervised stream blind in {stream.blind_share:.0%} of the frames{cause}"
+    return f"self-supervised stream blind throughout{cause}: nothing was compared"
 
 
 def bearing(x_m: float, y_m: float) -> str:
@@ -151,7 +208,7 @@ def bearing(x_m: float, y_m: float) -> str:
 
 
 def class_word(name: str) -> str:
-    """Shorten a class name, which a recorded model may choose at will, to what a record holds."""
+    """Shorten a class name, which any recorded model may choose, to what fits a record."""
     printable = "".join(c if c.isascii() and c.isprintable() else "?" for c in name)
     return (
         printable if len(printable) <= MAX_CLASS_LENGTH else printable[: MAX_CLASS_LENGTH - 1] + "~"

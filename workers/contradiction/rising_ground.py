@@ -1,9 +1,9 @@
-"""Where the ground itself rises: bare before and after, half a metre up, and nothing stands there.
+"""Rising ground: bare ground that appears about half a metre higher for a while, without an object.
 
-Spray, steam over a manhole and puddles that mirror do that, and so does a sensor that is shaken. It
-is to the ground what a slip is to the odometry: not what stands there is wrong, but what it stands
-on, and free space takes all of it for motion. A thing that drives over the same ground covers one
-place and towers over it; ground that rises does so in many places at once, and stays low.
+Spray, steam over a manhole and mirroring puddles cause it, and so does a shaken sensor. It is to
+the ground what a slip is to the odometry: the reference is wrong, and free space takes all of it
+for motion. An object that drives over the same ground covers one place and is taller. Rising ground
+covers many places at once and stays low.
 """
 
 from collections.abc import Sequence
@@ -17,38 +17,41 @@ from schemas.frame import PosedFrame
 from workers.points.compiled import compiled
 
 WITHIN_M: Final = 25.0
-"""Farther out the rows of a lidar lie too far apart to say how high a thing is."""
+"""Greatest range, metres: farther out the rows of a lidar are too sparse to measure heights."""
 
 BEYOND_M: Final = 3.0
-"""Nearer, the car hides its own ground."""
+"""Least range, metres: nearer, the car hides its own ground."""
 
 CELL_M: Final = 0.5
 AROUND_M: Final = 4.0
-"""From a thing, in which the ground is asked."""
+"""Distance from an object within which the ground is tested, metres."""
 
 _RISES_M: Final = 0.2
-"""Over its own height: rough roads, pitch and odometry leave less within `WITHIN_M`."""
+"""Least rise over the ground, metres: rough roads, pitch and odometry stay below in `WITHIN_M`."""
 
 _LOW_M: Final = 1.0
 _TALL_M: Final = 1.2
-"""What stands, stands higher: people, cars, posts. Between the two nothing is said."""
+"""Heights, metres: rising ground is below the first; people, cars and posts are above the second.
 
-_BESIDE: Final = 3
-"""Cells about what stands, 1.5 m: bonnets and arms are low as well."""
+Between the two a cell is tested, and does not count as rising.
+"""
+
+_OBJECT_MARGIN: Final = 3
+"""Cells around an object that are not tested, 1.5 m: bonnets and arms are low too."""
 
 _BARE_SHARE: Final = 0.3
-"""Of the frames that see a place, those that see it bare: what always lies there is no ground."""
+"""Least share of bare frames among those that observe a cell: a permanent object is no ground."""
 
 _FEWEST_SEEN: Final = 3
 _FEWEST_BARE: Final = 2
 _USUAL_SHARE: Final = 0.3
-"""Which of the lowest points of all frames is the height of the ground, counted from below."""
+"""Quantile of the lowest points over all frames that is the height of the ground."""
 
-_FEWEST_ASKED: Final = 12
-"""Cells: of three square metres some may rise by chance."""
+_FEWEST_TESTED: Final = 12
+"""Least number of tested cells, three square metres: of fewer, some rise by chance."""
 
-_ASTRAY_M: Final = 100.0
-"""Each way from the middle of the frames; what a lost pose puts farther off is not asked."""
+_MAX_OFFSET_M: Final = 100.0
+"""Bound each way from the median position, metres: frames of a lost pose beyond it are ignored."""
 
 _NOTHING: Final = np.float32(1e9)
 
@@ -57,21 +60,21 @@ Cells = NDArray[np.bool_]
 
 
 class RisingGround:
-    """The ground of a few seconds, cell by cell and frame by frame.
+    """Ground of a few seconds, per cell and frame.
 
-    A cell is asked in a frame if it was seen bare in others, and nothing that stands is beside it.
+    A cell is tested in a frame if other frames observe it bare, and no object is next to it.
     """
 
     def __init__(self, frames: Sequence[PosedFrame]) -> None:
-        """Lay the frames over each other, in odom space.
+        """Compare the cells of all frames, in odom space.
 
         Args:
-            frames: Of one log, poses that may be believed or not; at least one.
+            frames: Frames of one log with healthy or doubted poses; at least one.
         """
         self._frames = frames
         at_m = np.array([posed.odom_from_sensor[:2, 3] for posed in frames])
         middle_m = np.median(at_m, axis=0)
-        at_m = at_m.clip(middle_m - _ASTRAY_M, middle_m + _ASTRAY_M)
+        at_m = at_m.clip(middle_m - _MAX_OFFSET_M, middle_m + _MAX_OFFSET_M)
         self._origin_m = at_m.min(axis=0) - WITHIN_M - CELL_M
         across = np.ceil((at_m.max(axis=0) - self._origin_m + WITHIN_M) / CELL_M) + 1
         shape = (len(frames), int(across[0]), int(across[1]))
@@ -79,18 +82,18 @@ class RisingGround:
         for number, posed in enumerate(frames):
             frame, pose = posed.frame, posed.odom_from_sensor
             _span(frame.points_m, frame.valid_mask, pose, self._origin_m, low[number], high[number])
-        self._asked, self._rises = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
-        _compare(low, high, self._asked, self._rises)
+        self._tested, self._rises = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
+        _compare(low, high, self._tested, self._rises)
 
     def around(self, number: int, point_index: NDArray[np.int64]) -> tuple[int, int]:
-        """Ask the ground about a thing, but not what lies under it.
+        """Count rising and tested cells around an object, without those under it.
 
         Args:
-            number: Of the frame.
-            point_index: (M,) the points of the thing.
+            number: Index of the frame.
+            point_index: (M,) points of the object.
 
         Returns:
-            Cells within 4 m of it that rise, and those that were asked.
+            Rising cells and tested cells within 4 m.
         """
         posed = self._frames[number]
         pose = posed.odom_from_sensor
@@ -101,20 +104,20 @@ class RisingGround:
         first = np.maximum(places.min(axis=0) - reach, 0)
         last = np.maximum(places.max(axis=0) + reach + 1, 0)
         window = (number, slice(first[0], last[0]), slice(first[1], last[1]))
-        asked, rises = self._asked[window].copy(), self._rises[window]
-        _leave_out(places - first, asked)
-        return int((asked & rises).sum()), int(asked.sum())
+        tested, rises = self._tested[window].copy(), self._rises[window]
+        _exclude(places - first, tested)
+        return int((tested & rises).sum()), int(tested.sum())
 
 
-def share_of(told: Sequence[tuple[int, int]]) -> float:
-    """Share of the ground around a thing that rises, over its frames; 0 where nearly none is seen.
+def rising_share(counts: Sequence[tuple[int, int]]) -> float:
+    """Return the share of rising ground around an object over its frames; near 0 for few cells.
 
     Args:
-        told: What `RisingGround.around` says of each frame.
+        counts: Counts of `RisingGround.around` for each frame.
     """
-    rises = sum(each for each, _ in told)
-    asked = sum(each for _, each in told)
-    return rises / max(asked, _FEWEST_ASKED * len(told))
+    rises = sum(each for each, _ in counts)
+    tested = sum(each for _, each in counts)
+    return rises / max(tested, _FEWEST_TESTED * len(counts))
 
 
 @compiled
@@ -126,7 +129,7 @@ def _span(
     low: Heights,
     high: Heights,
 ) -> None:
-    """Find the lowest and the highest point over each cell, in one frame."""
+    """Find the lowest and highest point of each cell in one frame, odom space."""
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         across = x * x + y * y
@@ -143,8 +146,8 @@ def _span(
 
 
 @compiled
-def _compare(low: Heights, high: Heights, asked: Cells, rises: Cells) -> None:
-    """Compare each cell in each frame with what it usually is."""
+def _compare(low: Heights, high: Heights, tested: Cells, rises: Cells) -> None:
+    """Compare each cell of each frame with its usual height; mark tested and rising cells."""
     frames, wide, deep = low.shape
     ground = np.full((wide, deep), _NOTHING)
     bare = np.zeros((wide, deep), np.bool_)
@@ -169,18 +172,18 @@ def _compare(low: Heights, high: Heights, asked: Cells, rises: Cells) -> None:
                 if (
                     bare[a, b]
                     and low[f, a, b] < _NOTHING
-                    and not _beside(f, a, b, low, high, ground)
+                    and not _is_near_object(f, a, b, low, high, ground)
                 ):
-                    asked[f, a, b] = True
+                    tested[f, a, b] = True
                     up, top = low[f, a, b] - ground[a, b], high[f, a, b] - ground[a, b]
                     rises[f, a, b] = up > _RISES_M and top < _LOW_M
 
 
 @compiled
-def _beside(f: int, a: int, b: int, low: Heights, high: Heights, ground: Heights) -> bool:
-    """Whether something stands in a cell or close to it."""
-    for i in range(max(0, a - _BESIDE), min(low.shape[1], a + _BESIDE + 1)):
-        for j in range(max(0, b - _BESIDE), min(low.shape[2], b + _BESIDE + 1)):
+def _is_near_object(f: int, a: int, b: int, low: Heights, high: Heights, ground: Heights) -> bool:
+    """Return whether an object is in a cell or close to it."""
+    for i in range(max(0, a - _OBJECT_MARGIN), min(low.shape[1], a + _OBJECT_MARGIN + 1)):
+        for j in range(max(0, b - _OBJECT_MARGIN), min(low.shape[2], b + _OBJECT_MARGIN + 1)):
             if low[f, i, j] < _NOTHING and high[f, i, j] > _TALL_M + min(
                 ground[i, j], low[f, i, j]
             ):
@@ -189,9 +192,9 @@ def _beside(f: int, a: int, b: int, low: Heights, high: Heights, ground: Heights
 
 
 @compiled
-def _leave_out(places: NDArray[np.int64], asked: Cells) -> None:
-    """Take the cells of a thing, and those that touch them, from those that are asked."""
+def _exclude(places: NDArray[np.int64], tested: Cells) -> None:
+    """Remove the cells of an object, and their neighbours, from the tested cells."""
     for i in range(len(places)):
-        for a in range(max(0, places[i, 0] - 1), min(asked.shape[0], places[i, 0] + 2)):
-            for b in range(max(0, places[i, 1] - 1), min(asked.shape[1], places[i, 1] + 2)):
-                asked[a, b] = False
+        for a in range(max(0, places[i, 0] - 1), min(tested.shape[0], places[i, 0] + 2)):
+            for b in range(max(0, places[i, 1] - 1), min(tested.shape[1], places[i, 1] + 2)):
+                tested[a, b] = False

@@ -1,4 +1,4 @@
-"""What the tracks of a scene share, worked out once."""
+"""Scene context: data that all tracks of a scene share, computed once."""
 
 import math
 from collections.abc import Sequence
@@ -10,39 +10,40 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S
 from schemas.contradiction import Instance, Scene
 from schemas.frame import OdometryState
-from workers.contradiction.keyframes import Glances
+from workers.contradiction.keyframes import Keyframes
 from workers.contradiction.rising_ground import RisingGround
-from workers.contradiction.temporal_context import CalledMoving, called_moving
+from workers.contradiction.temporal_context import DynamicPoints, dynamic_points_of
 from workers.contradiction.tracks import frame_period_s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Surroundings:
-    """Where a scene is, and what is about its tracks.
+class SceneContext:
+    """Ego-motion, observation and surroundings of a scene.
 
     Attributes:
-        turn_rad_per_s: (F,) how fast the sensor turned in each frame.
-        unseen: (F,) share of what was asked about that no other frame saw.
-        doubted: (F,) 1 where the pose is not healthy.
-        crowd: Instances of each kind in each frame.
-        called: What the supervised stream calls moving, right before and after the scene as well.
-        glances: What stands off the ground every half second of it.
-        period_s: Between its frames.
-        ground: Where the ground itself rises.
+        turn_rad_per_s: (F,) absolute turn rate of the sensor in each frame.
+        unobserved: (F,) share of the places queried by the witness that no other frame observed.
+        doubted: (F,) 1 where the pose is not healthy, else 0.
+        clutter: Number of instances, by kind and frame.
+        dynamic_points: Points that the supervised stream labels dynamic, from a second before the
+            scene to a second after.
+        keyframes: Points off the ground every half second.
+        period_s: Median time between its frames.
+        ground: Its rising ground.
     """
 
     turn_rad_per_s: NDArray[np.float64]
-    unseen: NDArray[np.float64]
+    unobserved: NDArray[np.float64]
     doubted: NDArray[np.float64]
-    crowd: dict[tuple[str, int], int]
-    called: CalledMoving
-    glances: Glances
+    clutter: dict[tuple[str, int], int]
+    dynamic_points: DynamicPoints
+    keyframes: Keyframes
     period_s: float
     ground: RisingGround
 
 
-def surroundings_of(scene: Scene, instances: Sequence[Instance]) -> Surroundings:
-    """Work out what all tracks of a scene share."""
+def scene_context_of(scene: Scene, instances: Sequence[Instance]) -> SceneContext:
+    """Compute the context of a scene."""
     frames = scene.frames
     poses = np.stack([frame.posed.odom_from_sensor for frame in frames])
     heading = np.unwrap(np.arctan2(poses[:, 1, 0], poses[:, 0, 0]))
@@ -54,17 +55,17 @@ def surroundings_of(scene: Scene, instances: Sequence[Instance]) -> Surroundings
         frame.witness.health.seen_share if frame.witness is not None else math.nan
         for frame in frames
     ]
-    crowd: dict[tuple[str, int], int] = {}
+    clutter: dict[tuple[str, int], int] = {}
     for instance in instances:
         key = (instance.kind.name, instance.frame_index)
-        crowd[key] = crowd.get(key, 0) + 1
-    return Surroundings(
+        clutter[key] = clutter.get(key, 0) + 1
+    return SceneContext(
         turn_rad_per_s=np.abs(turn),
-        unseen=1.0 - np.nan_to_num(np.array(seen), nan=0.0),
+        unobserved=1.0 - np.nan_to_num(np.array(seen), nan=0.0),
         doubted=np.array([float(f.posed.odometry is not OdometryState.HEALTHY) for f in frames]),
-        crowd=crowd,
-        called=called_moving(scene),
-        glances=Glances(scene),
+        clutter=clutter,
+        dynamic_points=dynamic_points_of(scene),
+        keyframes=Keyframes(scene),
         period_s=frame_period_s(scene),
         ground=RisingGround([frame.posed for frame in frames]),
     )

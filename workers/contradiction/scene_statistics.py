@@ -1,4 +1,4 @@
-"""Raw figures of a scene that need no instances: shares of outcomes, health of poses and stream."""
+"""Scene statistics that need no instances: shares of outcomes, health of poses and of a stream."""
 
 import math
 from collections import Counter
@@ -20,14 +20,14 @@ MAX_REASON_LENGTH: Final = 200
 
 @dataclass(frozen=True, slots=True)
 class PointShares:
-    """How the points of a scene are shared among the outcomes.
+    """Shares of a scene's points by outcome.
 
     Attributes:
         points: All points, invalid ones included.
         compared_share: Share of them that both streams labelled.
-        all_points: Over all compared points.
-        nonground_points: Over compared points that the self-supervised stream does not call
-            ground; the same as `all_points` when it does not look for ground.
+        all_points: Shares over all compared points.
+        nonground_points: Shares over compared points that the self-supervised stream does not label
+            ground; equal to `all_points` when it does not segment ground.
     """
 
     points: int
@@ -37,7 +37,10 @@ class PointShares:
 
 
 def point_shares(frames: Sequence[LabelledFrame]) -> PointShares:
-    """Count the outcomes over all points of the frames; ground may hide a small contradiction."""
+    """Count the outcomes over all points, and over those off the ground.
+
+    Ground may dilute a small contradiction.
+    """
     task = frames[0].task
     outcomes = len(task.outcomes)
     every = np.zeros(outcomes, dtype=np.int64)
@@ -58,7 +61,7 @@ def point_shares(frames: Sequence[LabelledFrame]) -> PointShares:
 
 
 def odometry_health(scene: Scene) -> OdometryHealth:
-    """Sum up the poses of a scene: the worst state, and the reason given for it."""
+    """Summarise the poses of a scene: the worst state, its reason, and the path of the sensor."""
     posed = [frame.posed for frame in scene.frames]
     worst = max((pose.odometry for pose in posed), key=list(OdometryState).index)
     residuals = [p.static_residual_m for p in posed if math.isfinite(p.static_residual_m)]
@@ -77,7 +80,7 @@ def odometry_health(scene: Scene) -> OdometryHealth:
 
 
 def stream_health(scene: Scene) -> StreamHealth:
-    """Sum up what the self-supervised stream had to go by, and the commonest reason for none."""
+    """Summarise the input of the self-supervised stream, and its commonest cause of blindness."""
     returns = unknown = 0
     for frame in scene.frames:
         valid = frame.posed.frame.valid_mask

@@ -1,18 +1,18 @@
-"""A scene's score, made of its tracks, and the record that travels.
+"""Score of a scene, combined from its tracks, and the record that is published.
 
     score = 1 - (1 - s1)(1 - s2 / 2)(1 - s3 / 4) ...
 
-s1 >= s2 >= ... are the strengths of the scene's tracks (`track_score.py`); poses doubted while a
-track is seen have taken from it already.
+s1 >= s2 >= ... are the strengths of the scene's tracks (`track_score.py`). They are already reduced
+by poses that were doubted in the frames of the track.
 
-Range: 0 when nothing contradicts, below 1 always, and at least the strength of the strongest track,
-so that one clear failure is enough. It never falls when a track is added or grows. Each further
-track counts half of the one before: a plain noisy-or is near 1 for every scene as soon as the
-supervised network is mediocre and leaves a hundred small contradictions everywhere; here any number
+The score is 0 without a contradiction, always below 1, and at least the strength of the strongest
+track, so that one clear failure is enough. It never falls when a track is added or grows. Each
+further track counts half of the one before. A plain noisy-or would be near 1 for every scene of a
+mediocre supervised network, which leaves a hundred small contradictions everywhere. Here any number
 of tracks of strength 0.2 stays below 0.35, under one clear track of 0.5.
 
-`too_short` and `odometry_lost` scenes (mean weight of their poses below 1/2) have score 0, and so
-have their tracks: they are listed, last, and never ranked.
+Scenes in state `too_short` or `odometry_lost` (mean weight of the poses below 1/2) have score 0,
+and their tracks have strength 0. They are listed last and never ranked.
 """
 
 import math
@@ -31,14 +31,14 @@ from schemas.score import MAX_RECORD_BYTES, MAX_TRACKS, KindTotal, Producers, Sc
 from schemas.task import Outcome
 from schemas.transport.wire import encode
 from schemas.work import Shard
-from workers.contradiction.reasons import WORTH_SAYING, class_word, reasons_of
+from workers.contradiction.reasons import MIN_REPORTED_STRENGTH, class_word, reasons_of
 from workers.contradiction.scene_statistics import odometry_health, point_shares, stream_health
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
 from workers.contradiction.track_score import RankedTrack, pose_weights
 
 
 class Versioned(Protocol):
-    """A part that says what changes its output."""
+    """A part with a version that changes with its output."""
 
     @property
     def version(self) -> str:
@@ -47,7 +47,7 @@ class Versioned(Protocol):
 
 
 class Streams(Protocol):
-    """What of `workers.parts.protocols.Parts` a record names."""
+    """The members of `workers.parts.protocols.Parts` that a record names."""
 
     @property
     def supervised(self) -> Versioned:
@@ -57,6 +57,11 @@ class Streams(Protocol):
     @property
     def selfsupervised(self) -> Versioned:
         """The self-supervised stream."""
+        ...
+
+    @property
+    def own_model(self) -> str:
+        """Name of the user's own model; empty where the supervised stream is a shipped one."""
         ...
 
 
@@ -70,19 +75,19 @@ def score_scene(
     pipeline_version: str,
     settings: ScoreSettings = DEFAULT_SCORE,
 ) -> SceneScore:
-    """Score one scene and make its record.
+    """Score one scene and build its record.
 
     Args:
-        shard: Where the scene was cut from: names the log, the vehicle and the software.
+        shard: Shard of the scene, which names the log, the vehicle and the software.
         scene: Its labelled frames.
-        instances: As `find_instances` found them in it.
-        ranked: Their tracks, as `rank_tracks` made them.
+        instances: Its instances, from `find_instances`.
+        ranked: Their tracks, from `rank_tracks`.
         parts: The streams that labelled it, for their versions.
-        pipeline_version: Digest of all that changes a record.
+        pipeline_version: Digest of everything that changes a record.
         settings: Constants of the score.
 
     Returns:
-        The record; it fits the bus, with fewer than 32 tracks where names are very long.
+        The record, which fits the bus: with very long names it has fewer than 32 tracks.
     """
     state = judge_odometry(scene, settings=settings)
     counts = 1.0 if state is SceneState.SCORED else 0.0
@@ -101,7 +106,13 @@ def score_scene(
         frames=len(scene.frames),
         state=state,
         score=combine([counts * each.strength for each in ranked], decay=settings.decay),
-        reasons=reasons_of(scene, instances, ranked, state=state, health=health, stream=stream),
+        reasons=reasons_of(
+            *(scene, instances, ranked),
+            state=state,
+            health=health,
+            stream=stream,
+            own_model=parts.own_model,
+        ),
         points=shares.points,
         compared_share=shares.compared_share,
         all_points=shares.all_points,
@@ -127,7 +138,7 @@ def combine(strengths: Sequence[float], *, decay: float) -> float:
 
     Args:
         strengths: Each in [0, 1).
-        decay: What each further track counts of the one before.
+        decay: Weight of each track relative to the stronger one before it.
     """
     remaining = math.prod(
         1.0 - strength * decay**rank
@@ -137,7 +148,7 @@ def combine(strengths: Sequence[float], *, decay: float) -> float:
 
 
 def judge_odometry(scene: Scene, *, settings: ScoreSettings = DEFAULT_SCORE) -> SceneState:
-    """Say what may be made of the scene."""
+    """Return the state of a scene's score, from its length and the weights of its poses."""
     if scene.too_short:
         return SceneState.TOO_SHORT
     if float(pose_weights(scene, settings=settings).mean()) < settings.lost_below:
@@ -180,16 +191,20 @@ def _track_record(
         confirmed_share=(
             None if ranked.confirmed_share is None else _round(ranked.confirmed_share, 3)
         ),
-        attribution=_told(ranked.attribution, strength),
+        attribution=_reported(ranked.attribution, strength),
         strongest=_instance_record(scene, instances[ranked.strongest]),
     )
 
 
-def _told(attribution: Attribution | None, strength: float) -> Attribution | None:
-    """Words are kept for tracks that are worth saying: a record has to fit the bus."""
-    if attribution is None or strength >= WORTH_SAYING:
-        return attribution
-    return attribution.model_copy(update={"because": (), "against": (), "also": ()})
+def _reported(attribution: Attribution | None, strength: float) -> Attribution | None:
+    """Return the attribution; a weak track loses its evidence, so that the record fits the bus."""
+    return attribution if strength >= MIN_REPORTED_STRENGTH else _without_evidence(attribution)
+
+
+def _without_evidence(attribution: Attribution | None) -> Attribution | None:
+    if attribution is None:
+        return None
+    return attribution.model_copy(update={"supporting": (), "opposing": (), "neutral": ()})
 
 
 def _instance_record(scene: Scene, instance: Instance) -> InstanceRecord:
@@ -212,7 +227,17 @@ def _round(value: float, digits: int) -> float:
 
 
 def _fit(record: SceneScore) -> SceneScore:
-    """Leave out the weakest tracks until the record fits the bus; `totals` still count them."""
+    """Fit the record to the bus: drop the evidence of weak tracks, then the weakest tracks.
+
+    `totals` count every track in any case.
+    """
+    for index in reversed(range(len(record.tracks))):
+        if len(encode(record)) <= MAX_RECORD_BYTES:
+            return record
+        tracks = list(record.tracks)
+        attribution = _without_evidence(tracks[index].attribution)
+        tracks[index] = tracks[index].model_copy(update={"attribution": attribution})
+        record = record.model_copy(update={"tracks": tuple(tracks)})
     while record.tracks and len(encode(record)) > MAX_RECORD_BYTES:
         record = record.model_copy(update={"tracks": record.tracks[:-1]})
     return record

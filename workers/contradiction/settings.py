@@ -1,4 +1,4 @@
-"""Every number of this stage, with its unit and the reason for it."""
+"""Settings of this stage: every number with its unit and the reason for it."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -6,21 +6,23 @@ from typing import Final
 
 @dataclass(frozen=True, slots=True)
 class InstanceSettings:
-    """How contradicting points become instances.
+    """Settings of instance clustering.
 
     Attributes:
-        eps_m: Neighbourhood of DBSCAN, the paper's value (published code: eps 1.0).
-        min_points: Points that make a cluster. The paper takes 25; a car at 70 m has 20, so 10 are
-            enough here, and the score weighs few points low instead of losing the far field.
-        voxel_m: Points this close count as one place with their number as weight, so that a near
-            object of 5,000 points does not cost 5,000 neighbourhoods of 1,000. 0: each on its own.
-        max_voxels: A frame with more places doubles the voxels, up to `coarsest_voxel_m`: a
+        eps_m: Neighbourhood radius of DBSCAN, the paper's value (published code: eps 1.0).
+        min_points: Points of a core neighbourhood. The paper takes 25, but a car at 70 m has 20.
+            With 10 the far field is kept, and the score gives few points a low weight.
+        voxel_m: Edge of the voxels whose points are merged to one place, with their number as
+            weight. A near object of 5,000 points then does not cost 5,000 neighbourhoods of 1,000.
+            0: no points are merged.
+        max_voxels: Number of places above which voxels are doubled, up to `coarsest_voxel_m`: a
             stream that fails on a whole frame costs tenths of a second, not minutes.
-        coarsest_voxel_m: Still well below `eps_m`, so that clusters stay the same things.
-        around_m: Side of the cells in which an instance's surroundings are counted, three cells
-            each way: what lies within about half a metre of a point touches it.
-        max_coordinate_m: Points farther out are left aside: no lidar of a car sees so far, and a
-            wild return must not stretch the grid of cells.
+        coarsest_voxel_m: Largest edge of a voxel, well below `eps_m`, so that clusters keep their
+            extent.
+        around_m: Side of the cells in which the points around an instance are counted. The block
+            has three cells each way: a point within about half a metre touches the instance.
+        max_coordinate_m: Largest coordinate of a point that is clustered: no lidar of a car
+            measures as far, and a wild return must not extend the grid of cells.
     """
 
     eps_m: float = 1.0
@@ -34,22 +36,23 @@ class InstanceSettings:
 
 @dataclass(frozen=True, slots=True)
 class TrackSettings:
-    """How instances are tied over frames; everything is per second, never per frame.
+    """Settings of track association; every number is per second, never per frame.
 
     Attributes:
-        max_miss_s: How long a thing may go unseen and still be the same thing.
-        gate_m: How far from its predicted place an instance may lie, size and speed aside: box
-            centres of half-seen objects jump by this much.
-        gate_per_length: The gate grows with the longest box of the track: when a car comes out from
-            behind another, its visible end is half a length from where the other end was last seen.
-        max_gate_m: Beyond this two things are two things.
-        acceleration_m_per_s2: The gate grows by half of this times the squared gap: what a car
-            that brakes hard can do unseen.
-        unseen_speed_m_per_s: The gate grows by this times the gap while a thing's speed is not
-            known: a pedestrian that the self-supervised stream calls static has none.
-        unlike_cost: What a wholly different length costs beside a distance as large as the gate:
-            when a thing comes apart behind a pole, the larger part goes on as the track.
-        max_speed_m_per_s: Speeds above are errors of association, not of a road user.
+        max_miss_s: Longest time that an object may be unobserved within one track.
+        gate_m: Constant part of the gate, the greatest distance from the predicted place: box
+            centres of partly observed objects jump by as much.
+        gate_per_length: Growth of the gate per metre of the track's longest box. When a car comes
+            out from behind another, its visible end is half a length from the end observed last.
+        max_gate_m: Upper bound of the gate: beyond it two instances are two objects.
+        acceleration_m_per_s2: Acceleration that widens the gate by half of it times the squared
+            gap, as for a car that brakes hard while unobserved.
+        unseen_speed_m_per_s: Speed that widens the gate by its product with the gap while the
+            speed of the track is unknown. No speed is measured for a pedestrian that the
+            self-supervised stream labels static.
+        unlike_cost: Cost of a completely different length, where a distance of one gate costs 1.
+            When an object splits behind a pole, the larger part continues the track.
+        max_speed_m_per_s: Largest speed of a track: higher ones are errors of association.
     """
 
     max_miss_s: float = 0.3
@@ -64,33 +67,37 @@ class TrackSettings:
 
 @dataclass(frozen=True, slots=True)
 class ScoreSettings:
-    """How a track's strength and a scene's score are made; `track_score.py` has the formula.
+    """Settings of a track's strength and a scene's score; `track_score.py` has the formula.
 
     Attributes:
-        persistence_s: Seen for this long gives 0.63: a flicker of two frames at 10 Hz gives 0.26.
-        evidence_points: Median points per frame that give 0.63: the paper's smallest instance.
-        low_m: A box whose height or length is below is no road user: half a wheel, a kerb.
-        high_m: From here on the box counts in full.
-        long_m: Up to this length a box looks like a road user: a truck.
-        longest_m: Above it not at all.
-        lorry_m: Up to this length a track counts in full: the longest lorries and buses.
-        tram_m: Above it nothing: a facade, or half a street after a jump of the odometry.
-        flat_share: A box that is near and this high for its length, or higher, counts in full: cars
-            are a third as high as long, without their wheels a quarter.
-        flattest_share: And so flat counts nothing: a stretch of road, a kerb, a rail.
-        tall_m: From this height on a box is not flat, however long: a bus, a tram.
-        flat_below_m: Up to this height it is as flat as its length makes it.
-        rows_m_per_m: What may be missing of a height for each metre of range: two rows of beams
-            of a common lidar.
-        slow_m_per_s: Above it a measured speed counts in full: 4 km/h, the paper's threshold.
-        unmeasured: Stands for motion when no speed was measured or the track is too short to
-            compare its path with its speed.
-        path_error_m_per_s: How far the path of the box may be from the measured velocity.
-        path_error_share: And this much more per m/s.
-        implausible: What remains of a track whose path says otherwise.
-        decay: Each further track counts this much less than the one before.
-        degraded_weight: What a frame with a degraded pose counts; a lost one counts nothing.
-        lost_below: Below this mean weight of its frames a scene is `odometry_lost`.
+        persistence_s: Time for a persistence of 0.63; a flicker of two frames at 10 Hz has 0.26.
+        evidence_points: Median points per frame for a factor of 0.63: the paper's smallest
+            instance.
+        low_m: Height or length of a box up to which its plausibility is 0: half a wheel, a kerb.
+        high_m: Height and length from which on its plausibility is not reduced.
+        long_m: Length up to which a box is plausible as a road user: a truck.
+        longest_m: Length from which on its plausibility is 0.
+        lorry_m: Length of a track up to which it counts in full: the longest lorries and buses.
+        tram_m: Length from which on it counts 0: a facade, or half a street after a jump of the
+            odometry.
+        flat_share: Height over length from which on a near box counts in full. Cars have a third,
+            and a quarter without their wheels.
+        flattest_share: Height over length up to which it counts 0: a stretch of road, a kerb, a
+            rail.
+        tall_m: Height from which on a box of any length is not flat: a bus, a tram.
+        flat_below_m: Height up to which flatness depends on height over length alone.
+        rows_m_per_m: Height that may be unobserved per metre of range: two rows of beams of a
+            common lidar.
+        slow_m_per_s: Measured speed from which on motion counts in full: 4 km/h, the paper's
+            threshold.
+        unmeasured: Agreement with the measured speed when none was measured. For a track too short
+            to compare its path it is averaged with 1.
+        path_error_m_per_s: Tolerance between the velocity of the box and the measured one.
+        path_error_share: Growth of this tolerance per m/s of speed.
+        implausible: Lower bound of the agreement, for a path that contradicts the measured speed.
+        decay: Weight of each track relative to the stronger one before it.
+        degraded_weight: Weight of a frame with a degraded pose; a lost pose has weight 0.
+        lost_below: Mean weight of the frames below which a scene is `odometry_lost`.
     """
 
     persistence_s: float = 0.5
@@ -118,7 +125,7 @@ class ScoreSettings:
 
 DEFAULT_INSTANCES: Final = InstanceSettings()
 PAPER_INSTANCES: Final = InstanceSettings(min_points=25, voxel_m=0.0)
-"""The published numbers, point by point; a cluster whose border points went elsewhere stays."""
+"""The published numbers, without voxels; a cluster that lost border points to another is kept."""
 
 DEFAULT_TRACKS: Final = TrackSettings()
 DEFAULT_SCORE: Final = ScoreSettings()

@@ -1,9 +1,9 @@
-"""How far a shape lies from what is seen elsewhere, however it is shifted: a compiled search.
+"""Shape matching: distances of a shape to another frame's points under shifts, compiled.
 
-What is seen at a moment is sorted into tiles once; what of it lies about a shape into small cells,
-row by row, for each shape that is laid over it. A search goes through the rows from its own one
-outwards, and in each only as far as what it found already: no tree is built, and the distances are
-those to the nearest point, exactly.
+The points of a frame are sorted into tiles once. For each shape that is compared, those around it
+are sorted into small cells, row by row. A search visits the rows from its own one outwards, and in
+each only the cells nearer than the best point so far. No tree is built, and every distance is
+exactly that to the nearest point.
 """
 
 from typing import NamedTuple
@@ -19,7 +19,7 @@ _CELL_M = 0.5
 
 _MOST_TILES = 1024.0
 _MOST_CELLS = 256.0
-"""Each way: what is far apart is sorted more coarsely."""
+"""Greatest numbers each way: tiles and cells of a larger extent have longer edges."""
 
 Places = NDArray[np.float64]
 
@@ -28,11 +28,11 @@ class Tiles(NamedTuple):
     """Places sorted by square tiles over the ground.
 
     Attributes:
-        places_m: (M, 3) by tile: row by row along x, in each row along y.
-        first: (tiles + 1,) first of each tile.
-        low_m: (2,) corner of the first tile.
-        edge_m: Of a tile.
-        deep: Tiles along y.
+        places_m: (M, 3) places by tile: row by row along x, in each row along y.
+        first: (tiles + 1,) index of the first place of each tile.
+        low_m: (2,) corner of the first tile, metres.
+        edge_m: Edge of a tile, metres.
+        deep: Number of tiles along y.
     """
 
     places_m: Points
@@ -43,7 +43,7 @@ class Tiles(NamedTuple):
 
 
 class Cells(NamedTuple):
-    """Places over the ground sorted by small cells, likewise; (M, 2) `places_m`."""
+    """Places (M, 2) over the ground sorted by small cells, with the attributes of `Tiles`."""
 
     places_m: Places
     first: NDArray[np.int32]
@@ -81,7 +81,7 @@ def tiled(places: Points) -> Tiles:
 
 @compiled
 def cells_in_box(tiles: Tiles, low: Places, high: Places) -> Cells:
-    """Sort what lies within bounds (3,) on every axis into cells over the ground."""
+    """Sort the places strictly within bounds (3,), metres, into cells over the ground."""
     wide = (len(tiles.first) - 1) // tiles.deep
     edge = max(_CELL_M, max(high[0] - low[0], high[1] - low[1]) / _MOST_CELLS)
     rows, deep = int((high[0] - low[0]) / edge) + 1, int((high[1] - low[1]) / edge) + 1
@@ -121,17 +121,17 @@ def cells_in_box(tiles: Tiles, low: Places, high: Places) -> Cells:
 
 @compiled
 def misfits(shape: Places, shifts: Places, seen: Cells, farthest: float, bulk: float) -> Places:
-    """How far the bulk of a shape lies from what is seen, for some shifts.
+    """Return the mean distance of a shape's nearest points to observed places, for each shift.
 
     Args:
-        shape: (P, 2) its points, P >= 1.
-        shifts: (V, 2) of all of them.
-        seen: What it is laid over.
-        farthest: No point counts as farther.
-        bulk: Share of the points, the nearest, that count; one at least.
+        shape: (P, 2) points of the shape, metres, P >= 1.
+        shifts: (V, 2) translations of the shape, metres.
+        seen: Places that the shape is compared to.
+        farthest: Upper bound of the distance of a point, metres.
+        bulk: Share of the points, the nearest, in the mean; at least one point.
 
     Returns:
-        (V,) mean distances.
+        (V,) mean distances, metres.
     """
     counted = max(1, int(bulk * len(shape)))
     means, away = np.empty(len(shifts), np.float64), np.empty(len(shape), np.float64)
@@ -149,7 +149,7 @@ def misfits(shape: Places, shifts: Places, seen: Cells, farthest: float, bulk: f
 
 @compiled
 def _nearest(x: float, y: float, seen: Cells, farthest: float) -> float:
-    """Distance to the nearest place, no more than `farthest`."""
+    """Return the distance to the nearest place, at most `farthest`."""
     rows = (len(seen.first) - 1) // seen.deep
     along, aside = x - seen.low_m[0], y - seen.low_m[1]
     own = int(np.floor(along / seen.edge_m))

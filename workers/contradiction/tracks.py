@@ -1,4 +1,4 @@
-"""Instances become tracks: the same contradicting thing followed over the frames of a scene."""
+"""Track association: the same contradicting object followed over the frames of a scene."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -14,15 +14,15 @@ from schemas.task import Outcome
 from workers.contradiction.settings import DEFAULT_TRACKS, TrackSettings
 
 _TOO_FAR: Final = 1_000.0
-"""Dearer than any match, so that an impossible pair never saves a possible one."""
+"""Cost of a pair outside the gate: above any sum of matches, so that it replaces none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """One contradicting thing over the frames of a scene.
+    """One contradicting object over the frames of a scene.
 
     Attributes:
-        kind: How the two streams contradict each other about it.
+        kind: Kind of contradiction.
         members: Indices into the scene's instances, in the order of their frames.
         centres_m: (len(members), 3) box centres, odom space, metres.
     """
@@ -34,7 +34,7 @@ class Track:
 
 @dataclass(slots=True, eq=False)
 class _Open:
-    """A track that may still go on."""
+    """A track that may still be extended."""
 
     kind: Outcome
     members: list[int]
@@ -50,7 +50,7 @@ class _Open:
 
 
 def centres_in_odom(scene: Scene, instances: Sequence[Instance]) -> NDArray[np.float64]:
-    """Box centres of all instances in odom space.
+    """Return the box centres of all instances in odom space.
 
     Returns:
         (len(instances), 3) metres.
@@ -62,19 +62,19 @@ def centres_in_odom(scene: Scene, instances: Sequence[Instance]) -> NDArray[np.f
     return centres_m
 
 
-def tie_tracks(
+def associate_instances(
     scene: Scene, instances: Sequence[Instance], *, settings: TrackSettings = DEFAULT_TRACKS
 ) -> tuple[Track, ...]:
-    """Tie instances of one kind over frames by where they should be by now.
+    """Associate instances of one kind over frames by their predicted places.
 
-    Each frame's instances are matched to the open tracks by the Hungarian method on the distance
-    to the predicted place over the gate, and on likeness of length, so that a thing half hidden for
-    a moment goes on as its larger part; a track may miss `max_miss_s`, or one frame of a slow
-    sensor. Places are in odom space, so that a parked thing stays where it is.
+    The Hungarian method matches each frame's instances to the open tracks. The cost is the distance
+    to the predicted place over the gate, plus the difference of lengths: an object that is half
+    hidden for a moment continues as its larger part. A track may be unobserved for `max_miss_s`, or
+    for one frame of a slow sensor. Places are in odom space, where a parked object does not move.
 
     Args:
-        scene: The scene the instances were found in.
-        instances: As `find_instances` returns them, frame by frame.
+        scene: Scene of the instances.
+        instances: Instances of `find_instances`, by frame.
         settings: Gates, per second.
 
     Returns:
@@ -110,7 +110,7 @@ def tie_tracks(
 
 
 def frame_period_s(scene: Scene) -> float:
-    """Median time between the frames of a scene; 0 when it has but one."""
+    """Return the median time between the frames of a scene; 0 for a single frame."""
     stamps_ns = np.array([frame.stamp_ns for frame in scene.frames], dtype=np.int64)
     return float(np.median(np.diff(stamps_ns))) / NS_PER_S if len(stamps_ns) > 1 else 0.0
 
@@ -146,7 +146,7 @@ def _match(
 
 
 def longest_gap_s(period_s: float, settings: TrackSettings) -> float:
-    """How long a track may go unseen: a while, or one frame of a slow sensor, and some jitter."""
+    """Return the longest gap in a track: `max_miss_s` or one frame period, plus half a period."""
     return max(settings.max_miss_s, period_s) + 0.5 * period_s
 
 
@@ -184,7 +184,7 @@ def _extend(
     track.longest_m = max(track.lengths_m)
     if _measure(track, instance):
         return
-    # No stream measured it: its own path over up to a second says how fast it goes.
+    # No stream measured it: its own path over up to a second gives its velocity.
     start = next(j for j, at_s in enumerate(track.stamps_s) if stamp_s - at_s <= 1.0)
     span_s = stamp_s - track.stamps_s[start]
     if span_s > 0:
@@ -195,7 +195,7 @@ def _extend(
 
 
 def _measure(track: _Open, instance: Instance) -> bool:
-    """Take over the velocity a stream measured; a stream that says static measured none."""
+    """Adopt the measured velocity, if any; a stream that labels static measures none."""
     measured = instance.kind.measured and bool(np.any(instance.velocity_m_per_s))
     if measured:
         track.velocity_m_per_s = instance.velocity_m_per_s

@@ -1,4 +1,4 @@
-"""What changes a score besides the streams: part of the pipeline version."""
+"""Version of this stage, which changes with its scores: part of the pipeline version."""
 
 import hashlib
 from functools import cache
@@ -13,7 +13,7 @@ LIBRARIES: Final = ("numpy", "scikit-learn", "scipy")
 
 @cache
 def contradiction_version() -> str:
-    """Digest the sources of this stage, its settings among them, and all that it rests on.
+    """Digest the sources and settings of this stage, its fitted table, and its libraries.
 
     Returns:
         `contradiction@` and twelve hexadecimal digits.

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from schemas.arrays import NS_PER_S
-from schemas.contradiction import BESIDE_S, LabelledFrame, Scene
+from schemas.contradiction import CONTEXT_S, LabelledFrame, Scene
 from schemas.work import Shard
 
 MAX_GAP_S: Final = 0.5
@@ -50,8 +50,8 @@ class CutRule:
 
     @property
     def beside_ns(self) -> int:
-        """Time before and after a scene whose frames go with it, as far as its shard sees."""
-        return min(round(BESIDE_S * NS_PER_S), self.cell_ns // 2)
+        """Frames this near before and after a scene go with it, as far as its shard sees."""
+        return min(round(CONTEXT_S * NS_PER_S), self.cell_ns // 2)
 
     @property
     def lookbehind_ns(self) -> int:

@@ -84,6 +84,8 @@ class Parts:
     selfsupervised: Stream
     witness: Witness = field(default_factory=NoWitness)
     instances: InstanceSettings = DEFAULT_INSTANCES
+    own_model: str = ""
+    """Name of the user's own model; empty where the supervised stream is a shipped one."""
 
     def __post_init__(self) -> None:
         """Refuse two streams of different tasks."""

@@ -52,6 +52,7 @@ def build_parts(
         selfsupervised=build_selfsupervised(selfsupervised, files),
         witness=_build_witness(witness, files) if semantic.task.moving else NoWitness(),
         instances=cast("InstanceSettings", _build("instances", instances, files)),
+        own_model=semantic.version.partition("@")[0] if supervised == "own" else "",
     )
 
 

@@ -68,8 +68,9 @@ def mine_warmup_scene() -> None:
     Networks take no part; their loops are called separately. The supervised stream is replaced by
     one that labels every point dynamic, so that there are contradictions.
     """
+    from workers.contradiction.feature_extraction import extract_features
     from workers.contradiction.instances import find_instances
-    from workers.contradiction.track_score import rank_tracks
+    from workers.contradiction.tracks import associate_instances
     from workers.odometry.odometry import KissOdometry
     from workers.selfsupervised.stream import Registration
     from workers.warmup.loops import call_loops
@@ -80,7 +81,8 @@ def mine_warmup_scene() -> None:
         posed = list(KissOdometry()(warmup_frames(with_beams=with_beams)))
         labelled = map(_labelled_dynamic, posed, Registration()(iter(posed)))
         scene = Scene("rehearsal/0", tuple(TwoSidedFreeSpace()(labelled)))
-        rank_tracks(scene, find_instances(scene, class_names=()))
+        instances = find_instances(scene, class_names=())
+        extract_features(scene, instances, associate_instances(scene, instances))
     call_loops(next(warmup_frames(with_beams=True)))
 
 

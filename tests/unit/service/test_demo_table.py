@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from schemas.attribution import Attribution, Wrong
-from schemas.score import SceneScore
+from schemas.score import Reason, SceneScore
 from service.cli.demo import say_demo_ranking
 from service.cli.output import results
 from service.curation.ranking import RankedScene
@@ -149,10 +149,14 @@ def test_rankings_are_held_against_failures_not_against_disturbances(
 def test_a_table_tells_what_was_seen_the_picture_what_speaks_for_it(
     scenes: list[DemoScene],
 ) -> None:
-    seen, verdict = "car seen moving by the supervised stream alone for 1.3 s, 16 m behind", "errs"
-    record = scenes[0].record.model_copy(update={"reasons": (f"{seen}; {verdict}", "odometry")})
+    seen = "supervised calls car dynamic, but it is static, 16 m behind, for 1.3 s"
+    headline = f"{seen}: supervised wrong, 96 %"
+    reasons = (Reason(headline=headline, track_id=0), Reason(headline="odometry"))
+    record = scenes[0].record.model_copy(update={"reasons": reasons})
     assert replace(scenes[0], record=record).why == seen
-    lost = record.model_copy(update={"reasons": ("odometry lost (a; b): not judged",)})
+    lost = record.model_copy(
+        update={"reasons": (Reason(headline="odometry lost (a; b): not judged"),)}
+    )
     gated = replace(scenes[0], record=lost, is_about_track=False)
     assert gated.why == "odometry lost (a; b): not judged"
     assert gated.wrong == "-", "no attribution without a track"

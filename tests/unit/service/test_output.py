@@ -72,7 +72,7 @@ def test_a_table_tells_two_reasons_and_how_many_it_leaves_out() -> None:
 
 
 STEERING = "\x1b]52;c;aGk=\x07\x1b[2J\x9b31m\u202e\n\udcff[red][/][link=x]:smile:"
-SHOWN = r"\x1b]52;c;aGk=\x07\x1b[2J\x9b31m\u202e\n\udcff[red][/][link=x]:smile:"
+SHOWN = r"\x1b]52;c;aGk=\x07\x1b[2J\x9b31m\u202e\n\xff[red][/][link=x]:smile:"
 
 
 def test_what_steers_a_terminal_is_shown_and_markup_is_not_read(

@@ -10,18 +10,17 @@ from schemas.contradiction import Scene
 from schemas.frame import OdometryState
 from schemas.labels import Agreement, MotionLabel
 from schemas.overlay import NO_POSITION_CM, Overlay
-from schemas.score import SceneScore
+from schemas.score import Reason, SceneScore
 from schemas.task import MOTION
 from service.pictures.above import draw_above
 from service.pictures.camera import ImageUnreadableError
 from service.pictures.scene import draw_camera, draw_scene, strongest_frame
 from service.pictures.style import colours_of, font, inks_of, shorten, wrap
 from service.pictures.view import View
-from tests.labelled_worlds import CLASS_NAMES, Thing, labelled_scene, shard_of
+from tests.labelled_worlds import CLASS_NAMES, Thing, labelled_scene, ranked_tracks, shard_of
 from workers.contradiction.instances import find_instances
 from workers.contradiction.overlay import overlay_of
 from workers.contradiction.score import score_scene
-from workers.contradiction.track_score import rank_tracks
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
 MISSED = Thing((-8, 6, 0), STATIC, DYNAMIC, velocity_m_per_s=(6, 0, 0), points=900)
@@ -39,15 +38,20 @@ class _Part:
 class _Streams:
     supervised: _Part = _Part()
     selfsupervised: _Part = _Part()
+    own_model: str = ""
 
 
 def mined_scene(scene: Scene) -> tuple[SceneScore, Overlay]:
     instances = find_instances(scene, class_names=CLASS_NAMES)
-    tracks = rank_tracks(scene, instances)
+    tracks = ranked_tracks(scene, instances)
     score = score_scene(
         shard_of(), scene, instances, tracks, parts=_Streams(), pipeline_version="abcdef012345"
     )
     return score, overlay_of(scene, instances, tracks, class_names=CLASS_NAMES)
+
+
+def _reasons(*headlines: str) -> tuple[Reason, ...]:
+    return tuple(Reason(headline=each, track_id=i) for i, each in enumerate(headlines))
 
 
 @pytest.fixture(scope="module")
@@ -160,7 +164,9 @@ def test_scenes_with_little_to_show_are_drawn_all_the_same(scene: Scene) -> None
 def test_names_of_any_length_and_script_are_drawn(mined: tuple[SceneScore, Overlay]) -> None:
     score, overlay = mined
     name = "東京/" + "a" * 400
-    renamed = score.model_copy(update={"scene_id": name, "reasons": ("x" * 500, "word " * 90)})
+    renamed = score.model_copy(
+        update={"scene_id": name, "reasons": _reasons("x" * 500, "word " * 90)}
+    )
     assert draw_scene(renamed, replace(overlay, scene_id=name)).size == (1720, 1250)
 
 
@@ -170,16 +176,16 @@ def test_what_gated_a_scene_is_told_without_the_number_and_colour_of_a_track(
     score, overlay = mined
     ink = inks_of(MOTION)[MOTION.kind(score.tracks[0].kind).code]
 
-    def inked(*reasons: str) -> int:
+    def inked(*reasons: Reason) -> int:
         picture = draw_scene(score.model_copy(update={"reasons": reasons}), overlay)
         return int((_pixels(picture) == np.array(ink, np.uint8)).all(axis=2).sum())
 
-    assert inked("object seen moving, 9 m left") > inked()
+    assert inked(Reason(headline="supervised calls car static", track_id=0)) > inked()
     for gate in (
         "self-supervised stream blind in 25% of the frames",
         "odometry degraded in 50% of the frames",
     ):
-        assert inked(gate) == inked()
+        assert inked(Reason(headline=gate)) == inked()
 
 
 def test_long_words_are_cut_in_their_middle_and_long_sentences_wrapped() -> None:

@@ -6,7 +6,7 @@ import pytest
 from schemas.attribution import Attribution, Wrong
 from schemas.contradiction import ContradictionKind, Scene, TrackRecord
 from schemas.labels import FrameLabels, MotionLabel
-from tests.labelled_worlds import CLASS_NAMES, Thing, labelled_scene, shard_of
+from tests.labelled_worlds import CLASS_NAMES, Thing, labelled_scene, ranked_tracks, shard_of
 from workers.contradiction.attribution import (
     chances,
     table_of,
@@ -15,7 +15,6 @@ from workers.contradiction.attribution import (
 from workers.contradiction.instances import find_instances
 from workers.contradiction.score import score_scene
 from workers.contradiction.track_features import NAMES
-from workers.contradiction.track_score import rank_tracks
 from workers.contradiction.version import contradiction_version
 from workers.lab.evaluation.failures.rows import MinedLog, ObjectRow, SceneRow, TrackRow
 from workers.lab.training.attribution import fit, fit_kind
@@ -35,6 +34,7 @@ class _Version:
 
 class _Streams:
     supervised = selfsupervised = _Version()
+    own_model = ""
 
 
 def _witnessed(scene: Scene, label: MotionLabel) -> Scene:
@@ -53,7 +53,7 @@ def _tracks(scene: Scene) -> tuple[TrackRecord, ...]:
         shard_of("fleet/car-1/drive"),
         scene,
         instances,
-        rank_tracks(scene, instances),
+        ranked_tracks(scene, instances),
         parts=_Streams(),
         pipeline_version="x",
     ).tracks
@@ -69,7 +69,7 @@ def test_a_parked_car_called_moving_is_the_supervised_streams_error() -> None:
     said = _attribution(_witnessed(labelled_scene([PARKED]), STATIC))
     assert said.wrong is Wrong.SUPERVISED
     assert said.supervised > 0.8
-    assert "the witness sees it stand" in said.because
+    assert "witness label static" in said.supporting
 
 
 def test_a_mover_called_static_by_the_self_supervised_stream_alone_is_its_error() -> None:
@@ -103,16 +103,23 @@ def test_what_begins_to_be_called_moving_as_the_log_ends_may_set_off(
     assert said is not None
     assert later is not None
     assert (later.supervised - said.supervised > 0.15) is is_open
-    assert ("the log ends right after" in (*said.because, *said.against)) is is_open
-    assert "the log ends right after" not in (*later.because, *later.against, *later.also)
+    assert ("end of the log" in (*said.supporting, *said.opposing)) is is_open
+    assert "end of the log" not in (*later.supporting, *later.opposing, *later.neutral)
 
 
 def test_who_goes_on_is_missed_and_who_only_stops_is_not_so_surely() -> None:
     table = tables()[ContradictionKind.ONLY_WITNESS_DYNAMIC.value]
-    whole = dict.fromkeys(("witness_moving", "steady", "supervised_sure", "road_user", "came"), 1.0)
-    strolls = {"went": 0.15, "own": 0.8, "denied": 0.8, "selfsupervised_sure": 0.5}
+    whole = dict.fromkeys(
+        ("witness_dynamic", "continuity", "supervised_confidence", "road_user_size", "arrived"), 1.0
+    )
+    strolls = {
+        "displacement": 0.15,
+        "isolation": 0.8,
+        "denied_share": 0.8,
+        "selfsupervised_confidence": 0.5,
+    }
     sees = {**dict.fromkeys(NAMES, 0.0), **whole, **strolls}
-    stops, goes_on = (chances(table, {**sees, "passes": each}) for each in (0.0, 1.0))
+    stops, goes_on = (chances(table, {**sees, "transits": each}) for each in (0.0, 1.0))
     assert stops[Wrong.NEITHER] > 0.5 > goes_on[Wrong.NEITHER]
     assert goes_on[Wrong.BOTH] > stops[Wrong.BOTH]
 
@@ -138,8 +145,8 @@ def test_the_four_chances_add_up_to_one() -> None:
 
 def test_every_number_of_evidence_is_named_and_between_0_and_1() -> None:
     scene = _witnessed(labelled_scene([PARKED, MISSED_BY_SELF]), DYNAMIC)
-    for ranked in rank_tracks(scene, find_instances(scene, class_names=CLASS_NAMES)):
-        named = ranked.evidence.named()
+    for ranked in ranked_tracks(scene, find_instances(scene, class_names=CLASS_NAMES)):
+        named = ranked.features.named()
         assert tuple(named) == NAMES
         assert all(0.0 <= value <= 1.0 for value in named.values())
 
@@ -147,17 +154,17 @@ def test_every_number_of_evidence_is_named_and_between_0_and_1() -> None:
 def test_the_rim_of_what_both_see_move_is_told_from_a_thing_of_its_own() -> None:
     body = Thing((12, -4, 0), DYNAMIC, DYNAMIC, points=400)
     rim = Thing((12, -2.9, 0), DYNAMIC, STATIC, size_m=(4.0, 0.3, 1.5), points=60)
-    (track,) = rank_tracks(
+    (track,) = ranked_tracks(
         scene := labelled_scene([body, rim]), find_instances(scene, class_names=CLASS_NAMES)
     )
-    assert track.evidence.agreed > 0.5
-    assert track.evidence.denied < 0.3
+    assert track.features.agreed_share > 0.5
+    assert track.features.denied_share < 0.3
     assert track.attribution is not None
     assert track.attribution.wrong is Wrong.NEITHER
 
 
 def test_a_table_may_rest_on_known_evidence_only() -> None:
-    with pytest.raises(ValueError, match="rests on evidence that there is not: colour"):
+    with pytest.raises(ValueError, match="uses features that do not exist: colour"):
         table_of({"supervised": {"intercept": 0.0, "weights": {"colour": 1.0}}})
 
 
@@ -167,7 +174,7 @@ def test_every_kind_of_motion_has_a_table_that_ships_and_counts_in_the_version()
 
 
 def _row(wrong: Wrong, **evidence: float) -> TrackRow:
-    known = {**dict.fromkeys(NAMES, 0.0), "lasting": 1.0, "many_points": 1.0, **evidence}
+    known = {**dict.fromkeys(NAMES, 0.0), "duration": 1.0, "point_count": 1.0, **evidence}
     return TrackRow(
         kind=KIND,
         strength=0.5,
@@ -223,13 +230,13 @@ def test_without_rows_the_table_is_the_prior() -> None:
 
 def test_rows_draw_weights_to_what_they_show_in_logs_that_were_left_out_too() -> None:
     tracks = [
-        _row(Wrong.SELFSUPERVISED if turning else Wrong.SUPERVISED, turning=turning)
+        _row(Wrong.SELFSUPERVISED if turning else Wrong.SUPERVISED, turn_rate=turning)
         for turning in (0.0, 1.0)
         for _ in range(20)
     ]
     logs = [_log(name, tracks) for name in ("a", "b", "c")]
     fitted = fit(logs)[KIND]
-    assert fitted["selfsupervised"]["weights"]["turning"] > 0.5
+    assert fitted["selfsupervised"]["weights"]["turn_rate"] > 0.5
     known = chances(table_of(fitted), tracks[-1].evidence)
     assert known[Wrong.SELFSUPERVISED] > 0.7
     judged = leave_one_log_out(logs, fit)
@@ -244,8 +251,8 @@ def test_rows_draw_weights_to_what_they_show_in_logs_that_were_left_out_too() ->
 
 def test_scenes_are_ranked_by_tables_that_never_saw_their_log() -> None:
     """What is true of one log alone does not help to rank it."""
-    told = [_row(Wrong.SUPERVISED, far=1.0), _row(Wrong.NEITHER, turning=1.0)] * 10
-    lied = [_row(Wrong.SUPERVISED, turning=1.0), _row(Wrong.NEITHER, far=1.0)] * 10
+    told = [_row(Wrong.SUPERVISED, distance=1.0), _row(Wrong.NEITHER, turn_rate=1.0)] * 10
+    lied = [_row(Wrong.SUPERVISED, turn_rate=1.0), _row(Wrong.NEITHER, distance=1.0)] * 10
     judged = leave_one_log_out([_log("a", told), _log("b", lied)], fit)
     assert judged["scenes"]["ap"] == pytest.approx(0.5, abs=0.05)
     assert judged["all"]["balanced_accuracy"] < 0.5
@@ -275,9 +282,9 @@ def test_a_mover_shaped_like_nothing_that_networks_know_is_said_to_be(
         velocity_m_per_s=(2.0, 0.0, 0.0),
     )
     said = _attribution(_witnessed(labelled_scene([missed]), DYNAMIC))
-    assert ("its shape fits no usual class" in said.also) is strange
+    assert ("atypical size" in said.neutral) is strange
 
 
 def test_a_strange_shape_that_the_supervised_stream_saw_move_is_not_told() -> None:
     seen = Thing((12.0, 4.0, 0.0), semantic=DYNAMIC, predictive=STATIC, size_m=(1.0, 0.3, 0.4))
-    assert "its shape fits no usual class" not in _attribution(labelled_scene([seen])).also
+    assert "atypical size" not in _attribution(labelled_scene([seen])).neutral

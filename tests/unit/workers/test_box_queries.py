@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from workers.contradiction.box_queries import answers_around, areas_of, counts_in_boxes, rows_said
+from workers.contradiction.box_queries import (
+    areas_of,
+    counts_in_boxes,
+    labels_around,
+    rows_labelled,
+)
 
 RNG = np.random.default_rng(5)
 
@@ -11,31 +16,31 @@ RNG = np.random.default_rng(5)
 def test_rows_said_are_off_the_ground_and_somewhere() -> None:
     points = RNG.uniform(-5.0, 5.0, (300, 3)).astype(np.float32)
     points[::7, 1], points[::11, 2] = np.nan, np.inf
-    said, ground = RNG.integers(0, 3, 300).astype(np.uint8), RNG.random(300) < 0.4
-    wanted = (said == 1) & ~ground & np.isfinite(points).all(axis=1)
+    labels, ground = RNG.integers(0, 3, 300).astype(np.uint8), RNG.random(300) < 0.4
+    wanted = (labels == 1) & ~ground & np.isfinite(points).all(axis=1)
     assert 20 < wanted.sum() < 100
-    assert rows_said(points, said, 1, ground).tolist() == np.flatnonzero(wanted).tolist()
+    assert rows_labelled(points, labels, 1, ground).tolist() == np.flatnonzero(wanted).tolist()
 
 
 def test_each_sort_is_counted_in_turned_boxes() -> None:
     places = RNG.uniform(-3.0, 3.0, (2000, 3))
-    agreed, undenied = RNG.random(2000) < 0.3, RNG.random(2000) < 0.6
+    agreed, not_refuted = RNG.random(2000) < 0.3, RNG.random(2000) < 0.6
     axes = np.linalg.qr(RNG.normal(size=(4, 3, 3))).Q
     middle, half = RNG.uniform(-2.0, 2.0, (4, 3)), RNG.uniform(0.5, 2.0, (4, 3))
     first, last = np.array([0, 100, 700, 900]), np.array([2000, 1500, 1800, 900])
-    found = counts_in_boxes(places, agreed, undenied, first, last, middle, axes, half)
+    found = counts_in_boxes(places, agreed, not_refuted, first, last, middle, axes, half)
     for box in range(4):
         inside = (np.abs((places - middle[box]) @ axes[box]) <= half[box]).all(axis=1)
         inside &= (np.arange(2000) >= first[box]) & (np.arange(2000) < last[box])
-        told = [(inside & agreed).sum(), (inside & undenied).sum(), inside.sum()]
-        assert found[:, box].tolist() == told
+        expected = [(inside & agreed).sum(), (inside & not_refuted).sum(), inside.sum()]
+        assert found[:, box].tolist() == expected
         assert inside.sum() > 10 or first[box] == last[box]
 
 
 def test_answers_around_a_thing_reach_as_far_as_the_margin() -> None:
     thing = np.array([[0.0, 0.0, 0.0], [2.0, 1.0, 1.0]], np.float32)
     points = np.array([[3.0, 0, 0], [3.01, 0, 0], [1, -1, 2], [1, 1, 2.01]], np.float32)
-    counts = answers_around(points, np.array([1, 1, 0, 2], np.uint8), thing, np.float32(1.0))
+    counts = labels_around(points, np.array([1, 1, 0, 2], np.uint8), thing, np.float32(1.0))
     assert counts[:3].tolist() == [1, 1, 0]
     assert counts.sum() == 2
 

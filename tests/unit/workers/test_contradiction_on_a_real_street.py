@@ -10,11 +10,10 @@ from schemas.mining import MiningSettings
 from schemas.task import MOTION
 from schemas.transport.bucket import open_bucket
 from schemas.transport.recordings import group_recordings
-from tests.labelled_worlds import shard_of
+from tests.labelled_worlds import ranked_tracks, shard_of
 from workers.contradiction.agreement import compare
 from workers.contradiction.instances import find_instances
 from workers.contradiction.score import score_scene
-from workers.contradiction.track_score import rank_tracks
 from workers.contradiction.version import contradiction_version
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard
@@ -76,7 +75,7 @@ def test_the_missed_mover_and_the_phantom_are_the_only_tracks_of_a_real_street(
         shard_of(LOG),
         street,
         instances,
-        rank_tracks(street, instances),
+        ranked_tracks(street, instances),
         parts=Parts(odometry=_Truth(), supervised=_Truth(), selfsupervised=_Truth()),  # type: ignore[arg-type]
         pipeline_version="truth",
     )

@@ -6,9 +6,9 @@ import pytest
 
 from schemas.contradiction import ContradictionKind, Scene
 from schemas.labels import FrameLabels, MotionLabel
-from tests.labelled_worlds import CLASS_NAMES, START_NS, Thing, labelled_frame
+from tests.labelled_worlds import CLASS_NAMES, START_NS, Thing, labelled_frame, ranked_tracks
 from workers.contradiction.instances import find_instances
-from workers.contradiction.track_score import RankedTrack, rank_tracks
+from workers.contradiction.track_score import RankedTrack
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
 STEP_M = 0.8
@@ -46,7 +46,7 @@ def _track(
     scene = Scene(f"fleet/car-1/drive/lidar/{START_NS}", tuple(frames))
     mine = [
         each
-        for each in rank_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))
+        for each in ranked_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))
         if each.track.kind.name == ContradictionKind.ONLY_PREDICTIVE_DYNAMIC
         and abs(each.track.centres_m[0, 1] - 5.0) < 1.0
     ]

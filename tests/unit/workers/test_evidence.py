@@ -7,21 +7,27 @@ from numpy.typing import NDArray
 
 from schemas.contradiction import ContradictionKind, Scene
 from schemas.labels import Blindness, FrameHealth, MotionLabel
-from tests.labelled_worlds import CLASS_NAMES, START_NS, Thing, labelled_frame, labelled_scene
+from tests.labelled_worlds import (
+    CLASS_NAMES,
+    START_NS,
+    Thing,
+    labelled_frame,
+    labelled_scene,
+    ranked_tracks,
+)
 from workers.contradiction.instances import find_instances
-from workers.contradiction.temporal_context import MARGIN_M, at_other_times, called_moving
-from workers.contradiction.track_features import Evidence
+from workers.contradiction.temporal_context import MARGIN_M, dynamic_points_of, temporal_context_of
+from workers.contradiction.track_features import TrackFeatures
 from workers.contradiction.track_motion import Path, path_of
-from workers.contradiction.track_score import rank_tracks
 from workers.contradiction.tracks import centres_in_odom
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
 SEMANTIC = ContradictionKind.ONLY_SEMANTIC_DYNAMIC
 
 
-def _evidence(scene: Scene) -> Evidence:
-    (track,) = rank_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))
-    return track.evidence
+def _evidence(scene: Scene) -> TrackFeatures:
+    (track,) = ranked_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))
+    return track.features
 
 
 def _scene(
@@ -50,7 +56,7 @@ def test_what_both_call_moving_before_or_after_is_told(
     said: Sequence[tuple[int, int]], before: float, after: float, step_m: float
 ) -> None:
     evidence = _evidence(_scene(said, step_m=step_m))
-    assert (evidence.agreed_before, evidence.undenied_after) == (before, after)
+    assert (evidence.agreed_before, evidence.not_refuted_after) == (before, after)
 
 
 @pytest.mark.parametrize("step_m", [0.0, 0.3], ids=["in its place", "as it goes"])
@@ -59,7 +65,7 @@ def test_what_is_said_beyond_the_ends_of_the_scene_counts(step_m: float) -> None
     whole = _scene(said, step_m=step_m)
     cut = replace(whole, frames=whole.frames[4:14], before=whole.frames[1:4])
     alone = replace(cut, before=())
-    assert (_evidence(cut).agreed_before, _evidence(cut).undenied_after) == (1.0, 0.0)
+    assert (_evidence(cut).agreed_before, _evidence(cut).not_refuted_after) == (1.0, 0.0)
     assert _evidence(alone).agreed_before == 0.0
 
 
@@ -67,13 +73,13 @@ def test_a_mover_that_passes_beside_a_thing_says_nothing_of_it() -> None:
     said = [(STATIC, STATIC)] * 4 + [(DYNAMIC, STATIC)] * 6 + [(STATIC, STATIC)] * 4
     beside = Thing((12.0, 9.0, 0.0), DYNAMIC, DYNAMIC, points=400)
     evidence = _evidence(_scene(said, step_m=0.0, others=(beside,)))
-    assert (evidence.agreed_before, evidence.undenied_after) == (0.0, 0.0)
+    assert (evidence.agreed_before, evidence.not_refuted_after) == (0.0, 0.0)
 
 
 def test_a_path_of_two_frames_says_nothing() -> None:
     centres_m = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     path = path_of(centres_m, np.array([0.0, 0.1]), [centres_m[:1, :2], centres_m[1:, :2]])
-    assert (path.went, path.straight) == (0.0, 0.0)
+    assert (path.displacement, path.straightness) == (0.0, 0.0)
     assert not path.velocity_m_per_s.any()
 
 
@@ -93,16 +99,17 @@ def test_what_is_seen_more_of_at_one_end_did_not_go() -> None:
     unveiled = _seen_from(np.zeros(11), shown)
     covered = _seen_from(4.0 - shown, np.full(11, 4.0))
     driven = _seen_from(shown - 1.0, shown + 3.0)
-    assert max(unveiled.went, covered.went) < 0.05  # 3 m more of it are seen, or 3 m less
-    assert max(unveiled.straight, covered.straight) < 0.2
-    assert driven.went == pytest.approx(0.75)
-    assert driven.straight > 0.9
+    # 3 m more of it are seen, or 3 m less
+    assert max(unveiled.displacement, covered.displacement) < 0.05
+    assert max(unveiled.straightness, covered.straightness) < 0.2
+    assert driven.displacement == pytest.approx(0.75)
+    assert driven.straightness > 0.9
     assert np.allclose(unveiled.velocity_m_per_s, [1.5, 0.0])
 
 
 def test_what_comes_into_sight_as_it_goes_went_as_far_as_its_slower_end() -> None:
     coming = _seen_from(np.linspace(0.0, 1.0, 11), np.linspace(0.5, 5.0, 11))
-    assert 0.45 < coming.went < 0.6
+    assert 0.45 < coming.displacement < 0.6
 
 
 @pytest.mark.parametrize(
@@ -112,14 +119,14 @@ def test_what_comes_into_sight_as_it_goes_went_as_far_as_its_slower_end() -> Non
 )
 def test_what_is_no_longer_called_standing_starts(after: tuple[int, int], agreed: float) -> None:
     said = [(STATIC, STATIC)] * 4 + [(DYNAMIC, STATIC)] * 6 + [after] * 4
-    assert _evidence(_scene(said, step_m=0.05)).undenied_after == agreed
+    assert _evidence(_scene(said, step_m=0.05)).not_refuted_after == agreed
 
 
 def test_what_goes_on_while_it_is_called_static_is_told_from_what_stops() -> None:
     said = [(DYNAMIC, DYNAMIC)] * 4 + [(STATIC, DYNAMIC)] * 6 + [(DYNAMIC, DYNAMIC)] * 4
     goes, stands = _evidence(_scene(said, step_m=0.5)), _evidence(_scene(said, step_m=0.0))
-    assert min(goes.agreed_before, goes.undenied_after) > 0.8
-    assert (stands.agreed_before, stands.undenied_after) == (0.0, 0.0)
+    assert min(goes.agreed_before, goes.not_refuted_after) > 0.8
+    assert (stands.agreed_before, stands.not_refuted_after) == (0.0, 0.0)
 
 
 def test_a_new_thing_is_left_open_whatever_it_does() -> None:
@@ -135,7 +142,7 @@ def test_a_stream_that_goes_blind_leaves_nothing_open() -> None:
         replace(each, predictive=replace(each.predictive, health=blind)) if number >= 10 else each
         for number, each in enumerate(scene.frames)
     ]
-    assert _evidence(replace(scene, frames=tuple(frames))).undenied_after == 0.0
+    assert _evidence(replace(scene, frames=tuple(frames))).not_refuted_after == 0.0
 
 
 @pytest.mark.parametrize(
@@ -147,7 +154,7 @@ def test_low_is_what_is_near_and_has_no_height(
     height_m: float, range_m: float, least: float, most: float
 ) -> None:
     thing = Thing((range_m, 0.0, 0.0), DYNAMIC, STATIC, size_m=(3.0, 1.5, height_m))
-    assert least <= _evidence(labelled_scene([replace(thing, points=200)])).low <= most
+    assert least <= _evidence(labelled_scene([replace(thing, points=200)])).lowness <= most
 
 
 def test_what_both_see_move_is_found_up_to_a_second_away_and_no_further() -> None:
@@ -163,9 +170,9 @@ def test_scraps_that_are_tied_to_a_track_do_not_hide_that_it_starts() -> None:
     scrap = Thing((12.0, 5.0, 0.0), DYNAMIC, STATIC, (1.0, 0.5, 0.5), points=30, frames=late)
     said = [(STATIC, STATIC)] * 4 + [(DYNAMIC, STATIC)] * 4 + [(DYNAMIC, DYNAMIC)] * 6
     scene = _scene(said, step_m=0.0, others=(scrap,))
-    (track,) = rank_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))
+    (track,) = ranked_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))
     assert max(track.track.members) == len(track.track.members) - 1 == 9  # to the last frame
-    assert track.evidence.undenied_after == 1.0
+    assert track.features.not_refuted_after == 1.0
 
 
 @pytest.mark.parametrize(
@@ -175,7 +182,7 @@ def test_scraps_that_are_tied_to_a_track_do_not_hide_that_it_starts() -> None:
         ([(STATIC, UNKNOWN)] * 4 + [(STATIC, DYNAMIC)] * 6 + [(DYNAMIC, STATIC)] * 4, 0.0, 1.0),
         ([(STATIC, UNKNOWN)] * 4 + [(STATIC, DYNAMIC)] * 6 + [(STATIC, STATIC)] * 4, 0.0, 0.0),
     ],
-    ids=["called moving before", "called moving later", "never"],
+    ids=["supervised label dynamic earlier", "supervised label dynamic later", "never"],
 )
 def test_whether_the_answer_of_the_supervised_stream_changes_is_told(
     said: Sequence[tuple[int, int]], before: float, after: float
@@ -183,10 +190,10 @@ def test_whether_the_answer_of_the_supervised_stream_changes_is_told(
     scene = _scene(said, step_m=0.3)
     (track,) = (
         track
-        for track in rank_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))
+        for track in ranked_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))
         if track.track.kind.measured
     )
-    assert (track.evidence.called_before, track.evidence.called_after) == (before, after)
+    assert (track.features.dynamic_before, track.features.dynamic_after) == (before, after)
 
 
 def test_the_points_in_a_box_are_those_that_a_plain_search_finds() -> None:
@@ -211,12 +218,12 @@ def test_the_points_in_a_box_are_those_that_a_plain_search_finds() -> None:
         for number, part in enumerate((things[:30], things, things[10:]))
     ]
     scene = Scene(scene_id="fleet/car-1/drive/lidar/0", frames=tuple(frames))
-    called = called_moving(scene)
+    dynamic_points = dynamic_points_of(scene)
     instances = find_instances(scene, class_names=CLASS_NAMES)
     assert len(instances) > 20
     for instance in instances:
-        told = at_other_times(
-            *(scene, [instance], centres_in_odom(scene, [instance]), np.zeros(2), called),
+        found = temporal_context_of(
+            *(scene, [instance], centres_in_odom(scene, [instance]), np.zeros(2), dynamic_points),
             period_s=0.3,
         )
         shares = []
@@ -229,5 +236,5 @@ def test_the_points_in_a_box_are_those_that_a_plain_search_finds() -> None:
             inside = (box <= instance.size_m / 2 + MARGIN_M).all(axis=1)
             shares.append(min(1.0, inside.sum() / (0.5 * len(instance.point_index))))
         at = instance.frame_index
-        assert told.called_before == pytest.approx(max(shares[:at], default=0.0))
-        assert told.called_after == pytest.approx(max(shares[at:]))
+        assert found.dynamic_before == pytest.approx(max(shares[:at], default=0.0))
+        assert found.dynamic_after == pytest.approx(max(shares[at:]))

@@ -9,8 +9,8 @@ from schemas.attribution import Wrong
 from schemas.contradiction import Scene
 from schemas.labels import MotionLabel
 from tests.factories import labelled, scene
+from tests.labelled_worlds import ranked_tracks
 from workers.contradiction.instances import find_instances
-from workers.contradiction.track_score import rank_tracks
 from workers.lab.evaluation.failures.baseline_scores import flicker_share, scene_baselines
 from workers.lab.evaluation.failures.frame_truth import FrameWithTruth
 from workers.lab.evaluation.failures.object_views import object_baselines
@@ -146,7 +146,7 @@ def test_truth_says_who_is_wrong_about_a_contradicting_track(
     )
     things = find_objects(scene_, seen)
     instances = find_instances(scene_, class_names=())
-    (ranked,) = rank_tracks(scene_, instances)
+    (ranked,) = ranked_tracks(scene_, instances)
     members = [instances[member] for member in ranked.track.members]
     key, track = object_under(members, seen, things)
     assert (key, track) == ("track 1", 1)

@@ -152,4 +152,4 @@ def test_a_frozen_recording_gates_nothing_and_is_said_once() -> None:
     health = odometry_health(seen)
     assert (state, health.state, health.reason) == (SceneState.SCORED, OdometryState.HEALTHY, "")
     told = reasons_of(seen, (), (), state=state, health=health, stream=stream_health(seen))
-    assert sum("recorded odometry not believed" in each for each in told) == 1
+    assert sum("recorded odometry not believed" in each.headline for each in told) == 1

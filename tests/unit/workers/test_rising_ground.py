@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from schemas.frame import PosedFrame
 from tests.factories import frame, pose, posed
-from workers.contradiction.rising_ground import RisingGround, share_of
+from workers.contradiction.rising_ground import RisingGround, rising_share
 
 HEIGHT_M = 1.8
 FRAMES = 12
@@ -52,7 +52,7 @@ def _shares(
         counts.append(len(thing))
         frames.append(posed(frame(cloud, at_s=number / 10.0), pose(here[0])))
     rising = RisingGround(frames)
-    return share_of([rising.around(n, np.arange(count)) for n, count in enumerate(counts)])
+    return rising_share([rising.around(n, np.arange(count)) for n, count in enumerate(counts)])
 
 
 def _flat(_: int) -> Cloud:
@@ -113,7 +113,7 @@ def test_two_frames_say_nothing_of_the_ground() -> None:
     frames = [posed(frame(_leaking(number), at_s=number / 10.0)) for number in range(2)]
     rising = RisingGround(frames)
     assert rising.around(0, np.arange(40)) == (0, 0)
-    assert share_of([(0, 0), (0, 0)]) == 0.0
+    assert rising_share([(0, 0), (0, 0)]) == 0.0
 
 
 def test_points_without_a_place_and_a_car_on_its_side_are_borne() -> None:
@@ -156,8 +156,8 @@ def test_one_frame_that_is_lifted_whole_rises_whole() -> None:
     rising = RisingGround(frames)
     thing = np.flatnonzero((np.abs(_road()[:, :2] - 8.0) < 0.5).all(axis=1))
     told = [rising.around(number, thing) for number in range(FRAMES)]
-    assert share_of([told[5]]) == 1.0
-    assert share_of(told[:5] + told[6:]) == 0.0
+    assert rising_share([told[5]]) == 1.0
+    assert rising_share(told[:5] + told[6:]) == 0.0
 
 
 def test_the_origin_of_odom_space_does_not_matter() -> None:

@@ -11,13 +11,21 @@ from schemas.frame import OdometryState
 from schemas.labels import Blindness, FrameHealth, MotionLabel
 from schemas.score import MAX_RECORD_BYTES, MAX_TRACKS, SceneScore
 from schemas.transport.wire import decode, encode_scene_score
-from tests.labelled_worlds import CLASS_NAMES, START_NS, Thing, labelled_scene, shard_of
+from tests.labelled_worlds import (
+    CLASS_NAMES,
+    START_NS,
+    Thing,
+    labelled_scene,
+    ranked_tracks,
+    shard_of,
+)
 from workers.contradiction.agreement import compare
 from workers.contradiction.instances import find_instances
-from workers.contradiction.reasons import bearing, describe
+from workers.contradiction.reasons import bearing, reason_of
 from workers.contradiction.score import combine, score_scene
 from workers.contradiction.size_priors import box_plausibility, not_flat
-from workers.contradiction.track_score import motion_plausibility, persistence, rank_tracks
+from workers.contradiction.track_motion import motion_plausibility
+from workers.contradiction.track_score import persistence
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
 HEALTHY, DEGRADED, LOST = OdometryState.HEALTHY, OdometryState.DEGRADED, OdometryState.LOST
@@ -36,6 +44,7 @@ class _Version:
 class _Streams:
     supervised: _Version = _Version("net@0123456789ab")
     selfsupervised: _Version = _Version("registration@ba9876543210")
+    own_model: str = ""
 
 
 def _score(
@@ -46,10 +55,14 @@ def _score(
         shard_of(log_id),
         scene,
         instances,
-        rank_tracks(scene, instances),
+        ranked_tracks(scene, instances),
         parts=_Streams(),
         pipeline_version="abcdef012345",
     )
+
+
+def _headlines(record: SceneScore) -> list[str]:
+    return [reason.headline for reason in record.reasons]
 
 
 def _score_of(*things: Thing) -> float:
@@ -72,22 +85,22 @@ def test_a_car_that_only_the_self_supervised_stream_sees_is_told_with_its_speed(
     assert (track.first_ns, track.last_ns) == (START_NS, START_NS + 1_900_000_000)
     assert record.score == track.strength > 0.7
     (reason,) = record.reasons
-    assert reason.startswith(
-        "car seen moving at 10.0 m/s by the self-supervised stream alone for 2.0 s, 20 m behind; "
-        "the supervised stream errs ("
+    assert re.fullmatch(
+        r"supervised calls car static, but it moves at 10\.0 m/s, 20 m behind, for 2\.0 s: "
+        r"supervised wrong, \d+ %",
+        reason.headline,
     )
+    assert reason.track_id == 0
 
 
 def test_a_phantom_pedestrian_is_told_with_where_it_stands() -> None:
     record = _score(labelled_scene([WALL, PHANTOM]))
     (reason,) = record.reasons
-    assert reason.startswith(
-        "pedestrian seen moving by the supervised stream alone for 2.0 s, 13 m ahead; "
-        "the supervised stream errs ("
+    assert reason.headline.startswith(
+        "supervised calls pedestrian dynamic, but it is static, 13 m ahead, for 2.0 s: "
+        "supervised wrong, "
     )
-    assert re.search(
-        r" errs \(\d+%; for: it stays where it is; also: occluded before and after\)$", reason
-    )
+    assert reason.evidence == "for: static shape"
     strongest = record.tracks[0].strongest
     assert strongest.range_m == pytest.approx(math.hypot(12, 4), abs=0.3)
     assert (strongest.semantic_confidence, strongest.predictive_confidence) == (0.9, 0.9)
@@ -100,17 +113,23 @@ def test_what_speaks_for_and_against_who_errs_is_told_apart() -> None:
         selfsupervised=0.4,
         both=0.0,
         neither=0.0,
-        because=("the witness sees it stand",),
-        against=("far", "low"),
-        also=("few points",),
+        supporting=("witness label static", "static shape", "no displacement", "few points"),
+        opposing=("long range", "low height"),
+        neutral=("narrow box",),
     )
     scene = labelled_scene([PHANTOM])
     instances = find_instances(scene, class_names=CLASS_NAMES)
-    (ranked,) = rank_tracks(scene, instances)
-    assert describe(scene, instances, replace(ranked, attribution=attribution)).endswith(
-        "; the supervised stream errs "
-        "(60%; for: the witness sees it stand; against: far, low; also: few points)"
+    (ranked,) = ranked_tracks(scene, instances)
+    reason = reason_of(scene, instances, replace(ranked, attribution=attribution), track_id=0)
+    assert reason.headline.endswith(": supervised wrong, 60 %")
+    assert reason.evidence == (
+        "for: witness label static, static shape, no displacement; against: long range"
     )
+    assert reason.text == f"{reason.headline}; {reason.evidence}"
+    own = reason_of(
+        *(scene, instances, replace(ranked, attribution=attribution)), track_id=0, own_model="net-7"
+    )
+    assert own.headline == reason.headline.replace("supervised", "net-7")
 
 
 def test_the_score_never_falls_when_a_contradiction_is_added_or_grows() -> None:
@@ -181,7 +200,7 @@ def test_each_further_track_counts_half_of_the_one_before(
 def test_a_scene_too_short_to_judge_scores_zero_and_says_so() -> None:
     record = _score(labelled_scene([MISSED_CAR], frames=4, too_short=True))
     assert (record.state, record.score) == (SceneState.TOO_SHORT, 0.0)
-    assert record.reasons == ("too short to judge: 4 frames in 0.3 s",)
+    assert _headlines(record) == ["too short to judge: 4 frames in 0.3 s"]
     assert record.totals[1].tracks == 1
     assert record.tracks[0].strength == 0.0
 
@@ -195,7 +214,7 @@ def test_odometry_that_is_lost_gates_the_score_to_zero() -> None:
     record = _score(labelled_scene([MISSED_CAR], odometry=[LOST] * 11 + [HEALTHY] * 9))
     assert (record.state, record.score) == (SceneState.ODOMETRY_LOST, 0.0)
     assert record.odometry.state is LOST
-    assert record.reasons == ("odometry lost (a bump): not judged",)
+    assert _headlines(record) == ["odometry lost (a bump): not judged"]
 
 
 def test_odometry_that_is_degraded_for_a_moment_lowers_the_score() -> None:
@@ -205,8 +224,8 @@ def test_odometry_that_is_degraded_for_a_moment_lowers_the_score() -> None:
     strengths = [(a.strength, b.strength) for a, b in zip(bumpy.tracks, clean.tracks, strict=True)]
     assert all(0.8 * full < worth < 0.95 * full for worth, full in strengths)
     assert bumpy.score < clean.score
-    assert bumpy.reasons[-1] == (
-        "odometry degraded (a bump) in 20% of the frames: what is seen there counts less"
+    assert _headlines(bumpy)[-1] == (
+        "odometry degraded (a bump) in 20% of the frames, which have a lower weight"
     )
     assert bumpy.odometry.healthy_share == 0.8
 
@@ -344,14 +363,12 @@ def _missed(at_m: tuple[float, float, float], confirmed_share: float | None) -> 
     return replace(MISSED_CAR, at_m=at_m, confirmed_share=confirmed_share)
 
 
-def test_what_was_never_confirmed_ranks_below_what_was_and_says_so() -> None:
+def test_what_was_never_confirmed_ranks_below_what_was() -> None:
     unproved, proved = _missed((-20, 3, 0), 0.0), _missed((-20, 12, 0), 1.0)
     record = _score(labelled_scene([WALL, unproved, proved]))
     first, second = record.tracks
     assert (first.confirmed_share, second.confirmed_share) == (1.0, 0.0)
     assert second.strength < 0.9 * first.strength
-    assert ["never confirmed" in reason for reason in record.reasons] == [False, True]
-    assert "for 2.0 s, never confirmed, " in record.reasons[1]
 
 
 def test_the_more_of_a_thing_is_confirmed_the_surer_is_who_errs() -> None:
@@ -378,9 +395,9 @@ def test_a_stream_that_confirms_nothing_is_scored_as_before_and_its_record_is_si
 @pytest.mark.parametrize(
     ("semantic", "predictive", "says"),
     [
-        (UNKNOWN, STATIC, "the supervised stream judged no point"),
-        (STATIC, UNKNOWN, "the self-supervised stream judged no point"),
-        (UNKNOWN, UNKNOWN, "the supervised and the self-supervised stream judged no point"),
+        (UNKNOWN, STATIC, "the supervised stream labelled no point"),
+        (STATIC, UNKNOWN, "the self-supervised stream labelled no point"),
+        (UNKNOWN, UNKNOWN, "the supervised and the self-supervised stream labelled no point"),
     ],
 )
 def test_a_scene_in_which_nothing_was_compared_says_who_was_silent(
@@ -388,13 +405,13 @@ def test_a_scene_in_which_nothing_was_compared_says_who_was_silent(
 ) -> None:
     record = _score(labelled_scene([Thing((9, 0, 0), semantic, predictive)]))
     assert (record.score, record.compared_share) == (0.0, 0.0)
-    assert record.reasons == (f"nothing was compared: {says}",)
+    assert _headlines(record) == [f"nothing was compared: {says}"]
 
 
 def test_streams_that_never_judged_the_same_point_say_so() -> None:
     things = [Thing((9, 0, 0), UNKNOWN, STATIC), Thing((-9, 0, 0), STATIC, UNKNOWN)]
     record = _score(labelled_scene(things))
-    assert record.reasons == ("nothing was compared: no point was judged by both streams",)
+    assert _headlines(record) == ["nothing was compared: no point was labelled by both streams"]
 
 
 def _blind(scene: Scene, *frames: int) -> Scene:
@@ -417,20 +434,20 @@ def _blind(scene: Scene, *frames: int) -> Scene:
 def test_a_scene_that_blindness_gated_says_so_last_and_why() -> None:
     scene = labelled_scene([WALL, MISSED_CAR])
     seen, partly = _score(scene), _score(_blind(scene, 0, 1, 2, 3, 4))
-    assert not any("blind" in reason for reason in seen.reasons)
-    assert partly.reasons[-1] == (
+    assert not any("blind" in headline for headline in _headlines(seen))
+    assert _headlines(partly)[-1] == (
         "self-supervised stream blind in 25% of the frames (half of the places are seen through)"
     )
-    assert "seen moving" in partly.reasons[0]
+    assert "but it moves at 10.0 m/s" in partly.reasons[0].headline
     assert partly.score < seen.score
 
 
 def test_a_scene_seen_by_one_stream_only_scores_zero_for_a_reason_that_it_tells() -> None:
     blind = _score(_blind(labelled_scene([WALL, MISSED_CAR]), *range(20)))
     assert (blind.state, blind.score, blind.tracks) == (SceneState.SCORED, 0.0, ())
-    assert blind.reasons == (
+    assert _headlines(blind) == [
         "self-supervised stream blind throughout (half of the places are seen through): nothing "
-        "was compared",
-    )
+        "was compared"
+    ]
     assert blind.health is not None
     assert blind.health.blind_share == 1.0

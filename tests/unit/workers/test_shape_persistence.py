@@ -7,14 +7,13 @@ import pytest
 
 from schemas.contradiction import Scene
 from schemas.labels import MotionLabel
-from tests.labelled_worlds import CLASS_NAMES, START_NS, Thing, labelled_frame
+from tests.labelled_worlds import CLASS_NAMES, START_NS, Thing, labelled_frame, ranked_tracks
 from workers.contradiction.feature_extraction import places_in_odom
 from workers.contradiction.instances import find_instances
-from workers.contradiction.keyframes import EVERY_S, Glances
-from workers.contradiction.shape_persistence import Whereabouts, whereabouts_of
+from workers.contradiction.keyframes import EVERY_S, Keyframes
+from workers.contradiction.shape_persistence import ShapePersistence, shape_persistence_of
 from workers.contradiction.track_motion import velocity_of
-from workers.contradiction.track_score import rank_tracks
-from workers.contradiction.tracks import tie_tracks
+from workers.contradiction.tracks import associate_instances
 
 STATIC, DYNAMIC = MotionLabel.STATIC, MotionLabel.DYNAMIC
 WALL = Thing((16.0, 12.0, 0.0), STATIC, STATIC, (30.0, 0.1, 3.0), points=3000, class_id=0)
@@ -60,29 +59,29 @@ def _scene(
     )
 
 
-def _told(scene: Scene) -> Whereabouts:
+def _told(scene: Scene) -> ShapePersistence:
     instances = find_instances(scene, class_names=CLASS_NAMES)
-    (track,) = tie_tracks(scene, instances)
+    (track,) = associate_instances(scene, instances)
     members = [instances[each] for each in track.members]
     stamps_s = np.array([scene.frames[m.frame_index].stamp_ns / 1e9 for m in members])
     velocity = velocity_of(track.centres_m, stamps_s)
     places_m = places_in_odom(scene, members)
-    return whereabouts_of(scene, members, places_m, velocity, Glances(scene))
+    return shape_persistence_of(scene, members, places_m, velocity, Keyframes(scene))
 
 
 @pytest.mark.parametrize(
     ("along_m", "told"),
     [
-        (lambda _: 0.0, Whereabouts(1.0, 0.0, 1.0, 0.0)),
-        (lambda time_s: 0.5 * time_s, Whereabouts(0.0, 1.0, 0.0, 1.0)),
-        (lambda time_s: 0.8 * min(0.0, time_s - 1.2), Whereabouts(0.0, 1.0, 1.0, 0.0)),
-        (lambda time_s: 0.8 * max(0.0, time_s - 1.7), Whereabouts(1.0, 0.0, 0.0, 1.0)),
-        (lambda time_s: 14.0 * time_s, Whereabouts(0.0, 1.0, 0.0, 1.0)),
+        (lambda _: 0.0, ShapePersistence(1.0, 0.0, 1.0, 0.0)),
+        (lambda time_s: 0.5 * time_s, ShapePersistence(0.0, 1.0, 0.0, 1.0)),
+        (lambda time_s: 0.8 * min(0.0, time_s - 1.2), ShapePersistence(0.0, 1.0, 1.0, 0.0)),
+        (lambda time_s: 0.8 * max(0.0, time_s - 1.7), ShapePersistence(1.0, 0.0, 0.0, 1.0)),
+        (lambda time_s: 14.0 * time_s, ShapePersistence(0.0, 1.0, 0.0, 1.0)),
     ],
     ids=["it stands", "it strolls", "it stops", "it starts", "it is fast"],
 )
 def test_where_a_shape_was_and_will_be_is_told(
-    along_m: Callable[[float], float], told: Whereabouts
+    along_m: Callable[[float], float], told: ShapePersistence
 ) -> None:
     found = _told(_scene(along_m))
     assert found.here_before == pytest.approx(told.here_before, abs=0.15)
@@ -92,7 +91,7 @@ def test_where_a_shape_was_and_will_be_is_told(
 
 
 def test_nothing_is_said_of_what_is_hidden_before_and_after() -> None:
-    assert _told(_scene(lambda _: 0.0, seen=lambda frame: 13 <= frame < 17)) == Whereabouts()
+    assert _told(_scene(lambda _: 0.0, seen=lambda frame: 13 <= frame < 17)) == ShapePersistence()
 
 
 def test_nothing_is_said_of_what_lies_beyond_the_log() -> None:
@@ -104,7 +103,7 @@ def test_nothing_is_said_of_what_lies_beyond_the_log() -> None:
 def test_a_shape_that_is_half_hidden_at_other_times_stands() -> None:
     hides = Thing((12.0, 4.6, 0.0), STATIC, STATIC, (4.0, 0.4, 1.5), points=400)
     scene = _scene(lambda _: 0.0, size_m=(4.0, 1.8, 1.5), others=(WALL, hides))
-    assert _told(scene) == Whereabouts(1.0, 0.0, 1.0, 0.0)
+    assert _told(scene) == ShapePersistence(1.0, 0.0, 1.0, 0.0)
 
 
 def test_moments_at_which_something_stands_before_it_are_not_asked() -> None:
@@ -144,21 +143,21 @@ def test_what_hangs_above_a_place_does_not_stand_there() -> None:
 )
 def test_what_came_and_leaves_passes(along_m: Callable[[float], float], passes: float) -> None:
     scene = _scene(along_m)
-    (track,) = rank_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))
-    assert track.evidence.came == pytest.approx(1.0, abs=0.15)
-    assert track.evidence.passes == pytest.approx(passes, abs=0.15)
+    (track,) = ranked_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))
+    assert track.features.arrived == pytest.approx(1.0, abs=0.15)
+    assert track.features.transits == pytest.approx(passes, abs=0.15)
 
 
 def test_it_is_asked_of_what_lasts_and_has_points() -> None:
     lasting, brief = (
-        rank_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))[0].evidence
+        ranked_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))[0].features
         for scene in (
             _scene(lambda _: 0.0),
             _scene(lambda _: 0.0, contradicts=range(10, 11)),
         )
     )
-    assert (lasting.stays, lasting.stands_after) == (1.0, 1.0)
-    assert (brief.stays, brief.stands_after) == (0.0, 0.0)
+    assert (lasting.shape_static, lasting.shape_static_after) == (1.0, 1.0)
+    assert (brief.shape_static, brief.shape_static_after) == (0.0, 0.0)
 
 
 def test_a_glance_is_taken_every_half_second_however_fast_the_sensor() -> None:
@@ -167,6 +166,6 @@ def test_a_glance_is_taken_every_half_second_however_fast_the_sensor() -> None:
             labelled_frame([WALL], frame=n, time_s=n * period_s) for n in range(round(3 / period_s))
         )
         scene = Scene(f"fleet/car-1/drive/lidar/{START_NS}", frames)
-        steps_s = np.diff(Glances(scene).stamps_ns) / 1e9
+        steps_s = np.diff(Keyframes(scene).stamps_ns) / 1e9
         assert (steps_s >= EVERY_S).all()
         assert (steps_s <= max(EVERY_S + period_s, period_s)).all()

@@ -4,14 +4,14 @@ from schemas.contradiction import Instance, Scene
 from schemas.labels import MotionLabel
 from tests.labelled_worlds import CLASS_NAMES, Thing, labelled_scene
 from workers.contradiction.instances import find_instances
-from workers.contradiction.tracks import Track, tie_tracks
+from workers.contradiction.tracks import Track, associate_instances
 
 STATIC, DYNAMIC = MotionLabel.STATIC, MotionLabel.DYNAMIC
 
 
 def _tied(scene: Scene) -> tuple[tuple[Instance, ...], tuple[Track, ...]]:
     instances = find_instances(scene, class_names=CLASS_NAMES)
-    return instances, tie_tracks(scene, instances)
+    return instances, associate_instances(scene, instances)
 
 
 def test_a_fast_car_that_one_stream_misses_is_one_track() -> None:
@@ -92,4 +92,4 @@ def test_every_instance_is_in_exactly_one_track() -> None:
 
 def test_no_instances_make_no_tracks() -> None:
     scene = labelled_scene([Thing((10, 0, 0), STATIC, STATIC)], frames=3)
-    assert tie_tracks(scene, ()) == ()
+    assert associate_instances(scene, ()) == ()

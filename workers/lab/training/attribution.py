@@ -38,8 +38,8 @@ BALANCE: Final = 0.5
 _FEW: Final = 10
 """Count added to each verdict's frequency, so that a few rare tracks do not dominate."""
 
-USED: Final = tuple(name for name in NAMES if name not in ("lasting", "many_points"))
-"""Evidence of the fit: `lasting` and `many_points` are already terms of a track's strength."""
+USED: Final = tuple(name for name in NAMES if name not in ("duration", "point_count"))
+"""Evidence of the fit: `duration` and `point_count` are already terms of a track's strength."""
 
 _DIGITS: Final = 3
 _OF_WITNESS: Final = frozenset({ContradictionKind.ONLY_WITNESS_DYNAMIC.value})
@@ -146,7 +146,7 @@ def fit_kind(kind: str, rows: Sequence[TrackRow]) -> dict[str, Any]:
 
 def _without_witness(row: TrackRow) -> TrackRow:
     """Copy a track without witness evidence, so that the fit covers `--witness none`."""
-    silent = {"witness_moving": 0.0, "witness_still": 0.0}
+    silent = {"witness_dynamic": 0.0, "witness_static": 0.0}
     return row.model_copy(update={"evidence": {**row.evidence, **silent}})
 
 
@@ -173,10 +173,10 @@ def _matrix(rows: Sequence[TrackRow]) -> NDArray[np.float64]:
 def _weights(rows: Sequence[TrackRow]) -> NDArray[np.float64]:
     """Weigh rows by duration, size and rarity of their verdict."""
     counts = {answer: sum(row.verdict is answer for row in rows) for answer in Wrong}
-    worth = [row.evidence["lasting"] * row.evidence["many_points"] + 0.05 for row in rows]
+    worth = [row.evidence["duration"] * row.evidence["point_count"] + 0.05 for row in rows]
     rare = [(len(rows) / (counts[_verdict(row)] + _FEW)) ** BALANCE for row in rows]
     asked = [
-        1.0 if row.evidence["witness_moving"] + row.evidence["witness_still"] else _UNWITNESSED
+        1.0 if row.evidence["witness_dynamic"] + row.evidence["witness_static"] else _UNWITNESSED
         for row in rows
     ]
     weights: NDArray[np.float64] = np.array(worth) * np.array(rare) * np.array(asked)

@@ -20,7 +20,7 @@ from schemas.task import MOTION
 from workers.contradiction.boxes import fit_box
 from workers.contradiction.instances import cluster_places
 from workers.contradiction.settings import DEFAULT_INSTANCES
-from workers.contradiction.tracks import frame_period_s, tie_tracks
+from workers.contradiction.tracks import associate_instances, frame_period_s
 from workers.lab.evaluation.failures.frame_truth import FrameWithTruth
 
 MIN_POINTS: Final = 25
@@ -117,7 +117,7 @@ def _unowned(
             wrong &= True if ground is None else ~ground
             instances += _instances(frame, number, np.flatnonzero(wrong))
         number = 0
-        for track in tie_tracks(scene, instances):
+        for track in associate_instances(scene, instances):
             members = [instances[member] for member in track.members]
             if len(members) < enough:
                 continue

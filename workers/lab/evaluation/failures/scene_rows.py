@@ -136,7 +136,7 @@ def _track_rows(
                 true_track=track,
                 verdict=verdict,
                 said=each.attribution,
-                evidence=each.evidence.named(),
+                evidence=each.features.named(),
             )
         )
     return rows, strays
