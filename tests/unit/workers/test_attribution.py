@@ -65,14 +65,14 @@ def _attribution(scene: Scene) -> Attribution:
     return track.attribution
 
 
-def test_a_parked_car_called_moving_is_the_supervised_streams_error() -> None:
+def test_a_parked_car_labelled_dynamic_is_the_supervised_streams_error() -> None:
     said = _attribution(_witnessed(labelled_scene([PARKED]), STATIC))
     assert said.wrong is Wrong.SUPERVISED
     assert said.supervised > 0.8
     assert "witness label static" in said.supporting
 
 
-def test_a_mover_called_static_by_the_self_supervised_stream_alone_is_its_error() -> None:
+def test_a_mover_labelled_static_by_the_self_supervised_stream_alone_is_its_error() -> None:
     scene = _witnessed(labelled_scene([MISSED_BY_SELF]), DYNAMIC)
     tracks = [t for t in _tracks(scene) if t.kind == ContradictionKind.ONLY_SEMANTIC_DYNAMIC]
     said = tracks[0].attribution
@@ -81,7 +81,7 @@ def test_a_mover_called_static_by_the_self_supervised_stream_alone_is_its_error(
     assert tracks[0].strength < 0.2, "a look is for the failures of the supervised stream"
 
 
-def test_a_mover_that_only_the_witness_sees_is_worth_a_look() -> None:
+def test_a_witness_only_mover_has_strength() -> None:
     (track,) = _tracks(_witnessed(labelled_scene([MISSED_BY_BOTH]), DYNAMIC))
     assert track.kind == ContradictionKind.ONLY_WITNESS_DYNAMIC
     assert track.attribution is not None
@@ -107,7 +107,7 @@ def test_what_begins_to_be_called_moving_as_the_log_ends_may_set_off(
     assert "end of the log" not in (*later.supporting, *later.opposing, *later.neutral)
 
 
-def test_who_goes_on_is_missed_and_who_only_stops_is_not_so_surely() -> None:
+def test_a_transit_is_a_miss_and_a_stop_is_less_probably_one() -> None:
     table = tables()[ContradictionKind.ONLY_WITNESS_DYNAMIC.value]
     whole = dict.fromkeys(
         ("witness_dynamic", "continuity", "supervised_confidence", "road_user_size", "arrived"), 1.0
@@ -124,7 +124,7 @@ def test_who_goes_on_is_missed_and_who_only_stops_is_not_so_surely() -> None:
     assert goes_on[Wrong.BOTH] > stops[Wrong.BOTH]
 
 
-def test_what_jumps_about_while_only_the_witness_sees_it_move_is_nobodys_error() -> None:
+def test_a_jittering_witness_only_track_is_no_streams_error() -> None:
     stands = replace(MISSED_BY_BOTH, velocity_m_per_s=(0, 0, 0))
     (track,) = _tracks(_witnessed(labelled_scene([stands]), DYNAMIC))
     assert track.attribution is not None
@@ -143,7 +143,7 @@ def test_the_four_chances_add_up_to_one() -> None:
     )
 
 
-def test_every_number_of_evidence_is_named_and_between_0_and_1() -> None:
+def test_every_feature_is_named_and_between_0_and_1() -> None:
     scene = _witnessed(labelled_scene([PARKED, MISSED_BY_SELF]), DYNAMIC)
     for ranked in ranked_tracks(scene, find_instances(scene, class_names=CLASS_NAMES)):
         named = ranked.features.named()
@@ -151,7 +151,7 @@ def test_every_number_of_evidence_is_named_and_between_0_and_1() -> None:
         assert all(0.0 <= value <= 1.0 for value in named.values())
 
 
-def test_the_rim_of_what_both_see_move_is_told_from_a_thing_of_its_own() -> None:
+def test_the_rim_of_an_agreed_mover_differs_from_an_isolated_object() -> None:
     body = Thing((12, -4, 0), DYNAMIC, DYNAMIC, points=400)
     rim = Thing((12, -2.9, 0), DYNAMIC, STATIC, size_m=(4.0, 0.3, 1.5), points=60)
     (track,) = ranked_tracks(
@@ -163,7 +163,7 @@ def test_the_rim_of_what_both_see_move_is_told_from_a_thing_of_its_own() -> None
     assert track.attribution.wrong is Wrong.NEITHER
 
 
-def test_a_table_may_rest_on_known_evidence_only() -> None:
+def test_a_table_may_use_known_features_only() -> None:
     with pytest.raises(ValueError, match="uses features that do not exist: colour"):
         table_of({"supervised": {"intercept": 0.0, "weights": {"colour": 1.0}}})
 

@@ -1,4 +1,4 @@
-"""Counts in boxes are those that numpy comes to, place by place."""
+"""Counts in boxes equal those of numpy."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from workers.contradiction.box_queries import (
 RNG = np.random.default_rng(5)
 
 
-def test_rows_said_are_off_the_ground_and_somewhere() -> None:
+def test_rows_labelled_are_off_the_ground_and_finite() -> None:
     points = RNG.uniform(-5.0, 5.0, (300, 3)).astype(np.float32)
     points[::7, 1], points[::11, 2] = np.nan, np.inf
     labels, ground = RNG.integers(0, 3, 300).astype(np.uint8), RNG.random(300) < 0.4
@@ -22,7 +22,7 @@ def test_rows_said_are_off_the_ground_and_somewhere() -> None:
     assert rows_labelled(points, labels, 1, ground).tolist() == np.flatnonzero(wanted).tolist()
 
 
-def test_each_sort_is_counted_in_turned_boxes() -> None:
+def test_each_mask_is_counted_in_turned_boxes() -> None:
     places = RNG.uniform(-3.0, 3.0, (2000, 3))
     agreed, not_refuted = RNG.random(2000) < 0.3, RNG.random(2000) < 0.6
     axes = np.linalg.qr(RNG.normal(size=(4, 3, 3))).Q
@@ -37,7 +37,7 @@ def test_each_sort_is_counted_in_turned_boxes() -> None:
         assert inside.sum() > 10 or first[box] == last[box]
 
 
-def test_answers_around_a_thing_reach_as_far_as_the_margin() -> None:
+def test_labels_around_an_object_are_counted_up_to_the_margin() -> None:
     thing = np.array([[0.0, 0.0, 0.0], [2.0, 1.0, 1.0]], np.float32)
     points = np.array([[3.0, 0, 0], [3.01, 0, 0], [1, -1, 2], [1, 1, 2.01]], np.float32)
     counts = labels_around(points, np.array([1, 1, 0, 2], np.uint8), thing, np.float32(1.0))

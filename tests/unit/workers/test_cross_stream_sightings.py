@@ -65,21 +65,21 @@ def test_what_the_witness_sees_in_its_stead_makes_a_track_last(said: list[int]) 
     assert alone.presence < 0.8 * pieces.presence
 
 
-def test_what_is_seen_elsewhere_is_another_thing() -> None:
+def test_a_sighting_elsewhere_is_another_object() -> None:
     assert _track(PIECES, aside_m=6.0).presence == _track(PIECES, witness=False).presence
 
 
-def test_in_a_crowd_it_cannot_be_told_which_is_the_same() -> None:
+def test_sightings_count_less_in_clutter() -> None:
     crowd = tuple(Thing((0.0, 20.0 + 8.0 * lane, 0.0), STATIC, DYNAMIC) for lane in range(8))
     alone = _track(PIECES, witness=False).presence
     assert alone < _track(PIECES, others=crowd).presence < 0.5 * (alone + _track(PIECES).presence)
 
 
-def test_two_frames_do_not_say_where_a_thing_should_be() -> None:
+def test_a_track_of_two_frames_is_not_extended() -> None:
     said = [UNKNOWN] * 5 + [DYNAMIC] * 2
     assert _track(said).presence == _track(said, witness=False).presence
 
 
-def test_a_scrap_that_is_seen_in_its_stead_counts_as_little_as_it_is() -> None:
+def test_a_sighting_of_a_fragment_counts_by_its_points() -> None:
     whole, scrap = (_track(PIECES, seen_share=share).presence for share in (1.0, 0.7))
     assert _track(PIECES, witness=False).presence < scrap < 0.9 * whole

@@ -33,7 +33,7 @@ def _evidence(scene: Scene) -> TrackFeatures:
 def _scene(
     said: Sequence[tuple[int, int]], *, step_m: float, others: tuple[Thing, ...] = ()
 ) -> Scene:
-    """A car of which both streams say something else in each frame, and what else is there."""
+    """Return a scene of a car with other labels in each frame, and of other objects."""
     frames = []
     for number, (semantic, predictive) in enumerate(said):
         car = Thing((12.0 + step_m * number, 5.0, 0.0), semantic, predictive)
@@ -49,10 +49,10 @@ def _scene(
         ([(STATIC, STATIC)] * 4 + [(DYNAMIC, STATIC)] * 6 + [(STATIC, STATIC)] * 4, 0.0, 0.0),
         ([(DYNAMIC, STATIC)] * 14, 0.0, 0.0),
     ],
-    ids=["it stops", "it starts", "called moving for a while", "from end to end"],
+    ids=["it stops", "it starts", "labelled dynamic for a while", "from end to end"],
 )
 @pytest.mark.parametrize("step_m", [0.0, 0.3], ids=["in its place", "as it goes"])
-def test_what_both_call_moving_before_or_after_is_told(
+def test_dynamic_labels_of_both_streams_before_or_after_are_features(
     said: Sequence[tuple[int, int]], before: float, after: float, step_m: float
 ) -> None:
     evidence = _evidence(_scene(said, step_m=step_m))
@@ -60,7 +60,7 @@ def test_what_both_call_moving_before_or_after_is_told(
 
 
 @pytest.mark.parametrize("step_m", [0.0, 0.3], ids=["in its place", "as it goes"])
-def test_what_is_said_beyond_the_ends_of_the_scene_counts(step_m: float) -> None:
+def test_labels_beyond_the_ends_of_the_scene_count(step_m: float) -> None:
     said = [(DYNAMIC, DYNAMIC)] * 4 + [(DYNAMIC, STATIC)] * 10 + [(STATIC, STATIC)] * 4
     whole = _scene(said, step_m=step_m)
     cut = replace(whole, frames=whole.frames[4:14], before=whole.frames[1:4])
@@ -69,14 +69,14 @@ def test_what_is_said_beyond_the_ends_of_the_scene_counts(step_m: float) -> None
     assert _evidence(alone).agreed_before == 0.0
 
 
-def test_a_mover_that_passes_beside_a_thing_says_nothing_of_it() -> None:
+def test_a_mover_that_passes_next_to_an_object_does_not_count_for_it() -> None:
     said = [(STATIC, STATIC)] * 4 + [(DYNAMIC, STATIC)] * 6 + [(STATIC, STATIC)] * 4
     beside = Thing((12.0, 9.0, 0.0), DYNAMIC, DYNAMIC, points=400)
     evidence = _evidence(_scene(said, step_m=0.0, others=(beside,)))
     assert (evidence.agreed_before, evidence.not_refuted_after) == (0.0, 0.0)
 
 
-def test_a_path_of_two_frames_says_nothing() -> None:
+def test_a_path_of_two_frames_has_no_velocity() -> None:
     centres_m = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     path = path_of(centres_m, np.array([0.0, 0.1]), [centres_m[:1, :2], centres_m[1:, :2]])
     assert (path.displacement, path.straightness) == (0.0, 0.0)
@@ -84,7 +84,7 @@ def test_a_path_of_two_frames_says_nothing() -> None:
 
 
 def _seen_from(begin_m: NDArray[np.float64], end_m: NDArray[np.float64]) -> Path:
-    """The path of a thing of which points from here to there are seen, frame by frame."""
+    """Return the path of an object observed between two ends in each frame."""
     ends_m = np.stack([begin_m, end_m], axis=1)
     share = np.linspace(0.0, 1.0, 50)
     places_m = [
@@ -94,7 +94,7 @@ def _seen_from(begin_m: NDArray[np.float64], end_m: NDArray[np.float64]) -> Path
     return path_of(centres_m, np.arange(len(ends_m)) / 10.0, places_m)
 
 
-def test_what_is_seen_more_of_at_one_end_did_not_go() -> None:
+def test_a_static_object_unveiled_at_one_end_has_no_displacement() -> None:
     shown = np.linspace(1.0, 4.0, 11)
     unveiled = _seen_from(np.zeros(11), shown)
     covered = _seen_from(4.0 - shown, np.full(11, 4.0))
@@ -107,7 +107,7 @@ def test_what_is_seen_more_of_at_one_end_did_not_go() -> None:
     assert np.allclose(unveiled.velocity_m_per_s, [1.5, 0.0])
 
 
-def test_what_comes_into_sight_as_it_goes_went_as_far_as_its_slower_end() -> None:
+def test_the_displacement_of_an_emerging_object_is_that_of_its_slower_end() -> None:
     coming = _seen_from(np.linspace(0.0, 1.0, 11), np.linspace(0.5, 5.0, 11))
     assert 0.45 < coming.displacement < 0.6
 
@@ -115,26 +115,28 @@ def test_what_comes_into_sight_as_it_goes_went_as_far_as_its_slower_end() -> Non
 @pytest.mark.parametrize(
     ("after", "agreed"),
     [((DYNAMIC, UNKNOWN), 1.0), ((STATIC, UNKNOWN), 0.0), ((UNKNOWN, UNKNOWN), 0.0)],
-    ids=["only the supervised stream says what it does", "the alarm is over", "nobody says"],
+    ids=["only the supervised stream labels it", "the alarm is over", "no stream labels it"],
 )
-def test_what_is_no_longer_called_standing_starts(after: tuple[int, int], agreed: float) -> None:
+def test_an_object_no_longer_labelled_static_is_not_refuted(
+    after: tuple[int, int], agreed: float
+) -> None:
     said = [(STATIC, STATIC)] * 4 + [(DYNAMIC, STATIC)] * 6 + [after] * 4
     assert _evidence(_scene(said, step_m=0.05)).not_refuted_after == agreed
 
 
-def test_what_goes_on_while_it_is_called_static_is_told_from_what_stops() -> None:
+def test_an_object_that_moves_on_while_labelled_static_differs_from_one_that_stops() -> None:
     said = [(DYNAMIC, DYNAMIC)] * 4 + [(STATIC, DYNAMIC)] * 6 + [(DYNAMIC, DYNAMIC)] * 4
     goes, stands = _evidence(_scene(said, step_m=0.5)), _evidence(_scene(said, step_m=0.0))
     assert min(goes.agreed_before, goes.not_refuted_after) > 0.8
     assert (stands.agreed_before, stands.not_refuted_after) == (0.0, 0.0)
 
 
-def test_a_new_thing_is_left_open_whatever_it_does() -> None:
+def test_an_unlabelled_new_object_is_not_agreed_dynamic() -> None:
     said = [(DYNAMIC, UNKNOWN)] * 4 + [(DYNAMIC, STATIC)] * 6
     assert _evidence(_scene(said, step_m=0.0)).agreed_before == 0.0
 
 
-def test_a_stream_that_goes_blind_leaves_nothing_open() -> None:
+def test_a_blind_stream_does_not_count_as_not_refuting() -> None:
     said = [(STATIC, STATIC)] * 4 + [(DYNAMIC, STATIC)] * 6 + [(DYNAMIC, UNKNOWN)] * 4
     scene = _scene(said, step_m=0.0)
     blind = FrameHealth(blindness=Blindness.NO_PAST, reason="a jump")
@@ -150,14 +152,14 @@ def test_a_stream_that_goes_blind_leaves_nothing_open() -> None:
     [(0.3, 10.0, 0.75, 0.85), (1.5, 10.0, 0.0, 0.0), (0.3, 60.0, 0.0, 0.0)],
     ids=["a lifted patch of road", "a car", "a far car of few rows"],
 )
-def test_low_is_what_is_near_and_has_no_height(
+def test_a_near_box_without_height_is_low(
     height_m: float, range_m: float, least: float, most: float
 ) -> None:
     thing = Thing((range_m, 0.0, 0.0), DYNAMIC, STATIC, size_m=(3.0, 1.5, height_m))
     assert least <= _evidence(labelled_scene([replace(thing, points=200)])).lowness <= most
 
 
-def test_what_both_see_move_is_found_up_to_a_second_away_and_no_further() -> None:
+def test_agreed_dynamic_labels_count_up_to_a_second_away() -> None:
     gap = [(STATIC, STATIC)]
     for frames_between, agreed in ((5, 1.0), (9, 2 / 3), (12, 0.0)):
         said = [(DYNAMIC, DYNAMIC)] * 3 + gap * (frames_between - 1) + [(DYNAMIC, STATIC)] * 6
@@ -165,7 +167,7 @@ def test_what_both_see_move_is_found_up_to_a_second_away_and_no_further() -> Non
         assert evidence.agreed_before == pytest.approx(agreed), frames_between
 
 
-def test_scraps_that_are_tied_to_a_track_do_not_hide_that_it_starts() -> None:
+def test_fragments_in_a_track_do_not_hide_that_it_starts() -> None:
     late = frozenset(range(8, 14))
     scrap = Thing((12.0, 5.0, 0.0), DYNAMIC, STATIC, (1.0, 0.5, 0.5), points=30, frames=late)
     said = [(STATIC, STATIC)] * 4 + [(DYNAMIC, STATIC)] * 4 + [(DYNAMIC, DYNAMIC)] * 6
@@ -184,7 +186,7 @@ def test_scraps_that_are_tied_to_a_track_do_not_hide_that_it_starts() -> None:
     ],
     ids=["supervised label dynamic earlier", "supervised label dynamic later", "never"],
 )
-def test_whether_the_answer_of_the_supervised_stream_changes_is_told(
+def test_changes_of_the_supervised_label_are_features(
     said: Sequence[tuple[int, int]], before: float, after: float
 ) -> None:
     scene = _scene(said, step_m=0.3)

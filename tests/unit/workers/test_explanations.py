@@ -1,4 +1,4 @@
-"""What is told for and against a verdict, by its weight in the table."""
+"""Explanations for and against a verdict, by their weight in the table."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -41,7 +41,7 @@ def _said(kind: ContradictionKind, **known: float) -> Attribution:
     return attribute(kind.value, evidence, explanations=explanations)
 
 
-def test_what_is_known_is_told_as_for_against_or_neither() -> None:
+def test_explanations_are_supporting_opposing_or_neutral() -> None:
     said = _said(
         ContradictionKind.ONLY_PREDICTIVE_DYNAMIC,
         **dict.fromkeys(
@@ -58,7 +58,7 @@ def test_what_is_known_is_told_as_for_against_or_neither() -> None:
     assert said.neutral == ("few points",)
 
 
-def test_the_same_evidence_speaks_for_one_answer_and_against_another() -> None:
+def test_the_same_evidence_supports_one_verdict_and_opposes_another() -> None:
     parked = {
         "witness_static": 0.7,
         "denied_share": 1.0,
@@ -106,7 +106,7 @@ def test_motion_that_the_witness_sees_too_never_speaks_for_the_one_who_says_it_s
     assert "witness label dynamic" in said.opposing
 
 
-def test_what_the_table_does_not_ask_for_speaks_neither_for_nor_against() -> None:
+def test_a_feature_without_a_weight_is_neutral() -> None:
     said = attribute(KIND, _evidence(), explanations=(Explanation("it rains", {}),))
     assert (said.opposing, said.neutral) == ((), ("it rains",))
     assert NEGLIGIBLE > 0.0
@@ -166,7 +166,9 @@ def test_how_a_thing_goes_is_told_by_both_numbers_of_its_path(
     assert said.supporting == (words,)
 
 
-def test_where_no_evidence_speaks_for_it_the_kind_does(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_supporting_evidence_the_kind_supports_the_verdict(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     evidence = _evidence(distance=1.0, isolation=0.5, road_user_size=0.5, displacement=0.3)
     said = _by(monkeypatch, 2.0, evidence, distance=-1.0)
     assert (said.supporting, said.opposing) == ((TYPICAL_OF_KIND[KIND],), ("long range",))
@@ -187,7 +189,7 @@ def test_an_answer_that_the_kind_speaks_against_too_is_the_likeliest_of_four(
 
 
 @pytest.mark.parametrize("kind", list(ContradictionKind))
-def test_no_verdict_is_without_a_word_for_it(kind: ContradictionKind) -> None:
+def test_every_verdict_has_supporting_evidence(kind: ContradictionKind) -> None:
     rng = np.random.default_rng(7)
     for _ in range(300):
         said = _said(kind, **dict(zip(NAMES, rng.random(len(NAMES)).round(2), strict=True)))
@@ -195,7 +197,7 @@ def test_no_verdict_is_without_a_word_for_it(kind: ContradictionKind) -> None:
         assert len(said.supporting) + len(said.opposing) + len(said.neutral) <= MAX_EVIDENCE
 
 
-def test_of_too_much_that_is_known_the_weightiest_is_told() -> None:
+def test_the_weightiest_explanations_are_kept() -> None:
     loud = dict.fromkeys(("agreed_before", "not_refuted_after", "witness_static", "distance"), 1.0)
     loud |= dict.fromkeys(("pose_doubted", "clutter", "turn_rate", "lowness", "thinness"), 1.0)
     said = _said(ContradictionKind.ONLY_PREDICTIVE_DYNAMIC, **loud, point_count=0.1, continuity=0.1)

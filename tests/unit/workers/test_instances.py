@@ -23,7 +23,7 @@ def _scene(*things: Thing, ground: bool = True, classes: bool = True) -> Scene:
     return Scene("log/lidar/0", (labelled_frame(things, ground=ground, classes=classes),))
 
 
-def test_a_missed_car_and_a_phantom_beside_it_are_two_instances_of_two_kinds() -> None:
+def test_a_missed_car_and_a_phantom_next_to_it_are_two_instances_of_two_kinds() -> None:
     scene = _scene(
         Thing((10, 3, 0), STATIC, DYNAMIC), Thing((10, 0.5, 0), DYNAMIC, STATIC, class_id=2)
     )
@@ -32,7 +32,7 @@ def test_a_missed_car_and_a_phantom_beside_it_are_two_instances_of_two_kinds() -
     assert (missed.kind.name, missed.class_name) == (MISSED, "car")
 
 
-def test_what_both_streams_call_the_same_makes_no_instance() -> None:
+def test_points_with_equal_labels_make_no_instance() -> None:
     scene = _scene(
         Thing((10, 0, 0), STATIC, STATIC),
         Thing((20, 0, 0), DYNAMIC, DYNAMIC),
@@ -79,7 +79,7 @@ def test_a_car_far_away_with_a_dozen_points_is_kept_and_a_handful_of_specks_is_n
     assert len(instance.point_index) == 12
 
 
-def test_the_rim_of_an_agreed_mover_is_told_from_a_thing_of_its_own() -> None:
+def test_the_rim_of_an_agreed_mover_differs_from_an_isolated_object() -> None:
     alone = Thing((10, 20, 0), STATIC, DYNAMIC, points=60, size_m=(1, 1, 1))
     rim = Thing((10, 0, -0.5), STATIC, DYNAMIC, points=60, size_m=(4, 1.8, 0.3))
     body = Thing((10, 0, 0), DYNAMIC, DYNAMIC, points=800)
@@ -166,7 +166,7 @@ def test_a_single_point_has_a_box_without_extent() -> None:
     np.testing.assert_allclose(size_m, 0, atol=1e-6)
 
 
-def test_an_instance_knows_which_share_of_it_was_proved_more_than_once() -> None:
+def test_an_instance_has_the_share_of_its_points_with_confirmed_motion() -> None:
     missed = Thing((10, 3, 0), STATIC, DYNAMIC, points=100, confirmed_share=0.3)
     phantom = Thing((-10, 3, 0), DYNAMIC, STATIC)
     of_phantom, of_missed = find_instances(_scene(missed, phantom), class_names=CLASS_NAMES)

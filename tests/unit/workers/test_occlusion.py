@@ -1,4 +1,4 @@
-"""What stands before a place hides it, unless something is seen about it or beyond."""
+"""A place is occluded by a point in front of it, unless one is seen near it or beyond."""
 
 import numpy as np
 import pytest
@@ -64,6 +64,6 @@ def test_it_goes_round_behind_the_car_and_by_the_pose() -> None:
     assert occluded_share(places, far_off, bounds, 0.5) == 0.0
 
 
-def test_a_share_of_places_is_told() -> None:
+def test_the_occluded_share_of_places_is_returned() -> None:
     places = np.array([(20.0, 0.0, 0.0), (5.0, 0.0, 0.0), (20.0, 15.0, 0.0), (20.0, 1.0, 0.0)])
     assert occluded_share(places, np.eye(4), _bounds(_wall(10.0)), 0.5) == 0.5

@@ -69,7 +69,7 @@ def _score_of(*things: Thing) -> float:
     return _score(labelled_scene(things)).score
 
 
-def test_a_scene_without_contradictions_scores_zero_and_has_nothing_to_say() -> None:
+def test_a_scene_without_contradictions_scores_zero_and_has_no_reason() -> None:
     moving = Thing((0, 0, 0), DYNAMIC, DYNAMIC, velocity_m_per_s=(5, 0, 0))
     record = _score(labelled_scene([WALL, moving]))
     assert (record.score, record.reasons, record.tracks) == (0.0, (), ())
@@ -77,7 +77,7 @@ def test_a_scene_without_contradictions_scores_zero_and_has_nothing_to_say() -> 
     assert record.all_points["both_dynamic"] == pytest.approx(120 / 1620, abs=1e-4)
 
 
-def test_a_car_that_only_the_self_supervised_stream_sees_is_told_with_its_speed() -> None:
+def test_the_headline_of_a_missed_car_has_its_speed() -> None:
     record = _score(labelled_scene([WALL, MISSED_CAR]))
     (track,) = record.tracks
     assert track.kind == ContradictionKind.ONLY_PREDICTIVE_DYNAMIC
@@ -93,7 +93,7 @@ def test_a_car_that_only_the_self_supervised_stream_sees_is_told_with_its_speed(
     assert reason.track_id == 0
 
 
-def test_a_phantom_pedestrian_is_told_with_where_it_stands() -> None:
+def test_the_headline_of_a_phantom_pedestrian_has_its_place() -> None:
     record = _score(labelled_scene([WALL, PHANTOM]))
     (reason,) = record.reasons
     assert reason.headline.startswith(
@@ -106,7 +106,7 @@ def test_a_phantom_pedestrian_is_told_with_where_it_stands() -> None:
     assert (strongest.semantic_confidence, strongest.predictive_confidence) == (0.9, 0.9)
 
 
-def test_what_speaks_for_and_against_who_errs_is_told_apart() -> None:
+def test_supporting_and_opposing_evidence_are_separate() -> None:
     attribution = Attribution(
         wrong=Wrong.SUPERVISED,
         supervised=0.6,
@@ -230,7 +230,7 @@ def test_odometry_that_is_degraded_for_a_moment_lowers_the_score() -> None:
     assert bumpy.odometry.healthy_share == 0.8
 
 
-def test_a_pose_that_is_doubted_while_a_thing_is_not_seen_takes_nothing_from_it() -> None:
+def test_a_pose_doubted_outside_a_tracks_frames_does_not_lower_it() -> None:
     late = [replace(each, frames=frozenset(range(4, 20))) for each in STREET]
     clean = _score(labelled_scene(late))
     before = _score(labelled_scene(late, odometry=[DEGRADED] * 4 + [HEALTHY] * 16))
@@ -240,7 +240,7 @@ def test_a_pose_that_is_doubted_while_a_thing_is_not_seen_takes_nothing_from_it(
     assert amid.odometry.healthy_share == before.odometry.healthy_share
 
 
-def test_what_alone_contradicts_is_hardly_the_fault_of_a_pose() -> None:
+def test_a_doubted_pose_lowers_an_isolated_contradiction_less() -> None:
     doubted = [DEGRADED] * 20
     alone, amid = (_score(labelled_scene(each, odometry=doubted)) for each in (STREET[:1], STREET))
     assert alone.tracks[0].strength > 1.5 * amid.tracks[0].strength
@@ -319,19 +319,19 @@ def test_factors_of_the_strength_rise_with_their_evidence() -> None:
     ],
     ids=["a car", "a cat", "a truck", "rows of a far car", "a strip", "a rail", "lifted road"],
 )
-def test_what_lies_flat_is_no_road_user(
+def test_a_flat_box_is_no_road_user(
     size_m: tuple[float, float, float], range_m: float, least: float, most: float
 ) -> None:
     assert least <= not_flat(np.array(size_m), range_m) <= most
 
 
-def test_a_flat_strip_that_seems_to_move_is_worth_nothing() -> None:
+def test_a_flat_strip_labelled_dynamic_has_no_strength() -> None:
     car = replace(MISSED_CAR, at_m=(-10, 3, 0))
     strip = replace(car, size_m=(4.0, 0.4, 0.04))
     assert _score_of(WALL, strip) == 0.0 < 0.5 < _score_of(WALL, car)
 
 
-def test_doubted_poses_say_nothing_against_what_is_seen_to_stand() -> None:
+def test_doubted_poses_do_not_lower_tracks_labelled_static() -> None:
     doubted = _score(labelled_scene([PHANTOM], odometry=[DEGRADED] * 20)).tracks[0]
     moving = _score(labelled_scene(STREET, odometry=[DEGRADED] * 20)).tracks[0]
     trusted = _score(labelled_scene([PHANTOM])).tracks[0]
@@ -363,7 +363,7 @@ def _missed(at_m: tuple[float, float, float], confirmed_share: float | None) -> 
     return replace(MISSED_CAR, at_m=at_m, confirmed_share=confirmed_share)
 
 
-def test_what_was_never_confirmed_ranks_below_what_was() -> None:
+def test_unconfirmed_motion_ranks_below_confirmed_motion() -> None:
     unproved, proved = _missed((-20, 3, 0), 0.0), _missed((-20, 12, 0), 1.0)
     record = _score(labelled_scene([WALL, unproved, proved]))
     first, second = record.tracks
@@ -371,7 +371,7 @@ def test_what_was_never_confirmed_ranks_below_what_was() -> None:
     assert second.strength < 0.9 * first.strength
 
 
-def test_the_more_of_a_thing_is_confirmed_the_surer_is_who_errs() -> None:
+def test_a_larger_confirmed_share_makes_the_verdict_more_certain() -> None:
     untold = _score(labelled_scene([WALL, MISSED_CAR])).tracks[0]
     told = [
         _score(labelled_scene([WALL, _missed(MISSED_CAR.at_m, share)])).tracks[0].strength
@@ -400,7 +400,7 @@ def test_a_stream_that_confirms_nothing_is_scored_as_before_and_its_record_is_si
         (UNKNOWN, UNKNOWN, "the supervised and the self-supervised stream labelled no point"),
     ],
 )
-def test_a_scene_in_which_nothing_was_compared_says_who_was_silent(
+def test_a_scene_without_comparisons_names_the_stream_without_labels(
     semantic: MotionLabel, predictive: MotionLabel, says: str
 ) -> None:
     record = _score(labelled_scene([Thing((9, 0, 0), semantic, predictive)]))
@@ -408,7 +408,7 @@ def test_a_scene_in_which_nothing_was_compared_says_who_was_silent(
     assert _headlines(record) == [f"nothing was compared: {says}"]
 
 
-def test_streams_that_never_judged_the_same_point_say_so() -> None:
+def test_streams_that_never_labelled_the_same_point_are_reported() -> None:
     things = [Thing((9, 0, 0), UNKNOWN, STATIC), Thing((-9, 0, 0), STATIC, UNKNOWN)]
     record = _score(labelled_scene(things))
     assert _headlines(record) == ["nothing was compared: no point was labelled by both streams"]

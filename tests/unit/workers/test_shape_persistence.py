@@ -1,4 +1,4 @@
-"""Where the shape of a thing was and will be, whatever anybody says of it."""
+"""Places of an object's shape, earlier and later, whatever its labels."""
 
 from collections.abc import Callable, Sequence
 
@@ -18,7 +18,7 @@ from workers.contradiction.tracks import associate_instances
 STATIC, DYNAMIC = MotionLabel.STATIC, MotionLabel.DYNAMIC
 WALL = Thing((16.0, 12.0, 0.0), STATIC, STATIC, (30.0, 0.1, 3.0), points=3000, class_id=0)
 PERSON_M = (0.1, 0.6, 1.7)
-"""What a lidar sees of one: the side towards it."""
+"""Observed size of a person, metres: the side towards the lidar."""
 
 
 def _scene(
@@ -59,7 +59,7 @@ def _scene(
     )
 
 
-def _told(scene: Scene) -> ShapePersistence:
+def _persistence_in(scene: Scene) -> ShapePersistence:
     instances = find_instances(scene, class_names=CLASS_NAMES)
     (track,) = associate_instances(scene, instances)
     members = [instances[each] for each in track.members]
@@ -70,7 +70,7 @@ def _told(scene: Scene) -> ShapePersistence:
 
 
 @pytest.mark.parametrize(
-    ("along_m", "told"),
+    ("along_m", "expected"),
     [
         (lambda _: 0.0, ShapePersistence(1.0, 0.0, 1.0, 0.0)),
         (lambda time_s: 0.5 * time_s, ShapePersistence(0.0, 1.0, 0.0, 1.0)),
@@ -80,45 +80,50 @@ def _told(scene: Scene) -> ShapePersistence:
     ],
     ids=["it stands", "it strolls", "it stops", "it starts", "it is fast"],
 )
-def test_where_a_shape_was_and_will_be_is_told(
-    along_m: Callable[[float], float], told: ShapePersistence
+def test_the_places_of_a_shape_earlier_and_later_are_found(
+    along_m: Callable[[float], float], expected: ShapePersistence
 ) -> None:
-    found = _told(_scene(along_m))
-    assert found.here_before == pytest.approx(told.here_before, abs=0.15)
-    assert found.elsewhere_before == pytest.approx(told.elsewhere_before, abs=0.15)
-    assert found.here_after == pytest.approx(told.here_after, abs=0.15)
-    assert found.elsewhere_after == pytest.approx(told.elsewhere_after, abs=0.15)
+    found = _persistence_in(_scene(along_m))
+    assert found.here_before == pytest.approx(expected.here_before, abs=0.15)
+    assert found.elsewhere_before == pytest.approx(expected.elsewhere_before, abs=0.15)
+    assert found.here_after == pytest.approx(expected.here_after, abs=0.15)
+    assert found.elsewhere_after == pytest.approx(expected.elsewhere_after, abs=0.15)
 
 
-def test_nothing_is_said_of_what_is_hidden_before_and_after() -> None:
-    assert _told(_scene(lambda _: 0.0, seen=lambda frame: 13 <= frame < 17)) == ShapePersistence()
+def test_an_object_hidden_before_and_after_has_no_evidence() -> None:
+    assert (
+        _persistence_in(_scene(lambda _: 0.0, seen=lambda frame: 13 <= frame < 17))
+        == ShapePersistence()
+    )
 
 
-def test_nothing_is_said_of_what_lies_beyond_the_log() -> None:
-    told = _told(_scene(lambda _: 0.0, frames=14))
-    assert (told.here_before, told.elsewhere_before) == (1.0, 0.0)
-    assert (told.here_after, told.elsewhere_after) == (0.0, 0.0)
+def test_beyond_the_log_there_is_no_evidence() -> None:
+    found = _persistence_in(_scene(lambda _: 0.0, frames=14))
+    assert (found.here_before, found.elsewhere_before) == (1.0, 0.0)
+    assert (found.here_after, found.elsewhere_after) == (0.0, 0.0)
 
 
-def test_a_shape_that_is_half_hidden_at_other_times_stands() -> None:
+def test_a_shape_half_hidden_at_other_times_is_static() -> None:
     hides = Thing((12.0, 4.6, 0.0), STATIC, STATIC, (4.0, 0.4, 1.5), points=400)
     scene = _scene(lambda _: 0.0, size_m=(4.0, 1.8, 1.5), others=(WALL, hides))
-    assert _told(scene) == ShapePersistence(1.0, 0.0, 1.0, 0.0)
+    assert _persistence_in(scene) == ShapePersistence(1.0, 0.0, 1.0, 0.0)
 
 
-def test_moments_at_which_something_stands_before_it_are_not_asked() -> None:
+def test_keyframes_in_which_it_is_occluded_are_left_out() -> None:
     lorry = Thing((6.0, 2.5, 0.0), STATIC, STATIC, (5.0, 0.2, 3.0), points=6000)
     wall = Thing((16.0, -12.0, 0.0), STATIC, STATIC, WALL.size_m, points=3000, class_id=0)
     for instead, here in (((lorry,), 1.0), ((), 0.0)):
         seen = [n for n in range(30) if n not in (0, 5, 20, 25)]
-        told = _told(_scene(lambda _: 0.0, seen=seen.__contains__, others=(wall,), instead=instead))
-        assert (told.here_before, told.here_after) == (here, here)
-        assert (told.elsewhere_before, told.elsewhere_after) == (0.0, 0.0)
+        found = _persistence_in(
+            _scene(lambda _: 0.0, seen=seen.__contains__, others=(wall,), instead=instead)
+        )
+        assert (found.here_before, found.here_after) == (here, here)
+        assert (found.elsewhere_before, found.elsewhere_after) == (0.0, 0.0)
 
 
-def test_a_piece_of_a_rail_that_is_not_seen_now_and_then_did_not_come_along_it() -> None:
+def test_a_piece_of_a_rail_that_is_sometimes_unobserved_did_not_arrive() -> None:
     rail = Thing((20.0, 5.0, 0.0), STATIC, STATIC, (14.0, 0.1, 0.6), points=1500, class_id=0)
-    told = _told(
+    found = _persistence_in(
         _scene(
             lambda _: 0.0,
             contradicts=range(14, 24),
@@ -127,13 +132,13 @@ def test_a_piece_of_a_rail_that_is_not_seen_now_and_then_did_not_come_along_it()
             others=(WALL, rail),
         )
     )
-    assert told.elsewhere_before == 0.0
+    assert found.elsewhere_before == 0.0
 
 
-def test_what_hangs_above_a_place_does_not_stand_there() -> None:
+def test_an_object_above_a_place_is_not_in_it() -> None:
     crown = Thing((12.0, 5.0, 4.0), STATIC, STATIC, (6.0, 6.0, 2.0), points=4000, class_id=0)
-    told = _told(_scene(lambda time_s: 0.5 * time_s, others=(WALL, crown)))
-    assert min(told.elsewhere_before, told.elsewhere_after) > 0.8
+    found = _persistence_in(_scene(lambda time_s: 0.5 * time_s, others=(WALL, crown)))
+    assert min(found.elsewhere_before, found.elsewhere_after) > 0.8
 
 
 @pytest.mark.parametrize(
@@ -141,14 +146,16 @@ def test_what_hangs_above_a_place_does_not_stand_there() -> None:
     [(lambda time_s: 0.5 * time_s, 1.0), (lambda time_s: 0.8 * min(0.0, time_s - 1.2), 0.0)],
     ids=["it strolls", "it stops"],
 )
-def test_what_came_and_leaves_passes(along_m: Callable[[float], float], passes: float) -> None:
+def test_an_object_that_arrived_and_departs_transits(
+    along_m: Callable[[float], float], passes: float
+) -> None:
     scene = _scene(along_m)
     (track,) = ranked_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))
     assert track.features.arrived == pytest.approx(1.0, abs=0.15)
     assert track.features.transits == pytest.approx(passes, abs=0.15)
 
 
-def test_it_is_asked_of_what_lasts_and_has_points() -> None:
+def test_shapes_are_tested_for_lasting_tracks_with_points() -> None:
     lasting, brief = (
         ranked_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))[0].features
         for scene in (
@@ -160,7 +167,7 @@ def test_it_is_asked_of_what_lasts_and_has_points() -> None:
     assert (brief.shape_static, brief.shape_static_after) == (0.0, 0.0)
 
 
-def test_a_glance_is_taken_every_half_second_however_fast_the_sensor() -> None:
+def test_a_keyframe_is_taken_every_half_second_at_any_frame_rate() -> None:
     for period_s in (0.05, 0.1, 0.2, 1.0):
         frames = tuple(
             labelled_frame([WALL], frame=n, time_s=n * period_s) for n in range(round(3 / period_s))

@@ -53,13 +53,13 @@ def test_a_short_miss_does_not_end_a_track_and_a_long_one_does() -> None:
     assert sorted(len(track.members) for track in tracks) == [5, 10, 18]
 
 
-def test_what_a_slow_sensor_sees_is_tied_by_time_not_by_frames() -> None:
+def test_instances_of_a_slow_sensor_are_associated_by_time_not_by_frames() -> None:
     car = Thing((-10, 3, 0), STATIC, DYNAMIC, velocity_m_per_s=(10, 0, 0))
     _, tracks = _tied(labelled_scene([car], frames=5, period_s=0.5))
     assert [len(track.members) for track in tracks] == [5]
 
 
-def test_the_two_kinds_are_never_tied_together() -> None:
+def test_two_kinds_are_never_in_one_track() -> None:
     first = Thing((10, 0, 0), DYNAMIC, STATIC, frames=frozenset(range(10)))
     then = Thing((10, 0, 0), STATIC, DYNAMIC, frames=frozenset(range(10, 20)))
     _, tracks = _tied(labelled_scene([first, then]))
@@ -67,7 +67,7 @@ def test_the_two_kinds_are_never_tied_together() -> None:
     assert len({track.kind for track in tracks}) == 2
 
 
-def test_a_car_that_comes_apart_behind_a_pole_goes_on_as_its_larger_part() -> None:
+def test_a_car_split_by_a_pole_continues_as_its_larger_part() -> None:
     everywhere = frozenset(range(20))
     whole = Thing((10, 0, 0), DYNAMIC, STATIC, frames=everywhere - {8, 9})
     front = Thing((10.6, 0, 0), DYNAMIC, STATIC, size_m=(2.8, 1.8, 1.5), frames=frozenset({8, 9}))
