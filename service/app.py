@@ -29,7 +29,7 @@ from schemas.transport.router_watch import RouterWatch
 from service.api.control import Control
 from service.api.history import History
 from service.api.outbox import Outbox
-from service.api.request_queue import Questions
+from service.api.request_queue import RequestQueue
 from service.api.staging import Staging
 from service.background.bucket_watch import BucketWatch
 from service.background.clock_watch import ClockWatch
@@ -95,14 +95,15 @@ class Service:
         """Wire the parts; nothing happens before the block is entered.
 
         Args:
-            settings: What this process runs with, and what every worker must do alike.
+            settings: Settings of this process, and those that every worker shares.
             session: On the bus.
             ledger: Durable state.
             bucket: The log bucket, which is only listed.
             once: List the bucket only at the start, unless an object changes under a reader, and
                 believe at once that it is empty.
-            hold: Makes sure that the ledger is still ours alone to write; None: it cannot be lost.
-            metrics: Told of everything that is counted; None: some that nobody reads.
+            hold: Checks that this service is still the only writer of the ledger; None: that cannot
+                change.
+            metrics: Receives all counts; None: a private set.
 
         Raises:
             UsageError: If overlays are to be deleted in the log bucket.
@@ -136,10 +137,10 @@ class Service:
             session, ledger, root=self._root, on_fault=partial(self.metrics.faulted, "event")
         )
         self._history = History(session, ledger, root=self._root)
-        self._questions = Questions(
+        self._requests = RequestQueue(
             session,
             on_outcome=self.metrics.asked,
-            on_fault=partial(self.metrics.faulted, "question"),
+            on_fault=partial(self.metrics.faulted, "request"),
         )
         self._control = Control(
             settings=mining,
@@ -155,7 +156,7 @@ class Service:
                 bucket_url=bucket.url,
                 bucket=lambda: self._watch.seen,
                 staging_bytes=lambda: self._staging.waiting_bytes,
-                questions_waiting=lambda: self._questions.waiting,
+                questions_waiting=lambda: self._requests.waiting,
                 bus_misses=lambda: self._staging.missed,
                 state_free_bytes=partial(free_bytes, settings.state),
                 router_connected=lambda: is_connected(session),
@@ -197,9 +198,9 @@ class Service:
                     on_miss=self._staging.on_miss,
                 )
             )
-            opening.callback(self._questions.close)
-            self._control.declare(self._questions, root=self._root)
-            self._history.declare(self._questions)
+            opening.callback(self._requests.close)
+            self._control.declare(self._requests, root=self._root)
+            self._history.declare(self._requests)
             opening.enter_context(
                 self._session.liveliness().declare_token(
                     keys.live(root=self._root, role="service", ident=str(self._session.zid()))
@@ -264,7 +265,7 @@ class Service:
             on_fault=partial(self.metrics.faulted, "tick"),
         )
         self._threads = [
-            pool.submit(self._questions.serve, self._stop, writes=number < WRITING_THREADS)
+            pool.submit(self._requests.serve, self._stop, writes=number < WRITING_THREADS)
             for number in range(WRITING_THREADS + READING_THREADS)
         ]
         self._threads += [

@@ -34,7 +34,7 @@ from service.api.messages import (
 )
 from service.api.payload_check import require_affordable
 from service.api.reader import no_such_scene, read_overlay
-from service.api.request_queue import Questions, malformed
+from service.api.request_queue import RequestQueue, malformed
 from service.api.staging import Staging
 from service.api.verbs import VERBS
 from service.curation.rates import RatesRequest, rates
@@ -76,15 +76,15 @@ class Control:
             verb: getattr(self, f"answer_{verb}") for verb in VERBS
         }
 
-    def declare(self, questions: Questions, *, root: str) -> None:
-        """Take the questions of every verb."""
+    def declare(self, requests: RequestQueue, *, root: str) -> None:
+        """Register the handlers of every verb."""
         for verb in VERBS:
-            questions.declare(
+            requests.declare(
                 keys.control(root=root, verb=verb), partial(self.answer, verb), asked=verb
             )
 
     def answer(self, verb: str, payload: bytes) -> bytes:
-        """Answer one question.
+        """Answer one request.
 
         Raises:
             MalformedError: If the payload does not fit the verb.

@@ -20,7 +20,7 @@ from schemas.transport import keys
 from schemas.transport.bus import RANKED, encoding_of
 from schemas.transport.wire import encode
 from service.api.outbox import selected_scenes
-from service.api.request_queue import Questions
+from service.api.request_queue import RequestQueue
 from service.store.ledger import Ledger, StoredScene
 
 PAGE: Final = 512
@@ -33,11 +33,11 @@ class History:
     def __init__(self, session: zenoh.Session, ledger: Ledger, *, root: str) -> None:
         self._session, self._ledger, self._root = session, ledger, root
 
-    def declare(self, questions: Questions) -> None:
+    def declare(self, requests: RequestQueue) -> None:
         """Register the handlers."""
-        questions.declare_history(keys.all_scenes(root=self._root), self.answer)
-        questions.declare_history(keys.scene_cache(root=self._root), self.answer_as_cache)
-        questions.declare_history(keys.all_selected(root=self._root), self.answer_selected)
+        requests.declare_history(keys.all_scenes(root=self._root), self.answer)
+        requests.declare_history(keys.scene_cache(root=self._root), self.answer_as_cache)
+        requests.declare_history(keys.all_selected(root=self._root), self.answer_selected)
 
     def answer(self, query: zenoh.Query) -> None:
         """Reply with scenes in the order of their numbers, as the parameters request.

@@ -10,7 +10,13 @@ from schemas.overlay import Overlay, overlay_key
 from schemas.score import SceneScore
 from schemas.transport.bucket import open_bucket
 from schemas.transport.overlay_codec import MAX_OVERLAY_BYTES, decode_overlay
-from service.api.messages import RetryRequest, SceneRequest, SelectRequest, TopRequest, question
+from service.api.messages import (
+    RetryRequest,
+    SceneRequest,
+    SelectRequest,
+    TopRequest,
+    checked_request,
+)
 from service.curation.ranking import RankedScene
 from service.curation.rates import RateRow, RatesRequest, rates
 from service.curation.selection import Selection
@@ -73,7 +79,7 @@ class StateReader:
 
     def top(self, most: int | None = None) -> list[RankedScene]:
         """Rank every current scene, best first, and return at most `most`; None: all."""
-        asked = question(TopRequest, most=most)
+        asked = checked_request(TopRequest, most=most)
         with self._ledger() as ledger:
             return ledger.ranking(most=asked.most)
 
@@ -105,7 +111,7 @@ class StateReader:
         Raises:
             UsageError: If a service runs on this state, since it is the only writer and publisher.
         """
-        asked = question(SelectRequest, budget=budget, name=name)
+        asked = checked_request(SelectRequest, budget=budget, name=name)
         with self._ledger_to_write(what="select") as ledger:
             chosen = ledger.select(budget=asked.budget)
             return ledger.save_selection(asked.name, budget=asked.budget, scenes=chosen)
@@ -117,7 +123,7 @@ class StateReader:
             UsageError: If a service runs on this state, since it is the only writer.
             NothingFoundError: If one of these logs is not in the bucket.
         """
-        asked = question(RetryRequest, log_ids=log_ids)
+        asked = checked_request(RetryRequest, log_ids=log_ids)
         with self._ledger_to_write(what="retry") as ledger:
             return ledger.retry(asked.log_ids)
 
@@ -135,7 +141,7 @@ class StateReader:
         return f"{shown(self._settings.mining().artifacts)}/{key}"
 
     def _scene(self, scene_id: str) -> StoredScene:
-        asked = question(SceneRequest, scene_id=scene_id)
+        asked = checked_request(SceneRequest, scene_id=scene_id)
         with self._ledger() as ledger:
             stored = ledger.scene(asked.scene_id)
         if stored is None:

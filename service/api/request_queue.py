@@ -60,7 +60,7 @@ _IDLE_S: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class _Question:
+class _Request:
     """One request and its handler: `answer` takes the payload, `replier` the query itself."""
 
     asked: str
@@ -70,7 +70,7 @@ class _Question:
     replier: Replier | None = None
 
 
-class Questions:
+class RequestQueue:
     """Two request queues, for reading and writing, that any number of threads serve."""
 
     def __init__(
@@ -88,11 +88,11 @@ class Questions:
             on_fault: Called for each answer that failed with an unexpected error.
         """
         self._session, self._on_outcome, self._on_fault = session, on_outcome, on_fault
-        self._writes: Waiting[_Question] = Waiting(most=MOST_WAITING, most_bytes=MOST_WAITING_BYTES)
-        self._reads: Waiting[_Question] = Waiting(most=MOST_WAITING, most_bytes=MOST_WAITING_BYTES)
+        self._writes: Waiting[_Request] = Waiting(most=MOST_WAITING, most_bytes=MOST_WAITING_BYTES)
+        self._reads: Waiting[_Request] = Waiting(most=MOST_WAITING, most_bytes=MOST_WAITING_BYTES)
         self._large = threading.Lock()
         self._unable: dict[str, str] = {}
-        """What cannot be answered now, and why: said once, until it can be again."""
+        """Current problem, by kind of request; each is logged once until it passes."""
         self._queryables = ExitStack()
 
     @property
@@ -101,7 +101,7 @@ class Questions:
         return len(self._writes) + len(self._reads)
 
     def declare(self, key: str, answer: Answer, *, asked: str) -> None:
-        """Answer the questions of a verb, completely: nobody else does.
+        """Answer the requests of a verb as the only queryable of its key.
 
         Args:
             key: Key of the requests.
@@ -134,12 +134,12 @@ class Questions:
             taken = waiting.take(timeout_s=_IDLE_S)
             if taken is None:
                 continue
-            questions, began_s = list(taken.items), time.monotonic()
+            requests, began_s = list(taken.items), time.monotonic()
             try:
-                self._serve(questions)
+                self._serve(requests)
             finally:
                 took_s = time.monotonic() - began_s
-                rests = _reads_all(questions[0].asked)
+                rests = _reads_all(requests[0].asked)
                 waiting.done(taken, rest_s=min(took_s, MOST_REST_S) if rests else 0.0)
 
     def close(self) -> None:
@@ -148,8 +148,8 @@ class Questions:
         for waiting in (self._writes, self._reads):
             while (taken := waiting.take(timeout_s=0)) is not None:
                 waiting.done(taken)  # the thread that took others answers them
-                for question in taken.items:
-                    with question.query:  # dropped without a reply
+                for request in taken.items:
+                    with request.query:  # dropped without a reply
                         pass
 
     def _declare(self, key: str, callback: Callable[[zenoh.Query], None]) -> None:
@@ -174,12 +174,12 @@ class Questions:
             return
         takes_payload = verb is not None and verb.request is not None and query.payload is not None
         payload = query.payload.to_bytes() if takes_payload and query.payload is not None else b""
-        question = _Question(asked, query, payload, answer, replier)
+        request = _Request(asked, query, payload, answer, replier)
         waiting = self._writes if verb is not None and verb.writes else self._reads
         alike = verb is not None and not verb.writes
         kind = (asked, payload) if alike else object()
         turn = asked if _reads_all(asked) else None
-        if not waiting.offer(kind, question, size=size, turn=turn):
+        if not waiting.offer(kind, request, size=size, turn=turn):
             busy = TransientError("the service is busy; ask again")
             self._send_back(asked, query, busy, "try_again")
 
@@ -190,47 +190,47 @@ class Questions:
             self._refuse(query, error)
         self._on_outcome(asked, outcome)
 
-    def _serve(self, questions: list[_Question]) -> None:
+    def _serve(self, requests: list[_Request]) -> None:
         """Answer equal requests with one reply."""
-        first = questions[0]
+        first = requests[0]
         with ExitStack() as opened:
-            for question in questions:
-                opened.enter_context(question.query)
+            for request in requests:
+                opened.enter_context(request.query)
             try:
-                outcome = self._answer(first, questions)
+                outcome = self._answer(first, requests)
             except StateUnusableError:
                 raise  # ends the service; the asker gets no answer, and asks the next one
             except (KeyboardInterrupt, SystemExit):
                 raise
             except BaseException as error:  # noqa: BLE001  (also a panic of Zenoh's)
-                outcome = self._fault(error, questions)
-        for question in questions:
-            self._on_outcome(question.asked, outcome)
+                outcome = self._fault(error, requests)
+        for request in requests:
+            self._on_outcome(request.asked, outcome)
 
-    def _answer(self, first: _Question, questions: list[_Question]) -> Outcome:
+    def _answer(self, first: _Request, requests: list[_Request]) -> Outcome:
         asked = first.asked
         try:
             if first.replier is not None:
                 first.replier(first.query)
             elif first.answer is not None:
                 answer = self._made(first.answer, first.payload)
-                sent = [self._reply(question.query, answer) for question in questions]
+                sent = [self._reply(request.query, answer) for request in requests]
                 if not any(sent):
                     return "unsent"
         except MalformedError as error:
-            self._refuse_all(questions, error)
+            self._refuse_all(requests, error)
             return "malformed"
         except TransientError as error:
             if self._unable.get(asked) != str(error):
                 self._unable[asked] = str(error)
                 log.warning("request not answered now", asked=asked, problem=str(error))
-            self._refuse_all(questions, error)
+            self._refuse_all(requests, error)
             return "try_again"
         except StateUnusableError:
             raise
         except CounterpointError as error:
             log.warning("request refused", asked=asked, problem=str(error))
-            self._refuse_all(questions, error)
+            self._refuse_all(requests, error)
             return "refused"
         except zenoh.ZError as error:  # the asker is gone, or the session is closing
             log.warning("reply not sent", asked=asked, problem=str(error))
@@ -257,8 +257,8 @@ class Questions:
         finally:
             self._large.release()
 
-    def _fault(self, error: BaseException, questions: list[_Question]) -> Outcome:
-        asked = questions[0].asked
+    def _fault(self, error: BaseException, requests: list[_Request]) -> Outcome:
+        asked = requests[0].asked
         log.error("request failed: a fault of the program", asked=asked, exc_info=error)
         self._on_fault()
         said = (str(error).splitlines() or [""])[0][:300]
@@ -266,12 +266,12 @@ class Questions:
             f"the service failed to answer {asked}: {type(error).__name__}: {said}; "
             "this is a fault of the program, and its log has the trace"
         )
-        self._refuse_all(questions, problem)
+        self._refuse_all(requests, problem)
         return "fault"
 
-    def _refuse_all(self, questions: list[_Question], error: CounterpointError) -> None:
-        for question in questions:
-            self._refuse(question.query, error)
+    def _refuse_all(self, requests: list[_Request], error: CounterpointError) -> None:
+        for request in requests:
+            self._refuse(request.query, error)
 
     def _refuse(self, query: zenoh.Query, error: CounterpointError) -> None:
         with suppress(zenoh.ZError):  # the asker is gone, or the session is closing
@@ -287,5 +287,5 @@ class MalformedError(PermanentError):
 
 
 def malformed(asked: str, error: ValidationError) -> MalformedError:
-    """Say in one sentence what is wrong with a question."""
-    return MalformedError(f"not a question for {asked}: {first_problem(error)}")
+    """Make the error that names the first invalid field of a request."""
+    return MalformedError(f"not a request for {asked}: {first_problem(error)}")

@@ -170,8 +170,8 @@ def worker(
 ) -> None:
     """Run workers for a service elsewhere; it sends them the bucket and the mining settings.
 
-    Where the router is on another machine, they read only the --bucket that is named here, write
-    only to its --artifacts, and load only its --model and --weights, or what lies in them.
+    Where the router is on another machine, the workers read only the --bucket that is named here.
+    They write only to its --artifacts, and load only its --model and --weights, or files in them.
     """
     from service.embedded import run_workers
 

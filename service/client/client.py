@@ -22,7 +22,7 @@ from service.api.messages import (
     SelectRequest,
     TopReply,
     TopRequest,
-    question,
+    checked_request,
 )
 from service.client.merge import Holding, SceneEvent, SceneMerge, Wanted
 from service.client.subscription import SceneSubscription
@@ -67,12 +67,14 @@ class ControlClient:
 
     def top(self, most: int | None = None) -> list[RankedScene]:
         """Rank every current scene, best first, and return at most `most`; None: all."""
-        return list(decode(TopReply, self._ask("top", question(TopRequest, most=most))).scenes)
+        return list(
+            decode(TopReply, self._ask("top", checked_request(TopRequest, most=most))).scenes
+        )
 
     def select(self, *, budget: int, name: str | None = None) -> Selection:
         """Store the best distinct scenes as a named selection, and publish it."""
         return decode(
-            Selection, self._ask("select", question(SelectRequest, budget=budget, name=name))
+            Selection, self._ask("select", checked_request(SelectRequest, budget=budget, name=name))
         )
 
     def status(self) -> Status:
@@ -83,7 +85,9 @@ class ControlClient:
         """Retry parked work, of these logs or all; return what was parked."""
         wanted = None if log_ids is None else tuple(log_ids)
         return list(
-            decode(RetryReply, self._ask("retry", question(RetryRequest, log_ids=wanted))).retried
+            decode(
+                RetryReply, self._ask("retry", checked_request(RetryRequest, log_ids=wanted))
+            ).retried
         )
 
     def rates(self, request: RatesRequest) -> list[RateRow]:
@@ -92,11 +96,13 @@ class ControlClient:
 
     def scene(self, scene_id: str) -> SceneScore:
         """Return the record of a current scene."""
-        return decode(SceneScore, self._ask("scene", question(SceneRequest, scene_id=scene_id)))
+        return decode(
+            SceneScore, self._ask("scene", checked_request(SceneRequest, scene_id=scene_id))
+        )
 
     def overlay(self, scene_id: str) -> bytes:
         """Return the overlay of a current scene, encoded."""
-        return self._ask("overlay", question(SceneRequest, scene_id=scene_id))
+        return self._ask("overlay", checked_request(SceneRequest, scene_id=scene_id))
 
     def overlay_place(self, scene_id: str) -> str:
         """Return the name of the source of a scene's overlay, for messages."""

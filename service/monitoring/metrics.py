@@ -31,7 +31,7 @@ LeaseEnd = Literal[
 `replaced`: the recording was replaced or deleted. `freed`: its pool was ended.
 """
 
-FaultyPart = Literal["question", "tick", "event"]
+FaultyPart = Literal["request", "tick", "event"]
 """Part of the service in which an unexpected error occurred."""
 
 OTHER_VEHICLES: Final = "other"

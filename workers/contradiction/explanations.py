@@ -33,8 +33,8 @@ EXPLANATION_TEXTS: Final[Mapping[str, str]] = {
     "witness label static": "free space before and after shows that most of it is static",
     "agreed dynamic earlier": "both streams label it dynamic for a third of a second, in the first "
     "half of its track or up to a second before",
-    "not refuted later": "the supervised stream labels it dynamic and the other stream does not "
-    "label it static for a third of a second, in the second half of its track or up to a second "
+    "not refuted later": "for a third of a second, the supervised stream labels it dynamic and the "
+    "other stream does not label it static; in the second half of its track or up to a second "
     "after",
     "supervised label dynamic earlier": "the supervised stream itself labels it dynamic earlier: "
     "its label changes",

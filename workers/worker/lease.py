@@ -29,7 +29,7 @@ from schemas.work import (
 )
 
 Verb = Literal["hello", "claim", "renew", "commit", "fail"]
-"""What a worker asks of the service."""
+"""Verbs of a worker's requests."""
 
 log = structlog.get_logger(__name__)
 

@@ -1,4 +1,4 @@
-"""Questions in a queue: equal ones are answered together, and what has no room is sent back."""
+"""RequestQueue in a queue: equal ones are answered together, and what has no room is sent back."""
 
 import threading
 

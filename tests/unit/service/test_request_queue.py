@@ -11,7 +11,7 @@ from schemas.bounds import MAX_QUESTION_BYTES
 from schemas.errors import PermanentError, TransientError
 from schemas.problem import Problem
 from schemas.transport.wire import decode
-from service.api.request_queue import Answer, Outcome, Questions
+from service.api.request_queue import Answer, Outcome, RequestQueue
 from service.errors import StateUnusableError
 
 KEY = "test/v1/ctl/top"
@@ -32,7 +32,7 @@ class Asking:
         self.outcomes: list[Outcome] = []
         self.faults = 0
         self.ended: BaseException | None = None
-        self._questions = Questions(
+        self._questions = RequestQueue(
             self._session,
             on_outcome=lambda _, outcome: self.outcomes.append(outcome),
             on_fault=self._count,
