@@ -18,7 +18,7 @@ MOST_MB = 300
 """Memory of a service, whatever is asked of it."""
 
 PART: Final = 250
-"""RequestQueue of one seed."""
+"""Requests of one seed."""
 
 
 def main() -> int:

@@ -1,4 +1,4 @@
-"""RequestQueue of every kind that anybody might put on the bus, derived from the messages themselves.
+"""Requests of every kind that anybody might put on the bus, derived from the messages themselves.
 
 A question is a valid message, one made of the fields' types, or no message at all; then values deep
 inside are replaced by ones that no message should hold, and now and then its bytes are damaged.

@@ -30,7 +30,7 @@ PATIENCE_S: Final = 20.0
 """For an answer, while the machine mines."""
 
 FLOOD: Final = 4000
-"""RequestQueue that are asked without waiting for an answer: as many as a queue takes."""
+"""Requests that are sent without waiting for an answer: as many as a queue takes."""
 
 ABSURD_PER_VERB: Final = 12
 

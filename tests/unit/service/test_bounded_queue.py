@@ -1,4 +1,4 @@
-"""RequestQueue in a queue: equal ones are answered together, and what has no room is sent back."""
+"""Requests in a queue: equal ones are answered together, and what has no room is sent back."""
 
 import threading
 
