@@ -34,7 +34,7 @@ def log_truncated(parts: Iterable[TruncatedPart]) -> None:
 def log_unread_labels(topics: Iterable[str]) -> None:
     """Log the topics with recorded labels of the model on the car that no stream reads."""
     for topic in topics:
-        log.info("this log holds recorded labels; judge them by --supervised recorded", topic=topic)
+        log.info("this log has recorded labels; compare them by --supervised recorded", topic=topic)
 
 
 def log_planned(plan: LogPlan, *, seconds: float) -> None:

@@ -152,7 +152,7 @@ def test_a_worker_of_a_service_refuses_any_task_but_motion(tmp_path: Path) -> No
 
 def test_what_judges_motion_refuses_streams_of_another_task() -> None:
     settings = MiningSettings(bucket=".", artifacts=".")
-    with pytest.raises(UnknownPartError, match="'ground' answers the task ground"):
+    with pytest.raises(UnknownPartError, match="'ground' has the task ground"):
         build_streams(("registration", "ground"), settings)
 
 

@@ -45,11 +45,11 @@ def test_score_names_what_it_judged_and_hints_at_what_it_did_not(
     assert main(["score", log]) == 0
     said = capsys.readouterr().err
     assert hint in said
-    assert "judged: supervised stream salsanext-lmnet@" in said
+    assert "streams: supervised stream salsanext-lmnet@" in said
     assert main(["score", log, "--supervised", "recorded"]) == 0
     said = capsys.readouterr().err
-    assert "holds recorded labels" not in said
-    assert "judged: supervised stream recorded@" in said
+    assert "has recorded labels" not in said
+    assert "streams: supervised stream recorded@" in said
 
 
 def test_a_worker_logs_the_hint(capsys: pytest.CaptureFixture[str]) -> None:
