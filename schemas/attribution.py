@@ -17,7 +17,7 @@ Phrases = tuple[Text, ...]
 
 
 class Wrong(StrEnum):
-    """Verdicts on a track: the stream, or streams, whose labels are wrong."""
+    """Attributions on a track: the stream, or streams, whose labels are wrong."""
 
     SUPERVISED = "supervised"
     SELFSUPERVISED = "selfsupervised"
@@ -26,7 +26,7 @@ class Wrong(StrEnum):
 
 
 class Attribution(BaseModel):
-    """Probabilities of the four verdicts on a track; they add up to 1, up to rounding."""
+    """Probabilities of the four attributions on a track; they add up to 1, up to rounding."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -39,8 +39,8 @@ class Attribution(BaseModel):
         default=(),
         max_length=MAX_EVIDENCE,
         exclude_if=lambda value: not value,
-        description="Evidence for the verdict on the supervised stream (wrong, or not wrong), the "
-        "weightiest first; empty for tracks of low strength.",
+        description="Evidence for what the attribution states of the supervised stream (wrong, or "
+        "not wrong), the weightiest first; empty for tracks of low strength.",
     )
     opposing: Phrases = Field(
         default=(),
@@ -57,7 +57,7 @@ class Attribution(BaseModel):
 
     @property
     def chance(self) -> float:
-        """Probability of the most probable verdict."""
+        """Probability of the most probable attribution."""
         return float(getattr(self, self.wrong.value))
 
     @property

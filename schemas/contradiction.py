@@ -202,6 +202,6 @@ class TrackRecord(BaseModel):
     attribution: Attribution | None = Field(
         default=None,
         exclude_if=lambda value: value is None,
-        description="Verdict on both streams; absent from records of earlier services.",
+        description="Attribution to the streams; absent from records of earlier services.",
     )
     strongest: InstanceRecord = Field(description="Its instance with the most evidence.")

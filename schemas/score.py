@@ -19,10 +19,10 @@ MAX_TRACKS: Final = 32
 MAX_RECORD_BYTES: Final = 16_384
 
 MAX_SUPPORTING: Final = 3
-"""Phrases of evidence for a verdict that a reason carries."""
+"""Phrases of evidence for an attribution that a reason carries."""
 
 MAX_OPPOSING: Final = 1
-"""Phrases of evidence against a verdict that a reason carries."""
+"""Phrases of evidence against an attribution that a reason carries."""
 
 SCHEMA_VERSION: Final = 2
 """Version of the records that this program writes; it reads version 1 too."""
@@ -87,7 +87,7 @@ class StreamHealth(BaseModel):
 
 
 class Reason(BaseModel):
-    """One reason of a score: a headline, and the evidence for and against its verdict."""
+    """One reason of a score: a headline, and the evidence for and against its attribution."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -104,7 +104,7 @@ class Reason(BaseModel):
         default=(),
         max_length=MAX_SUPPORTING,
         exclude_if=lambda value: not value,
-        description="Strongest evidence for the verdict, strongest first.",
+        description="Strongest evidence for the attribution, strongest first.",
     )
     opposing: tuple[Text, ...] = Field(
         default=(),

@@ -213,7 +213,7 @@ def _say_who(found: "PlantedTable | NaturalTable") -> None:
     said = found.attribution
     table(
         f"attribution: balanced accuracy {said.accuracy}, of a constant answer {said.commonest}",
-        ("true", "tracks", "recall", *(f"verdict {name}" for name in said.cases)),
+        ("true", "tracks", "recall", *(f"attributed: {name}" for name in said.cases)),
         (
             (name, count, said.recall[name], *said.confusion[name].values())
             for name, count in said.cases.items()

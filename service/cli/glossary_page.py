@@ -44,10 +44,10 @@ def glossary_page() -> str:
         ),
         *_section(
             "Evidence",
-            "Phrases in reasons and records that support a verdict, oppose it, or are neutral. All "
-            "are measured on points, and none is the truth. A pole or rail passed at speed has few "
-            "points before and after, for example, and may have the evidence `arrival from "
-            "elsewhere` or `departure from its place`.",
+            "Phrases in reasons and records that support an attribution, oppose it, or are "
+            "neutral. All are measured on points, and none is the truth. A pole or rail passed at "
+            "speed has few points before and after, for example, and may have the evidence "
+            "`arrival from elsewhere` or `departure from its place`.",
             ("phrase", "meaning"),
             EXPLANATION_TEXTS,
         ),
@@ -55,7 +55,7 @@ def glossary_page() -> str:
             "Track features",
             "Numbers from 0 to 1, from which one table "
             "([`attribution.json`](../workers/contradiction/attribution.json)) computes the "
-            "probability of each verdict.",
+            "probability of each attribution.",
             ("name", "meaning"),
             feature_meanings(),
         ),

@@ -77,7 +77,7 @@ class DemoScene:
 
     @property
     def why(self) -> str:
-        """Headline of its first reason, without the verdict, which has a column of its own."""
+        """Headline of its first reason, without the attribution, which has a column of its own."""
         if not self.record.reasons:
             return "-"
         headline = self.record.reasons[0].headline

@@ -178,7 +178,7 @@ def _who(found: "AttributionAccuracy") -> list[str]:
         "<h3>Attribution</h3>",
         _paragraph(f"Balanced accuracy {found.accuracy}; of a constant answer {found.commonest}."),
         html_table(
-            ("true", "tracks", "recall", *(f"verdict {name}" for name in found.cases)),
+            ("true", "tracks", "recall", *(f"attributed: {name}" for name in found.cases)),
             [
                 (name, count, found.recall[name], *found.confusion[name].values())
                 for name, count in found.cases.items()

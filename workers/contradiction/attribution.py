@@ -1,12 +1,12 @@
-"""Attribute a contradiction to a stream: probabilities of four verdicts, from one fitted table.
+"""Attribute a contradiction to a stream: four probabilities, from one fitted table.
 
-    log-odds of a verdict = intercept + sum of weight x feature
-    chance of a verdict   = exp(log-odds) / sum of exp(log-odds)
+    log-odds of an attribution = intercept + sum of weight x feature
+    chance of an attribution   = exp(log-odds) / sum of exp(log-odds)
 
 The table holds one multinomial logistic regression per kind of contradiction, over the features of
 `track_features.py`. All features are between 0 and 1, so that weights can be compared. `python -m
 workers.lab.training.attribution` fits it on logs with truth and writes `attribution.json`, with a
-card of its data and scores. A verdict without a row has no chance.
+card of its data and scores. An attribution without a row has no chance.
 """
 
 import json
@@ -31,7 +31,7 @@ _DIGITS: Final = 3
 _MOST_ODDS: Final = 30.0
 
 _SUPERVISED: Final = frozenset({Wrong.SUPERVISED, Wrong.BOTH})
-"""Verdicts by which the supervised stream is wrong."""
+"""Attributions by which the supervised stream is wrong."""
 
 NEGLIGIBLE: Final = 0.1
 """Log-odds below which a feature is neutral: it moves a chance of 0.5 by less than 0.025."""
@@ -39,7 +39,7 @@ NEGLIGIBLE: Final = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Odds:
-    """Log-odds of one verdict.
+    """Log-odds of one attribution.
 
     Attributes:
         intercept: Log-odds where all features are 0.
@@ -50,7 +50,7 @@ class Odds:
     weights: Mapping[str, float]
 
     def of(self, features: Mapping[str, float]) -> float:
-        """Return the log-odds for given features, against the other verdicts."""
+        """Return the log-odds for given features, against the other attributions."""
         odds = self.intercept + sum(
             weight * features[name] for name, weight in self.weights.items()
         )
@@ -58,7 +58,7 @@ class Odds:
 
 
 Table = Mapping[Wrong, Odds]
-"""Log-odds of each verdict that a kind of contradiction allows."""
+"""Log-odds of each attribution that a kind of contradiction allows."""
 
 
 def table_of(rows: Mapping[str, Any]) -> Table:
@@ -83,7 +83,7 @@ def tables() -> Mapping[str, Table]:
 
 
 def chances(table: Table, features: Mapping[str, float]) -> dict[Wrong, float]:
-    """Return the chance of each verdict; they add up to 1."""
+    """Return the chance of each attribution; they add up to 1."""
     odds = {wrong: row.of(features) for wrong, row in table.items()}
     highest = max(odds.values())
     shares = {wrong: math.exp(value - highest) for wrong, value in odds.items()}
@@ -94,9 +94,9 @@ def chances(table: Table, features: Mapping[str, float]) -> dict[Wrong, float]:
 def weight_of(
     counterfactual: Mapping[str, float], table: Table, features: Mapping[str, float], wrong: Wrong
 ) -> float:
-    """Return the log-odds that features add to the verdict on the supervised stream.
+    """Return the log-odds that features add to what an attribution states of the supervised stream.
 
-    The verdict on the supervised stream (wrong, or not wrong) decides the strength of the track.
+    It states that this stream is wrong, or that it is not, which decides the strength of the track.
     The weight is the difference to the same track with the counterfactual features.
     """
     there = _log_odds(table, features)
@@ -180,10 +180,10 @@ def _by_kind(
     answer: Wrong,
     explanations: Sequence[Explanation],
 ) -> str:
-    """Return the explanation of a verdict that no feature supports.
+    """Return the explanation of an attribution that no feature supports.
 
     It is the kind of contradiction, where a track of that kind without the explained features gets
-    the same verdict; otherwise the verdict is only the most probable of the four.
+    the same attribution; otherwise the attribution is only the most probable of the four.
     """
     without = dict(features)
     for each in explanations:

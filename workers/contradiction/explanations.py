@@ -1,4 +1,4 @@
-"""Explanations of a verdict: noun phrases for the features that a reviewer can check."""
+"""Explanations of an attribution: noun phrases for the features that a reviewer can check."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -23,10 +23,10 @@ TYPICAL_OF_KIND: Final[Mapping[str, str]] = {
     "only_predictive_dynamic": "typical of self-supervised-only tracks",
     "only_witness_dynamic": "typical of witness-only tracks",
 }
-"""Explanation where no other one supports the verdict: the prior of the kind of contradiction."""
+"""Explanation where no other one supports the attribution: the prior of its kind."""
 
-MOST_PROBABLE: Final = "most probable of four verdicts"
-"""Explanation where the prior of the kind opposes the verdict too."""
+MOST_PROBABLE: Final = "most probable of four attributions"
+"""Explanation where the prior of the kind opposes the attribution too."""
 
 EXPLANATION_TEXTS: Final[Mapping[str, str]] = {
     "witness label dynamic": "free space before and after shows that most of it moves",
@@ -70,11 +70,11 @@ EXPLANATION_TEXTS: Final[Mapping[str, str]] = {
     "full contradiction": "the other stream labels most of the dynamic points around it static",
     "motion confirmed at most once": "the self-supervised stream confirmed its motion at most once",
     **dict.fromkeys(
-        TYPICAL_OF_KIND.values(), "no feature supports the verdict, but the kind of track does"
+        TYPICAL_OF_KIND.values(), "no feature supports the attribution, but the kind of track does"
     ),
-    MOST_PROBABLE: "nothing supports the verdict, and the three others are less probable",
+    MOST_PROBABLE: "nothing supports the attribution, and the three others are less probable",
 }
-"""Every explanation of a verdict, with its meaning."""
+"""Every explanation of an attribution, with its meaning."""
 
 MISSED: Final = frozenset({"only_predictive_dynamic", "only_witness_dynamic"})
 """Kinds in which the supervised stream labels static what another source labels dynamic."""
@@ -113,7 +113,7 @@ class Explanation:
         words: The phrase, a key of `EXPLANATION_TEXTS`.
         counterfactual: These features as they would be without it; empty where the tables of
             `attribution.py` do not use them.
-        quiet: Reported only where no other explanation supports the verdict.
+        quiet: Reported only where no other explanation supports the attribution.
     """
 
     words: str

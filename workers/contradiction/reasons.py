@@ -27,13 +27,13 @@ _MIN_SPEED_M_PER_S: Final = 0.5
 
 _SECTORS: Final = (
     "ahead",
-    "ahead left",
-    "left",
-    "behind left",
+    "ahead to the left",
+    "to the left",
+    "behind to the left",
     "behind",
-    "behind right",
-    "right",
-    "ahead right",
+    "behind to the right",
+    "to the right",
+    "ahead to the right",
 )
 
 
@@ -117,7 +117,7 @@ def reason_of(
 def headline_of(
     scene: Scene, instances: Sequence[Instance], ranked: RankedTrack, *, own_model: str = ""
 ) -> str:
-    """Return labels, place, duration and verdict of a track in one sentence.
+    """Return labels, place, duration and attribution of a track in one sentence.
 
     For example "supervised calls car static, but it moves at 6.5 m/s, 10 m behind, for 1.4 s:
     supervised wrong, 96 %".
@@ -130,7 +130,7 @@ def headline_of(
     claim = _claim(ranked, scene.task, class_word(ranked.class_name) or "object", supervised)
     return (
         f"{claim}, {math.hypot(x_m, y_m):.0f} m {bearing(x_m, y_m)}, for {duration_s:.1f} s"
-        f"{_verdict(ranked.track.kind, ranked.attribution, supervised)}"
+        f"{_attributed(ranked.track.kind, ranked.attribution, supervised)}"
     )
 
 
@@ -160,7 +160,7 @@ def _moves(speed_m_per_s: float) -> str:
     return f"moves at {speed_m_per_s:.1f} m/s" if known else "moves"
 
 
-def _verdict(kind: Outcome, attribution: Attribution | None, supervised: str) -> str:
+def _attributed(kind: Outcome, attribution: Attribution | None, supervised: str) -> str:
     if attribution is None:
         return ""
     wrong = {

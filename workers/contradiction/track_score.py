@@ -59,7 +59,7 @@ class RankedTrack:
         class_name: Commonest class of its points.
         points: Over all its instances.
         features: Its features.
-        attribution: Verdict on the streams; None for a kind that no table was fitted for.
+        attribution: Attribution to the streams; None for a kind that no table was fitted for.
         confirmed_share: Share of its points with confirmed motion; None where the self-supervised
             stream labels it static or does not report it.
     """

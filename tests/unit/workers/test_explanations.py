@@ -1,4 +1,4 @@
-"""Explanations for and against a verdict, by their weight in the table."""
+"""Explanations for and against an attribution, by their weight in the table."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -58,7 +58,7 @@ def test_explanations_are_supporting_opposing_or_neutral() -> None:
     assert said.neutral == ("few points",)
 
 
-def test_the_same_evidence_supports_one_verdict_and_opposes_another() -> None:
+def test_the_same_evidence_supports_one_attribution_and_opposes_another() -> None:
     parked = {
         "witness_static": 0.7,
         "denied_share": 1.0,
@@ -166,7 +166,7 @@ def test_how_a_thing_goes_is_told_by_both_numbers_of_its_path(
     assert said.supporting == (words,)
 
 
-def test_without_supporting_evidence_the_kind_supports_the_verdict(
+def test_without_supporting_evidence_the_kind_supports_the_attribution(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     evidence = _evidence(distance=1.0, isolation=0.5, road_user_size=0.5, displacement=0.3)
@@ -189,7 +189,7 @@ def test_an_answer_that_the_kind_speaks_against_too_is_the_likeliest_of_four(
 
 
 @pytest.mark.parametrize("kind", list(ContradictionKind))
-def test_every_verdict_has_supporting_evidence(kind: ContradictionKind) -> None:
+def test_every_attribution_has_supporting_evidence(kind: ContradictionKind) -> None:
     rng = np.random.default_rng(7)
     for _ in range(300):
         said = _said(kind, **dict(zip(NAMES, rng.random(len(NAMES)).round(2), strict=True)))

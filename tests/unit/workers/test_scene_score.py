@@ -346,13 +346,13 @@ def test_doubted_poses_do_not_lower_tracks_labelled_static() -> None:
     ("x_m", "y_m", "words"),
     [
         (10, 0, "ahead"),
-        (10, 10, "ahead left"),
-        (0, 3, "left"),
+        (10, 10, "ahead to the left"),
+        (0, 3, "to the left"),
         (-5, 0.1, "behind"),
         (-5, -0.1, "behind"),
-        (-3, -3, "behind right"),
-        (0, -2, "right"),
-        (4, -4, "ahead right"),
+        (-3, -3, "behind to the right"),
+        (0, -2, "to the right"),
+        (4, -4, "ahead to the right"),
     ],
 )
 def test_directions_are_named_as_the_driver_sees_them(x_m: float, y_m: float, words: str) -> None:
