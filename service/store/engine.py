@@ -172,7 +172,9 @@ class Store:
             known = self._lineage  # before the view begins: it must not be older
             with self._reader.begin() as connection:
                 if known is not None:
-                    read_lineage(connection).require_not_before(known, name=self.name)
+                    read_lineage(connection, name=self.name).require_not_before(
+                        known, name=self.name
+                    )
                 yield connection
 
     def bring_up_to_date(self) -> None:
@@ -187,7 +189,7 @@ class Store:
             give_incarnation(connection)
             if self._watch is not None:
                 self._watch.begin(connection)
-            lineage = read_lineage(connection)
+            lineage = read_lineage(connection, name=self.name)
         if self._watch is not None:
             self._watch.after_write()
         self._lineage = lineage

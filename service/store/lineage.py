@@ -62,9 +62,19 @@ def give_incarnation(connection: Connection) -> None:
     _NAME.rows(connection, {"new": uuid.uuid4().hex})
 
 
-def read_lineage(connection: Connection) -> Lineage:
-    """Read the lineage of a database."""
-    row = _READ.one(connection, {})
+def read_lineage(connection: Connection, *, name: str) -> Lineage:
+    """Read the lineage of a database.
+
+    Args:
+        connection: In a transaction.
+        name: Which database, for the message.
+
+    Raises:
+        StateUnusableError: If its table is empty: another program empties or restores the database.
+    """
+    row = _READ.first(connection, {})
+    if row is None:
+        raise StateUnusableError(RESTORED.format(name=name, what="its tables were emptied"))
     return Lineage(row.incarnation, row.writes)
 
 

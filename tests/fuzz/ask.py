@@ -17,7 +17,7 @@ from tests.fuzz.questions import Question, questions
 MOST_MB = 300
 """Memory of a service, whatever is asked of it."""
 
-PART: Final = 250
+PART: Final = 500
 """Requests of one seed."""
 
 

@@ -24,7 +24,7 @@ def test_a_service_of_the_same_version_is_as_it_should_be(tmp_path: Path) -> Non
     with two_logs(tmp_path) as parts:
         assert findings(parts.endpoint)[1:] == [
             ("ok", f"answers under 'counterpoint', of version {OURS}"),
-            ("warning", "has 0 workers: nothing is mined"),
+            ("warning", "has 0 workers, so nothing is mined"),
         ]
 
 

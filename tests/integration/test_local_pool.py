@@ -239,7 +239,7 @@ def opened() -> Iterator[ExitStack]:
 def test_workers_that_cannot_do_what_is_asked_give_up_and_the_pool_says_why(
     tmp_path: Path, opened: ExitStack
 ) -> None:
-    served = Served(tmp_path, opened, supervised="oracle")
+    served = Served(tmp_path, opened, selfsupervised="paper")  # its weights do not ship
     pool = opened.enter_context(pool_of(served))
 
     said: list[str] = []
@@ -252,7 +252,7 @@ def test_workers_that_cannot_do_what_is_asked_give_up_and_the_pool_says_why(
         return bool(said)
 
     until(gave_up, "the pool to give up")
-    assert "'oracle'" in said[0]
+    assert "paper needs weights that do not ship" in said[0]
     assert pool.alive() == 0
 
 
@@ -262,7 +262,7 @@ def test_a_pool_that_was_at_work_waits_for_a_mistake_of_the_service_to_be_mended
     served = Served(tmp_path, opened)
     pool = opened.enter_context(pool_of(served))
     until(lambda: counted(pool, "plans_total", outcome="refused") == 1, "a plan")
-    served.serve(supervised="oracle")
+    served.serve(selfsupervised="paper")
     until(lambda: counted(pool, "restarts_total", cause="unready") >= 1, "a worker that gives up")
     pool.check()
     served.serve()

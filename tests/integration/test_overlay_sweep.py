@@ -103,7 +103,7 @@ def test_on_s3_only_what_may_go_goes_and_a_refusal_is_said(ceph: Ceph, tmp_path:
     sweep = sweep_by(artifacts)
     sweep.sweep(Event())
     world.clock.now_s += 60
-    with pytest.raises(BucketRefusedError, match="no writing here"):
+    with pytest.raises(BucketRefusedError, match="denies these credentials writing here"):
         sweep_by(forbidden).sweep(Event())
     assert len(list(artifacts.list())) == len(scenes) + 1
     sweep.sweep(Event())

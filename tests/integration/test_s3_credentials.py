@@ -32,7 +32,7 @@ def environment_of(case: str, ceph: Ceph) -> dict[str, str]:
         ("none", "no credentials for the bucket: set AWS_ACCESS_KEY_ID, "),
         ("unknown", "the store does not know these credentials (InvalidAccessKeyId): set AWS_"),
         ("wrong secret", "the store refuses these credentials (SignatureDoesNotMatch): set AWS_"),
-        ("not allowed", "the store allows these credentials no listing here (AccessDenied): "),
+        ("not allowed", "the store denies these credentials listing here (AccessDenied): "),
     ],
 )
 def test_credentials_that_do_not_open_the_bucket_end_the_start_in_one_sentence(

@@ -64,6 +64,6 @@ def test_an_op_mask_of_reading_lists_and_reads_and_nothing_else(ceph: Ceph) -> N
     bucket = ceph.open(name, reader)
     (found,) = bucket.list()
     assert bucket.read_range("a", 1, 2, found.etag) == b"23"
-    with pytest.raises(BucketRefusedError, match="no writing here"):
+    with pytest.raises(BucketRefusedError, match="denies these credentials writing here"):
         bucket.put("a", b"456")
     assert ceph.open(name).read_all("a") == b"123"

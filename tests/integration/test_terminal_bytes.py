@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from schemas.score import Reason
 from tests.factories import street_log
 from tests.unit.service.mined_state import mined_state
 
@@ -54,7 +55,7 @@ def mined(tmp_path_factory: pytest.TempPathFactory) -> Path:
         log_id=f"car-7/dr{STEERING}ive",
         vehicle=f"car{STEERING}",
         software_version=f"v{STEERING}",
-        reasons=(f"because{STEERING}",),
+        reasons=(Reason(headline=f"because{STEERING}"),),
     )
     street_log(
         folder / "logs" / "car-7" / "2026-03-02" / f"dr{IN_A_NAME}ive.mcap",
