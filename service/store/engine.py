@@ -172,9 +172,7 @@ class Store:
             known = self._lineage  # before the view begins: it must not be older
             with self._reader.begin() as connection:
                 if known is not None:
-                    read_lineage(connection, name=self.name).require_not_before(
-                        known, name=self.name
-                    )
+                    read_lineage(connection, self.name).require_not_before(known, name=self.name)
                 yield connection
 
     def bring_up_to_date(self) -> None:
@@ -189,7 +187,7 @@ class Store:
             give_incarnation(connection)
             if self._watch is not None:
                 self._watch.begin(connection)
-            lineage = read_lineage(connection, name=self.name)
+            lineage = read_lineage(connection, self.name)
         if self._watch is not None:
             self._watch.after_write()
         self._lineage = lineage

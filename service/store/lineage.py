@@ -62,7 +62,7 @@ def give_incarnation(connection: Connection) -> None:
     _NAME.rows(connection, {"new": uuid.uuid4().hex})
 
 
-def read_lineage(connection: Connection, *, name: str) -> Lineage:
+def read_lineage(connection: Connection, name: str) -> Lineage:
     """Read the lineage of a database.
 
     Args:
