@@ -304,7 +304,7 @@ STORE: Final = Row(
                 8,
                 ("disagreement_rate",),
                 2,
-                "Which stream alone says dynamic.",
+                "Share of points that one stream alone labels dynamic.",
             ),
             (
                 "hour",

@@ -58,7 +58,7 @@ def demo(
         f"{counted(failing, 'scene')} with a failure"
     )
     table(
-        f"how well rankings find the {failing} of {len(result.scenes)} scenes with an "
+        f"how well rankings find the {failing} of {len(result.scenes)} scenes with a "
         "planted failure",
         ("ranked by", "average precision", "precision of the first 10 %", "of the first 20 %"),
         (

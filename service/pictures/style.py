@@ -82,7 +82,7 @@ def meaning(outcome: Outcome, task: Task) -> str:
         return f"supervised {outcome.semantic}, self-supervised {outcome.predictive}"
     second = task.classes[1]
     stream = "supervised" if outcome.semantic == second else "self-supervised"
-    return f"{stream} stream alone says {second}"
+    return f"{stream} stream alone: {second}"
 
 
 @lru_cache(maxsize=16)
