@@ -25,8 +25,7 @@ test: check                ## The checks, then unit, contract and architecture t
 	OMP_NUM_THREADS=1 $(BIN)/pytest -q --numprocesses auto --maxprocesses 4 --dist worksteal
 
 integration: .venv/.installed  ## Real processes and servers, killed and restarted; a bucket's day
-	@# Two side by side, a file to each: most of them wait for servers.
-	OMP_NUM_THREADS=1 $(BIN)/pytest -q -m integration --numprocesses 2 --dist loadfile
+	$(BIN)/pytest -q -m integration
 
 golden: .venv/.installed   ## Compare every part with reference outputs: make golden DIR=../shared/golden
 	$(BIN)/python -m tests.golden $(DIR)
