@@ -57,7 +57,7 @@ def status(connection: Connection, pipeline_version: str | None, *, now_s: float
         select(RECORDINGS.c.log_id).where(RECORDINGS.c.is_current).order_by(RECORDINGS.c.log_id)
     ).scalars()
     logs = tuple(
-        _log_status(log_id, plans.get(log_id), shards[log_id], damage[log_id], now_s=now_s)
+        _log_status(log_id, plans.get(log_id), shards[log_id], damage.get(log_id, []), now_s=now_s)
         for log_id in log_ids
     )
     counters = {row.name: row.value for row in connection.execute(select(COUNTERS))}
@@ -124,16 +124,18 @@ def newest_pipeline(connection: Connection) -> str:
     return connection.execute(newest).scalar_one_or_none() or ""
 
 
-def _damage(connection: Connection, pipeline_version: str) -> defaultdict[str, list[Damage]]:
+def _damage(connection: Connection, pipeline_version: str) -> dict[str, list[Damage]]:
     """Return each damaged stretch once; planning and several shards may have found the same one."""
-    found: defaultdict[str, list[Damage]] = defaultdict(list)
+    found: defaultdict[str, set[tuple[str, int, int, str]]] = defaultdict(set)
     for row in connection.execute(_current_rows(DAMAGE, pipeline_version, DAMAGE)):
-        piece = Damage(
-            key=row.object_key, offset=row.byte_offset, bytes=row.byte_count, what=row.what
-        )
-        if piece not in found[row.log_id]:
-            found[row.log_id].append(piece)
-    return found
+        found[row.log_id].add((row.object_key, row.byte_offset, row.byte_count, row.what))
+    return {
+        log_id: [
+            Damage(key=key, offset=offset, bytes=count, what=what)
+            for key, offset, count, what in sorted(stretches)
+        ]
+        for log_id, stretches in found.items()
+    }
 
 
 def _log_status(
@@ -156,7 +158,7 @@ def _log_status(
         lidar_topics=tuple(json.loads(plan.lidar_topics)),
         problem=plan.error,
         truncated_parts=plan.truncated_parts,
-        damage=tuple(sorted(damage, key=lambda piece: (piece.key, piece.offset))),
+        damage=tuple(damage),
         shards=by_state,
         frames=_sum(row.frames for row in shards),
         plan_range_reads=plan.range_reads,

@@ -12,7 +12,7 @@ from typing import Final
 from hypothesis import HealthCheck, Phase, given, seed, settings
 
 from tests.fuzz.asked_service import AskedService, Report, asked_service
-from tests.fuzz.questions import Question, questions
+from tests.fuzz.questions import RIGHT, Question, questions
 
 MOST_MB = 300
 """Memory of a service, whatever is asked of it."""
@@ -34,7 +34,7 @@ def main() -> int:
 
 
 def ask_many(folder: Path, *, examples: int) -> Report:
-    """Ask so many questions of a service.
+    """Ask so many questions of a service, and then the ones that are right.
 
     Args:
         folder: For its state and logs.
@@ -42,6 +42,8 @@ def ask_many(folder: Path, *, examples: int) -> Report:
     """
     with asked_service(folder) as service:
         _ask(service, examples)
+        for question in RIGHT:
+            service.ask(question)
         return service.report
 
 

@@ -107,6 +107,19 @@ DAMAGES: Final[Mapping[str, Change]] = {
 }
 
 
+RIGHT: Final = (
+    Question("top", {}),
+    Question("select", {"budget": 3}),
+    Question("rates", {"by": "vehicle"}),
+    Question("commit", "$COMMIT"),
+    Question(
+        "fail",
+        {"worker_id": "$WORKER", "lease_id": "$LEASE", "error": "no such topic", "permanent": True},
+    ),
+)
+"""Questions that are right: a service that has been asked everything else still answers them."""
+
+
 def questions() -> SearchStrategy[Question]:
     """Make questions of every kind."""
     verbs = [_of_verb(verb, kind.request) for verb, kind in VERBS.items()]
