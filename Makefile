@@ -25,7 +25,8 @@ test: check                ## The checks, then unit, contract and architecture t
 	OMP_NUM_THREADS=1 $(BIN)/pytest -q --numprocesses auto --maxprocesses 4 --dist worksteal
 
 integration: .venv/.installed  ## Real processes and servers, killed and restarted; a bucket's day
-	$(BIN)/pytest -q -m integration
+	@# Two processes; what shares a server stays in one of them.
+	$(BIN)/pytest -q -m integration --numprocesses 2 --dist loadgroup
 
 golden: .venv/.installed   ## Compare every part with reference outputs: make golden DIR=../shared/golden
 	$(BIN)/python -m tests.golden $(DIR)

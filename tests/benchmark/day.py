@@ -26,12 +26,12 @@ from typing import Any, Final
 import numpy as np
 
 from schemas.errors import TransientError
-from schemas.transport.bus import free_endpoint
 from schemas.transport.keys import DEFAULT_ROOT
 from service.client import ControlClient
 from service.store.engine import DATABASE_NAME
 from tests.benchmark.day_miner import SCENES_PER_SHARD, SHARDS_PER_LOG
 from tests.benchmark.day_sampling import Held, growth_per_1000, held_by
+from tests.free_ports import free_endpoint
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 WARM: Final = 0.25

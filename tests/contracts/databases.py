@@ -3,7 +3,6 @@
 import hashlib
 import os
 import shutil
-import socket
 import subprocess
 import tempfile
 from collections.abc import Iterator
@@ -14,6 +13,7 @@ import pytest
 from sqlalchemy import Engine, create_engine, text
 
 from service.store.engine import DATABASE_NAME, Store, open_store, open_store_at
+from tests.free_ports import free_port
 
 
 class OnSqlite:
@@ -70,9 +70,7 @@ def postgres_server() -> Iterator[str]:
         command = [*(before if is_root else ()), str(programs[-1] / program), *arguments]
         subprocess.run(command, check=True, cwd="/", stdout=subprocess.DEVNULL, timeout=60)
 
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_port()
     data, log = str(folder / "data"), str(folder / "log")
     # Nothing here outlives its test, nor pulls the plug: no test waits for the disk.
     at = f"-h 127.0.0.1 -p {port} -k {folder} -c fsync=off -c full_page_writes=off"

@@ -13,7 +13,7 @@ import zenoh
 from schemas.problem import Problem
 from schemas.transport import keys
 from schemas.transport.ask import PROBLEM
-from schemas.transport.bus import client_session, free_endpoint
+from schemas.transport.bus import client_session
 from schemas.transport.keys import DEFAULT_ROOT as ROOT
 from schemas.transport.wire import decode, encode
 from schemas.work import (
@@ -26,6 +26,7 @@ from schemas.work import (
     PlanLease,
 )
 from tests.contracts.ledger_world import mined, plan_of, shard_commit
+from tests.free_ports import free_endpoint
 from tests.fuzz.questions import Question, payload_of
 from tests.integration.daemons import Daemon
 

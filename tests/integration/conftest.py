@@ -37,6 +37,14 @@ class Undisturbed:
     bytes_read: int
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Keep the tests of a file in one process, and all that need the store in the same one."""
+    uses_store = {item.path for item in items if "ceph" in getattr(item, "fixturenames", ())}
+    for item in items:
+        group = "ceph" if item.path in uses_store else item.path.stem
+        item.add_marker(pytest.mark.xdist_group(group))
+
+
 @pytest.fixture(scope="session")
 def ceph(reference: Path) -> Iterator[Ceph]:
     """A Ceph gateway of this session's own.

@@ -13,10 +13,10 @@ from typing import Final
 import pytest
 
 from schemas.errors import TransientError
-from schemas.transport.bus import free_endpoint
 from schemas.transport.keys import DEFAULT_ROOT
 from service.client import ControlClient
 from service.curation.status import Status
+from tests.free_ports import free_endpoint
 
 DEADLINE_S: Final = 300.0
 """For any one thing to happen; generous, since machines that run tests are busy."""

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from schemas.transport.bus import free_endpoint
 from schemas.transport.recordings import group_recordings
+from tests.free_ports import free_endpoint
 from tests.integration.bucket_day import Change, stories
 from tests.integration.bucket_hand import Hand
 from tests.integration.daemons import System

@@ -3,7 +3,6 @@
 import json
 import os
 import shutil
-import socket
 import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -13,6 +12,7 @@ from typing import Any, Final, Self
 import pytest
 import yaml
 
+from tests.free_ports import free_port
 from tests.integration.prometheus_asking import AnswerError, get
 
 PROMETHEUS_DEADLINE_S: Final = 120.0
@@ -38,13 +38,6 @@ def until(what: str, met: Callable[[], Any], *, deadline_s: float = PROMETHEUS_D
             return found
         time.sleep(0.2)
     pytest.fail(f"not within {deadline_s:.0f} s: {what}")
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 def rules_at_once(folder: Path) -> Path:

@@ -9,13 +9,14 @@ from typing import Any, Final
 
 from schemas.transport import keys
 from schemas.transport.bucket import open_bucket
-from schemas.transport.bus import client_session, free_endpoint, router_session
+from schemas.transport.bus import client_session, router_session
 from service.app import Service
 from service.client import watch_scenes
 from service.client.merge import SceneEvent
 from service.settings.config import Settings
 from service.store.engine import open_store
 from tests.contracts.ledger_world import World
+from tests.free_ports import free_endpoint
 
 ROOT: Final = keys.DEFAULT_ROOT
 DEADLINE_S: Final = 30.0

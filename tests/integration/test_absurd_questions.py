@@ -15,7 +15,7 @@ from schemas.canonical import canonical_json, sha256
 from schemas.errors import TransientError
 from schemas.transport import keys
 from schemas.transport.ask import PROBLEM
-from schemas.transport.bus import client_session, free_endpoint, router_session
+from schemas.transport.bus import client_session, router_session
 from schemas.transport.keys import DEFAULT_ROOT as ROOT
 from schemas.transport.wire import decode, encode
 from schemas.work import Answer, ClaimReply, CommitRequest, FailRequest, MineLease, PlanLease
@@ -23,6 +23,7 @@ from service.api.verbs import VERBS
 from service.client import ControlClient
 from service.curation.status import Status
 from tests.contracts.ledger_world import mined, plan_of, shard_commit
+from tests.free_ports import free_endpoint
 from tests.integration.daemons import Daemon
 from tests.integration.running import until
 from tests.integration.test_postgres_service import Postgres

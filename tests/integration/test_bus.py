@@ -21,7 +21,6 @@ from schemas.transport.ask import UnansweredError, ask, ask_until, reply_problem
 from schemas.transport.bucket import open_bucket
 from schemas.transport.bus import (
     client_session,
-    free_endpoint,
     is_connected,
     recoverable_publisher,
     recoverable_subscriber,
@@ -38,6 +37,7 @@ from tests.contracts.ledger_world import (
     mined,
     shard_commit,
 )
+from tests.free_ports import free_endpoint
 from tests.integration.running import DEADLINE_S, ROOT, Running, two_logs, until
 
 pytestmark = pytest.mark.integration

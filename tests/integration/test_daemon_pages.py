@@ -16,8 +16,9 @@ from pathlib import Path
 import pytest
 
 from schemas.runtime.http_endpoint import HttpEndpoint
-from schemas.transport.bus import free_endpoint, router_session
+from schemas.transport.bus import router_session
 from service.cli import main as command
+from tests.free_ports import free_endpoint
 from tests.integration.daemons import DEADLINE_S, Daemon
 
 pytestmark = pytest.mark.integration

@@ -16,10 +16,11 @@ from sqlalchemy import text
 from schemas.canonical import canonical_json, sha256
 from schemas.transport import keys
 from schemas.transport.ask import ask_until
-from schemas.transport.bus import client_session, free_endpoint, router_session
+from schemas.transport.bus import client_session, router_session
 from schemas.transport.wire import encode, encode_scene_score
 from schemas.work import ClaimRequest
 from tests.contracts.ledger_world import START_NS, score_of
+from tests.free_ports import free_endpoint
 from tests.integration.daemons import Daemon
 from tests.integration.running import ROOT, Running, two_logs, until
 

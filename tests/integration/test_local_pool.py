@@ -22,12 +22,13 @@ from structlog.testing import capture_logs
 from schemas.errors import PermanentError, TransientError
 from schemas.runtime.http_endpoint import HttpEndpoint
 from schemas.transport.bucket import open_bucket
-from schemas.transport.bus import client_session, free_endpoint, router_session
+from schemas.transport.bus import client_session, router_session
 from schemas.transport.keys import DEFAULT_ROOT
 from service.app import Service
 from service.settings.config import Settings
 from service.store.engine import open_store
 from tests.contracts.ledger_world import World
+from tests.free_ports import free_endpoint
 from workers.pool.local import LocalPool
 from workers.pool.pages import pool_pages
 from workers.version import version_of

@@ -15,9 +15,9 @@ from service.store.engine import open_store
 from service.store.ledger import StoredScene
 from tests.contracts.ledger_world import World
 from tests.factories import street_log
+from tests.free_ports import free_port
 from tests.integration.daemons import System
 from tests.integration.object_store import OVERLAYS, Ceph
-from tests.integration.prometheus_server import free_port
 
 pytestmark = [pytest.mark.integration, pytest.mark.timeout(900)]
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import create_engine, text
 
-from schemas.transport.bus import free_endpoint, router_session
+from schemas.transport.bus import router_session
 from service.api.reader import StateReader
 from service.cli.main import main
 from service.errors import StateInUseError, StateUnusableError, UsageError
@@ -24,6 +24,7 @@ from service.store.engine import StoreUnavailableError
 from service.store.opening import open_ledger_store, open_ledger_store_to_read, sole_service
 from service.store.single_writer_lock import DatabaseTakenError, SoleService
 from tests.contracts.ledger_world import World
+from tests.free_ports import free_endpoint
 from tests.integration.daemons import Daemon
 
 pytestmark = pytest.mark.integration

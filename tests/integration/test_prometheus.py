@@ -17,11 +17,11 @@ import pytest
 from service.store.engine import DATABASE_NAME
 from tests.dashboard_reading import FOLDER, ReadPanel, read_dashboard, variables_of
 from tests.factories import street_log
+from tests.free_ports import free_port
 from tests.integration.daemons import System
 from tests.integration.prometheus_asking import AnswerError, query, query_range, rates
 from tests.integration.prometheus_server import (
     PrometheusServer,
-    free_port,
     need_prometheus,
     rules_at_once,
     until,

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from schemas.transport.bus import free_endpoint
+from tests.free_ports import free_endpoint
 from tests.integration.daemons import DEADLINE_S, Daemon
 
 pytestmark = pytest.mark.integration

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from schemas.transport.bus import free_endpoint, router_session
+from schemas.transport.bus import router_session
 from service.cli.main import main
+from tests.free_ports import free_endpoint
 from tests.integration.object_store import Ceph, Identity
 
 pytestmark = pytest.mark.integration

@@ -8,13 +8,14 @@ from pathlib import Path
 import pytest
 
 from schemas.transport.bucket import Bucket, open_bucket
-from schemas.transport.bus import client_session, free_endpoint, router_session
+from schemas.transport.bus import client_session, router_session
 from schemas.transport.keys import DEFAULT_ROOT
 from service.app import Service
 from service.client import ControlClient
 from service.settings.config import Settings
 from service.store.engine import open_store
 from tests.contracts.ledger_world import World, plan_of
+from tests.free_ports import free_endpoint
 from tests.integration.faulty_proxy import FaultyProxy
 from tests.integration.object_store import Ceph
 from tests.integration.running import until

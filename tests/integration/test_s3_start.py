@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from schemas.transport.bus import free_endpoint, router_session
+from schemas.transport.bus import router_session
+from tests.free_ports import free_endpoint
 from tests.integration.daemons import DEADLINE_S, QUICK
 from tests.integration.object_store import Ceph
 

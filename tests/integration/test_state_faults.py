@@ -21,12 +21,12 @@ from typing import NoReturn
 import pytest
 
 from schemas.errors import TransientError
-from schemas.transport.bus import free_endpoint
 from schemas.transport.keys import DEFAULT_ROOT
 from service.client import ControlClient
 from service.curation.status import Status
 from service.store.engine import DATABASE_NAME
 from tests.contracts.ledger_world import expected_scenes
+from tests.free_ports import free_endpoint
 from tests.integration.daemons import Daemon
 from tests.integration.quick_miner import SHARDS_PER_LOG
 

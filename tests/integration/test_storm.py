@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from schemas.errors import TransientError
-from schemas.transport.bus import free_endpoint
 from schemas.transport.keys import DEFAULT_ROOT
 from service.client import ControlClient, watch_scenes
 from service.client.merge import SceneEvent
 from tests.contracts.ledger_world import expected_scenes
+from tests.free_ports import free_endpoint
 from tests.integration.quick_miner import SHARDS_PER_LOG
 
 pytestmark = pytest.mark.integration

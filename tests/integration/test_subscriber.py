@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 from schemas.errors import PermanentError, TransientError
-from schemas.transport.bus import free_endpoint
 from schemas.transport.keys import DEFAULT_ROOT
 from service.client import ControlClient, watch_scenes
 from service.client.subscription import RING
 from tests.contracts.ledger_world import SCENES_PER_SHARD, expected_scenes
+from tests.free_ports import free_endpoint
 from tests.integration.quick_miner import SHARDS_PER_LOG
 from tests.integration.running import Running, two_logs, until
 

@@ -13,7 +13,7 @@ from structlog.testing import capture_logs
 from schemas.mining import Grid
 from schemas.runtime.retry import StoppedError
 from schemas.transport.bucket import open_bucket
-from schemas.transport.bus import client_session, free_endpoint, router_session
+from schemas.transport.bus import client_session, router_session
 from schemas.transport.keys import DEFAULT_ROOT
 from schemas.transport.router_watch import RouterWatch
 from schemas.work import PlanLease
@@ -21,6 +21,7 @@ from service.app import Service
 from service.settings.config import Settings
 from service.store.engine import open_store
 from tests.contracts.ledger_world import World
+from tests.free_ports import free_endpoint
 from tests.integration.small_s3 import SmallS3
 from workers.lab.simulation.output.write import write_log
 from workers.lab.simulation.sensor.lidar import UNEVEN_64, Lidar

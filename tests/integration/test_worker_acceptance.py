@@ -12,12 +12,13 @@ from structlog.testing import capture_logs
 
 from schemas.mining import Grid
 from schemas.transport.bucket import open_bucket
-from schemas.transport.bus import client_session, free_endpoint, router_session
+from schemas.transport.bus import client_session, router_session
 from service.app import Service
 from service.settings.config import Settings
 from service.store.engine import open_store
 from tests.contracts.ledger_world import World
 from tests.factories import street_log
+from tests.free_ports import free_endpoint
 from workers.worker import loop as worker_module
 from workers.worker.config import Accepted, WorkerConfig, WorkerObserver
 from workers.worker.loop import Worker

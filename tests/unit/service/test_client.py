@@ -7,8 +7,8 @@ from threading import Event
 import pytest
 
 from schemas.errors import TransientError
-from schemas.transport.bus import free_endpoint
 from service.client import watch_scenes
+from tests.free_ports import free_endpoint
 
 
 def test_the_client_needs_the_base_install_only() -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from schemas.transport import keys
-from schemas.transport.bus import client_session, free_endpoint, router_session
+from schemas.transport.bus import client_session, router_session
 from service.cli.main import main
 from service.doctor import machine as doctor_machine
 from service.doctor import network as doctor_network
@@ -25,6 +25,7 @@ from service.store.engine import DATABASE_NAME, open_store
 from service.store.served_bucket import note_served
 from service.store.state import StateLock
 from tests.contracts.ledger_world import World
+from tests.free_ports import free_endpoint
 from tests.tiny_logs import Recorder, drive
 
 
