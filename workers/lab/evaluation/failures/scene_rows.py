@@ -9,6 +9,7 @@ from schemas.attribution import Wrong
 from schemas.contradiction import Instance, Scene, SceneState
 from workers.lab.evaluation.failures.baseline_scores import scene_baselines
 from workers.lab.evaluation.failures.frame_truth import FrameWithTruth
+from workers.lab.evaluation.failures.nearest_points import NearestPoints
 from workers.lab.evaluation.failures.object_views import object_baselines
 from workers.lab.evaluation.failures.objects_of_interest import (
     MIN_POINTS,
@@ -23,7 +24,12 @@ from workers.pipeline import MinedScene
 
 
 def scene_row(
-    mined: MinedScene, seen: Sequence[FrameWithTruth], planted: PlantedTruth, cell: int
+    mined: MinedScene,
+    seen: Sequence[FrameWithTruth],
+    planted: PlantedTruth,
+    cell: int,
+    *,
+    nearest: NearestPoints | None = None,
 ) -> tuple[SceneRow, set[int]]:
     """Compare a mined scene with its truth.
 
@@ -32,6 +38,7 @@ def scene_row(
         seen: Its frames with their truth.
         planted: Failures and disturbances planted in its log.
         cell: Number of the scene in its log.
+        nearest: Nearest points of its frames, where many variants of a drive share them.
 
     Returns:
         Its row, and the planted failures that its labels show.
@@ -55,7 +62,7 @@ def scene_row(
         score=mined.score.score,
         seconds=round((scene.end_ns - scene.start_ns) / NS_PER_S, 3),
         blind_share=0.0 if mined.score.health is None else mined.score.health.blind_share,
-        views=_rounded(scene_baselines(scene)),
+        views=_rounded(scene_baselines(scene, nearest)),
         things=tuple(rows + strays),
         tracks=tuple(tracks),
         disturbance=str(disturbance),
