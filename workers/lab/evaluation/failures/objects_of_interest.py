@@ -26,6 +26,7 @@ from workers.lab.evaluation.failures.frame_truth import FrameWithTruth
 MIN_POINTS: Final = 25
 MIN_S: Final = 0.5
 _RIM_M: Final = 0.5
+_RIM_RAD: Final = float(np.radians(1.0))
 _TOLERANCE: Final = 1e-6
 
 Points = NDArray[np.int64]
@@ -149,8 +150,16 @@ def _instances(frame: FrameWithTruth, number: int, candidates: Points) -> Iterat
 
 
 def _is_rim(points_m: NDArray[np.float32], movers_m: NDArray[np.float32]) -> bool:
-    """Test whether most points lie within 0.5 m of a true mover: bled labels are no object."""
+    """Test whether most points lie at the border of a true mover: bled labels are no object.
+
+    The border is within 0.5 m, or behind the mover and within a degree of its outline.
+    """
     if not len(movers_m):
         return False
     near, _ = cKDTree(movers_m).query(points_m, distance_upper_bound=_RIM_M)
-    return bool(np.isfinite(near).mean() > 0.5)
+    range_m, movers_range_m = (np.linalg.norm(each, axis=1) for each in (points_m, movers_m))
+    ways, of_movers = points_m / range_m[:, None], movers_m / movers_range_m[:, None]
+    away, which = cKDTree(of_movers).query(ways, distance_upper_bound=_RIM_RAD)
+    behind = np.isfinite(away)
+    behind[behind] = range_m[behind] > movers_range_m[which[behind]]
+    return bool((np.isfinite(near) | behind).mean() > 0.5)
