@@ -81,14 +81,11 @@ def _objects(seen: Sequence[FrameWithTruth], enough: int) -> Iterator[ObjectOfIn
         for each, mine in zip(ids.tolist(), np.split(order, first[1:]), strict=True):
             if each >= 0 and len(mine) >= MIN_POINTS:
                 points.setdefault(each, {})[number] = mine
+    wrong = [frame.wrong(frame.labelled.semantic) for frame in seen]
     for track_id, by_frame in sorted(points.items()):
         if len(by_frame) < enough:
             continue
-        failing = [
-            number
-            for number, mine in by_frame.items()
-            if _errs(seen[number].wrong(seen[number].labelled.semantic)[mine])
-        ]
+        failing = [number for number, mine in by_frame.items() if _errs(wrong[number][mine])]
         moving = [bool(seen[number].moving[mine].mean() > 0.5) for number, mine in by_frame.items()]
         yield ObjectOfInterest(
             key=f"track {track_id}",

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from schemas.arrays import NS_PER_S
+from schemas.arrays import NS_PER_S, Mask
 from schemas.attribution import Wrong
 from schemas.contradiction import Instance, Scene, SceneState
 from workers.lab.evaluation.failures.baseline_scores import scene_baselines
@@ -46,13 +46,17 @@ def scene_row(
     scene = mined.scene
     things = find_objects(scene, seen)
     rows, shown = [], set[int]()
+    other_wrong = [frame.wrong(frame.labelled.predictive) for frame in seen]
     for thing in things:
         due = _planted_match(thing, scene, planted) if thing.fails else None
         if due is not None:
             shown.add(due)
-        rows.append(_object_row(thing, seen, None if due is None else planted.failures[due]))
+        rows.append(
+            _object_row(thing, seen, None if due is None else planted.failures[due], other_wrong)
+        )
     scored = mined.score.state is SceneState.SCORED
-    tracks, strays = _track_rows(mined, seen, things, counts=1.0 if scored else 0.0)
+    counts = 1.0 if scored else 0.0
+    tracks, strays = _track_rows(mined, seen, things, other_wrong, counts=counts)
     disturbance = next((each.kind for each in planted.disturbances if each.scene == cell), "")
     row = SceneRow(
         scene_id=scene.scene_id,
@@ -85,14 +89,17 @@ def _planted_match(thing: ObjectOfInterest, scene: Scene, planted: PlantedTruth)
 
 
 def _object_row(
-    thing: ObjectOfInterest, seen: Sequence[FrameWithTruth], planted: FailureRow | None
+    thing: ObjectOfInterest,
+    seen: Sequence[FrameWithTruth],
+    planted: FailureRow | None,
+    other_wrong: Sequence[Mask],
 ) -> ObjectRow:
     numbers = thing.failing if thing.fails else tuple(thing.points)
     wrong = points = 0
     for number in numbers:
         mine = thing.points[number]
         points += len(mine)
-        wrong += int(seen[number].wrong(seen[number].labelled.predictive)[mine].sum())
+        wrong += int(other_wrong[number][mine].sum())
     kind = "" if not thing.fails else OTHER_KIND if planted is None else planted.kind.value
     sizes = [len(mine) for mine in thing.points.values()]
     return ObjectRow(
@@ -114,6 +121,7 @@ def _track_rows(
     mined: MinedScene,
     seen: Sequence[FrameWithTruth],
     things: Sequence[ObjectOfInterest],
+    other_wrong: Sequence[Mask],
     *,
     counts: float,
 ) -> tuple[list[TrackRow], list[ObjectRow]]:
@@ -128,7 +136,7 @@ def _track_rows(
         key, track = object_under(members, seen, things)
         verdict = verdict_of(members, seen, track=track)
         if not key and verdict in (Wrong.SELFSUPERVISED, Wrong.NEITHER):
-            stray = _stray(f"stray {len(strays)}", members, seen, track)
+            stray = _stray(f"stray {len(strays)}", members, seen, track, other_wrong)
             strays.append(stray)
             key = stray.key
         rows.append(
@@ -150,7 +158,11 @@ def _track_rows(
 
 
 def _stray(
-    key: str, members: Sequence[Instance], seen: Sequence[FrameWithTruth], track: int
+    key: str,
+    members: Sequence[Instance],
+    seen: Sequence[FrameWithTruth],
+    track: int,
+    other_wrong: Sequence[Mask],
 ) -> ObjectRow:
     points = {each.frame_index: each.point_index for each in members}
     moving = np.concatenate([seen[number].moving[mine] for number, mine in points.items()])
@@ -163,7 +175,7 @@ def _stray(
         failing=(),
         fails=False,
     )
-    return _object_row(thing, seen, None)
+    return _object_row(thing, seen, None, other_wrong)
 
 
 def _rounded(views: Mapping[str, float]) -> dict[str, float]:
