@@ -80,6 +80,7 @@ class PlantedFailure:
         common_mode: Whether it was chosen so that the self-supervised stream tends to fail too.
         because: Reason for common mode; empty without one.
         class_name: True class of the object.
+        part: Share of the object's points that get the wrong label, from one of its ends on.
     """
 
     kind: FailureKind
@@ -93,6 +94,7 @@ class PlantedFailure:
     common_mode: bool = False
     because: str = ""
     class_name: str = ""
+    part: float = 1.0
 
 
 def corrupt(
@@ -132,9 +134,13 @@ def _corrupt(
 ) -> None:
     kind = failure.kind
     mine = frame.track == failure.track
+    if failure.part < 1.0:
+        mine = _end_of(frame, mine, failure.part)
     if kind is FailureKind.GHOST_MOVER and failure.place_m is not None:
         ghost = ghost_points(frame, failure.place_m)
         motion[ghost], label[ghost] = DYNAMIC, StreetClass.CAR
+    elif kind is FailureKind.GHOST_MOVER:
+        motion[mine], label[mine] = DYNAMIC, StreetClass.CAR
     elif kind is FailureKind.PARKED_CALLED_MOVING:
         motion[mine] = DYNAMIC
     elif kind is FailureKind.FLICKER:
@@ -151,3 +157,22 @@ def _corrupt(
         motion[mine] = STATIC
     if kind in (FailureKind.UNSEEN_CLASS, FailureKind.MISSED_PEDESTRIAN):
         label[mine] = StreetClass.OBJECT
+
+
+def _end_of(frame: TrueFrame, mine: Mask, part: float) -> Mask:
+    """Return this share of an object's points: those nearest to one end, the same in all frames."""
+    index = np.flatnonzero(mine)
+    if len(index) < 2:
+        return mine
+    places = frame.points_m[index] @ frame.world_from_sensor[:3, :3].T
+    away = places[:, :2] - places[:, :2].mean(axis=0)
+    _, axes = np.linalg.eigh(away.T @ away)
+    long = axes[:, -1] * np.sign(axes[:, -1] @ _NORTH_EAST)
+    along = away @ long
+    end = np.zeros_like(mine)
+    end[index[along <= np.quantile(along, part)]] = True
+    return end
+
+
+_NORTH_EAST: Final = np.array([0.8, 0.6])
+"""Direction in the world by which the ends of an object are told apart."""
