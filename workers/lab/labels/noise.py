@@ -88,9 +88,9 @@ class SeenFrame:
     borders: Borders
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Blob:
-    world_m: tuple[float, float, float]
+    world_m: NDArray[np.float64]
     radius_m: float
     last_frame: int
     class_id: int
@@ -222,23 +222,27 @@ class LabelNoise:
     ) -> None:
         """Give blobs of points of no object a wrong class, for a moment."""
         these = self.settings
-        self._blobs = [each for each in self._blobs if each.last_frame >= self._count]
+        oldest = self._count - these.rest_frames
+        self._blobs = [each for each in self._blobs if each.last_frame >= oldest]
         free = np.flatnonzero((seen.thing < 0) & (np.abs(seen.points_m).sum(axis=1) > 0))
         born = int(rng.poisson(these.blobs_per_frame)) if len(free) else 0
         pose = seen.world_from_sensor
         for _ in range(born):
-            x, y, z = pose[:3, :3] @ seen.points_m[rng.choice(free)] + pose[:3, 3]
+            place_m = pose[:3, :3] @ seen.points_m[rng.choice(free)] + pose[:3, 3]
+            moves = bool(rng.random() < these.blob_moving_share) and self._is_far(place_m)
             self._blobs.append(
                 _Blob(
-                    world_m=(float(x), float(y), float(z)),
+                    world_m=place_m,
                     radius_m=float(rng.uniform(*these.blob_m)),
                     last_frame=self._count + int(rng.integers(these.blob_frames)),
                     class_id=int(rng.choice(self.blob_classes)),
-                    moving=bool(rng.random() < these.blob_moving_share),
+                    moving=moves,
                 )
             )
         for each in self._blobs:
-            middle = (np.array(each.world_m) - pose[:3, 3]) @ pose[:3, :3]
+            if each.last_frame < self._count:
+                continue
+            middle = (each.world_m - pose[:3, 3]) @ pose[:3, :3]
             away = seen.points_m - middle.astype(np.float32)
             mine = np.einsum("ij,ij->i", away, away) < each.radius_m**2
             mine &= seen.thing < 0
@@ -246,6 +250,17 @@ class LabelNoise:
             if each.moving:
                 motion[mine] = DYNAMIC
 
+    def _is_far(self, place_m: NDArray[np.float64]) -> bool:
+        """Return True unless a moving blob is or was near: two in turn would last too long."""
+        return all(
+            float(np.linalg.norm(each.world_m - place_m)) > _BLOBS_APART_M
+            for each in self._blobs
+            if each.moving
+        )
+
+
+_BLOBS_APART_M: Final = 8.0
+"""Least distance between moving blobs of the same second, metres; tracks join nearer ones."""
 
 _SAME_PLACE_M: Final = 0.3
 """Distance within which a place was labelled dynamic in the frame before, metres."""

@@ -175,4 +175,4 @@ def _end_of(frame: TrueFrame, mine: Mask, part: float) -> Mask:
 
 
 _NORTH_EAST: Final = np.array([0.8, 0.6])
-"""Direction in the world by which the ends of an object are told apart."""
+"""Direction in the world that separates the two ends of an object."""

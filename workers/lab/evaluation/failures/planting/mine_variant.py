@@ -1,8 +1,8 @@
 """Mining of one variant of a drive: the same pipeline, with the answers that labels do not change.
 
 Odometry and the self-supervised stream never see the recorded labels. Their answers are computed
-once for a drive and replayed to `mine_shard` for each variant, so a variant gets the same record
-as if its labels were written into a log and mined.
+once for a drive and replayed to `mine_shard` for each variant. A variant gets the same record as a
+log that contains its labels.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
