@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from workers.lab.evaluation.failures.attribution import AttributionAccuracy
     from workers.lab.evaluation.failures.bench import FailureBench
     from workers.lab.evaluation.failures.calibration import Calibration
+    from workers.lab.evaluation.failures.intervals import Interval
     from workers.lab.evaluation.failures.natural import NaturalTable
     from workers.lab.evaluation.failures.planted import PlantedTable
     from workers.lab.evaluation.failures.ranking import RankingRow
@@ -27,7 +28,9 @@ svg { margin: .5em 1em .5em 0 } .title { font-weight: 600; font-size: 14px }
 """
 
 COLUMNS_MEAN: Final = (
-    "AP: average precision; 95 %: bootstrap interval over logs; precision, recall and lift "
+    "AP: average precision; 95 %: bootstrap interval over logs; AP at 5 %: the same with scenes "
+    "without failure weighted so that 5 % fail; precision at base: among as many items as fail; "
+    "precision, recall and lift "
     "(precision over that of a random order) at a budget in percent of the ranked items; found per "
     "minute: distinct failures per minute of reviewed recording; found area: area under the share "
     "of failures found, 0.5 for a random order; median rank: 0 is first, 1 is last"
@@ -53,6 +56,8 @@ def write_report(file: Path, bench: "FailureBench", *, force: bool = False) -> N
         ),
     ]
     if bench.planted is not None:
+        if bench.variants:
+            parts.append(_paragraph(_variants(bench)))
         parts += _planted(bench.planted)
     if bench.natural is not None:
         parts += _natural(bench.natural)
@@ -70,6 +75,12 @@ def _safe(value: object) -> str:
 
 def _paragraph(text: str) -> str:
     return f"<p>{_safe(text)}</p>"
+
+
+def _variants(bench: "FailureBench") -> str:
+    drawn = f"variants, {bench.within}" if bench.within else "drives"
+    skipped = f"; nothing planted in {', '.join(bench.skipped)}" if bench.skipped else ""
+    return f"{bench.variants} variants of each drive; intervals draw {drawn}{skipped}."
 
 
 def _planted(found: "PlantedTable") -> list[str]:
@@ -95,10 +106,14 @@ def _planted(found: "PlantedTable") -> list[str]:
         _reliability("score: share of scenes with a failure", found.calibration),
         "<h3>By kind, against scenes without failure</h3>",
         html_table(
-            ("kind", "scenes", "AP", *(f"recall {b} %" for b in _BUDGETS), "median rank", _DOES),
+            (
+                *("kind", "scenes", "AP", *(f"recall {b} %" for b in _BUDGETS)),
+                *("recall at base", "tracks", "attributed correctly", "median rank", _DOES),
+            ),
             [
                 (
-                    *(kind, row.scenes, row.ap, *row.recall_at.values(), row.median_rank_share),
+                    *(kind, row.scenes, row.ap, *row.recall_at.values(), row.recall_at_base),
+                    *(row.tracks, row.attributed, row.median_rank_share),
                     failures.get(kind, "wrong labels where nothing was planted"),
                 )
                 for kind, row in found.kinds.items()
@@ -142,14 +157,16 @@ def _natural(found: "NaturalTable") -> list[str]:
 
 
 def _ranking(rows: "Mapping[str, RankingRow]") -> str:
-    columns = ("ranked by", "of", "AP", "95 %", *(f"precision {b} %" for b in _BUDGETS))
+    columns: tuple[str, ...] = ("ranked by", "of", "AP", "95 %", "AP at 5 %", "95 %")
+    columns += ("precision at base", "95 %", *(f"precision {b} %" for b in _BUDGETS))
     columns += (*(f"recall {b} %" for b in _BUDGETS), "lift 5 %", "found per minute", "found area")
     return html_table(
         columns,
         [
             (
-                *(name, row.ranked, row.ap),
-                "" if row.ap_interval is None else "{:.2f} to {:.2f}".format(*row.ap_interval),
+                *(name, row.ranked, row.ap, _interval(row.ap_interval)),
+                *(row.rare_ap, _interval(row.rare_ap_interval)),
+                *(row.precision_at_base, _interval(row.precision_at_base_interval)),
                 *(row.precision_at[budget] for budget in _BUDGETS),
                 *(row.recall_at[budget] for budget in _BUDGETS),
                 *(row.lift_at["5"], row.found_per_minute_at["5"], row.found_area),
@@ -157,6 +174,10 @@ def _ranking(rows: "Mapping[str, RankingRow]") -> str:
             for name, row in rows.items()
         ],
     )
+
+
+def _interval(interval: "Interval | None") -> str:
+    return "" if interval is None else "{:.2f} to {:.2f}".format(*interval)
 
 
 def _curves(rows: "Mapping[str, RankingRow]", what: str) -> str:
