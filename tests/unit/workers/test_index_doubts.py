@@ -121,7 +121,9 @@ LIES = [
 ]
 
 
-@pytest.mark.parametrize("tail_bytes", [pytest.param(64, id="far"), pytest.param(1 << 20, id="held")])
+@pytest.mark.parametrize(
+    "tail_bytes", [pytest.param(64, id="far"), pytest.param(1 << 20, id="held")]
+)
 @pytest.mark.parametrize("statistics", [True, False])
 @pytest.mark.parametrize("lie", LIES, ids=lambda lie: lie.__name__)
 def test_nothing_is_lost_that_a_scan_would_find(
