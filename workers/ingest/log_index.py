@@ -1,5 +1,6 @@
 """Log index of a recording: each part's summary where it is consistent, else a recovered one."""
 
+from bisect import bisect_left
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Final
@@ -27,6 +28,7 @@ from workers.ingest.index import (
     read_summary,
     too_many_chunks,
 )
+from workers.ingest.index_doubts import claimed_end, contradicting, misplaced, uncounted
 from workers.ingest.index_recovery import recover_index, scan_records
 from workers.ingest.limits import MAX_CHUNK_RECORDS, MAX_CHUNKS
 from workers.ingest.part_reader import PartReader
@@ -35,9 +37,6 @@ from workers.ingest.records import MAGIC, RecordMalformedError, count_records, w
 
 UNEXPLAINED_BYTES: Final = 64 * 1024
 """Bytes outside every index from which a stretch is scanned for messages outside chunks."""
-
-MAX_MESSAGE_INDEX_BYTES: Final = 16 * 1024 * 1024
-"""Bytes of a chunk's message index at most, a million messages; a larger claim is not believed."""
 
 LEARNING_BYTES: Final = 64 * 1024 * 1024
 """Bytes opened at most to find the channels of chunks that do not state them."""
@@ -176,9 +175,10 @@ def _index_part(reader: PartReader, budget: PlanningBudget) -> PartIndex:
         else:
             index = index_of(summary, reader)
             indexed, counted = _messages_indexed(index), _messages_counted(summary)
-            if indexed is None or indexed != counted:
+            doubted = contradicting(summary)
+            if doubted or indexed is None or indexed != counted:
                 certain = not index.chunks or (indexed is not None and counted is not None)
-                _scan_gaps(reader, index, summary, budget, thoroughly=certain)
+                _scan_gaps(reader, index, summary, budget, doubted=doubted, thoroughly=certain)
     index.closed = not index.recovered or footer_of(read_tail(reader)) is not None
     # of a chunk that is both indexed and found, the index comes first and stays
     by_offset: dict[int, IndexedChunk] = {}
@@ -210,24 +210,65 @@ def _scan_gaps(
     summary: Summary,
     budget: PlanningBudget,
     *,
+    doubted: set[int],
     thoroughly: bool,
 ) -> None:
-    """Scan bytes outside every index for messages; short stretches only if thorough."""
-    believed = {chunk.ref.offset for chunk in index.chunks}
-    known = [(each.offset, each.offset + each.length) for each in summary.attachment_indexes]
-    known += [
-        (entry.offset, entry.offset + entry.length + after)
+    """Scan bytes that no believed index explains for chunks, and messages outside chunks.
+
+    Args:
+        reader: The part.
+        index: Its index; chunks at doubted places are removed, and what is found is added.
+        summary: Its summary.
+        budget: Budget of planning.
+        doubted: Offsets of chunks whose index records contradict others.
+        thoroughly: Scan short stretches too. Those with a doubted chunk always are, and those
+            after a chunk whose messages its index does not count.
+    """
+    end = summary.start
+
+    def worth(gap: tuple[int, int]) -> bool:
+        start, length = gap[0], gap[1] - gap[0]
+        long = thoroughly or length > UNEXPLAINED_BYTES or reader.held(start, length) is not None
+        return long or start in after_uncounted
+
+    after_uncounted = {claimed_end(entry) for entry in summary.chunk_indexes if uncounted(entry)}
+    asked = [each for each in _gaps(_explained(summary, doubted), len(MAGIC), end) if worth(each)]
+    wrong = doubted | set(misplaced(reader, summary.chunk_indexes, asked))
+    _remove_chunks(index, wrong, key=reader.key)
+    for gap in _gaps(_explained(summary, wrong), len(MAGIC), end):
+        if worth(gap) or any(gap[0] <= offset < gap[1] for offset in wrong):
+            scan_records(reader, index, budget, start=gap[0], end=gap[1])
+
+
+def _remove_chunks(index: PartIndex, wrong: set[int], *, key: str) -> None:
+    """Remove chunks that the index describes wrongly, and record that their bytes are scanned."""
+    offsets = [chunk.ref.offset for chunk in index.chunks if chunk.ref.offset in wrong]
+    if offsets:
+        what = (
+            f"the index is wrong about {len(offsets)} chunks: their bytes were looked through "
+            "instead"
+        )
+        index.damage.append(damaged(key=key, offset=min(offsets), length=0, what=what))
+        index.chunks = [chunk for chunk in index.chunks if chunk.ref.offset not in wrong]
+
+
+def _explained(summary: Summary, doubted: set[int]) -> list[tuple[int, int]]:
+    """Return the bytes of believed chunks, and of attachments that overlap no indexed chunk."""
+    starts = sorted(entry.offset for entry in summary.chunk_indexes)
+    chunks = [
+        (entry.offset, claimed_end(entry))
         for entry in summary.chunk_indexes
-        for after in [min(entry.index_bytes, MAX_MESSAGE_INDEX_BYTES)]
-        if entry.offset in believed
+        if entry.offset not in doubted
     ]
-    for start, end in _gaps(known, start=len(MAGIC), end=summary.start):
-        worth = thoroughly or end - start > UNEXPLAINED_BYTES
-        if worth or reader.held(start, end - start) is not None:
-            scan_records(reader, index, budget, start=start, end=end)
+    attachments = [
+        (each.offset, each.offset + each.length)
+        for each in summary.attachment_indexes
+        if bisect_left(starts, each.offset) == bisect_left(starts, each.offset + each.length)
+    ]
+    return [*chunks, *attachments]
 
 
-def _gaps(known: Iterable[tuple[int, int]], *, start: int, end: int) -> Iterator[tuple[int, int]]:
+def _gaps(known: Iterable[tuple[int, int]], start: int, end: int) -> Iterator[tuple[int, int]]:
     for first, last in sorted(known):
         if start < first <= end:
             yield start, first

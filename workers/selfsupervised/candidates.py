@@ -14,6 +14,9 @@ from workers.selfsupervised.registration import RegistrationResiduals
 MIN_SPEED_M_PER_S: Final = 0.7
 """Half a brisk walk. Over 0.5 s it is 0.35 m, three times what sampling and pose noise imitate."""
 
+LONG_M: Final = 5.0
+"""Length from which a cluster at 3 m/s leaves less than a third of its place in 0.5 s, metres."""
+
 GOOD_FIT_FAR_M: Final = 0.22
 GOOD_FIT_NEAR_M: Final = 0.12
 """Mean nearest distance of a good fit, metres, after 0.5 s and after 0.1 s.
@@ -34,6 +37,15 @@ The side of a passing object fits the near frame at any shift along it, so that 
 the motion."""
 
 _MIN_SHORT_SPEED: Final = 3.0
+_SAME_SPEED_M_PER_S: Final = 0.5
+_SAME_SPEED_SHARE: Final = 0.2
+
+
+def same_velocity(velocity: NDArray[np.float32], known: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Return (K,) the velocities that differ from the known ones by no more than their errors."""
+    change = np.linalg.norm(velocity - known, axis=1)
+    same: Mask = change < _SAME_SPEED_M_PER_S + _SAME_SPEED_SHARE * np.linalg.norm(known, axis=1)
+    return same
 
 
 def far_candidates(
@@ -60,6 +72,22 @@ def far_candidates(
     )
     clear: Mask = moves & (gain > _MIN_GAIN_M + _MIN_GAIN_SHARE * fit.still_energy_far)
     return moves, clear
+
+
+def near_hints(fit: RegistrationResiduals, velocity_near: NDArray[np.float32]) -> Mask:
+    """Return the clusters that fit the near frame clearly better after a shift.
+
+    It is no evidence of motion alone, since newly uncovered surfaces fit so as well. It bears out
+    a motion that is already known.
+    """
+    gain = fit.still_energy_near - fit.energy_near
+    hints: Mask = (
+        fit.tried
+        & (fit.energy_near < GOOD_FIT_NEAR_M)
+        & (gain > _MIN_GAIN_M + _MIN_GAIN_SHARE * fit.still_energy_near)
+        & (np.linalg.norm(velocity_near, axis=1) >= MIN_SPEED_M_PER_S)
+    )
+    return hints
 
 
 def near_candidates(fit: RegistrationResiduals, velocity_near: NDArray[np.float32]) -> Mask:

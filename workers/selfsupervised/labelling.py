@@ -13,9 +13,11 @@ from workers.points.point_kernels import within
 from workers.points.step_names import step
 from workers.selfsupervised.ground_reattachment import SeenThrough, reattach_ground
 from workers.selfsupervised.motion import ClusterMotions
+from workers.selfsupervised.near_points import continue_movers
 from workers.selfsupervised.point_labels import (
     copy_to_points,
     label_ground,
+    label_near_points,
     label_voxels,
     unlabelled_points,
 )
@@ -95,6 +97,8 @@ def to_labels(
     copy_to_points(
         labelled, judged, voxels.of_point, voxel_labels, voxel_sureness, of_voxel, tracked.confirmed
     )
+    near, of_mover = continue_movers(prepared, clusters, tracked.dynamic)
+    label_near_points(labelled, valid[near], of_mover, tracked.confirmed)
     velocity = np.where(tracked.dynamic[:, None], tracked.velocity_m_per_s, 0.0)
     return FrameLabels(
         labels=labelled.labels,

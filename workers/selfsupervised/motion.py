@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from schemas.arrays import Mask, Points
 from workers.points.clusters import Clusters, from_labels
 from workers.points.step_names import step
-from workers.selfsupervised.candidates import GOOD_FIT_NEAR_M
+from workers.selfsupervised.candidates import GOOD_FIT_NEAR_M, same_velocity
 from workers.selfsupervised.evidence import FreeSpaceEvidence
 from workers.selfsupervised.ground_artefacts import are_ground_artefacts
 from workers.selfsupervised.registration import STILL_M, Reference, RegistrationResiduals, register
@@ -33,6 +33,7 @@ class ClusterMotions:
         unconfirmed: (K,) a motion was found that free space does not confirm.
         still: (K,) the cluster fits its present place half a second ago.
         velocity_m_per_s: (K, 3) over the ground, odom space, as registered, confirmed or not.
+        near_velocity_m_per_s: (K, 3) by the near frame alone; zero where it shows no motion.
         extent_m: (K,) longest horizontal side.
     """
 
@@ -42,6 +43,7 @@ class ClusterMotions:
     unconfirmed: Mask
     still: Mask
     velocity_m_per_s: NDArray[np.float32]
+    near_velocity_m_per_s: NDArray[np.float32]
     extent_m: NDArray[np.float32]
 
     @property
@@ -74,8 +76,40 @@ def find_motions(
         & (part_fit.still_energy_far >= _CHILD_FREE_ENERGY_M)
         & (parts.sizes >= _CHILD_FREE_VOXELS)
     )
+    motions, certain = _confirm_by_parts(clusters, motions, parts, part_motions, certain)
     whole = _joined(clusters, fit, motions, parts, part_fit, part_motions, certain)
     return _without_ground_artefacts(points_m, whole, evidence)
+
+
+def _confirm_by_parts(
+    clusters: Clusters,
+    motions: VerifiedMotions,
+    parts: Clusters,
+    part_motions: VerifiedMotions,
+    certain: Mask,
+) -> tuple[VerifiedMotions, Mask]:
+    """Confirm the motion of a cluster by a certain part that moves alike, and keep it whole.
+
+    The part that was not there before is the end of a long body at which free space shows that it
+    moves.
+
+    Returns:
+        The motions, and (P,) certain parts of the other clusters.
+    """
+    parent = clusters.of_point[parts.members[parts.start[:-1]]]
+    velocity = motions.velocity_m_per_s[parent]
+    alike = certain & part_motions.registered & motions.unconfirmed[parent]
+    alike &= same_velocity(part_motions.velocity_m_per_s, velocity)
+    confirmed = np.zeros(len(clusters), np.bool_)
+    confirmed[parent[alike]] = True
+    return (
+        replace(
+            motions,
+            registered=motions.registered | confirmed,
+            unconfirmed=motions.unconfirmed & ~confirmed,
+        ),
+        certain & ~confirmed[parent],
+    )
 
 
 @step("joining")
@@ -105,6 +139,9 @@ def _joined(
         unconfirmed=both(motions.unconfirmed, part_motions.unconfirmed),
         still=both(fit.still_energy_far < STILL_M, part_fit.still_energy_far < STILL_M),
         velocity_m_per_s=both(motions.velocity_m_per_s, part_motions.velocity_m_per_s),
+        near_velocity_m_per_s=both(
+            motions.near_velocity_m_per_s, part_motions.near_velocity_m_per_s
+        ),
         extent_m=both(fit.extent_m, part_fit.extent_m),
     )
 

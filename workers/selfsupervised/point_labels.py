@@ -135,6 +135,26 @@ def copy_to_points(
         labelled.confirmed[point] = k >= 0 and confirmed[k]
 
 
+def label_near_points(
+    labelled: PointLabels,
+    point_index: NDArray[np.int64],
+    of_mover: NDArray[np.int32],
+    confirmed: Mask,
+) -> None:
+    """Label points nearer than points are judged as part of the movers that they continue.
+
+    Args:
+        labelled: Labels of all N points, filled in.
+        point_index: (P,) indices of these points.
+        of_mover: (P,) cluster of each.
+        confirmed: (K,) clusters that are confirmed.
+    """
+    labelled.labels[point_index] = _DYNAMIC
+    labelled.sureness[point_index] = ALONE
+    labelled.cluster[point_index] = of_mover
+    labelled.confirmed[point_index] = confirmed[of_mover]
+
+
 def unlabelled_points(n: int) -> PointLabels:
     """Return UNKNOWN labels for N points."""
     return PointLabels(

@@ -27,6 +27,7 @@ from workers.selfsupervised.history import (
 from workers.selfsupervised.labelling import to_labels, unknown_labels
 from workers.selfsupervised.lookahead_buffer import BufferedFrame, ComparableFrame
 from workers.selfsupervised.motion import find_motions
+from workers.selfsupervised.moving_bodies import complete_bodies
 from workers.selfsupervised.occlusion_fragments import merge_fragments
 from workers.selfsupervised.pose_consistency import PoseConsistency
 from workers.selfsupervised.pose_continuity import PoseContinuity, fits
@@ -189,6 +190,7 @@ class StreamState:
             places, found, votes, centre_m=centre_m, now_ns=now_ns, table=ready.table
         )
         tracked = merge_fragments(places, found, tracked, evidence, centre_m=centre_m)
+        tracked = complete_bodies(places, found, tracked, references[1], centre_m=centre_m)
         found = assign_single_voxels(places, found, tracked.dynamic, votes, centre_m=centre_m)
         velocity = (tracked.velocity_m_per_s @ space[:3, :3].T).astype(np.float32)
         tracked = replace(tracked, velocity_m_per_s=velocity)

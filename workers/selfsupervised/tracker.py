@@ -17,8 +17,10 @@ from workers.lidar.beam_table import BeamTable
 from workers.points.neighbours import build_grid, nearest_indices
 from workers.points.se3 import transform
 from workers.points.step_names import step
+from workers.selfsupervised.candidates import same_velocity
 from workers.selfsupervised.confirmation_weight import confirms_in_full
 from workers.selfsupervised.motion import ClusterMotions
+from workers.selfsupervised.registration import MAX_EXTENT_M
 
 DYNAMIC_SCORE: Final = 0.6
 """Score from which a cluster is dynamic; one frame in full gives 1, and 0.7 a tenth of a second
@@ -53,9 +55,6 @@ _HALF: Final = 0.5
 _HINT: Final = 0.2
 _STATIC: Final = -0.7
 _OCCUPIED_BEFORE: Final = -0.2
-_MAX_HINT_EXTENT_M: Final = 6.0
-_SAME_SPEED_M_PER_S: Final = 0.5
-_SAME_SPEED_SHARE: Final = 0.2
 _STATIC_FREE_SHARE: Final = 0.2
 _STATIC_VOTES: Final = 2.0
 _OCCUPIED_BEFORE_VOTES: Final = 4.0
@@ -182,11 +181,10 @@ def _evidence(
     size = np.maximum(clusters.sizes, 1)
     seen = clusters.mean(votes.occupied)
     free_share = clusters.count(votes.seen_through) / size
-    change = np.linalg.norm(found.velocity_m_per_s - before.velocity, axis=1)
-    as_before = change < _SAME_SPEED_M_PER_S + _SAME_SPEED_SHARE * np.linalg.norm(
-        before.velocity, axis=1
-    )
-    hint = found.unconfirmed & before.known & as_before & (found.extent_m < _MAX_HINT_EXTENT_M)
+    as_before = found.unconfirmed & same_velocity(found.velocity_m_per_s, before.velocity)
+    near_moves = found.near_velocity_m_per_s.any(axis=1) & ~found.still
+    as_before |= near_moves & same_velocity(found.near_velocity_m_per_s, before.velocity)
+    hint = before.known & as_before & (found.extent_m <= MAX_EXTENT_M)
     static = found.still & (free_share < _STATIC_FREE_SHARE) & (seen > _STATIC_VOTES)
     occupied_before = ~found.unconfirmed & (seen > _OCCUPIED_BEFORE_VOTES)
     return np.select(

@@ -111,7 +111,7 @@ def _near(
 
 
 @compiled
-def _refine(
+def refine(
     grid: PointGrid,
     points: Points,
     shift: NDArray[np.float64],
@@ -184,7 +184,7 @@ def search(
         shift[1] = (cy + top_j - reach) * CELL_M
         shift[2] = centre[2]
         few_rows[:] = -1
-        more = _refine(grid, few, shift, few_rows, _EARLY_STEPS)
+        more = refine(grid, few, shift, few_rows, _EARLY_STEPS)
         limit = _HOPELESS * lowest
         early = energy_of(grid, few, shift[0], shift[1], shift[2], few_rows, limit)
         if early >= limit:
@@ -194,7 +194,7 @@ def search(
         if len(few) == len(points):
             rows[:] = few_rows
         if more or len(few) < len(points):
-            _refine(grid, points, shift, rows, _ICP_STEPS - _EARLY_STEPS)
+            refine(grid, points, shift, rows, _ICP_STEPS - _EARLY_STEPS)
         energy = energy_of(grid, points, shift[0], shift[1], shift[2], rows, best[3])
         if energy < best[3]:
             best[:3] = shift

@@ -51,6 +51,7 @@ def world(*things: Thing) -> tuple[NDArray[np.float32], ClusterMotions, Votes]:
         unconfirmed=np.array([thing.unconfirmed for thing in things]),
         still=np.array([thing.still for thing in things]),
         velocity_m_per_s=np.array([[*t.velocity, 0.0] for t in things], np.float32),
+        near_velocity_m_per_s=np.zeros((len(things), 3), np.float32),
         extent_m=np.array([max(t.size_m[:2]) for t in things], np.float32),
     )
     occupied = np.repeat([thing.occupied for thing in things], sizes).astype(np.int16)

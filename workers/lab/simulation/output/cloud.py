@@ -49,22 +49,27 @@ string frame_id{STAMP_DEFINITION}"""
 
 _DATATYPES: Final = {"u1": 2, "u2": 4, "u4": 6, "f4": 7}
 
-_RETURN: Final = [
-    ("x", "<f4"),
-    ("y", "<f4"),
-    ("z", "<f4"),
-    ("intensity", "<f4"),
-    ("t", "<u4"),
-    ("ring", "<u2"),
-]
+_PLACE: Final = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")]
+_FIRING: Final = [("t", "<u4"), ("ring", "<u2")]
 _LABEL: Final = [("label", "<u2"), ("motion", "<u1"), ("confidence", "<f4")]
 
 
-def cloud_of(frame: SimulatedFrame, recorded: RecordedPoints | None) -> NDArray[Any]:
-    """Return a frame as the rows of its message, followed by the recorded labels if given."""
-    rows = np.zeros(len(frame), dtype=np.dtype(_RETURN + (_LABEL if recorded else [])))
+def cloud_of(
+    frame: SimulatedFrame, recorded: RecordedPoints | None, *, firing: bool = True
+) -> NDArray[Any]:
+    """Return a frame as the rows of its message, followed by the recorded labels if given.
+
+    Args:
+        frame: The frame.
+        recorded: Labels of the on-board model.
+        firing: Whether each point carries its time and beam.
+    """
+    named = _PLACE + (_FIRING if firing else []) + (_LABEL if recorded else [])
+    rows = np.zeros(len(frame), dtype=np.dtype(named))
     rows["x"], rows["y"], rows["z"] = frame.points_m.T
-    rows["intensity"], rows["t"], rows["ring"] = frame.intensity, frame.offset_ns, frame.ring
+    rows["intensity"] = frame.intensity
+    if firing:
+        rows["t"], rows["ring"] = frame.offset_ns, frame.ring
     if recorded is not None:
         _fill_labels(rows, recorded)
     return rows

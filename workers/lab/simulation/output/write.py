@@ -21,6 +21,7 @@ from workers.lab.simulation.output.cloud import (
 )
 from workers.lab.simulation.output.odometry import OdometryWriter
 from workers.lab.simulation.output.truth import TruthWriter
+from workers.lab.simulation.sensor.compensation import compensate
 from workers.lab.simulation.sensor.lidar import Lidar, sweep
 from workers.lab.simulation.world.street import Street
 
@@ -96,12 +97,16 @@ def write_log(
         moved = OdometryWriter(writer, street, start_ns=identity.start_ns) if odometry else None
         for index in range(count):
             frame = disturb(sweep(street, lidar, index), planted.disturbances)
-            onboard = None if recorded == "nothing" else record(street, frame, planted.failures)
             late_ns = delay_ns(index, frame.time_s, planted.disturbances)
+            if lidar.compensated:
+                frame = compensate(street, lidar, frame)
+                late_ns += lidar.period_ns // 2
+            onboard = None if recorded == "nothing" else record(street, frame, planted.failures)
             stamp_ns = identity.start_ns + index * lidar.period_ns + late_ns
             if moved is not None:
                 moved.write_until(stamp_ns)
-            rows = cloud_of(frame, onboard if recorded == "fields" else None)
+            labels_in_cloud = onboard if recorded == "fields" else None
+            rows = cloud_of(frame, labels_in_cloud, firing=not lidar.compensated)
             message = message_of(rows, stamp_ns=stamp_ns, space=LIDAR_SPACE)
             writer.write_message(LIDAR_TOPIC, schema, message, stamp_ns, stamp_ns, index)
             if recorded == "topic" and onboard is not None:

@@ -28,7 +28,7 @@ _DROP: Final = 0.05
 _LEAST_FACING: Final = 0.02
 _CREEPING_M_PER_S: Final = 0.2
 _MOVING_M_PER_S: Final = 0.5
-_GRID_PER_M: Final = 512
+GRID_PER_M: Final = 512
 """Steps of a position per metre: 1/512 m is far below the noise, and keeps logs small."""
 
 UNIFORM_64: Final = tuple(np.linspace(3.0, -25.0, 64).round(4).tolist())
@@ -65,6 +65,8 @@ class Lidar:
         gain: Intensity of a surface of reflectivity 1 at normal incidence.
         gamma: Exponent of reflectivity in the intensity; each manufacturer compresses it
             differently.
+        compensated: Whether clouds are recorded in the sensor's space of the middle of the sweep,
+            which is their stamp, without a time and a beam per point.
         name: Name of the sensor and its mounting.
     """
 
@@ -84,6 +86,7 @@ class Lidar:
     roof_answers: float = 0.12
     gain: float = 255.0
     gamma: float = 1.0
+    compensated: bool = False
     name: str = "spinning lidar"
 
     @property
@@ -250,7 +253,7 @@ def _measured(
     return SimulatedFrame(
         index=index,
         time_s=time_s,
-        points_m=(np.round(points * _GRID_PER_M) / _GRID_PER_M).astype(np.float32),
+        points_m=(np.round(points * GRID_PER_M) / GRID_PER_M).astype(np.float32),
         intensity=np.clip(np.round(value), 0, 255).astype(np.float32),
         offset_ns=(column * (lidar.period_ns // lidar.columns)).astype(np.uint32),
         ring=(beam % rows).astype(np.uint16),

@@ -7,8 +7,8 @@ import numpy as np
 
 from workers.lab.simulation.sensor.lidar import UNEVEN_64, Lidar
 
-SensorName = Literal["pandar64", "hdl64", "hdl32", "vlp32c", "os1-128"]
-MountingName = Literal["roof", "mast"]
+SensorName = Literal["pandar64", "hdl64", "hdl64-compensated", "hdl32", "vlp32c", "os1-128"]
+MountingName = Literal["roof", "mast", "rack"]
 
 _HDL64: Final = (
     *np.linspace(2.0, -8.33, 32).round(3).tolist(),
@@ -48,6 +48,18 @@ SENSORS: Final[dict[SensorName, Lidar]] = {
         gamma=0.35,
         least_range_m=0.9,
     ),
+    "hdl64-compensated": Lidar(
+        name="hdl64-compensated",
+        elevation_deg=_HDL64,
+        columns=2000,
+        max_range_m=120.0,
+        reach_m=110.0,
+        noise_m=0.02,
+        gain=240.0,
+        gamma=0.35,
+        least_range_m=0.9,
+        compensated=True,
+    ),
     "hdl32": Lidar(
         name="hdl32",
         elevation_deg=tuple(np.linspace(10.67, -30.67, 32).round(3).tolist()),
@@ -86,24 +98,28 @@ SENSORS: Final[dict[SensorName, Lidar]] = {
 """Lidars by name: beam tables from the manufacturers' manuals, azimuth offsets of similar size.
 
 Range of a 64 x 1800 or 32 x 1800 sensor at 10 Hz; the sensor of 128 beams fires 1024 columns.
+`hdl64-compensated` records as data sets such as KITTI do: 2000 columns, clouds compensated to the
+stamp, and neither a time nor a beam per point.
 """
 
-_MOUNTINGS: Final[dict[MountingName, tuple[float, float, float]]] = {
-    "roof": (1.75, 0.2, 0.4),
-    "mast": (2.25, 0.75, -0.9),
+_MOUNTINGS: Final[dict[MountingName, tuple[float, float, float, bool]]] = {
+    "roof": (1.75, 0.2, 0.4, True),
+    "mast": (2.25, 0.75, -0.9, True),
+    "rack": (1.73, 0.0, 0.0, False),
 }
-"""Height, offset ahead of the middle of the car, and nose-down tilt in degrees."""
+"""Height, offset ahead of the middle of the car, nose-down tilt in degrees, whether the car hides
+the lowest beams."""
 
 
 def mounted(sensor: SensorName, mounting: MountingName, *, columns: int | None = None) -> Lidar:
     """Mount a sensor on a car; fewer columns make logs small and fast."""
-    lidar, (height, forward, pitch) = SENSORS[sensor], _MOUNTINGS[mounting]
+    lidar, (height, forward, pitch, roof) = SENSORS[sensor], _MOUNTINGS[mounting]
     return replace(
         lidar,
         columns=columns or lidar.columns,
         height_m=height,
         forward_m=forward,
         pitch_deg=pitch,
-        roof=True,
+        roof=roof,
         name=f"{sensor} on a {mounting}",
     )

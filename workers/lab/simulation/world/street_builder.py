@@ -11,6 +11,7 @@ from workers.lab.simulation.world.furniture import junction_furniture
 from workers.lab.simulation.world.motion_along_road import Drive, Road
 from workers.lab.simulation.world.road_map import RoadMap
 from workers.lab.simulation.world.scenery import build_scenery, bump_meshes
+from workers.lab.simulation.world.slow_lorries import add_slow_lorries
 from workers.lab.simulation.world.street import Street
 from workers.lab.simulation.world.street_kinds import PLACES, Place
 from workers.lab.simulation.world.street_plan import EGO_STYLES, EgoStyle, StreetPlan
@@ -86,6 +87,8 @@ def build_street(
     )
     for leader in leaders:
         traffic.offer_companion(leader)
+    if plan.slow_lorries:
+        add_slow_lorries(traffic)
     traffic.park(low, high)
     if plan.unsettling:
         traffic.unsettle()

@@ -26,6 +26,7 @@ class StreetPlan:
         rain_share: Share of beams returned by drops.
         dust: Whether vehicles and wind raise dust.
         unsettling: Whether it contains many movers that are easily mistaken for standing.
+        slow_lorries: Whether lorries and buses pass the ego at 2 to 4 m/s, or set off next to it.
     """
 
     place: PlaceName = "town"
@@ -35,6 +36,7 @@ class StreetPlan:
     rain_share: float = 0.0
     dust: bool = False
     unsettling: bool = False
+    slow_lorries: bool = False
 
 
 def draw_plan(rng: np.random.Generator, *, hard: bool) -> StreetPlan:

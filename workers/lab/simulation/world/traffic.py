@@ -132,6 +132,10 @@ class Traffic:
             )
             self._offer(StreetClass.PEDESTRIAN, drive)
 
+    def offer(self, what: StreetClass, drive: Drive, *, model: int) -> None:
+        """Add an object with the given drive, if there is room."""
+        self._offer(what, drive, model=model)
+
     def offer_companion(self, drive: Drive) -> None:
         """Add a vehicle with the given drive, if there is room."""
         self._offer(self._drawn(LANE_MIX[:2]), drive)
