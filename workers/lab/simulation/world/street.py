@@ -161,7 +161,7 @@ class Street:
         later_s = steps * TIME_STEP_S
         return replace(
             self,
-            seconds=round(self.seconds - later_s, 6),
+            seconds=round(self.seconds - seconds, 6),
             ego=self.ego.after(later_s),
             actors=tuple(replace(actor, drive=actor.drive.after(later_s)) for actor in self.actors),
             weather=self.weather.after(later_s),
