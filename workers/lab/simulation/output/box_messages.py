@@ -6,7 +6,8 @@ from typing import Any, Final
 
 from mcap_ros2.writer import Writer
 
-from workers.lab.simulation.faults.detector import DetectedBox, Detector
+from workers.lab.simulation.faults.detected_boxes import DetectedBox
+from workers.lab.simulation.faults.detector import Detector
 from workers.lab.simulation.faults.faults import PlantedFailure
 from workers.lab.simulation.sensor.lidar import SimulatedFrame
 from workers.lab.simulation.world.street import Street
@@ -47,9 +48,7 @@ class DetectorWriter:
         )
 
 
-def message_of_boxes(
-    boxes: Sequence[DetectedBox], *, stamp_ns: int, space: str
-) -> dict[str, Any]:
+def message_of_boxes(boxes: Sequence[DetectedBox], *, stamp_ns: int, space: str) -> dict[str, Any]:
     """Return the fields of a message of boxes (`schemas.predicted_boxes.PredictedBoxes`)."""
     return {
         "stamp_ns": stamp_ns,
