@@ -76,7 +76,8 @@ def test_lifelike_logs_have_drawn_lengths_and_begin_in_the_middle_of_the_drive()
     assert set(kinds) == set(LIFELIKE_KINDS)
     assert max(kinds.values()) - min(kinds.values()) <= 1
     for log in logs:
-        assert all(0 <= each.cell < log.scenes for each in (*log.failures, *log.disturbances))
+        assert all(0 <= each.cell < log.scenes for each in log.failures)
+        assert all(0 <= each.cell < log.scenes for each in log.disturbances)
 
 
 def test_a_fleet_without_options_has_neither_new_kinds_nor_new_lengths() -> None:
