@@ -1,5 +1,6 @@
 """Verb `bench failures`: how well contradictions find failures, compared with other rankings."""
 
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 from urllib.parse import unquote, urlsplit
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from workers.lab.evaluation.failures.bench import FailureBench
     from workers.lab.evaluation.failures.natural import NaturalTable
     from workers.lab.evaluation.failures.planted import PlantedTable
+    from workers.lab.evaluation.failures.planting.variants import Planting
     from workers.lab.evaluation.failures.ranking import RankingRow
 
 TABLES = ("planted", "natural")
@@ -81,6 +83,24 @@ def failures(
             "--dropout-every", min=0, max=MOST, help="Interval of frames with MC dropout; 0: none."
         ),
     ] = 10,
+    plant: Annotated[
+        bool,
+        typer.Option(
+            "--plant", help="Plant failures in labels made from the truth of real logs, by seed."
+        ),
+    ] = False,
+    variants: Annotated[
+        int, typer.Option("--variants", min=1, max=MOST, help="Variants of each log (--plant).")
+    ] = 50,
+    seed: Annotated[
+        int, typer.Option("--seed", min=0, max=MOST, help="Seed of failures and noise (--plant).")
+    ] = 0,
+    frames: Annotated[
+        str, typer.Option("--frames", help="Frames A:B of each log, B excluded (--plant).")
+    ] = "0:",
+    share: Annotated[
+        str, typer.Option("--share", help="Share of the scenes that fail, as 1/6 (--plant).")
+    ] = "1/6",
     draws: Annotated[
         int,
         typer.Option("--draws", min=0, max=MOST, help="Draws of the bootstrap; 0: no intervals."),
@@ -108,6 +128,24 @@ def failures(
         bucket=logs_url,
         **mining.flags(),
     )
+    if plant:
+        chosen = _planting(variants, seed, frames, share)
+        from workers.lab.evaluation.failures.planting.bench import bench_planting
+
+        with progress() as bar:
+            task = bar.add_task("mining", total=None)
+            planted = bench_planting(
+                logs_url,
+                where,
+                settings.mining(),
+                chosen,
+                processes=workers,
+                kept=settings.state / "bench" if kept is None else kept,
+                draws=draws,
+                on_progress=lambda done, total: bar.update(task, completed=done, total=total),
+            )
+        _say(planted, json=json, report=report, force=force)
+        return
     from workers.lab.evaluation.failures.bench import bench_failures
     from workers.lab.evaluation.failures.uncertainty import Probing
 
@@ -125,6 +163,34 @@ def failures(
             draws=draws,
             on_progress=lambda done, total: bar.update(task, completed=done, total=total),
         )
+    _say(bench, json=json, report=report, force=force)
+
+
+def _planting(variants: int, seed: int, frames: str, share: str) -> "Planting":
+    """Build the settings of planting from the options.
+
+    Raises:
+        UsageError: If the range or the share is not of its form.
+    """
+    from workers.lab.evaluation.failures.planting.drive import FrameRange
+    from workers.lab.evaluation.failures.planting.variants import Planting
+
+    first, colon, end = frames.partition(":")
+    given = [each for each in (first, end) if each]
+    if not colon or not all(each.isdecimal() for each in given):
+        raise UsageError(f"--frames must be A:B, as 0:28 or 28:, got {frames!r}")
+    chosen = FrameRange(int(first or 0), int(end) if end else None)
+    try:
+        part = float(Fraction(share))
+    except (ValueError, ZeroDivisionError):
+        part = -1.0
+    if not 0.0 < part < 1.0:
+        raise UsageError(f"--share must be over 0 and under 1, as 1/6 or 0.05, got {share!r}")
+    return Planting(variants=variants, seed=seed, frames=chosen, share=part)
+
+
+def _say(bench: "FailureBench", *, json: bool, report: Path | None, force: bool) -> None:
+    """Print a benchmark, and write its report if one is wanted."""
     if json:
         json_line(bench.as_json())
     else:
@@ -226,7 +292,7 @@ def _say_what_it_is_too_small_for(bench: "FailureBench") -> None:
     from workers.lab.evaluation.failures.intervals import MIN_LOGS
     from workers.lab.evaluation.failures.retrieval import budget_size
 
-    if bench.logs < MIN_LOGS:
+    if bench.logs < MIN_LOGS and not bench.within:
         remark(f"no intervals: {counted(bench.logs, 'log')}, and at least {MIN_LOGS} are needed")
     for ranked, what in ((bench.planted, "scene"), (bench.natural, "object")):
         if ranked is not None and budget_size(0.01, ranked.ranked) == budget_size(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from schemas.arrays import Mask, Points, Transform
-from workers.lab.labels.borders import Borders, Spread
+from workers.lab.labels.borders import BEHIND_RAD, INSIDE_M, REACH_M, Borders, Spread
 
 STATIC: Final = 1
 DYNAMIC: Final = 2
@@ -42,6 +42,9 @@ class NoiseSettings:
         flicker_full_m: Range from which it flickers most.
         flicker_share: Largest share of frames in which a far mover is labelled static.
         late_share: Share of frames in which the label of a mover is that of the frame before.
+        rest_frames: Frames of an object without flicker after a wrong one. Noise is then wrong on
+            an object for less than half a second in any three, which is no failure.
+        bleed_most_m: Largest width of bleeding; beyond half a metre it would be an object.
     """
 
     bleed_m: float = 0.15
@@ -58,6 +61,8 @@ class NoiseSettings:
     flicker_full_m: float = 60.0
     flicker_share: float = 0.10
     late_share: float = 0.03
+    rest_frames: int = 7
+    bleed_most_m: float = 0.45
 
 
 REAL: Final = NoiseSettings()
@@ -108,6 +113,7 @@ class LabelNoise:
     _count: int = 0
     _blobs: list[_Blob] = field(default_factory=list)
     _before: dict[int, NDArray[np.float64]] = field(default_factory=dict)
+    _wrong_at: dict[int, int] = field(default_factory=dict)
 
     def __call__(
         self, seen: SeenFrame, motion: MotionCodes, class_id: ClassIds
@@ -143,8 +149,9 @@ class LabelNoise:
         now = {}
         for (thing, mine), lags in zip(movers.items(), late.tolist(), strict=True):
             now[thing] = seen.points_m[mine] @ rotation.T + origin
-            if not lags:
+            if not lags or self._rests(thing):
                 continue
+            self._wrong_at[thing] = self._count
             if thing not in self._before:
                 motion[mine] = STATIC
                 continue
@@ -169,11 +176,16 @@ class LabelNoise:
         """Label some far movers static for a frame."""
         these = self.settings
         drawn = rng.random(len(movers))
-        for mine, value in zip(movers.values(), drawn.tolist(), strict=True):
+        for (thing, mine), value in zip(movers.items(), drawn.tolist(), strict=True):
             range_m = float(np.hypot(*seen.points_m[mine, :2].mean(axis=0)))
             far = (range_m - these.flicker_from_m) / (these.flicker_full_m - these.flicker_from_m)
-            if value < these.flicker_share * min(max(far, 0.0), 1.0):
+            if value < these.flicker_share * min(max(far, 0.0), 1.0) and not self._rests(thing):
                 motion[mine] = STATIC
+                self._wrong_at[thing] = self._count
+
+    def _rests(self, thing: int) -> bool:
+        wrong_at = self._wrong_at.get(thing)
+        return wrong_at is not None and self._count - wrong_at <= self.settings.rest_frames
 
     def _bleed(
         self, seen: SeenFrame, motion: MotionCodes, class_id: ClassIds, rng: np.random.Generator
@@ -186,24 +198,24 @@ class LabelNoise:
         width = np.exp(these.bleed_spread * lasting + 0.25 * rng.standard_normal((things, 3)))
         right_motion, right_class = motion.copy(), class_id.copy()
 
-        def spread(over: Spread, widths: NDArray[np.float64], objects: NDArray[np.int64]) -> None:
+        def spread(
+            over: Spread, widths: NDArray[np.float64], objects: NDArray[np.int64], most: float
+        ) -> None:
             ragged = rng.uniform(0.4, 1.3, len(over.index))
-            taken = over.away < widths[objects] * ragged
+            taken = over.away < np.minimum(widths[objects] * ragged, most)
             motion[over.index[taken]] = right_motion[over.source[taken]]
             class_id[over.index[taken]] = right_class[over.source[taken]]
 
         around, behind, inside = seen.borders.around, seen.borders.behind, seen.borders.inside
-        spread(inside, these.inside_m * width[:, 2], seen.thing[inside.index])
-        of = seen.thing[around.source]
+        spread(inside, these.inside_m * width[:, 2], seen.thing[inside.index], INSIDE_M)
         range_m = np.hypot(seen.points_m[around.source, 0], seen.points_m[around.source, 1])
         grown = 1.0 + these.bleed_per_m * range_m
         grown[seen.ground[around.index]] *= these.ground_factor
-        spread(
-            Spread(around.index, around.source, (around.away / grown).astype(np.float32)),
-            these.bleed_m * width[:, 0],
-            of,
-        )
-        spread(behind, these.shadow_rad * width[:, 1], seen.thing[behind.source])
+        near = around.where(around.away < these.bleed_most_m)
+        grown, of = grown[around.away < these.bleed_most_m], seen.thing[near.source]
+        scaled = Spread(near.index, near.source, (near.away / grown).astype(np.float32))
+        spread(scaled, these.bleed_m * width[:, 0], of, REACH_M)
+        spread(behind, these.shadow_rad * width[:, 1], seen.thing[behind.source], BEHIND_RAD)
 
     def _blob(
         self, seen: SeenFrame, motion: MotionCodes, class_id: ClassIds, rng: np.random.Generator

@@ -69,17 +69,22 @@ class PlantedTable(RankingRow):
 
 
 def planted_table(
-    logs: Sequence[MinedLog], *, slipping: Sequence[MinedLog] = (), draws: int
+    logs: Sequence[MinedLog],
+    *,
+    slipping: Sequence[MinedLog] = (),
+    groups: Sequence[int] | None = None,
+    draws: int,
 ) -> PlantedTable:
     """Compute the table.
 
     Args:
         logs: Logs of the fleet, mined with their recorded labels.
         slipping: Some of them, mined again with a slip in every scene.
+        groups: Number of the drive of each log, for intervals; each log is its own when None.
         draws: Bootstrap draws; 0 computes no intervals.
     """
     scenes = [scene for log in logs for scene in log.scenes]
-    items = items_of(logs)
+    items = items_of(logs, groups)
     scores = np.array([scene.score for scene in scenes])
     views = sorted({name for scene in scenes for name in scene.views})
     others = {name: np.array([scene.views[name] for scene in scenes]) for name in views}
@@ -109,11 +114,12 @@ def planted_table(
     )
 
 
-def items_of(logs: Sequence[MinedLog]) -> Items:
+def items_of(logs: Sequence[MinedLog], groups: Sequence[int] | None = None) -> Items:
     """Make scenes the ranked items; a failure that lasts over several scenes counts once."""
+    drives = np.arange(len(logs)) if groups is None else np.asarray(groups, dtype=np.int64)
     scenes = [scene for log in logs for scene in log.scenes]
     return Items(
-        logs=np.repeat(np.arange(len(logs)), [len(log.scenes) for log in logs]),
+        logs=np.repeat(drives, [len(log.scenes) for log in logs]),
         wanted=np.array([scene.fails for scene in scenes], dtype=np.bool_),
         failures=[failure_names(scene, log.log_id) for log in logs for scene in log.scenes],
         minutes=np.array([scene.seconds / MINUTE_S for scene in scenes]),

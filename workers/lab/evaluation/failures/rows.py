@@ -5,6 +5,7 @@ from typing import Final
 from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.attribution import Attribution, Wrong
+from workers.lab.simulation.faults.fault_truth import FailureRow
 
 REVISION: Final = "4"
 """Version of the rows; increases when the same log gives other rows."""
@@ -98,5 +99,11 @@ class MinedLog(BaseModel):
     planted: int = Field(default=0, description="Failures that were planted in it.")
     unseen: int = Field(
         default=0, description="Of them, those that the labels do not show: too few points left."
+    )
+    failures: tuple[FailureRow, ...] = Field(
+        default=(), description="The planted failures, where the benchmark planted them."
+    )
+    shown: tuple[int, ...] = Field(
+        default=(), description="Of `failures`, the numbers of those that the labels show."
     )
     pipeline_version: str

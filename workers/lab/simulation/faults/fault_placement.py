@@ -5,7 +5,8 @@ one, another kind is drawn. Both are recorded.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -103,7 +104,9 @@ def place_failures(
         free = [cell for cell in range(plan.scenes) if cell not in taken]
         found = None
         for kind, cell in _tries(planned, free, plan.kinds, rng):
-            found = _plant(view(cell), plan, replace(planned, cell=cell, kind=kind), rng)
+            shared = planned.common_mode and kind is FailureKind.MISSED_MOVER
+            pace = partial(_pace, street) if shared else None
+            found = plant_in_scene(view(cell), kind, cell, rng, pace=pace, lifelike=plan.lifelike)
             if found is not None:
                 break
         taken.discard(planned.cell)
@@ -132,36 +135,49 @@ def _tries(
         yield others[place], planned.cell
 
 
-def _plant(
-    view: SceneVisibility, plan: LogPlan, planned: PlannedFailure, rng: np.random.Generator
+def plant_in_scene(
+    view: SceneVisibility,
+    kind: FailureKind,
+    cell: int,
+    rng: np.random.Generator,
+    *,
+    pace: Callable[[Candidate], tuple[float, int]] | None = None,
+    lifelike: bool = False,
 ) -> PlantedFailure | None:
-    kind = planned.kind
-    shared = planned.common_mode and kind is FailureKind.MISSED_MOVER
+    """Choose an object and a time window for a failure of one scene; None without a candidate.
+
+    Args:
+        view: Visibility of the scene's objects.
+        kind: Kind of the failure.
+        cell: Number of the scene in its log.
+        rng: Source of the choice.
+        pace: Of a common-mode failure: speed of a candidate, of which the slowest is chosen.
+        lifelike: Whether ghosts stick to structure, and failures may begin with the log.
+    """
+    shared = pace is not None
     least_s = _LEAST_S_OF.get(kind, LEAST_S)
-    if kind is FailureKind.GHOST_MOVER and plan.lifelike:
+    if kind is FailureKind.GHOST_MOVER and lifelike:
         every = list(structure_ghosts(view))
     else:
         every = candidates_of(view, kind, common_mode=shared)
     able = [each for each in every if each.lasts_s >= least_s]
     if not able:
         return None
-    if shared:  # a stream without lookahead misses slow movers of every class
-        chosen = min(able, key=lambda each: _pace(view, each))
-    else:
-        chosen = able[int(rng.integers(len(able)))]
+    # a stream without lookahead misses slow movers of every class
+    chosen = able[int(rng.integers(len(able)))] if pace is None else min(able, key=pace)
     start_s, end_s = _window(chosen, kind, least_s, rng)
-    if plan.lifelike and planned.cell == 0 and kind is not FailureKind.LATE_DETECTION:
+    if lifelike and cell == 0 and kind is not FailureKind.LATE_DETECTION:
         begins = chosen.start_s <= view.times_s[0] and rng.random() < _WRONG_AT_FIRST
         start_s = 0.0 if begins else start_s
     place_m = chosen.place_m
     if place_m is not None:
-        slid = [pace * (start_s - chosen.start_s) for pace in chosen.slides_m_per_s]
+        slid = [each * (start_s - chosen.start_s) for each in chosen.slides_m_per_s]
         place_m = round(place_m[0] + slid[0], 2), round(place_m[1] + slid[1], 2), place_m[2]
     part_share = heading_rad = 0.0
     if kind is FailureKind.HALF_LABELLED:
         part_share = round(float(rng.uniform(*_HALF_SHARE)), 3)
-        yaw_rad = float(view.street.actor_poses((start_s + end_s) / 2)[chosen.track, 2])
-        heading_rad = round(yaw_rad + (np.pi if rng.random() < 0.5 else 0.0), 4)
+        turned_rad = np.pi if rng.random() < 0.5 else 0.0
+        heading_rad = round(_heading_of(view, chosen, start_s, end_s) + turned_rad, 4)
     return PlantedFailure(
         kind=kind,
         track=chosen.track,
@@ -170,7 +186,7 @@ def _plant(
         other_track=chosen.other_track,
         place_m=place_m,
         range_m=chosen.range_m,
-        cell=planned.cell,
+        cell=cell,
         common_mode=shared,
         because=chosen.because,
         class_name=chosen.class_name,
@@ -181,10 +197,19 @@ def _plant(
     )
 
 
-def _pace(view: SceneVisibility, each: Candidate) -> tuple[float, int]:
+def _heading_of(view: SceneVisibility, each: Candidate, start_s: float, end_s: float) -> float:
+    """Return the direction in which a mover goes between two times, radians, world space."""
+    during = (view.times_s >= start_s - view.step_s) & (view.times_s <= end_s + view.step_s)
+    path = view.centre_m[during, each.track]
+    path = path[np.isfinite(path).all(axis=1)]
+    went = path[-1] - path[0]
+    return float(np.arctan2(went[1], went[0]))
+
+
+def _pace(street: Street, each: Candidate) -> tuple[float, int]:
     """Return the true straight-line speed of a mover, m/s, and its number."""
     early, late = (
-        view.street.actor_poses(time_s)[each.track, :2]
+        street.actor_poses(time_s)[each.track, :2]
         for time_s in (each.start_s, each.start_s + each.lasts_s)
     )
     return float(np.hypot(*(late - early))) / each.lasts_s, each.track

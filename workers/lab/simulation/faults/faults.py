@@ -2,15 +2,14 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import Mask
+from schemas.arrays import Mask, Points, Transform
 from workers.lab.simulation.faults.plan import FailureKind
 from workers.lab.simulation.models.kinds import StreetClass
-from workers.lab.simulation.sensor.lidar import SimulatedFrame
 
 STATIC: Final = 1
 DYNAMIC: Final = 2
@@ -19,6 +18,50 @@ GHOST_RADIUS_M: Final = 1.2
 
 _FLICKER_S: Final = 0.3
 """Duration of the wrong labels, seconds; right labels follow for half of it."""
+
+
+class TrueFrame(Protocol):
+    """A frame with the truth of each point, simulated or recorded."""
+
+    @property
+    def index(self) -> int:
+        """Number of the frame in its log."""
+        ...
+
+    @property
+    def time_s(self) -> float:
+        """Seconds from the start of the log."""
+        ...
+
+    @property
+    def points_m(self) -> Points:
+        """(N, 3) points in sensor space."""
+        ...
+
+    @property
+    def class_id(self) -> NDArray[np.uint8]:
+        """(N,) `StreetClass`."""
+        ...
+
+    @property
+    def track(self) -> NDArray[np.int16]:
+        """(N,) number of the object, -1 none."""
+        ...
+
+    @property
+    def motion(self) -> NDArray[np.uint8]:
+        """(N,) 0 unknown, 1 static, 2 dynamic."""
+        ...
+
+    @property
+    def ground(self) -> NDArray[np.uint8]:
+        """(N,) 1 ground, 0 not, 255 ignored."""
+        ...
+
+    @property
+    def world_from_sensor(self) -> Transform:
+        """(4, 4) pose of the sensor."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +117,7 @@ class PlantedFailure:
 
 
 def corrupt(
-    frame: SimulatedFrame,
+    frame: TrueFrame,
     motion: NDArray[np.uint8],
     label: NDArray[np.uint16],
     failures: Iterable[PlantedFailure],
@@ -93,7 +136,7 @@ def corrupt(
 
 
 def ghost_points(
-    frame: SimulatedFrame,
+    frame: TrueFrame,
     place_m: Sequence[float] | NDArray[np.float64],
     *,
     radius_m: float = GHOST_RADIUS_M,
@@ -116,7 +159,7 @@ def ghost_points(
     return mine
 
 
-def part_of(frame: SimulatedFrame, failure: PlantedFailure) -> NDArray[np.int64]:
+def part_of(frame: TrueFrame, failure: PlantedFailure) -> NDArray[np.int64]:
     """Find the part of a half-labelled object that is labelled static, as indices of points."""
     mine = np.flatnonzero(frame.track == failure.track)
     if not len(mine):
@@ -128,7 +171,7 @@ def part_of(frame: SimulatedFrame, failure: PlantedFailure) -> NDArray[np.int64]
 
 
 def _corrupt(
-    frame: SimulatedFrame,
+    frame: TrueFrame,
     motion: NDArray[np.uint8],
     label: NDArray[np.uint16],
     failure: PlantedFailure,

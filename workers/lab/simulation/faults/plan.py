@@ -76,6 +76,9 @@ DRAWN_KINDS: Final = tuple(
 LIFELIKE_KINDS: Final = (*DRAWN_KINDS, FailureKind.HALF_LABELLED)
 """The same for lifelike fleets."""
 
+TEN_KINDS: Final = (*DRAWN_KINDS, FailureKind.MISSED_MOVER)
+"""Kinds that are planted into labels of real drives."""
+
 
 class DisturbanceKind(StrEnum):
     """Kind of a disturbance of the recording that is no failure of the model."""
@@ -221,7 +224,7 @@ def plan_fleet(
     kinds = LIFELIKE_KINDS if lifelike else DRAWN_KINDS
     failures = _failures(failing, log_of.tolist(), common_mode_share, kinds, draw[1])
     disturbed = sorted(draw[2].choice(scenes, round(disturbed_share * scenes), replace=False))
-    what = _balanced(tuple(DisturbanceKind), len(disturbed), draw[2])
+    what = balanced(tuple(DisturbanceKind), len(disturbed), draw[2])
     hard = set(draw[3].choice(logs, round(hard_share * logs), replace=False).tolist())
     seeds = np.random.SeedSequence([seed, 0x106]).generate_state(logs)
     begins_s = draw[5].uniform(*_BEGINS_S, logs).round(2) if lifelike else np.zeros(logs)
@@ -272,13 +275,13 @@ def _failures(
     order = [int(cell) for cell in rng.permutation(cells)]
     common = order[: round(common_mode_share * len(order))]
     rest = order[len(common) :]
-    kinds = _balanced(drawn_kinds, len(rest), rng)
+    kinds = balanced(drawn_kinds, len(rest), rng)
     wanted = kinds.count(FailureKind.VERSION_REGRESSION)
     fits = [c for c in rest if VERSIONS[log_of[c] % len(VERSIONS)] == REGRESSED_VERSION]
     regressed = fits[:wanted]
     others = [cell for cell in rest if cell not in regressed]
     plain = [kind for kind in kinds if kind is not FailureKind.VERSION_REGRESSION]
-    plain += _balanced(
+    plain += balanced(
         tuple(kind for kind in drawn_kinds if kind is not FailureKind.VERSION_REGRESSION),
         len(others) - len(plain),
         rng,
@@ -289,7 +292,7 @@ def _failures(
     return {cell: chosen[cell] for cell in cells}
 
 
-def _balanced(kinds: tuple[Kind, ...], count: int, rng: np.random.Generator) -> list[Kind]:
+def balanced(kinds: tuple[Kind, ...], count: int, rng: np.random.Generator) -> list[Kind]:
     """Return equally many of each kind, as far as `count` allows, in random order."""
     turns = [kinds[i] for _ in range(ceil(count / len(kinds))) for i in rng.permutation(len(kinds))]
     return [turns[i] for i in rng.permutation(count)]

@@ -16,9 +16,8 @@ from workers.lab.simulation.faults.candidates import (
     SceneVisibility,
     longest_run,
 )
-from workers.lab.simulation.faults.faults import STATIC, ghost_points
+from workers.lab.simulation.faults.faults import STATIC, TrueFrame, ghost_points
 from workers.lab.simulation.models.kinds import StreetClass
-from workers.lab.simulation.sensor.lidar import SimulatedFrame
 
 STRUCTURE: Final = (
     StreetClass.BUILDING,
@@ -121,7 +120,7 @@ def _on_structure(view: SceneVisibility, point: int, rng: np.random.Generator) -
     )
 
 
-def _direction_of(frame: SimulatedFrame, point: int) -> NDArray[np.float64]:
+def _direction_of(frame: TrueFrame, point: int) -> NDArray[np.float64]:
     """Return the horizontal direction of the structure around a point, world space."""
     away_m = frame.points_m - frame.points_m[point]
     near = ((away_m**2).sum(axis=1) < _ALONG_M**2) & (frame.track < 0) & (frame.ground == 0)
