@@ -1,7 +1,7 @@
 """Verb `simulate`: a fleet of simulated logs with planted failures, and its truth."""
 
 import time
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import typer
 
@@ -9,6 +9,10 @@ from schemas.transport.bucket import open_bucket
 from service.cli.options import MOST, Json
 from service.cli.output import counted, json_line, progress, remark
 from service.errors import UsageError
+
+SHORTEST_S: Final = 2.0
+LONGEST_S: Final = 600.0
+"""Bounds of `--log-seconds`."""
 
 
 def add_to(app: typer.Typer) -> None:
@@ -22,7 +26,7 @@ def simulate(
     out: Annotated[str, typer.Option("--out", help="Folder or bucket URL for logs/ and truth/.")],
     scenes: Annotated[
         int,
-        typer.Option("--scenes", min=1, max=MOST, help="Scenes of 2 s; ten make a log of 20 s."),
+        typer.Option("--scenes", min=1, max=MOST, help="Scenes of 2 s; by default ten make a log."),
     ] = 100,
     seed: Annotated[
         int, typer.Option("--seed", min=0, max=MOST, help="Seed; equal seeds give equal bytes.")
@@ -46,6 +50,26 @@ def simulate(
         bool,
         typer.Option("--odometry", help="Record wheel speed and yaw rate of the cars too."),
     ] = False,
+    lifelike: Annotated[
+        bool,
+        typer.Option(
+            "--lifelike",
+            help="Labels with the noise of real models, ghosts that stick to structure, "
+            "half-labelled lorries, logs that begin amid traffic.",
+        ),
+    ] = False,
+    log_seconds: Annotated[
+        str | None,
+        typer.Option(
+            "--log-seconds",
+            metavar="LOW:HIGH",
+            help="Shortest and longest log; default: 20:20, lifelike 4:16.",
+        ),
+    ] = None,
+    boxes: Annotated[
+        bool,
+        typer.Option("--boxes", help="Record the boxes of a detector instead of labels of points."),
+    ] = False,
     workers: Annotated[
         int, typer.Option("--workers", min=1, max=MOST, help="Number of processes.")
     ] = 1,
@@ -60,14 +84,22 @@ def simulate(
     from workers.lab.simulation.faults.plan import plan_fleet
     from workers.lab.simulation.output.fleet import FleetOptions, simulate_to
 
-    plans = plan_fleet(scenes=scenes, seed=seed, share=failures)
+    plans = plan_fleet(
+        scenes=scenes,
+        seed=seed,
+        share=failures,
+        lifelike=lifelike,
+        log_s=None if log_seconds is None else _log_seconds(log_seconds),
+    )
     began_s, frames, planted, disturbed = time.monotonic(), 0, 0, 0
     with progress() as bar:
         task = bar.add_task("simulating", total=scenes * 20)
         logs = simulate_to(
             out,
             plans,
-            options=FleetOptions(columns=columns, odometry=odometry),
+            options=FleetOptions(
+                columns=columns, odometry=odometry, recorded="boxes" if boxes else "fields"
+            ),
             processes=workers,
             progress=lambda: bar.advance(task),
         )
@@ -90,6 +122,24 @@ def simulate(
         f"{counted(planted, 'planted failure')}, {counted(disturbed, 'disturbance')} in {out}: "
         f"{frames / took_s / workers:.1f} frames a second and process"
     )
+
+
+def _log_seconds(text: str) -> tuple[float, float]:
+    """Read `LOW:HIGH`, the shortest and longest log.
+
+    Raises:
+        UsageError: If these are no two lengths of 2 s or more.
+    """
+    try:
+        low, high = (float(each) for each in text.split(":"))
+    except ValueError:
+        low = high = 0.0
+    if not SHORTEST_S <= low <= high <= LONGEST_S:
+        raise UsageError(
+            f"--log-seconds: {text!r} is no LOW:HIGH, the shortest and longest log of "
+            f"{SHORTEST_S:.0f} to {LONGEST_S:.0f} seconds: --log-seconds 4:16"
+        )
+    return low, high
 
 
 def _need_no_other_logs(url: str) -> None:

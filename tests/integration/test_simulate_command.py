@@ -59,3 +59,29 @@ def test_a_bucket_gets_what_a_folder_gets_and_the_truth_is_found(
     truth = LogTruth.beside(recording, folder / "truth")
     assert truth is not None
     assert len(truth) == 40
+
+
+def test_a_lifelike_fleet_and_one_of_boxes_have_truth_and_the_lengths_asked_for(
+    tmp_path: Path,
+) -> None:
+    few = ["--lifelike", "--log-seconds", "2:2", *FEW]
+    assert main(["simulate", *few, "--out", str(tmp_path / "labels")]) == 0
+    assert main(["simulate", *few, "--boxes", "--out", str(tmp_path / "boxes")]) == 0
+    labels, boxes = (
+        group_recordings(open_bucket(str(tmp_path / name / "logs")).list())
+        for name in ("labels", "boxes")
+    )
+    assert len(labels) == len(boxes) == 2
+    for name, recordings in (("labels", labels), ("boxes", boxes)):
+        for recording in recordings:
+            truth = LogTruth.beside(recording, tmp_path / name / "truth")
+            assert truth is not None
+            assert len(truth) == 20
+
+
+@pytest.mark.parametrize("text", ["9", "8:4", "1:4", "a:b", "4:1e9", "nan:nan"])
+def test_lengths_that_are_none_are_refused(
+    tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["simulate", *FEW, "--log-seconds", text, "--out", str(tmp_path)]) == 1
+    assert "--log-seconds" in capsys.readouterr().err

@@ -1,4 +1,6 @@
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from workers.contradiction.score import score_scene
 from workers.contradiction.track_features import NAMES
 from workers.contradiction.version import contradiction_version
 from workers.lab.evaluation.failures.rows import MinedLog, ObjectRow, SceneRow, TrackRow
-from workers.lab.training.attribution import fit, fit_kind
+from workers.lab.training.attribution import digest_of, fit, fit_kind, main
 from workers.lab.training.attribution_prior import PRIOR
 from workers.lab.training.attribution_scores import leave_one_log_out
 
@@ -288,3 +290,45 @@ def test_a_mover_shaped_like_nothing_that_networks_know_is_said_to_be(
 def test_a_strange_shape_that_the_supervised_stream_saw_move_is_not_told() -> None:
     seen = Thing((12.0, 4.0, 0.0), semantic=DYNAMIC, predictive=STATIC, size_m=(1.0, 0.3, 0.4))
     assert "atypical size" not in _attribution(labelled_scene([seen])).neutral
+
+
+def test_a_fit_can_start_from_an_earlier_table_and_judges_the_shipped_one(tmp_path: Path) -> None:
+    kept, out, again = tmp_path / "kept", tmp_path / "first.json", tmp_path / "second.json"
+    kept.mkdir()
+    turned = [_row(Wrong.SELFSUPERVISED, turn_rate=1.0), _row(Wrong.SUPERVISED)] * 20
+    for name in ("a", "b"):
+        (kept / f"{name}.json").write_text(_log(name, turned).model_dump_json())
+    assert main([str(kept), "--data", "x", "--out", str(out)]) == 0
+    assert main([str(kept), "--data", "x", "--update", str(out), "--out", str(again)]) == 0
+    weights = [
+        json.loads(file.read_text())["kinds"][KIND]["selfsupervised"]["weights"]["turn_rate"]
+        for file in (out, again)
+    ]
+    assert 0.5 < weights[0] < weights[1]  # the second fit goes on where the first one ended
+    card = json.loads(again.read_text())["card"]
+    assert card["left_out"]["all"]["tracks"] == card["shipped_before"]["all"]["tracks"]
+    assert 0.0 <= card["left_out"]["all"]["calibration_error"] <= 1.0
+    assert card["started_from"] == digest_of(out)
+
+
+def test_evidence_that_a_row_was_mined_without_keeps_the_weight_of_the_prior(
+    tmp_path: Path,
+) -> None:
+    row = _row(Wrong.SELFSUPERVISED)
+    old = row.model_copy(
+        update={"evidence": {k: v for k, v in row.evidence.items() if k != "arrived"}}
+    )
+    logs = [_log(name, [old] * 5) for name in ("a", "b")]
+    fitted = fit(logs)[KIND]
+    assert fitted["selfsupervised"]["weights"]["arrived"] == 1.0
+    assert leave_one_log_out(logs, fit)["all"]["tracks"] == {"selfsupervised": 10}
+
+
+def test_a_file_that_is_no_table_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "kept/a.json").write_text(_log("a", [_row(Wrong.SUPERVISED)]).model_dump_json())
+    wrong = tmp_path / "wrong.json"
+    wrong.write_text("[]")
+    arguments = ["--data", "x", "--update", str(wrong), "--out", str(tmp_path / "out.json")]
+    assert main([str(tmp_path / "kept"), *arguments]) == 1
+    assert not (tmp_path / "out.json").exists()

@@ -2,13 +2,17 @@
 
 Training data are the mined logs in the cache of the failure benchmark (`counterpoint bench failures
 FLEET --kept DIR`): every contradicting track with its evidence and its true verdict. The table is
-evaluated by leave-one-log-out cross-validation (`attribution_scores.py`) and written with its card.
+evaluated by leave-one-log-out cross-validation (`attribution_scores.py`) and written with its card,
+next to the figures of the shipped table on the same tracks. `--update` starts from an earlier table
+instead of the prior written by hand, so that what other logs taught is kept.
 """
 
 import argparse
+import hashlib
 import json
 import logging
 from collections.abc import Mapping, Sequence
+from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,9 +25,10 @@ from scipy.special import logsumexp
 from schemas.attribution import Wrong
 from schemas.contradiction import ContradictionKind
 from schemas.errors import CounterpointError, PermanentError, TransientError
+from workers.contradiction.attribution import FILE
 from workers.contradiction.track_features import NAMES
 from workers.lab.evaluation.failures.rows import MinedLog, TrackRow
-from workers.lab.training.attribution_prior import PRIOR
+from workers.lab.training.attribution_prior import PRIOR, Row
 from workers.lab.training.attribution_scores import leave_one_log_out, usable_tracks
 
 log = logging.getLogger(__name__)
@@ -51,6 +56,9 @@ _LEAST: Final = 0.02
 Rows = Mapping[str, Any]
 """The rows of one kind, in the format of `attribution.json`."""
 
+Prior = Mapping[str, Mapping[Wrong, Row]]
+"""Intercepts and weights by kind and verdict, towards which a fit is drawn."""
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Fit, evaluate and write; exit 0 when done, 1 on bad input, 75 try again."""
@@ -58,20 +66,29 @@ def main(argv: Sequence[str] | None = None) -> int:
     logging.basicConfig(format="%(asctime)s %(message)s", level=logging.INFO)
     try:
         logs = read_mined_logs(args.kept)
+        prior = PRIOR if args.update is None else read_table(args.update)
+        known = {name for each in usable_tracks(logs) for name in each.evidence}
+
+        def fit_on(some: Sequence[MinedLog]) -> dict[str, Rows]:
+            return fit(some, prior)
+
         card = {
             "logs": len(logs),
             "scenes": sum(len(each.scenes) for each in logs),
             "tracks": sum(len(scene.tracks) for each in logs for scene in each.scenes),
             "data": args.data,
             "settings": {"regularisation": REGULARISATION, "balance": BALANCE},
-            "left_out": leave_one_log_out(logs, fit),
+            "started_from": "prior" if args.update is None else digest_of(args.update),
+            "features_of_the_prior_only": [name for name in USED if name not in known],
+            "left_out": leave_one_log_out(logs, fit_on),
+            "shipped_before": leave_one_log_out(logs, lambda _: shipped_rows()),
         }
-        text = json.dumps({"card": card, "kinds": fit(logs)}, indent=1)
+        text = json.dumps({"card": card, "kinds": fit_on(logs)}, indent=1)
         args.out.write_text(text + "\n", encoding="utf-8")
     except CounterpointError as error:
         log.error("%s", error)
         return EXIT_TRANSIENT if isinstance(error, TransientError) else 1
-    log.info("%s", json.dumps(card["left_out"], indent=1))
+    log.info("%s", json.dumps({key: card[key] for key in ("shipped_before", "left_out")}, indent=1))
     return 0
 
 
@@ -95,13 +112,51 @@ def read_mined_logs(folders: Sequence[Path]) -> list[MinedLog]:
     return sorted(logs, key=lambda each: (each.log_id, each.pipeline_version))
 
 
-def fit(logs: Sequence[MinedLog]) -> dict[str, Rows]:
-    """Fit the tables of all kinds on the tracks of mined logs."""
+def shipped_rows() -> dict[str, Rows]:
+    """Return the rows of all kinds in the table that ships."""
+    text = resources.files("workers.contradiction").joinpath(FILE).read_text(encoding="utf-8")
+    return dict(json.loads(text)["kinds"])
+
+
+def read_table(file: Path) -> Prior:
+    """Read an earlier table as a prior; verdicts that it lacks keep the prior written by hand.
+
+    Raises:
+        PermanentError: If it cannot be read.
+    """
+    try:
+        kinds = json.loads(file.read_text(encoding="utf-8"))["kinds"]
+        return {
+            kind: {
+                answer: (float(kinds[kind][answer]["intercept"]), kinds[kind][answer]["weights"])
+                if answer in kinds[kind]
+                else row
+                for answer, row in rows.items()
+            }
+            for kind, rows in PRIOR.items()
+        }
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise PermanentError(
+            f"--update: {file} is no attribution table ({error}); name a file that this command "
+            "wrote, or leave the option out"
+        ) from error
+
+
+def digest_of(file: Path) -> str:
+    """Return the first digits of a file's SHA-256, by which the card names its table."""
+    return hashlib.sha256(file.read_bytes()).hexdigest()[:12]
+
+
+def fit(logs: Sequence[MinedLog], prior: Prior = PRIOR) -> dict[str, Rows]:
+    """Fit the tables of all kinds on the tracks of mined logs, drawn towards a prior."""
     tracks = usable_tracks(logs)
-    return {kind: fit_kind(kind, [each for each in tracks if each.kind == kind]) for kind in PRIOR}
+    return {
+        kind: fit_kind(kind, [each for each in tracks if each.kind == kind], prior)
+        for kind in PRIOR
+    }
 
 
-def fit_kind(kind: str, rows: Sequence[TrackRow]) -> dict[str, Any]:
+def fit_kind(kind: str, rows: Sequence[TrackRow], prior_rows: Prior = PRIOR) -> dict[str, Any]:
     """Fit the table of one kind: the maximum a posteriori weights of prior and rows.
 
     The model is a multinomial logistic regression whose weights are regularised towards the prior
@@ -110,8 +165,9 @@ def fit_kind(kind: str, rows: Sequence[TrackRow]) -> dict[str, Any]:
     Args:
         kind: Name of the kind of contradiction.
         rows: Tracks of that kind with a true verdict.
+        prior_rows: Intercepts and weights of the prior, by kind and verdict.
     """
-    answers, prior = tuple(PRIOR[kind]), _prior_of(kind)
+    answers, prior = tuple(prior_rows[kind]), _prior_of(prior_rows[kind])
     rows = [*rows, *(_without_witness(row) for row in rows if kind not in _OF_WITNESS)]
     if rows:
         seen = _matrix(rows)
@@ -156,18 +212,19 @@ def _verdict(row: TrackRow) -> Wrong:
     return row.verdict
 
 
-def _prior_of(kind: str) -> NDArray[np.float64]:
+def _prior_of(rows: Mapping[Wrong, Row]) -> NDArray[np.float64]:
     """(answers, 1 + evidence) intercepts and weights of the prior."""
     return np.array(
         [
             [intercept, *(weights.get(name, 0.0) for name in USED)]
-            for intercept, weights in PRIOR[kind].values()
+            for intercept, weights in rows.values()
         ]
     )
 
 
 def _matrix(rows: Sequence[TrackRow]) -> NDArray[np.float64]:
-    return np.array([[1.0, *(row.evidence[name] for name in USED)] for row in rows])
+    """Return (rows, 1 + evidence); evidence that a row was mined without is 0."""
+    return np.array([[1.0, *(row.evidence.get(name, 0.0) for name in USED)] for row in rows])
 
 
 def _weights(rows: Sequence[TrackRow]) -> NDArray[np.float64]:
@@ -189,6 +246,7 @@ def _parser() -> argparse.ArgumentParser:
         description="Fit the attribution table on results of `bench failures --kept DIR`.",
     )
     parser.add_argument("kept", type=Path, nargs="+", help="folders of mined logs")
+    parser.add_argument("--update", type=Path, help="table to start from instead of the prior")
     parser.add_argument("--data", required=True, help="description of the mined data")
     parser.add_argument("--out", type=Path, required=True, help="the table, with its card")
     return parser

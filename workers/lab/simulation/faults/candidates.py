@@ -9,7 +9,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from schemas.arrays import Mask
-from workers.lab.simulation.faults.faults import DYNAMIC, STATIC, TrueFrame, ghost_points
+from workers.lab.simulation.faults.faults import (
+    DYNAMIC,
+    GHOST_RADIUS_M,
+    STATIC,
+    TrueFrame,
+    ghost_points,
+)
 from workers.lab.simulation.faults.plan import FailureKind
 from workers.lab.simulation.models.kinds import StreetClass
 
@@ -27,6 +33,12 @@ REGRESSED: Final = frozenset({"cyclist", "motorcycle", "truck"})
 SLOW_M_PER_S: Final = 1.0
 LONG_M: Final = 18.0
 TOUCHING_M: Final = 0.4
+LARGE_M: Final = 6.0
+"""Length from which a mover is a lorry or a bus, and may be half labelled, metres."""
+
+LARGE_POINTS: Final = 120
+"""Points of such a mover per frame."""
+
 _SWAP_WITHIN_M: Final = 15.0
 _FAR_M: Final = 15.0
 _GHOST_RANGE_M: Final = (6.0, 25.0)
@@ -102,6 +114,9 @@ class Candidate:
         range_m: Range beyond which the model labels no mover; 0 no limit.
         because: Reason for an error of the self-supervised stream too; empty without one.
         class_name: Its class.
+        radius_m: Radius of a ghost.
+        slides_m_per_s: Velocity of a ghost over the ground, x and y; `place_m` is its position at
+            `start_s`.
     """
 
     track: int
@@ -112,6 +127,8 @@ class Candidate:
     range_m: float = 0.0
     because: str = ""
     class_name: str = ""
+    radius_m: float = GHOST_RADIUS_M
+    slides_m_per_s: tuple[float, float] = (0.0, 0.0)
 
 
 def measure_visibility(
@@ -160,6 +177,17 @@ def candidates_of(
     return list(_candidates(view, kind, common_mode))
 
 
+def longest_run(view: SceneVisibility, usable: Mask) -> tuple[float, float] | None:
+    """Return start and length of the longest usable interval of an object; None without any."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], usable.astype(np.int8), [0]])))
+    if not len(edges):
+        return None
+    starts, ends = edges[::2], edges[1::2]
+    longest = int(np.argmax(ends - starts))
+    start_s = float(view.times_s[starts[longest]])
+    return start_s, float(ends[longest] - starts[longest]) * view.step_s
+
+
 def _candidates(view: SceneVisibility, kind: FailureKind, common_mode: bool) -> Iterator[Candidate]:
     seen = view.points >= ENOUGH_POINTS
     moves, stands = seen & (view.motion == DYNAMIC), seen & (view.motion == STATIC)
@@ -169,7 +197,7 @@ def _candidates(view: SceneVisibility, kind: FailureKind, common_mode: bool) -> 
         return [
             Candidate(track, *run, class_name=names[track])
             for track in range(len(names))
-            if wanted(names[track]) and (run := _longest_run(view, usable[:, track])) is not None
+            if wanted(names[track]) and (run := longest_run(view, usable[:, track])) is not None
         ]
 
     if kind is FailureKind.MISSED_MOVER:
@@ -200,17 +228,9 @@ def _candidates(view: SceneVisibility, kind: FailureKind, common_mode: bool) -> 
         yield from _swaps(view, runs(moves), runs(stands))
     elif kind is FailureKind.GHOST_MOVER:
         yield from _ghosts(view)
-
-
-def _longest_run(view: SceneVisibility, usable: Mask) -> tuple[float, float] | None:
-    """Return start and length of the longest usable interval of an object; None without any."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], usable.astype(np.int8), [0]])))
-    if not len(edges):
-        return None
-    starts, ends = edges[::2], edges[1::2]
-    longest = int(np.argmax(ends - starts))
-    start_s = float(view.times_s[starts[longest]])
-    return start_s, float(ends[longest] - starts[longest]) * view.step_s
+    elif kind is FailureKind.HALF_LABELLED:
+        large = np.array([actor.size_m[0] > LARGE_M for actor in view.street.actors], np.bool_)
+        yield from runs(moves & large & (view.points >= LARGE_POINTS))
 
 
 def _why_missed(view: SceneVisibility, candidate: Candidate) -> str:
@@ -267,7 +287,7 @@ def _ghosts(view: SceneVisibility) -> Iterator[Candidate]:
         x, y, z = (pose[:3, :3] @ first.points_m[point] + pose[:3, 3]).tolist()
         place_m = (round(x, 2), round(y, 2), round(z, 2))
         seen = np.array([int(ghost_points(f, place_m).sum()) >= ENOUGH_POINTS for f in view.frames])
-        run = _longest_run(view, seen)
+        run = longest_run(view, seen)
         if run is not None:
             what = StreetClass(int(first.class_id[point])).name.lower()
             yield Candidate(-1, *run, place_m=place_m, class_name=what)

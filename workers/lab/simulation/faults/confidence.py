@@ -57,6 +57,17 @@ def draw_confidence(
     return np.interp(rank, steps[0], right), np.interp(rank, steps[1], wrong)
 
 
+def draw_border_confidence(*, seed: int, count: int, index: int) -> NDArray[np.float64]:
+    """Draw the confidence on single points that the noise of a model labels wrong, (count,).
+
+    It is the lower half of the measured confidences of wrong labels, because a network is less sure
+    at a border than on an object that it mistakes.
+    """
+    _, wrong = quantiles()
+    rank = 0.5 * np.random.default_rng([seed, 0xC2F, index]).random(count)
+    return np.interp(rank, np.linspace(0.0, 1.0, len(wrong)), wrong)
+
+
 def _normal_cdf(values: NDArray[np.float64]) -> NDArray[np.float64]:
     from scipy.special import ndtr
 

@@ -4,7 +4,7 @@ A failure without a candidate in its scene moves to another scene of the log. Wh
 one, another kind is drawn. Both are recorded.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Final
@@ -19,12 +19,12 @@ from workers.lab.simulation.faults.candidates import (
 )
 from workers.lab.simulation.faults.faults import PlantedFailure
 from workers.lab.simulation.faults.plan import (
-    DRAWN_KINDS,
     SCENE_S,
     FailureKind,
     LogPlan,
     PlannedFailure,
 )
+from workers.lab.simulation.faults.structure_ghosts import structure_ghosts
 from workers.lab.simulation.sensor.lidar import SimulatedFrame
 from workers.lab.simulation.world.street import Street
 
@@ -36,6 +36,20 @@ _FLICKER_LEAST_S: Final = 1.2
 
 _SETTLED_S: Final = 1.2
 """Start of the first failure, seconds: before it, the streams have no past to contradict with."""
+
+_HALF_LEAST_S: Final = 1.0
+"""Shortest time for which a large mover is half labelled, seconds."""
+
+_HALF_SHARE: Final = (0.55, 0.85)
+"""Share of its points that are then labelled static: more than half, which makes a failure."""
+
+_LEAST_S_OF: Final[Mapping[FailureKind, float]] = {
+    FailureKind.FLICKER: _FLICKER_LEAST_S,
+    FailureKind.HALF_LABELLED: _HALF_LEAST_S,
+}
+
+_WRONG_AT_FIRST: Final = 0.5
+"""Share of the failures at the start of a lifelike log that begin with its first frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,10 +103,10 @@ def place_failures(
     for planned in plan.failures:
         free = [cell for cell in range(plan.scenes) if cell not in taken]
         found = None
-        for kind, cell in _tries(planned, free, rng):
+        for kind, cell in _tries(planned, free, plan.kinds, rng):
             shared = planned.common_mode and kind is FailureKind.MISSED_MOVER
             pace = partial(_pace, street) if shared else None
-            found = plant_in_scene(view(cell), kind, cell, rng, pace=pace)
+            found = plant_in_scene(view(cell), kind, cell, rng, pace=pace, lifelike=plan.lifelike)
             if found is not None:
                 break
         taken.discard(planned.cell)
@@ -107,13 +121,16 @@ def place_failures(
 
 
 def _tries(
-    planned: PlannedFailure, free: Sequence[int], rng: np.random.Generator
+    planned: PlannedFailure,
+    free: Sequence[int],
+    kinds: Sequence[FailureKind],
+    rng: np.random.Generator,
 ) -> Iterator[tuple[FailureKind, int]]:
     """Yield the kind in its scene, the kind in other scenes, then other kinds in its scene."""
     yield planned.kind, planned.cell
     for cell in rng.permutation(len(free)):
         yield planned.kind, free[cell]
-    others = [kind for kind in DRAWN_KINDS if kind is not planned.kind]
+    others = [kind for kind in kinds if kind is not planned.kind]
     for place in rng.permutation(len(others)):
         yield others[place], planned.cell
 
@@ -125,6 +142,7 @@ def plant_in_scene(
     rng: np.random.Generator,
     *,
     pace: Callable[[Candidate], tuple[float, int]] | None = None,
+    lifelike: bool = False,
 ) -> PlantedFailure | None:
     """Choose an object and a time window for a failure of one scene; None without a candidate.
 
@@ -134,30 +152,58 @@ def plant_in_scene(
         cell: Number of the scene in its log.
         rng: Source of the choice.
         pace: Of a common-mode failure: speed of a candidate, of which the slowest is chosen.
+        lifelike: Whether ghosts stick to structure, and failures may begin with the log.
     """
     shared = pace is not None
-    least_s = _FLICKER_LEAST_S if kind is FailureKind.FLICKER else LEAST_S
-    able = [
-        each for each in candidates_of(view, kind, common_mode=shared) if each.lasts_s >= least_s
-    ]
+    least_s = _LEAST_S_OF.get(kind, LEAST_S)
+    if kind is FailureKind.GHOST_MOVER and lifelike:
+        every = list(structure_ghosts(view))
+    else:
+        every = candidates_of(view, kind, common_mode=shared)
+    able = [each for each in every if each.lasts_s >= least_s]
     if not able:
         return None
     # a stream without lookahead misses slow movers of every class
     chosen = able[int(rng.integers(len(able)))] if pace is None else min(able, key=pace)
     start_s, end_s = _window(chosen, kind, least_s, rng)
+    if lifelike and cell == 0 and kind is not FailureKind.LATE_DETECTION:
+        begins = chosen.start_s <= view.times_s[0] and rng.random() < _WRONG_AT_FIRST
+        start_s = 0.0 if begins else start_s
+    place_m = chosen.place_m
+    if place_m is not None:
+        slid = [each * (start_s - chosen.start_s) for each in chosen.slides_m_per_s]
+        place_m = round(place_m[0] + slid[0], 2), round(place_m[1] + slid[1], 2), place_m[2]
+    part_share, heading_rad = 1.0, 0.0
+    if kind is FailureKind.HALF_LABELLED:
+        part_share = round(float(rng.uniform(*_HALF_SHARE)), 3)
+        turned_rad = np.pi if rng.random() < 0.5 else 0.0
+        heading_rad = round(_heading_of(view, chosen, start_s, end_s) + turned_rad, 4)
     return PlantedFailure(
         kind=kind,
         track=chosen.track,
         start_s=round(start_s, 3),
         end_s=round(end_s, 3),
         other_track=chosen.other_track,
-        place_m=chosen.place_m,
+        place_m=place_m,
         range_m=chosen.range_m,
         cell=cell,
         common_mode=shared,
         because=chosen.because,
         class_name=chosen.class_name,
+        radius_m=chosen.radius_m,
+        slides_m_per_s=chosen.slides_m_per_s,
+        part_share=part_share,
+        heading_rad=heading_rad if kind is FailureKind.HALF_LABELLED else None,
     )
+
+
+def _heading_of(view: SceneVisibility, each: Candidate, start_s: float, end_s: float) -> float:
+    """Return the direction in which a mover goes between two times, radians, world space."""
+    during = (view.times_s >= start_s - view.step_s) & (view.times_s <= end_s + view.step_s)
+    path = view.centre_m[during, each.track]
+    path = path[np.isfinite(path).all(axis=1)]
+    went = path[-1] - path[0]
+    return float(np.arctan2(went[1], went[0]))
 
 
 def _pace(street: Street, each: Candidate) -> tuple[float, int]:

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from schemas.arrays import NS_PER_S
 from workers.lab.simulation.faults.disturbances import Disturbance
 from workers.lab.simulation.faults.fault_placement import Redraw
-from workers.lab.simulation.faults.faults import PlantedFailure
+from workers.lab.simulation.faults.faults import GHOST_RADIUS_M, PlantedFailure
 from workers.lab.simulation.faults.plan import SCENE_S, DisturbanceKind, FailureKind
 
 FILE: Final = "planted.json"
@@ -35,12 +35,16 @@ class FailureRow(BaseModel):
     because: str = Field(description="Reason: slow, long, touching; else empty.")
     other_track: int = Field(description="Partner in a label swap; -1 none.")
     place_m: tuple[float, float, float] | None = Field(
-        description="Position of a ghost, world space."
+        description="Position of a ghost as it begins, world space."
     )
     range_m: float = Field(description="Range beyond which movers are labelled static; 0 no limit.")
-    part: float = Field(
+    radius_m: float = Field(default=GHOST_RADIUS_M, description="Radius of a ghost.")
+    slides_m_per_s: tuple[float, float] = Field(
+        default=(0.0, 0.0), description="Velocity of a ghost along what stands, world x and y."
+    )
+    part_share: float = Field(
         default=1.0,
-        description="Share of the object's points that get the wrong label, from one end on.",
+        description="Share of the object's points with the wrong label, from one end on.",
     )
 
 
@@ -77,6 +81,7 @@ class PlantedTruth(BaseModel):
 
     scene_s: float = Field(default=SCENE_S, description="Length of a scene, seconds.")
     hard: bool = Field(default=False, description="Dense traffic, vegetation, turns, bumps.")
+    lifelike: bool = Field(default=False, description="Labels with the noise of a real model.")
     failures: tuple[FailureRow, ...] = ()
     disturbances: tuple[DisturbanceRow, ...] = ()
     redraws: tuple[RedrawRow, ...] = ()
@@ -97,17 +102,20 @@ class PlantedFaults:
         disturbances: Disturbances that are no failure.
         redraws: Planned failures without a candidate in their scene.
         hard: Whether the log is a hard one.
+        lifelike: Whether the labels have the noise of a real model.
     """
 
     failures: tuple[PlantedFailure, ...] = ()
     disturbances: tuple[Disturbance, ...] = ()
     redraws: tuple[Redraw, ...] = ()
     hard: bool = False
+    lifelike: bool = False
 
     def truth(self, start_ns: int) -> PlantedTruth:
         """Build the truth file of a log whose first frame has this stamp."""
         return PlantedTruth(
             hard=self.hard,
+            lifelike=self.lifelike,
             failures=tuple(_failure_row(each, start_ns) for each in self.failures),
             disturbances=_disturbance_rows(self.disturbances, start_ns),
             redraws=tuple(
@@ -140,7 +148,9 @@ def _failure_row(each: PlantedFailure, start_ns: int) -> FailureRow:
         other_track=each.other_track,
         place_m=each.place_m,
         range_m=each.range_m,
-        part=each.part,
+        radius_m=each.radius_m,
+        slides_m_per_s=each.slides_m_per_s,
+        part_share=each.part_share,
     )
 
 

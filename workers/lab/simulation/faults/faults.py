@@ -1,8 +1,8 @@
 """Planted failures: wrong labels of the on-board model on one object, for a limited time."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,13 +74,16 @@ class PlantedFailure:
         start_s: Seconds from the start of the log.
         end_s: First instant after it.
         other_track: Partner in a label swap; -1 none.
-        place_m: Position of a ghost, world space.
+        place_m: Position of a ghost as it begins, world space.
         range_m: Range beyond which movers are labelled static; 0 no limit.
         cell: Scene of the log in the plan; -1 none.
         common_mode: Whether it was chosen so that the self-supervised stream tends to fail too.
         because: Reason for common mode; empty without one.
         class_name: True class of the object.
-        part: Share of the object's points that get the wrong label, from one of its ends on.
+        radius_m: Radius of a ghost.
+        slides_m_per_s: Velocity of a ghost's label along what stands, x and y in world space.
+        part_share: Share of the object's points that get the wrong label, from one end on.
+        heading_rad: Direction from that part to the rest, world space; None: along the object.
     """
 
     kind: FailureKind
@@ -94,7 +97,23 @@ class PlantedFailure:
     common_mode: bool = False
     because: str = ""
     class_name: str = ""
-    part: float = 1.0
+    radius_m: float = GHOST_RADIUS_M
+    slides_m_per_s: tuple[float, float] = (0.0, 0.0)
+    part_share: float = 1.0
+    heading_rad: float | None = None
+
+    def is_on(self, time_s: float) -> bool:
+        """Test that the labels are wrong at a time; a flicker has right labels in between."""
+        if not self.start_s <= time_s < self.end_s:
+            return False
+        since_s = time_s - self.start_s + 1e-6
+        return self.kind is not FailureKind.FLICKER or since_s % (1.5 * _FLICKER_S) < _FLICKER_S
+
+    def ghost_place_m(self, time_s: float) -> NDArray[np.float64]:
+        """Return the position of a ghost at a time, world space; it needs `place_m`."""
+        since_s = time_s - self.start_s
+        slid = np.array([*self.slides_m_per_s, 0.0]) * since_s
+        return np.array(self.place_m, dtype=np.float64) + slid
 
 
 def corrupt(
@@ -112,18 +131,60 @@ def corrupt(
         failures: Failures of the log.
     """
     for each in failures:
-        if each.start_s <= frame.time_s < each.end_s:
+        if each.is_on(frame.time_s):
             _corrupt(frame, motion, label, each)
 
 
-def ghost_points(frame: TrueFrame, place_m: tuple[float, float, float]) -> Mask:
-    """Find the points of the static structure at a place: without track, off the ground."""
+def ghost_points(
+    frame: TrueFrame,
+    place_m: Sequence[float] | NDArray[np.float64],
+    *,
+    radius_m: float = GHOST_RADIUS_M,
+    track: int = -1,
+) -> Mask:
+    """Find the points around a place that stand, off the ground.
+
+    Args:
+        frame: The frame.
+        place_m: The place, world space.
+        radius_m: Radius around it.
+        track: Parked object that the ghost is on too; -1 on none, the static structure alone.
+    """
     rotation, origin = frame.world_from_sensor[:3, :3], frame.world_from_sensor[:3, 3]
-    in_sensor = (np.array(place_m) - origin) @ rotation
+    in_sensor = (np.asarray(place_m) - origin) @ rotation
     away_m = frame.points_m - in_sensor.astype(np.float32)
-    near = (away_m**2).sum(axis=1) < GHOST_RADIUS_M**2
-    mine: Mask = near & (frame.track < 0) & (frame.ground == 0) & (frame.motion == STATIC)
+    near = (away_m**2).sum(axis=1) < radius_m**2
+    owned = (frame.track < 0) | (frame.track == track)
+    mine: Mask = near & owned & (frame.ground == 0) & (frame.motion == STATIC)
     return mine
+
+
+def part_of(frame: TrueFrame, failure: PlantedFailure) -> Mask:
+    """Find the part of an object that gets the wrong label: the same end of it in all frames."""
+    mine: Mask = frame.track == failure.track
+    index = np.flatnonzero(mine)
+    if failure.part_share >= 1.0 or len(index) < 2:
+        return mine
+    places_m = frame.points_m[index] @ frame.world_from_sensor[:3, :3].T
+    if failure.heading_rad is None:
+        ahead = _long_axis(places_m)
+    else:
+        ahead = np.array([np.cos(failure.heading_rad), np.sin(failure.heading_rad)])
+    order = np.argsort(places_m[:, :2] @ ahead, kind="stable")
+    part = np.zeros_like(mine)
+    part[index[order[: round(failure.part_share * len(index))]]] = True
+    return part
+
+
+def _long_axis(places_m: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+    """Return the direction in which points extend farthest, x and y in world space."""
+    away = places_m[:, :2] - places_m[:, :2].mean(axis=0)
+    _, axes = np.linalg.eigh(away.T @ away)
+    return np.asarray(axes[:, -1] * np.sign(axes[:, -1] @ _NORTH_EAST), np.float64)
+
+
+_NORTH_EAST: Final = np.array([0.8, 0.6])
+"""Direction in the world that separates the two ends of an object."""
 
 
 def _corrupt(
@@ -133,20 +194,18 @@ def _corrupt(
     failure: PlantedFailure,
 ) -> None:
     kind = failure.kind
-    mine = frame.track == failure.track
-    if failure.part < 1.0:
-        mine = _end_of(frame, mine, failure.part)
+    mine = part_of(frame, failure)
     if kind is FailureKind.GHOST_MOVER and failure.place_m is not None:
-        ghost = ghost_points(frame, failure.place_m)
+        place_m = failure.ghost_place_m(frame.time_s)
+        ghost = ghost_points(frame, place_m, radius_m=failure.radius_m, track=failure.track)
         motion[ghost], label[ghost] = DYNAMIC, StreetClass.CAR
     elif kind is FailureKind.GHOST_MOVER:
         motion[mine], label[mine] = DYNAMIC, StreetClass.CAR
     elif kind is FailureKind.PARKED_CALLED_MOVING:
         motion[mine] = DYNAMIC
     elif kind is FailureKind.FLICKER:
-        if (frame.time_s - failure.start_s + 1e-6) % (1.5 * _FLICKER_S) < _FLICKER_S:
-            right = frame.motion[mine]
-            motion[mine] = np.where(right == DYNAMIC, STATIC, DYNAMIC)
+        right = frame.motion[mine]
+        motion[mine] = np.where(right == DYNAMIC, STATIC, DYNAMIC)
     elif kind is FailureKind.LABEL_SWAP:
         motion[mine] = STATIC
         motion[frame.track == failure.other_track] = DYNAMIC
@@ -157,22 +216,3 @@ def _corrupt(
         motion[mine] = STATIC
     if kind in (FailureKind.UNSEEN_CLASS, FailureKind.MISSED_PEDESTRIAN):
         label[mine] = StreetClass.OBJECT
-
-
-def _end_of(frame: TrueFrame, mine: Mask, part: float) -> Mask:
-    """Return this share of an object's points: those nearest to one end, the same in all frames."""
-    index = np.flatnonzero(mine)
-    if len(index) < 2:
-        return mine
-    places = frame.points_m[index] @ frame.world_from_sensor[:3, :3].T
-    away = places[:, :2] - places[:, :2].mean(axis=0)
-    _, axes = np.linalg.eigh(away.T @ away)
-    long = axes[:, -1] * np.sign(axes[:, -1] @ _NORTH_EAST)
-    along = away @ long
-    end = np.zeros_like(mine)
-    end[index[along <= np.quantile(along, part)]] = True
-    return end
-
-
-_NORTH_EAST: Final = np.array([0.8, 0.6])
-"""Direction in the world that separates the two ends of an object."""

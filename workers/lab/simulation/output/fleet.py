@@ -179,9 +179,12 @@ def planned_street(plan: LogPlan) -> Street:
     """Build the street of a planned log; it depends on the plan alone."""
     rng = np.random.default_rng([plan.seed, 0x91A4])
     drawn = draw_plan(rng, hard=plan.hard)
-    return build_street(
-        plan.seed, seconds=plan.seconds, plan=replace(drawn, unsettling=plan.wants_common_mode)
+    street = build_street(
+        plan.seed,
+        seconds=plan.seconds + plan.begin_s,
+        plan=replace(drawn, unsettling=plan.wants_common_mode),
     )
+    return street.after(plan.begin_s)
 
 
 def draw_faults(street: Street, plan: LogPlan, *, lidar: Lidar) -> PlantedFaults:
@@ -193,4 +196,4 @@ def draw_faults(street: Street, plan: LogPlan, *, lidar: Lidar) -> PlantedFaults
         frame_at=lambda index: disturb(sweep(street, lidar, index), disturbances),
         period_s=lidar.period_s,
     )
-    return PlantedFaults(failures, disturbances, redraws, plan.hard)
+    return PlantedFaults(failures, disturbances, redraws, plan.hard, plan.lifelike)

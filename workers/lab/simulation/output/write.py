@@ -11,7 +11,8 @@ from mcap_ros2.writer import Writer
 
 from workers.lab.simulation.faults.disturbances import delay_ns, disturb
 from workers.lab.simulation.faults.fault_truth import NOTHING_PLANTED, PlantedFaults
-from workers.lab.simulation.faults.recorded import record, recorded_classes
+from workers.lab.simulation.faults.recorded import noise_of, record, recorded_classes
+from workers.lab.simulation.output.box_messages import DetectorWriter
 from workers.lab.simulation.output.cloud import (
     POINT_CLOUD2,
     POINT_CLOUD2_DEFINITION,
@@ -30,8 +31,8 @@ LABEL_TOPIC: Final = "/lidar/top/labels"
 
 LIDAR_SPACE: Final = "lidar_top"
 
-RecordedAs = Literal["fields", "topic", "nothing"]
-"""Destination of the on-board model's labels: fields of the cloud, own topic, or none."""
+RecordedAs = Literal["fields", "topic", "boxes", "nothing"]
+"""Form of the on-board model's answer: fields of the cloud, own topic, a detector's boxes, none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +67,7 @@ def write_log(
         street: The street with its traffic.
         lidar: The lidar on the car; 64 beams and 1024 columns at 10 Hz when None.
         identity: Vehicle, date, software version and time of the first frame.
-        recorded: Destination of the on-board model's labels.
+        recorded: Form of the on-board model's answer.
         odometry: Whether the car records wheel speed and yaw rate.
         planted: Failures of that model, and disturbances of the sensor.
         truth: Folder for the truth of this log; None writes none.
@@ -95,13 +96,17 @@ def write_log(
         if recorded != "nothing":
             writer.add_metadata("counterpoint.classes", recorded_classes())
         moved = OdometryWriter(writer, street, start_ns=identity.start_ns) if odometry else None
+        noise = noise_of(street) if planted.lifelike else None
+        detector = DetectorWriter(writer, street) if recorded == "boxes" else None
         for index in range(count):
             frame = disturb(sweep(street, lidar, index), planted.disturbances)
             late_ns = delay_ns(index, frame.time_s, planted.disturbances)
             if lidar.compensated:
                 frame = compensate(street, lidar, frame)
                 late_ns += lidar.period_ns // 2
-            onboard = None if recorded == "nothing" else record(street, frame, planted.failures)
+            onboard = None
+            if recorded in ("fields", "topic"):
+                onboard = record(street, frame, planted.failures, noise=noise)
             stamp_ns = identity.start_ns + index * lidar.period_ns + late_ns
             if moved is not None:
                 moved.write_until(stamp_ns)
@@ -112,6 +117,8 @@ def write_log(
             if recorded == "topic" and onboard is not None:
                 labels = message_of(labels_of(onboard), stamp_ns=stamp_ns, space=LIDAR_SPACE)
                 writer.write_message(LABEL_TOPIC, schema, labels, stamp_ns, stamp_ns, index)
+            if detector is not None:
+                detector.write(frame, planted.failures, stamp_ns=stamp_ns, space=LIDAR_SPACE)
             if truth_writer is not None:
                 truth_writer.add(frame, stamp_ns=stamp_ns, data_crc32=zlib.crc32(message["data"]))
             if progress is not None:

@@ -123,6 +123,10 @@ class Drive:
             axis=-1,
         )
 
+    def after(self, seconds: float) -> "Drive":
+        """Return the same drive on a clock that begins some seconds later."""
+        return Drive(self.time_s - seconds, self.x_m, self.y_m, self.yaw_rad)
+
 
 Knots = Sequence[tuple[float, float]]
 """(time in seconds, speed in m/s) pairs; speed is linear between them."""

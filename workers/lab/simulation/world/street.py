@@ -1,7 +1,7 @@
 """Street at every instant of a log: static geometry, actors, and the ego vehicle."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final, Self
 
 import numpy as np
@@ -153,6 +153,22 @@ class Street:
             ego_ride=ride(ego, terrain, seconds=seconds),
             place=place,
             hard=hard,
+        )
+
+    def after(self, seconds: float) -> "Street":
+        """Return the same street with a log that begins some seconds later, amid the traffic."""
+        steps = round(seconds / TIME_STEP_S)
+        later_s = steps * TIME_STEP_S
+        return replace(
+            self,
+            seconds=round(self.seconds - seconds, 6),
+            ego=self.ego.after(later_s),
+            actors=tuple(replace(actor, drive=actor.drive.after(later_s)) for actor in self.actors),
+            weather=self.weather.after(later_s),
+            standing=self.actor_poses(later_s),
+            moving=self.moving[steps:],
+            travelled_m=self.travelled_m[steps:],
+            ego_ride=self.ego_ride[steps:],
         )
 
     def actor_poses(self, time_s: float) -> Floats:

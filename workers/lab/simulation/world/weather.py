@@ -1,6 +1,6 @@
 """Weather returns: rain, dust and stray returns that end a beam in the air."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -25,6 +25,10 @@ class Weather:
     rain_share: float = 0.0
     puffs: Floats = field(default_factory=lambda: np.zeros((0, 6)), repr=False)
     stray_share: float = 0.0
+
+    def after(self, seconds: float) -> "Weather":
+        """Return the same weather on a clock that begins some seconds later."""
+        return replace(self, puffs=self.puffs - [0.0, 0.0, 0.0, 0.0, seconds, seconds])
 
     def answer(
         self,

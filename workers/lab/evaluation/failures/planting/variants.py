@@ -11,7 +11,7 @@ from workers.lab.labels.noise import REAL, NoiseSettings
 from workers.lab.simulation.faults.candidates import SceneVisibility, measure_visibility
 from workers.lab.simulation.faults.fault_placement import plant_in_scene
 from workers.lab.simulation.faults.faults import PlantedFailure
-from workers.lab.simulation.faults.plan import FailureKind, balanced
+from workers.lab.simulation.faults.plan import TEN_KINDS, FailureKind, balanced
 
 SETTLED_S: Final = 0.7
 """Start of the time in which a failure can be found, seconds: before it, no stream has a past."""
@@ -75,7 +75,7 @@ def plan_variants(planting: Planting, scenes: Mapping[str, int]) -> dict[str, li
         for turn, scene in enumerate(rng.permutation(scenes[log_id]).tolist())
     ]
     chosen = sorted(order)[: round(planting.share * len(order))]
-    kinds = balanced(tuple(FailureKind), len(chosen), rng)
+    kinds = balanced(TEN_KINDS, len(chosen), rng)
     planned: dict[tuple[str, int], list[tuple[int, FailureKind]]] = {}
     for (_, _, log_id, number, scene), kind in zip(chosen, kinds, strict=True):
         planned.setdefault((log_id, number), []).append((scene, kind))
@@ -117,7 +117,7 @@ def place_failures(drive: Drive, variant: Variant) -> list[PlantedFailure]:
             to_s=end * period_s,
             period_s=period_s,
         )
-        others = [each for each in FailureKind if each is not kind]
+        others = [each for each in TEN_KINDS if each is not kind]
         order = [kind, *(others[place] for place in rng.permutation(len(others)))]
         found = (_plant(view, each, scene, rng) for each in order)
         failure = next((each for each in found if each is not None), None)
@@ -137,10 +137,10 @@ def _plant(
         return None
     part = round(float(rng.uniform(*PART)), 2)
     if in_car:
-        return replace(failure, kind=kind, part=part)
+        return replace(failure, kind=kind, part_share=part)
     large = failure.track >= 0 and np.median(view.points[:, failure.track]) >= LARGE_POINTS
     if large and kind in IN_PART and rng.random() < PART_SHARE:
-        return replace(failure, part=part)
+        return replace(failure, part_share=part)
     return failure
 
 
