@@ -23,8 +23,8 @@ from schemas.work import (
 )
 from service.curation.ranking import RankedScene
 from service.curation.rates import RatesRequest, RateSums
-from service.curation.selection import Selection
-from service.curation.status import ParkedWork, Status
+from service.curation.selection import Selection, SelectionSummary
+from service.curation.status import ParkedWork, SkippedEntries, Status
 from service.curation.strategies.catalogue import DEFAULT, select
 from service.store import (
     backlog,
@@ -41,6 +41,7 @@ from service.store import (
     scenes,
     selections,
     served_bucket,
+    skipped_entries,
 )
 from service.store.backlog import Backlog
 from service.store.engine import Store
@@ -140,6 +141,11 @@ class Ledger:
         with self._store.writing() as connection:
             self._listing += 1
             return recordings.sync_recordings(connection, by_log, now_s=self._now_s())
+
+    def note_skipped(self, skipped: SkippedEntries) -> None:
+        """Note the entries of the bucket that the last listing skipped."""
+        with self._store.writing() as connection:
+            skipped_entries.note_skipped(connection, skipped)
 
     def has_recordings(self) -> bool:
         """Return true if the last listing contained a recording."""
@@ -351,7 +357,12 @@ class Ledger:
     # Selections.
 
     def save_selection(
-        self, name: str | None, *, budget: int, scenes: Sequence[RankedScene]
+        self,
+        name: str | None,
+        *,
+        budget: int,
+        scenes: Sequence[RankedScene],
+        strategy: str = DEFAULT,
     ) -> Selection:
         """Store a named selection; without a name it becomes `selection-<n>`.
 
@@ -362,7 +373,12 @@ class Ledger:
         """
         with self._store.writing() as connection:
             return selections.save_selection(
-                connection, name, budget=budget, scenes=scenes, now_s=self._now_s()
+                connection,
+                name,
+                strategy=strategy,
+                budget=budget,
+                scenes=scenes,
+                now_s=self._now_s(),
             )
 
     def selection(self, name: str) -> Selection | None:
@@ -374,6 +390,11 @@ class Ledger:
         """Return every selection, oldest first."""
         with self._store.reading() as connection:
             return selections.selections(connection)
+
+    def listed_selections(self) -> list[SelectionSummary]:
+        """Return every selection without its scenes, oldest first."""
+        with self._store.reading() as connection:
+            return selections.listed_selections(connection)
 
     # How far it is.
 

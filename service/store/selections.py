@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
-from sqlalchemy import Connection, insert, select, update
+from sqlalchemy import Connection, func, insert, select, update
 
 from service.curation.ranking import RankedScene
-from service.curation.selection import Selection
+from service.curation.selection import Selection, SelectionSummary
 from service.errors import UsageError
 from service.store.tables import COUNTERS, SELECTION_SCENES, SELECTIONS
 
@@ -18,6 +18,7 @@ def save_selection(
     connection: Connection,
     name: str | None,
     *,
+    strategy: str,
     budget: int,
     scenes: Sequence[RankedScene],
     now_s: float,
@@ -37,7 +38,7 @@ def save_selection(
     ).scalar_one()
     if name is None:
         name = _free_name(connection, ordinal)
-    wanted = Selection(name=name, budget=budget, scenes=tuple(scenes))
+    wanted = Selection(name=name, strategy=strategy, budget=budget, scenes=tuple(scenes))
     stored = selection(connection, name)
     if stored == wanted:
         return stored
@@ -48,7 +49,9 @@ def save_selection(
             "selections never change, choose another --name"
         )
     connection.execute(
-        insert(SELECTIONS).values(name=name, ordinal=ordinal, budget=budget, created_s=now_s)
+        insert(SELECTIONS).values(
+            name=name, ordinal=ordinal, budget=budget, created_s=now_s, strategy=strategy
+        )
     )
     rows = [
         {"name": name, "position": position, "scene": scene.model_dump_json()}
@@ -71,6 +74,7 @@ def selection(connection: Connection, name: str) -> Selection | None:
     ).scalars()
     return Selection(
         name=name,
+        strategy=row.strategy,
         budget=row.budget,
         scenes=tuple(RankedScene.model_validate_json(scene) for scene in scenes),
     )
@@ -82,6 +86,30 @@ def selections(connection: Connection) -> list[Selection]:
         connection.execute(select(SELECTIONS.c.name).order_by(SELECTIONS.c.ordinal)).scalars().all()
     )
     return [found for name in names if (found := selection(connection, name)) is not None]
+
+
+def listed_selections(connection: Connection) -> list[SelectionSummary]:
+    """Read every selection without its scenes, oldest first."""
+    counts = (
+        select(SELECTION_SCENES.c.name, func.count().label("scenes"))
+        .group_by(SELECTION_SCENES.c.name)
+        .subquery()
+    )
+    rows = connection.execute(
+        select(SELECTIONS, func.coalesce(counts.c.scenes, 0).label("scenes"))
+        .outerjoin(counts, counts.c.name == SELECTIONS.c.name)
+        .order_by(SELECTIONS.c.ordinal)
+    )
+    return [
+        SelectionSummary(
+            name=row.name,
+            strategy=row.strategy,
+            budget=row.budget,
+            scenes=row.scenes,
+            created_s=row.created_s,
+        )
+        for row in rows
+    ]
 
 
 def _free_name(connection: Connection, ordinal: int) -> str:
