@@ -8,7 +8,7 @@ from schemas.score import SceneScore
 from service.cli.output import counted, listing, remark, table
 from service.curation.ranking import RankedScene
 from service.curation.scene_names import short_names
-from service.curation.status import SkippedEntries, Status, skipped_lines
+from service.curation.status import SkippedEntries, Status, skipped_phrases
 from service.dry_run import DryLog, DryRun
 
 
@@ -140,8 +140,8 @@ def first_of(reasons: Sequence[str]) -> str:
 
 def say_skipped(skipped: SkippedEntries) -> None:
     """Print the first entries of the bucket that are no logs, and the number of the others."""
-    for line in skipped_lines(skipped):
-        remark(line)
+    for phrase in skipped_phrases(skipped):
+        remark(f"skipped: {phrase}")
 
 
 def say_inspected(report: dict[str, Any]) -> None:

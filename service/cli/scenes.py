@@ -1,8 +1,9 @@
 """Verbs on results: `watch`, `top`, `show`, `status`."""
 
 import time
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import typer
 
@@ -28,6 +29,8 @@ from service.curation.scene_names import is_short_name, named, short_names
 from service.errors import NothingFoundError, UsageError
 from service.output_files import need_writable, save_picture
 from service.settings.config import Settings
+
+STOPPING: Final = "stopping: the link is closed; a second Ctrl-C ends at once"
 
 
 def add_to(app: typer.Typer) -> None:
@@ -76,7 +79,7 @@ def watch(
     endpoint = choose_endpoint(settings)
     check_endpoints(endpoint.split(","))
     remark(f"watching {endpoint}; end with Ctrl-C")
-    with stop_on_signals() as stop:
+    with stop_on_signals(partial(remark, STOPPING)) as stop:
         for event in watch_scenes(
             endpoint.split(","),
             root=settings.root,

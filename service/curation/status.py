@@ -139,15 +139,15 @@ class Status(BaseModel):
     published_seq: Count = Field(default=0, description="Number up to which events are published.")
 
 
-def skipped_lines(skipped: SkippedEntries, *, most: int = 3) -> list[str]:
-    """Return a line for each of the first skipped entries, and one with the number of the others.
+def skipped_phrases(skipped: SkippedEntries, *, most: int = 3) -> list[str]:
+    """Return a phrase on each of the first skipped entries, and one with the number of the others.
 
     Args:
         skipped: Entries of a bucket.
         most: Entries that are named at most.
     """
     named = skipped.named[:most]
-    lines = [f"skipped: {each.name} {each.why}" for each in named]
+    phrases = [f"{each.name} {each.why}" for each in named]
     if others := skipped.count - len(named):
-        lines.append(f"skipped: {others} more {'entry' if others == 1 else 'entries'}")
-    return lines
+        phrases.append(f"{others} more {'entry' if others == 1 else 'entries'}")
+    return phrases

@@ -119,7 +119,7 @@ def run_demo(
         status = run_embedded(
             settings,
             once=True,
-            on_ready=remark,
+            remark=remark,
             on_progress=lambda what, done, total: bar.update(
                 task, description=what, completed=done, total=total
             ),

@@ -13,7 +13,7 @@ from schemas.transport.bucket import open_bucket
 from schemas.transport.folder import Skipped
 from schemas.transport.recordings import group_recordings
 from service.background.skipped_entries import is_wanted, skipped_among
-from service.curation.status import skipped_lines
+from service.curation.status import skipped_phrases
 from service.doctor.finding import Finding, ok, problem, warning
 from service.errors import StateOutdatedError
 from service.settings.config import Settings
@@ -51,8 +51,8 @@ def bucket(settings: Settings) -> Iterator[Finding]:
     objects = list(store.list(on_skipped=unlisted.append))
     patterns = {"include": settings.include, "exclude": settings.exclude}
     recordings = group_recordings(each for each in objects if is_wanted(each.key, **patterns))
-    if lines := skipped_lines(skipped_among(objects, unlisted, **patterns)):
-        yield (warning if unlisted else ok)("bucket", "; ".join(lines))
+    if skipped := skipped_phrases(skipped_among(objects, unlisted, **patterns)):
+        yield (warning if unlisted else ok)("bucket", f"skipped: {'; '.join(skipped)}")
     if not recordings:
         yield warning("bucket", f"lists, but no .mcap log in it counts; {_patterns(settings)}")
         return

@@ -16,6 +16,8 @@ from service.pictures.camera_boxes import CameraBox, draw_boxes
 from service.pictures.style import (
     BACKGROUND,
     TEXT,
+    WITNESS_BOXES,
+    WITNESS_INK,
     colours_of,
     draw_order,
     font,
@@ -26,6 +28,10 @@ from service.pictures.style import (
 
 DOT_PX: Final = 2
 """Radius of the filled circles, pixels, as in the paper's overlays."""
+
+SMALL_DOT_PX: Final = 1
+"""Radius where both streams label the commonest class, pixels: dense points would hide the image.
+"""
 
 MIN_WIDTH_PX: Final = 1600
 """Width to which smaller images are enlarged, pixels; else the circles would hide objects."""
@@ -93,14 +99,17 @@ def draw_camera(
             pixels,
             np.floor(chosen * scale).astype(np.int64),
             colours[outcome.code],
-            radius_px=DOT_PX,
+            radius_px=DOT_PX if outcome.code else SMALL_DOT_PX,
         )
     shown = Image.fromarray(pixels)
     draw_boxes(ImageDraw.Draw(shown), boxes, scale=scale)
-    return _framed(shown, overlay.task, title)
+    has_witness = any(box.is_of_witness for box in boxes)
+    return _framed(shown, overlay.task, title, has_witness=has_witness)
 
 
-def _framed(image: Image.Image, task: Task, title: Sequence[str]) -> Image.Image:
+def _framed(
+    image: Image.Image, task: Task, title: Sequence[str], *, has_witness: bool
+) -> Image.Image:
     """Put an image between its title and the legend of its colours."""
     above = _LINE_PX * len(title) + 10 if title else 0
     canvas = Image.new("RGB", (image.width, above + image.height + _STRIP_PX), BACKGROUND)
@@ -116,4 +125,7 @@ def _framed(image: Image.Image, task: Task, title: Sequence[str]) -> Image.Image
         draw.ellipse((left, top + 3, left + 11, top + 14), fill=colours[outcome.code])
         draw.text((left + 16, top), words, fill=TEXT, font=font(15))
         left += 16 + draw.textlength(words, font(15)) + 18
+    if has_witness:
+        draw.rectangle((left, top + 3, left + 11, top + 14), outline=WITNESS_INK)
+        draw.text((left + 16, top), WITNESS_BOXES, fill=TEXT, font=font(15))
     return canvas

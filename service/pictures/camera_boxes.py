@@ -24,7 +24,8 @@ _SIGNS: Final = np.array([[(c >> axis & 1) - 0.5 for axis in range(3)] for c in 
 """(8, 3) corners of a box of side 1 around the origin."""
 
 _LABEL_PX: Final = 18
-_WIDTH_PX: Final = 3
+_WIDTH_PX: Final = (2, 4)
+"""Width of the lines of a box, and of one for which the image was chosen, pixels."""
 
 
 class Projection(Protocol):
@@ -43,11 +44,16 @@ class CameraBox:
         lines_px: Runs of (K, 2) pixels along its edges, as far as they are inside the image.
         ink: Colour of its kind of contradiction.
         label: Number and class of its track; empty for none.
+        is_shown: Whether the image was chosen for its track; its lines are wider.
+        is_of_witness: Whether only the witness labels it dynamic; its points have no colour of
+            their own.
     """
 
     lines_px: tuple[NDArray[np.float64], ...]
     ink: Colour
     label: str
+    is_shown: bool = False
+    is_of_witness: bool = False
 
 
 def corners_m(box: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -60,7 +66,12 @@ def corners_m(box: NDArray[np.floating]) -> NDArray[np.float32]:
 
 
 def boxes_of(
-    overlay: Overlay, frame: int, view: Projection, *, labels: Sequence[tuple[int, str]]
+    overlay: Overlay,
+    frame: int,
+    view: Projection,
+    *,
+    labels: Sequence[tuple[int, str]],
+    shown_track: int | None = None,
 ) -> list[CameraBox]:
     """Project the boxes of a frame's instances; one that is nowhere inside is left out.
 
@@ -69,14 +80,24 @@ def boxes_of(
         frame: Index of the frame.
         view: The image.
         labels: Track numbers and texts, as for the picture from above.
+        shown_track: Track for which the image was chosen.
     """
     named, inks = dict(labels), inks_of(overlay.task)
+    of_witness = {kind.code for kind in overlay.task.kinds if kind.of_witness}
     boxes = []
     for instance in overlay.instances_of(frame):
         lines = _lines_px(corners_m(overlay.instance_boxes[instance]), view)
         if lines:
-            label = named.get(int(overlay.instance_track[instance]), "")
-            boxes.append(CameraBox(lines, inks[int(overlay.instance_kind[instance])], label))
+            track, kind = int(overlay.instance_track[instance]), overlay.instance_kind[instance]
+            boxes.append(
+                CameraBox(
+                    lines_px=lines,
+                    ink=inks[int(kind)],
+                    label=named.get(track, ""),
+                    is_shown=track == shown_track,
+                    is_of_witness=int(kind) in of_witness,
+                )
+            )
     return boxes
 
 
@@ -85,7 +106,7 @@ def draw_boxes(draw: ImageDraw.ImageDraw, boxes: Sequence[CameraBox], *, scale: 
     for box in sorted(boxes, key=lambda each: bool(each.label)):
         for line in box.lines_px:
             at_px = [(float(x), float(y)) for x, y in line * scale]
-            draw.line(at_px, fill=box.ink, width=_WIDTH_PX, joint="curve")
+            draw.line(at_px, fill=box.ink, width=_WIDTH_PX[box.is_shown], joint="curve")
     for box in boxes:
         if box.label:
             _draw_label(draw, box, scale=scale)

@@ -21,6 +21,7 @@ from service.pictures.style import (
     PANEL,
     SOFT_TEXT,
     TEXT,
+    WITNESS_BOXES,
     colours_of,
     font,
     inks_of,
@@ -200,7 +201,7 @@ def _draw_legend(draw: ImageDraw.ImageDraw, score: SceneScore, *, left: int, wid
     for row, kind in enumerate(witnessed, start=len(named)):
         y = top + 8 + _LEGEND_PX * row
         draw.rectangle((left + 10, y + 3, left + 26, y + 17), outline=inks_of(task)[kind.code])
-        draw.text((left + 36, y), "boxes: dynamic by the witness alone", fill=TEXT, font=font(15))
+        draw.text((left + 36, y), WITNESS_BOXES, fill=TEXT, font=font(15))
 
 
 def _witnessed(score: SceneScore) -> list[Outcome]:

@@ -134,7 +134,7 @@ def _drawn(
         frame=frame,
         at_px=at_px,
         inside_mask=inside_mask,
-        boxes=boxes_of(overlay, frame, view, labels=labels_of(score)),
+        boxes=boxes_of(overlay, frame, view, labels=labels_of(score), shown_track=track_id),
         title=[f"{title.text} | {_where(overlay, view, frame)}", *_lines(score, track_id)],
     )
 
