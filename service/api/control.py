@@ -161,20 +161,20 @@ class Control:
     def answer_select(self, request: SelectRequest) -> Selection:
         """Make, store and publish a selection."""
         chosen = self._ledger.select(budget=request.budget)
-        selection = self._ledger.save_selection(request.name, budget=request.budget, scenes=chosen)
+        selection = self._ledger.selections.save(request.name, budget=request.budget, scenes=chosen)
         self._on_selection(selection)
         return selection
 
     def answer_selection(self, request: SelectionRequest) -> Selection:
         """Return one stored selection."""
-        found = self._ledger.selection(request.name)
+        found = self._ledger.selections.one(request.name)
         if found is None:
             raise no_such_selection(request.name)
         return found
 
     def answer_selections(self, _: None) -> SelectionsReply:
         """List every stored selection, without its scenes."""
-        return SelectionsReply(selections=tuple(self._ledger.listed_selections()))
+        return SelectionsReply(selections=tuple(self._ledger.selections.listed()))
 
     def answer_retry(self, request: RetryRequest) -> RetryReply:
         """Try parked work again."""

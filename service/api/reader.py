@@ -123,13 +123,13 @@ class StateReader:
         asked = checked_request(SelectRequest, budget=budget, name=name)
         with self._ledger_to_write(what="select") as ledger:
             chosen = ledger.select(budget=asked.budget)
-            return ledger.save_selection(asked.name, budget=asked.budget, scenes=chosen)
+            return ledger.selections.save(asked.name, budget=asked.budget, scenes=chosen)
 
     def selection(self, name: str) -> Selection:
         """Return the stored selection of this name."""
         asked = checked_request(SelectionRequest, name=name)
         with self._ledger() as ledger:
-            found = ledger.selection(asked.name)
+            found = ledger.selections.one(asked.name)
         if found is None:
             raise no_such_selection(name)
         return found
@@ -137,7 +137,7 @@ class StateReader:
     def selections(self) -> list[SelectionSummary]:
         """List every stored selection without its scenes, oldest first."""
         with self._ledger() as ledger:
-            return ledger.listed_selections()
+            return ledger.selections.listed()
 
     def retry(self, log_ids: Sequence[str] | None = None) -> list[ParkedWork]:
         """Mark parked work for a retry by the next run, of these logs or all.

@@ -91,7 +91,7 @@ def show_selection(
     json: Json = False,
     config: Config = None,
 ) -> None:
-    """Show a stored selection: its scenes as they were ranked when it was made."""
+    """Show a stored selection: its scenes with their ranks of that time."""
     _need_name(name, option="NAME")
     source = reader(config, connect=connect, state=state, database=database)
     selection = source.selection(name)

@@ -44,7 +44,7 @@ class ShownScene:
         return [
             track
             for track in self.tracks
-            if is_reason(track.strength, track.attribution and track.attribution.wrong)
+            if is_reason(track.strength, track.attribution.wrong if track.attribution else None)
         ]
 
 

@@ -41,7 +41,7 @@ class CameraBox:
     """A box on an image.
 
     Attributes:
-        lines_px: Runs of (K, 2) pixels along its edges, as far as they are inside the image.
+        lines_px: Runs of (K, 2) pixels along its edges, inside the image.
         ink: Colour of its kind of contradiction.
         label: Number and class of its track; empty for none.
         is_shown: Whether the image was chosen for its track; its lines are wider.
@@ -62,7 +62,7 @@ def corners_m(box: NDArray[np.floating]) -> NDArray[np.float32]:
     cos, sin = np.cos(yaw), np.sin(yaw)
     turned = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     corners = (_SIGNS * (length, width, height)) @ turned.T + (x, y, z)
-    return corners.astype(np.float32)
+    return np.asarray(corners, dtype=np.float32)
 
 
 def boxes_of(

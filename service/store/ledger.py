@@ -23,7 +23,6 @@ from schemas.work import (
 )
 from service.curation.ranking import RankedScene
 from service.curation.rates import RatesRequest, RateSums
-from service.curation.selection import Selection, SelectionSummary
 from service.curation.status import ParkedWork, SkippedEntries, Status
 from service.curation.strategies.catalogue import DEFAULT, select
 from service.store import (
@@ -39,7 +38,6 @@ from service.store import (
     recordings,
     retrying,
     scenes,
-    selections,
     served_bucket,
     skipped_entries,
 )
@@ -49,6 +47,7 @@ from service.store.leases import LeasePolicy
 from service.store.recordings import SyncResult
 from service.store.retired_overlays import RetiredOverlays
 from service.store.scenes import StoredScene
+from service.store.selections import Selections
 from service.store.transaction_effects import StoreObserver
 
 __all__ = ["LeasePolicy", "Ledger", "StoredScene"]
@@ -70,6 +69,7 @@ class Ledger:
 
     Attributes:
         retired_overlays: Overlays that are no longer needed, and since when.
+        selections: Stored selections.
 
     Raises (every method):
         StoreUnavailableError: Transient: disk full, database locked for too long.
@@ -97,6 +97,7 @@ class Ledger:
         self._store, self._now_s, self._policy = store, now_s, policy or LeasePolicy()
         self._new_lease_id = new_lease_id
         self.retired_overlays = RetiredOverlays(store, now_s=now_s)
+        self.selections = Selections(store, now_s=now_s)
         self._listing = 0
         """Number of listings received, from which claims know that plans may be missing."""
         self._seeded: dict[str, int] = {}
@@ -353,48 +354,6 @@ class Ledger:
         """Return sums over the requested groups of current scenes, in no order."""
         with self._store.reading() as connection:
             return rates.rate_sums(connection, request)
-
-    # Selections.
-
-    def save_selection(
-        self,
-        name: str | None,
-        *,
-        budget: int,
-        scenes: Sequence[RankedScene],
-        strategy: str = DEFAULT,
-    ) -> Selection:
-        """Store a named selection; without a name it becomes `selection-<n>`.
-
-        A selection never changes: labellers work from it. The same one again is no error.
-
-        Raises:
-            SelectionExistsError: If a different selection has this name.
-        """
-        with self._store.writing() as connection:
-            return selections.save_selection(
-                connection,
-                name,
-                strategy=strategy,
-                budget=budget,
-                scenes=scenes,
-                now_s=self._now_s(),
-            )
-
-    def selection(self, name: str) -> Selection | None:
-        """Return the selection of this name."""
-        with self._store.reading() as connection:
-            return selections.selection(connection, name)
-
-    def selections(self) -> list[Selection]:
-        """Return every selection, oldest first."""
-        with self._store.reading() as connection:
-            return selections.selections(connection)
-
-    def listed_selections(self) -> list[SelectionSummary]:
-        """Return every selection without its scenes, oldest first."""
-        with self._store.reading() as connection:
-            return selections.listed_selections(connection)
 
     # How far it is.
 

@@ -93,7 +93,7 @@ def _bytewise(connection: Connection) -> ColumnElement[str]:
 _C: Final = SCENES.c
 _READ: Final = (_C.scene_id, _C.start_ns, _C.end_ns)
 _ODOM: Final = (_C.revision, _C.pipeline_version, _C.shard)
-"""Columns that tell odom spaces of one log and lidar apart."""
+"""Columns that identify the odom space of a scene, with its log and lidar."""
 
 _UNJUDGED: Final[ColumnElement[bool]] = literal_column("(state <> 'scored')")
 """Condition in the spelling of the index, which is not used otherwise."""

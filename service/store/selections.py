@@ -1,12 +1,14 @@
 """Named selections in the store: written once, never changed."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from sqlalchemy import Connection, func, insert, select, update
 
 from service.curation.ranking import RankedScene
 from service.curation.selection import Selection, SelectionSummary
+from service.curation.strategies.catalogue import DEFAULT
 from service.errors import UsageError
+from service.store.engine import Store
 from service.store.tables import COUNTERS, SELECTION_SCENES, SELECTIONS
 
 
@@ -14,7 +16,59 @@ class SelectionExistsError(UsageError):
     """Another selection has this name, and labellers may be working on it."""
 
 
-def save_selection(
+class Selections:
+    """Stored selections; a selection never changes, because labellers work from it."""
+
+    def __init__(self, store: Store, *, now_s: Callable[[], float]) -> None:
+        """Keep the store and the clock for what is durable, seconds."""
+        self._store, self._now_s = store, now_s
+
+    def save(
+        self,
+        name: str | None,
+        *,
+        budget: int,
+        scenes: Sequence[RankedScene],
+        strategy: str = DEFAULT,
+    ) -> Selection:
+        """Store a named selection; without a name it becomes `selection-<n>`.
+
+        The same one again is no error.
+
+        Raises:
+            SelectionExistsError: If a different selection has this name.
+        """
+        with self._store.writing() as connection:
+            return _save(
+                connection,
+                name,
+                strategy=strategy,
+                budget=budget,
+                scenes=scenes,
+                now_s=self._now_s(),
+            )
+
+    def one(self, name: str) -> Selection | None:
+        """Return the selection of this name."""
+        with self._store.reading() as connection:
+            return _read(connection, name)
+
+    def all(self) -> list[Selection]:
+        """Return every selection, oldest first."""
+        with self._store.reading() as connection:
+            names = connection.execute(
+                select(SELECTIONS.c.name).order_by(SELECTIONS.c.ordinal)
+            ).scalars()
+            found = (_read(connection, name) for name in names.all())
+            return [each for each in found if each is not None]
+
+    def listed(self) -> list[SelectionSummary]:
+        """Return every selection without its scenes, oldest first."""
+        with self._store.reading() as connection:
+            return _listed(connection)
+
+
+def _save(
     connection: Connection,
     name: str | None,
     *,
@@ -39,7 +93,7 @@ def save_selection(
     if name is None:
         name = _free_name(connection, ordinal)
     wanted = Selection(name=name, strategy=strategy, budget=budget, scenes=tuple(scenes))
-    stored = selection(connection, name)
+    stored = _read(connection, name)
     if stored == wanted:
         return stored
     if stored is not None:
@@ -62,7 +116,7 @@ def save_selection(
     return wanted
 
 
-def selection(connection: Connection, name: str) -> Selection | None:
+def _read(connection: Connection, name: str) -> Selection | None:
     """Read one selection."""
     row = connection.execute(select(SELECTIONS).where(SELECTIONS.c.name == name)).one_or_none()
     if row is None:
@@ -80,15 +134,7 @@ def selection(connection: Connection, name: str) -> Selection | None:
     )
 
 
-def selections(connection: Connection) -> list[Selection]:
-    """Read every selection, oldest first."""
-    names = (
-        connection.execute(select(SELECTIONS.c.name).order_by(SELECTIONS.c.ordinal)).scalars().all()
-    )
-    return [found for name in names if (found := selection(connection, name)) is not None]
-
-
-def listed_selections(connection: Connection) -> list[SelectionSummary]:
+def _listed(connection: Connection) -> list[SelectionSummary]:
     """Read every selection without its scenes, oldest first."""
     counts = (
         select(SELECTION_SCENES.c.name, func.count().label("scenes"))
@@ -114,6 +160,6 @@ def listed_selections(connection: Connection) -> list[SelectionSummary]:
 
 def _free_name(connection: Connection, ordinal: int) -> str:
     number = ordinal
-    while selection(connection, f"selection-{number}") is not None:
+    while _read(connection, f"selection-{number}") is not None:
         number += 1  # somebody gave this name by hand
     return f"selection-{number}"

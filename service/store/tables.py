@@ -189,4 +189,5 @@ SKIPPED_ENTRIES: Final = Table(
     _number("position", key=True),
     _text("name"),
     _text("why"),
+    _number("others"),
 )
