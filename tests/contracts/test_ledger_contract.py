@@ -564,11 +564,14 @@ class LedgerContract(StoreContract):
             "for-monday", budget=3, scenes=world.ledger.select(budget=3)
         )
         assert first.name == "selection-1"
+        assert len(chosen) == 2
         assert list(first.scenes) == chosen
         assert world.ledger.selections.save("for-monday", budget=3, scenes=named.scenes) == named
         with pytest.raises(SelectionExistsError, match="'for-monday' exists"):
             world.ledger.selections.save("for-monday", budget=2, scenes=chosen)
         assert world.ledger.selections.one("for-monday") == named
+        assert named.strategy == "best-distinct"
+        assert [each.scenes for each in world.ledger.selections.listed()] == [2, 3]
         assert world.ledger.selections.one("for-tuesday") is None
         assert world.ledger.selections.all() == [first, named]
 

@@ -6,7 +6,7 @@ import pytest
 
 from schemas.arrays import NS_PER_S
 from schemas.canonical import sha256
-from schemas.contradiction import SceneState, TrackRecord
+from schemas.contradiction import SceneState
 from schemas.events import TrackSummary
 from schemas.score import MIN_REPORTED_STRENGTH, SceneScore
 from schemas.transport.wire import encode_scene_score
@@ -21,7 +21,6 @@ from tests.contracts.ledger_world import (
     shard_of,
 )
 from tests.contracts.store_contract import StoreContract
-from tests.factories import track_record
 
 
 def scene(
@@ -35,20 +34,7 @@ def scene(
 ) -> SceneScore:
     """The scene of a 2 s cell, 1.9 s long, of a 10 Hz lidar."""
     start_ns = START_NS + number * 2 * NS_PER_S + int(after_gap_s * NS_PER_S)
-    record = score_of(log_id, start_ns, score=score, topic=topic, state=state)
-    return record.model_copy(update={"tracks": (parked_car(record),)})
-
-
-def parked_car(record: SceneScore) -> TrackRecord:
-    """The same car, throughout every scene at the same place."""
-    return track_record(
-        strength=record.score,
-        first_ns=record.start_ns,
-        last_ns=record.end_ns,
-        speed_m_per_s=0.0,
-        first_odom_m=(10.0, 0.0, 0.0),
-        last_odom_m=(10.0, 0.0, 0.0),
-    )
+    return score_of(log_id, start_ns, score=score, topic=topic, state=state)
 
 
 def rank(world: World, *scores: SceneScore) -> list[RankedScene]:

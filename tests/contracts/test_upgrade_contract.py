@@ -90,6 +90,7 @@ class UpgradeContract(ABC):
         kept = [row for row in FIRST["tables"]["scenes"] if row["is_current"]]
         assert sorted(world.ids()) == sorted(row["scene_id"] for row in kept)
         assert [each.name for each in world.ledger.selections.all()] == ["monday", "selection-2"]
+        assert {each.strategy for each in world.ledger.selections.listed()} == {""}
 
     def test_work_goes_on_and_old_revisions_come_back(self, world: World) -> None:
         world.ledger.resume()
