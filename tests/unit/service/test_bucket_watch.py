@@ -309,7 +309,7 @@ def test_an_odd_entry_costs_itself_and_is_logged_once(world: World, tmp_path: Pa
     assert watch.seen.skipped == 2
     named = [f"{each.name} {each.why}" for each in world.ledger.status().skipped.named]
     assert named == [
-        r"b\x1b[31m.mcap has a control character in its name",
+        r"b\x1b[31m.mcap has a name that holds a control character",
         "c.mcap is a link in a loop of links",
     ]
     (folder / "c.mcap").unlink()

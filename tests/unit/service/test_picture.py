@@ -342,7 +342,8 @@ def test_boxes_on_the_camera_have_the_numbers_of_the_picture_from_above(
     assert (at_px.min(axis=0) >= 0).all()
     assert np.abs(at_px.mean(axis=0) - (150, 50)).max() < 12, "12 m ahead and 6 m to the right"
     assert at_px.max(axis=0)[0] <= corners.max(axis=0)[0] + 1
-    assert boxes_of(overlay, 0, _Pinhole(left=True), labels=()) == []
+    on_the_left = boxes_of(overlay, 0, _Pinhole(left=True), labels=labels_of(score))
+    assert [each.label for each in on_the_left] == [f"{2 - number} car"]
 
 
 def test_the_first_track_is_looked_for_in_every_camera_and_frame(

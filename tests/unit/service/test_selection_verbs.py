@@ -17,7 +17,7 @@ def state(tmp_path: Path) -> list[str]:
     """A state of several scenes, each with a reason; neighbours show the same car."""
     with closing(open_store(tmp_path)) as store:
         world = World.on(store)
-        world.listed("a")
+        world.listed("a", "b")
         world.mine_all()
     return ["--state", str(tmp_path)]
 
@@ -25,13 +25,19 @@ def state(tmp_path: Path) -> list[str]:
 def test_each_scene_that_is_left_out_has_a_line_with_its_cause(
     state: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["select", "--budget", "2", "--name", "week", *state]) == 0
+    assert main(["select", "--budget", "8", "--name", "week", *state]) == 0
     printed = capsys.readouterr()
-    assert "selection 'week' by best-distinct: 2 of at most 2 scenes" in printed.out
+    assert "selection 'week' by best-distinct: 8 of at most 8 scenes" in printed.out
     assert "pedestrian only semantic" in printed.out
     assert printed.err.count("left out: rank ") == 1
-    assert "twin of rank 1, which shows the same" in printed.err
-    assert "the budget is used up at rank 3" in printed.err
+    assert "left out: rank 8, 0.420, b@" in printed.err
+    assert ": twin of rank 7, which shows the same" in printed.err
+    assert "the budget is used up at rank 9" in printed.err
+    assert main(["select", "--budget", "50", "--name", "all", *state]) == 0
+    printed = capsys.readouterr()
+    assert "16 of at most 50 scenes" in printed.out, "twins fill the budget"
+    assert printed.err.count("left out: rank ") == 2
+    assert printed.err.count(": no reason, ") == 2
 
 
 def test_scenes_without_a_reason_are_left_out_with_a_line(
