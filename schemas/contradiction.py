@@ -162,6 +162,10 @@ KindName = Annotated[
 ]
 
 
+Place = tuple[Finite, Finite, Finite]
+"""Coordinates x, y, z of a place, metres."""
+
+
 class InstanceRecord(BaseModel):
     """Record of an instance: its box, its points and the confidences of both streams."""
 
@@ -169,7 +173,7 @@ class InstanceRecord(BaseModel):
 
     stamp_ns: StampNs = Field(description="Stamp of its frame, nanoseconds since the epoch.")
     points: Positive = Field(description="Contradicting points in it.")
-    centre_m: tuple[Finite, Finite, Finite] = Field(description="Box centre, sensor space, metres.")
+    centre_m: Place = Field(description="Box centre, sensor space, metres.")
     size_m: tuple[Finite, Finite, Finite] = Field(description="Length, width, height, metres.")
     yaw_rad: Finite = Field(description="Heading of the length axis about z, sensor space.")
     range_m: Finite = Field(ge=0, description="Horizontal distance from the sensor, metres.")
@@ -191,6 +195,18 @@ class TrackRecord(BaseModel):
     frames: Positive = Field(description="Frames of the scene in which it contradicts.")
     points: Positive = Field(description="Contradicting points over all those frames.")
     speed_m_per_s: Finite = Field(ge=0, description="Median speed over the ground; 0 unmeasured.")
+    first_odom_m: Place | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="Box centre in its first frame, odom space of its shard, metres; absent for "
+        "tracks of low strength.",
+    )
+    last_odom_m: Place | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="Box centre in its last frame, odom space of its shard, metres; absent for "
+        "tracks of low strength.",
+    )
     confirmed_share: float | None = Field(
         default=None,
         ge=0,

@@ -24,6 +24,9 @@ MAX_SUPPORTING: Final = 3
 MAX_OPPOSING: Final = 1
 """Phrases of evidence against an attribution that a reason carries."""
 
+MIN_REPORTED_STRENGTH: Final = 0.05
+"""Strength below which a track is counted in the totals and is no reason."""
+
 SCHEMA_VERSION: Final = 2
 """Version of the records that this program writes; it reads version 1 too."""
 
@@ -92,8 +95,9 @@ class Reason(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     headline: Text = Field(
-        description="What the streams label and what is probable instead, where, for how long, and "
-        "which stream is wrong with which probability; or what lowered the score of the scene."
+        description="What a stream labels and what another source labels or measures, where, for "
+        "how long, and which stream is wrong with which probability; or what lowered the score of "
+        "the scene. One line, the same in tables, on pictures and in selections."
     )
     track_id: Tally | None = Field(
         default=None,

@@ -13,9 +13,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from schemas.errors import PermanentError
 from schemas.mining import LOOKAHEAD
 from schemas.transport.bucket import Bucket, open_bucket
+from schemas.transport.folder import Skipped
 from schemas.transport.recordings import group_recordings
 from schemas.work import Recording
-from service.background.bucket_watch import is_wanted
+from service.background.skipped_entries import is_wanted, skipped_among
+from service.curation.status import SkippedEntries
 from service.doctor.machine import NEEDED
 from service.errors import NothingFoundError, StateOutdatedError
 from service.settings.config import Settings
@@ -79,6 +81,7 @@ class DryRun(BaseModel):
 
     bucket: str
     logs: tuple[DryLog, ...]
+    skipped: SkippedEntries
     bytes: int = Field(description="Bytes of all logs.")
     left_bytes: int = Field(description="Bytes to be mined.")
     by_standing: dict[str, int] = Field(description="Number of logs by progress in the state.")
@@ -121,11 +124,10 @@ def plan_dry_run(
         PermanentError: If it refuses.
     """
     bucket = open_bucket(settings.bucket)
-    recordings = group_recordings(
-        found
-        for found in bucket.list()
-        if is_wanted(found.key, include=settings.include, exclude=settings.exclude)
-    )
+    unlisted: list[Skipped] = []
+    objects = list(bucket.list(on_skipped=unlisted.append))
+    patterns = {"include": settings.include, "exclude": settings.exclude}
+    recordings = group_recordings(each for each in objects if is_wanted(each.key, **patterns))
     if not recordings:
         raise NothingFoundError(f"no .mcap log that counts in {bucket.url}; see include, exclude")
     known = _known(settings, bucket.url, recordings)
@@ -145,6 +147,7 @@ def plan_dry_run(
     return DryRun(
         bucket=bucket.url,
         logs=logs,
+        skipped=skipped_among(objects, unlisted, **patterns),
         bytes=sum(log.bytes for log in logs),
         left_bytes=round(sum(log.bytes * log.left_share for log in logs)),
         by_standing=dict(Counter(log.standing for log in logs)),

@@ -37,6 +37,18 @@ LOCAL_WORKERS: Final = "local-"
 
 _LOOK_S: Final = 0.5
 
+DRAINING: Final = (
+    "stopping: workers finish what is nearly done, for half a minute at most; a second Ctrl-C ends "
+    "at once, and what is unfinished is mined again"
+)
+"""Remark on the first signal where workers run. No acknowledged work is lost by a second one."""
+
+STOPPING: Final = (
+    "stopping: open requests are answered; a second Ctrl-C ends at once, and nothing that was "
+    "acknowledged is lost"
+)
+"""Remark on the first signal where the service runs alone."""
+
 _STARTING: Final = "workers start; the first run compiles its loops, which takes about a minute"
 
 
@@ -44,7 +56,7 @@ def run_embedded(
     settings: Settings,
     *,
     once: bool,
-    on_ready: Callable[[str], None],
+    remark: Callable[[str], None],
     on_progress: Callable[[str, int, int | None], None],
 ) -> Status:
     """Run router, service and workers of one machine until a signal, or until all is mined.
@@ -52,7 +64,8 @@ def run_embedded(
     Args:
         settings: Bucket, state, workers, and the settings that workers share.
         once: Stop when every log now in the bucket is done, refused or parked.
-        on_ready: Called with one sentence that names the endpoint of the service.
+        remark: Called with a sentence that names the endpoint of the service, and with one when a
+            signal stops the run.
         on_progress: Called at intervals with the current step, the shards finished, and the shards
             in total, if known.
 
@@ -66,7 +79,7 @@ def run_embedded(
     from workers.pool.process import LogStyle
 
     with ExitStack() as opened:
-        stop = opened.enter_context(stop_on_signals())
+        stop = opened.enter_context(stop_on_signals(partial(remark, DRAINING)))
         bucket = open_bucket(settings.bucket)
         lock, sole, ledger = _open_state(settings, opened, once=once)
         _make_artifacts(settings)
@@ -105,9 +118,7 @@ def run_embedded(
         if _wants_http(settings, once=once):
             where = _metrics_at(_open_pages(settings, daemon, ledger, opened, *registries))
         opened.enter_context(pool)
-        on_ready(
-            f"mining {bucket.url} with {settings.workers} workers; service at {endpoint}{where}"
-        )
+        remark(f"mining {bucket.url} with {settings.workers} workers; service at {endpoint}{where}")
         version = _stay(service, ledger, pool, stop, once=once, on_progress=on_progress)
         status = ledger.status(version or None)
     if once and not stop.is_set():
@@ -115,11 +126,11 @@ def run_embedded(
     return status
 
 
-def run_service(settings: Settings, *, on_ready: Callable[[str], None]) -> None:
+def run_service(settings: Settings, *, remark: Callable[[str], None]) -> None:
     """Run the service alone until a signal; it waits for its router."""
     connect = (settings.connect or DEFAULT_ENDPOINT).split(",")
     with ExitStack() as opened:
-        stop = opened.enter_context(stop_on_signals())
+        stop = opened.enter_context(stop_on_signals(partial(remark, STOPPING)))
         bucket = open_bucket(settings.bucket)
         lock, sole, ledger = _open_state(settings, opened)
         _make_artifacts(settings)
@@ -148,11 +159,11 @@ def run_service(settings: Settings, *, on_ready: Callable[[str], None]) -> None:
         if http is not None:
             opened.callback(http.close)  # no request may reach a closed service
             where = _metrics_at(http)
-        on_ready(f"serving {bucket.url} over {', '.join(connect)}{where}")
+        remark(f"serving {bucket.url} over {', '.join(connect)}{where}")
         service.run(stop)
 
 
-def run_workers(settings: Settings, *, on_ready: Callable[[str], None]) -> None:
+def run_workers(settings: Settings, *, remark: Callable[[str], None]) -> None:
     """Run workers for a service elsewhere until a signal."""
     from workers.pool.local import LocalPool
     from workers.pool.pages import pool_pages
@@ -161,7 +172,7 @@ def run_workers(settings: Settings, *, on_ready: Callable[[str], None]) -> None:
     connect = (settings.connect or DEFAULT_ENDPOINT).split(",")
     check_endpoints(connect)  # here, not by each worker that starts
     with ExitStack() as opened:
-        stop = opened.enter_context(stop_on_signals())
+        stop = opened.enter_context(stop_on_signals(partial(remark, DRAINING)))
         pool = LocalPool(
             settings.workers,
             connect=connect,
@@ -178,7 +189,7 @@ def run_workers(settings: Settings, *, on_ready: Callable[[str], None]) -> None:
             http = HttpEndpoint(listen, pool_pages(pool), setting="worker_http_listen")
             where = _metrics_at(opened.enter_context(http))
         opened.enter_context(pool)
-        on_ready(f"{settings.workers} workers for the service at {', '.join(connect)}{where}")
+        remark(f"{settings.workers} workers for the service at {', '.join(connect)}{where}")
         heartbeat = Heartbeat(lambda: {"workers": pool.alive()}, heartbeat_s=settings.heartbeat_s)
         while not stop.wait(_LOOK_S):
             pool.check()

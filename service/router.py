@@ -1,6 +1,8 @@
 """Daemon of `counterpoint router`: a Zenoh router alone, without a state."""
 
 from collections.abc import Callable
+from functools import partial
+from typing import Final
 
 import zenoh
 
@@ -8,11 +10,13 @@ from schemas.runtime.process import stop_on_signals
 from schemas.transport.bus import router_session
 from service.background.heartbeat import Heartbeat, Standing
 
+STOPPING: Final = "stopping: links are closed; a second Ctrl-C ends at once"
+
 
 def run_router(
     listen: str,
     *,
-    on_ready: Callable[[str], None],
+    remark: Callable[[str], None],
     connect: str = "",
     heartbeat_s: float = 300.0,
 ) -> None:
@@ -20,7 +24,7 @@ def run_router(
 
     Args:
         listen: Endpoints to listen on, separated by commas.
-        on_ready: Called with one sentence that names the endpoints.
+        remark: Called with a sentence that names the endpoints, and with one when a signal comes.
         connect: Other routers to link to, so that clients may list several and lose one.
         heartbeat_s: Longest silence of the log, seconds.
 
@@ -29,8 +33,11 @@ def run_router(
         PermanentError: If an endpoint cannot be listened on here at all.
     """
     others = connect.split(",") if connect else []
-    with stop_on_signals() as stop, router_session(listen.split(","), connect=others) as session:
-        on_ready(f"routing at {listen}")
+    with (
+        stop_on_signals(partial(remark, STOPPING)) as stop,
+        router_session(listen.split(","), connect=others) as session,
+    ):
+        remark(f"routing at {listen}")
         heartbeat = Heartbeat(lambda: _standing(session), heartbeat_s=heartbeat_s)
         while not stop.wait(heartbeat.interval_s):
             heartbeat.beat()

@@ -5,11 +5,11 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Iterator, MutableMapping
+from collections.abc import Callable, Iterator, MutableMapping
 from contextlib import contextmanager
 from threading import Event
 from types import FrameType, TracebackType
-from typing import Any, TextIO
+from typing import Any, Final, TextIO
 
 import structlog
 
@@ -58,24 +58,41 @@ def log_to_stderr(*, level: str = "info", as_json: bool = False) -> None:
 
 
 @contextmanager
-def stop_on_signals() -> Iterator[Event]:
+def stop_on_signals(on_stop: Callable[[], None] = lambda: None) -> Iterator[Event]:
     """Turn the first SIGTERM or SIGINT into a set event; a second one ends the process at once.
 
     Only the main thread may call this. The former handlers are restored at the end.
+
+    Args:
+        on_stop: Called once after the first signal, from a thread: a handler of signals may
+            interrupt a line that is being printed, and must print none itself.
     """
-    stop = Event()
+    stop, woken = Event(), Event()
 
     def on_signal(number: int, _frame: FrameType | None) -> None:
         signal.signal(number, signal.SIG_DFL)
         stop.set()
+        woken.set()
 
+    def tell() -> None:
+        woken.wait()
+        if stop.is_set():
+            on_stop()
+
+    teller = threading.Thread(target=tell, name="stop", daemon=True)
     before = {number: signal.signal(number, on_signal) for number in _SIGNALS}
+    teller.start()
     try:
         yield stop
     finally:
+        woken.set()
+        teller.join(_TELL_S)
         for number, handler in before.items():
             signal.signal(number, handler)
 
+
+_TELL_S: Final = 1.0
+"""Longest wait for `on_stop` at the end, seconds: its terminal may be gone."""
 
 _SIGNALS = (signal.SIGTERM, signal.SIGINT)
 

@@ -28,12 +28,14 @@ from service.api.messages import (
     RetryReply,
     RetryRequest,
     SceneRequest,
+    SelectionRequest,
+    SelectionsReply,
     SelectRequest,
     TopReply,
     TopRequest,
 )
 from service.api.payload_check import require_affordable
-from service.api.reader import no_such_scene, read_overlay
+from service.api.reader import no_such_scene, no_such_selection, read_overlay
 from service.api.request_queue import RequestQueue, malformed
 from service.api.staging import Staging
 from service.api.verbs import VERBS
@@ -159,9 +161,20 @@ class Control:
     def answer_select(self, request: SelectRequest) -> Selection:
         """Make, store and publish a selection."""
         chosen = self._ledger.select(budget=request.budget)
-        selection = self._ledger.save_selection(request.name, budget=request.budget, scenes=chosen)
+        selection = self._ledger.selections.save(request.name, budget=request.budget, scenes=chosen)
         self._on_selection(selection)
         return selection
+
+    def answer_selection(self, request: SelectionRequest) -> Selection:
+        """Return one stored selection."""
+        found = self._ledger.selections.one(request.name)
+        if found is None:
+            raise no_such_selection(request.name)
+        return found
+
+    def answer_selections(self, _: None) -> SelectionsReply:
+        """List every stored selection, without its scenes."""
+        return SelectionsReply(selections=tuple(self._ledger.selections.listed()))
 
     def answer_retry(self, request: RetryRequest) -> RetryReply:
         """Try parked work again."""

@@ -99,7 +99,7 @@ class History:
 
     def answer_selected(self, query: zenoh.Query) -> None:
         """Reply with the scenes of every stored selection that the key expression matches."""
-        for selection in self._ledger.selections():
+        for selection in self._ledger.selections.all():
             for key, payload in selected_scenes(selection, root=self._root):
                 if query.key_expr.intersects(key):
                     query.reply(key, payload, encoding=RANKED)

@@ -16,6 +16,7 @@ from schemas.bounds import (
 from schemas.transport.wire import first_problem
 from service.curation.ranking import RankedScene
 from service.curation.rates import RateRow
+from service.curation.selection import SelectionSummary
 from service.curation.status import ParkedWork
 from service.errors import UsageError
 
@@ -69,6 +70,22 @@ class SelectRequest(BaseModel):
 
     budget: int = Field(ge=1, le=MAX_SCENES_ASKED, description="Scenes the labellers can take.")
     name: Name | None = Field(default=None, description="None: the service names it.")
+
+
+class SelectionRequest(BaseModel):
+    """Request for one stored selection."""
+
+    model_config = _STRICT
+
+    name: Name
+
+
+class SelectionsReply(BaseModel):
+    """Every stored selection without its scenes, oldest first."""
+
+    model_config = _STRICT
+
+    selections: tuple[SelectionSummary, ...] = Field(max_length=MAX_LISTED)
 
 
 class SceneRequest(BaseModel):

@@ -13,13 +13,14 @@ from schemas.transport.overlay_codec import MAX_OVERLAY_BYTES, decode_overlay
 from service.api.messages import (
     RetryRequest,
     SceneRequest,
+    SelectionRequest,
     SelectRequest,
     TopRequest,
     checked_request,
 )
 from service.curation.ranking import RankedScene
 from service.curation.rates import RateRow, RatesRequest, rates
-from service.curation.selection import Selection
+from service.curation.selection import Selection, SelectionSummary
 from service.curation.status import ParkedWork, Status
 from service.errors import NothingFoundError, StateInUseError, UsageError
 from service.settings.config import Settings
@@ -30,7 +31,7 @@ from service.store.state import StateLock, endpoint_of_running
 
 
 class Reader(Protocol):
-    """Interface of the verbs `top`, `select`, `show`, `rates`, `status` and `retry`."""
+    """Interface of the verbs that read results: `top`, `select`, `selection`, `show` and more."""
 
     def top(self, most: int | None = None) -> list[RankedScene]:
         """Rank every current scene, best first."""
@@ -38,6 +39,14 @@ class Reader(Protocol):
 
     def select(self, *, budget: int, name: str | None) -> Selection:
         """Store the best distinct scenes as a named selection."""
+        ...
+
+    def selection(self, name: str) -> Selection:
+        """Return the stored selection of this name."""
+        ...
+
+    def selections(self) -> list[SelectionSummary]:
+        """List every stored selection without its scenes, oldest first."""
         ...
 
     def scene(self, scene_id: str) -> SceneScore:
@@ -114,7 +123,21 @@ class StateReader:
         asked = checked_request(SelectRequest, budget=budget, name=name)
         with self._ledger_to_write(what="select") as ledger:
             chosen = ledger.select(budget=asked.budget)
-            return ledger.save_selection(asked.name, budget=asked.budget, scenes=chosen)
+            return ledger.selections.save(asked.name, budget=asked.budget, scenes=chosen)
+
+    def selection(self, name: str) -> Selection:
+        """Return the stored selection of this name."""
+        asked = checked_request(SelectionRequest, name=name)
+        with self._ledger() as ledger:
+            found = ledger.selections.one(asked.name)
+        if found is None:
+            raise no_such_selection(name)
+        return found
+
+    def selections(self) -> list[SelectionSummary]:
+        """List every stored selection without its scenes, oldest first."""
+        with self._ledger() as ledger:
+            return ledger.selections.listed()
 
     def retry(self, log_ids: Sequence[str] | None = None) -> list[ParkedWork]:
         """Mark parked work for a retry by the next run, of these logs or all.
@@ -198,6 +221,11 @@ def _key_of(scene: StoredScene) -> str:
 def no_such_scene(scene_id: str) -> NothingFoundError:
     """Return the error for an id of no current scene."""
     return NothingFoundError(f"no current scene {scene_id!r}; `counterpoint top` lists them")
+
+
+def no_such_selection(name: str) -> NothingFoundError:
+    """Return the error for a name of no stored selection."""
+    return NothingFoundError(f"no selection {name!r}; `counterpoint selection list` lists them")
 
 
 def choose_endpoint(settings: Settings) -> str:

@@ -4,7 +4,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from fnmatch import fnmatchcase
 from typing import Final
 
 import structlog
@@ -14,6 +13,8 @@ from schemas.errors import BucketRefusedError, BucketUnreachableError
 from schemas.transport.bucket import Bucket, ObjectMeta
 from schemas.transport.folder import Skipped
 from schemas.transport.recordings import group_recordings, is_too_long
+from service.background.skipped_entries import is_wanted, skipped_among
+from service.curation.status import SkippedEntries
 from service.store.ledger import Ledger
 from service.store.recordings import SyncResult
 
@@ -92,6 +93,8 @@ class BucketWatch:
         """Names that the listing before skipped, and that were logged then."""
         self._taken_over: list[ObjectMeta] | None = None
         """Listing that the ledger received last; an equal one is not sent again."""
+        self._noted: SkippedEntries | None = None
+        """Skipped entries that the ledger received last."""
         self._is_ours = False
         self._took_s, self._broke_off_s = 0.0, 0.0
         self._empty_since_s: float | None = None
@@ -119,6 +122,7 @@ class BucketWatch:
             result = self._take_over(objects)
         now_s, took_s = self._ledger.now_s(), self._took_s
         self._name_skipped()
+        self._note_skipped(objects)
         self.seen = replace(
             self.seen,
             last_success_s=now_s,
@@ -206,6 +210,15 @@ class BucketWatch:
             log.warning("further entries skipped", entries=len(new) - MAX_SKIPPED_NAMED)
         self._named = set(self._skipped)
 
+    def _note_skipped(self, objects: list[ObjectMeta]) -> None:
+        """Pass the entries that are no logs to the ledger, if they changed, for `status`."""
+        found = skipped_among(
+            objects, self._skipped.values(), include=self._include, exclude=self._exclude
+        )
+        if found != self._noted:
+            self._ledger.note_skipped(found)
+            self._noted = found
+
     def _with_hidden(self, listed: list[ObjectMeta]) -> list[ObjectMeta]:
         """Add the objects that the last listing found in folders that can no longer be read.
 
@@ -247,9 +260,3 @@ class BucketWatch:
             return False
         log.warning("bucket stays empty: its logs count as deleted", bucket=self._bucket.url)
         return True
-
-
-def is_wanted(key: str, *, include: Sequence[str], exclude: Sequence[str]) -> bool:
-    """Return true if a key matches a pattern to include, if any, and none to exclude."""
-    included = not include or any(fnmatchcase(key, each) for each in include)
-    return included and not any(fnmatchcase(key, each) for each in exclude)

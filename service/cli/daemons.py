@@ -107,7 +107,7 @@ def run(
         status = run_embedded(
             settings,
             once=once,
-            on_ready=remark,
+            remark=remark,
             on_progress=lambda what, done, total: bar.update(
                 task, description=what, completed=done, total=total
             ),
@@ -154,7 +154,7 @@ def service(
         log_level=log_level,
     )
     need_bucket(settings)
-    run_service(settings, on_ready=remark)
+    run_service(settings, remark=remark)
 
 
 def worker(
@@ -186,7 +186,7 @@ def worker(
         log_format=log_format,
         log_level=log_level,
     )
-    run_workers(settings, on_ready=remark)
+    run_workers(settings, remark=remark)
 
 
 def router(
@@ -203,7 +203,7 @@ def router(
     run_router(
         settings.listen or DEFAULT_ENDPOINT,
         connect=connect or "",  # the setting, in a file that all processes share, may be ourselves
-        on_ready=remark,
+        remark=remark,
         heartbeat_s=settings.heartbeat_s,
     )
 

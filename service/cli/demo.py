@@ -1,14 +1,14 @@
 """Verb `demo`: mines, ranks and draws a small simulated fleet, and compares it with its truth."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
 from service.cli.options import LogFormat, LogLevel, log_as
-from service.cli.output import command, counted, progress, remark, table
+from service.cli.output import command, counted, listing, progress, remark, table
 
 if TYPE_CHECKING:
     from service.demo.planted import DemoScene
@@ -51,6 +51,7 @@ def demo(
     )
     say_what_was_found(result.status)
     say_demo_ranking(result.scenes)
+    say_chosen(result.scenes, result.chosen)
     failing = sum(bool(scene.failures) for scene in result.scenes)
     named = sum(scene.named is True for scene in result.scenes)
     remark(
@@ -79,21 +80,36 @@ def say_demo_ranking(scenes: "Sequence[DemoScene]", *, most: int = DEMO_ROWS) ->
     """Print the best scenes, and below them the others with a planted failure."""
     rank_of = {scene.row.scene_id: scene.row.rank for scene in scenes}
     shown = [scene for scene in scenes if scene.row.rank <= most or scene.failures]
-    table(
+    listing(
         f"{counted(len(scenes), 'scene')}: the best {most}, and of the others those with a planted "
         "failure",
-        ("rank", "score", "scene", "planted", "reason names it", "who errs", "why", "twin of rank"),
+        ("rank", "score", "scene", "twin of", "reason names it", "planted"),
         (
             (
-                scene.row.rank,
-                scene.record.score,
-                scene.name,
-                scene.planted,
-                None if scene.named is None else "yes" if scene.named else "no",
-                scene.wrong,
-                scene.why,
-                rank_of[scene.row.twin_of] if scene.row.twin_of else None,
+                (
+                    scene.row.rank,
+                    scene.record.score,
+                    scene.name,
+                    rank_of[scene.row.twin_of] if scene.row.twin_of else None,
+                    None if scene.named is None else "yes" if scene.named else "no",
+                    scene.planted,
+                ),
+                scene.headline,
             )
             for scene in shown
         ),
     )
+
+
+def say_chosen(scenes: "Sequence[DemoScene]", chosen: Collection[str]) -> None:
+    """Print how many scenes with a planted failure a selection takes, and each that it leaves."""
+    failing = [scene for scene in scenes if scene.failures]
+    missed = [scene for scene in failing if scene.row.scene_id not in chosen]
+    remark(
+        f"a selection of all distinct scenes with a reason takes {counted(len(chosen), 'scene')}: "
+        f"{len(failing) - len(missed)} of the {len(failing)} with a planted failure, and "
+        f"{len(chosen) - len(failing) + len(missed)} of the others"
+    )
+    for scene in missed:
+        why = "a twin" if scene.row.twin_of else "without a reason"
+        remark(f"not selected: {scene.name}, rank {scene.row.rank}, {scene.planted}: {why}")

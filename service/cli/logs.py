@@ -19,7 +19,7 @@ from service.cli.options import (
     ShardSeconds,
     settings_for,
 )
-from service.cli.output import json_line, progress, remark, table
+from service.cli.output import json_line, listing, progress, remark
 from service.cli.report import first_of, say_inspected, say_judged
 from service.errors import NothingFoundError
 from service.output_files import need_folder, save_picture
@@ -111,15 +111,12 @@ def score(
                 json_line(row)
             scored.append(row)
     if not json:
-        table(
+        listing(
             recording.log_id,
-            ("scene", "state", "frames", "score", "reasons"),
+            ("score", "state", "frames", "reasons", "scene"),
             (
                 (
-                    s.scene_id,
-                    s.state.value,
-                    s.frames,
-                    s.score,
+                    (s.score, s.state.value, s.frames, len(s.reasons) or None, s.scene_id),
                     first_of([each.headline for each in s.reasons]),
                 )
                 for s in scored

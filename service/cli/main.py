@@ -28,6 +28,7 @@ from service.cli import (
     rates,
     retry,
     scenes,
+    selections,
     settings,
     simulate,
     weights,
@@ -57,7 +58,7 @@ app = typer.Typer(
     "each other. No label is needed.",
     epilog="Try it: counterpoint demo --out demo-output",
 )
-for mining in (daemons, logs, scenes, rates, retry):
+for mining in (daemons, logs, scenes, selections, rates, retry):
     mining.add_to(app)
 for measuring in (demo, simulate, evaluate, measure, calibrate, parts, settings, weights):
     measuring.add_to(app)

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from shutil import get_terminal_size
+from textwrap import wrap
 from threading import Event
 from time import monotonic
 from typing import Any, Final, Literal
@@ -40,6 +41,9 @@ _LEAST: Final = 12
 
 _COPIED: Final = ("scene", "log", "name")
 """Beginnings of the names of columns that users copy from; their cells are never broken."""
+
+_INDENT: Final = "      "
+"""Indent of a sentence below its row."""
 
 LINE_EVERY_S: Final = 30.0
 
@@ -133,6 +137,37 @@ def table(title: str, columns: Iterable[str], rows: Iterable[Iterable[object]]) 
         width=max(results.width, _least_width(list(names), materialised)),
     )
     piped.print(out)
+
+
+def listing(
+    title: str, columns: Sequence[str], rows: Iterable[tuple[Sequence[object], str]]
+) -> None:
+    """Print rows of short cells, each with a sentence below it, which has the whole width.
+
+    On a terminal the sentence is wrapped; elsewhere it stays one line, whatever its length.
+
+    Args:
+        title: Printed above.
+        columns: Names of the cells.
+        rows: Cells of each row, and its sentence; an empty one prints nothing.
+    """
+    shown = [([_cell(value) for value in cells], visible(text)) for cells, text in rows]
+    widths = [
+        max(len(name), *(len(cells[index]) for cells, _ in shown)) if shown else len(name)
+        for index, name in enumerate(columns)
+    ]
+
+    def line(cells: Sequence[str]) -> str:
+        padded = (cell.ljust(width) for cell, width in zip(cells, widths, strict=True))
+        return "  ".join(padded).rstrip()
+
+    results.print(Text(visible(title), style="table.title"), soft_wrap=True)
+    results.print(Text(line(columns), style="bold"), soft_wrap=True)
+    for cells, text in shown:
+        results.print(Text(line(cells)), soft_wrap=True)
+        width = max(results.width, 2 * len(_INDENT)) if results.is_terminal else len(text) + 80
+        for each in wrap(text, width, initial_indent=_INDENT, subsequent_indent=_INDENT):
+            results.print(Text(each), soft_wrap=True)
 
 
 def _is_copied(column: str) -> bool:

@@ -2,17 +2,14 @@
 
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
-from typing import Any, Final
+from typing import Any
 
 from schemas.score import SceneScore
-from service.cli.output import counted, remark, table
+from service.cli.output import counted, listing, remark, table
 from service.curation.ranking import RankedScene
 from service.curation.scene_names import short_names
-from service.curation.status import Status
+from service.curation.status import SkippedEntries, Status, skipped_phrases
 from service.dry_run import DryLog, DryRun
-
-REASONS: Final = 2
-"""Reasons per scene in a table."""
 
 
 def say_what_was_found(status: Status) -> None:
@@ -44,6 +41,7 @@ def say_what_was_found(status: Status) -> None:
                 f"damaged: {log.log_id}: {damage.what} "
                 f"({damage.key} at byte {damage.offset}, {damage.bytes} bytes)"
             )
+    say_skipped(status.skipped)
     for work in status.parked:
         remark(f"parked: {work.log_id} {work.shard} after {work.attempts}: {work.error}")
     if status.parked:
@@ -103,18 +101,32 @@ def say_judged(scores: Iterable[SceneScore]) -> None:
 
 def say_ranking(rows: Sequence[RankedScene]) -> None:
     """Print the ranking, best first."""
-    rank_of, name_of = {row.scene_id: row.rank for row in rows}, short_names(rows)
-    table(
-        counted(len(rows), "scene"),
-        ("rank", "score", "scene (begins, UTC)", "seconds", "why", "twin of"),
+    say_scenes(counted(len(rows), "scene"), rows, among=rows)
+
+
+def say_scenes(title: str, rows: Sequence[RankedScene], *, among: Sequence[RankedScene]) -> None:
+    """Print scenes, each with its headline below.
+
+    Args:
+        title: Printed above.
+        rows: Scenes to print.
+        among: Scenes among which their short names are unique, and that twins name by rank.
+    """
+    rank_of, name_of = {row.scene_id: row.rank for row in among}, short_names(among)
+    listing(
+        title,
+        ("rank", "score", "seconds", "reasons", "twin of", "scene (begins, UTC)"),
         (
             (
-                row.rank,
-                row.score,
-                name_of[row.scene_id],
-                f"{(row.end_ns - row.start_ns) / 1e9:.1f}",
+                (
+                    row.rank,
+                    row.score,
+                    f"{(row.end_ns - row.start_ns) / 1e9:.1f}",
+                    len(row.reasons) or None,
+                    rank_of.get(row.twin_of, row.twin_of) if row.twin_of else None,
+                    name_of.get(row.scene_id, row.scene_id),
+                ),
                 first_of(row.reasons),
-                rank_of.get(row.twin_of, row.twin_of) if row.twin_of else None,
             )
             for row in rows
         ),
@@ -122,9 +134,14 @@ def say_ranking(rows: Sequence[RankedScene]) -> None:
 
 
 def first_of(reasons: Sequence[str]) -> str:
-    """Join the first reasons of a scene, with the number of omitted ones; its picture shows all."""
-    left_out = len(reasons) - REASONS
-    return "; ".join([*reasons[:REASONS], *([f"and {left_out} more"] if left_out > 0 else [])])
+    """Return the headline of a scene, which is its first reason's; empty without a reason."""
+    return reasons[0] if reasons else ""
+
+
+def say_skipped(skipped: SkippedEntries) -> None:
+    """Print the first entries of the bucket that are no logs, and the number of the others."""
+    for phrase in skipped_phrases(skipped):
+        remark(f"skipped: {phrase}")
 
 
 def say_inspected(report: dict[str, Any]) -> None:
@@ -175,6 +192,7 @@ def say_dry_run(found: DryRun) -> None:
             for log in found.logs
         ),
     )
+    say_skipped(found.skipped)
     left = sum(log.left_share > 0 for log in found.logs)
     if found.pipeline_version:
         _say_compared(found)

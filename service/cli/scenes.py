@@ -1,12 +1,13 @@
-"""Verbs on results: `watch`, `top`, `select`, `show`, `status`."""
+"""Verbs on results: `watch`, `top`, `show`, `status`."""
 
 import time
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import typer
 
-from schemas.bounds import MAX_NAME, MAX_NEWEST, MAX_SCENES_ASKED
+from schemas.bounds import MAX_NEWEST, MAX_SCENES_ASKED
 from schemas.errors import PermanentError
 from service.api.reader import Reader, StateReader, choose_endpoint, overlay_of
 from service.cli.options import (
@@ -21,22 +22,21 @@ from service.cli.options import (
     StateToRead,
     settings_for,
 )
-from service.cli.output import counted, json_line, page, remark, result_line, table
-from service.cli.report import first_of, said_of, say_judged, say_ranking, say_what_was_found
+from service.cli.output import json_line, remark, result_line
+from service.cli.report import said_of, say_judged, say_ranking, say_what_was_found
 from service.client.merge import SceneEvent
 from service.curation.scene_names import is_short_name, named, short_names
-from service.curation.selection import left_out
 from service.errors import NothingFoundError, UsageError
-from service.export.formats import FORMATS
 from service.output_files import need_writable, save_picture
 from service.settings.config import Settings
+
+STOPPING: Final = "stopping: the link is closed; a second Ctrl-C ends at once"
 
 
 def add_to(app: typer.Typer) -> None:
     """Add the verbs of this file to the command."""
     app.command(epilog="counterpoint watch --connect tcp/127.0.0.1:7447 --json")(watch)
     app.command(epilog="counterpoint top -n 20 --state counterpoint-state")(top)
-    app.command(epilog="counterpoint select --budget 50 --name week-47")(select)
     app.command(epilog="counterpoint show 1 --out best.png")(show)
     app.command(epilog="counterpoint status --state counterpoint-state")(status)
 
@@ -79,7 +79,7 @@ def watch(
     endpoint = choose_endpoint(settings)
     check_endpoints(endpoint.split(","))
     remark(f"watching {endpoint}; end with Ctrl-C")
-    with stop_on_signals() as stop:
+    with stop_on_signals(partial(remark, STOPPING)) as stop:
         for event in watch_scenes(
             endpoint.split(","),
             root=settings.root,
@@ -139,51 +139,6 @@ def _say_judged_in_best(source: Reader, scene_id: str) -> None:
     remark(f"streams of the best scene: {pair}; `counterpoint status` counts all")
 
 
-def select(
-    budget: Annotated[
-        int,
-        typer.Option(
-            "--budget",
-            min=1,
-            max=MAX_SCENES_ASKED,
-            help="Number of scenes that the labellers can take.",
-        ),
-    ],
-    name: Annotated[str | None, typer.Option("--name", help="Name of the selection.")] = None,
-    connect: Connect = None,
-    state: StateToRead = None,
-    database: Database = None,
-    json: Json = False,
-    config: Config = None,
-) -> None:
-    """Store the best distinct scenes under a name, and publish them."""
-    if name is not None and not (0 < len(name) <= MAX_NAME and name.isprintable()):
-        raise UsageError(f"--name must have 1 to {MAX_NAME} printing characters, got {name!r}")
-    source = reader(config, connect=connect, state=state, database=database)
-    selection = source.select(budget=budget, name=name)
-    if json:
-        for line in FORMATS["json"](selection):
-            page(line)
-        return
-    ranking = source.top(selection.last_rank)
-    name_of = short_names(ranking)
-    table(
-        f"selection {selection.name!r}: {len(selection.scenes)} of at most "
-        f"{counted(budget, 'scene')}",
-        ("rank", "score", "scene (begins, UTC)", "why"),
-        (
-            (s.rank, s.score, name_of.get(s.scene_id, s.scene_id), first_of(s.reasons))
-            for s in selection.scenes
-        ),
-    )
-    passed = left_out(ranking, selection)
-    if passed.twins:
-        remark(f"left out: {counted(passed.twins, 'scene')} next to a better one of the log")
-    if passed.without:
-        remark(f"left out: {counted(passed.without, 'scene')} without a contradiction")
-    remark("ids for a labelling tool: --json, or the published selection")
-
-
 def show(
     scene: Annotated[
         str,
@@ -204,24 +159,28 @@ def show(
 ) -> None:
     """Draw a scene from above in the paper's four colours, with its instances."""
     from service.pictures.scene import draw_scene
+    from service.pictures.title import title_of
 
     need_writable(out, option="--out", force=force, endings=(".png",))
     source = reader(config, connect=connect, state=state, artifacts=artifacts, database=database)
-    scene_id = _scene_id(source, scene)
+    scene_id, rank, name = _found(source, scene)
     score, overlay = source.scene(scene_id), overlay_of(source, scene_id)
+    title = title_of(score, rank=rank, name=name)
     if on_image:
         from service.pictures.strongest_frame import draw_on_camera
 
-        picture = draw_on_camera(score, overlay, settings_for(config, bucket=bucket))
+        picture = draw_on_camera(score, overlay, settings_for(config, bucket=bucket), title=title)
     else:
-        picture = draw_scene(score, overlay)
+        picture = draw_scene(score, overlay, title=title)
     save_picture(picture, out, option="--out", force=force)
     remark(f"{out}: {score.scene_id}, score {score.score:.3f}")
     say_judged([score])
 
 
-def _scene_id(source: Reader, said: str) -> str:
-    """Find the scene of a rank, short name or id.
+def _found(source: Reader, said: str) -> tuple[str, int | None, str]:
+    """Find the id, rank and short name of the scene of a rank, short name or id.
+
+    The ranking is not read for an id; rank and name are then unknown.
 
     Raises:
         NothingFoundError: If there is none.
@@ -232,10 +191,11 @@ def _scene_id(source: Reader, said: str) -> str:
         rows = source.top(rank) if rank else []
         if not rows or len(rows) < rank:
             raise NothingFoundError(f"no scene of rank {said}; `counterpoint top` lists them")
-        return rows[-1].scene_id
+        return rows[-1].scene_id, rank, short_names(rows)[rows[-1].scene_id]
     if is_short_name(said):
-        return named(said, source.top()).scene_id
-    return said
+        row = named(said, source.top())
+        return row.scene_id, row.rank, said
+    return said, None, ""
 
 
 def status(

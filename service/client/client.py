@@ -19,6 +19,8 @@ from service.api.messages import (
     RetryReply,
     RetryRequest,
     SceneRequest,
+    SelectionRequest,
+    SelectionsReply,
     SelectRequest,
     TopReply,
     TopRequest,
@@ -28,7 +30,7 @@ from service.client.merge import Holding, SceneEvent, SceneMerge, Wanted
 from service.client.subscription import SceneSubscription
 from service.curation.ranking import RankedScene
 from service.curation.rates import RateRow, RatesRequest
-from service.curation.selection import Selection
+from service.curation.selection import Selection, SelectionSummary
 from service.curation.status import ParkedWork, Status
 
 log = structlog.get_logger(__name__)
@@ -76,6 +78,16 @@ class ControlClient:
         return decode(
             Selection, self._ask("select", checked_request(SelectRequest, budget=budget, name=name))
         )
+
+    def selection(self, name: str) -> Selection:
+        """Return the stored selection of this name."""
+        return decode(
+            Selection, self._ask("selection", checked_request(SelectionRequest, name=name))
+        )
+
+    def selections(self) -> list[SelectionSummary]:
+        """List every stored selection without its scenes, oldest first."""
+        return list(decode(SelectionsReply, self._ask("selections")).selections)
 
     def status(self) -> Status:
         """Return the progress of planning and mining."""

@@ -27,12 +27,12 @@ def short_names(rows: Sequence[RankedScene]) -> dict[str, str]:
     """
     log_ids = {row.log_id for row in rows}
     ends = {log_id: _end_of(log_id, log_ids) for log_id in log_ids}
-    names = {row.scene_id: f"{ends[row.log_id]}@{begins(row)}" for row in rows}
+    names = {row.scene_id: f"{ends[row.log_id]}@{begins(row.start_ns)}" for row in rows}
     counts = Counter(names.values())
     return {
         row.scene_id: name
         if counts[name := names[row.scene_id]] == 1
-        else f"{ends[row.log_id]}/{_lidar(row)}@{begins(row)}"
+        else f"{ends[row.log_id]}/{_lidar(row)}@{begins(row.start_ns)}"
         for row in rows
     }
 
@@ -59,7 +59,7 @@ def named(text: str, rows: Sequence[RankedScene]) -> RankedScene:
     found = [
         row
         for row in rows
-        if begins(row) == said["begins"]
+        if begins(row.start_ns) == said["begins"]
         and any(
             f"/{known}".endswith(f"/{said['log']}")
             for known in (row.log_id, f"{row.log_id}/{_lidar(row)}")
@@ -74,10 +74,10 @@ def named(text: str, rows: Sequence[RankedScene]) -> RankedScene:
     return found[0]
 
 
-def begins(row: RankedScene) -> str:
+def begins(start_ns: int) -> str:
     """Return the start of a scene in UTC, rounded down to a tenth of a second."""
-    moment = datetime.fromtimestamp(row.start_ns // 10**9, tz=UTC)
-    return f"{moment:%Y-%m-%dT%H:%M:%S}.{row.start_ns // 10**8 % 10}"
+    moment = datetime.fromtimestamp(start_ns // 10**9, tz=UTC)
+    return f"{moment:%Y-%m-%dT%H:%M:%S}.{start_ns // 10**8 % 10}"
 
 
 def _lidar(row: RankedScene) -> str:

@@ -1,12 +1,12 @@
-"""A stored choice of scenes, and what it passed over; `strategies` make the choice. Pure."""
+"""A stored choice of scenes, and what it left out; `strategies` make the choice. Pure."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from schemas.bounds import MAX_INTEGER, MAX_LISTED, Kept
-from service.curation.ranking import RankedScene
+from schemas.bounds import MAX_INTEGER, MAX_LISTED, Count, Finite, Kept
+from service.curation.ranking import RankedScene, has_reason
 
 
 class Selection(BaseModel):
@@ -15,6 +15,9 @@ class Selection(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: Kept = Field(min_length=1)
+    strategy: Kept = Field(
+        default="", description="Strategy that chose them; empty: stored by an earlier version."
+    )
     budget: int = Field(ge=1, le=MAX_INTEGER, description="Number of scenes requested.")
     scenes: tuple[RankedScene, ...] = Field(
         max_length=MAX_LISTED, description="Best first, with their rank at the time."
@@ -26,28 +29,51 @@ class Selection(BaseModel):
         return self.scenes[-1].rank if len(self.scenes) == self.budget else None
 
 
+class SelectionSummary(BaseModel):
+    """A stored selection in a list, without its scenes."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: Kept = Field(min_length=1)
+    strategy: Kept = Field(default="", description="As in the selection.")
+    budget: int = Field(ge=1, le=MAX_INTEGER, description="Number of scenes requested.")
+    scenes: Count = Field(description="Number of scenes chosen.")
+    created_s: Finite = Field(description="When it was stored, seconds since the Unix epoch.")
+
+
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """Numbers of scenes that a selection left out, by cause.
+    """Scenes that a selection left out, by cause, best first.
 
     Attributes:
-        twins: Scenes next to a better one of their log, ranked before the last one selected, or
-            anywhere if the budget was not used up.
-        without: Scenes without a contradiction; counted if the budget was not used up.
+        twins: Scenes that show what a better neighbour shows, ranked before the last one selected.
+        without: Scenes without a reason, ranked before the last one selected, or anywhere if the
+            budget was not used up.
     """
 
-    twins: int
-    without: int
+    twins: tuple[RankedScene, ...]
+    without: tuple[RankedScene, ...]
 
 
 def left_out(ranking: Sequence[RankedScene], selection: Selection) -> LeftOut:
-    """Count the scenes that a selection left out.
+    """Sort the scenes that a selection left out by their cause.
 
     Args:
         ranking: Best first, at least as far as the selection considered it.
         selection: Made from this ranking.
     """
-    passed = ranking[: selection.last_rank]
-    without = sum(scene.score <= 0 for scene in passed)
-    twins = sum(scene.twin_of is not None and scene.score > 0 for scene in passed)
-    return LeftOut(twins, without)
+    chosen = {scene.scene_id for scene in selection.scenes}
+    passed = [row for row in ranking[: selection.last_rank] if row.scene_id not in chosen]
+    return LeftOut(
+        twins=tuple(row for row in passed if has_reason(row)),
+        without=tuple(row for row in passed if not has_reason(row)),
+    )
+
+
+def why_no_reason(scene: RankedScene) -> str:
+    """Return in a few words why a scene has no reason to be reviewed."""
+    if scene.score <= 0:
+        return "nothing contradicts, or it was not judged"
+    if not scene.tracks:
+        return "no track is strong enough for a reason"
+    return "no strong track on which the supervised stream errs"

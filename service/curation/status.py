@@ -1,11 +1,16 @@
 """Status of a ledger: progress of the logs, damaged stretches, parked work."""
 
+from typing import Final
+
 from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.bounds import MAX_LISTED, Count, Finite, Kept, Positive
 from schemas.work import Damage
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
+
+MAX_NAMED: Final = 10
+"""Skipped entries that are kept by name; further ones are only counted."""
 
 
 class LogStatus(BaseModel):
@@ -73,6 +78,29 @@ class Judged(BaseModel):
     scenes: Positive
 
 
+class SkippedEntry(BaseModel):
+    """An entry of the bucket that is no log."""
+
+    model_config = _STRICT
+
+    name: Kept
+    why: Kept = Field(description="The end of a sentence that begins with the name.")
+
+
+class SkippedEntries(BaseModel):
+    """Entries of the bucket that the last listing skipped; those that a pattern leaves out are not.
+
+    What cannot be listed comes first, then objects of other types.
+    """
+
+    model_config = _STRICT
+
+    count: Count = 0
+    named: tuple[SkippedEntry, ...] = Field(
+        default=(), max_length=MAX_NAMED, description="The first of them."
+    )
+
+
 class Status(BaseModel):
     """Status of the ledger at one moment, under one pipeline version."""
 
@@ -101,6 +129,7 @@ class Status(BaseModel):
     plan_bytes_read: Count = 0
     peak_memory_bytes: Count = Field(default=0, description="Largest memory of any worker, bytes.")
     points: PointTotals = Field(default_factory=PointTotals)
+    skipped: SkippedEntries = Field(default_factory=SkippedEntries)
     judged: tuple[Judged, ...] = Field(
         default=(),
         max_length=MAX_LISTED,
@@ -108,3 +137,17 @@ class Status(BaseModel):
     )
     last_seq: Count = Field(default=0, description="Number of the newest scene event.")
     published_seq: Count = Field(default=0, description="Number up to which events are published.")
+
+
+def skipped_phrases(skipped: SkippedEntries, *, most: int = 3) -> list[str]:
+    """Return a phrase on each of the first skipped entries, and one with the number of the others.
+
+    Args:
+        skipped: Entries of a bucket.
+        most: Entries that are named at most.
+    """
+    named = skipped.named[:most]
+    phrases = [f"{each.name} {each.why}" for each in named]
+    if others := skipped.count - len(named):
+        phrases.append(f"{others} more {'entry' if others == 1 else 'entries'}")
+    return phrases

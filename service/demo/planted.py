@@ -3,25 +3,16 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from schemas.arrays import NS_PER_S
-from schemas.attribution import Wrong
 from schemas.overlay import Overlay
-from schemas.score import SceneScore
+from schemas.score import MIN_REPORTED_STRENGTH, SceneScore
 from service.curation.ranking import RankedScene
 from service.demo.scored_explanations import PlantedPoints
 
 if TYPE_CHECKING:
     from workers.lab.simulation.faults.fault_truth import DisturbanceRow, FailureRow
-
-
-_WORDS: Final = {
-    Wrong.SUPERVISED: "supervised",
-    Wrong.SELFSUPERVISED: "self-supervised",
-    Wrong.BOTH: "both",
-    Wrong.NEITHER: "neither",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +25,6 @@ class DemoScene:
         at_s: Seconds from the first scene of its log.
         failures: Kinds of failures planted into the labels of the model on the car, in words.
         disturbances: Kinds of disturbances that are no failures, in words.
-        is_about_track: True if its first reason is about a track, false if it explains a low score.
         named: True if its first reason is about a planted failure; None without one.
     """
 
@@ -43,7 +33,6 @@ class DemoScene:
     at_s: int
     failures: tuple[str, ...]
     disturbances: tuple[str, ...]
-    is_about_track: bool
     named: bool | None = None
 
     @property
@@ -70,18 +59,9 @@ class DemoScene:
         return "; ".join(words) or "-"
 
     @property
-    def wrong(self) -> str:
-        """Stream that is probably wrong about the first reason's track, with its probability."""
-        said = self.record.tracks[0].attribution if self.is_about_track else None
-        return f"{_WORDS[said.wrong]} {said.chance:.0%}" if said else "-"
-
-    @property
-    def why(self) -> str:
-        """Headline of its first reason, without the attribution, which has a column of its own."""
-        if not self.record.reasons:
-            return "-"
-        headline = self.record.reasons[0].headline
-        return headline.rpartition(": ")[0] if self.is_about_track else headline
+    def headline(self) -> str:
+        """Headline of the scene, which is its first reason's; a dash without a reason."""
+        return self.record.reasons[0].headline if self.record.reasons else "-"
 
 
 def with_truth(
@@ -99,7 +79,6 @@ def with_truth(
         truth: Folder of its truth.
         overlay_of: Reads the overlay of a scene; called for those with a failure and a reason.
     """
-    from workers.contradiction.reasons import MIN_REPORTED_STRENGTH
     from workers.lab.simulation.faults.fault_truth import PlantedTruth
 
     begins_ns = {
@@ -113,8 +92,7 @@ def with_truth(
         failures = _within(known.failures, row) if known else ()
         named = False if failures else None
         worth = bool(record.tracks) and record.tracks[0].strength >= MIN_REPORTED_STRENGTH
-        is_about_track = record.score > 0 and worth
-        if known and failures and is_about_track:
+        if known and failures and record.score > 0 and worth:
             points = PlantedPoints(truth / row.log_id)
             named = points.first_reason_names(overlay_of(row.scene_id), known.failures)
         scenes.append(
@@ -124,7 +102,6 @@ def with_truth(
                 at_s=round((row.start_ns - begins_ns[row.log_id]) / NS_PER_S),
                 failures=failures,
                 disturbances=_within(known.disturbances, row) if known else (),
-                is_about_track=is_about_track,
                 named=named,
             )
         )

@@ -10,6 +10,8 @@ from typing import Final
 from rich.progress import Progress
 
 from service.api.reader import StateReader, overlay_of
+from service.curation.ranking import has_reason
+from service.curation.scene_names import short_names
 from service.curation.status import Status
 from service.demo.planted import DemoScene, with_truth
 from service.demo.retrieval import RankingFound, found_in
@@ -17,6 +19,7 @@ from service.embedded import run_embedded
 from service.errors import UsageError
 from service.output_files import need_folder, save_picture
 from service.pictures.scene import draw_scene
+from service.pictures.title import title_of
 from service.settings.config import Settings, load_settings
 from service.store.engine import DATABASE_NAME
 
@@ -35,12 +38,15 @@ class DemoResult:
         scenes: All scenes, best first, each with its planted failures.
         pictures: Pictures of the best ones.
         found: Retrieval quality of the rankings for planted failures.
+        chosen: Ids of the distinct scenes with a reason, which a large enough selection takes
+            first.
     """
 
     status: Status
     scenes: list[DemoScene]
     pictures: list[Path]
     found: list[RankingFound]
+    chosen: frozenset[str]
 
 
 def demo_settings(
@@ -113,7 +119,7 @@ def run_demo(
         status = run_embedded(
             settings,
             once=True,
-            on_ready=remark,
+            remark=remark,
             on_progress=lambda what, done, total: bar.update(
                 task, description=what, completed=done, total=total
             ),
@@ -128,13 +134,17 @@ def run_demo(
         overlay_of=lambda scene_id: overlay_of(reader, scene_id),
     )
     drawn: list[Path] = []
-    worth = [each for each in scenes if each.row.twin_of is None and each.record.score > 0]
+    names = short_names(ranking)
+    worth = [each for each in scenes if each.row.twin_of is None and has_reason(each.row)]
     for scene in worth[:PICTURES]:
         path = pictures / scene.file_name
         overlay = overlay_of(reader, scene.row.scene_id)
-        save_picture(draw_scene(scene.record, overlay), path, option="--out", force=force)
+        title = title_of(scene.record, rank=scene.row.rank, name=names[scene.row.scene_id])
+        picture = draw_scene(scene.record, overlay, title=title)
+        save_picture(picture, path, option="--out", force=force)
         drawn.append(path)
-    return DemoResult(status, scenes, drawn, found_in(scenes))
+    chosen = frozenset(each.row.scene_id for each in worth)
+    return DemoResult(status, scenes, drawn, found_in(scenes), chosen)
 
 
 def _begin_in(out: Path, *, remark: Callable[[str], None], force: bool) -> tuple[Path, Path]:

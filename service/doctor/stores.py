@@ -10,8 +10,10 @@ from typing import Final
 from schemas.errors import CounterpointError
 from schemas.runtime.real_path import real_path
 from schemas.transport.bucket import open_bucket
+from schemas.transport.folder import Skipped
 from schemas.transport.recordings import group_recordings
-from service.background.bucket_watch import is_wanted
+from service.background.skipped_entries import is_wanted, skipped_among
+from service.curation.status import skipped_phrases
 from service.doctor.finding import Finding, ok, problem, warning
 from service.errors import StateOutdatedError
 from service.settings.config import Settings
@@ -45,11 +47,12 @@ def bucket(settings: Settings) -> Iterator[Finding]:
         yield warning("bucket", "none is named: give --bucket URL; only `worker` needs none")
         return
     store = open_bucket(settings.bucket)
-    recordings = group_recordings(
-        found
-        for found in store.list()
-        if is_wanted(found.key, include=settings.include, exclude=settings.exclude)
-    )
+    unlisted: list[Skipped] = []
+    objects = list(store.list(on_skipped=unlisted.append))
+    patterns = {"include": settings.include, "exclude": settings.exclude}
+    recordings = group_recordings(each for each in objects if is_wanted(each.key, **patterns))
+    if skipped := skipped_phrases(skipped_among(objects, unlisted, **patterns)):
+        yield (warning if unlisted else ok)("bucket", f"skipped: {'; '.join(skipped)}")
     if not recordings:
         yield warning("bucket", f"lists, but no .mcap log in it counts; {_patterns(settings)}")
         return

@@ -7,6 +7,7 @@ from service.curation.selection import Selection
 
 
 def json_lines(selection: Selection) -> Iterator[str]:
-    """Yield a line for each scene: its row of the ranking, and the name of the selection."""
+    """Yield a line for each scene: its row of the ranking, with the selection and its strategy."""
+    about = {"selection": selection.name, "strategy": selection.strategy}
     for row in selection.scenes:
-        yield json.dumps({"selection": selection.name} | row.model_dump(mode="json")) + "\n"
+        yield json.dumps(about | row.model_dump(mode="json")) + "\n"

@@ -1,6 +1,7 @@
 """Points of a frame drawn on the camera image, as in the paper's review."""
 
 import io
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -11,23 +12,33 @@ from schemas.arrays import Mask
 from schemas.errors import PermanentError
 from schemas.overlay import Overlay
 from schemas.task import Task
+from service.pictures.camera_boxes import CameraBox, draw_boxes
 from service.pictures.style import (
     BACKGROUND,
     TEXT,
+    WITNESS_BOXES,
+    WITNESS_INK,
     colours_of,
     draw_order,
     font,
     meaning,
+    shorten,
     stamp_dots,
 )
 
 DOT_PX: Final = 2
 """Radius of the filled circles, pixels, as in the paper's overlays."""
 
+SMALL_DOT_PX: Final = 1
+"""Radius where both streams label the commonest class, pixels: dense points would hide the image.
+"""
+
 MIN_WIDTH_PX: Final = 1600
 """Width to which smaller images are enlarged, pixels; else the circles would hide objects."""
 
 _STRIP_PX: Final = 30
+_TITLE_PX: Final = 20
+_LINE_PX: Final = 28
 
 
 class ImageUnreadableError(PermanentError):
@@ -41,8 +52,10 @@ def draw_camera(
     frame: int,
     at_px: NDArray[np.float64],
     inside_mask: Mask,
+    boxes: Sequence[CameraBox] = (),
+    title: Sequence[str] = (),
 ) -> Image.Image:
-    """Draw the points of a frame on the camera image, contradictions on top.
+    """Draw the points and boxes of a frame on the camera image, contradictions on top.
 
     Args:
         image_bytes: JPEG or PNG as recorded.
@@ -50,9 +63,12 @@ def draw_camera(
         frame: Index of the frame to which the image belongs.
         at_px: (N, 2) pixel coordinates of that frame's points, right and down.
         inside_mask: (N,) true for points inside the image.
+        boxes: Boxes of its instances, in pixels of the recorded image.
+        title: Lines above the image.
 
     Returns:
-        The image, at least 1600 pixels wide, with its points, above a strip that names the colours.
+        The image, at least 1600 pixels wide, with its points, below its title and above a strip
+        that names the colours.
 
     Raises:
         ImageUnreadableError: If the bytes are not an image.
@@ -83,20 +99,33 @@ def draw_camera(
             pixels,
             np.floor(chosen * scale).astype(np.int64),
             colours[outcome.code],
-            radius_px=DOT_PX,
+            radius_px=DOT_PX if outcome.code else SMALL_DOT_PX,
         )
-    return _with_legend(Image.fromarray(pixels), overlay.task)
+    shown = Image.fromarray(pixels)
+    draw_boxes(ImageDraw.Draw(shown), boxes, scale=scale)
+    has_witness = any(box.is_of_witness for box in boxes)
+    return _framed(shown, overlay.task, title, has_witness=has_witness)
 
 
-def _with_legend(image: Image.Image, task: Task) -> Image.Image:
-    canvas = Image.new("RGB", (image.width, image.height + _STRIP_PX), BACKGROUND)
-    canvas.paste(image)
+def _framed(
+    image: Image.Image, task: Task, title: Sequence[str], *, has_witness: bool
+) -> Image.Image:
+    """Put an image between its title and the legend of its colours."""
+    above = _LINE_PX * len(title) + 10 if title else 0
+    canvas = Image.new("RGB", (image.width, above + image.height + _STRIP_PX), BACKGROUND)
+    canvas.paste(image, (0, above))
     draw = ImageDraw.Draw(canvas)
-    left, top = 8.0, image.height + 7
+    for row, line in enumerate(title):
+        words = shorten(line, image.width - 16, _TITLE_PX)
+        draw.text((8, 6 + row * _LINE_PX), words, fill=TEXT, font=font(_TITLE_PX))
+    left, top = 8.0, above + image.height + 7
     colours = colours_of(task)
     for outcome in draw_order(task)[1:]:
         words = meaning(outcome, task)
         draw.ellipse((left, top + 3, left + 11, top + 14), fill=colours[outcome.code])
         draw.text((left + 16, top), words, fill=TEXT, font=font(15))
         left += 16 + draw.textlength(words, font(15)) + 18
+    if has_witness:
+        draw.rectangle((left, top + 3, left + 11, top + 14), outline=WITNESS_INK)
+        draw.text((left + 16, top), WITNESS_BOXES, fill=TEXT, font=font(15))
     return canvas

@@ -1,6 +1,7 @@
 """Drawing of a scene's reasons: those of the whole scene always, tracks as space allows."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 from PIL import ImageDraw
@@ -17,32 +18,55 @@ _FEWEST: Final = 2
 """Lines of a shown reason at most, unless there is room for all of its lines."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """A reason in a picture: its mark, the colour of the mark, its headline and its evidence."""
+
+    mark: str
+    ink: Colour
+    headline: str
+    evidence: str = ""
+
+    def lines(self, width: int, *, count: int) -> list[tuple[str, Colour]]:
+        """Break headline and evidence into so many lines at most, each with its colour."""
+        head = wrap(self.headline, width, _SIZE_PX, max_lines=count)
+        more = wrap(self.evidence, width, _SIZE_PX, max_lines=count - len(head))
+        return [*((line, TEXT) for line in head), *((line, SOFT_TEXT) for line in more)]
+
+
 def draw_reasons(
     draw: ImageDraw.ImageDraw, score: SceneScore, *, left: int, top: int, width: int, bottom: int
 ) -> None:
-    """List the reasons; one about a track has its number, colour and strongest moment."""
+    """List the reasons, each with its headline first, and below it evidence and moment."""
+    of_tracks, gates = _rows(score)
+    rows, width = [*of_tracks, *gates], width - _INDENT_PX
+    wanted = [len(row.lines(width, count=99)) for row in rows]
+    lines = lines_of(wanted, gates=len(gates), room=(bottom - top) // _LINE_PX)
+    shown = [(row, count) for row, count in zip(rows, lines, strict=True) if count]
+    if left_out := len(rows) - len(shown):
+        shown.insert(len(of_tracks) - left_out, (_Row("-", SOFT_TEXT, f"and {left_out} more"), 1))
+    for row, count in shown:
+        draw.text((left, top), row.mark, fill=row.ink, font=font(_SIZE_PX))
+        for line, ink in row.lines(width, count=count):
+            draw.text((left + _INDENT_PX, top), line, fill=ink, font=font(_SIZE_PX))
+            top += _LINE_PX
+
+
+def _rows(score: SceneScore) -> tuple[list[_Row], list[_Row]]:
+    """Return the reasons about tracks, with number and colour, and those about the scene."""
     task = task_named(score.task)
-    of_tracks: list[tuple[str, Colour, str]] = []
-    gates: list[tuple[str, Colour, str]] = []
+    of_tracks, gates = [], []
     for reason in score.reasons:
         if reason.track_id is None or reason.track_id >= len(score.tracks):
-            gates.append(("-", SOFT_TEXT, reason.text))
+            gates.append(_Row("-", SOFT_TEXT, reason.headline, reason.evidence))
             continue
         track = score.tracks[reason.track_id]
         at_s = (track.strongest.stamp_ns - score.start_ns) / NS_PER_S
         ink = inks_of(task)[task.kind(track.kind).code]
-        of_tracks.append((str(track.track_id + 1), ink, f"at {at_s:.1f} s: {reason.text}"))
-    rows = [*of_tracks, *gates]
-    wanted = [len(wrap(text, width - _INDENT_PX, _SIZE_PX, max_lines=99)) for _, _, text in rows]
-    lines = lines_of(wanted, gates=len(gates), room=(bottom - top) // _LINE_PX)
-    shown = [(*row, count) for row, count in zip(rows, lines, strict=True) if count]
-    if left_out := len(rows) - len(shown):
-        shown.insert(len(of_tracks) - left_out, ("-", SOFT_TEXT, f"and {left_out} more", 1))
-    for mark, ink, text, count in shown:
-        draw.text((left, top), mark, fill=ink, font=font(_SIZE_PX))
-        for line in wrap(text, width - _INDENT_PX, _SIZE_PX, max_lines=count):
-            draw.text((left + _INDENT_PX, top), line, fill=TEXT, font=font(_SIZE_PX))
-            top += _LINE_PX
+        parts = (reason.evidence, f"strongest at {at_s:.1f} s")
+        evidence = "; ".join(part for part in parts if part)
+        of_tracks.append(_Row(str(track.track_id + 1), ink, reason.headline, evidence))
+    return of_tracks, gates
 
 
 def lines_of(wanted: Sequence[int], *, gates: int, room: int) -> list[int]:

@@ -21,12 +21,14 @@ from service.pictures.style import (
     PANEL,
     SOFT_TEXT,
     TEXT,
+    WITNESS_BOXES,
     colours_of,
     font,
     inks_of,
     meaning,
     shorten,
 )
+from service.pictures.title import MOST_LABELS, Title, labels_of, title_of
 from service.pictures.view import View
 
 __all__ = ["draw_camera", "draw_scene"]
@@ -37,13 +39,14 @@ _ABOVE_PX: Final = 1140
 _MARGIN_PX: Final = 18
 _TOP_PX: Final = 92
 _TILE_PX: Final = 168
-_LABELS: Final = 10
 _ROWS: Final = 3
 _LEGEND_ROWS: Final = 10
 _LEGEND_PX: Final = 24
 
 
-def draw_scene(score: SceneScore, overlay: Overlay, *, frame: int | None = None) -> Image.Image:
+def draw_scene(
+    score: SceneScore, overlay: Overlay, *, frame: int | None = None, title: Title | None = None
+) -> Image.Image:
     """Draw a scene from above, with the reasons for its score.
 
     The large view shows one frame. Next to it are the strongest tracks at their begin, their
@@ -53,6 +56,7 @@ def draw_scene(score: SceneScore, overlay: Overlay, *, frame: int | None = None)
         score: Record of the scene.
         overlay: Overlay of the scene.
         frame: Index of the frame to show; by default the one with the strongest evidence.
+        title: Rank and name of the scene; by default its name alone.
 
     Raises:
         ValueError: If the overlay is of another scene, or has no such frame.
@@ -65,13 +69,9 @@ def draw_scene(score: SceneScore, overlay: Overlay, *, frame: int | None = None)
         raise ValueError(f"no frame {frame}: scene has frames 0 to {len(overlay) - 1}")
     image = Image.new("RGB", (WIDTH_PX, HEIGHT_PX), BACKGROUND)
     draw = ImageDraw.Draw(image)
-    _draw_header(draw, score, overlay, frame)
+    _draw_header(draw, score, overlay, frame, title or title_of(score))
     view = View(frame, (0.0, 0.0), _half_m(score), _ABOVE_PX)
-    labels = [
-        (track.track_id, f"{track.track_id + 1} {track.class_name or 'object'}")
-        for track in score.tracks[:_LABELS]
-    ]
-    image.paste(draw_above(overlay, view, labels=labels), (_MARGIN_PX, _TOP_PX))
+    image.paste(draw_above(overlay, view, labels=labels_of(score)), (_MARGIN_PX, _TOP_PX))
     right, bottom = _MARGIN_PX + _ABOVE_PX, _TOP_PX + _ABOVE_PX
     draw.rectangle((_MARGIN_PX, _TOP_PX, right, bottom), outline=GRID)
     _draw_side(image, score, overlay)
@@ -95,13 +95,14 @@ def _half_m(score: SceneScore) -> float:
 
 
 def _draw_header(
-    draw: ImageDraw.ImageDraw, score: SceneScore, overlay: Overlay, frame: int
+    draw: ImageDraw.ImageDraw, score: SceneScore, overlay: Overlay, frame: int, title: Title
 ) -> None:
     draw.text((_MARGIN_PX, 10), f"{score.score:.3f}", fill=TEXT, font=font(52))
     draw.text((_MARGIN_PX + 2, 64), "score", fill=SOFT_TEXT, font=font(15))
     left = _MARGIN_PX + 160
     width = WIDTH_PX - left - _MARGIN_PX
-    draw.text((left, 18), shorten(score.scene_id, width, 24), fill=TEXT, font=font(24))
+    draw.text((left, 8), shorten(title.place, width, 24), fill=TEXT, font=font(24))
+    draw.text((left, 40), shorten(score.scene_id, width, 15), fill=SOFT_TEXT, font=font(15))
     start = datetime.fromtimestamp(score.start_ns / NS_PER_S, tz=UTC)
     at_s = (int(overlay.stamps_ns[frame]) - score.start_ns) / NS_PER_S
     span_s = (score.end_ns - score.start_ns) / NS_PER_S
@@ -111,7 +112,7 @@ def _draw_header(
         f"{span_s:.1f} s, shown: frame {frame} at {at_s:.1f} s | "
         f"odometry {score.odometry.state.value}, {score.odometry.distance_m:.1f} m driven"
     )
-    draw.text((left, 54), shorten(facts, width, 17), fill=SOFT_TEXT, font=font(17))
+    draw.text((left, 62), shorten(facts, width, 17), fill=SOFT_TEXT, font=font(17))
 
 
 def _draw_side(image: Image.Image, score: SceneScore, overlay: Overlay) -> None:
@@ -200,12 +201,12 @@ def _draw_legend(draw: ImageDraw.ImageDraw, score: SceneScore, *, left: int, wid
     for row, kind in enumerate(witnessed, start=len(named)):
         y = top + 8 + _LEGEND_PX * row
         draw.rectangle((left + 10, y + 3, left + 26, y + 17), outline=inks_of(task)[kind.code])
-        draw.text((left + 36, y), "boxes: dynamic by the witness alone", fill=TEXT, font=font(15))
+        draw.text((left + 36, y), WITNESS_BOXES, fill=TEXT, font=font(15))
 
 
 def _witnessed(score: SceneScore) -> list[Outcome]:
     """Return the outcome of the witness alone, if a track is of that kind."""
-    kinds = {track.kind for track in score.tracks[:_LABELS]}
+    kinds = {track.kind for track in score.tracks[:MOST_LABELS]}
     return [kind for kind in task_named(score.task).kinds if kind.of_witness and kind.name in kinds]
 
 

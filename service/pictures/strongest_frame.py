@@ -1,36 +1,113 @@
-"""Strongest frame of a scene on the camera image, as in the paper's review."""
+"""The frame and the camera that see the first track, as in the paper's review."""
 
-from typing import Final
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from PIL import Image
 
+from schemas.arrays import NS_PER_S
 from schemas.overlay import Overlay
 from schemas.score import SceneScore
-from schemas.transport.bucket import open_bucket
+from schemas.transport.bucket import Bucket, open_bucket
 from schemas.transport.recordings import group_recordings
+from schemas.work import Recording
 from service.errors import NothingFoundError, UsageError
 from service.pictures.camera import draw_camera
-from service.pictures.scene import frame_of, strongest_frame
+from service.pictures.camera_boxes import boxes_of, corners_m
+from service.pictures.scene import strongest_frame
+from service.pictures.title import Title, labels_of
 from service.settings.config import Settings
 
+if TYPE_CHECKING:
+    from workers.ingest.camera_model import CameraView
+
 MOST_LOOKS: Final = 8
-"""Tracks that are searched in an image; each attempt reads one or two chunks of the log."""
+"""Tracks that are searched in the images."""
+
+MOST_READS: Final = 4
+"""Frames whose images are read; each takes one or two chunks of the log."""
+
+_AHEAD_M: Final = np.array([[10.0, 0.0, 0.0]], dtype=np.float32)
 
 
-def draw_on_camera(score: SceneScore, overlay: Overlay, settings: Settings) -> Image.Image:
-    """Fetch the camera image of the strongest visible contradiction, and draw the points on it.
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """A frame and a camera that see a track.
 
-    Apart from `inspect` and `score`, this is the only verb that opens a log; it needs the extra
-    `workers`.
+    Attributes:
+        track_id: The track.
+        frame: Index of the frame.
+        topic: Topic of the camera's images.
+    """
+
+    track_id: int
+    frame: int
+    topic: str
+
+
+def draw_on_camera(
+    score: SceneScore, overlay: Overlay, settings: Settings, *, title: Title
+) -> Image.Image:
+    """Draw a scene on the camera image that sees its first track; else the next one that is seen.
+
+    All cameras of the log are searched, in every frame of the track. Apart from `inspect` and
+    `score`, this is the only verb that opens a log; it needs the extra `workers`.
 
     Raises:
         UsageError: If no log bucket is named.
         NothingFoundError: If the scene's log is no longer in it.
         CameraUnavailableError: If the log has no calibrated camera that saw the frame.
     """
-    from workers.ingest.camera import read_camera
+    from workers.ingest.camera import read_cameras
 
+    bucket, recording = _log_of(score, settings)
+
+    def views_at(frame: int) -> "list[CameraView]":
+        stamp_ns = int(overlay.stamps_ns[frame])
+        return read_cameras(bucket, recording, lidar_topic=score.lidar_topic, stamp_ns=stamp_ns)
+
+    start = strongest_frame(score, overlay)
+    read = {start: views_at(start)}
+    for sight in sights_of(score, overlay, read[start]):
+        if sight.frame not in read:
+            if len(read) == MOST_READS:
+                break
+            read[sight.frame] = views_at(sight.frame)
+        for view in read[sight.frame]:
+            if view.topic == sight.topic:
+                return _drawn(score, overlay, view, sight.frame, title, track_id=sight.track_id)
+    ahead = max(read[start], key=lambda view: float(view.camera_from_lidar[2, 0]))
+    return _drawn(score, overlay, ahead, start, title, track_id=None)
+
+
+def sights_of(
+    score: SceneScore, overlay: Overlay, views: "Sequence[CameraView]"
+) -> Iterator[Sight]:
+    """Yield frames and cameras that see the strongest tracks, the best one first.
+
+    The frames of the first track come first, by their distance in time to its strongest one; of
+    several cameras first the one that sees most of its box.
+
+    Args:
+        score: Record of the scene.
+        overlay: Overlay of the scene.
+        views: One image of each camera, whose projection is the same in all frames.
+    """
+    for track in score.tracks[:MOST_LOOKS]:
+        mine = np.flatnonzero(overlay.instance_track == track.track_id)
+        apart_ns = overlay.stamps_ns[overlay.instance_frame[mine]] - track.strongest.stamp_ns
+        for instance in mine[np.argsort(np.abs(apart_ns), kind="stable")]:
+            corners = corners_m(overlay.instance_boxes[instance])
+            points = np.concatenate([corners.mean(axis=0, keepdims=True), corners])
+            seen = [(view.project(points)[1], view.topic) for view in views]
+            seen.sort(key=lambda pair: (-int(pair[0].sum()), pair[1]))
+            frame = int(overlay.instance_frame[instance])
+            yield from (Sight(track.track_id, frame, topic) for inside, topic in seen if inside[0])
+
+
+def _log_of(score: SceneScore, settings: Settings) -> tuple[Bucket, Recording]:
     if not settings.bucket:
         raise UsageError("--on-image reads the log: name its bucket with --bucket URL")
     bucket = open_bucket(settings.bucket)
@@ -38,31 +115,44 @@ def draw_on_camera(score: SceneScore, overlay: Overlay, settings: Settings) -> I
     recordings = {found.log_id: found for found in group_recordings(bucket.list(prefix=folder))}
     if score.log_id not in recordings:
         raise NothingFoundError(f"no log {score.log_id} in {bucket.url}")
-    recording = recordings[score.log_id]
-    looks = _looks(score, overlay)
-    for frame, look_at_m in looks:
-        seen = read_camera(
-            bucket,
-            recording,
-            lidar_topic=score.lidar_topic,
-            stamp_ns=int(overlay.stamps_ns[frame]),
-            look_at_m=look_at_m,
-        )
-        in_view = bool(seen.project(np.array([look_at_m], dtype=np.float32))[1][0])
-        if in_view or (frame, look_at_m) == looks[-1]:
-            at_px, inside_mask = seen.project(overlay.points_m(frame))
-            return draw_camera(
-                seen.image_bytes, overlay, frame=frame, at_px=at_px, inside_mask=inside_mask
-            )
-    raise AssertionError("the road ahead is always looked at")
+    return bucket, recordings[score.log_id]
 
 
-def _looks(score: SceneScore, overlay: Overlay) -> list[tuple[int, tuple[float, float, float]]]:
-    """Return frames and target points in them, strongest first; the last is the road ahead.
+def _drawn(
+    score: SceneScore,
+    overlay: Overlay,
+    view: "CameraView",
+    frame: int,
+    title: Title,
+    *,
+    track_id: int | None,
+) -> Image.Image:
+    at_px, inside_mask = view.project(overlay.points_m(frame))
+    return draw_camera(
+        view.image_bytes,
+        overlay,
+        frame=frame,
+        at_px=at_px,
+        inside_mask=inside_mask,
+        boxes=boxes_of(overlay, frame, view, labels=labels_of(score), shown_track=track_id),
+        title=[f"{title.text} | {_where(overlay, view, frame)}", *_lines(score, track_id)],
+    )
 
-    A car may have a front camera only, so the first visible contradiction is drawn.
-    """
-    contradictions = [
-        (frame_of(track, overlay), track.strongest.centre_m) for track in score.tracks[:MOST_LOOKS]
+
+def _where(overlay: Overlay, view: "CameraView", frame: int) -> str:
+    at_s = (int(overlay.stamps_ns[frame]) - int(overlay.stamps_ns[0])) / NS_PER_S
+    return f"{view.topic}, frame {frame} at {at_s:.1f} s"
+
+
+def _lines(score: SceneScore, track_id: int | None) -> list[str]:
+    """Return the headline of the scene, and a line if the image shows another track than its."""
+    headline = score.reasons[0].headline if score.reasons else "no contradiction in this scene"
+    if not score.tracks or track_id == 0:
+        return [f"1  {headline}" if score.tracks else headline]
+    if track_id is None:
+        return [f"1  {headline}", "no strong track is in the view of a camera; the road ahead"]
+    shown = [each.headline for each in score.reasons if each.track_id == track_id]
+    return [
+        f"1  {headline} (in no camera's view)",
+        f"{track_id + 1}  {shown[0] if shown else 'shown instead'}",
     ]
-    return [*contradictions, (strongest_frame(score, overlay), (10.0, 0.0, 0.0))]

@@ -30,6 +30,12 @@ self-supervised stream alone labels it.
 WITNESS_INK: Final[Colour] = (232, 130, 250)
 """Colour of boxes and texts of motion that only the witness sees; its points are green."""
 
+WITNESS_BOXES: Final = "boxes: dynamic by the witness alone"
+"""Entry of a legend for boxes in that colour."""
+
+_UNITS: Final = frozenset(("m", "m/s", "s", "%"))
+"""Units that stay on the line of their number."""
+
 _MORE: Final = "..."
 _LIGHTER: Final = {(65, 105, 225): (105, 145, 255), (178, 34, 34): (255, 84, 84)}
 
@@ -114,7 +120,7 @@ def shorten(text: str, width_px: float, size_px: int) -> str:
 def wrap(text: str, width_px: float, size_px: int, *, max_lines: int) -> list[str]:
     """Break a text into lines that fit; surplus text is cut after a word or a remark."""
     lines: list[str] = []
-    rest = readable(text).split()
+    rest = _with_units(readable(text).split())
     while rest and len(lines) < max_lines:
         last = len(lines) == max_lines - 1
         count = _words_that_fit(rest, width_px, size_px)
@@ -126,6 +132,17 @@ def wrap(text: str, width_px: float, size_px: int, *, max_lines: int) -> list[st
         lines.append(shorten(line, width_px, size_px))
         rest = rest[count:]
     return lines
+
+
+def _with_units(words: Sequence[str]) -> list[str]:
+    """Join each number with its unit."""
+    joined: list[str] = []
+    for word in words:
+        if joined and word.rstrip(",;:") in _UNITS and joined[-1][-1].isdigit():
+            joined[-1] += f" {word}"
+        else:
+            joined.append(word)
+    return joined
 
 
 def _whole_remarks(words: Sequence[str]) -> Sequence[str]:

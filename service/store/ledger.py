@@ -23,8 +23,7 @@ from schemas.work import (
 )
 from service.curation.ranking import RankedScene
 from service.curation.rates import RatesRequest, RateSums
-from service.curation.selection import Selection
-from service.curation.status import ParkedWork, Status
+from service.curation.status import ParkedWork, SkippedEntries, Status
 from service.curation.strategies.catalogue import DEFAULT, select
 from service.store import (
     backlog,
@@ -39,8 +38,8 @@ from service.store import (
     recordings,
     retrying,
     scenes,
-    selections,
     served_bucket,
+    skipped_entries,
 )
 from service.store.backlog import Backlog
 from service.store.engine import Store
@@ -48,6 +47,7 @@ from service.store.leases import LeasePolicy
 from service.store.recordings import SyncResult
 from service.store.retired_overlays import RetiredOverlays
 from service.store.scenes import StoredScene
+from service.store.selections import Selections
 from service.store.transaction_effects import StoreObserver
 
 __all__ = ["LeasePolicy", "Ledger", "StoredScene"]
@@ -69,6 +69,7 @@ class Ledger:
 
     Attributes:
         retired_overlays: Overlays that are no longer needed, and since when.
+        selections: Stored selections.
 
     Raises (every method):
         StoreUnavailableError: Transient: disk full, database locked for too long.
@@ -96,6 +97,7 @@ class Ledger:
         self._store, self._now_s, self._policy = store, now_s, policy or LeasePolicy()
         self._new_lease_id = new_lease_id
         self.retired_overlays = RetiredOverlays(store, now_s=now_s)
+        self.selections = Selections(store, now_s=now_s)
         self._listing = 0
         """Number of listings received, from which claims know that plans may be missing."""
         self._seeded: dict[str, int] = {}
@@ -140,6 +142,11 @@ class Ledger:
         with self._store.writing() as connection:
             self._listing += 1
             return recordings.sync_recordings(connection, by_log, now_s=self._now_s())
+
+    def note_skipped(self, skipped: SkippedEntries) -> None:
+        """Note the entries of the bucket that the last listing skipped."""
+        with self._store.writing() as connection:
+            skipped_entries.note_skipped(connection, skipped)
 
     def has_recordings(self) -> bool:
         """Return true if the last listing contained a recording."""
@@ -347,33 +354,6 @@ class Ledger:
         """Return sums over the requested groups of current scenes, in no order."""
         with self._store.reading() as connection:
             return rates.rate_sums(connection, request)
-
-    # Selections.
-
-    def save_selection(
-        self, name: str | None, *, budget: int, scenes: Sequence[RankedScene]
-    ) -> Selection:
-        """Store a named selection; without a name it becomes `selection-<n>`.
-
-        A selection never changes: labellers work from it. The same one again is no error.
-
-        Raises:
-            SelectionExistsError: If a different selection has this name.
-        """
-        with self._store.writing() as connection:
-            return selections.save_selection(
-                connection, name, budget=budget, scenes=scenes, now_s=self._now_s()
-            )
-
-    def selection(self, name: str) -> Selection | None:
-        """Return the selection of this name."""
-        with self._store.reading() as connection:
-            return selections.selection(connection, name)
-
-    def selections(self) -> list[Selection]:
-        """Return every selection, oldest first."""
-        with self._store.reading() as connection:
-            return selections.selections(connection)
 
     # How far it is.
 

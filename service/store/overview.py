@@ -21,6 +21,7 @@ from sqlalchemy import (
 from schemas.work import Damage
 from service.curation.status import LogStatus, ParkedWork, PointTotals, Status
 from service.store.compared_streams import judged
+from service.store.skipped_entries import skipped_entries
 from service.store.tables import COUNTERS, DAMAGE, PIPELINES, PLANS, RECORDINGS, SCENES, SHARDS
 from service.store.work_items import OPEN, WorkState
 
@@ -78,6 +79,7 @@ def status(connection: Connection, pipeline_version: str | None, *, now_s: float
         plan_bytes_read=sum(log.plan_bytes_read for log in logs),
         peak_memory_bytes=max((log.peak_memory_bytes for log in logs), default=0),
         points=_points(connection),
+        skipped=skipped_entries(connection),
         judged=judged(connection),
         last_seq=counters["seq"],
         published_seq=counters["published"],

@@ -2,11 +2,16 @@
 
 import json
 from collections.abc import Generator
+from itertools import takewhile
 from typing import Any, Final
 
 from sqlalchemy import ColumnElement, Connection, bindparam, literal_column, select
 
-from service.curation.ranking import RankedInput, RankedScene, twin_of
+from schemas.contradiction import TrackRecord
+from schemas.events import MAX_LISTED_TRACKS, TrackSummary
+from schemas.score import MIN_REPORTED_STRENGTH, from_version_1
+from service.curation.ranking import Neighbour, RankedScene
+from service.curation.twins import ShownScene, Twins
 from service.store.record_digests import OnDamaged, problem_of
 from service.store.statements import Statement
 from service.store.tables import SCENES
@@ -26,11 +31,13 @@ def ranked(
         on_damaged: Called for damaged scenes, which are left out.
     """
     query = (
-        select(*_READ, _C.lidar_topic, _C.reasons, _C.sha256, _C.record)
+        select(*_READ, *_ODOM, _C.log_id, _C.lidar_topic, _C.score, _C.state, _C.reasons)
+        .add_columns(_C.sha256, _C.record)
         .where(_C.is_current)
         .order_by(_UNJUDGED, _C.score.desc(), _bytewise(connection), _C.start_ns, _C.scene_id)
         .limit(most)
     )
+    twins = Twins()
     with connection.execute(query, execution_options={"yield_per": _AT_ONCE}) as rows:
         rank = 0
         for row in rows:
@@ -38,6 +45,7 @@ def ranked(
                 on_damaged(row.scene_id, problem)
                 continue
             rank += 1
+            shown = _shown(row)
             yield RankedScene(
                 rank=rank,
                 scene_id=row.scene_id,
@@ -46,33 +54,35 @@ def ranked(
                 end_ns=row.end_ns,
                 score=row.score,
                 reasons=headlines_of(row.reasons),
-                twin_of=_twin_of(connection, row),
+                tracks=tuple(TrackSummary.of(each) for each in shown.tracks[:MAX_LISTED_TRACKS]),
+                twin_of=twins.twin_of(shown, _around(connection, row)) if shown.tracks else None,
                 sha256=row.sha256,
             )
 
 
-def _twin_of(connection: Connection, row: Any) -> str | None:
+def _shown(row: Any) -> ShownScene:
+    """Read the strong tracks of a scene; a scene scores at least as much as its strongest one."""
+    at = Neighbour(row.scene_id, row.start_ns, row.end_ns)
+    odom = tuple(getattr(row, each.name) for each in (_C.log_id, _C.lidar_topic, *_ODOM))
+    if row.score < MIN_REPORTED_STRENGTH:
+        return ShownScene(at, odom, 0.0, ())
+    record = json.loads(row.record)
+    if record["schema_version"] == 1:
+        record = from_version_1(record)
+    tracks = takewhile(lambda each: each["strength"] >= MIN_REPORTED_STRENGTH, record["tracks"])
+    return ShownScene(
+        at,
+        odom,
+        driven_m=record["odometry"]["distance_m"],
+        tracks=tuple(TrackRecord.model_validate(each) for each in tracks),
+    )
+
+
+def _around(connection: Connection, row: Any) -> tuple[Neighbour | None, Neighbour | None]:
+    """Read the scenes of the same log and lidar right before and after a scene."""
     here = {"log": row.log_id, "topic": row.lidar_topic, "start": row.start_ns}
-    return twin_of(
-        _input(row),
-        before=_input_or_none(_BEFORE.first(connection, here)),
-        after=_input_or_none(_AFTER.first(connection, here)),
-    )
-
-
-def _input_or_none(row: Any) -> RankedInput | None:
-    return None if row is None else _input(row)
-
-
-def _input(row: Any) -> RankedInput:
-    return RankedInput(
-        scene_id=row.scene_id,
-        log_id=row.log_id,
-        start_ns=row.start_ns,
-        end_ns=row.end_ns,
-        score=row.score,
-        state=row.state,
-    )
+    before, after = (each.first(connection, here) for each in (_BEFORE, _AFTER))
+    return before and Neighbour(*before), after and Neighbour(*after)
 
 
 def _bytewise(connection: Connection) -> ColumnElement[str]:
@@ -81,7 +91,9 @@ def _bytewise(connection: Connection) -> ColumnElement[str]:
 
 
 _C: Final = SCENES.c
-_READ: Final = (_C.scene_id, _C.log_id, _C.start_ns, _C.end_ns, _C.score, _C.state)
+_READ: Final = (_C.scene_id, _C.start_ns, _C.end_ns)
+_ODOM: Final = (_C.revision, _C.pipeline_version, _C.shard)
+"""Columns that identify the odom space of a scene, with its log and lidar."""
 
 _UNJUDGED: Final[ColumnElement[bool]] = literal_column("(state <> 'scored')")
 """Condition in the spelling of the index, which is not used otherwise."""

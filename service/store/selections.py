@@ -1,12 +1,14 @@
 """Named selections in the store: written once, never changed."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
-from sqlalchemy import Connection, insert, select, update
+from sqlalchemy import Connection, func, insert, select, update
 
 from service.curation.ranking import RankedScene
-from service.curation.selection import Selection
+from service.curation.selection import Selection, SelectionSummary
+from service.curation.strategies.catalogue import DEFAULT
 from service.errors import UsageError
+from service.store.engine import Store
 from service.store.tables import COUNTERS, SELECTION_SCENES, SELECTIONS
 
 
@@ -14,10 +16,63 @@ class SelectionExistsError(UsageError):
     """Another selection has this name, and labellers may be working on it."""
 
 
-def save_selection(
+class Selections:
+    """Stored selections; a selection never changes, because labellers work from it."""
+
+    def __init__(self, store: Store, *, now_s: Callable[[], float]) -> None:
+        """Keep the store and the clock for what is durable, seconds."""
+        self._store, self._now_s = store, now_s
+
+    def save(
+        self,
+        name: str | None,
+        *,
+        budget: int,
+        scenes: Sequence[RankedScene],
+        strategy: str = DEFAULT,
+    ) -> Selection:
+        """Store a named selection; without a name it becomes `selection-<n>`.
+
+        The same one again is no error.
+
+        Raises:
+            SelectionExistsError: If a different selection has this name.
+        """
+        with self._store.writing() as connection:
+            return _save(
+                connection,
+                name,
+                strategy=strategy,
+                budget=budget,
+                scenes=scenes,
+                now_s=self._now_s(),
+            )
+
+    def one(self, name: str) -> Selection | None:
+        """Return the selection of this name."""
+        with self._store.reading() as connection:
+            return _read(connection, name)
+
+    def all(self) -> list[Selection]:
+        """Return every selection, oldest first."""
+        with self._store.reading() as connection:
+            names = connection.execute(
+                select(SELECTIONS.c.name).order_by(SELECTIONS.c.ordinal)
+            ).scalars()
+            found = (_read(connection, name) for name in names.all())
+            return [each for each in found if each is not None]
+
+    def listed(self) -> list[SelectionSummary]:
+        """Return every selection without its scenes, oldest first."""
+        with self._store.reading() as connection:
+            return _listed(connection)
+
+
+def _save(
     connection: Connection,
     name: str | None,
     *,
+    strategy: str,
     budget: int,
     scenes: Sequence[RankedScene],
     now_s: float,
@@ -37,8 +92,8 @@ def save_selection(
     ).scalar_one()
     if name is None:
         name = _free_name(connection, ordinal)
-    wanted = Selection(name=name, budget=budget, scenes=tuple(scenes))
-    stored = selection(connection, name)
+    wanted = Selection(name=name, strategy=strategy, budget=budget, scenes=tuple(scenes))
+    stored = _read(connection, name)
     if stored == wanted:
         return stored
     if stored is not None:
@@ -48,7 +103,9 @@ def save_selection(
             "selections never change, choose another --name"
         )
     connection.execute(
-        insert(SELECTIONS).values(name=name, ordinal=ordinal, budget=budget, created_s=now_s)
+        insert(SELECTIONS).values(
+            name=name, ordinal=ordinal, budget=budget, created_s=now_s, strategy=strategy
+        )
     )
     rows = [
         {"name": name, "position": position, "scene": scene.model_dump_json()}
@@ -59,7 +116,7 @@ def save_selection(
     return wanted
 
 
-def selection(connection: Connection, name: str) -> Selection | None:
+def _read(connection: Connection, name: str) -> Selection | None:
     """Read one selection."""
     row = connection.execute(select(SELECTIONS).where(SELECTIONS.c.name == name)).one_or_none()
     if row is None:
@@ -71,21 +128,38 @@ def selection(connection: Connection, name: str) -> Selection | None:
     ).scalars()
     return Selection(
         name=name,
+        strategy=row.strategy,
         budget=row.budget,
         scenes=tuple(RankedScene.model_validate_json(scene) for scene in scenes),
     )
 
 
-def selections(connection: Connection) -> list[Selection]:
-    """Read every selection, oldest first."""
-    names = (
-        connection.execute(select(SELECTIONS.c.name).order_by(SELECTIONS.c.ordinal)).scalars().all()
+def _listed(connection: Connection) -> list[SelectionSummary]:
+    """Read every selection without its scenes, oldest first."""
+    counts = (
+        select(SELECTION_SCENES.c.name, func.count().label("scenes"))
+        .group_by(SELECTION_SCENES.c.name)
+        .subquery()
     )
-    return [found for name in names if (found := selection(connection, name)) is not None]
+    rows = connection.execute(
+        select(SELECTIONS, func.coalesce(counts.c.scenes, 0).label("scenes"))
+        .outerjoin(counts, counts.c.name == SELECTIONS.c.name)
+        .order_by(SELECTIONS.c.ordinal)
+    )
+    return [
+        SelectionSummary(
+            name=row.name,
+            strategy=row.strategy,
+            budget=row.budget,
+            scenes=row.scenes,
+            created_s=row.created_s,
+        )
+        for row in rows
+    ]
 
 
 def _free_name(connection: Connection, ordinal: int) -> str:
     number = ordinal
-    while selection(connection, f"selection-{number}") is not None:
+    while _read(connection, f"selection-{number}") is not None:
         number += 1  # somebody gave this name by hand
     return f"selection-{number}"

@@ -172,6 +172,7 @@ SELECTIONS: Final = Table(
     _number("ordinal"),
     _number("budget"),
     _real("created_s"),
+    _text("strategy"),
 )
 
 SELECTION_SCENES: Final = Table(
@@ -180,4 +181,13 @@ SELECTION_SCENES: Final = Table(
     _text("name", key=True),
     _number("position", key=True),
     _text("scene"),
+)
+
+SKIPPED_ENTRIES: Final = Table(
+    "skipped_entries",
+    METADATA,
+    _number("position", key=True),
+    _text("name"),
+    _text("why"),
+    _number("others"),
 )

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from schemas.arrays import NS_PER_S
 from schemas.canonical import sha256
-from schemas.contradiction import SceneState
+from schemas.contradiction import SceneState, TrackRecord
 from schemas.frame import OdometryState
 from schemas.score import AgreementShares, OdometryHealth, Producers, Reason, SceneScore
 from schemas.transport.wire import encode_scene_score
@@ -30,6 +30,7 @@ from schemas.work import (
 )
 from service.store.engine import Store
 from service.store.ledger import LeasePolicy, Ledger
+from tests.factories import track_record
 
 SCENES_PER_SHARD = 3
 START_NS = 1_700_000_000 * NS_PER_S
@@ -166,13 +167,25 @@ def score_of(
         all_points=shares,
         nonground_points=shares,
         totals=(),
-        tracks=(),
+        tracks=(_parked_car(score, start_ns, int(duration_s * NS_PER_S)),),
         odometry=OdometryHealth(
             state=OdometryState.HEALTHY, healthy_share=1.0, static_residual_m=0.1, distance_m=5.0
         ),
         producers=Producers(
             supervised="s@1", selfsupervised="r@1", pipeline_version=pipeline_version
         ),
+    )
+
+
+def _parked_car(strength: float, start_ns: int, duration_ns: int) -> TrackRecord:
+    """The same car in every scene, throughout and at the same place."""
+    return track_record(
+        strength=strength,
+        first_ns=start_ns,
+        last_ns=start_ns + duration_ns,
+        speed_m_per_s=0.0,
+        first_odom_m=(10.0, 0.0, 0.0),
+        last_odom_m=(10.0, 0.0, 0.0),
     )
 
 

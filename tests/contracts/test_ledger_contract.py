@@ -559,23 +559,26 @@ class LedgerContract(StoreContract):
         world.listed("a", "b")
         world.mine_all()
         chosen = world.ledger.select(budget=2)
-        first = world.ledger.save_selection(None, budget=2, scenes=chosen)
-        named = world.ledger.save_selection(
+        first = world.ledger.selections.save(None, budget=2, scenes=chosen)
+        named = world.ledger.selections.save(
             "for-monday", budget=3, scenes=world.ledger.select(budget=3)
         )
         assert first.name == "selection-1"
+        assert len(chosen) == 2
         assert list(first.scenes) == chosen
-        assert world.ledger.save_selection("for-monday", budget=3, scenes=named.scenes) == named
+        assert world.ledger.selections.save("for-monday", budget=3, scenes=named.scenes) == named
         with pytest.raises(SelectionExistsError, match="'for-monday' exists"):
-            world.ledger.save_selection("for-monday", budget=2, scenes=chosen)
-        assert world.ledger.selection("for-monday") == named
-        assert world.ledger.selection("for-tuesday") is None
-        assert world.ledger.selections() == [first, named]
+            world.ledger.selections.save("for-monday", budget=2, scenes=chosen)
+        assert world.ledger.selections.one("for-monday") == named
+        assert named.strategy == "best-distinct"
+        assert [each.scenes for each in world.ledger.selections.listed()] == [2, 3]
+        assert world.ledger.selections.one("for-tuesday") is None
+        assert world.ledger.selections.all() == [first, named]
 
     def test_a_default_name_avoids_names_given_by_hand(self, world: World) -> None:
-        world.ledger.save_selection("selection-2", budget=1, scenes=[])
-        world.ledger.save_selection(None, budget=1, scenes=[])
-        names = [selection.name for selection in world.ledger.selections()]
+        world.ledger.selections.save("selection-2", budget=1, scenes=[])
+        world.ledger.selections.save(None, budget=1, scenes=[])
+        names = [selection.name for selection in world.ledger.selections.all()]
         assert len(set(names)) == 2
 
     # Status.

@@ -7,7 +7,8 @@ import pytest
 from schemas.arrays import NS_PER_S
 from schemas.canonical import sha256
 from schemas.contradiction import SceneState
-from schemas.score import SceneScore
+from schemas.events import TrackSummary
+from schemas.score import MIN_REPORTED_STRENGTH, SceneScore
 from schemas.transport.wire import encode_scene_score
 from service.curation.ranking import RankedScene
 from tests.contracts.databases import OnPostgres, OnSqlite
@@ -89,6 +90,7 @@ class RankingContract(StoreContract):
             "end_ns": one.end_ns,
             "score": 0.5,
             "reasons": tuple(each.headline for each in one.reasons),
+            "tracks": (TrackSummary.of(one.tracks[0]).model_dump(),),
             "twin_of": None,
             "sha256": sha256(encode_scene_score(one)),
         }
@@ -113,9 +115,24 @@ class RankingContract(StoreContract):
         ranking = rank(world, scene(0, 0.7), scene(1, 0.1), scene(2, 0.8))
         assert twins(ranking) == {4: None, 0: None, 2: 4}
 
-    def test_every_scene_with_a_better_neighbour_is_a_twin_down_a_slope(self, world: World) -> None:
+    def test_no_scene_is_the_twin_of_a_twin(self, world: World) -> None:
         ranking = rank(world, *(scene(n, 0.9 - n / 10) for n in range(4)))
-        assert twins(ranking) == {0: None, 2: 0, 4: 2, 6: 4}
+        assert twins(ranking) == {0: None, 2: 0, 4: None, 6: 4}
+
+    def test_a_neighbour_that_shows_another_thing_is_no_twin(self, world: World) -> None:
+        other = scene(1, 0.5)
+        bus = other.tracks[0].model_copy(update={"class_name": "bus"})
+        ranking = rank(world, scene(0, 0.9), other.model_copy(update={"tracks": (bus,)}))
+        assert twins(ranking) == {0: None, 2: None}
+
+    def test_a_row_lists_no_more_than_the_five_strongest_tracks(self, world: World) -> None:
+        many = scene(0, 0.9)
+        tracks = tuple(
+            many.tracks[0].model_copy(update={"track_id": number, "strength": 0.9 - number / 8})
+            for number in range(8)
+        )
+        (row,) = rank(world, many.model_copy(update={"tracks": tracks}))
+        assert [each.track_id for each in row.tracks] == [0, 1, 2, 3, 4]
 
     def test_of_two_equal_neighbours_the_earlier_one_stays(self, world: World) -> None:
         assert twins(rank(world, scene(1, 0.5), scene(0, 0.5))) == {0: None, 2: 0}
@@ -168,20 +185,25 @@ class RankingContract(StoreContract):
         )
         assert [row.scene_id for row in ranking] == [score.scene_id for score in ordered]
         place = {score.scene_id: number for number, score in enumerate(ordered)}
+        kept: set[str] = set()
         for row in ranking:
             better = [
                 other.scene_id
                 for other in scores
                 if other.log_id == row.log_id
-                and other.score > 0
-                and place[other.scene_id] < place[row.scene_id]
+                and other.scene_id in kept
                 and other.start_ns - by_id[row.scene_id].end_ns < NS_PER_S
                 and by_id[row.scene_id].start_ns - other.end_ns < NS_PER_S
             ]
-            assert row.twin_of == min(better, key=place.__getitem__, default=None)
-        distinct = [row for row in ranking if row.twin_of is None and row.score > 0]
+            expected = min(better, key=place.__getitem__, default=None)
+            assert row.twin_of == (expected if row.score >= MIN_REPORTED_STRENGTH else None)
+            if row.twin_of is None and row.score >= MIN_REPORTED_STRENGTH:
+                kept.add(row.scene_id)
+        with_reason = [row for row in ranking if row.score >= MIN_REPORTED_STRENGTH]
+        distinct = [row for row in with_reason if row.twin_of is None]
+        assert len(distinct) < len(with_reason)
         assert world.ledger.select(budget=40) == distinct[:40]
-        assert world.ledger.select(budget=4000) == distinct
+        assert world.ledger.select(budget=4000) == with_reason
 
 
 class TestRankingOnSqlite(OnSqlite, RankingContract):

@@ -89,7 +89,8 @@ class UpgradeContract(ABC):
         assert len(status.parked) == 2
         kept = [row for row in FIRST["tables"]["scenes"] if row["is_current"]]
         assert sorted(world.ids()) == sorted(row["scene_id"] for row in kept)
-        assert [each.name for each in world.ledger.selections()] == ["monday", "selection-2"]
+        assert [each.name for each in world.ledger.selections.all()] == ["monday", "selection-2"]
+        assert {each.strategy for each in world.ledger.selections.listed()} == {""}
 
     def test_work_goes_on_and_old_revisions_come_back(self, world: World) -> None:
         world.ledger.resume()

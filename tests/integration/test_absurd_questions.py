@@ -141,6 +141,7 @@ def test_an_absurd_value_in_any_field_of_any_question_is_answered(asker: Asker) 
         "commit": plan.model_dump(mode="json"),
         "top": {"most": 3},
         "select": {"budget": 3, "name": "week-47"},
+        "selection": {"name": "week-47"},
         "scene": scene,
         "overlay": scene,
         "rates": {"by": "hour", "since_ns": 0, "until_ns": 10**18},

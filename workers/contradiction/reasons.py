@@ -8,16 +8,21 @@ from schemas.arrays import NS_PER_S
 from schemas.attribution import Attribution, Wrong
 from schemas.contradiction import Instance, Scene, SceneState
 from schemas.frame import OdometryState
-from schemas.score import MAX_OPPOSING, MAX_SUPPORTING, OdometryHealth, Reason, StreamHealth
+from schemas.score import (
+    MAX_OPPOSING,
+    MAX_SUPPORTING,
+    MIN_REPORTED_STRENGTH,
+    OdometryHealth,
+    Reason,
+    StreamHealth,
+)
 from schemas.task import Outcome, Task
+from workers.contradiction.explanations import HALF
 from workers.contradiction.track_score import RankedTrack
 from workers.contradiction.tracks import frame_period_s
 
 MAX_REASONS: Final = 5
 MAX_CLASS_LENGTH: Final = 24
-MIN_REPORTED_STRENGTH: Final = 0.05
-"""Strength below which a track is counted in the totals and has no reason."""
-
 SUPERVISED: Final = "supervised"
 SELFSUPERVISED: Final = "self-supervised"
 WITNESS: Final = "witness"
@@ -117,10 +122,11 @@ def reason_of(
 def headline_of(
     scene: Scene, instances: Sequence[Instance], ranked: RankedTrack, *, own_model: str = ""
 ) -> str:
-    """Return labels, place, duration and attribution of a track in one sentence.
+    """Return labels, place, duration and attribution of a track on one line.
 
-    For example "supervised calls car static, but it moves at 6.5 m/s, 10 m behind, for 1.4 s:
-    supervised wrong, 96 %".
+    It states what the sources label and measure, never as a fact what is only an attribution. For
+    example "supervised labels car static, but self-supervised measures 6.5 m/s, 10 m behind, for
+    1.4 s: supervised wrong, 96 %".
     """
     members = ranked.track.members
     first, last = (scene.frames[instances[m].frame_index] for m in (members[0], members[-1]))
@@ -135,29 +141,27 @@ def headline_of(
 
 
 def _claim(ranked: RankedTrack, task: Task, class_name: str, supervised: str) -> str:
-    """Return the wrong label and the probable motion; both labels where no stream is wrong."""
+    """Return the label that is probably wrong, and what another source labels or measures."""
     kind, attribution = ranked.track.kind, ranked.attribution
     wrong = attribution.wrong if attribution is not None else Wrong.NEITHER
-    if not task.moving or (wrong is Wrong.NEITHER and not kind.of_witness):
-        return (
-            f"{supervised} calls {class_name} {kind.semantic}, "
-            f"{SELFSUPERVISED} calls it {kind.predictive}"
-        )
-    if wrong is Wrong.NEITHER:
-        return f"{WITNESS} calls {class_name} {task.moving}, but it is static"
-    if wrong is Wrong.BOTH:
-        subject, label = f"{supervised} and {SELFSUPERVISED} call", kind.semantic
-    elif wrong is Wrong.SUPERVISED:
-        subject, label = f"{supervised} calls", kind.semantic
+    sources = ((supervised, kind.semantic), (SELFSUPERVISED, kind.predictive))
+    if kind.of_witness:
+        (source, label), (other, seen) = sources[0], (f"the {WITNESS}", task.moving)
+    elif wrong is Wrong.SELFSUPERVISED:
+        (other, seen), (source, label) = sources
     else:
-        subject, label = f"{SELFSUPERVISED} calls", kind.predictive
-    motion = "is static" if label == task.moving else _moves(ranked.speed_m_per_s)
-    return f"{subject} {class_name} {label}, but it {motion}"
+        (source, label), (other, seen) = sources
+    return f"{source} labels {class_name} {label}, but {_contrary(ranked, task, other, seen)}"
 
 
-def _moves(speed_m_per_s: float) -> str:
-    known = speed_m_per_s >= _MIN_SPEED_M_PER_S
-    return f"moves at {speed_m_per_s:.1f} m/s" if known else "moves"
+def _contrary(ranked: RankedTrack, task: Task, other: str, seen: str) -> str:
+    """Return what contradicts a label: a shape in its place, a speed, or the other label."""
+    speed_m_per_s = ranked.speed_m_per_s
+    if task.moving and seen != task.moving and ranked.features.shape_static > HALF:
+        return "its shape stays in place"
+    if other == SELFSUPERVISED and seen == task.moving and speed_m_per_s >= _MIN_SPEED_M_PER_S:
+        return f"{other} measures {speed_m_per_s:.1f} m/s"
+    return f"{other} labels it {seen}"
 
 
 def _attributed(kind: Outcome, attribution: Attribution | None, supervised: str) -> str:

@@ -23,15 +23,23 @@ from schemas.attribution import Attribution
 from schemas.contradiction import (
     Instance,
     InstanceRecord,
+    Place,
     Scene,
     SceneState,
     TrackRecord,
 )
-from schemas.score import MAX_RECORD_BYTES, MAX_TRACKS, KindTotal, Producers, SceneScore
+from schemas.score import (
+    MAX_RECORD_BYTES,
+    MAX_TRACKS,
+    MIN_REPORTED_STRENGTH,
+    KindTotal,
+    Producers,
+    SceneScore,
+)
 from schemas.task import Outcome
 from schemas.transport.wire import encode
 from schemas.work import Shard
-from workers.contradiction.reasons import MIN_REPORTED_STRENGTH, class_word, reasons_of
+from workers.contradiction.reasons import class_word, reasons_of
 from workers.contradiction.scene_statistics import odometry_health, point_shares, stream_health
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
 from workers.contradiction.track_score import RankedTrack, pose_weights
@@ -178,30 +186,37 @@ def _track_record(
 ) -> TrackRecord:
     members = ranked.track.members
     strength = round(counts * ranked.strength, 4)
+    first, last = instances[members[0]], instances[members[-1]]
+    is_reported = strength >= MIN_REPORTED_STRENGTH
     return TrackRecord(
         track_id=track_id,
         kind=ranked.track.kind.name,
         class_name=class_word(ranked.class_name),
         strength=strength,
-        first_ns=scene.frames[instances[members[0]].frame_index].stamp_ns,
-        last_ns=scene.frames[instances[members[-1]].frame_index].stamp_ns,
+        first_ns=scene.frames[first.frame_index].stamp_ns,
+        last_ns=scene.frames[last.frame_index].stamp_ns,
         frames=len(members),
         points=ranked.points,
         speed_m_per_s=ranked.speed_m_per_s,
+        first_odom_m=_odom_m(scene, first) if is_reported else None,
+        last_odom_m=_odom_m(scene, last) if is_reported else None,
         confirmed_share=(
             None if ranked.confirmed_share is None else _round(ranked.confirmed_share, 3)
         ),
-        attribution=_reported(ranked.attribution, strength),
+        attribution=ranked.attribution if is_reported else _without_evidence(ranked.attribution),
         strongest=_instance_record(scene, instances[ranked.strongest]),
     )
 
 
-def _reported(attribution: Attribution | None, strength: float) -> Attribution | None:
-    """Return the attribution; a weak track loses its evidence, so that the record fits the bus."""
-    return attribution if strength >= MIN_REPORTED_STRENGTH else _without_evidence(attribution)
+def _odom_m(scene: Scene, instance: Instance) -> Place:
+    """Return the centre of an instance in odom space, to a tenth of a metre."""
+    odom_from_sensor = scene.frames[instance.frame_index].posed.odom_from_sensor
+    x_m, y_m, z_m = odom_from_sensor[:3, :3] @ instance.centre_m + odom_from_sensor[:3, 3]
+    return _round(x_m, 1), _round(y_m, 1), _round(z_m, 1)
 
 
 def _without_evidence(attribution: Attribution | None) -> Attribution | None:
+    """Return the attribution of a weak track, without its evidence, so that the record fits."""
     if attribution is None:
         return None
     return attribution.model_copy(update={"supporting": (), "opposing": (), "neutral": ()})

@@ -1,4 +1,4 @@
-"""Camera view: the image that belongs to a frame, and its calibration, for `show --on-image`."""
+"""Camera views: the images that belong to a frame, and their calibration, for pictures."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -40,25 +40,22 @@ class CameraUnavailableError(PermanentError):
     """The log has no calibrated camera that saw a frame."""
 
 
-def read_camera(
-    bucket: Bucket,
-    recording: Recording,
-    *,
-    lidar_topic: str,
-    stamp_ns: int,
-    look_at_m: tuple[float, float, float] = (1.0, 0.0, 0.0),
-) -> CameraView:
-    """Read the image of a calibrated camera that belongs to a frame.
+def read_cameras(
+    bucket: Bucket, recording: Recording, *, lidar_topic: str, stamp_ns: int
+) -> list[CameraView]:
+    """Read the image of each calibrated camera that belongs to a frame.
 
-    Of several cameras the one that looks most towards `look_at_m` is taken. Of its images the one
-    nearest to the lidar's sweep over its view is taken, as far as points have times.
+    Of a camera's images the one nearest to the lidar's sweep over its view is taken, as far as
+    points have times.
 
     Args:
         bucket: Bucket of the log.
         recording: The log.
         lidar_topic: Topic of the frame's lidar.
         stamp_ns: Of the frame, nanoseconds since the Unix epoch.
-        look_at_m: Point of interest, in the lidar's sensor space; straight ahead by default.
+
+    Returns:
+        At least one view, by topic.
 
     Raises:
         CameraUnavailableError: If no camera with a known place saw the frame; it gives the reason.
@@ -87,8 +84,7 @@ def read_camera(
             problems.append(f"{topic.channel.topic} {error}")
     if not views:
         raise _unavailable("; ".join(problems), recording)
-    target = np.asarray(look_at_m, dtype=np.float64)
-    return max(views, key=lambda view: (float(view.camera_from_lidar[2, :3] @ target), view.topic))
+    return sorted(views, key=lambda view: view.topic)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

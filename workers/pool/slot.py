@@ -1,8 +1,11 @@
 """Slot: a place for one worker in a pool; starts it, monitors it, and restarts it after a death."""
 
 import multiprocessing
+import signal
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from typing import Final
@@ -45,6 +48,20 @@ DEATHS_WORTH_SAYING: Final = 3
 KILL_MARGIN_S: Final = 8.0
 """Time after the drain, seconds, to return the lease and close the session. With it, a pool of the
 usual drain ends before service managers kill it, after 30 s."""
+
+
+@contextmanager
+def _held_back(number: signal.Signals) -> Iterator[None]:
+    """Hold a signal back in this thread, and in a process that it starts, until that one is ready.
+
+    Ctrl-C reaches every process of a terminal; a worker that still imports would print a trace.
+    """
+    resource_tracker.ensure_running()  # its own start would end the holding back
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {number})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class Slot:
@@ -159,7 +176,8 @@ class Slot:
             name=self.worker_id,
         )
         try:
-            process.start()
+            with _held_back(signal.SIGINT):
+                process.start()
         except OSError:
             last_words.close()
             raise

@@ -1,16 +1,17 @@
-"""The best scenes of the ranking, without twins."""
+"""The best scenes with a reason; twins only where they fill the budget."""
 
 from collections.abc import Iterable
-from itertools import islice, takewhile
+from itertools import takewhile
 
-from service.curation.ranking import RankedScene
+from schemas.score import MIN_REPORTED_STRENGTH
+from service.curation.ranking import RankedScene, has_reason
 
 
 def best_distinct(ranking: Iterable[RankedScene], *, budget: int) -> list[RankedScene]:
-    """Choose the best distinct scenes.
+    """Choose the best distinct scenes, and then twins until the budget is filled.
 
-    Twins are left out, because a labeller who sees the better neighbour sees the same street; so
-    are scenes without any contradiction, even when the budget is not used up.
+    A twin comes last, because a labeller who sees the better neighbour sees the same thing. A scene
+    without a reason is never chosen, even when the budget is not used up.
 
     Args:
         ranking: Best first; read only as far as needed.
@@ -19,5 +20,13 @@ def best_distinct(ranking: Iterable[RankedScene], *, budget: int) -> list[Ranked
     Returns:
         At most `budget` scenes, best first.
     """
-    contradicting = takewhile(lambda scene: scene.score > 0, ranking)
-    return list(islice((scene for scene in contradicting if scene.twin_of is None), budget))
+    distinct: list[RankedScene] = []
+    twins: list[RankedScene] = []
+    # A score is at least the strength of each track: below the level no scene has a reason.
+    for scene in takewhile(lambda scene: scene.score >= MIN_REPORTED_STRENGTH, ranking):
+        if has_reason(scene):
+            (distinct if scene.twin_of is None else twins).append(scene)
+        if len(distinct) == budget:
+            break
+    chosen = distinct + twins[: budget - len(distinct)]
+    return sorted(chosen, key=lambda scene: scene.rank)

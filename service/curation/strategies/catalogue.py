@@ -36,7 +36,7 @@ STRATEGIES: Final = (
     Strategy(
         "best-distinct",
         best_distinct,
-        "The best scenes, without twins and without those in which nothing contradicts.",
+        "The best scenes with a reason; twins only where they fill the budget.",
     ),
 )
 

@@ -16,6 +16,7 @@ STEPS: Final[tuple[str, ...]] = (
     "0006_retired_overlays.sql",
     "0007_served_bucket.sql",
     "0008_incarnation.sql",
+    "0009_reading.sql",
 )
 """Step i migrates version i to i + 1. A step that has been released is never edited."""
 

@@ -82,3 +82,33 @@ def test_nothing_that_is_logged_steers_a_terminal(code: str, as_json: bool) -> N
     for line in lines:
         assert line.isprintable(), line
     assert "52;c;aGk=" in "".join(lines), "it is shown, not left out"
+
+
+@pytest.mark.parametrize(("signals", "code"), [(1, 0), (2, -2)])
+def test_the_first_signal_is_told_once_and_a_second_one_ends_at_once(
+    signals: int, code: int
+) -> None:
+    script = """
+import os, signal, sys, time
+from schemas.runtime.process import stop_on_signals
+with stop_on_signals(lambda: print("stopping", flush=True)) as stop:
+    for _ in range(int(sys.argv[1])):
+        os.kill(os.getpid(), signal.SIGINT)
+        stop.wait(5)
+        time.sleep(0.2)
+print("stopped" if stop.is_set() else "not asked to")
+"""
+    ran = subprocess.run(
+        [sys.executable, "-c", script, str(signals)], capture_output=True, text=True, timeout=60
+    )
+    assert ran.returncode == code
+    assert ran.stdout.splitlines() == ["stopping", "stopped"][: 3 - signals]
+
+
+def test_an_end_without_a_signal_tells_nothing() -> None:
+    script = (
+        "from schemas.runtime.process import stop_on_signals\n"
+        "with stop_on_signals(lambda: print('stopping')): pass"
+    )
+    ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    assert (ran.returncode, ran.stdout) == (0, "")

@@ -31,6 +31,8 @@ WORKING: Final[dict[tuple[str, ...], list[str]]] = {
     ("watch",): ["--connect", "here"],
     ("top",): ["--state", "state"],
     ("select",): ["--budget", "1", "--state", "state"],
+    ("selection", "list"): ["--state", "state"],
+    ("selection", "show"): ["week", "--state", "state"],
     ("show",): ["1", "--out", "o.png", "--state", "state"],
     ("status",): ["--state", "state"],
     ("rates",): ["--state", "state"],

@@ -14,6 +14,7 @@ from schemas.errors import BucketRefusedError, BucketUnreachableError
 from schemas.transport.bucket import Bucket, ObjectMeta, open_bucket
 from schemas.transport.folder import Skipped
 from service.background.bucket_watch import RESUME_WITHIN_S, BucketWatch
+from service.curation.status import SkippedEntries, skipped_phrases
 from service.errors import OtherBucketError
 from service.store.engine import open_store
 from tests.contracts.ledger_world import Clock, World
@@ -306,6 +307,11 @@ def test_an_odd_entry_costs_itself_and_is_logged_once(world: World, tmp_path: Pa
         watch.list_once()
     assert sorted(entries_named(said)) == [r"b\x1b[31m.mcap", "c.mcap"]
     assert watch.seen.skipped == 2
+    named = [f"{each.name} {each.why}" for each in world.ledger.status().skipped.named]
+    assert named == [
+        r"b\x1b[31m.mcap has a name that holds a control character",
+        "c.mcap is a link in a loop of links",
+    ]
     (folder / "c.mcap").unlink()
     watch.list_once()
     assert watch.seen.skipped == 1
@@ -313,6 +319,20 @@ def test_an_odd_entry_costs_itself_and_is_logged_once(world: World, tmp_path: Pa
     with structlog.testing.capture_logs() as said:
         watch.list_once()
     assert entries_named(said) == ["c.mcap"]
+
+
+def test_what_is_no_log_is_counted_and_the_first_are_named_for_the_status(world: World) -> None:
+    keys = [f"pictures/{number:02}.jpg" for number in range(14)]
+    bucket = memory("a.mcap", "a.bag", "notes/b.txt", *keys)
+    watch = BucketWatch(bucket, world.ledger, exclude=("notes/*",))
+    watch.list_once()
+    skipped = world.ledger.status().skipped
+    assert skipped.count == 15
+    assert [each.name for each in skipped.named] == ["a.bag", *keys[:9]]
+    assert skipped_phrases(skipped, most=1) == ["a.bag is no .mcap file", "14 more entries"]
+    watch = BucketWatch(bucket, world.ledger, include=("*.mcap",))
+    watch.list_once()
+    assert world.ledger.status().skipped == SkippedEntries()
 
 
 def test_a_key_that_is_too_long_for_a_log_id_is_left_out(world: World) -> None:

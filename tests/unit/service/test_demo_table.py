@@ -5,7 +5,7 @@ import pytest
 
 from schemas.attribution import Attribution, Wrong
 from schemas.score import Reason, SceneScore
-from service.cli.demo import say_demo_ranking
+from service.cli.demo import say_chosen, say_demo_ranking
 from service.cli.output import results
 from service.curation.ranking import RankedScene
 from service.demo.planted import DemoScene, with_truth
@@ -104,7 +104,6 @@ def test_what_was_planted_stands_beside_the_scene_that_it_is_in(scenes: list[Dem
         "-",
         "missed mover",
     ]
-    assert [scene.wrong for scene in scenes] == ["supervised 90%"] * 3 + ["-"]
 
 
 @pytest.fixture
@@ -146,17 +145,24 @@ def test_rankings_are_held_against_failures_not_against_disturbances(
     assert ours.ap == pytest.approx((1.0 + 2 / 4) / 2)
 
 
-def test_a_table_tells_what_was_seen_the_picture_what_speaks_for_it(
-    scenes: list[DemoScene],
+def test_the_headline_is_that_of_the_record_and_a_dash_without_a_reason(
+    scenes: list[DemoScene], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    seen = "supervised calls car dynamic, but it is static, 16 m behind, for 1.3 s"
-    headline = f"{seen}: supervised wrong, 96 %"
+    headline = "supervised labels car dynamic, but its shape stays in place, 16 m behind"
     reasons = (Reason(headline=headline, track_id=0), Reason(headline="odometry"))
     record = scenes[0].record.model_copy(update={"reasons": reasons})
-    assert replace(scenes[0], record=record).why == seen
-    lost = record.model_copy(
-        update={"reasons": (Reason(headline="odometry lost (a; b): not judged"),)}
-    )
-    gated = replace(scenes[0], record=lost, is_about_track=False)
-    assert gated.why == "odometry lost (a; b): not judged"
-    assert gated.wrong == "-", "no attribution without a track"
+    told = replace(scenes[0], record=record)
+    assert told.headline == headline
+    silent = replace(scenes[0], record=record.model_copy(update={"reasons": ()}))
+    assert silent.headline == "-"
+    say_demo_ranking([told])
+    assert headline in capsys.readouterr().out
+
+
+def test_scenes_with_a_failure_that_a_selection_leaves_are_named(
+    scenes: list[DemoScene], capsys: pytest.CaptureFixture[str]
+) -> None:
+    say_chosen(scenes, {scenes[0].row.scene_id, scenes[1].row.scene_id})
+    said = capsys.readouterr().err
+    assert "takes 2 scenes: 1 of the 2 with a planted failure, and 1 of the others" in said
+    assert f"not selected: {STREET} at 6 s, rank 4, missed mover: without a reason" in said

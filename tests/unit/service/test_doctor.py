@@ -63,6 +63,17 @@ def test_a_bucket_is_listed_and_read_and_nothing_is_written_to_it() -> None:
     assert "does not begin like" in told(doctor_stores.bucket(settings(bucket="logs")))[1][1]
 
 
+def test_entries_of_a_bucket_that_are_no_logs_are_named() -> None:
+    a_log()
+    Path("logs/notes.txt").write_text("x")
+    first = told(doctor_stores.bucket(settings(bucket="logs")))[0]
+    assert first == ("ok", "skipped: notes.txt is no .mcap file")
+    Path("logs/loop").symlink_to("loop")
+    verdict, says = told(doctor_stores.bucket(settings(bucket="logs")))[0]
+    assert verdict == "warning"
+    assert says == "skipped: loop is a link in a loop of links; notes.txt is no .mcap file"
+
+
 def test_a_bucket_without_a_log_that_counts_is_a_warning() -> None:
     a_log()
     (finding,) = told(doctor_stores.bucket(settings(bucket="logs", include="bus-*")))

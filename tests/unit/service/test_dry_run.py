@@ -64,6 +64,13 @@ def test_it_counts_the_frames_of_a_few_logs_and_takes_the_default_pace(tmp_path:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["logs"]
 
 
+def test_what_is_no_log_is_named(tmp_path: Path) -> None:
+    (bucket_of(tmp_path, (2,)) / "notes.txt").write_text("x")
+    (named,) = dry_run(tmp_path).skipped.named
+    assert (named.name, named.why) == ("notes.txt", "is no .mcap file")
+    assert dry_run(tmp_path, exclude=("*.txt",)).skipped.count == 0
+
+
 def test_patterns_choose_the_logs(tmp_path: Path) -> None:
     bucket_of(tmp_path, (1, 1, 1))
     found = dry_run(tmp_path, include=["car-[12]/*"], exclude=["*-2/*"])

@@ -20,12 +20,13 @@ ROWS = tuple(
     )
     for rank in (1, 2)
 )
-WEEK = Selection(name="week 47\n", budget=2, scenes=ROWS)
+WEEK = Selection(name="week 47\n", strategy="best-distinct", budget=2, scenes=ROWS)
 
 
 def test_json_has_a_line_for_each_scene_with_the_name_of_the_selection() -> None:
     lines = list(FORMATS["json"](WEEK))
     assert all(line.endswith("\n") and line.count("\n") == 1 for line in lines)
     assert [json.loads(line) for line in lines] == [
-        {"selection": WEEK.name, **row.model_dump(mode="json")} for row in ROWS
+        {"selection": WEEK.name, "strategy": "best-distinct", **row.model_dump(mode="json")}
+        for row in ROWS
     ]

@@ -65,10 +65,26 @@ def test_headers_are_broken_where_long_cells_need_the_room(
     assert max(line.count("word") for line in crowded.splitlines()) == 10
 
 
-def test_a_table_tells_two_reasons_and_how_many_it_leaves_out() -> None:
+def test_the_headline_of_a_scene_is_that_of_its_first_reason() -> None:
     assert first_of(()) == ""
-    assert first_of(("one", "two")) == "one; two"
-    assert first_of(("one", "two", "three", "four")) == "one; two; and 2 more"
+    assert first_of(("one", "two")) == "one"
+
+
+@pytest.mark.parametrize("is_terminal", [False, True])
+def test_a_listing_has_a_sentence_below_each_row_and_breaks_it_only_on_a_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *, is_terminal: bool
+) -> None:
+    monkeypatch.setattr(output.results, "width", 60)
+    monkeypatch.setattr(output.results, "_force_terminal", is_terminal)
+    sentence = "word " * 20 + "end \x1b[2J"
+    output.listing("two rows", ("rank", "name"), [((1, "a" * 70), sentence), ((22, None), "")])
+    printed = [line for line in capsys.readouterr().out.splitlines() if "two rows" not in line]
+    assert "a" * 70 in printed[1]
+    shown = printed[2:-1]
+    assert " ".join(line.strip() for line in shown) == "word " * 20 + r"end \x1b[2J"
+    assert len(shown) == (3 if is_terminal else 1)
+    assert all(line.startswith("      ") for line in shown)
+    assert printed[-1].strip() == "22"
 
 
 STEERING = "\x1b]52;c;aGk=\x07\x1b[2J\x9b31m\u202e\n\udcff[red][/][link=x]:smile:"

@@ -18,7 +18,7 @@ from schemas.arrays import NS_PER_S
 from schemas.transport.bucket import Bucket, open_bucket
 from schemas.transport.recordings import group_recordings
 from schemas.work import Recording
-from workers.ingest.camera import CameraUnavailableError, read_camera
+from workers.ingest.camera import CameraUnavailableError, read_cameras
 from workers.ingest.camera_model import CameraView, distort
 from workers.ingest.ros_definitions import ROS2_DEFINITIONS
 from workers.ingest.transforms import TransformTree, rigid
@@ -170,9 +170,14 @@ def usual_log() -> Log:
     return camera_log("front")
 
 
-def view_of(log: Log, *, stamp_ns: int = STAMP_NS, **look: Any) -> CameraView:
+def views_of(log: Log, *, stamp_ns: int = STAMP_NS) -> list[CameraView]:
     bucket, recording = log.recording()
-    return read_camera(bucket, recording, lidar_topic=LIDAR, stamp_ns=stamp_ns, **look)
+    return read_cameras(bucket, recording, lidar_topic=LIDAR, stamp_ns=stamp_ns)
+
+
+def view_of(log: Log, *, stamp_ns: int = STAMP_NS) -> CameraView:
+    (view,) = views_of(log, stamp_ns=stamp_ns)
+    return view
 
 
 def points(*rows: Sequence[float]) -> Any:
@@ -226,17 +231,14 @@ def test_without_point_times_the_image_is_the_one_nearest_to_the_stamp() -> None
     assert view_of(log, stamp_ns=STAMP_NS + 260_000_000).stamp_ns == STAMP_NS + 300_000_000
 
 
-def test_of_several_cameras_the_one_that_looks_at_the_thing_of_interest_is_taken() -> None:
-    def log() -> Log:
-        made = usual_log()
-        made.image("rear", STAMP_NS)
-        made.info("rear", STAMP_NS)
-        made.transforms(("lidar", "rear", (-0.5, 0, 0), REAR))
-        return made
-
-    assert view_of(log()).topic == "/front/image/compressed"
-    rear = view_of(log(), look_at_m=(-5.0, 1.0, 0.0))
-    assert rear.topic == "/rear/image/compressed"
+def test_every_calibrated_camera_has_a_view() -> None:
+    log = usual_log()
+    log.image("rear", STAMP_NS)
+    log.info("rear", STAMP_NS)
+    log.transforms(("lidar", "rear", (-0.5, 0, 0), REAR))
+    log.image("unplaced", STAMP_NS)
+    front, rear = views_of(log)
+    assert (front.topic, rear.topic) == ("/front/image/compressed", "/rear/image/compressed")
     pixels, seen_mask = rear.project(points((-10.5, 2, 0)))
     assert seen_mask.all()
     np.testing.assert_allclose(pixels, [(42, 24)], atol=1e-9)
@@ -410,7 +412,7 @@ def test_real_logs_show_the_image_of_their_frame_and_thousands_of_points_in_it(
     recording = next(each for each in group_recordings(bucket.list()) if each.log_id == log)
     truth = reference / "data" / "truth" / f"{Path(recording.parts[-1].key).with_suffix('')}"
     stamp_ns = json.loads((truth / "frames.json").read_text())["frames"][10]["header_stamp"]
-    view = read_camera(bucket, recording, lidar_topic=topic, stamp_ns=stamp_ns)
+    (view,) = read_cameras(bucket, recording, lidar_topic=topic, stamp_ns=stamp_ns)
     assert (view.stamp_ns - stamp_ns) / 1e6 == pytest.approx(apart_ms, abs=1.5)
     with Image.open(BytesIO(view.image_bytes)) as image:
         assert image.size == (view.width, view.height)

@@ -9,7 +9,7 @@ from schemas.attribution import Attribution, Wrong
 from schemas.contradiction import ContradictionKind, LabelledFrame, Scene, SceneState
 from schemas.frame import OdometryState
 from schemas.labels import Blindness, FrameHealth, MotionLabel
-from schemas.score import MAX_RECORD_BYTES, MAX_TRACKS, SceneScore
+from schemas.score import MAX_RECORD_BYTES, MAX_TRACKS, MIN_REPORTED_STRENGTH, SceneScore
 from schemas.transport.wire import decode, encode_scene_score
 from tests.labelled_worlds import (
     CLASS_NAMES,
@@ -86,7 +86,8 @@ def test_the_headline_of_a_missed_car_has_its_speed() -> None:
     assert record.score == track.strength > 0.7
     (reason,) = record.reasons
     assert re.fullmatch(
-        r"supervised calls car static, but it moves at 10\.0 m/s, 20 m behind, for 2\.0 s: "
+        r"supervised labels car static, but self-supervised measures 10\.0 m/s, 20 m behind, "
+        r"for 2\.0 s: "
         r"supervised wrong, \d+ %",
         reason.headline,
     )
@@ -97,13 +98,87 @@ def test_the_headline_of_a_phantom_pedestrian_has_its_place() -> None:
     record = _score(labelled_scene([WALL, PHANTOM]))
     (reason,) = record.reasons
     assert reason.headline.startswith(
-        "supervised calls pedestrian dynamic, but it is static, 13 m ahead, for 2.0 s: "
-        "supervised wrong, "
+        "supervised labels pedestrian dynamic, but its shape stays in place, 13 m ahead, "
+        "for 2.0 s: supervised wrong, "
     )
     assert reason.evidence == "for: static shape"
     strongest = record.tracks[0].strongest
     assert strongest.range_m == pytest.approx(math.hypot(12, 4), abs=0.3)
     assert (strongest.semantic_confidence, strongest.predictive_confidence) == (0.9, 0.9)
+
+
+def _chances(wrong: Wrong) -> Attribution:
+    chances = {each.value: 0.7 if each is wrong else 0.1 for each in Wrong}
+    return Attribution(wrong=wrong, **chances)
+
+
+@pytest.mark.parametrize(
+    ("thing", "wrong", "headline"),
+    [
+        (
+            MISSED_CAR,
+            Wrong.SELFSUPERVISED,
+            "self-supervised labels car dynamic, but supervised labels it static",
+        ),
+        (
+            MISSED_CAR,
+            Wrong.NEITHER,
+            "supervised labels car static, but self-supervised measures 10.0 m/s",
+        ),
+        (
+            replace(PHANTOM, velocity_m_per_s=(3, 0, 0)),
+            Wrong.SUPERVISED,
+            "supervised labels pedestrian dynamic, but self-supervised labels it static",
+        ),
+        (
+            PHANTOM,
+            Wrong.SELFSUPERVISED,
+            "self-supervised labels pedestrian static, but supervised labels it dynamic",
+        ),
+        (
+            PHANTOM,
+            Wrong.BOTH,
+            "supervised labels pedestrian dynamic, but its shape stays in place",
+        ),
+    ],
+)
+def test_a_headline_states_labels_and_measurements_and_no_truth(
+    thing: Thing, wrong: Wrong, headline: str
+) -> None:
+    scene = labelled_scene([WALL, thing])
+    instances = find_instances(scene, class_names=CLASS_NAMES)
+    (ranked,) = ranked_tracks(scene, instances)
+    told = reason_of(
+        scene, instances, replace(ranked, attribution=_chances(wrong)), track_id=0
+    ).headline
+    assert told.startswith(f"{headline}, ")
+    who = {"selfsupervised": "self-supervised"}.get(wrong.value, wrong.value)
+    assert told.endswith(f": {who} wrong, 70 %")
+
+
+def test_the_headline_of_the_witness_names_it() -> None:
+    scene = labelled_scene([WALL, PHANTOM])
+    instances = find_instances(scene, class_names=CLASS_NAMES)
+    (ranked,) = ranked_tracks(scene, instances)
+    (kind,) = (each for each in scene.task.kinds if each.of_witness)
+    track = replace(ranked.track, kind=kind)
+    for wrong, who in ((Wrong.BOTH, "both"), (Wrong.NEITHER, "witness")):
+        seen = replace(ranked, track=track, attribution=_chances(wrong))
+        assert re.fullmatch(
+            "supervised labels pedestrian static, but the witness labels it dynamic, 13 m ahead, "
+            f"for 2.0 s: {who} wrong, 70 %",
+            reason_of(scene, instances, seen, track_id=0).headline,
+        )
+
+
+def test_a_strong_track_has_its_places_in_odom_space() -> None:
+    (track,) = _score(labelled_scene([WALL, MISSED_CAR], ego_m_per_s=5)).tracks
+    assert track.first_odom_m == pytest.approx((-20, 3, 0), abs=0.2)
+    assert track.last_odom_m == pytest.approx((-1, 3, 0), abs=0.2)
+    brief = replace(MISSED_CAR, frames=frozenset({7}), points=15)
+    (weak,) = _score(labelled_scene([WALL, brief])).tracks
+    assert weak.strength < MIN_REPORTED_STRENGTH
+    assert weak.first_odom_m is weak.last_odom_m is None
 
 
 def test_supporting_and_opposing_evidence_are_separate() -> None:
@@ -438,7 +513,7 @@ def test_a_scene_that_blindness_gated_says_so_last_and_why() -> None:
     assert _headlines(partly)[-1] == (
         "self-supervised stream blind in 25% of the frames (half of the places are seen through)"
     )
-    assert "but it moves at 10.0 m/s" in partly.reasons[0].headline
+    assert "but self-supervised measures 10.0 m/s" in partly.reasons[0].headline
     assert partly.score < seen.score
 
 

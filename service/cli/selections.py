@@ -1,0 +1,143 @@
+"""Verbs on selections: `select`, `selection list`, `selection show`."""
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import Annotated, Final
+
+import typer
+
+from schemas.bounds import MAX_NAME, MAX_SCENES_ASKED
+from service.cli.options import Config, Connect, Database, Json, StateToRead
+from service.cli.output import counted, json_line, page, remark, table
+from service.cli.report import say_scenes
+from service.cli.scenes import reader
+from service.curation.ranking import RankedScene
+from service.curation.scene_names import short_names
+from service.curation.selection import Selection, left_out, why_no_reason
+from service.errors import UsageError
+from service.export.formats import FORMATS
+
+MOST_LEFT_OUT: Final = 5
+"""Scenes that are named for each cause of leaving them out; further ones are counted."""
+
+SelectionName = Annotated[str, typer.Argument(help="Name, as `selection list` prints it.")]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the verbs of this file to the command."""
+    app.command(epilog="counterpoint select --budget 50 --name week-47")(select)
+    selection = typer.Typer(no_args_is_help=True, help="List and show stored selections.")
+    selection.command("list", epilog="counterpoint selection list")(list_selections)
+    selection.command("show", epilog="counterpoint selection show week-47 --json")(show_selection)
+    app.add_typer(selection, name="selection")
+
+
+def select(
+    budget: Annotated[
+        int,
+        typer.Option(
+            "--budget",
+            min=1,
+            max=MAX_SCENES_ASKED,
+            help="Number of scenes that the labellers can take.",
+        ),
+    ],
+    name: Annotated[str | None, typer.Option("--name", help="Name of the selection.")] = None,
+    connect: Connect = None,
+    state: StateToRead = None,
+    database: Database = None,
+    json: Json = False,
+    config: Config = None,
+) -> None:
+    """Store the best distinct scenes under a name, and publish them."""
+    if name is not None:
+        _need_name(name, option="--name")
+    source = reader(config, connect=connect, state=state, database=database)
+    selection = source.select(budget=budget, name=name)
+    if json:
+        _print_json(selection)
+        return
+    ranking = source.top(selection.last_rank)
+    say_selection(selection, among=ranking)
+    say_left_out(selection, ranking)
+    remark("ids for a labelling tool: --json, or the published selection")
+
+
+def list_selections(
+    connect: Connect = None,
+    state: StateToRead = None,
+    database: Database = None,
+    json: Json = False,
+    config: Config = None,
+) -> None:
+    """List the stored selections, oldest first."""
+    found = reader(config, connect=connect, state=state, database=database).selections()
+    if json:
+        for row in found:
+            json_line(row)
+        return
+    table(
+        counted(len(found), "selection"),
+        ("name", "strategy", "scenes", "budget", "stored (UTC)"),
+        ((row.name, row.strategy, row.scenes, row.budget, _utc(row.created_s)) for row in found),
+    )
+
+
+def show_selection(
+    name: SelectionName,
+    connect: Connect = None,
+    state: StateToRead = None,
+    database: Database = None,
+    json: Json = False,
+    config: Config = None,
+) -> None:
+    """Show a stored selection: its scenes with their ranks of that time."""
+    _need_name(name, option="NAME")
+    source = reader(config, connect=connect, state=state, database=database)
+    selection = source.selection(name)
+    if json:
+        _print_json(selection)
+        return
+    say_selection(selection, among=selection.scenes)
+
+
+def say_selection(selection: Selection, *, among: Sequence[RankedScene]) -> None:
+    """Print the scenes of a selection, best first."""
+    by = f" by {selection.strategy}" if selection.strategy else ""
+    say_scenes(
+        f"selection {selection.name!r}{by}: {len(selection.scenes)} of at most "
+        f"{counted(selection.budget, 'scene')}",
+        selection.scenes,
+        among=among,
+    )
+
+
+def say_left_out(selection: Selection, ranking: Sequence[RankedScene]) -> None:
+    """Print a line for each of the first scenes that a selection left out, with the cause."""
+    names, rank_of = short_names(ranking), {row.scene_id: row.rank for row in ranking}
+    passed = left_out(ranking, selection)
+    for rows, is_twin in ((passed.twins, True), (passed.without, False)):
+        for row in rows[:MOST_LEFT_OUT]:
+            why = f"twin of rank {rank_of.get(row.twin_of or '')}" if is_twin else "no reason"
+            more = "which shows the same" if is_twin else why_no_reason(row)
+            scene = f"rank {row.rank}, {row.score:.3f}, {names[row.scene_id]}"
+            remark(f"left out: {scene}: {why}, {more}")
+        if (others := len(rows) - MOST_LEFT_OUT) > 0:
+            what = "twins" if is_twin else "without a reason"
+            remark(f"left out: {others} more {what}")
+    if selection.last_rank is not None:
+        remark(f"the budget is used up at rank {selection.last_rank}; later ones were not compared")
+
+
+def _need_name(name: str, *, option: str) -> None:
+    if not (0 < len(name) <= MAX_NAME and name.isprintable()):
+        raise UsageError(f"{option} must have 1 to {MAX_NAME} printing characters, got {name!r}")
+
+
+def _print_json(selection: Selection) -> None:
+    for line in FORMATS["json"](selection):
+        page(line)
+
+
+def _utc(created_s: float) -> str:
+    return datetime.fromtimestamp(created_s, tz=UTC).strftime("%Y-%m-%d %H:%M")

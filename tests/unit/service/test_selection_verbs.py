@@ -1,0 +1,78 @@
+"""Verbs on selections: what is chosen, what is left out and why, and how it is found again."""
+
+import json
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from service.cli.main import main
+from service.store.engine import open_store
+from tests.contracts.ledger_world import World
+from tests.unit.service.mined_state import mined_state
+
+
+@pytest.fixture
+def state(tmp_path: Path) -> list[str]:
+    """A state of several scenes, each with a reason; neighbours show the same car."""
+    with closing(open_store(tmp_path)) as store:
+        world = World.on(store)
+        world.listed("a", "b")
+        world.mine_all()
+    return ["--state", str(tmp_path)]
+
+
+def test_each_scene_that_is_left_out_has_a_line_with_its_cause(
+    state: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["select", "--budget", "8", "--name", "week", *state]) == 0
+    printed = capsys.readouterr()
+    assert "selection 'week' by best-distinct: 8 of at most 8 scenes" in printed.out
+    assert "pedestrian only semantic" in printed.out
+    assert printed.err.count("left out: rank ") == 1
+    assert "left out: rank 8, 0.420, b@" in printed.err
+    assert ": twin of rank 7, which shows the same" in printed.err
+    assert "the budget is used up at rank 9" in printed.err
+    assert main(["select", "--budget", "50", "--name", "all", *state]) == 0
+    printed = capsys.readouterr()
+    assert "16 of at most 50 scenes" in printed.out, "twins fill the budget"
+    assert printed.err.count("left out: rank ") == 2
+    assert printed.err.count(": no reason, ") == 2
+
+
+def test_scenes_without_a_reason_are_left_out_with_a_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mined_state(tmp_path, score=0.03, tracks=())
+    assert main(["select", "--budget", "5", "--state", str(tmp_path)]) == 0
+    printed = capsys.readouterr()
+    assert "0 of at most 5 scenes" in printed.out
+    assert ": no reason, no track is strong enough for a reason" in printed.err
+
+
+def test_a_stored_selection_is_listed_and_shown(
+    state: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["select", "--budget", "2", "--name", "week", "--json", *state]) == 0
+    stored = capsys.readouterr().out
+    assert main(["selection", "list", "--json", *state]) == 0
+    row = json.loads(capsys.readouterr().out)
+    assert (row["name"], row["strategy"], row["scenes"]) == ("week", "best-distinct", 2)
+    assert main(["selection", "show", "week", "--json", *state]) == 0
+    assert capsys.readouterr().out == stored
+    first = json.loads(stored.splitlines()[0])
+    assert first["strategy"] == "best-distinct"
+    assert first["tracks"][0]["class_name"] == "car"
+    assert main(["selection", "list", *state]) == 0
+    assert "week" in capsys.readouterr().out
+    assert main(["selection", "show", "week", *state]) == 0
+    assert "selection 'week' by best-distinct" in capsys.readouterr().out
+
+
+def test_a_name_of_no_selection_is_refused(
+    state: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["selection", "show", "friday", *state]) == 1
+    assert "no selection 'friday'; `counterpoint selection list`" in capsys.readouterr().err
+    assert main(["selection", "show", "a\nb", *state]) == 1
+    assert "must have 1 to 256 printing characters" in capsys.readouterr().err
