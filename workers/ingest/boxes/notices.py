@@ -95,6 +95,6 @@ class BoxNotices:
             )
         if self._impossible:
             yield (
-                f"{self._impossible} boxes have a side of zero or over {MAX_SIZE_M:.0f} m: they are "
-                f"left out; repair the model's output {where}"
+                f"{self._impossible} boxes have a side of zero or over {MAX_SIZE_M:.0f} m: they "
+                f"are left out; repair the model's output {where}"
             )
