@@ -37,6 +37,7 @@ from tests.box_messages import (
 from tests.detector_output import (
     Planted,
     Truth,
+    at_instant,
     detector_boxes,
     in_cloud,
     in_space,
@@ -93,8 +94,7 @@ def answer(kind: Kind, truth: Truth, boxes: Sequence[Box], frame: int) -> Writte
     """Write one answer of the detector."""
     stamp_ns = int(truth.stamp_ns[frame]) + kind.later_ns
     if kind.later_ns:
-        later_s = (stamp_ns - int(truth.reference_ns[frame])) * 1e-9
-        placed = in_space(boxes, np.eye(4), later_s=later_s)
+        placed = at_instant(truth, boxes, frame, stamp_ns)
         placed = placed if kind.space == "map" else in_space(placed, inverse(truth.pose(stamp_ns)))
     else:
         placed = in_cloud(truth, boxes, frame)

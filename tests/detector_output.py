@@ -143,7 +143,7 @@ def plant(truth: Truth, rng: np.random.Generator, frames: range) -> list[Planted
 def detector_boxes(
     truth: Truth, planted: Sequence[Planted], rng: np.random.Generator
 ) -> dict[int, list[Box]]:
-    """Make the detector's boxes of every frame, in the map, at the reference times."""
+    """Make the detector's boxes of every frame, in the map, each when the beam met it."""
     late = {box.track_id: int(rng.integers(0, 4)) for at in truth.boxes.values() for box in at}
     first_seen: dict[int, int] = {}
     found: dict[int, list[Box]] = {}
@@ -165,42 +165,48 @@ def detector_boxes(
     return found
 
 
-def in_space(
-    boxes: Sequence[Box], to_from_map: NDArray[np.float64], *, later_s: float = 0.0
-) -> list[Box]:
-    """Return boxes of the map in another space, moved by their velocities."""
+def in_space(boxes: Sequence[Box], to_from_map: NDArray[np.float64]) -> list[Box]:
+    """Return boxes of the map in another space."""
     turn = float(np.arctan2(to_from_map[1, 0], to_from_map[0, 0]))
-    moved: list[Box] = []
-    for box in boxes:
-        velocity = np.array(box.velocity_m_per_s or (0.0, 0.0, 0.0))
-        centre = np.array(box.centre_m) + velocity * later_s
-        moved.append(
-            replace(
-                box,
-                centre_m=_triple(to_from_map[:3, :3] @ centre + to_from_map[:3, 3]),
-                yaw_rad=box.yaw_rad + turn,
-                velocity_m_per_s=None
-                if box.velocity_m_per_s is None
-                else _triple(to_from_map[:3, :3] @ velocity),
-            )
+    return [
+        replace(
+            box,
+            centre_m=_triple(to_from_map[:3, :3] @ np.array(box.centre_m) + to_from_map[:3, 3]),
+            yaw_rad=box.yaw_rad + turn,
+            velocity_m_per_s=None
+            if box.velocity_m_per_s is None
+            else _triple(to_from_map[:3, :3] @ np.array(box.velocity_m_per_s)),
         )
-    return moved
+        for box in boxes
+    ]
 
 
 def in_cloud(truth: Truth, boxes: Sequence[Box], frame: int) -> list[Box]:
     """Return boxes as found in a cloud that is not deskewed: each where the beam met it."""
-    found: list[Box] = []
+    return [in_space([box], inverse(truth.pose(_seen_ns(truth, box, frame))))[0] for box in boxes]
+
+
+def at_instant(truth: Truth, boxes: Sequence[Box], frame: int, stamp_ns: int) -> list[Box]:
+    """Return boxes of the map at one instant, moved by their velocities since they were seen."""
+    moved = []
     for box in boxes:
-        seen_ns = float(truth.stamp_ns[frame])
-        for _ in range(2):
-            lidar_from_map = inverse(truth.pose(seen_ns))
-            later_s = (seen_ns - truth.reference_ns[frame]) * 1e-9
-            placed = in_space([box], lidar_from_map, later_s=later_s)[0]
-            azimuth = np.degrees(np.arctan2(placed.centre_m[1], placed.centre_m[0]))
-            share = ((-178.0 - azimuth) % 360.0) / 360.0  # clockwise from behind
-            seen_ns = float(truth.stamp_ns[frame]) + share * 1e8
-        found.append(placed)
-    return found
+        later_s = (stamp_ns - _seen_ns(truth, box, frame)) * 1e-9
+        velocity = np.array(box.velocity_m_per_s or (0.0, 0.0, 0.0))
+        moved.append(replace(box, centre_m=_triple(np.array(box.centre_m) + velocity * later_s)))
+    return moved
+
+
+def _seen_ns(truth: Truth, box: Box, frame: int) -> float:
+    """Return when the beam met a box: truth has each box where the points of its sweep were."""
+    seen_ns = float(truth.stamp_ns[frame]) + 5e7
+    for _ in range(2):
+        x, y, _z = (
+            inverse(truth.pose(seen_ns))[:3, :3] @ np.array(box.centre_m)
+            + inverse(truth.pose(seen_ns))[:3, 3]
+        )
+        share = ((-178.0 - float(np.degrees(np.arctan2(y, x)))) % 360.0) / 360.0
+        seen_ns = float(truth.stamp_ns[frame]) + share * 1e8  # clockwise from behind
+    return seen_ns
 
 
 def _concerns(planted: Planted, track_id: int, frame: int) -> bool:
