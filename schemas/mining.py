@@ -115,6 +115,15 @@ class MiningSettings(BaseModel):
         default=0.0, ge=0, description="Recorded value that means 1; 0: detected."
     )
 
+    @model_validator(mode="after")
+    def _predictions_are_read(self) -> "MiningSettings":
+        if self.predictions and not self.takes_recorded:
+            raise ValueError(
+                "predictions: only the supervised stream `recorded` reads them; set supervised to "
+                f"recorded, not {self.supervised}"
+            )
+        return self
+
     @property
     def takes_recorded(self) -> bool:
         """True if the supervised stream, for any task, reads the labels recorded in the log."""

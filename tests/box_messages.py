@@ -183,15 +183,15 @@ def ros1_detections(boxes: Sequence[Box], *, stamp_ns: int, frame_id: str) -> Wr
     message.header.stamp = Time(*divmod(stamp_ns, NS))  # type: ignore[no-untyped-call]
     message.header.frame_id = frame_id
     for box in boxes:
-        each = types["vision_msgs/Detection3D"]()
+        each: Any = types["vision_msgs/Detection3D"]()
         each.header = message.header
         result = types["vision_msgs/ObjectHypothesisWithPose"]()
         result.id, result.score = AUTOWARE_CLASSES.index(box.class_name), box.score
         each.results.append(result)
         centre, turn = each.bbox.center.position, quaternion(box.yaw_rad)
         centre.x, centre.y, centre.z = box.centre_m
-        for axis, value in turn.items():
-            setattr(each.bbox.center.orientation, axis, value)
+        for axis, part in turn.items():
+            setattr(each.bbox.center.orientation, axis, part)
         each.bbox.size.x, each.bbox.size.y, each.bbox.size.z = box.size_m
         each.source_cloud.data = b"abc"
         message.detections.append(each)

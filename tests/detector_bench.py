@@ -166,7 +166,7 @@ def write_copy(log: Path, out: Path, kind: Kind, truth: Truth, boxes: dict[int, 
                 put(channel.topic, original, message.log_time)
         for time_ns, topic, written in rows:
             put(topic, written, time_ns)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
 
 
 def _transform(placed: Any, time_ns: int) -> Written:

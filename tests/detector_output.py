@@ -160,8 +160,8 @@ def detector_boxes(
             if (started or frame < 3) and not flickers and "missed" not in hit:
                 found[frame].append(made)
     for ghost in (each for each in planted if each.kind == "ghost"):
-        for frame, box in _ghost(truth, ghost, rng):
-            found[frame].append(box)
+        for frame, made in _ghost(truth, ghost, rng):
+            found[frame].append(made)
     return found
 
 

@@ -2,7 +2,7 @@
 
 import heapq
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import chain, repeat
 from typing import Final
@@ -84,7 +84,7 @@ class ShardReader:
         """Bytes read by these requests."""
         return sum(reader.bytes_read for reader in self.readers)
 
-    def frames(self) -> Iterator[LidarFrame]:
+    def frames(self) -> Generator[LidarFrame, None, None]:
         """Yield the frames from warm-up to lookahead, in the order of their log times.
 
         Raises:
@@ -167,22 +167,24 @@ class ShardReader:
         """Yield the clouds with the boxes whose stamp is nearest."""
         reader = BoxReader(self.shard, source, self.settings, record=self._record_message)
         rate = MessageRate(by_log_time=self.shard.by_log_time)
-        for sourced in self._in_order():
-            message = sourced.message
-            self._sourced = sourced
-            complete = reader.add(message)
-            if message.channel is self.shard.motion:
-                self._add_motion(sourced)
-            elif message.channel is self.shard.lidar:
-                cloud = self._cloud(sourced, rate)
-                if cloud is not None:
-                    complete = reader.add_cloud(cloud, message.log_time_ns)
-            for (paired, log_time_ns), boxes in complete:
+        try:
+            for sourced in self._in_order():
+                message = sourced.message
+                self._sourced = sourced
+                complete = reader.add(message)
+                if message.channel is self.shard.motion:
+                    self._add_motion(sourced)
+                elif message.channel is self.shard.lidar:
+                    cloud = self._cloud(sourced, rate)
+                    if cloud is not None:
+                        complete = reader.add_cloud(cloud, message.log_time_ns)
+                for (paired, log_time_ns), boxes in complete:
+                    yield paired, log_time_ns, boxes
+            for (paired, log_time_ns), boxes in reader.rest():
                 yield paired, log_time_ns, boxes
-        for (paired, log_time_ns), boxes in reader.rest():
-            yield paired, log_time_ns, boxes
-        for sentence in reader.notices.sentences():
-            self._record(self.shard.chunks[0], sentence, length=0)
+        finally:
+            for sentence in reader.notices.sentences():
+                self._record(self.shard.chunks[0], sentence, length=0)
 
     def _filed_clouds(
         self, source: RecordedSource, files: PredictionFiles
