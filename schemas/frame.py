@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points, Transform, check_array, freeze
+from schemas.boxes import RecordedBoxes
 from schemas.camera import CameraCalibration
 
 StampAt = Literal["start", "middle", "end"]
@@ -77,6 +78,7 @@ class LidarFrame:
         has_point_time: Whether `offset_ns` was recorded rather than left zero.
         stamp_at: Which instant of the revolution `stamp_ns` names.
         recorded: The labels of the model that ran on the car, where the log contains them.
+        boxes: Boxes of that model, where it answers in boxes and this frame has an answer.
         camera: Camera whose field of view limits the comparison; None compares all points.
         moved: Recorded motion since the frame before; None where the log has none.
 
@@ -94,6 +96,7 @@ class LidarFrame:
     has_point_time: bool = False
     stamp_at: StampAt = "start"
     recorded: RecordedLabels | None = None
+    boxes: RecordedBoxes | None = None
     camera: CameraCalibration | None = None
     moved: RecordedMotion | None = None
 

@@ -13,6 +13,7 @@ from typing import Any, Final
 from pydantic import BaseModel
 
 from schemas.events import RankedScene, SceneNumber
+from schemas.predicted_boxes import PredictedBoxes
 from schemas.problem import Problem
 from schemas.score import SceneScore
 
@@ -21,6 +22,7 @@ PUBLISHED: Final[Mapping[str, type[BaseModel]]] = {
     "counterpoint.scene_number.v1": SceneNumber,
     "counterpoint.ranked_scene.v1": RankedScene,
     "counterpoint.problem.v1": Problem,
+    "counterpoint.boxes.v1": PredictedBoxes,
 }
 """Name of the schema, as encodings on the bus give it, to the model. `scene_score.v1` is kept as a
 file only: stored records of that version are still published, and none is written."""

@@ -53,11 +53,13 @@ class FrameHealth:
         reason: The same as a sentence; empty where it labelled.
         seen_share: Share of the points to label that lie where an earlier frame saw a surface or
             free space; NaN without such points.
+        answered: False where the model under test gave no answer for the frame.
     """
 
     blindness: Blindness | None = None
     reason: str = ""
     seen_share: float = float("nan")
+    answered: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)

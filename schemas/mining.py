@@ -81,6 +81,17 @@ class MiningSettings(BaseModel):
         "`counterpoint parts` lists.",
     )
     lidar_topic: Url = Field(default="", description="Lidar topic to mine; empty: detected.")
+    recorded_topic: Url = Field(
+        default="",
+        description="Topic with the answer of the car's model, points or boxes, for the stream "
+        "`recorded`; empty: detected.",
+    )
+    predictions: Url = Field(
+        default="",
+        description="Folder or bucket with the model's answer next to the logs, for the stream "
+        "`recorded`: `.label` files or Parquet of boxes; empty: the logs contain it. Each answer "
+        "of a model needs a folder of its own: the pipeline version depends on this URL.",
+    )
     odometry_topic: Url = Field(
         default="",
         description="Topic of the recorded motion of the car, compared with the odometry in logs "
@@ -103,6 +114,15 @@ class MiningSettings(BaseModel):
     intensity_scale: Finite = Field(
         default=0.0, ge=0, description="Recorded value that means 1; 0: detected."
     )
+
+    @model_validator(mode="after")
+    def _predictions_are_read(self) -> "MiningSettings":
+        if self.predictions and not self.takes_recorded:
+            raise ValueError(
+                "predictions: only the supervised stream `recorded` reads them; set supervised to "
+                f"recorded, not {self.supervised}"
+            )
+        return self
 
     @property
     def takes_recorded(self) -> bool:

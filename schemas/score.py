@@ -89,6 +89,20 @@ class StreamHealth(BaseModel):
     reason: str = Field(default="", max_length=200, description="Cause of its blindness.")
 
 
+class SupervisedHealth(BaseModel):
+    """Health of a recorded supervised stream that does not label everything."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    labelled_share: Share = Field(
+        description="Share of the returns that it labels, and that can contradict at all."
+    )
+    unanswered_share: Share = Field(
+        description="Share of frames for which the model gave no answer."
+    )
+    reason: str = Field(default="", max_length=200, description="What its answers do not state.")
+
+
 class Reason(BaseModel):
     """One reason of a score: a headline, and the evidence for and against its attribution."""
 
@@ -191,6 +205,12 @@ class SceneScore(BaseModel):
         default=None,
         exclude_if=lambda value: value is None,
         description="Of the self-supervised stream; absent from records of earlier services.",
+    )
+    supervised: SupervisedHealth | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="Of the supervised stream, where it is recorded and some frames have no answer "
+        "or no motion; absent otherwise, and from records of earlier services.",
     )
     producers: Producers
 

@@ -39,6 +39,12 @@ _STRICT = ConfigDict(frozen=True, extra="forbid")
 MAX_TOPICS: Final = 256
 """Lidars of one log."""
 
+MAX_SPACE_TOPICS: Final = 16
+"""Topics of transforms and poses that place the boxes of one log."""
+
+MAX_STATIC_SPACES: Final = 256
+"""Constant transforms of one log; a car has some dozens."""
+
 
 def _fits_the_bus(record: str) -> str:
     if len(record.encode()) > MAX_RECORD_BYTES:
@@ -109,8 +115,50 @@ class Channel(BaseModel):
     )
 
 
+class StatedPose(BaseModel):
+    """Constant pose of one space of a log in another."""
+
+    model_config = _STRICT
+
+    parent: Said
+    child: Said
+    parent_from_child: tuple[Finite, ...] = Field(
+        min_length=16, max_length=16, description="4 x 4 matrix, row by row, metres."
+    )
+
+
+class BoxSource(BaseModel):
+    """Channel with boxes of the model that ran on the car, and what places them."""
+
+    model_config = _STRICT
+
+    channel: Channel | None = Field(default=None, description="None: boxes are in a file.")
+    moving_spaces: tuple[Channel, ...] = Field(
+        default=(), max_length=MAX_SPACE_TOPICS, description="Channels of transforms over time."
+    )
+    static_spaces: tuple[StatedPose, ...] = Field(
+        default=(), max_length=MAX_STATIC_SPACES, description="Transforms that never change."
+    )
+
+
+class PredictionFiles(BaseModel):
+    """Files with the model's answer, in the folder of the setting `predictions`."""
+
+    model_config = _STRICT
+
+    kind: Literal["labels", "boxes"] = Field(description="A file per cloud, or one of boxes.")
+    key: Url = Field(description="Prefix of the files of clouds, or key of the file of boxes.")
+    by_stamp: bool = Field(default=False, description="Files of clouds are named by their stamps.")
+    first_cloud: int = Field(
+        default=-1,
+        ge=-1,
+        le=MAX_INTEGER,
+        description="Number of the shard's first cloud; -1: none.",
+    )
+
+
 class RecordedSource(BaseModel):
-    """Channel with the labels of the model that ran on the car."""
+    """Channel, or files, with the labels of the model that ran on the car."""
 
     model_config = _STRICT
 
@@ -118,6 +166,16 @@ class RecordedSource(BaseModel):
         default=None, description="A topic of its own; None: fields of the cloud itself."
     )
     classes_json: Blob = Field(description="MCAP metadata `counterpoint.classes`, as one JSON map.")
+    boxes: BoxSource | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="Boxes of a topic, in place of labels of points.",
+    )
+    files: PredictionFiles | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="Files in place of what the log contains.",
+    )
 
 
 class Shard(BaseModel):

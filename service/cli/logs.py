@@ -16,11 +16,12 @@ from service.cli.options import (
     Config,
     Force,
     Json,
+    Predictions,
     ShardSeconds,
     settings_for,
 )
 from service.cli.output import json_line, listing, progress, remark
-from service.cli.report import first_of, say_inspected, say_judged
+from service.cli.report import first_of, say_inspected, say_judged, say_open
 from service.errors import NothingFoundError
 from service.output_files import need_folder, save_picture
 
@@ -41,12 +42,15 @@ def inspect(
     verify: Annotated[bool, typer.Option(help="Read every chunk and every cloud.")] = False,
     json: Json = False,
     bucket: BucketRoot = None,
+    predictions: Predictions = None,
     config: Config = None,
 ) -> None:
     """Show the content of a log, from its index; with --verify from every chunk."""
     from workers.ingest.inspect import inspect_recording
+    from workers.model_answer import read_answer
 
-    settings = settings_for(config, bucket=bucket)
+    supervised = "recorded" if predictions else None
+    settings = settings_for(config, bucket=bucket, predictions=predictions, supervised=supervised)
     store, recording = locate(url, root_url=settings.bucket)
     with progress() as bar:
         task = bar.add_task("reading", total=None)
@@ -57,10 +61,15 @@ def inspect(
             verify=verify,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
         )
+    answer = read_answer(store, recording, settings.mining())
     if json:
-        json_line(report)
+        json_line(report.model_copy(update={"answer": answer}))
         return
-    say_inspected(report.model_dump(mode="json"))
+    say_inspected(report.model_dump(mode="json", exclude={"answer"}))
+    if answer is not None:
+        remark(f"the model's answer: {answer.sentence}")
+        for problem in answer.problems:
+            remark(f"the model's answer: {problem}")
 
 
 @grouped
@@ -123,6 +132,7 @@ def score(
             ),
         )
     say_judged(scored)
+    say_open(scored)
 
 
 def _draw(mined: "MinedRecord", *, folder: Path, force: bool) -> None:

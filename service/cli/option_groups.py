@@ -10,6 +10,7 @@ from service.cli.options import (
     Camera,
     Model,
     Odometry,
+    Predictions,
     PresetName,
     SelfSupervised,
     Supervised,
@@ -24,14 +25,21 @@ class MiningOptions:
     supervised: Supervised = None
     model: Model = None
     weights: Weights = None
+    predictions: Predictions = None
     odometry: Odometry = None
     camera: Camera = None
     preset: PresetName = None
     selfsupervised: SelfSupervised = None
 
     def flags(self) -> dict[str, str | None]:
-        """Return what was given, as `service.settings.config.read_settings` takes it."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        """Return what was given, as `service.settings.config.read_settings` takes it.
+
+        A folder of predictions is read by the stream `recorded`, unless another one is named.
+        """
+        given = {field.name: getattr(self, field.name) for field in fields(self)}
+        if self.predictions and self.supervised is None:
+            given["supervised"] = "recorded"
+        return given
 
 
 def grouped(verb: Callable[..., None]) -> Callable[..., None]:

@@ -79,6 +79,13 @@ Weights = Annotated[
     str | None,
     typer.Option("--weights", help="Folder of imported weights; those that ship."),
 ]
+Predictions = Annotated[
+    str | None,
+    typer.Option(
+        "--predictions",
+        help="Folder or bucket with the model's answer next to the logs: .label or Parquet.",
+    ),
+]
 Odometry = Annotated[
     str | None, typer.Option("--odometry", help=_choice_of("odometry", "Odometry"))
 ]

@@ -99,6 +99,27 @@ def say_judged(scores: Iterable[SceneScore]) -> None:
         remark("streams: " + "; ".join(said_of(*pair) for pair in pairs))
 
 
+def say_open(scores: Sequence[SceneScore]) -> None:
+    """Print what the model under test leaves open over all scenes, one line per cause."""
+    points = sum(each.points for each in scores) or 1
+    labelled = sum(
+        each.points * (each.supervised.labelled_share if each.supervised else 1.0)
+        for each in scores
+    )
+    stated = [each.supervised for each in scores if each.supervised]
+    for reason in dict.fromkeys(each.reason for each in stated if each.reason):
+        remark(f"{reason}; {labelled / points:.0%} of the returns can contradict")
+    frames = sum(each.frames for each in scores) or 1
+    unanswered = sum(
+        each.frames * each.supervised.unanswered_share for each in scores if each.supervised
+    )
+    if unanswered:
+        remark(
+            f"the model gave no answer in {unanswered / frames:.0%} of the frames: these are not "
+            "judged"
+        )
+
+
 def say_ranking(rows: Sequence[RankedScene]) -> None:
     """Print the ranking, best first."""
     say_scenes(counted(len(rows), "scene"), rows, among=rows)

@@ -17,6 +17,7 @@ def examine(read: ReadSettings) -> Iterator[Finding]:
     Yields:
         Findings, each when it is made; a part may have several. Impossible checks are reported too.
     """
+    from service.doctor import answers as doctor_answers
     from service.doctor import machine as doctor_machine
     from service.doctor import network as doctor_network
     from service.doctor import stores as doctor_stores
@@ -32,6 +33,7 @@ def examine(read: ReadSettings) -> Iterator[Finding]:
         ("http", doctor_network.http),
         ("camera", doctor_machine.camera),
         ("workers", doctor_machine.parts),
+        ("model's answer", doctor_answers.answer),
         ("devices", doctor_machine.devices),
         ("compiled code", doctor_machine.compiled_code),
         ("clock", doctor_machine.clock),

@@ -218,6 +218,8 @@ class Settings(MiningSettings):
             str(real_path(Path(path))) if path else "" for path in (self.model, self.weights)
         )
         files = {"artifacts": self.artifacts_url, "model": model, "weights": weights}
+        if self.predictions and "://" not in self.predictions:
+            files["predictions"] = str(real_path(Path(self.predictions)))
         try:
             return MiningSettings(**shared | files | {"camera": _camera(self.camera)})
         except ValidationError as error:

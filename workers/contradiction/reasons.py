@@ -15,6 +15,7 @@ from schemas.score import (
     OdometryHealth,
     Reason,
     StreamHealth,
+    SupervisedHealth,
 )
 from schemas.task import Outcome, Task
 from workers.contradiction.explanations import HALF
@@ -50,6 +51,7 @@ def reasons_of(
     state: SceneState,
     health: OdometryHealth,
     stream: StreamHealth,
+    supervised: SupervisedHealth | None = None,
     own_model: str = "",
 ) -> tuple[Reason, ...]:
     """Return the reasons of a score, strongest first.
@@ -64,6 +66,7 @@ def reasons_of(
         state: State of its score.
         health: Health of its poses.
         stream: Health of the self-supervised stream.
+        supervised: Health of the supervised stream; None where it answers everything.
         own_model: Name of the user's own model; empty: the supervised stream is a shipped one.
     """
     span_s = (scene.end_ns - scene.start_ns) / NS_PER_S
@@ -88,6 +91,7 @@ def reasons_of(
     lowered.append(_remark(scene))
     if stream.blind_share > 0.0:
         lowered.append(_blind(stream))
+    lowered += open_questions(supervised)
     if stream.blind_share < 1.0:
         lowered.append(_nothing_compared(scene))
     return (*reasons, *(Reason(headline=each) for each in lowered if each))
@@ -204,6 +208,22 @@ def _blind(stream: StreamHealth) -> str:
     if stream.blind_share < 1.0:
         return f"self-supervised stream blind in {stream.blind_share:.0%} of the frames{cause}"
     return f"self-supervised stream blind throughout{cause}: nothing was compared"
+
+
+def open_questions(supervised: SupervisedHealth | None) -> list[str]:
+    """Return what the supervised stream leaves open, in a sentence each."""
+    if supervised is None:
+        return []
+    found = []
+    if supervised.reason:
+        share = f"{supervised.labelled_share:.0%} of the returns can contradict"
+        found.append(f"{supervised.reason}; {share}")
+    if supervised.unanswered_share:
+        found.append(
+            f"the model gave no answer in {supervised.unanswered_share:.0%} of the frames, which "
+            "are not judged"
+        )
+    return found
 
 
 def bearing(x_m: float, y_m: float) -> str:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from schemas.contradiction import LabelledFrame, Scene
 from schemas.frame import OdometryState
-from schemas.score import AgreementShares, OdometryHealth, StreamHealth
+from schemas.score import AgreementShares, OdometryHealth, StreamHealth, SupervisedHealth
 from schemas.task import Task
 
 SHARE_DIGITS: Final = 4
@@ -97,6 +97,25 @@ def stream_health(scene: Scene) -> StreamHealth:
         seen_share=round(sum(seen) / len(seen), SHARE_DIGITS) if seen else None,
         blind_share=round(len(blind) / len(health), SHARE_DIGITS),
         pose_jumps=sum(frame.posed.jumped for frame in scene.frames),
+        reason=reason[:MAX_REASON_LENGTH],
+    )
+
+
+def supervised_health(scene: Scene) -> SupervisedHealth | None:
+    """Summarise what the supervised stream leaves open; None where it answers everything."""
+    health = [frame.semantic.health for frame in scene.frames]
+    unanswered = sum(not each.answered for each in health)
+    reason = next((each.reason for each in health if each.reason), "")
+    if not unanswered and not reason:
+        return None
+    returns = labelled = 0
+    for frame in scene.frames:
+        valid = frame.posed.frame.valid_mask
+        returns += int(valid.sum())
+        labelled += int((frame.semantic.labels[valid] < scene.task.unknown).sum())
+    return SupervisedHealth(
+        labelled_share=round(labelled / returns, SHARE_DIGITS) if returns else 0.0,
+        unanswered_share=round(unanswered / len(health), SHARE_DIGITS),
         reason=reason[:MAX_REASON_LENGTH],
     )
 

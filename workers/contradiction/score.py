@@ -40,7 +40,12 @@ from schemas.task import Outcome
 from schemas.transport.wire import encode
 from schemas.work import Shard
 from workers.contradiction.reasons import class_word, reasons_of
-from workers.contradiction.scene_statistics import odometry_health, point_shares, stream_health
+from workers.contradiction.scene_statistics import (
+    odometry_health,
+    point_shares,
+    stream_health,
+    supervised_health,
+)
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
 from workers.contradiction.track_score import RankedTrack, pose_weights
 
@@ -101,6 +106,7 @@ def score_scene(
     counts = 1.0 if state is SceneState.SCORED else 0.0
     shares = point_shares(scene.frames)
     health, stream = odometry_health(scene), stream_health(scene)
+    supervised = supervised_health(scene)
     record = SceneScore(
         task=scene.task.name,
         scene_id=scene.scene_id,
@@ -119,6 +125,7 @@ def score_scene(
             state=state,
             health=health,
             stream=stream,
+            supervised=supervised,
             own_model=parts.own_model,
         ),
         points=shares.points,
@@ -132,6 +139,7 @@ def score_scene(
         ),
         odometry=health,
         health=stream,
+        supervised=supervised,
         producers=Producers(
             supervised=parts.supervised.version,
             selfsupervised=parts.selfsupervised.version,

@@ -49,6 +49,29 @@ class ShardReport(BaseModel):
     needed_bytes: int
 
 
+class ModelAnswer(BaseModel):
+    """What the model on the car answered in the first frames of a log."""
+
+    model_config = ConfigDict(frozen=True)
+
+    form: str = Field(description="`points`, `boxes`, or `files` of either.")
+    source: str = Field(description="Topic or file.")
+    frames: int = Field(description="Frames that were read.")
+    labelled_share: float = Field(description="Share of the returns that can contradict at all.")
+    unanswered_share: float = Field(description="Share of the frames without an answer.")
+    reason: str = Field(default="", description="What the answers do not state.")
+    problems: tuple[str, ...] = Field(default=(), description="What is wrong with them.")
+
+    @property
+    def sentence(self) -> str:
+        """Describe the answer in a sentence."""
+        said = f"{self.form} on {self.source}: {self.labelled_share:.0%} of the returns of the "
+        said += f"first {self.frames} frames can contradict"
+        if self.unanswered_share:
+            said += f", {self.unanswered_share:.0%} of these frames have no answer"
+        return f"{said}; {self.reason}" if self.reason else said
+
+
 class LogReport(BaseModel):
     """Contents of a log."""
 
@@ -74,6 +97,9 @@ class LogReport(BaseModel):
     verified: bool = Field(description="True if every chunk was read.")
     damage: tuple[Damage, ...]
     shards: tuple[ShardReport, ...]
+    answer: ModelAnswer | None = Field(
+        default=None, description="Of the model on the car; None where the log has none."
+    )
     refused: str = Field(description="Why it cannot be mined; empty when it can.")
     range_reads: int
     bytes_read: int

@@ -1,7 +1,7 @@
 """Planning of a recording: its lidars and shards, from its index and one chunk."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from schemas.bounds import MAX_PLAN_BYTES, MAX_TEXT
@@ -9,7 +9,7 @@ from schemas.camera import RECORDED, CameraCalibration
 from schemas.mining import MiningSettings
 from schemas.transport.bucket import Bucket
 from schemas.visible import visible
-from schemas.work import Channel, ChunkRef, Damage, LogPlan, RecordedSource, Recording, Shard
+from schemas.work import Channel, ChunkRef, Damage, LogPlan, Recording, Shard
 from workers.errors import LogUnusableError, NotMcapError
 from workers.ingest.camera_calibration import find_calibration
 from workers.ingest.damage import DamageList, damaged
@@ -20,11 +20,16 @@ from workers.ingest.lidar import choose_lidars, lidar_properties
 from workers.ingest.limits import MAX_CLOUD_TOPICS
 from workers.ingest.log_index import LogIndex, index_recording
 from workers.ingest.pointcloud import is_cloud, unsupported_reason
-from workers.ingest.recorded_labels import CLASSES_RECORD, find_labels, find_recorded_source
 from workers.ingest.recorded_motion import find_motion
-from workers.ingest.shard_windows import Span, Spans, cut_windows
+from workers.ingest.recorded_source import (
+    FoundSource,
+    find_source,
+    labels_of_log,
+    source_of_shard,
+)
+from workers.ingest.shard_windows import Spans, cut_windows
 from workers.ingest.topic_sampling import Sample, sample_end, sample_middle, sample_topics
-from workers.ingest.topic_spans import motion_spans, spans_of, spans_within_reach
+from workers.ingest.topic_spans import motion_spans, spans_within_reach
 from workers.ingest.topics import Topic, topics_of
 
 MAX_INDEX_READS: Final = 3
@@ -113,14 +118,14 @@ def plan_index(
         for sample in chosen:
             recorded = None
             if settings.takes_recorded:
-                recorded = _recorded(index, topics, sample, samples)
-            elif found := _labels(index, topics, sample, samples):
+                recorded = _recorded(index, topics, sample, samples, settings, damage)
+            elif found := labels_of_log(index, topics, sample, samples):
                 on_unread_labels(found.topic)
             channel = _without_schema(sample.topic.channel)
             camera = _camera(index, topics, sample, settings)
             motion = find_motion(topics, settings.odometry_topic)
             lidar = _Lidar(channel, anchor_ns, recorded, motion, camera, identity)
-            for shard in _shards(index, lidar, sample, samples, settings, damage):
+            for shard in _shards(index, lidar, sample, settings, damage):
                 plan_bytes += len(shard.model_dump_json())
                 if plan_bytes > MAX_PLAN_BYTES:
                     raise LogUnusableError(
@@ -151,7 +156,7 @@ class _Lidar:
 
     channel: Channel
     anchor_ns: int
-    recorded: RecordedSource | None
+    recorded: FoundSource | None
     motion: Channel | None
     camera: CameraCalibration | None
     identity: Identity
@@ -228,36 +233,14 @@ def _recorded(
     topics: Sequence[Topic],
     sample: Sample,
     samples: Mapping[str, Sample],
-) -> RecordedSource:
-    classes: dict[str, str] = {}
-    records = index.metadata(CLASSES_RECORD)
-    for record in records:
-        classes.update(record)
-    source = find_recorded_source(
-        [topic.channel for topic in topics],
-        {CLASSES_RECORD: classes} if records else {},
-        lidar=sample.topic.channel,
-        clouds={name: each.clouds for name, each in samples.items()},
-    )
-    if source is None:
-        raise LogUnusableError(
-            f"no recorded labels for {sample.topic.channel.topic}: neither its points nor a cloud "
-            "of the same stamp and width have a field 'label'"
-        )
-    if source.channel is None:
-        return source
-    return source.model_copy(update={"channel": _without_schema(source.channel)})
-
-
-def _labels(
-    index: LogIndex, topics: Sequence[Topic], sample: Sample, samples: Mapping[str, Sample]
-) -> Channel | None:
-    return find_labels(
-        [topic.channel for topic in topics],
-        has_classes=bool(index.metadata(CLASSES_RECORD)),
-        lidar=sample.topic.channel,
-        clouds={name: each.clouds for name, each in samples.items()},
-    )
+    settings: MiningSettings,
+    damage: list[Damage],
+) -> FoundSource:
+    found = find_source(index, topics, sample, samples, settings, damage)
+    if found.source.channel is None:
+        return found
+    channel = _without_schema(found.source.channel)
+    return replace(found, source=found.source.model_copy(update={"channel": channel}))
 
 
 def _camera(
@@ -272,16 +255,14 @@ def _shards(
     index: LogIndex,
     lidar: _Lidar,
     sample: Sample,
-    samples: Mapping[str, Sample],
     settings: MiningSettings,
     damage: list[Damage],
 ) -> Iterator[Shard]:
     spans, anchor_ns = spans_within_reach(
         index, sample, anchor_ns=lidar.anchor_ns, grid=settings.grid, damage=damage
     )
-    labels: list[Span] = []
-    if lidar.recorded is not None and lidar.recorded.channel is not None:
-        labels = spans_of(index, samples[lidar.recorded.channel.topic], damage)
+    labels = [] if lidar.recorded is None else lidar.recorded.spans
+    source = None if lidar.recorded is None else lidar.recorded.source
     scale = settings.intensity_scale or intensity_scale_of([*sample.clouds, *sample.later_clouds])
     chunks = Spans([*spans, *labels])
     wider = Spans([*spans, *labels, *motion_spans(index, lidar.motion, sample, spans)])
@@ -295,11 +276,12 @@ def _shards(
         reads = chunks
         if _length(window.reads(wider)) <= (1.0 + MOST_FOR_MOTION) * _length(window.reads(chunks)):
             reads = wider
+        read = tuple(window.reads(reads))
         yield Shard(
             log_id=index.recording.log_id,
             index=window.index,
             lidar=lidar.channel,
-            recorded=lidar.recorded,
+            recorded=source and source_of_shard(source, index, lidar.channel, read),
             motion=None if lidar.motion is None else _without_schema(lidar.motion),
             camera=lidar.camera,
             anchor_ns=anchor_ns,
@@ -311,7 +293,7 @@ def _shards(
             scene_s=settings.grid.scene_s,
             first_of_log=window.first_of_log,
             last_of_log=window.last_of_log,
-            chunks=tuple(window.reads(reads)),
+            chunks=read,
             needed_bytes=_length(window.needs(reads)),
             by_log_time=sample.by_log_time,
             intensity_scale=scale,

@@ -2,16 +2,18 @@
 
 import heapq
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import chain, repeat
 from typing import Final
 
+from schemas.boxes import RecordedBoxes
 from schemas.frame import LidarFrame, RecordedLabels, RecordedMotion
 from schemas.mining import MiningSettings
 from schemas.transport.bucket import Bucket
-from schemas.work import Channel, ChunkRef, Recording, Shard
+from schemas.work import Channel, ChunkRef, PredictionFiles, RecordedSource, Recording, Shard
 from workers.errors import CloudUnreadableError
+from workers.ingest.boxes.reading import BoxReader
 from workers.ingest.chunk import messages_in
 from workers.ingest.damage import DamageList, damaged
 from workers.ingest.decoding import MessageUnreadableError
@@ -22,10 +24,15 @@ from workers.ingest.message_rate import MessageRate
 from workers.ingest.messages import MAX_TIME_NS, RawMessage
 from workers.ingest.part_reader import PartReader
 from workers.ingest.pointcloud import DecodedCloud, decode_cloud
+from workers.ingest.prediction_files import LabelFiles
 from workers.ingest.recorded_labels import LabelPairing, recorded_labels
 from workers.ingest.recorded_motion import MotionLog, middle_ns
+from workers.ingest.recorded_source import spaces_of
 from workers.ingest.records import RecordMalformedError
 from workers.ingest.topics import ids_in
+
+Answer = RecordedLabels | RecordedBoxes | None
+"""Answer of the model on the car for one cloud; None without one."""
 
 FRAMES_HELD: Final = 2
 """Frames that wait for the car's recorded motion, where a log has it."""
@@ -65,6 +72,7 @@ class ShardReader:
     damage: DamageList = field(default_factory=DamageList)
     _motion: MotionLog = field(default_factory=MotionLog)
     _motion_damaged: bool = False
+    _sourced: SourcedMessage | None = None
 
     @property
     def range_reads(self) -> int:
@@ -76,7 +84,7 @@ class ShardReader:
         """Bytes read by these requests."""
         return sum(reader.bytes_read for reader in self.readers)
 
-    def frames(self) -> Iterator[LidarFrame]:
+    def frames(self) -> Generator[LidarFrame, None, None]:
         """Yield the frames from warm-up to lookahead, in the order of their log times.
 
         Raises:
@@ -91,7 +99,7 @@ class ShardReader:
     def _timed_frames(self) -> Iterator[tuple[LidarFrame, int]]:
         """Yield all frames with their log times, those too early and too late included."""
         previous_ns: int | None = None
-        for cloud, log_time_ns, labels in self._labelled_clouds():
+        for cloud, log_time_ns, answer in self._answered_clouds():
             no_stamp = self.shard.by_log_time or cloud.stamp_ns > MAX_TIME_NS
             frame = frame_from_cloud(
                 replace(cloud, stamp_ns=0) if no_stamp else cloud,
@@ -100,10 +108,14 @@ class ShardReader:
                 previous_stamp_ns=previous_ns,
                 intensity_scale=self.shard.intensity_scale,
                 stamp_at=self.settings.stamp_at,
-                recorded=labels,
+                recorded=None if isinstance(answer, RecordedBoxes) else answer,
                 camera=self.shard.camera,
             )
             previous_ns = frame.stamp_ns
+            if isinstance(answer, RecordedBoxes):
+                later_ns = frame.stamp_ns - (cloud.stamp_ns or log_time_ns)
+                boxes = replace(answer, stamp_ns=answer.stamp_ns + later_ns)
+                frame = replace(frame, boxes=boxes)
             yield frame, log_time_ns
 
     def _with_motion(
@@ -141,6 +153,65 @@ class ShardReader:
             shard.last_of_log or stamp_ns < max(shard.lookahead_end_ns, shard.end_ns)
         )
 
+    def _answered_clouds(self) -> Iterator[tuple[DecodedCloud, int, Answer]]:
+        """Yield the lidar's clouds with their log times and the answer of the model on the car."""
+        source = self.shard.recorded
+        if source is not None and source.boxes is not None:
+            yield from self._boxed_clouds(source)
+        elif source is not None and source.files is not None:
+            yield from self._filed_clouds(source, source.files)
+        else:
+            yield from self._labelled_clouds()
+
+    def _boxed_clouds(self, source: RecordedSource) -> Iterator[tuple[DecodedCloud, int, Answer]]:
+        """Yield the clouds with the boxes whose stamp is nearest."""
+        reader = BoxReader(self.shard, source, self.settings, record=self._record_message)
+        rate = MessageRate(by_log_time=self.shard.by_log_time)
+        try:
+            for sourced in self._in_order():
+                message = sourced.message
+                self._sourced = sourced
+                complete = reader.add(message)
+                if message.channel is self.shard.motion:
+                    self._add_motion(sourced)
+                elif message.channel is self.shard.lidar:
+                    cloud = self._cloud(sourced, rate)
+                    if cloud is not None:
+                        complete = reader.add_cloud(cloud, message.log_time_ns)
+                for (paired, log_time_ns), boxes in complete:
+                    yield paired, log_time_ns, boxes
+            for (paired, log_time_ns), boxes in reader.rest():
+                yield paired, log_time_ns, boxes
+        finally:
+            for sentence in reader.notices.sentences():
+                self._record(self.shard.chunks[0], sentence, length=0)
+
+    def _filed_clouds(
+        self, source: RecordedSource, files: PredictionFiles
+    ) -> Iterator[tuple[DecodedCloud, int, Answer]]:
+        """Yield the clouds with the labels of their files."""
+        reader = LabelFiles(self.settings.predictions, files, source.classes_json)
+        rate = MessageRate(by_log_time=self.shard.by_log_time)
+        number, missing = files.first_cloud - 1, 0
+        for sourced in self._in_order():
+            if sourced.message.channel is self.shard.motion:
+                self._add_motion(sourced)
+                continue
+            number += 1
+            cloud = self._cloud(sourced, rate)
+            if cloud is None:
+                continue
+            labels = None
+            try:
+                labels = reader.labels(cloud, number)
+                missing += labels is None and self._scores(cloud.stamp_ns)
+            except CloudUnreadableError as error:
+                if self._scores(cloud.stamp_ns):
+                    self._record(sourced.ref, str(error), length=0)
+            yield cloud, sourced.message.log_time_ns, labels
+        if missing:
+            self._record(self.shard.chunks[0], reader.missing(missing), length=0)
+
     def _labelled_clouds(self) -> Iterator[tuple[DecodedCloud, int, RecordedLabels | None]]:
         """Yield the lidar's clouds with their log times and, where the log has them, labels."""
         source = self.shard.recorded
@@ -174,19 +245,26 @@ class ShardReader:
         for sourced in self._in_order():
             if sourced.message.channel is self.shard.motion:
                 self._add_motion(sourced)
-                continue
-            message = sourced.message
-            is_lidar = message.channel is self.shard.lidar
-            try:
-                if is_lidar:
-                    rate.check_logged(message)
-                cloud = decode_cloud(message)
-                if is_lidar:
-                    rate.check_taken(cloud, message)
-            except CloudUnreadableError as error:
-                self._record(sourced.ref, str(error), length=len(message.data))
-                continue
-            yield sourced, cloud
+            elif (cloud := self._cloud(sourced, rate)) is not None:
+                yield sourced, cloud
+
+    def _cloud(self, sourced: SourcedMessage, rate: MessageRate) -> DecodedCloud | None:
+        """Decode a cloud of the lidar or of its labels; None where it is unreadable."""
+        message = sourced.message
+        is_lidar = message.channel is self.shard.lidar
+        try:
+            if is_lidar:
+                rate.check_logged(message)
+            cloud = decode_cloud(message)
+            if is_lidar:
+                rate.check_taken(cloud, message)
+        except CloudUnreadableError as error:
+            self._record(sourced.ref, str(error), length=len(message.data))
+            return None
+        return cloud
+
+    def _scores(self, stamp_ns: int) -> bool:
+        return self.shard.start_ns <= stamp_ns < self.shard.end_ns
 
     def _add_motion(self, sourced: SourcedMessage) -> None:
         """Add a message of recorded motion; only the first unreadable one is recorded as damage."""
@@ -240,9 +318,15 @@ class ShardReader:
         """Return the channels of lidar, recorded labels and motion by their ids in one part."""
         source = self.shard.recorded
         labels = source.channel if source is not None else None
-        wanted = (self.shard.lidar, labels, self.shard.motion)
+        wanted = (*spaces_of(source), self.shard.lidar, labels, self.shard.motion)
         channels = [channel for channel in wanted if channel is not None]
         return {each: channel for channel in channels for each in ids_in(channel, part)}
+
+    def _record_message(self, what: str) -> None:
+        """Record what is wrong with the message that is being read."""
+        if self._sourced is not None:
+            length = len(self._sourced.message.data)
+            self._record(self._sourced.ref, what, length=length)
 
     def _record(self, ref: ChunkRef, what: str, *, length: int | None = None) -> None:
         self.damage.append(

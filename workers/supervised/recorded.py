@@ -1,4 +1,4 @@
-"""Recorded supervised stream: the labels of the on-board model in the log, instead of networks."""
+"""Recorded supervised stream: the answer of the on-board model, points or boxes, not networks."""
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Confidences, Labels, Mask, MotionLabels
 from schemas.frame import LidarFrame, PosedFrame, RecordedClass, RecordedLabels
-from schemas.labels import FrameLabels, MotionLabel
+from schemas.labels import FrameHealth, FrameLabels, MotionLabel
 from schemas.task import GROUND, MOTION, Task
+from workers.supervised.box_labels import NO_MOTION, BoxLabels
 from workers.supervised.ground_classes import ground_labels_of
 
-_REVISION: Final = b"recorded 1"
+_REVISION: Final = b"recorded 2"
 """Revision of the code; increases when the same recorded labels give other labels."""
 
 _LABEL_OF_CODE: Final = (MotionLabel.UNKNOWN, MotionLabel.STATIC, MotionLabel.DYNAMIC)
@@ -24,8 +25,10 @@ class Recorded:
     """Labels of the car's own model, as recorded in the log.
 
     Recorded motion is used unchanged. Where only classes are recorded, a class that means moving is
-    dynamic, any other known class static. Ground follows from the names of the classes. Frames
-    without recorded labels are unknown throughout.
+    dynamic, any other known class static. Where no class means moving either, the model says no
+    motion: a movable class is unknown, and the health of the frame states it. Boxes label the
+    points in them (`box_labels`). Ground follows from the names of the classes. Frames without an
+    answer are unknown throughout.
 
     Args:
         task: Task of the labels: motion, or ground.
@@ -37,7 +40,8 @@ class Recorded:
     def __init__(self, task: Task = MOTION) -> None:
         self.task = task
         self._answers = _ANSWERS[task.name]
-        self._classes: dict[int, tuple[int, str]] = {}
+        self._classes: dict[int | str, tuple[int, str]] = {}
+        self._boxes = BoxLabels(self._classes)
 
     @property
     def version(self) -> str:
@@ -57,7 +61,12 @@ class Recorded:
     def __call__(self, frames: Iterable[PosedFrame]) -> Iterator[FrameLabels]:
         """Yield the recorded labels of each frame, in order."""
         self._classes = {}
+        self._boxes = BoxLabels(self._classes)
         for posed in frames:
+            if posed.frame.boxes is not None and self.task == MOTION:
+                yield self._boxes.label(posed, posed.frame.boxes)
+                continue
+            self._boxes.skip(posed)
             yield self._label(posed.frame)
 
     def _label(self, frame: LidarFrame) -> FrameLabels:
@@ -68,6 +77,7 @@ class Recorded:
                 labels=np.full(n, self.task.unknown, dtype=np.uint8),
                 confidence=np.zeros(n, dtype=np.float16),
                 class_id=np.full(n, -1, dtype=np.int16),
+                health=FrameHealth(answered=False),
             )
         for class_id in sorted(recorded.classes):
             name = recorded.classes[class_id].name
@@ -77,9 +87,20 @@ class Recorded:
             labels=labels,
             confidence=_confidence(recorded, labels, self.task),
             class_id=_per_id(
-                recorded.class_id, {key: index for key, (index, _) in self._classes.items()}, -1
+                recorded.class_id,
+                {key: index for key, (index, _) in self._classes.items() if isinstance(key, int)},
+                -1,
             ).astype(np.int16),
+            health=FrameHealth(
+                reason=NO_MOTION if self.task == MOTION and not says_motion(recorded) else ""
+            ),
         )
+
+
+def says_motion(recorded: RecordedLabels) -> bool:
+    """Return True where labels state motion: in a field of its own, or by a class that moves."""
+    classes = recorded.classes.values()
+    return recorded.motion is not None or any(meaning.moving for meaning in classes)
 
 
 def _motion(recorded: RecordedLabels) -> MotionLabels:
@@ -87,9 +108,11 @@ def _motion(recorded: RecordedLabels) -> MotionLabels:
         label_of_code = np.full(256, MotionLabel.UNKNOWN, dtype=np.uint8)
         label_of_code[: len(_LABEL_OF_CODE)] = _LABEL_OF_CODE
         return label_of_code[recorded.motion]
+    known = recorded.classes
+    told = says_motion(recorded)
     return _per_id(
         recorded.class_id,
-        {key: _label_of(meaning) for key, meaning in recorded.classes.items()},
+        {key: _label_of(each) for key, each in known.items() if told or not each.movable},
         MotionLabel.UNKNOWN,
     ).astype(np.uint8)
 

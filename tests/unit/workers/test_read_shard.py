@@ -175,7 +175,7 @@ def test_memory_holds_a_few_chunks_not_the_shard() -> None:
 def test_reading_may_end_early() -> None:
     frames = Log(RECORDER.write(drive(50))).reader().frames()
     assert next(frames).stamp_ns == BEGIN_NS
-    frames.close()  # type: ignore[attr-defined]
+    frames.close()
 
 
 def labels_cloud(stamp_ns: int, *, points: int = 864) -> bytes:

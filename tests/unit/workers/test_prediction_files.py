@@ -1,0 +1,172 @@
+"""A model's answer in files next to the logs: labels per cloud, and Parquet of boxes."""
+
+import json
+import sys
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+from schemas.frame import LidarFrame
+from schemas.transport.bucket import open_bucket
+from tests.box_logs import clouds, read, stamp, transform, write
+from tests.factories import posed
+from tests.tiny_logs import only_recording, settings
+from workers.errors import LogUnusableError
+from workers.ingest.plan import plan_recording
+from workers.ingest.read import read_shard
+from workers.supervised.box_labels import NO_MOTION
+from workers.supervised.recorded import Recorded
+
+POINTS = 864
+CAR, MOVING_CAR, ROAD = 10, 252, 40
+
+
+def label_files(folder: Path, ids: list[int], *, count: int = 20, by_stamp: bool = False) -> None:
+    folder.mkdir(parents=True)
+    for number in range(count):
+        labels = np.resize(np.array(ids, "<u4"), POINTS) | np.uint32(7 << 16)  # with an instance
+        name = f"{stamp(number)}" if by_stamp else f"{number:06d}"
+        (folder / f"{name}.label").write_bytes(labels.astype("<u4").tobytes())
+
+
+@pytest.mark.parametrize("by_stamp", [False, True])
+@pytest.mark.parametrize("folder", ["drive", "fleet/drive"])
+def test_labels_come_by_number_or_stamp_and_by_either_name_of_the_log(
+    tmp_path: Path, folder: str, by_stamp: bool
+) -> None:
+    label_files(tmp_path / folder, [CAR, ROAD, MOVING_CAR, 0], by_stamp=by_stamp)
+    frames, said = read(write(clouds()), predictions=str(tmp_path))
+    assert said == []
+    assert len(frames) == 20
+    stream = Recorded()
+    for found in stream([posed(frame) for frame in frames]):
+        assert found.labels[:4].tolist() == [0, 0, 1, 2]
+        assert found.health.reason == ""
+    assert "moving-car" in stream.class_names
+
+
+def test_later_shards_count_the_clouds_before_them(tmp_path: Path) -> None:
+    folder = tmp_path / "drive"
+    folder.mkdir()
+    for number in range(60):
+        labels = np.full(POINTS, CAR if number < 45 else ROAD, "<u4")
+        (folder / f"{number:06d}.label").write_bytes(labels.tobytes())
+    bucket = open_bucket("memory://")
+    bucket.put("fleet/drive.mcap", write(clouds(60)))
+    using = settings(supervised="recorded", shard_s=2.0).model_copy(
+        update={"predictions": str(tmp_path)}
+    )
+    recording = only_recording(bucket)
+    plan = plan_recording(bucket, recording, using)
+    assert len(plan.shards) == 3
+    for shard in plan.shards:
+        reader = read_shard(bucket, recording, shard, using)
+        for frame in reader.frames():
+            assert frame.recorded is not None
+            number = round((frame.stamp_ns - stamp(0)) / 1e8)
+            assert frame.recorded.class_id[0] == (CAR if number < 45 else ROAD)
+
+
+def test_a_network_that_names_but_says_no_motion_is_judged_for_what_it_can(tmp_path: Path) -> None:
+    label_files(tmp_path / "drive", [CAR, ROAD])
+    frames, _ = read(write(clouds()), predictions=str(tmp_path))
+    (found,) = Recorded()([posed(frames[0])])
+    assert found.labels[:2].tolist() == [2, 0]
+    assert found.health.reason == NO_MOTION
+
+
+def test_classes_next_to_the_files_win(tmp_path: Path) -> None:
+    label_files(tmp_path / "drive", [3])
+    classes = {"3": {"name": "tram", "movable": True, "moving": True}}
+    (tmp_path / "classes.json").write_text(json.dumps(classes))
+    frames, _ = read(write(clouds()), predictions=str(tmp_path))
+    (found,) = Recorded()([posed(frames[0])])
+    assert found.labels[0] == 1
+
+
+def test_a_file_of_another_length_costs_its_frame(tmp_path: Path) -> None:
+    label_files(tmp_path / "drive", [ROAD], count=18)
+    (tmp_path / "drive" / "000003.label").write_bytes(b"\0" * 400)
+    frames, said = read(write(clouds()), predictions=str(tmp_path))
+    unanswered = [number for number, frame in enumerate(frames) if frame.recorded is None]
+    assert unanswered == [3, 18, 19]
+    assert any("000003.label has 400 bytes, 864 points need 3456" in each for each in said)
+    assert any("2 clouds have no file of labels" in each for each in said)
+
+
+def test_no_files_are_a_refusal_that_names_what_is_wanted(tmp_path: Path) -> None:
+    bucket = open_bucket("memory://")
+    bucket.put("fleet/drive.mcap", write(clouds()))
+    using = settings(supervised="recorded").model_copy(update={"predictions": str(tmp_path)})
+    plan = plan_recording(bucket, only_recording(bucket), using)
+    assert "drive/000000.label" in plan.refused
+    assert "drive.parquet" in plan.refused
+
+
+def parquet_of_boxes(path: Path, *, frame_id: str = "", without: str = "") -> None:
+    rows = [
+        {
+            "stamp_ns": stamp(number),
+            "frame_id": frame_id,
+            "x": 5.0 + number,
+            "y": 1.0,
+            "z": 0.0,
+            "length": 4.0,
+            "width": 2.0,
+            "height": 1.5,
+            "yaw": 0.5,
+            "vx": 3.0,
+            "vy": 0.0,
+            "class_name": "car",
+            "score": 0.5,
+            "track_id": 17,
+        }
+        for number in reversed(range(20))
+    ]
+    kept = [{name: value for name, value in row.items() if name != without} for row in rows]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    out = BytesIO()
+    parquet.write_table(pa.Table.from_pylist(kept), out)
+    path.write_bytes(out.getvalue())
+
+
+def boxed(frames: list[LidarFrame]) -> list[float]:
+    return [float(frame.boxes.centre_m[0, 0]) for frame in frames if frame.boxes is not None]
+
+
+@pytest.mark.parametrize("name", ["drive.parquet", "drive/boxes.parquet", "fleet/drive.parquet"])
+def test_boxes_come_from_parquet(tmp_path: Path, name: str) -> None:
+    parquet_of_boxes(tmp_path / name)
+    frames, said = read(write(clouds()), predictions=str(tmp_path))
+    assert said == []
+    assert boxed(frames) == [5.0 + number for number in range(20)]
+    assert frames[0].boxes is not None
+    assert frames[0].boxes.track_id == ("17",)
+    np.testing.assert_allclose(frames[0].boxes.velocity_m_per_s, [(3.0, 0.0, 0.0)])
+
+
+def test_boxes_in_parquet_are_placed_by_the_transforms_of_the_log(tmp_path: Path) -> None:
+    parquet_of_boxes(tmp_path / "drive.parquet", frame_id="base")
+    log = write([*clouds(), transform("base", "lidar", 2.0, log_time_ns=stamp(0))])
+    frames, said = read(log, predictions=str(tmp_path))
+    assert said == []
+    assert boxed(frames) == [3.0 + number for number in range(20)]
+
+
+def test_parquet_without_a_column_ends_in_a_sentence(tmp_path: Path) -> None:
+    parquet_of_boxes(tmp_path / "drive.parquet", without="width")
+    with pytest.raises(LogUnusableError, match="lacks the columns width"):
+        read(write(clouds()), predictions=str(tmp_path))
+
+
+def test_without_pyarrow_the_extra_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parquet_of_boxes(tmp_path / "drive.parquet")
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(LogUnusableError, match=r"counterpoint\[predictions\]"):
+        read(write(clouds()), predictions=str(tmp_path))

@@ -1,0 +1,107 @@
+"""Boxes in a Parquet file next to a log: the rows of one shard, as answers in order of time."""
+
+import math
+from typing import Any, Final
+
+from schemas.predicted_boxes import MAX_BOXES
+from schemas.transport.bucket import Bucket
+from workers.errors import LogUnusableError
+from workers.ingest.boxes.stated import StatedBox, StatedBoxes, gather
+from workers.ingest.limits import MIB
+
+MAX_FILE_BYTES: Final = 512 * MIB
+MAX_OPENED_BYTES: Final = 4096 * MIB
+"""Bytes of a file of boxes, stored and as its own index states them opened."""
+
+MAX_ROWS: Final = 500_000
+"""Rows of one shard; 200 answers of 120 boxes are 24,000."""
+
+NEEDED: Final = ("stamp_ns", "x", "y", "z", "length", "width", "height")
+OPTIONAL: Final = (
+    *("frame_id", "yaw", "qx", "qy", "qz", "qw", "vx", "vy", "vz"),
+    *("class_name", "score", "track_id"),
+)
+
+
+def read_box_file(bucket: Bucket, key: str, *, start_ns: int, end_ns: int) -> list[StatedBoxes]:
+    """Read the boxes of a stretch of time.
+
+    Args:
+        bucket: Bucket of predictions.
+        key: The file; columns are `NEEDED` and any of `OPTIONAL`.
+        start_ns: First stamp.
+        end_ns: First stamp after.
+
+    Raises:
+        LogUnusableError: If pyarrow is not installed, or the file is no such Parquet.
+    """
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError:
+        raise LogUnusableError(
+            f"boxes in Parquet need pyarrow: pip install 'counterpoint[predictions]' ({key})"
+        ) from None
+    data = bucket.read_all(key, at_most=MAX_FILE_BYTES)
+    try:
+        file = parquet.ParquetFile(pa.BufferReader(data))
+        names = set(file.schema_arrow.names)
+        groups = [file.metadata.row_group(i) for i in range(file.num_row_groups)]
+        if sum(group.total_byte_size for group in groups) > MAX_OPENED_BYTES:
+            raise LogUnusableError(f"it opens to more than {MAX_OPENED_BYTES} bytes ({key})")
+        if missing := [name for name in NEEDED if name not in names]:
+            raise LogUnusableError(
+                f"the Parquet of boxes lacks the columns {', '.join(missing)}: it needs "
+                f"{', '.join(NEEDED)} ({key})"
+            )
+        columns = [name for name in (*NEEDED, *OPTIONAL) if name in names]
+        within = [("stamp_ns", ">=", start_ns), ("stamp_ns", "<", end_ns)]
+        table = parquet.read_table(pa.BufferReader(data), columns=columns, filters=within)
+        if table.num_rows > MAX_ROWS:
+            raise LogUnusableError(
+                f"the Parquet of boxes has {table.num_rows} rows within "
+                f"{(end_ns - start_ns) / 1e9:.0f} s, more than {MAX_ROWS} ({key})"
+            )
+        rows = table.sort_by("stamp_ns").to_pylist()
+    except pa.ArrowException as error:
+        raise LogUnusableError(f"cannot read boxes: {error} ({key})") from None
+    return _answers(rows, key)
+
+
+def _answers(rows: list[dict[str, Any]], key: str) -> list[StatedBoxes]:
+    grouped: dict[tuple[int, str], list[StatedBox]] = {}
+    for row in rows:
+        where = (int(row["stamp_ns"]), str(row.get("frame_id") or ""))
+        grouped.setdefault(where, []).append(_box(row))
+    if crowded := [stamp_ns for (stamp_ns, _), boxes in grouped.items() if len(boxes) > MAX_BOXES]:
+        raise LogUnusableError(
+            f"{len(crowded)} instants have more than {MAX_BOXES} boxes, the first at "
+            f"{crowded[0]} ns ({key})"
+        )
+    return [gather(stamp_ns, frame, boxes) for (stamp_ns, frame), boxes in grouped.items()]
+
+
+def _box(row: dict[str, Any]) -> StatedBox:
+    nan = float("nan")
+
+    def numbers(*names: str) -> list[float]:
+        return [nan if row[name] is None else float(row[name]) for name in names]
+
+    if row.get("qw") is not None:
+        rotation = numbers("qx", "qy", "qz", "qw")
+    else:
+        half = float(row.get("yaw") or 0.0) / 2
+        rotation = [0.0, 0.0, math.sin(half), math.cos(half)]
+    velocity = None
+    if row.get("vx") is not None and row.get("vy") is not None:
+        velocity = [float(row["vx"]), float(row["vy"]), float(row.get("vz") or 0.0)]
+    score = row.get("score")
+    return StatedBox(
+        centre_m=numbers("x", "y", "z"),
+        rotation=rotation,
+        size_m=numbers("length", "width", "height"),
+        velocity_m_per_s=velocity,
+        score=None if score is None else float(score),
+        class_name=str(row.get("class_name") or ""),
+        track_id="" if row.get("track_id") is None else str(row["track_id"]),
+    )
