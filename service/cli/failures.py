@@ -15,8 +15,9 @@ from service.cli.options import (
     settings_for,
 )
 from service.cli.output import counted, json_line, progress, remark, table
+from service.cli.planting import planted_path, planting_of, say_variants
 from service.errors import UsageError
-from service.output_files import need_folder, need_writable
+from service.output_files import need_folder, need_writable, save_text
 from service.reports.failure_report import COLUMNS_MEAN, write_report
 
 if TYPE_CHECKING:
@@ -81,6 +82,28 @@ def failures(
             "--dropout-every", min=0, max=MOST, help="Interval of frames with MC dropout; 0: none."
         ),
     ] = 10,
+    plant: Annotated[
+        bool,
+        typer.Option(
+            "--plant", help="Plant failures in labels made from the truth of real logs, by seed."
+        ),
+    ] = False,
+    variants: Annotated[
+        int, typer.Option("--variants", min=1, max=MOST, help="Variants of each log (--plant).")
+    ] = 50,
+    seed: Annotated[
+        int, typer.Option("--seed", min=0, max=MOST, help="Seed of failures and noise (--plant).")
+    ] = 0,
+    frames: Annotated[
+        str, typer.Option("--frames", help="Frames A:B of each log, B excluded (--plant).")
+    ] = "0:",
+    share: Annotated[
+        str, typer.Option("--share", help="Share of the scenes that fail, as 1/6 (--plant).")
+    ] = "1/6",
+    keep: Annotated[
+        bool,
+        typer.Option("--keep", help="Write planted.json next to the report (--plant)."),
+    ] = False,
     draws: Annotated[
         int,
         typer.Option("--draws", min=0, max=MOST, help="Draws of the bootstrap; 0: no intervals."),
@@ -95,6 +118,10 @@ def failures(
         raise UsageError(f"--table must be planted or natural, got {only!r}")
     if report is not None:
         need_writable(report, option="--report", force=force)
+    planting = planting_of(variants=variants, seed=seed, frames=frames, share=share)
+    listed = planted_path(report, keep=keep, force=force) if plant else None
+    if plant and truth is None:
+        raise UsageError("--plant makes labels from truth: name its folder with --truth")
     if kept is not None:
         need_folder(kept, option="--kept")
     logs_url = url if truth is not None else f"{url.rstrip('/')}/logs"
@@ -108,6 +135,26 @@ def failures(
         bucket=logs_url,
         **mining.flags(),
     )
+    if plant:
+        from workers.lab.evaluation.failures.planting.bench import bench_planting
+
+        with progress() as bar:
+            task = bar.add_task("mining", total=None)
+            made, planted = bench_planting(
+                logs_url,
+                where,
+                settings.mining(),
+                planting,
+                processes=workers,
+                kept=settings.state / "bench" if kept is None else kept,
+                draws=draws,
+                on_progress=lambda done, total: bar.update(task, completed=done, total=total),
+            )
+        if listed is not None:
+            save_text(planted.model_dump_json(indent=1), listed, option="--keep", force=force)
+            remark(f"planted failures: {listed}")
+        _say(made, json=json, report=report, force=force)
+        return
     from workers.lab.evaluation.failures.bench import bench_failures
     from workers.lab.evaluation.failures.uncertainty import Probing
 
@@ -125,15 +172,23 @@ def failures(
             draws=draws,
             on_progress=lambda done, total: bar.update(task, completed=done, total=total),
         )
+    _say(bench, json=json, report=report, force=force)
+
+
+def _say(bench: "FailureBench", *, json: bool, report: Path | None, force: bool) -> None:
+    """Print a benchmark, and write its report if one is wanted."""
     if json:
         json_line(bench.as_json())
     else:
         _say_what_it_is_too_small_for(bench)
-        if bench.planted is not None:
+        if bench.planted is not None and bench.variants:
+            say_variants(bench, bench.planted)
+        elif bench.planted is not None:
             _say_planted(bench.planted)
         if bench.natural is not None:
             _say_natural(bench.natural)
-        remark(COLUMNS_MEAN)
+        if not bench.variants:
+            remark(COLUMNS_MEAN)
     for judged_in, stream in bench.judged.items():
         remark(f"evaluated in {judged_in}: supervised stream {stream}")
     if report is None:
@@ -226,7 +281,7 @@ def _say_what_it_is_too_small_for(bench: "FailureBench") -> None:
     from workers.lab.evaluation.failures.intervals import MIN_LOGS
     from workers.lab.evaluation.failures.retrieval import budget_size
 
-    if bench.logs < MIN_LOGS:
+    if bench.logs < MIN_LOGS and not bench.within:
         remark(f"no intervals: {counted(bench.logs, 'log')}, and at least {MIN_LOGS} are needed")
     for ranked, what in ((bench.planted, "scene"), (bench.natural, "object")):
         if ranked is not None and budget_size(0.01, ranked.ranked) == budget_size(

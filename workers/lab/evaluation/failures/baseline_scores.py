@@ -4,21 +4,21 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from schemas.arrays import Mask
 from schemas.contradiction import LabelledFrame, Scene
 from schemas.labels import Agreement, MotionLabel
-
-FLICKER_M: Final = 0.3
-"""Distance within which the nearest point of the previous frame is the same place, metres."""
+from workers.lab.evaluation.failures.nearest_points import NearestPoints
 
 LEAST_SURE_SHARE: Final = 0.01
 
 
-def scene_baselines(scene: Scene) -> Mapping[str, float]:
+def scene_baselines(scene: Scene, nearest: NearestPoints | None = None) -> Mapping[str, float]:
     """Compute the baseline scores of a scene.
+
+    Args:
+        scene: The scene.
+        nearest: Nearest points of its frames, where many variants of a drive share them.
 
     Returns:
         `flicker`, the share of points off the ground whose supervised label changes from one frame
@@ -39,7 +39,7 @@ def scene_baselines(scene: Scene) -> Mapping[str, float]:
         standing += int((valid & off).sum())
         standing_differing += int((differs & off).sum())
     return {
-        "flicker": flicker_share(frames),
+        "flicker": flicker_share(frames, nearest),
         "point_share": _ratio(differing, compared),
         "point_share_off_ground": _ratio(standing_differing, standing),
         "free_space": free_space_share(frames),
@@ -48,22 +48,20 @@ def scene_baselines(scene: Scene) -> Mapping[str, float]:
     }
 
 
-def flicker_share(frames: Sequence[LabelledFrame]) -> float:
+def flicker_share(frames: Sequence[LabelledFrame], nearest: NearestPoints | None = None) -> float:
     """Return the share of points off the ground whose label differs from the frame before.
 
     Both directions count, so a point that is no longer dynamic counts too. Positions are compared
     in odom space.
     """
+    finder = NearestPoints() if nearest is None else nearest
     changed = asked = 0
-    before: tuple[NDArray[np.float64], Mask] | None = None
+    before: LabelledFrame | None = None
     for frame in frames:
-        valid = _off_ground(frame) & (frame.semantic.labels != MotionLabel.UNKNOWN)
-        places = _in_odom(frame)[valid]
-        dynamic = frame.semantic.labels[valid] == MotionLabel.DYNAMIC
+        asked += int(_labelled_off_ground(frame).sum())
         if before is not None:
-            asked += len(places)
-            changed += _changes(places, dynamic, *before) + _changes(*before, places, dynamic)
-        before = places, dynamic
+            changed += _changes(finder, frame, before) + _changes(finder, before, frame)
+        before = frame
     return _ratio(changed, asked)
 
 
@@ -104,21 +102,17 @@ def proven_moving(frame: LabelledFrame) -> Mask | None:
     return frame.predictive.confirmed
 
 
-def _changes(
-    places: NDArray[np.float64], dynamic: Mask, others: NDArray[np.float64], others_dynamic: Mask
-) -> int:
+def _changes(nearest: NearestPoints, frame: LabelledFrame, other: LabelledFrame) -> int:
     """Count the dynamic points whose nearest point of the other frame is static."""
-    if not dynamic.any() or not len(others):
-        return 0
-    tree = cKDTree(others, balanced_tree=False, compact_nodes=False)
-    _, nearest = tree.query(places[dynamic], distance_upper_bound=FLICKER_M)
-    found = nearest[nearest < len(others)]
-    return int((~others_dynamic[found]).sum())
+    valid, others = _labelled_off_ground(frame), _labelled_off_ground(other)
+    dynamic = valid & (frame.semantic.labels == MotionLabel.DYNAMIC)
+    found = nearest.of(frame, valid, other, others, dynamic)
+    return int((other.semantic.labels[found] != MotionLabel.DYNAMIC).sum())
 
 
-def _in_odom(frame: LabelledFrame) -> NDArray[np.float64]:
-    pose = frame.posed.odom_from_sensor
-    return frame.posed.frame.points_m @ pose[:3, :3].T + pose[:3, 3]
+def _labelled_off_ground(frame: LabelledFrame) -> Mask:
+    known: Mask = _off_ground(frame) & (frame.semantic.labels != MotionLabel.UNKNOWN)
+    return known
 
 
 def _off_ground(frame: LabelledFrame) -> Mask:

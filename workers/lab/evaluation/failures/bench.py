@@ -35,6 +35,16 @@ class FailureBench(BaseModel):
     judged: dict[str, str] = Field(
         default_factory=dict, description="Name of the supervised stream, by table."
     )
+    variants: int = Field(
+        default=0, description="Variants of each drive; 0 where the logs have their own failures."
+    )
+    within: str = Field(
+        default="",
+        description="`within one drive` where intervals are by variant; empty: by log or drive.",
+    )
+    skipped: dict[str, str] = Field(
+        default_factory=dict, description="Logs in which nothing can be planted, and the reason."
+    )
     planted: PlantedTable | None = None
     natural: NaturalTable | None = None
 
@@ -42,7 +52,7 @@ class FailureBench(BaseModel):
         """Return one object: *planted* at the top level, *natural* under its name."""
         planted = {} if self.planted is None else self.planted.model_dump(mode="json")
         natural = None if self.natural is None else self.natural.model_dump(mode="json")
-        about = {"bucket": self.bucket, "logs": self.logs, "judged": self.judged}
+        about = self.model_dump(mode="json", exclude={"planted", "natural"})
         return {**about, **planted, "natural": natural}
 
 

@@ -10,6 +10,7 @@ from schemas.transport.bucket import Bucket
 from schemas.work import Recording
 from workers.ingest.read import read_shard
 from workers.lab.evaluation.failures.frame_truth import FrameWithTruth, UncertaintyBuffer
+from workers.lab.evaluation.failures.planting.variants import Variant
 from workers.lab.evaluation.failures.pose_slips import Slip, SlippingOdometry
 from workers.lab.evaluation.failures.rows import MinedLog, SceneRow
 from workers.lab.evaluation.failures.scene_rows import scene_row
@@ -31,12 +32,14 @@ class LogJob:
         truth: Folder of the truth of its bucket.
         frames: Number of frames in its truth.
         slips: Pose slips to inject in addition to those that its truth lists.
+        variant: Labels and failures to plant; None mines the labels of the log.
     """
 
     recording: Recording
     truth: Path
     frames: int = 0
     slips: tuple[Slip, ...] = ()
+    variant: Variant | None = None
 
 
 def mine_log(bucket: Bucket, job: LogJob, settings: MiningSettings, parts: Parts) -> MinedLog:

@@ -10,11 +10,21 @@ from pathlib import Path
 from schemas.mining import MiningSettings
 from schemas.transport.bucket import open_bucket
 from workers.lab.evaluation.failures.mine_log import LogJob, mine_log
+from workers.lab.evaluation.failures.planting.drive import (
+    Drive,
+    FrameRange,
+    check_truth,
+    load_drive,
+    scenes_of,
+    shard_of_drive,
+)
+from workers.lab.evaluation.failures.planting.mine_variant import mine_variant
 from workers.lab.evaluation.failures.result_cache import load_mined_log, store_mined_log
 from workers.lab.evaluation.failures.rows import MinedLog
 from workers.lab.evaluation.failures.uncertainty import NO_PROBING, ProbedStream, Probing
+from workers.lab.evaluation.truth.truth import LogTruth, TruthUnusableError
 from workers.parts.protocols import Parts
-from workers.version import parts_of
+from workers.version import parts_of, pipeline_version
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +96,44 @@ def _mined(
 
 def _mine(mining: MiningRun, job: LogJob) -> MinedLog:
     parts = _parts(mining.settings.model_dump_json(), mining.probing)
-    return mine_log(open_bucket(mining.bucket_url), job, mining.settings, parts)
+    if job.variant is None:
+        return mine_log(open_bucket(mining.bucket_url), job, mining.settings, parts)
+    drive = _drive(mining, replace(job, variant=None), job.variant.frames)
+    version = pipeline_version(mining.settings, parts)
+    return mine_variant(drive, job.variant, parts, pipeline_version=version)
+
+
+def scenes_of_drive(mining: MiningRun, job: LogJob, frames: FrameRange) -> int:
+    """Count the scenes of a drive, and check its truth, without running any part.
+
+    Raises:
+        TruthUnusableError: If failures cannot be planted in it.
+        LogUnusableError: If the log cannot be read.
+    """
+    truth = _truth_of(job)
+    bucket = open_bucket(mining.bucket_url)
+    shard, read = shard_of_drive(bucket, job.recording, truth, mining.settings, frames)
+    check_truth(truth, read, frames)
+    scenes = len(scenes_of(shard, read))
+    if not scenes:
+        raise TruthUnusableError(f"{job.recording.log_id} has no scene of a second in {frames}")
+    return scenes
+
+
+def _truth_of(job: LogJob) -> LogTruth:
+    truth = LogTruth.beside(job.recording, job.truth)
+    if truth is None:
+        raise TruthUnusableError(f"{job.recording.log_id} has no truth in {job.truth}")
+    return truth
+
+
+@lru_cache(maxsize=1)
+def _drive(mining: MiningRun, job: LogJob, frames: FrameRange) -> Drive:
+    """Load a drive; each process keeps one, since the jobs of a drive follow one another."""
+    truth = _truth_of(job)
+    parts = _parts(mining.settings.model_dump_json(), mining.probing)
+    bucket = open_bucket(mining.bucket_url)
+    return load_drive(bucket, job.recording, truth, mining.settings, parts, frames=frames)
 
 
 @lru_cache(maxsize=2)

@@ -26,6 +26,7 @@ from workers.lab.evaluation.failures.frame_truth import FrameWithTruth
 MIN_POINTS: Final = 25
 MIN_S: Final = 0.5
 _RIM_M: Final = 0.5
+_RIM_RAD: Final = float(np.radians(1.0))
 _TOLERANCE: Final = 1e-6
 
 Points = NDArray[np.int64]
@@ -80,14 +81,11 @@ def _objects(seen: Sequence[FrameWithTruth], enough: int) -> Iterator[ObjectOfIn
         for each, mine in zip(ids.tolist(), np.split(order, first[1:]), strict=True):
             if each >= 0 and len(mine) >= MIN_POINTS:
                 points.setdefault(each, {})[number] = mine
+    wrong = [frame.wrong(frame.labelled.semantic) for frame in seen]
     for track_id, by_frame in sorted(points.items()):
         if len(by_frame) < enough:
             continue
-        failing = [
-            number
-            for number, mine in by_frame.items()
-            if _errs(seen[number].wrong(seen[number].labelled.semantic)[mine])
-        ]
+        failing = [number for number, mine in by_frame.items() if _errs(wrong[number][mine])]
         moving = [bool(seen[number].moving[mine].mean() > 0.5) for number, mine in by_frame.items()]
         yield ObjectOfInterest(
             key=f"track {track_id}",
@@ -149,8 +147,16 @@ def _instances(frame: FrameWithTruth, number: int, candidates: Points) -> Iterat
 
 
 def _is_rim(points_m: NDArray[np.float32], movers_m: NDArray[np.float32]) -> bool:
-    """Test whether most points lie within 0.5 m of a true mover: bled labels are no object."""
+    """Test whether most points lie at the border of a true mover: bled labels are no object.
+
+    The border is within 0.5 m, or behind the mover and within a degree of its outline.
+    """
     if not len(movers_m):
         return False
     near, _ = cKDTree(movers_m).query(points_m, distance_upper_bound=_RIM_M)
-    return bool(np.isfinite(near).mean() > 0.5)
+    range_m, movers_range_m = (np.linalg.norm(each, axis=1) for each in (points_m, movers_m))
+    ways, of_movers = points_m / range_m[:, None], movers_m / movers_range_m[:, None]
+    away, which = cKDTree(of_movers).query(ways, distance_upper_bound=_RIM_RAD)
+    behind = np.isfinite(away)
+    behind[behind] = range_m[behind] > movers_range_m[which[behind]]
+    return bool((np.isfinite(near) | behind).mean() > 0.5)

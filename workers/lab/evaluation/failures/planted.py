@@ -28,7 +28,7 @@ from workers.lab.evaluation.failures.ranking import (
     row_of,
 )
 from workers.lab.evaluation.failures.retrieval import retrieve
-from workers.lab.evaluation.failures.rows import MinedLog, SceneRow
+from workers.lab.evaluation.failures.rows import OTHER_KIND, MinedLog, SceneRow, TrackRow
 
 
 class PlantedTable(RankingRow):
@@ -53,6 +53,12 @@ class PlantedTable(RankingRow):
         "occur ten times; null: records without attribution."
     )
     attribution: AttributionAccuracy
+    attribution_of_failures: AttributionAccuracy | None = Field(
+        default=None, description="Of the tracks on planted failures alone."
+    )
+    attribution_of_others: AttributionAccuracy | None = Field(
+        default=None, description="Of all other tracks."
+    )
     common_mode_recall: float | None = Field(
         description="Share of planted failures on which both streams are wrong that surface."
     )
@@ -69,17 +75,22 @@ class PlantedTable(RankingRow):
 
 
 def planted_table(
-    logs: Sequence[MinedLog], *, slipping: Sequence[MinedLog] = (), draws: int
+    logs: Sequence[MinedLog],
+    *,
+    slipping: Sequence[MinedLog] = (),
+    groups: Sequence[int] | None = None,
+    draws: int,
 ) -> PlantedTable:
     """Compute the table.
 
     Args:
         logs: Logs of the fleet, mined with their recorded labels.
         slipping: Some of them, mined again with a slip in every scene.
+        groups: Number of the drive of each log, for intervals; each log is its own when None.
         draws: Bootstrap draws; 0 computes no intervals.
     """
     scenes = [scene for log in logs for scene in log.scenes]
-    items = items_of(logs)
+    items = items_of(logs, groups)
     scores = np.array([scene.score for scene in scenes])
     views = sorted({name for scene in scenes for name in scene.views})
     others = {name: np.array([scene.views[name] for scene in scenes]) for name in views}
@@ -88,6 +99,7 @@ def planted_table(
     mine = row_of(scores, items, draws=draws)
     best = best_of(baselines)
     attribution = evaluate_attribution(track for scene in scenes for track in scene.tracks)
+    on_failures, elsewhere = _tracks_by_failure(scenes)
     shared = common_mode(scenes)
     return PlantedTable(
         **mine.model_dump(),
@@ -100,6 +112,8 @@ def planted_table(
         gain_interval=_gain_interval(scores, others.get(best), items, draws),
         attribution_accuracy=attribution.accuracy,
         attribution=attribution,
+        attribution_of_failures=evaluate_attribution(on_failures),
+        attribution_of_others=evaluate_attribution(elsewhere),
         common_mode_recall=shared.recall,
         common_mode=shared,
         calibration=calibrate(scores, items.wanted),
@@ -109,11 +123,12 @@ def planted_table(
     )
 
 
-def items_of(logs: Sequence[MinedLog]) -> Items:
+def items_of(logs: Sequence[MinedLog], groups: Sequence[int] | None = None) -> Items:
     """Make scenes the ranked items; a failure that lasts over several scenes counts once."""
+    drives = np.arange(len(logs)) if groups is None else np.asarray(groups, dtype=np.int64)
     scenes = [scene for log in logs for scene in log.scenes]
     return Items(
-        logs=np.repeat(np.arange(len(logs)), [len(log.scenes) for log in logs]),
+        logs=np.repeat(drives, [len(log.scenes) for log in logs]),
         wanted=np.array([scene.fails for scene in scenes], dtype=np.bool_),
         failures=[failure_names(scene, log.log_id) for log in logs for scene in log.scenes],
         minutes=np.array([scene.seconds / MINUTE_S for scene in scenes]),
@@ -133,6 +148,17 @@ def failure_names(scene: SceneRow, log_id: str) -> list[str]:
         for each in scene.failing
     )
     return sorted(names)
+
+
+def _tracks_by_failure(scenes: Sequence[SceneRow]) -> tuple[list[TrackRow], list[TrackRow]]:
+    """Return the tracks on planted failures, and all others."""
+    on_failures: list[TrackRow] = []
+    others: list[TrackRow] = []
+    for scene in scenes:
+        planted = {thing.key for thing in scene.failing if thing.kind != OTHER_KIND}
+        for track in scene.tracks:
+            (on_failures if track.thing in planted else others).append(track)
+    return on_failures, others
 
 
 _OF_MANY: Final = ("label_swap", "range_limit")

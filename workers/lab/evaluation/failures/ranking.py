@@ -17,7 +17,9 @@ from workers.lab.evaluation.failures.retrieval import (
     budget_name,
     budget_size,
     found_curve,
+    precision_at_base,
     random_retrieval,
+    rare_ap,
     retrieve,
 )
 
@@ -60,6 +62,15 @@ class RankingRow(BaseModel):
     ranked: int = Field(description="Scenes or objects that it scores.")
     ap: float | None = Field(description="Average precision; null: no failures.")
     ap_interval: Interval | None = Field(default=None, description="95 %, bootstrap over logs.")
+    rare_ap: float | None = Field(
+        default=None, description="Average precision, resampled to a base rate of 5 %."
+    )
+    rare_ap_interval: Interval | None = Field(default=None, description="Of that.")
+    precision_at_base: float | None = Field(
+        default=None,
+        description="Precision among as many items as show a failure; it is the recall there too.",
+    )
+    precision_at_base_interval: Interval | None = Field(default=None, description="Of that.")
     precision_at: dict[str, float]
     precision_interval: Interval | None = Field(default=None, description="Of 5 %.")
     recall_at: dict[str, float | None]
@@ -86,16 +97,26 @@ def row_of(scores: Values, items: Items, *, draws: int) -> RankingRow:
 
     def figures(drawn: NDArray[np.int64]) -> tuple[float | None, ...]:
         found = retrieve(scores[drawn], items.wanted[drawn], (MAIN_BUDGET,))
-        return found.ap, found.precision_at[main], found.lift_at[main]
+        rare = rare_ap(scores[drawn], items.wanted[drawn])
+        base = precision_at_base(scores[drawn], items.wanted[drawn])
+        return found.ap, found.precision_at[main], found.lift_at[main], rare, base
 
-    names = ("ap_interval", "precision_interval", "lift_interval")
-    intervals = bootstrap(items.logs.tolist(), figures, draws=draws) if draws else [None] * 3
-    return _row(
+    names = (
+        *("ap_interval", "precision_interval", "lift_interval"),
+        *("rare_ap_interval", "precision_at_base_interval"),
+    )
+    intervals = bootstrap(items.logs.tolist(), figures, draws=draws) if draws else [None] * 5
+    row = _row(
         retrieve(scores, items.wanted, BUDGETS),
         found_curve(scores, items.failures),
         items,
         **dict(zip(names, intervals, strict=True)),
     )
+    more = {
+        "rare_ap": _rounded(rare_ap(scores, items.wanted)),
+        "precision_at_base": _rounded(precision_at_base(scores, items.wanted)),
+    }
+    return row.model_copy(update=more)
 
 
 def random_row(items: Items) -> RankingRow:

@@ -50,6 +50,7 @@ def _file(folder: Path, job: LogJob, settings: MiningSettings, probing: Probing)
         "truth": _truth_digest(job.truth / job.recording.log_id),
         "pipeline": _version(settings.model_dump_json()),
         "slips": [str(slip) for slip in job.slips],
+        **({} if job.variant is None else {"variant": str(job.variant)}),
         "probing": str(probing),
     }
     digest = hashlib.sha256(canonical_json(facts)).hexdigest()[:16]

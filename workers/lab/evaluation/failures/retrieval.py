@@ -11,6 +11,9 @@ from sklearn.metrics import average_precision_score
 from schemas.arrays import Mask
 
 BUDGETS: Final = (0.005, 0.01, 0.02, 0.05, 0.10)
+RARE_BASE: Final = 0.05
+"""Base rate of failures to which average precision is resampled."""
+
 _PERCENT: Final = 100.0
 
 Values = NDArray[np.float64]
@@ -82,6 +85,24 @@ def random_retrieval(wanted: Mask, budgets: Sequence[float] = BUDGETS) -> Retrie
         recall_at=dict(zip(names, looks if total else [None] * len(names), strict=True)),
         lift_at=dict.fromkeys(names, 1.0 if base else None),
     )
+
+
+def rare_ap(scores: Values, wanted: Mask, base: float = RARE_BASE) -> float | None:
+    """Return the average precision as if wanted items had another base rate; None without both.
+
+    Items that are not wanted get the weight that makes the wanted ones this share of all.
+    """
+    total, rest = int(wanted.sum()), int((~wanted).sum())
+    if not total or not rest:
+        return None
+    weight = np.where(wanted, 1.0, total * (1.0 - base) / (base * rest))
+    return float(average_precision_score(wanted, scores, sample_weight=weight))
+
+
+def precision_at_base(scores: Values, wanted: Mask) -> float | None:
+    """Return the precision among as many items as are wanted, which is the recall there too."""
+    total = int(wanted.sum())
+    return found_within(scores, wanted, total) / total if total else None
 
 
 def budget_size(budget: float, count: int) -> int:

@@ -5,6 +5,7 @@ from typing import Final
 from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.attribution import Attribution, Wrong
+from workers.lab.simulation.faults.fault_truth import FailureRow
 
 REVISION: Final = "4"
 """Version of the rows; increases when the same log gives other rows."""
@@ -56,6 +57,13 @@ class TrackRow(BaseModel):
     verdict: Wrong | None = Field(description="True verdict; null: truth unknown.")
     said: Attribution | None = Field(default=None, description="Recorded attribution; null: none.")
     evidence: dict[str, float] = Field(description="Its evidence, by name.")
+    first_frame: int = Field(default=-1, description="Frame of the scene in which it begins.")
+    place_m: tuple[float, float, float] | None = Field(
+        default=None, description="Centre of its middle box, odom space, metres."
+    )
+    size_m: tuple[float, float, float] | None = Field(
+        default=None, description="Length, width and height of that box, metres."
+    )
 
 
 class SceneRow(BaseModel):
@@ -98,5 +106,11 @@ class MinedLog(BaseModel):
     planted: int = Field(default=0, description="Failures that were planted in it.")
     unseen: int = Field(
         default=0, description="Of them, those that the labels do not show: too few points left."
+    )
+    failures: tuple[FailureRow, ...] = Field(
+        default=(), description="The planted failures, where the benchmark planted them."
+    )
+    shown: tuple[int, ...] = Field(
+        default=(), description="Of `failures`, the numbers of those that the labels show."
     )
     pipeline_version: str

@@ -3,12 +3,14 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from schemas.arrays import NS_PER_S
+from schemas.arrays import NS_PER_S, Mask, Transform
 from schemas.attribution import Wrong
 from schemas.contradiction import Instance, Scene, SceneState
 from workers.lab.evaluation.failures.baseline_scores import scene_baselines
 from workers.lab.evaluation.failures.frame_truth import FrameWithTruth
+from workers.lab.evaluation.failures.nearest_points import NearestPoints
 from workers.lab.evaluation.failures.object_views import object_baselines
 from workers.lab.evaluation.failures.objects_of_interest import (
     MIN_POINTS,
@@ -23,7 +25,12 @@ from workers.pipeline import MinedScene
 
 
 def scene_row(
-    mined: MinedScene, seen: Sequence[FrameWithTruth], planted: PlantedTruth, cell: int
+    mined: MinedScene,
+    seen: Sequence[FrameWithTruth],
+    planted: PlantedTruth,
+    cell: int,
+    *,
+    nearest: NearestPoints | None = None,
 ) -> tuple[SceneRow, set[int]]:
     """Compare a mined scene with its truth.
 
@@ -32,6 +39,7 @@ def scene_row(
         seen: Its frames with their truth.
         planted: Failures and disturbances planted in its log.
         cell: Number of the scene in its log.
+        nearest: Nearest points of its frames, where many variants of a drive share them.
 
     Returns:
         Its row, and the planted failures that its labels show.
@@ -39,13 +47,17 @@ def scene_row(
     scene = mined.scene
     things = find_objects(scene, seen)
     rows, shown = [], set[int]()
+    other_wrong = [frame.wrong(frame.labelled.predictive) for frame in seen]
     for thing in things:
         due = _planted_match(thing, scene, planted) if thing.fails else None
         if due is not None:
             shown.add(due)
-        rows.append(_object_row(thing, seen, None if due is None else planted.failures[due]))
+        rows.append(
+            _object_row(thing, seen, None if due is None else planted.failures[due], other_wrong)
+        )
     scored = mined.score.state is SceneState.SCORED
-    tracks, strays = _track_rows(mined, seen, things, counts=1.0 if scored else 0.0)
+    counts = 1.0 if scored else 0.0
+    tracks, strays = _track_rows(mined, seen, things, other_wrong, counts=counts)
     disturbance = next((each.kind for each in planted.disturbances if each.scene == cell), "")
     row = SceneRow(
         scene_id=scene.scene_id,
@@ -55,7 +67,7 @@ def scene_row(
         score=mined.score.score,
         seconds=round((scene.end_ns - scene.start_ns) / NS_PER_S, 3),
         blind_share=0.0 if mined.score.health is None else mined.score.health.blind_share,
-        views=_rounded(scene_baselines(scene)),
+        views=_rounded(scene_baselines(scene, nearest)),
         things=tuple(rows + strays),
         tracks=tuple(tracks),
         disturbance=str(disturbance),
@@ -78,14 +90,17 @@ def _planted_match(thing: ObjectOfInterest, scene: Scene, planted: PlantedTruth)
 
 
 def _object_row(
-    thing: ObjectOfInterest, seen: Sequence[FrameWithTruth], planted: FailureRow | None
+    thing: ObjectOfInterest,
+    seen: Sequence[FrameWithTruth],
+    planted: FailureRow | None,
+    other_wrong: Sequence[Mask],
 ) -> ObjectRow:
     numbers = thing.failing if thing.fails else tuple(thing.points)
     wrong = points = 0
     for number in numbers:
         mine = thing.points[number]
         points += len(mine)
-        wrong += int(seen[number].wrong(seen[number].labelled.predictive)[mine].sum())
+        wrong += int(other_wrong[number][mine].sum())
     kind = "" if not thing.fails else OTHER_KIND if planted is None else planted.kind.value
     sizes = [len(mine) for mine in thing.points.values()]
     return ObjectRow(
@@ -107,6 +122,7 @@ def _track_rows(
     mined: MinedScene,
     seen: Sequence[FrameWithTruth],
     things: Sequence[ObjectOfInterest],
+    other_wrong: Sequence[Mask],
     *,
     counts: float,
 ) -> tuple[list[TrackRow], list[ObjectRow]]:
@@ -121,9 +137,10 @@ def _track_rows(
         key, track = object_under(members, seen, things)
         verdict = verdict_of(members, seen, track=track)
         if not key and verdict in (Wrong.SELFSUPERVISED, Wrong.NEITHER):
-            stray = _stray(f"stray {len(strays)}", members, seen, track)
+            stray = _stray(f"stray {len(strays)}", members, seen, track, other_wrong)
             strays.append(stray)
             key = stray.key
+        middle = members[len(members) // 2]
         rows.append(
             TrackRow(
                 kind=each.track.kind.name,
@@ -137,13 +154,20 @@ def _track_rows(
                 verdict=verdict,
                 said=each.attribution,
                 evidence=each.features.named(),
+                first_frame=members[0].frame_index,
+                place_m=_place(middle, seen[middle.frame_index].labelled.posed.odom_from_sensor),
+                size_m=_three(middle.size_m),
             )
         )
     return rows, strays
 
 
 def _stray(
-    key: str, members: Sequence[Instance], seen: Sequence[FrameWithTruth], track: int
+    key: str,
+    members: Sequence[Instance],
+    seen: Sequence[FrameWithTruth],
+    track: int,
+    other_wrong: Sequence[Mask],
 ) -> ObjectRow:
     points = {each.frame_index: each.point_index for each in members}
     moving = np.concatenate([seen[number].moving[mine] for number, mine in points.items()])
@@ -156,7 +180,16 @@ def _stray(
         failing=(),
         fails=False,
     )
-    return _object_row(thing, seen, None)
+    return _object_row(thing, seen, None, other_wrong)
+
+
+def _place(instance: Instance, odom_from_sensor: Transform) -> tuple[float, float, float]:
+    return _three(odom_from_sensor[:3, :3] @ instance.centre_m + odom_from_sensor[:3, 3])
+
+
+def _three(values: NDArray[np.float64]) -> tuple[float, float, float]:
+    x, y, z = (round(float(value), 2) for value in values)
+    return x, y, z
 
 
 def _rounded(views: Mapping[str, float]) -> dict[str, float]:

@@ -52,6 +52,18 @@ def coarse_of_names(names: tuple[str, ...]) -> NDArray[np.uint8]:
     return np.array([COARSE.index(_OF_NAME.get(name, "none")) for name in names], dtype=np.uint8)
 
 
+def coarse_of_name(name: str) -> int:
+    """Return the coarse class of a name that truth gives an object: `Pickup Truck`, `BUS`; 0 none.
+
+    The last word of a name of several words counts where the whole is not known.
+    """
+    plain = name.strip().lower().replace("_", " ")
+    for each in (plain.replace(" ", "-"), plain, plain.split(" ")[-1]):
+        if each in _OF_NAME:
+            return COARSE.index(_OF_NAME[each])
+    return 0
+
+
 @cache
 def coarse_of_ids(folder: Path) -> NDArray[np.uint8] | None:
     """Return the coarse class of each id of a data set, from the nearest `classes.json` above it.

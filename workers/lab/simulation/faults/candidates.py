@@ -1,19 +1,17 @@
 """Candidates of planted failures: the actors of a scene that can carry each kind, by visibility."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from schemas.arrays import Mask
-from workers.lab.simulation.faults.faults import DYNAMIC, STATIC, ghost_points
+from workers.lab.simulation.faults.faults import DYNAMIC, STATIC, TrueFrame, ghost_points
 from workers.lab.simulation.faults.plan import FailureKind
 from workers.lab.simulation.models.kinds import StreetClass
-from workers.lab.simulation.sensor.lidar import SimulatedFrame
-from workers.lab.simulation.world.street import Street
 
 ENOUGH_POINTS: Final = 30
 """Points of an object per frame: a failure needs 25, and only every second frame is examined."""
@@ -35,12 +33,40 @@ _GHOST_RANGE_M: Final = (6.0, 25.0)
 _GHOST_TRIES: Final = 24
 
 
+class Actor(Protocol):
+    """An object that can carry a failure."""
+
+    @property
+    def street_class(self) -> StreetClass:
+        """Its class."""
+        ...
+
+    @property
+    def size_m(self) -> tuple[float, float, float]:
+        """Length, width and height, metres."""
+        ...
+
+
+class Scenery(Protocol):
+    """Objects of a log and the seed of what is drawn there: a simulated street, or a real drive."""
+
+    @property
+    def seed(self) -> int:
+        """Seed of what is drawn."""
+        ...
+
+    @property
+    def actors(self) -> Sequence[Actor]:
+        """Its objects, by the number that truth gives them."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneVisibility:
     """Visibility of every actor in some frames of a scene.
 
     Attributes:
-        street: The street.
+        street: The street, or the drive.
         times_s: (L,) times of the examined frames.
         step_s: Time between them.
         points: (L, A) returns of each actor.
@@ -52,7 +78,7 @@ class SceneVisibility:
         frames: The frames themselves.
     """
 
-    street: Street
+    street: Scenery
     times_s: NDArray[np.float64]
     step_s: float
     points: NDArray[np.int64]
@@ -60,7 +86,7 @@ class SceneVisibility:
     centre_m: NDArray[np.float64]
     nearest_m: NDArray[np.float64]
     gap_m: NDArray[np.float64]
-    frames: tuple[SimulatedFrame, ...]
+    frames: tuple[TrueFrame, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +115,8 @@ class Candidate:
 
 
 def measure_visibility(
-    street: Street,
-    frame_at: Callable[[int], SimulatedFrame],
+    street: Scenery,
+    frame_at: Callable[[int], TrueFrame],
     *,
     from_s: float,
     to_s: float,

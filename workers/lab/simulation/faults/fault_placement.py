@@ -6,6 +6,7 @@ one, another kind is drawn. Both are recorded.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -89,7 +90,9 @@ def place_failures(
         free = [cell for cell in range(plan.scenes) if cell not in taken]
         found = None
         for kind, cell in _tries(planned, free, rng):
-            found = _plant(view(cell), kind, planned.common_mode, cell, rng)
+            shared = planned.common_mode and kind is FailureKind.MISSED_MOVER
+            pace = partial(_pace, street) if shared else None
+            found = plant_in_scene(view(cell), kind, cell, rng, pace=pace)
             if found is not None:
                 break
         taken.discard(planned.cell)
@@ -115,20 +118,32 @@ def _tries(
         yield others[place], planned.cell
 
 
-def _plant(
-    view: SceneVisibility, kind: FailureKind, common_mode: bool, cell: int, rng: np.random.Generator
+def plant_in_scene(
+    view: SceneVisibility,
+    kind: FailureKind,
+    cell: int,
+    rng: np.random.Generator,
+    *,
+    pace: Callable[[Candidate], tuple[float, int]] | None = None,
 ) -> PlantedFailure | None:
-    shared = common_mode and kind is FailureKind.MISSED_MOVER
+    """Choose an object and a time window for a failure of one scene; None without a candidate.
+
+    Args:
+        view: Visibility of the scene's objects.
+        kind: Kind of the failure.
+        cell: Number of the scene in its log.
+        rng: Source of the choice.
+        pace: Of a common-mode failure: speed of a candidate, of which the slowest is chosen.
+    """
+    shared = pace is not None
     least_s = _FLICKER_LEAST_S if kind is FailureKind.FLICKER else LEAST_S
     able = [
         each for each in candidates_of(view, kind, common_mode=shared) if each.lasts_s >= least_s
     ]
     if not able:
         return None
-    if shared:  # a stream without lookahead misses slow movers of every class
-        chosen = min(able, key=lambda each: _pace(view, each))
-    else:
-        chosen = able[int(rng.integers(len(able)))]
+    # a stream without lookahead misses slow movers of every class
+    chosen = able[int(rng.integers(len(able)))] if pace is None else min(able, key=pace)
     start_s, end_s = _window(chosen, kind, least_s, rng)
     return PlantedFailure(
         kind=kind,
@@ -145,10 +160,10 @@ def _plant(
     )
 
 
-def _pace(view: SceneVisibility, each: Candidate) -> tuple[float, int]:
+def _pace(street: Street, each: Candidate) -> tuple[float, int]:
     """Return the true straight-line speed of a mover, m/s, and its number."""
     early, late = (
-        view.street.actor_poses(time_s)[each.track, :2]
+        street.actor_poses(time_s)[each.track, :2]
         for time_s in (each.start_s, each.start_s + each.lasts_s)
     )
     return float(np.hypot(*(late - early))) / each.lasts_s, each.track

@@ -38,6 +38,10 @@ class FailureRow(BaseModel):
         description="Position of a ghost, world space."
     )
     range_m: float = Field(description="Range beyond which movers are labelled static; 0 no limit.")
+    part: float = Field(
+        default=1.0,
+        description="Share of the object's points that get the wrong label, from one end on.",
+    )
 
 
 class DisturbanceRow(BaseModel):
@@ -136,6 +140,7 @@ def _failure_row(each: PlantedFailure, start_ns: int) -> FailureRow:
         other_track=each.other_track,
         place_m=each.place_m,
         range_m=each.range_m,
+        part=each.part,
     )
 
 

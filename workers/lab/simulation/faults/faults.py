@@ -2,15 +2,14 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import Mask
+from schemas.arrays import Mask, Points, Transform
 from workers.lab.simulation.faults.plan import FailureKind
 from workers.lab.simulation.models.kinds import StreetClass
-from workers.lab.simulation.sensor.lidar import SimulatedFrame
 
 STATIC: Final = 1
 DYNAMIC: Final = 2
@@ -19,6 +18,50 @@ GHOST_RADIUS_M: Final = 1.2
 
 _FLICKER_S: Final = 0.3
 """Duration of the wrong labels, seconds; right labels follow for half of it."""
+
+
+class TrueFrame(Protocol):
+    """A frame with the truth of each point, simulated or recorded."""
+
+    @property
+    def index(self) -> int:
+        """Number of the frame in its log."""
+        ...
+
+    @property
+    def time_s(self) -> float:
+        """Seconds from the start of the log."""
+        ...
+
+    @property
+    def points_m(self) -> Points:
+        """(N, 3) points in sensor space."""
+        ...
+
+    @property
+    def class_id(self) -> NDArray[np.uint8]:
+        """(N,) `StreetClass`."""
+        ...
+
+    @property
+    def track(self) -> NDArray[np.int16]:
+        """(N,) number of the object, -1 none."""
+        ...
+
+    @property
+    def motion(self) -> NDArray[np.uint8]:
+        """(N,) 0 unknown, 1 static, 2 dynamic."""
+        ...
+
+    @property
+    def ground(self) -> NDArray[np.uint8]:
+        """(N,) 1 ground, 0 not, 255 ignored."""
+        ...
+
+    @property
+    def world_from_sensor(self) -> Transform:
+        """(4, 4) pose of the sensor."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +80,7 @@ class PlantedFailure:
         common_mode: Whether it was chosen so that the self-supervised stream tends to fail too.
         because: Reason for common mode; empty without one.
         class_name: True class of the object.
+        part: Share of the object's points that get the wrong label, from one of its ends on.
     """
 
     kind: FailureKind
@@ -50,10 +94,11 @@ class PlantedFailure:
     common_mode: bool = False
     because: str = ""
     class_name: str = ""
+    part: float = 1.0
 
 
 def corrupt(
-    frame: SimulatedFrame,
+    frame: TrueFrame,
     motion: NDArray[np.uint8],
     label: NDArray[np.uint16],
     failures: Iterable[PlantedFailure],
@@ -71,7 +116,7 @@ def corrupt(
             _corrupt(frame, motion, label, each)
 
 
-def ghost_points(frame: SimulatedFrame, place_m: tuple[float, float, float]) -> Mask:
+def ghost_points(frame: TrueFrame, place_m: tuple[float, float, float]) -> Mask:
     """Find the points of the static structure at a place: without track, off the ground."""
     rotation, origin = frame.world_from_sensor[:3, :3], frame.world_from_sensor[:3, 3]
     in_sensor = (np.array(place_m) - origin) @ rotation
@@ -82,16 +127,20 @@ def ghost_points(frame: SimulatedFrame, place_m: tuple[float, float, float]) -> 
 
 
 def _corrupt(
-    frame: SimulatedFrame,
+    frame: TrueFrame,
     motion: NDArray[np.uint8],
     label: NDArray[np.uint16],
     failure: PlantedFailure,
 ) -> None:
     kind = failure.kind
     mine = frame.track == failure.track
+    if failure.part < 1.0:
+        mine = _end_of(frame, mine, failure.part)
     if kind is FailureKind.GHOST_MOVER and failure.place_m is not None:
         ghost = ghost_points(frame, failure.place_m)
         motion[ghost], label[ghost] = DYNAMIC, StreetClass.CAR
+    elif kind is FailureKind.GHOST_MOVER:
+        motion[mine], label[mine] = DYNAMIC, StreetClass.CAR
     elif kind is FailureKind.PARKED_CALLED_MOVING:
         motion[mine] = DYNAMIC
     elif kind is FailureKind.FLICKER:
@@ -108,3 +157,22 @@ def _corrupt(
         motion[mine] = STATIC
     if kind in (FailureKind.UNSEEN_CLASS, FailureKind.MISSED_PEDESTRIAN):
         label[mine] = StreetClass.OBJECT
+
+
+def _end_of(frame: TrueFrame, mine: Mask, part: float) -> Mask:
+    """Return this share of an object's points: those nearest to one end, the same in all frames."""
+    index = np.flatnonzero(mine)
+    if len(index) < 2:
+        return mine
+    places = frame.points_m[index] @ frame.world_from_sensor[:3, :3].T
+    away = places[:, :2] - places[:, :2].mean(axis=0)
+    _, axes = np.linalg.eigh(away.T @ away)
+    long = axes[:, -1] * np.sign(axes[:, -1] @ _NORTH_EAST)
+    along = away @ long
+    end = np.zeros_like(mine)
+    end[index[along <= np.quantile(along, part)]] = True
+    return end
+
+
+_NORTH_EAST: Final = np.array([0.8, 0.6])
+"""Direction in the world by which the ends of an object are told apart."""

@@ -187,7 +187,7 @@ def plan_fleet(
     failing = sorted(draw[0].choice(scenes, round(share * scenes), replace=False).tolist())
     failures = _failures(failing, per_log, common_mode_share, draw[1])
     disturbed = sorted(draw[2].choice(scenes, round(disturbed_share * scenes), replace=False))
-    what = _balanced(tuple(DisturbanceKind), len(disturbed), draw[2])
+    what = balanced(tuple(DisturbanceKind), len(disturbed), draw[2])
     hard = set(draw[3].choice(logs, round(hard_share * logs), replace=False).tolist())
     seeds = np.random.SeedSequence([seed, 0x106]).generate_state(logs)
     return tuple(
@@ -219,13 +219,13 @@ def _failures(
     order = [int(cell) for cell in rng.permutation(cells)]
     common = order[: round(common_mode_share * len(order))]
     rest = order[len(common) :]
-    kinds = _balanced(DRAWN_KINDS, len(rest), rng)
+    kinds = balanced(DRAWN_KINDS, len(rest), rng)
     wanted = kinds.count(FailureKind.VERSION_REGRESSION)
     fits = [c for c in rest if VERSIONS[c // per_log % len(VERSIONS)] == REGRESSED_VERSION]
     regressed = fits[:wanted]
     others = [cell for cell in rest if cell not in regressed]
     plain = [kind for kind in kinds if kind is not FailureKind.VERSION_REGRESSION]
-    plain += _balanced(
+    plain += balanced(
         tuple(kind for kind in DRAWN_KINDS if kind is not FailureKind.VERSION_REGRESSION),
         len(others) - len(plain),
         rng,
@@ -236,7 +236,7 @@ def _failures(
     return {cell: chosen[cell] for cell in cells}
 
 
-def _balanced(kinds: tuple[Kind, ...], count: int, rng: np.random.Generator) -> list[Kind]:
+def balanced(kinds: tuple[Kind, ...], count: int, rng: np.random.Generator) -> list[Kind]:
     """Return equally many of each kind, as far as `count` allows, in random order."""
     turns = [kinds[i] for _ in range(ceil(count / len(kinds))) for i in rng.permutation(len(kinds))]
     return [turns[i] for i in rng.permutation(count)]
