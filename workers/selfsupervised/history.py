@@ -76,6 +76,11 @@ class History:
         while self.age_s(self._frames[0], frame.stamp_ns) > LOOKBACK_S + _TOLERANCE_S:
             self._frames.popleft()
 
+    def forget(self, stamp_ns: int) -> None:
+        """Forget the frame of this stamp, if it is remembered."""
+        kept = [frame for frame in self._frames if frame.stamp_ns != stamp_ns]
+        self._frames = deque(kept, maxlen=self._frames.maxlen)
+
     def express_in(self, space: Transform) -> None:
         """Express all frames in another space, given (4, 4) odom from it."""
         expressed = [frame.expressed_in(space) for frame in self._frames]

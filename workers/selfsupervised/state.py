@@ -15,6 +15,7 @@ from workers.lidar.deskew import Twist, twist
 from workers.lidar.preprocessing import Preprocessor
 from workers.points.neighbours import build_grid
 from workers.points.se3 import inverse
+from workers.selfsupervised.bent_sweeps import BentSweeps
 from workers.selfsupervised.evidence import FreeSpaceEvidence
 from workers.selfsupervised.history import (
     FAR_AGE_S,
@@ -57,6 +58,7 @@ class StreamState:
         self._refused: PastFrame | None = None
         self._disconnected = False
         self._last: PosedFrame | None = None
+        self._bent_sweeps = BentSweeps()
         self._first_ns = 0
         self._space: Transform = np.eye(4)
         self._expressed_in = self._space
@@ -71,7 +73,10 @@ class StreamState:
         if restarts or frame.stamp_ns // NS_PER_S != self._first_ns // NS_PER_S:
             self._first_ns, self._space = frame.stamp_ns, posed.odom_from_sensor
         before, local = self._prepare.table, inverse(self._space) @ posed.odom_from_sensor
-        prepared = self._prepare(frame, local, self._velocity(posed))
+        velocity = self._velocity(posed)
+        if (bent_ns := self._bent_sweeps.found(frame, velocity)) is not None:
+            self._history.forget(bent_ns)
+        prepared = self._prepare(frame, local, velocity)
         table = self._prepare.table
         restarts |= table is not before
         self._last = posed
@@ -118,7 +123,8 @@ class StreamState:
             case Blindness.NO_PAST if refused is not None:
                 self._restart()
         self._refused = None
-        self._history.add(seen)
+        if not self._bent_sweeps.was_bent(seen.stamp_ns):
+            self._history.add(seen)
         return answer
 
     def _express_in(self, space: Transform) -> None:

@@ -22,6 +22,9 @@ REACH_S: Final = 1.0
 AGES_S: Final = (1.0, 0.8, 0.6, 0.4, 0.2)
 """Ages of the voting frames, seconds, farthest first; frames in between agree with these."""
 
+MAX_VOTES: Final = 2 * len(AGES_S)
+"""Number of frames that vote on a place at most: those of a full second before and after."""
+
 _TOLERANCE_NS: Final = NS_PER_S // 16
 """Half a revolution at 10 Hz and its jitter."""
 
@@ -46,13 +49,26 @@ class TwoSidedFreeSpace:
         observe, pose_doubt = Observer(), PoseDoubt()
         past: deque[Observation] = deque(maxlen=MAX_FRAMES)
         waiting: deque[tuple[LabelledFrame, Observation]] = deque()
-        for labelled in frames:
-            newest = observe(labelled)
+        for labelled, following in _with_following(frames):
+            newest = observe(labelled, following)
             waiting.append((pose_doubt.of(labelled, newest), newest))
             while _has_waited(waiting[0][1], newest) or len(waiting) > MAX_FRAMES:
                 yield _next(past, waiting)
         while waiting:
             yield _next(past, waiting)
+
+
+def _with_following(
+    frames: Iterable[LabelledFrame],
+) -> Iterator[tuple[LabelledFrame, LabelledFrame | None]]:
+    """Yield each frame with the one after it, None after the last one."""
+    before: LabelledFrame | None = None
+    for labelled in frames:
+        if before is not None:
+            yield before, labelled
+        before = labelled
+    if before is not None:
+        yield before, None
 
 
 def _has_waited(first: Observation, newest: Observation) -> bool:
@@ -88,8 +104,8 @@ def classify(
         after: Later ones.
 
     Returns:
-        DYNAMIC, STATIC or UNKNOWN for every point; the confidence is the share of the frames asked
-        that vote on it.
+        DYNAMIC, STATIC or UNKNOWN for every point; the confidence is the number of frames that vote
+        on it, as a share of `MAX_VOTES`. At either end of a log it is at most one half.
     """
     n = len(labelled.posed.frame)
     labels = np.full(n, MotionLabel.UNKNOWN, np.uint8)
@@ -100,14 +116,13 @@ def classify(
     centroids = view.places.centroids_m
     sides = [_visibilities(observation, centroids, others) for others in (before, after)]
     votes = [votes_of(answers, len(centroids)) for answers in sides]
-    asked = sum(len(answers) for answers in sides)
     seen_through = votes[0].seen_through | votes[1].seen_through
     free, occupied = _sums(votes)
     moves = _moving(centroids, seen_through, free + occupied > 0)
     classified = np.full(len(centroids), MotionLabel.UNKNOWN, np.uint8)
     classified[(occupied > free) & ~seen_through] = MotionLabel.STATIC
     classified[moves] = MotionLabel.DYNAMIC
-    known = (free + occupied) / max(1, asked)
+    known = (free + occupied) / MAX_VOTES
     sure = np.where(classified == MotionLabel.UNKNOWN, 0.0, known)
     of_point = view.places.of_point
     labels[view.judged_index] = classified[of_point]
@@ -144,6 +159,15 @@ OBJECT_REACH_M: Final = 0.5
 FINDING_REACH_M: Final = 0.6
 MIN_FINDING: Final = 5
 MIN_OBJECT_SHARE: Final = 0.3
+MIXED_SHARE: Final = 0.6
+"""Share of free places below which a moving object may contain a standing one."""
+
+CLOSE_REACH_M: Final = 0.3
+MIN_STANDING: Final = 20
+MAX_MOVING_SHARE: Final = 0.1
+"""Reach, metres, that tells a mover from a parked car next to it; least places of a part that
+stands, and the share of its places below which it does."""
+
 FLAT_M: Final = 0.3
 """Height below which a finding is a strip of road, which moves with the car, or a kerb, metres."""
 
@@ -163,4 +187,23 @@ def _moving(places_m: NDArray[np.float32], seen_through: Mask, known: Mask) -> M
     objects = connected(places_m, reach_m=OBJECT_REACH_M, min_points=MIN_FINDING)
     share = objects.count(moves) / np.maximum(objects.count(known), 1)
     whole = (objects.count(moves) >= MIN_FINDING) & (share >= MIN_OBJECT_SHARE)
-    return moves | objects.member_mask(whole)
+    mixed = objects.member_mask(whole & (share < MIXED_SHARE))
+    stands = _standing_parts(places_m, objects, moves, among=mixed)
+    return moves | (objects.member_mask(whole) & ~stands)
+
+
+def _standing_parts(
+    places_m: NDArray[np.float32], objects: Clusters, moves: Mask, *, among: Mask
+) -> Mask:
+    """Return the places of whole parts of mixed objects in which next to nothing moves.
+
+    A mover that passes a parked car within half a metre forms one object with it.
+    """
+    parts = connected(
+        places_m,
+        reach_m=CLOSE_REACH_M,
+        min_points=MIN_STANDING,
+        among=among,
+        groups=objects.of_point,
+    )
+    return parts.member_mask(parts.count(moves) < MAX_MOVING_SHARE * parts.sizes)

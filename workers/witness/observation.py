@@ -91,9 +91,19 @@ class Observer:
         self._last: PosedFrame | None = None
         self._stretch = 0
 
-    def __call__(self, labelled: LabelledFrame) -> Observation:
-        """Return the observation of one frame."""
+    def __call__(
+        self, labelled: LabelledFrame, following: LabelledFrame | None = None
+    ) -> Observation:
+        """Return the observation of one frame.
+
+        Args:
+            labelled: The frame.
+            following: The frame after it. The first frame of a stretch has no earlier pose, and is
+                deskewed by the step to this one: at 15 m/s its sweep is bent by 0.7 m.
+        """
         velocity, verdict = self._follow(labelled.posed)
+        if velocity is None and following is not None:
+            velocity = _velocity_to(labelled.posed, following.posed)
         observation = self._observe(labelled, velocity)
         if verdict.problem and not observation.problem:
             # the frame has no known place: later frames are consistent with none before it
@@ -152,15 +162,35 @@ class Observer:
         if not 0 < step_ns <= MAX_GAP_NS or lost:
             self._begin_stretch()
             return None, MotionComparison()
-        moved = twist(inverse(last.odom_from_sensor) @ posed.odom_from_sensor)
-        velocity: Twist = moved * (NS_PER_S / step_ns)
-        fast = float(np.linalg.norm(velocity[3:])) > _FASTEST_M_PER_S
+        velocity = _velocity(last, posed)
         verdict = self._recorded.judge(velocity, posed.frame.moved, step_ns / NS_PER_S)
-        return (None if fast or posed.jumped else velocity), verdict
+        return (None if _is_impossible(velocity) or posed.jumped else velocity), verdict
 
     def _begin_stretch(self) -> None:
         self._stretch += 1
         self._poses.clear()
+
+
+def _velocity(before: PosedFrame, after: PosedFrame) -> Twist:
+    """Return the twist of the sensor per second, from one frame to a later one."""
+    step_ns = after.frame.stamp_ns - before.frame.stamp_ns
+    moved = twist(inverse(before.odom_from_sensor) @ after.odom_from_sensor)
+    velocity: Twist = moved * (NS_PER_S / step_ns)
+    return velocity
+
+
+def _is_impossible(velocity: Twist) -> bool:
+    return float(np.linalg.norm(velocity[3:])) > _FASTEST_M_PER_S
+
+
+def _velocity_to(posed: PosedFrame, following: PosedFrame) -> Twist | None:
+    """Return the sensor's motion by the next step; None where the poses are not consistent."""
+    step_ns = following.frame.stamp_ns - posed.frame.stamp_ns
+    lost = OdometryState.LOST in (posed.odometry, following.odometry)
+    if not 0 < step_ns <= MAX_GAP_NS or lost or posed.jumped or following.jumped:
+        return None
+    velocity = _velocity(posed, following)
+    return None if _is_impossible(velocity) else velocity
 
 
 def _ground(labelled: LabelledFrame, index: NDArray[np.int64]) -> Mask:
