@@ -120,8 +120,8 @@ def failures(
         need_writable(report, option="--report", force=force)
     planting = planting_of(variants=variants, seed=seed, frames=frames, share=share)
     listed = planted_path(report, keep=keep, force=force) if plant else None
-    if plant and truth is None:
-        raise UsageError("--plant makes labels from truth: name its folder with --truth")
+    if plant and only is not None:
+        raise UsageError("--plant has one table: leave --table out")
     if kept is not None:
         need_folder(kept, option="--kept")
     logs_url = url if truth is not None else f"{url.rstrip('/')}/logs"

@@ -3,6 +3,8 @@ from pathlib import Path
 import pytest
 
 from service.cli.main import main
+from service.cli.planting import planted_path, planting_of
+from service.errors import UsageError
 
 
 @pytest.mark.parametrize(
@@ -11,6 +13,15 @@ from service.cli.main import main
         (["fleet", "--table", "every"], "planted or natural"),
         (["s3://fleet"], "--truth"),
         (["file:///nowhere/fleet", "--table", "planted"], "/nowhere/fleet"),
+        (["logs", "--truth", "t", "--plant", "--frames", "28"], "A:B with A under B"),
+        (["logs", "--truth", "t", "--plant", "--frames", "28:28"], "A:B with A under B"),
+        (["logs", "--truth", "t", "--plant", "--frames", "-3:4"], "A:B with A under B"),
+        (["logs", "--truth", "t", "--plant", "--share", "1/0"], "over 0 and under 1"),
+        (["logs", "--truth", "t", "--plant", "--share", "1"], "over 0 and under 1"),
+        (["logs", "--truth", "t", "--plant", "--share", "nan"], "over 0 and under 1"),
+        (["logs", "--truth", "t", "--plant", "--keep"], "--report"),
+        (["logs", "--truth", "t", "--plant", "--table", "natural"], "leave --table out"),
+        (["file:///nowhere/fleet", "--plant"], "/nowhere/fleet"),
     ],
 )
 def test_what_cannot_be_measured_is_refused_in_a_sentence(
@@ -28,3 +39,22 @@ def test_a_bucket_without_truth_is_refused(
     (tmp_path / "logs").mkdir()
     assert main(["bench", "failures", str(tmp_path)]) == 1
     assert "is no fleet of `simulate`" in capsys.readouterr().err
+
+
+def test_options_of_planting_are_read_as_they_are_written() -> None:
+    planting = planting_of(variants=3, seed=7, frames="28:", share="0.05")
+    assert (planting.variants, planting.seed, planting.share) == (3, 7, 0.05)
+    assert (planting.frames.first, planting.frames.end) == (28, None)
+    assert str(planting_of(variants=1, seed=0, frames="4:28", share="1/6").frames) == "4:28"
+
+
+def test_a_list_of_planted_failures_replaces_its_own_kind_alone(tmp_path: Path) -> None:
+    report, path = tmp_path / "report.html", tmp_path / "planted.json"
+    assert planted_path(report, keep=False, force=False) is None
+    assert planted_path(report, keep=True, force=False) == path
+    path.write_text('{\n "generator": "counterpoint",\n "bucket": "logs"}')
+    assert planted_path(report, keep=True, force=False) == path
+    path.write_text('{"failures": []}')
+    with pytest.raises(UsageError, match="did not write it"):
+        planted_path(report, keep=True, force=False)
+    assert planted_path(report, keep=True, force=True) == path

@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from workers.lab.labels.borders import borders_of
-from workers.lab.labels.noise import DYNAMIC, REAL, STATIC, LabelNoise, NoiseSettings, SeenFrame
+from workers.lab.labels.noise import LabelNoise
+from workers.lab.labels.noise_settings import DYNAMIC, REAL, STATIC, NoiseSettings, SeenFrame
 
 CAR, ROAD = 8, 1
 QUIET = NoiseSettings(

@@ -15,8 +15,9 @@ from workers.contradiction.overlay import overlay_of
 from workers.ingest.read import read_shard
 from workers.lab.evaluation.failures.bench import FailureBench, jobs_of
 from workers.lab.evaluation.failures.planting.bench import bench_planting
-from workers.lab.evaluation.failures.planting.drive import Drive, FrameRange, load_drive
+from workers.lab.evaluation.failures.planting.drive import Drive, FrameRange
 from workers.lab.evaluation.failures.planting.labels import labels_of_variant
+from workers.lab.evaluation.failures.planting.load_drive import load_drive
 from workers.lab.evaluation.failures.planting.mine_variant import mine_labels
 from workers.lab.evaluation.failures.planting.planted_file import PlantedFile
 from workers.lab.evaluation.failures.planting.variants import (
@@ -27,7 +28,7 @@ from workers.lab.evaluation.failures.planting.variants import (
 )
 from workers.lab.evaluation.truth.truth import LogTruth, TruthUnusableError
 from workers.lab.evaluation.truth.whole_log import shards_of_log
-from workers.lab.labels.noise import REAL
+from workers.lab.labels.noise_settings import REAL
 from workers.lab.simulation.faults.plan import FailureKind
 from workers.lab.simulation.faults.recorded import RecordedPoints, recorded_classes
 from workers.lab.simulation.output.cloud import (

@@ -13,88 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from schemas.arrays import Mask, Points, Transform
-from workers.lab.labels.borders import BEHIND_RAD, INSIDE_M, REACH_M, Borders, Spread
-
-STATIC: Final = 1
-DYNAMIC: Final = 2
-
-MotionCodes = NDArray[np.uint8]
-ClassIds = NDArray[np.uint16]
-
-
-@dataclass(frozen=True, slots=True)
-class NoiseSettings:
-    """Strength of each kind of noise.
-
-    Attributes:
-        bleed_m: Median width by which an object's label bleeds onto what is around it, metres.
-        bleed_spread: Standard deviation of the logarithm of that width between objects.
-        bleed_per_m: Growth of the width with the range of the object, per metre.
-        ground_factor: Factor of the width on the ground, where bleeding is narrower.
-        shadow_rad: Median width by which it bleeds onto what is behind its outline, radians.
-        inside_m: Median width by which its border takes the label of the surroundings, metres.
-        blobs_per_frame: Mean number of new blobs of a wrong class in a frame.
-        blob_m: Least and largest radius of a blob, metres.
-        blob_frames: Longest life of a blob, frames; shorter than any failure.
-        blob_moving_share: Share of blobs that are labelled moving too.
-        flicker_from_m: Range from which an object's motion flickers, metres.
-        flicker_full_m: Range from which it flickers most.
-        flicker_share: Largest share of frames in which a far mover is labelled static.
-        late_share: Share of frames in which the label of a mover is that of the frame before.
-        rest_frames: Frames of an object without flicker after a wrong one. Noise is then wrong on
-            an object for less than half a second in any three, which is no failure.
-        bleed_most_m: Largest width of bleeding; beyond half a metre it would be an object.
-    """
-
-    bleed_m: float = 0.2
-    bleed_spread: float = 0.6
-    bleed_per_m: float = 0.015
-    ground_factor: float = 0.9
-    shadow_rad: float = float(np.radians(0.2))
-    inside_m: float = 0.07
-    blobs_per_frame: float = 1.0
-    blob_m: tuple[float, float] = (0.25, 1.0)
-    blob_frames: int = 4
-    blob_moving_share: float = 0.4
-    flicker_from_m: float = 25.0
-    flicker_full_m: float = 60.0
-    flicker_share: float = 0.10
-    late_share: float = 0.04
-    rest_frames: int = 7
-    bleed_most_m: float = 0.45
-
-
-REAL: Final = NoiseSettings()
-"""Noise of the size that networks show at borders and at range on real drives."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SeenFrame:
-    """Points, objects and pose of one frame, on which the noise depends.
-
-    Attributes:
-        points_m: (N, 3) points in sensor space.
-        thing: (N,) number of the object that a point belongs to, -1 none.
-        ground: (N,) true on the ground.
-        world_from_sensor: (4, 4) pose of the sensor in any world that rests.
-        borders: Borders of its objects.
-    """
-
-    points_m: Points
-    thing: NDArray[np.int64]
-    ground: Mask
-    world_from_sensor: Transform
-    borders: Borders
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Blob:
-    world_m: NDArray[np.float64]
-    radius_m: float
-    last_frame: int
-    class_id: int
-    moving: bool
+from workers.lab.labels.blobs import Blobs
+from workers.lab.labels.borders import BEHIND_RAD, INSIDE_M, REACH_M, Spread
+from workers.lab.labels.noise_settings import (
+    DYNAMIC,
+    REAL,
+    STATIC,
+    ClassIds,
+    MotionCodes,
+    NoiseSettings,
+    SeenFrame,
+)
 
 
 @dataclass(slots=True, eq=False)
@@ -111,9 +40,13 @@ class LabelNoise:
     blob_classes: Sequence[int]
     settings: NoiseSettings = REAL
     _count: int = 0
-    _blobs: list[_Blob] = field(default_factory=list)
     _before: dict[int, NDArray[np.float64]] = field(default_factory=dict)
     _wrong_at: dict[int, int] = field(default_factory=dict)
+    _blobs: Blobs = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Begin without a blob."""
+        self._blobs = Blobs(self.blob_classes, self.settings)
 
     def __call__(
         self, seen: SeenFrame, motion: MotionCodes, class_id: ClassIds
@@ -131,7 +64,7 @@ class LabelNoise:
         self._lag(seen, motion, movers, rng)
         self._flicker(seen, motion, movers, rng)
         self._bleed(seen, motion, class_id, rng)
-        self._blob(seen, motion, class_id, rng)
+        self._blobs.apply(seen, self._count, motion, class_id, rng)
         self._count += 1
         return motion, class_id
 
@@ -217,50 +150,6 @@ class LabelNoise:
         spread(scaled, these.bleed_m * width[:, 0], of, REACH_M)
         spread(behind, these.shadow_rad * width[:, 1], seen.thing[behind.source], BEHIND_RAD)
 
-    def _blob(
-        self, seen: SeenFrame, motion: MotionCodes, class_id: ClassIds, rng: np.random.Generator
-    ) -> None:
-        """Give blobs of points of no object a wrong class, for a moment."""
-        these = self.settings
-        oldest = self._count - these.rest_frames
-        self._blobs = [each for each in self._blobs if each.last_frame >= oldest]
-        free = np.flatnonzero((seen.thing < 0) & (np.abs(seen.points_m).sum(axis=1) > 0))
-        born = int(rng.poisson(these.blobs_per_frame)) if len(free) else 0
-        pose = seen.world_from_sensor
-        for _ in range(born):
-            place_m = pose[:3, :3] @ seen.points_m[rng.choice(free)] + pose[:3, 3]
-            moves = bool(rng.random() < these.blob_moving_share) and self._is_far(place_m)
-            self._blobs.append(
-                _Blob(
-                    world_m=place_m,
-                    radius_m=float(rng.uniform(*these.blob_m)),
-                    last_frame=self._count + int(rng.integers(these.blob_frames)),
-                    class_id=int(rng.choice(self.blob_classes)),
-                    moving=moves,
-                )
-            )
-        for each in self._blobs:
-            if each.last_frame < self._count:
-                continue
-            middle = (each.world_m - pose[:3, 3]) @ pose[:3, :3]
-            away = seen.points_m - middle.astype(np.float32)
-            mine = np.einsum("ij,ij->i", away, away) < each.radius_m**2
-            mine &= seen.thing < 0
-            class_id[mine] = each.class_id
-            if each.moving:
-                motion[mine] = DYNAMIC
-
-    def _is_far(self, place_m: NDArray[np.float64]) -> bool:
-        """Return True unless a moving blob is or was near: two in turn would last too long."""
-        return all(
-            float(np.linalg.norm(each.world_m - place_m)) > _BLOBS_APART_M
-            for each in self._blobs
-            if each.moving
-        )
-
-
-_BLOBS_APART_M: Final = 8.0
-"""Least distance between moving blobs of the same second, metres; tracks join nearer ones."""
 
 _SAME_PLACE_M: Final = 0.3
 """Distance within which a place was labelled dynamic in the frame before, metres."""

@@ -10,9 +10,8 @@ from pathlib import Path
 from schemas.mining import MiningSettings
 from schemas.transport.bucket import open_bucket
 from workers.lab.evaluation.failures.mine_log import LogJob, mine_log
-from workers.lab.evaluation.failures.planting.drive import (
-    Drive,
-    FrameRange,
+from workers.lab.evaluation.failures.planting.drive import Drive, FrameRange
+from workers.lab.evaluation.failures.planting.load_drive import (
     check_truth,
     load_drive,
     scenes_of,

@@ -12,6 +12,7 @@ from workers.lab.evaluation.failures.mine_log import LogJob
 from workers.lab.evaluation.failures.rows import REVISION, MinedLog
 from workers.lab.evaluation.failures.uncertainty import Probing
 from workers.lab.simulation.faults.fault_truth import FILE as PLANTED
+from workers.sources import syntax_digest
 from workers.version import version_of
 
 
@@ -50,7 +51,7 @@ def _file(folder: Path, job: LogJob, settings: MiningSettings, probing: Probing)
         "truth": _truth_digest(job.truth / job.recording.log_id),
         "pipeline": _version(settings.model_dump_json()),
         "slips": [str(slip) for slip in job.slips],
-        **({} if job.variant is None else {"variant": str(job.variant)}),
+        **({} if job.variant is None else {"variant": str(job.variant), "labels": _labels()}),
         "probing": str(probing),
     }
     digest = hashlib.sha256(canonical_json(facts)).hexdigest()[:16]
@@ -64,6 +65,12 @@ def _truth_digest(folder: Path) -> str:
     planted = folder / PLANTED
     text = planted.read_text() if planted.is_file() else ""
     return hashlib.sha256(f"{names}\n{text}".encode()).hexdigest()
+
+
+@lru_cache(maxsize=1)
+def _labels() -> str:
+    """Digest the code that makes the labels of a variant, which no pipeline version covers."""
+    return syntax_digest("workers.lab.evaluation.failures.planting")
 
 
 @lru_cache(maxsize=4)

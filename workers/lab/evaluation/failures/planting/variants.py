@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from workers.lab.evaluation.failures.planting.drive import Drive, FrameRange
-from workers.lab.labels.noise import REAL, NoiseSettings
+from workers.lab.labels.noise_settings import REAL, NoiseSettings
 from workers.lab.simulation.faults.candidates import SceneVisibility, measure_visibility
 from workers.lab.simulation.faults.fault_placement import plant_in_scene
 from workers.lab.simulation.faults.faults import PlantedFailure
