@@ -14,6 +14,9 @@ from schemas.camera import CameraCalibration
 StampAt = Literal["start", "middle", "end"]
 """Instant of the revolution that a frame's stamp gives."""
 
+Compensated = Literal["auto", "yes", "no"]
+"""Whether a cloud was recorded without the motion of the car; auto: by its points."""
+
 
 @dataclass(frozen=True, slots=True)
 class RecordedClass:
@@ -76,6 +79,7 @@ class LidarFrame:
         valid_mask: (N,) bool, false for NaN, infinite and zero returns.
         has_point_time: Whether `offset_ns` was recorded rather than left zero.
         stamp_at: Which instant of the revolution `stamp_ns` names.
+        compensated: Whether the motion of the car was removed before the cloud was recorded.
         recorded: The labels of the model that ran on the car, where the log contains them.
         camera: Camera whose field of view limits the comparison; None compares all points.
         moved: Recorded motion since the frame before; None where the log has none.
@@ -93,6 +97,7 @@ class LidarFrame:
     valid_mask: Mask
     has_point_time: bool = False
     stamp_at: StampAt = "start"
+    compensated: Compensated = "auto"
     recorded: RecordedLabels | None = None
     camera: CameraCalibration | None = None
     moved: RecordedMotion | None = None

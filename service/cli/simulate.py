@@ -46,6 +46,16 @@ def simulate(
         bool,
         typer.Option("--odometry", help="Record wheel speed and yaw rate of the cars too."),
     ] = False,
+    sensor: Annotated[
+        str,
+        typer.Option(
+            "--sensor", help="Lidar of every car, such as hdl64-compensated; default: one each."
+        ),
+    ] = "",
+    slow_lorries: Annotated[
+        bool,
+        typer.Option("--slow-lorries", help="Let lorries and buses pass each car at 2 to 4 m/s."),
+    ] = False,
     workers: Annotated[
         int, typer.Option("--workers", min=1, max=MOST, help="Number of processes.")
     ] = 1,
@@ -59,7 +69,12 @@ def simulate(
         _need_no_other_logs(out)
     from workers.lab.simulation.faults.plan import plan_fleet
     from workers.lab.simulation.output.fleet import FleetOptions, simulate_to
+    from workers.lab.simulation.sensor.sensors import SENSORS, mounted, usual_mounting
 
+    chosen = next((name for name in SENSORS if name == sensor), None)
+    if sensor and chosen is None:
+        raise UsageError(f"--sensor: {sensor!r} is none of {', '.join(SENSORS)}")
+    lidar = None if chosen is None else mounted(chosen, usual_mounting(chosen), columns=columns)
     plans = plan_fleet(scenes=scenes, seed=seed, share=failures)
     began_s, frames, planted, disturbed = time.monotonic(), 0, 0, 0
     with progress() as bar:
@@ -67,7 +82,9 @@ def simulate(
         logs = simulate_to(
             out,
             plans,
-            options=FleetOptions(columns=columns, odometry=odometry),
+            options=FleetOptions(
+                lidar=lidar, columns=columns, odometry=odometry, slow_lorries=slow_lorries
+            ),
             processes=workers,
             progress=lambda: bar.advance(task),
         )

@@ -100,6 +100,7 @@ class ShardReader:
                 previous_stamp_ns=previous_ns,
                 intensity_scale=self.shard.intensity_scale,
                 stamp_at=self.settings.stamp_at,
+                compensated=self.settings.compensated,
                 recorded=labels,
                 camera=self.shard.camera,
             )
