@@ -15,7 +15,7 @@ StampAt = Literal["start", "middle", "end"]
 """Instant of the revolution that a frame's stamp gives."""
 
 Compensated = Literal["auto", "yes", "no"]
-"""Whether a cloud was recorded without the motion of the car; auto: by its points."""
+"""A cloud recorded without the motion of the car: known, excluded, or recognised by its points."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -106,7 +106,7 @@ def _bends(velocity: Twist, time_s: NDArray[np.float32]) -> bool:
 
 
 def _unevenness_rad(about_m: Points, time_s: NDArray[np.float32], ring: NDArray[np.int16]) -> float:
-    """Return the median deviation of azimuths from an even turn, each beam offset as it is."""
+    """Return the median deviation of azimuths from an even turn, with an offset for each beam."""
     azimuth = np.arctan2(about_m[:, 1], about_m[:, 0])
     turn = 2.0 * np.pi / float(time_s.max() - time_s.min()) * time_s
     sums = [np.exp(1j * (azimuth - turns * turn)).mean() for turns in (1.0, -1.0)]
