@@ -34,7 +34,8 @@ def swept(sensor: SensorName, style: str) -> tuple[Lidar, SimulatedFrame, Twist]
 
 def from_middle_s(frame: SimulatedFrame) -> NDArray[np.float32]:
     time_s = (frame.offset_ns / 1e9).astype(np.float32)
-    return time_s - (time_s.min() + time_s.max()) / 2
+    about_middle: NDArray[np.float32] = time_s - (time_s.min() + time_s.max()) / 2
+    return about_middle
 
 
 @pytest.mark.parametrize("sensor", ["pandar64", "vlp32c", "os1-128"])

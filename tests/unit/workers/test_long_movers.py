@@ -65,7 +65,7 @@ def registered(extent_m: float) -> RegistrationResiduals:
         energy_far=one(0.05),
         energy_near=one(0.03),
         shift_far_m=shift,
-        shift_near_m=shift / 5,
+        shift_near_m=(shift / 5).astype(np.float32),
         energy_between=one(0.03),
     )
 
