@@ -15,6 +15,9 @@ from schemas.camera import CameraCalibration
 StampAt = Literal["start", "middle", "end"]
 """Instant of the revolution that a frame's stamp gives."""
 
+Compensated = Literal["auto", "yes", "no"]
+"""A cloud recorded without the motion of the car: known, excluded, or recognised by its points."""
+
 
 @dataclass(frozen=True, slots=True)
 class RecordedClass:
@@ -77,6 +80,7 @@ class LidarFrame:
         valid_mask: (N,) bool, false for NaN, infinite and zero returns.
         has_point_time: Whether `offset_ns` was recorded rather than left zero.
         stamp_at: Which instant of the revolution `stamp_ns` names.
+        compensated: Whether the motion of the car was removed before the cloud was recorded.
         recorded: The labels of the model that ran on the car, where the log contains them.
         boxes: Boxes of that model, where it answers in boxes and this frame has an answer.
         camera: Camera whose field of view limits the comparison; None compares all points.
@@ -95,6 +99,7 @@ class LidarFrame:
     valid_mask: Mask
     has_point_time: bool = False
     stamp_at: StampAt = "start"
+    compensated: Compensated = "auto"
     recorded: RecordedLabels | None = None
     boxes: RecordedBoxes | None = None
     camera: CameraCalibration | None = None

@@ -111,6 +111,11 @@ class MiningSettings(BaseModel):
     stamp_at: Literal["start", "middle", "end"] = Field(
         default="start", description="Instant of the revolution that a header stamp gives."
     )
+    compensated: Literal["auto", "yes", "no"] = Field(
+        default="auto",
+        description="Clouds with a time per point were recorded without the motion of the car, all "
+        "in the sensor's space of one instant; auto: recognised while the car moves.",
+    )
     intensity_scale: Finite = Field(
         default=0.0, ge=0, description="Recorded value that means 1; 0: detected."
     )

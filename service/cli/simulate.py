@@ -70,6 +70,16 @@ def simulate(
         bool,
         typer.Option("--boxes", help="Record the boxes of a detector instead of labels of points."),
     ] = False,
+    sensor: Annotated[
+        str,
+        typer.Option(
+            "--sensor", help="Lidar of every car, such as hdl64-compensated; default: one each."
+        ),
+    ] = "",
+    slow_lorries: Annotated[
+        bool,
+        typer.Option("--slow-lorries", help="Let lorries and buses pass each car at 2 to 4 m/s."),
+    ] = False,
     workers: Annotated[
         int, typer.Option("--workers", min=1, max=MOST, help="Number of processes.")
     ] = 1,
@@ -83,7 +93,12 @@ def simulate(
         _need_no_other_logs(out)
     from workers.lab.simulation.faults.plan import plan_fleet
     from workers.lab.simulation.output.fleet import FleetOptions, simulate_to
+    from workers.lab.simulation.sensor.sensors import SENSORS, mounted, usual_mounting
 
+    chosen = next((name for name in SENSORS if name == sensor), None)
+    if sensor and chosen is None:
+        raise UsageError(f"--sensor: {sensor!r} is none of {', '.join(SENSORS)}")
+    lidar = None if chosen is None else mounted(chosen, usual_mounting(chosen), columns=columns)
     plans = plan_fleet(
         scenes=scenes,
         seed=seed,
@@ -98,7 +113,11 @@ def simulate(
             out,
             plans,
             options=FleetOptions(
-                columns=columns, odometry=odometry, recorded="boxes" if boxes else "fields"
+                lidar=lidar,
+                columns=columns,
+                odometry=odometry,
+                recorded="boxes" if boxes else "fields",
+                slow_lorries=slow_lorries,
             ),
             processes=workers,
             progress=lambda: bar.advance(task),

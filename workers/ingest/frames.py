@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
 from schemas.camera import CameraCalibration
-from schemas.frame import LidarFrame, RecordedLabels, StampAt
+from schemas.frame import Compensated, LidarFrame, RecordedLabels, StampAt
 from workers.errors import CloudUnreadableError
 from workers.ingest.point_time import point_time
 from workers.ingest.pointcloud import DecodedCloud
@@ -35,6 +35,7 @@ def frame_from_cloud(
     previous_stamp_ns: int | None,
     intensity_scale: float,
     stamp_at: StampAt,
+    compensated: Compensated = "auto",
     recorded: RecordedLabels | None = None,
     camera: CameraCalibration | None = None,
 ) -> LidarFrame:
@@ -47,6 +48,7 @@ def frame_from_cloud(
         previous_stamp_ns: Stamp of the frame before, None where there is none.
         intensity_scale: Recorded value that means 1.
         stamp_at: Instant of the sweep that the header's stamp refers to.
+        compensated: Whether the car's motion was removed before the cloud was recorded.
         recorded: The labels of the model that ran on the car, if the log contains them.
         camera: The camera whose view is compared, if one is wanted.
 
@@ -69,6 +71,7 @@ def frame_from_cloud(
         valid_mask=valid_mask,
         has_point_time=times.recorded,
         stamp_at=stamp_at,
+        compensated=compensated,
         recorded=recorded,
         camera=camera,
     )

@@ -62,7 +62,7 @@ def misplaced(
 
     Args:
         reader: The part.
-        entries: Its chunk index, as far as it is believed.
+        entries: The records of its chunk index.
         gaps: Stretches that no index explains; it costs a small read for each after a chunk.
     """
     before = {claimed_end(entry): entry.offset for entry in entries}

@@ -108,6 +108,7 @@ class ShardReader:
                 previous_stamp_ns=previous_ns,
                 intensity_scale=self.shard.intensity_scale,
                 stamp_at=self.settings.stamp_at,
+                compensated=self.settings.compensated,
                 recorded=None if isinstance(answer, RecordedBoxes) else answer,
                 camera=self.shard.camera,
             )

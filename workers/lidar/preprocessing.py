@@ -12,7 +12,8 @@ from schemas.labels import Blindness, FrameHealth
 from workers.lidar.beam_image import range_image
 from workers.lidar.beam_learner import BeamLearner
 from workers.lidar.beam_table import MIN_RANGE_M, BeamTable
-from workers.lidar.deskew import Twist, deskew, time_from_middle_s
+from workers.lidar.compensation import to_middle
+from workers.lidar.deskew import Twist
 from workers.lidar.enough_points import too_few_returns
 from workers.lidar.ground import ground_mask
 from workers.lidar.sensor_height import estimate_sensor_height
@@ -97,9 +98,7 @@ class Preprocessor:
             self.sensor_height_m = 0.0
         if self.table is None or len(self.table.tangents) == 0:
             return None
-        time_s = time_from_middle_s(frame)
-        if velocity is not None and time_s is not None:
-            points_m = deskew(points_m, time_s[valid_index], velocity)
+        points_m = to_middle(frame, points_m, valid_index, velocity, self.table.origin_m)
         points_m = points_m - self.table.origin_m.astype(np.float32)
         if not self.sensor_height_m:
             self.sensor_height_m = estimate_sensor_height(points_m)

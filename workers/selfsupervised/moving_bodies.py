@@ -1,7 +1,7 @@
 """Moving bodies: pieces inside a mover that neither registration nor free space can decide.
 
-The side of a lorry lies on itself when it is shifted, and its wheels and chassis are seen anew in
-every frame. Nothing that stands is inside a body that moves.
+The side of a lorry lies on itself when it is shifted, and its wheels and chassis show other
+parts in every frame. Nothing that stands is inside a body that moves.
 """
 
 from dataclasses import replace

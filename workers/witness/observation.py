@@ -13,7 +13,8 @@ from schemas.labels import MotionLabel
 from workers.lidar.beam_image import range_image
 from workers.lidar.beam_learner import BeamLearner
 from workers.lidar.beam_table import MIN_RANGE_M, BeamTable
-from workers.lidar.deskew import Twist, deskew, time_from_middle_s, twist
+from workers.lidar.compensation import to_middle
+from workers.lidar.deskew import Twist, twist
 from workers.points.point_kernels import judged_rows, moved_rows, returns_within, rows_about
 from workers.points.se3 import inverse, transform
 from workers.points.voxels import Voxels, voxelize
@@ -123,9 +124,7 @@ class Observer:
         table = self._beams.table
         if table is None or not table.trusted or not len(table.tangents):
             return Observation(frame.stamp_ns, self._stretch)
-        time_s = time_from_middle_s(frame)
-        if velocity is not None and time_s is not None:
-            points_m = deskew(points_m, time_s[index], velocity)
+        points_m = to_middle(frame, points_m, index, velocity, table.origin_m)
         points_m = points_m - table.origin_m.astype(np.float32)
         odom_from_beams = self._correction @ posed.odom_from_sensor
         odom_from_beams[:3, 3] += odom_from_beams[:3, :3] @ table.origin_m

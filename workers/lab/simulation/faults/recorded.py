@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.lab.labels.borders import borders_of
-from workers.lab.labels.noise import LabelNoise, SeenFrame
+from workers.lab.labels.noise import LabelNoise
+from workers.lab.labels.noise_settings import SeenFrame
 from workers.lab.simulation.faults.confidence import draw_border_confidence, draw_confidence
 from workers.lab.simulation.faults.faults import PlantedFailure, corrupt
 from workers.lab.simulation.models.kinds import MOVABLE, StreetClass

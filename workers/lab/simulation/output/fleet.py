@@ -67,6 +67,7 @@ class FleetOptions:
         recorded: Destination of the on-board model's labels.
         chunk_bytes: Uncompressed size at which a chunk is closed.
         odometry: Whether the cars record wheel speed and yaw rate.
+        slow_lorries: Whether lorries and buses pass each car at 2 to 4 m/s.
     """
 
     lidar: Lidar | None = None
@@ -74,6 +75,7 @@ class FleetOptions:
     recorded: RecordedAs = "fields"
     chunk_bytes: int = 4 << 20
     odometry: bool = False
+    slow_lorries: bool = False
 
 
 def simulate_to(
@@ -146,7 +148,7 @@ def write_planned(
     options = options or FleetOptions()
     car = plan.number % len(VEHICLES)
     lidar = options.lidar or mounted(*VEHICLES[car], columns=options.columns)
-    street = planned_street(plan)
+    street = planned_street(plan, slow_lorries=options.slow_lorries)
     planted = draw_faults(street, plan, lidar=lidar)
     day = _FIRST_DAY + timedelta(days=plan.number // len(VEHICLES))
     vehicle = f"sim-{car + 1:02d}"
@@ -175,15 +177,12 @@ def write_planned(
     return SimulatedLog(key, frames, planted, log, truth)
 
 
-def planned_street(plan: LogPlan) -> Street:
-    """Build the street of a planned log; it depends on the plan alone."""
+def planned_street(plan: LogPlan, *, slow_lorries: bool = False) -> Street:
+    """Build the street of a planned log; it depends on its arguments alone."""
     rng = np.random.default_rng([plan.seed, 0x91A4])
     drawn = draw_plan(rng, hard=plan.hard)
-    street = build_street(
-        plan.seed,
-        seconds=plan.seconds + plan.begin_s,
-        plan=replace(drawn, unsettling=plan.wants_common_mode),
-    )
+    drawn = replace(drawn, unsettling=plan.wants_common_mode, slow_lorries=slow_lorries)
+    street = build_street(plan.seed, seconds=plan.seconds + plan.begin_s, plan=drawn)
     return street.after(plan.begin_s)
 
 

@@ -111,6 +111,11 @@ _MOUNTINGS: Final[dict[MountingName, tuple[float, float, float, bool]]] = {
 the lowest beams."""
 
 
+def usual_mounting(sensor: SensorName) -> MountingName:
+    """Return the mounting of a sensor on all cars of a fleet: free of the car if compensated."""
+    return "rack" if SENSORS[sensor].compensated else "roof"
+
+
 def mounted(sensor: SensorName, mounting: MountingName, *, columns: int | None = None) -> Lidar:
     """Mount a sensor on a car; fewer columns make logs small and fast."""
     lidar, (height, forward, pitch, roof) = SENSORS[sensor], _MOUNTINGS[mounting]
