@@ -105,3 +105,16 @@ def test_a_camera_picture_has_its_title_above_and_its_boxes_on_it(
     titled = drawn(boxes=boxes, title=["rank 3 | a@b", "the headline"])
     assert titled.height == boxed.height + 2 * 28 + 10
     assert (pixels_of(titled)[66:] == pixels_of(boxed)).all()
+
+
+def test_weak_tracks_have_boxes_without_a_number(mined: tuple[SceneScore, Overlay]) -> None:
+    score, overlay = mined
+    first, *rest = score.tracks
+    weak = [track.model_copy(update={"strength": 0.04}) for track in rest]
+    lone = score.model_copy(update={"tracks": (first, *weak)})
+    assert labels_of(lone) == labels_of(score)[:1]
+    assert len(labels_of(score)) > 1
+    none = score.model_copy(update={"tracks": tuple(weak)})
+    assert labels_of(none) == labels_of(score)[1:2], "the first is named in any case"
+    boxes = boxes_of(overlay, 0, _Pinhole(), labels=())
+    assert [box.label for box in boxes] == [""]
