@@ -28,7 +28,7 @@ from service.pictures.style import (
     meaning,
     shorten,
 )
-from service.pictures.title import MOST_LABELS, Title, labels_of, title_of
+from service.pictures.title import MOST_LABELS, Title, labels_of, shown_tracks, title_of
 from service.pictures.view import View
 
 __all__ = ["draw_camera", "draw_scene"]
@@ -90,7 +90,9 @@ def frame_of(track: TrackRecord, overlay: Overlay) -> int:
 
 def _half_m(score: SceneScore) -> float:
     """Return half of the view's side, metres: 30 to 80, to show the strongest tracks."""
-    reach_m = max((track.strongest.range_m for track in score.tracks[:_ROWS]), default=0.0)
+    reach_m = max(
+        (track.strongest.range_m for track in shown_tracks(score, most=_ROWS)), default=0.0
+    )
     return float(np.clip(1.15 * reach_m + 5.0, 30.0, 80.0))
 
 
@@ -120,7 +122,7 @@ def _draw_side(image: Image.Image, score: SceneScore, overlay: Overlay) -> None:
     left = 2 * _MARGIN_PX + _ABOVE_PX
     width = WIDTH_PX - left - _MARGIN_PX
     y = _TOP_PX
-    for track in score.tracks[:_ROWS]:
+    for track in shown_tracks(score, most=_ROWS):
         y = _draw_track(image, overlay, track, left=left, top=y, width=width)
     if not score.tracks:
         draw.text((left, y), "no contradiction in this scene", fill=SOFT_TEXT, font=font(18))

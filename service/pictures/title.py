@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from typing import Final
 
-from schemas.score import SceneScore
+from schemas.contradiction import TrackRecord
+from schemas.score import MIN_REPORTED_STRENGTH, SceneScore
 from service.curation.scene_names import begins
 
 MOST_LABELS: Final = 10
@@ -41,9 +42,18 @@ def title_of(score: SceneScore, *, rank: int | None = None, name: str = "") -> T
     return Title(score.score, name or own, rank)
 
 
+def shown_tracks(score: SceneScore, *, most: int = MOST_LABELS) -> list[TrackRecord]:
+    """Return the tracks that a picture names: strong ones, and in any case the first one.
+
+    Weaker ones have boxes without a number; they are no reason of the score.
+    """
+    strong = [track for track in score.tracks if track.strength >= MIN_REPORTED_STRENGTH]
+    return (strong or list(score.tracks[:1]))[:most]
+
+
 def labels_of(score: SceneScore) -> list[tuple[int, str]]:
-    """Return number and text for each of the strongest tracks, the same on all pictures."""
+    """Return number and text for each track that is named, the same on all pictures."""
     return [
         (track.track_id, f"{track.track_id + 1} {track.class_name or 'object'}")
-        for track in score.tracks[:MOST_LABELS]
+        for track in shown_tracks(score)
     ]

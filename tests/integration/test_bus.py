@@ -257,6 +257,10 @@ def test_a_selection_is_stored_and_published_scene_by_scene(running: Running) ->
     assert asked == published
     with pytest.raises(PermanentError, match="week 47"):
         client.select(budget=1, name="week 47")
+    assert client.selection("week 47") == selection
+    assert [(row.name, row.scenes) for row in client.selections()] == [("week 47", 3)]
+    with pytest.raises(PermanentError, match="no selection 'week 48'"):
+        client.selection("week 48")
 
 
 def test_the_verbs_answer_what_the_ledger_knows(running: Running) -> None:

@@ -1,0 +1,120 @@
+"""Boxes and title on the camera image, and the frame and camera that see the first track."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from schemas.arrays import Mask, Points
+from schemas.overlay import Overlay
+from schemas.score import SceneScore
+from service.pictures.camera_boxes import boxes_of, corners_m
+from service.pictures.scene import draw_camera, frame_of
+from service.pictures.strongest_frame import sights_of
+from service.pictures.title import labels_of
+from tests.labelled_worlds import labelled_scene
+from tests.unit.service.test_picture import (
+    AGREED,
+    MISSED,
+    PHANTOM,
+    WALL,
+    mined_scene,
+)
+from tests.unit.service.test_picture import _photo as photo
+from tests.unit.service.test_picture import _pixels as pixels_of
+
+
+@pytest.fixture(scope="module")
+def mined() -> tuple[SceneScore, Overlay]:
+    return mined_scene(labelled_scene([WALL, AGREED, MISSED, PHANTOM], frames=12))
+
+
+class _Pinhole:
+    """A camera at the sensor that looks ahead, or to the left, of 200 by 100 pixels."""
+
+    def __init__(self, topic: str = "/front", *, left: bool = False) -> None:
+        self.topic, self._left = topic, left
+
+    def project(self, points_m: Points) -> tuple[NDArray[np.float64], Mask]:
+        x, y, z = points_m.astype(np.float64).T
+        ahead, aside = (y, -x) if self._left else (x, y)
+        depth = np.where(ahead > 0.1, ahead, 1.0)
+        pixels = np.stack([100 - 100 * aside / depth, 50 - 100 * z / depth], axis=1)
+        inside = ((pixels >= 0) & (pixels < (200, 100))).all(axis=1)
+        return pixels, (ahead > 0.1) & inside
+
+
+def test_boxes_on_the_camera_have_the_numbers_of_the_picture_from_above(
+    mined: tuple[SceneScore, Overlay],
+) -> None:
+    score, overlay = mined
+    number = next(t.track_id for t in score.tracks if t.kind == "only_semantic_dynamic")
+    (box,) = boxes_of(overlay, 0, _Pinhole(), labels=labels_of(score), shown_track=number)
+    assert box.label == f"{number + 1} pedestrian"
+    assert box.is_shown
+    assert not box.is_of_witness
+    at_px = np.concatenate(box.lines_px)
+    corners, _ = _Pinhole().project(corners_m(overlay.instance_boxes[0]))
+    assert (at_px.min(axis=0) >= 0).all()
+    assert np.abs(at_px.mean(axis=0) - (150, 50)).max() < 12, "12 m ahead and 6 m to the right"
+    assert at_px.max(axis=0)[0] <= corners.max(axis=0)[0] + 1
+    on_the_left = boxes_of(overlay, 0, _Pinhole(left=True), labels=labels_of(score))
+    assert [each.label for each in on_the_left] == [f"{2 - number} car"]
+
+
+def test_the_first_track_is_looked_for_in_every_camera_and_frame(
+    mined: tuple[SceneScore, Overlay],
+) -> None:
+    score, overlay = mined
+    phantom, missed = sorted(score.tracks[:2], key=lambda track: track.kind)[::-1]
+    views = [_Pinhole("/front"), _Pinhole("/left", left=True)]
+    first = {score.tracks[0].track_id}
+    seen = list(sights_of(score, overlay, views))  # type: ignore[arg-type]
+    assert {each.track_id for each in seen[:1]} == first
+    by_track = {each.track_id: each for each in reversed(seen)}
+    assert by_track[phantom.track_id].topic == "/front"
+    strongest = frame_of(phantom, overlay)
+    assert by_track[phantom.track_id].frame == strongest
+    assert by_track[missed.track_id].topic == "/left", "it passes on the left"
+    assert list(sights_of(score, overlay, [])) == []
+
+
+def test_a_camera_picture_has_its_title_above_and_its_boxes_on_it(
+    mined: tuple[SceneScore, Overlay],
+) -> None:
+    score, overlay = mined
+    part = overlay.points_of(0)
+    at_px = np.zeros((part.stop, 2))
+    boxes = boxes_of(overlay, 0, _Pinhole(), labels=labels_of(score))
+
+    def drawn(**more: Any) -> Image.Image:
+        return draw_camera(
+            photo(1600, 800),
+            overlay,
+            frame=0,
+            at_px=at_px,
+            inside_mask=np.zeros(part.stop, dtype=np.bool_),
+            **more,
+        )
+
+    bare, boxed = drawn(), drawn(boxes=boxes)
+    assert bare.size == boxed.size
+    assert (pixels_of(bare) != pixels_of(boxed)).any()
+    titled = drawn(boxes=boxes, title=["rank 3 | a@b", "the headline"])
+    assert titled.height == boxed.height + 2 * 28 + 10
+    assert (pixels_of(titled)[66:] == pixels_of(boxed)).all()
+
+
+def test_weak_tracks_have_boxes_without_a_number(mined: tuple[SceneScore, Overlay]) -> None:
+    score, overlay = mined
+    first, *rest = score.tracks
+    weak = [track.model_copy(update={"strength": 0.04}) for track in rest]
+    lone = score.model_copy(update={"tracks": (first, *weak)})
+    assert labels_of(lone) == labels_of(score)[:1]
+    assert len(labels_of(score)) > 1
+    none = score.model_copy(update={"tracks": tuple(weak)})
+    assert labels_of(none) == labels_of(score)[1:2], "the first is named in any case"
+    boxes = boxes_of(overlay, 0, _Pinhole(), labels=())
+    assert [box.label for box in boxes] == [""]
