@@ -12,6 +12,7 @@ from schemas.task import Outcome
 from workers.contradiction.boxes import fit_box
 from workers.contradiction.neighbour_counts import counts_around
 from workers.contradiction.neighbourhood import LabelledPoints
+from workers.contradiction.road_rows import road_rows
 from workers.contradiction.settings import DEFAULT_INSTANCES, InstanceSettings
 from workers.points.density import density_clusters, weighted_places
 from workers.points.point_kernels import within_box
@@ -27,7 +28,8 @@ def find_instances(
 
     DBSCAN (scikit-learn) as in the paper, on places instead of points (see `InstanceSettings`).
     Ground is left out: a network's dynamic labels bleed onto the road next to a mover, and these
-    points are no object of their own. The raw shares still count them.
+    points are no object of their own. So are rows of road that count as no ground
+    (`road_rows.py`). The raw shares still count them.
 
     Args:
         scene: Labelled frames of one scene.
@@ -88,6 +90,8 @@ def _instances_in(
     apart = within_box(points_m, settings.max_coordinate_m)
     if ground_mask is not None:
         apart &= ~ground_mask
+        if frame.task.moving:
+            apart &= ~road_rows(points_m, apart & _contradicts(frame), ground_mask)
     for kind in frame.task.kinds:
         yield from _instances_of(
             frame,
@@ -162,6 +166,14 @@ def _candidates(frame: LabelledFrame, kind: Outcome) -> tuple[Mask, Mask]:
     # the self-supervised stream may also be silent
     static = (frame.semantic.labels != moving) & (frame.predictive.labels != moving)
     return comparable, comparable & static & (witness == MotionLabel.DYNAMIC)
+
+
+def _contradicts(frame: LabelledFrame) -> Mask:
+    """Return the points (N,) that contradict in any way."""
+    contradicts = np.zeros(len(frame.agreements), np.bool_)
+    for kind in frame.task.kinds:
+        contradicts |= _candidates(frame, kind)[1]
+    return contradicts
 
 
 def _agreed(frame: LabelledFrame, kind: Outcome) -> Mask:
