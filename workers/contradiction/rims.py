@@ -2,7 +2,7 @@
 
 Labels bleed over the border of a mover by up to half a metre, and no stream errs on the object.
 A rim is a thin layer next to agreed points with few points of its own. The share of agreed points
-around a contradiction does not tell a rim from half of a lorry: both lie next to as many. Width and
+around a contradiction is the same for a rim and for half of a lorry: both lie next to as many. Width and
 number do.
 """
 

@@ -2,7 +2,7 @@
 
 Ground removal misses rows of road next to a mover, or the self-supervised stream gives them to it,
 since they touch its wheels or feet. They contradict a supervised stream that labels the road
-static, and form an object of their own: a patch of road beside a cyclist.
+static, and form an object of their own: a patch of road next to a cyclist.
 """
 
 from typing import Final
