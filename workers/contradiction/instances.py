@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import Labels, Mask
+from schemas.arrays import Labels, Mask, Points
 from schemas.contradiction import Instance, LabelledFrame, Scene
 from schemas.labels import MotionLabel
 from schemas.task import Outcome
@@ -91,7 +91,8 @@ def _instances_in(
     if ground_mask is not None:
         apart &= ~ground_mask
         if frame.task.moving:
-            apart &= ~road_rows(points_m, apart & _contradicts(frame), ground_mask)
+            one_alone = _labelled_by_one(frame)
+            apart &= ~road_rows(points_m, apart & one_alone, ground_mask)
     for kind in frame.task.kinds:
         yield from _instances_of(
             frame,
@@ -122,10 +123,7 @@ def _instances_of(
     if not found:
         return
     own, around = counts_around(points_m, candidates, queried, np.float32(settings.around_m))
-    labelled_points = _labelled_points(frame, kind)
-    _, agreed = counts_around(
-        points_m, candidates, _agreed(frame, kind) & apart, np.float32(settings.rim_m)
-    )
+    labelled_points, agreed = _labelled_points(frame, kind), _agreed(frame, kind) & apart
     order = np.argsort(clusters, kind="stable")
     first = np.searchsorted(clusters[order], np.arange(found + 1))
     members = [order[first[c] : first[c + 1]] for c in range(found)]
@@ -150,7 +148,9 @@ def _instances_of(
             confirmed_share=_confirmed_share(frame, kind, index),
             denied_share=denied_share,
             agreed_share=agreed_share,
-            rim_share=float((agreed[member] > 0).mean()),
+            rim_share=(
+                _rim_share(points_m, index, agreed, settings) if agreed_share > 0.0 else 1.0
+            ),
         )
 
 
@@ -168,12 +168,22 @@ def _candidates(frame: LabelledFrame, kind: Outcome) -> tuple[Mask, Mask]:
     return comparable, comparable & static & (witness == MotionLabel.DYNAMIC)
 
 
-def _contradicts(frame: LabelledFrame) -> Mask:
-    """Return the points (N,) that contradict in any way."""
-    contradicts = np.zeros(len(frame.agreements), np.bool_)
-    for kind in frame.task.kinds:
-        contradicts |= _candidates(frame, kind)[1]
-    return contradicts
+def _labelled_by_one(frame: LabelledFrame) -> Mask:
+    """Return the points (N,) that some source labels dynamic, but not both streams."""
+    dynamic = frame.task.classes.index(frame.task.moving)
+    supervised, other = (each.labels == dynamic for each in (frame.semantic, frame.predictive))
+    one_alone: Mask = supervised ^ other
+    if frame.witness is not None:
+        one_alone |= ~supervised & (frame.witness.labels == MotionLabel.DYNAMIC)
+    return one_alone
+
+
+def _rim_share(
+    points_m: Points, index: NDArray[np.int64], agreed: Mask, settings: InstanceSettings
+) -> float:
+    """Return the share of an instance's points next to points that both label dynamic."""
+    _, next_to = counts_around(points_m, index, agreed, np.float32(settings.rim_m))
+    return float((next_to > 0).mean())
 
 
 def _agreed(frame: LabelledFrame, kind: Outcome) -> Mask:

@@ -8,9 +8,9 @@ static, and form an object of their own: a patch of road next to a cyclist.
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
+from workers.points.compiled import compiled, inlined
 
 CELL_M: Final = 1.0
 """Side of a cell, metres; a point is compared with its own cell and the eight around it."""
@@ -21,6 +21,8 @@ bumpers are above it. A road that falls by 5 % stays below it."""
 
 _WITHIN_M: Final = 100.0
 _CELLS: Final = round(2 * _WITHIN_M / CELL_M)
+_NO_GROUND_M: Final = 1e6
+"""Height above every ground, metres: cells without ground are higher."""
 
 
 def road_rows(points_m: Points, candidates: Mask, ground: Mask) -> Mask:
@@ -34,28 +36,31 @@ def road_rows(points_m: Points, candidates: Mask, ground: Mask) -> Mask:
     Returns:
         (N,) mask; none beyond 100 m each way, and none where no ground is near.
     """
-    low = np.zeros(len(points_m), np.bool_)
-    index, of_ground = (_within(points_m, mask) for mask in (candidates, ground))
-    if not len(index) or not len(of_ground):
-        return low
-    lowest_m = np.full((_CELLS + 2, _CELLS + 2), np.inf, np.float32)
-    np.minimum.at(lowest_m, _cells(points_m[of_ground]), points_m[of_ground, 2])
-    x, y = _cells(points_m[index])
-    around_m = np.full(len(index), np.inf, np.float32)
-    for step_x in (-1, 0, 1):
-        for step_y in (-1, 0, 1):
-            around_m = np.minimum(around_m, lowest_m[x + step_x, y + step_y])
-    low[index] = np.isfinite(around_m) & (points_m[index, 2] - around_m < LOW_M)
+    return _road_rows(points_m, candidates, ground)
+
+
+@compiled
+def _road_rows(points: Points, candidates: Mask, ground: Mask) -> Mask:
+    low = np.zeros(len(points), np.bool_)
+    lowest = np.full((_CELLS + 2, _CELLS + 2), np.float32(np.inf))
+    for i in range(len(points)):
+        x, y = points[i, 0], points[i, 1]
+        if ground[i] and abs(x) < _WITHIN_M and abs(y) < _WITHIN_M:
+            a, b = _cell(x), _cell(y)
+            lowest[a, b] = min(lowest[a, b], points[i, 2])
+    for i in range(len(points)):
+        x, y = points[i, 0], points[i, 1]
+        if candidates[i] and abs(x) < _WITHIN_M and abs(y) < _WITHIN_M:
+            a, b = _cell(x), _cell(y)
+            around = np.float32(np.inf)
+            for step_a in range(-1, 2):
+                for step_b in range(-1, 2):
+                    around = min(around, lowest[a + step_a, b + step_b])
+            low[i] = around < _NO_GROUND_M and points[i, 2] - around < LOW_M
     return low
 
 
-def _within(points_m: Points, mask: Mask) -> NDArray[np.int64]:
-    index = np.flatnonzero(mask)
-    near = (np.abs(points_m[index, :2]) < _WITHIN_M).all(axis=1)
-    return index[near]
-
-
-def _cells(points_m: Points) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return row and column of each point's cell; the outermost ones stay empty."""
-    at = np.floor((points_m[:, :2] + _WITHIN_M) / CELL_M).astype(np.int64).clip(0, _CELLS - 1) + 1
-    return at[:, 0], at[:, 1]
+@inlined
+def _cell(along: np.float32) -> int:
+    """Return the row or column of a coordinate; the outermost cells stay empty."""
+    return int(np.floor((along + _WITHIN_M) / CELL_M)) + 1
