@@ -1,8 +1,9 @@
 """Blind moments: contradictions while the self-supervised stream labels nothing.
 
 At the start of a log, after a gap and where the pose was lost, that stream has no past. The witness
-then labels alone, and it too lacks the frames of one side: nothing tells a static object that is
-seen from a slightly wrong pose from one that moves. Its evidence is worth the looks behind it.
+then labels alone, and it lacks the frames of one side too. A static object that is seen from a
+slightly wrong pose then resembles one that moves. The votes behind the witness's label are the
+weight of its evidence.
 """
 
 from collections.abc import Sequence

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S
 from schemas.contradiction import Instance, Scene
 from schemas.labels import MotionLabel
+from workers.contradiction.bled_labels import bled_share
 from workers.contradiction.blind_moments import blind_share, witness_votes
 from workers.contradiction.bulk_motion import bulk_motion_of
 from workers.contradiction.clamp import clamp01
@@ -127,9 +128,12 @@ def _features_of(
         return float(np.average(values, weights=points))
 
     shape_static = min(persistence.here_before, persistence.here_after)
-    travels = 1.0 - standing_share(
+    standing = standing_share(
         track.kind, scene.task, shape_static=shape_static, witness_static=witness_static
     )
+    if standing > 0.0 and path.displacement > 0.0:
+        standing *= 1.0 - bled_share(scene, members)
+    travels = 1.0 - standing
     confirmed = clamp01(mean([_confirmed_share(member.confirmed_share) for member in members]))
     pose_doubted = mean(context.doubted[at].tolist())
     bulk_motion = bulk_motion_of(

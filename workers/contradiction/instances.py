@@ -5,13 +5,14 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import Labels, Mask
+from schemas.arrays import Labels, Mask, Points
 from schemas.contradiction import Instance, LabelledFrame, Scene
 from schemas.labels import MotionLabel
 from schemas.task import Outcome
 from workers.contradiction.boxes import fit_box
 from workers.contradiction.neighbour_counts import counts_around
 from workers.contradiction.neighbourhood import LabelledPoints
+from workers.contradiction.road_rows import road_rows
 from workers.contradiction.settings import DEFAULT_INSTANCES, InstanceSettings
 from workers.points.density import density_clusters, weighted_places
 from workers.points.point_kernels import within_box
@@ -27,7 +28,8 @@ def find_instances(
 
     DBSCAN (scikit-learn) as in the paper, on places instead of points (see `InstanceSettings`).
     Ground is left out: a network's dynamic labels bleed onto the road next to a mover, and these
-    points are no object of their own. The raw shares still count them.
+    points are no object of their own. So are rows of road that count as no ground
+    (`road_rows.py`). The raw shares still count them.
 
     Args:
         scene: Labelled frames of one scene.
@@ -88,6 +90,9 @@ def _instances_in(
     apart = within_box(points_m, settings.max_coordinate_m)
     if ground_mask is not None:
         apart &= ~ground_mask
+        if frame.task.moving:
+            one_alone = _labelled_by_one(frame)
+            apart &= ~road_rows(points_m, apart & one_alone, ground_mask)
     for kind in frame.task.kinds:
         yield from _instances_of(
             frame,
@@ -118,10 +123,7 @@ def _instances_of(
     if not found:
         return
     own, around = counts_around(points_m, candidates, queried, np.float32(settings.around_m))
-    labelled_points = _labelled_points(frame, kind)
-    _, agreed = counts_around(
-        points_m, candidates, _agreed(frame, kind) & apart, np.float32(settings.rim_m)
-    )
+    labelled_points, agreed = _labelled_points(frame, kind), _agreed(frame, kind) & apart
     order = np.argsort(clusters, kind="stable")
     first = np.searchsorted(clusters[order], np.arange(found + 1))
     members = [order[first[c] : first[c + 1]] for c in range(found)]
@@ -146,7 +148,9 @@ def _instances_of(
             confirmed_share=_confirmed_share(frame, kind, index),
             denied_share=denied_share,
             agreed_share=agreed_share,
-            rim_share=float((agreed[member] > 0).mean()),
+            rim_share=(
+                _rim_share(points_m, index, agreed, settings) if agreed_share > 0.0 else 1.0
+            ),
         )
 
 
@@ -162,6 +166,24 @@ def _candidates(frame: LabelledFrame, kind: Outcome) -> tuple[Mask, Mask]:
     # the self-supervised stream may also be silent
     static = (frame.semantic.labels != moving) & (frame.predictive.labels != moving)
     return comparable, comparable & static & (witness == MotionLabel.DYNAMIC)
+
+
+def _labelled_by_one(frame: LabelledFrame) -> Mask:
+    """Return the points (N,) that some source labels dynamic, but not both streams."""
+    dynamic = frame.task.classes.index(frame.task.moving)
+    supervised, other = (each.labels == dynamic for each in (frame.semantic, frame.predictive))
+    one_alone: Mask = supervised ^ other
+    if frame.witness is not None:
+        one_alone |= ~supervised & (frame.witness.labels == MotionLabel.DYNAMIC)
+    return one_alone
+
+
+def _rim_share(
+    points_m: Points, index: NDArray[np.int64], agreed: Mask, settings: InstanceSettings
+) -> float:
+    """Return the share of an instance's points next to points that both label dynamic."""
+    _, next_to = counts_around(points_m, index, agreed, np.float32(settings.rim_m))
+    return float((next_to > 0).mean())
 
 
 def _agreed(frame: LabelledFrame, kind: Outcome) -> Mask:

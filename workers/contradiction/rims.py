@@ -1,9 +1,9 @@
 """Rims of agreed movers: contradictions along the border of an object that both label dynamic.
 
-Labels bleed over the border of a mover by up to half a metre, and no stream errs on the object.
-A rim is a thin layer next to agreed points with few points of its own. The share of agreed points
-around a contradiction does not tell a rim from half of a lorry: both lie next to as many. Width and
-number do.
+Labels bleed over the border of a mover by up to half a metre, and no stream errs on the object. A
+rim is a thin layer next to agreed points with few points of its own. The share of agreed points
+around a contradiction is the same for a rim and for half of a lorry, since both lie next to as
+many. Width and number differ.
 """
 
 from collections.abc import Sequence

@@ -5,7 +5,8 @@ same structure. Its path then shows no motion. The points themselves do not move
 that know nothing of boxes see that: the shape lies on the same structure earlier and later, and
 free space finds its places occupied. A person who walks along a beam appears static to free space
 too, but not by shape. A bus that sets off lies over its own shape, but free space sees its ends
-move.
+move. Labels that bleed from a mover onto the structure behind it slide too, and are no ghost
+(`bled_labels.py`).
 """
 
 from schemas.task import Outcome, Task

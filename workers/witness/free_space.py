@@ -165,7 +165,7 @@ MIXED_SHARE: Final = 0.6
 CLOSE_REACH_M: Final = 0.3
 MIN_STANDING: Final = 20
 MAX_MOVING_SHARE: Final = 0.1
-"""Reach, metres, that tells a mover from a parked car next to it; least places of a part that
+"""Reach, metres, that separates a mover from a parked car next to it; least places of a part that
 stands, and the share of its places below which it does."""
 
 FLAT_M: Final = 0.3

@@ -1,5 +1,6 @@
 """Ghosts on structure: their box slides along what stands."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,11 +19,14 @@ WALL = Thing((12.0, 6.0, 0.0), STATIC, STATIC, (30.0, 0.1, 3.0), points=6000, cl
 SPEED_M_PER_S = 3.0
 
 
-def _frame(number: int, *, ghost: bool, witness: MotionLabel) -> LabelledFrame:
+def _frame(
+    number: int, *, ghost: bool, witness: MotionLabel, others: Sequence[Thing] = ()
+) -> LabelledFrame:
     """Return a wall, of which a stretch that slides is labelled dynamic."""
-    frame = labelled_frame([WALL], frame=number, time_s=number / 10)
+    frame = labelled_frame([WALL, *others], frame=number, time_s=number / 10)
     x_m = frame.posed.frame.points_m[:, 0] - 4.0 - SPEED_M_PER_S * number / 10
-    labels = np.where(ghost & (np.abs(x_m) < 1.5), DYNAMIC, STATIC).astype(np.uint8)
+    labels = frame.semantic.labels.copy()
+    labels[: WALL.points][ghost & (np.abs(x_m[: WALL.points]) < 1.5)] = DYNAMIC
     semantic = replace(frame.semantic, labels=labels)
     n = len(labels)
     seen = FrameLabels(np.full(n, witness, np.uint8), np.full(n, 0.8, np.float16))
@@ -34,8 +38,8 @@ def _frame(number: int, *, ghost: bool, witness: MotionLabel) -> LabelledFrame:
     )
 
 
-def _track(witness: MotionLabel) -> RankedTrack:
-    made = [_frame(n, ghost=10 <= n < 22, witness=witness) for n in range(32)]
+def _track(witness: MotionLabel, *, others: Sequence[Thing] = ()) -> RankedTrack:
+    made = [_frame(n, ghost=10 <= n < 22, witness=witness, others=others) for n in range(32)]
     scene = Scene(
         scene_id=f"fleet/car-1/drive/lidar/{START_NS}",
         frames=tuple(made[10:22]),
@@ -56,3 +60,12 @@ def test_a_ghost_that_slides_along_a_wall_is_an_error_of_the_supervised_stream()
 
 def test_the_path_counts_where_the_witness_does_not_see_it_stand() -> None:
     assert _track(UNKNOWN).features.displacement > 0.6
+
+
+def test_labels_that_bleed_from_a_mover_onto_the_wall_behind_it_keep_their_path() -> None:
+    passer = [
+        Thing((2.0, 3.0, 0.0), DYNAMIC, DYNAMIC, (1.5, 0.5, 1.5), velocity_m_per_s=(1.5, 0, 0))
+    ]
+    alone, bled = _track(STATIC), _track(STATIC, others=passer)
+    assert bled.features.displacement > 0.5 > alone.features.displacement
+    assert bled.strength < 0.5 * alone.strength
