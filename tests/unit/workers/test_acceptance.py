@@ -82,6 +82,7 @@ def test_what_its_own_settings_name_or_hold_is_accepted() -> None:
         ("model", "/tmp/evil.toml", "model = '/models'"),  # noqa: S108
         ("model", "/models/../tmp/evil.toml", "model = '/models'"),
         ("weights", "/models", "weights is empty"),
+        ("predictions", "s3://answers", "predictions is empty"),
     ],
 )
 def test_anything_else_is_refused_in_a_sentence_that_names_the_setting(
