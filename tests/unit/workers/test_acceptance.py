@@ -14,7 +14,8 @@ OURS = Accepted(bucket="s3://fleet", artifacts="s3://overlays/fleet", model="/mo
 
 def asked(**other: str) -> MiningSettings:
     return MiningSettings.model_validate(
-        {"bucket": "s3://fleet", "artifacts": "s3://overlays/fleet"} | other
+        {"bucket": "s3://fleet", "artifacts": "s3://overlays/fleet", "supervised": "recorded"}
+        | other
     )
 
 
