@@ -12,7 +12,7 @@ from schemas.bounds import Finite, Said, StampNs
 
 SCHEMA_NAME: Final = "counterpoint.boxes.v1"
 
-MAX_BOXES: Final = 4_096
+MAX_BOXES: Final = 1_024
 """Boxes of one message; detectors on cars give 20 to 500."""
 
 Metres = Annotated[float, Field(allow_inf_nan=False, ge=-1e6, le=1e6)]

@@ -32,6 +32,7 @@ from schemas.bounds import (
 )
 from schemas.camera import CameraCalibration
 from schemas.canonical import canonical_json
+from schemas.recorded_source import PredictionFiles, StatedPose
 from schemas.score import MAX_RECORD_BYTES
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
@@ -115,18 +116,6 @@ class Channel(BaseModel):
     )
 
 
-class StatedPose(BaseModel):
-    """Constant pose of one space of a log in another."""
-
-    model_config = _STRICT
-
-    parent: Said
-    child: Said
-    parent_from_child: tuple[Finite, ...] = Field(
-        min_length=16, max_length=16, description="4 x 4 matrix, row by row, metres."
-    )
-
-
 class BoxSource(BaseModel):
     """Channel with boxes of the model that ran on the car, and what places them."""
 
@@ -138,22 +127,6 @@ class BoxSource(BaseModel):
     )
     static_spaces: tuple[StatedPose, ...] = Field(
         default=(), max_length=MAX_STATIC_SPACES, description="Transforms that never change."
-    )
-
-
-class PredictionFiles(BaseModel):
-    """Files with the model's answer, in the folder of the setting `predictions`."""
-
-    model_config = _STRICT
-
-    kind: Literal["labels", "boxes"] = Field(description="A file per cloud, or one of boxes.")
-    key: Url = Field(description="Prefix of the files of clouds, or key of the file of boxes.")
-    by_stamp: bool = Field(default=False, description="Files of clouds are named by their stamps.")
-    first_cloud: int = Field(
-        default=-1,
-        ge=-1,
-        le=MAX_INTEGER,
-        description="Number of the shard's first cloud; -1: none.",
     )
 
 

@@ -200,7 +200,13 @@ def accepted_by(settings: Settings) -> "Accepted":
     """Return the locations that workers with these settings accept from a service elsewhere."""
     from workers.worker.config import Accepted
 
-    return Accepted(settings.bucket, settings.artifacts_url, settings.model, settings.weights)
+    return Accepted(
+        settings.bucket,
+        settings.artifacts_url,
+        settings.model,
+        settings.weights,
+        settings.predictions,
+    )
 
 
 def _make_artifacts(settings: Settings) -> None:

@@ -90,7 +90,13 @@ KINDS: Final = {
 }
 
 
-def answer(kind: Kind, truth: Truth, boxes: Sequence[Box], frame: int) -> Written:
+def answer(
+    kind: Kind,
+    truth: Truth,
+    boxes: Sequence[Box],
+    frame: int,
+    base_from_lidar: NDArray[np.float64],
+) -> Written:
     """Write one answer of the detector."""
     stamp_ns = int(truth.stamp_ns[frame]) + kind.later_ns
     if kind.later_ns:
@@ -101,7 +107,7 @@ def answer(kind: Kind, truth: Truth, boxes: Sequence[Box], frame: int) -> Writte
         if kind.space == "map":  # by the transform of the cloud's stamp, as a tracker does it
             placed = in_space(placed, truth.pose(stamp_ns))
         elif kind.space == "base_link":
-            placed = in_space(placed, truth_base(truth))
+            placed = in_space(placed, base_from_lidar)
     told = [
         Box(
             box.centre_m,
@@ -117,22 +123,26 @@ def answer(kind: Kind, truth: Truth, boxes: Sequence[Box], frame: int) -> Writte
     return kind.write(told, stamp_ns=stamp_ns, frame_id=kind.space)
 
 
-def truth_base(truth: Truth) -> Any:
+def read_base(folder: Path) -> NDArray[np.float64]:
     """Return base_link from the lidar, as the truth has it."""
-    return np.load(_TRUTH_FOLDER[0] / "poses.npz")["base_from_lidar"]
+    found: NDArray[np.float64] = np.load(folder / "poses.npz")["base_from_lidar"]
+    return found
 
 
-_TRUTH_FOLDER: list[Path] = []
-
-
-def write_copy(log: Path, out: Path, kind: Kind, truth: Truth, boxes: dict[int, list[Box]]) -> None:
+def write_copy(
+    log: Path,
+    out: Path,
+    kind: Kind,
+    truth: Truth,
+    boxes: dict[int, list[Box]],
+    base_from_lidar: NDArray[np.float64],
+) -> None:
     """Copy a log, with the detector's output and, for boxes in the map, with /tf."""
     rows: list[tuple[int, str, Written]] = []
     for frame in sorted(boxes):
-        written = answer(kind, truth, boxes[frame], frame)
+        written = answer(kind, truth, boxes[frame], frame, base_from_lidar)
         rows.append((int(truth.stamp_ns[frame]) + LATENCY_NS, TOPIC, written))
     if kind.space == "map":
-        base_from_lidar = truth_base(truth)
         for time_ns in range(int(truth.stamp_ns[0]), int(truth.stamp_ns[-1]) + 10**8, 20_000_000):
             placed = truth.pose(time_ns) @ inverse(base_from_lidar)
             rows.append((time_ns, "/tf", _transform(placed, time_ns)))
@@ -296,7 +306,7 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("--seeds", default="1")
     parser.add_argument("--frames", default="28:56")
     given = parser.parse_args(arguments)
-    _TRUTH_FOLDER[:] = [given.truth]
+    base_from_lidar = read_base(given.truth)
     truth = read_truth(given.truth)
     frames = range(*map(int, given.frames.split(":")))
     for seed in map(int, given.seeds.split(",")):
@@ -305,7 +315,7 @@ def main(arguments: Sequence[str]) -> None:
         boxes = detector_boxes(truth, planted, rng)
         for name in given.kinds.split(","):
             out = given.out / f"seed-{seed}" / name / "pandaset-002.mcap"
-            write_copy(given.log, out, KINDS[name], truth, boxes)
+            write_copy(given.log, out, KINDS[name], truth, boxes, base_from_lidar)
             scores, said = mine(out)
             judged = judge(truth, planted, boxes, scores, frames)
             report(name, seed, judged, said, scores)

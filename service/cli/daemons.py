@@ -16,6 +16,7 @@ from service.cli.options import (
     LogFormat,
     LogLevel,
     Model,
+    Predictions,
     ShardSeconds,
     StateDir,
     Weights,
@@ -164,6 +165,7 @@ def worker(
     artifacts: Artifacts = None,
     model: Model = None,
     weights: Weights = None,
+    predictions: Predictions = None,
     config: Config = None,
     log_format: LogFormat = None,
     log_level: LogLevel = None,
@@ -171,7 +173,8 @@ def worker(
     """Run workers for a service elsewhere; it sends them the bucket and the mining settings.
 
     Where the router is on another machine, the workers read only the --bucket that is named here.
-    They write only to its --artifacts, and load only its --model and --weights, or files in them.
+    They write only to its --artifacts, and read only its --model, --weights and --predictions, or
+    files in them.
     """
     from service.embedded import run_workers
 
@@ -183,6 +186,8 @@ def worker(
         artifacts=artifacts,
         model=model,
         weights=weights,
+        predictions=predictions,
+        supervised="recorded" if predictions else None,
         log_format=log_format,
         log_level=log_level,
     )

@@ -46,6 +46,7 @@ def inspect(
     config: Config = None,
 ) -> None:
     """Show the content of a log, from its index; with --verify from every chunk."""
+    from workers.errors import LogUnusableError
     from workers.ingest.inspect import inspect_recording
     from workers.model_answer import read_answer
 
@@ -61,15 +62,21 @@ def inspect(
             verify=verify,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
         )
-    answer = read_answer(store, recording, settings.mining())
+    answer, problem = None, ""
+    try:
+        answer = read_answer(store, recording, settings.mining())
+    except LogUnusableError as error:  # its content is shown all the same
+        problem = str(error)
     if json:
         json_line(report.model_copy(update={"answer": answer}))
         return
     say_inspected(report.model_dump(mode="json", exclude={"answer"}))
+    if problem:
+        remark(f"the model's answer cannot be read: {problem}")
     if answer is not None:
         remark(f"the model's answer: {answer.sentence}")
-        for problem in answer.problems:
-            remark(f"the model's answer: {problem}")
+        for fault in answer.problems:
+            remark(f"the model's answer: {fault}")
 
 
 @grouped

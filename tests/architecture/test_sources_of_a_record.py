@@ -15,6 +15,7 @@ NO_NUMBERS: Final = {
     "lz4": "unpacks bytes, or fails",
     "obstore": "fetches bytes, or fails",
     "onnxruntime": "runs own models only, and is not there without them",
+    "pyarrow": "reads rows of boxes as written, or fails",
     "pydantic": "checks settings and records",
     "safetensors": "reads weights, whose bytes are digested",
     "structlog": "logs",

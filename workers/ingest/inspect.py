@@ -50,7 +50,7 @@ class ShardReport(BaseModel):
 
 
 class ModelAnswer(BaseModel):
-    """What the model on the car answered in the first frames of a log."""
+    """Answer of the model on the car in the first frames of a log."""
 
     model_config = ConfigDict(frozen=True)
 

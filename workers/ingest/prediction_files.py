@@ -10,8 +10,8 @@ import numpy as np
 from schemas.canonical import canonical_json
 from schemas.errors import ObjectChangedError
 from schemas.frame import RecordedLabels
+from schemas.recorded_source import PredictionFiles
 from schemas.transport.bucket import Bucket, ObjectMeta, open_bucket
-from schemas.work import PredictionFiles
 from workers.errors import CloudUnreadableError, LogUnusableError
 from workers.ingest.limits import MAX_POINTS
 from workers.ingest.pointcloud import DecodedCloud
@@ -202,8 +202,8 @@ def _classes(bucket: Bucket, name: str) -> str:
 def _usual_classes(bucket: Bucket, name: str, stems: list[str]) -> str:
     """Return the usual classes, those that move only where a label of the log does.
 
-    A network that names what it sees and not what moves writes 10 for every car: where no sampled
-    file has a moving label, the model says no motion.
+    A network that names what it sees and not what moves writes 10 for every car. Where no sampled
+    file has a moving label, the files state no motion.
     """
     step = max(1, len(stems) // SAMPLED_FILES)
     keys = [f"{name}/{stem}{LABEL_SUFFIX}" for stem in stems[::step][:SAMPLED_FILES]]

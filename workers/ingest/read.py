@@ -10,8 +10,9 @@ from typing import Final
 from schemas.boxes import RecordedBoxes
 from schemas.frame import LidarFrame, RecordedLabels, RecordedMotion
 from schemas.mining import MiningSettings
+from schemas.recorded_source import PredictionFiles
 from schemas.transport.bucket import Bucket
-from schemas.work import Channel, ChunkRef, PredictionFiles, RecordedSource, Recording, Shard
+from schemas.work import Channel, ChunkRef, RecordedSource, Recording, Shard
 from workers.errors import CloudUnreadableError
 from workers.ingest.boxes.reading import BoxReader
 from workers.ingest.chunk import messages_in

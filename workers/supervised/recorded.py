@@ -25,10 +25,10 @@ class Recorded:
     """Labels of the car's own model, as recorded in the log.
 
     Recorded motion is used unchanged. Where only classes are recorded, a class that means moving is
-    dynamic, any other known class static. Where no class means moving either, the model says no
-    motion: a movable class is unknown, and the health of the frame states it. Boxes label the
-    points in them (`box_labels`). Ground follows from the names of the classes. Frames without an
-    answer are unknown throughout.
+    dynamic, any other known class static. Where no class means moving either, no motion is stated:
+    a movable class is unknown, and the health of the frame states it. Boxes label the points in
+    them (`box_labels`). Ground follows from the names of the classes. Frames without an answer are
+    unknown throughout.
 
     Args:
         task: Task of the labels: motion, or ground.

@@ -17,6 +17,7 @@ from workers.lidar.range_image import SensorProfile, image_channels, project
 from workers.lidar.registration_check import extract_structure, register_structures
 from workers.points.density import density_clusters, weighted_places
 from workers.points.point_kernels import in_centimetres, moved, within_box
+from workers.points.points_in_boxes import points_in_boxes
 
 _PROFILE = SensorProfile(name="rehearsal", rows=16, columns=64, fov_up_deg=10, fov_down_deg=-20)
 
@@ -58,3 +59,14 @@ def call_loops(frame: LidarFrame) -> None:
     apart = within_box(frame.points_m, 500.0)
     counts_around(frame.points_m, np.flatnonzero(apart), apart, np.float32(0.4))
     in_centimetres(frame.points_m, frame.valid_mask, np.float32(327), np.int16(0))
+    for points_m in (frame.points_m, placed_m):
+        points_in_boxes(
+            points_m,
+            np.zeros(len(points_m), np.float32),
+            np.zeros((1, 3)),
+            np.eye(3)[None],
+            np.ones((1, 3)),
+            np.zeros((1, 3)),
+            0.3,
+            0.2,
+        )

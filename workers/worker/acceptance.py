@@ -19,6 +19,7 @@ _ASKED: Final = {
     "artifacts": "write overlays to",
     "model": "load the model",
     "weights": "load weights from",
+    "predictions": "read predictions from",
 }
 _LOCAL_PROTOCOLS: Final = ("unixsock-stream", "unixpipe")
 

@@ -18,12 +18,14 @@ class Accepted:
         artifacts: URL or path for overlays.
         model: Adapter of one's own model, or a folder it is in; empty: none is loaded.
         weights: Folder of weights, or one it is in; empty: only those that ship.
+        predictions: Folder or bucket with a model's answers, or one it is in; empty: none is read.
     """
 
     bucket: str = ""
     artifacts: str = ""
     model: str = ""
     weights: str = ""
+    predictions: str = ""
 
 
 @dataclass(frozen=True, slots=True)

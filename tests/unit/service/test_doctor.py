@@ -15,6 +15,7 @@ import pytest
 from schemas.transport import keys
 from schemas.transport.bus import client_session, router_session
 from service.cli.main import main
+from service.doctor import answers as doctor_answers
 from service.doctor import machine as doctor_machine
 from service.doctor import network as doctor_network
 from service.doctor import stores as doctor_stores
@@ -24,6 +25,8 @@ from service.settings.config import Settings, load_settings, read_settings
 from service.store.engine import DATABASE_NAME, open_store
 from service.store.served_bucket import note_served
 from service.store.state import StateLock
+from tests.box_logs import OBJECTS, Put, boxes_at, clouds, stamp, write
+from tests.box_messages import detections
 from tests.contracts.ledger_world import World
 from tests.free_ports import free_endpoint
 from tests.tiny_logs import Recorder, drive
@@ -81,6 +84,25 @@ def test_a_bucket_without_a_log_that_counts_is_a_warning() -> None:
         "warning",
         "lists, but no .mcap log in it counts; include: bus-*, exclude: none",
     )
+
+
+def test_what_a_recorded_answer_leaves_open_is_a_warning() -> None:
+    Path("logs").mkdir()
+    boxes = [
+        Put(
+            OBJECTS,
+            stamp(number),
+            detections(boxes_at(10.0), stamp_ns=stamp(number), frame_id="lidar"),
+        )
+        for number in range(20)
+    ]
+    Path("logs/drive.mcap").write_bytes(write([*clouds(), *boxes]))
+    using = settings(bucket="logs", supervised="recorded")
+    (finding,) = told(doctor_answers.answer(using))
+    assert finding[0] == "warning"
+    assert "boxes on /objects" in finding[1]
+    assert "your model says no motion: parked or moving cannot be judged" in finding[1]
+    assert told(doctor_answers.answer(settings(bucket="logs"))) == []
 
 
 def test_artifacts_are_written_and_read_and_left_as_they_were() -> None:

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from schemas.score import SupervisedHealth
 from service.cli.main import main
-from service.cli.report import say_judged, say_what_was_found
+from service.cli.report import say_judged, say_open, say_what_was_found
 from service.curation.status import Judged, Status
 from service.store.engine import open_store
 from tests.contracts.ledger_world import World
@@ -63,3 +64,16 @@ def test_scores_name_their_streams_once(capsys: pytest.CaptureFixture[str]) -> N
     )
     say_judged([])
     assert capsys.readouterr().err == ""
+
+
+def test_what_the_model_leaves_open_is_summed_over_the_scenes(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    health = SupervisedHealth(labelled_share=0.5, unanswered_share=0.25, reason="no motion")
+    complete = scene_score(points=300, frames=30)
+    say_open([complete])
+    assert capsys.readouterr().err == ""
+    say_open([complete, scene_score(number=1, points=100, frames=10, supervised=health)])
+    told = capsys.readouterr().err
+    assert "no motion; 88% of the returns can contradict\n" in told
+    assert "no answer in 6% of the frames" in told

@@ -14,7 +14,8 @@ OURS = Accepted(bucket="s3://fleet", artifacts="s3://overlays/fleet", model="/mo
 
 def asked(**other: str) -> MiningSettings:
     return MiningSettings.model_validate(
-        {"bucket": "s3://fleet", "artifacts": "s3://overlays/fleet"} | other
+        {"bucket": "s3://fleet", "artifacts": "s3://overlays/fleet", "supervised": "recorded"}
+        | other
     )
 
 
@@ -82,6 +83,7 @@ def test_what_its_own_settings_name_or_hold_is_accepted() -> None:
         ("model", "/tmp/evil.toml", "model = '/models'"),  # noqa: S108
         ("model", "/models/../tmp/evil.toml", "model = '/models'"),
         ("weights", "/models", "weights is empty"),
+        ("predictions", "s3://answers", "predictions is empty"),
     ],
 )
 def test_anything_else_is_refused_in_a_sentence_that_names_the_setting(

@@ -77,6 +77,26 @@ def test_a_scene_without_contradictions_scores_zero_and_has_no_reason() -> None:
     assert record.all_points["both_dynamic"] == pytest.approx(120 / 1620, abs=1e-4)
 
 
+def test_what_the_supervised_stream_leaves_open_is_in_the_record_and_else_nothing_is() -> None:
+    scene = labelled_scene([WALL, MISSED_CAR])
+    complete = _score(scene)
+    assert complete.supervised is None
+    assert b'"supervised":{' not in encode_scene_score(complete)
+    silent = replace(scene.frames[0].semantic, health=FrameHealth(answered=False))
+    plain = FrameHealth(reason="no motion is stated")
+    frames = [
+        replace(frame, semantic=replace(frame.semantic, health=plain)) for frame in scene.frames
+    ]
+    frames[0] = replace(frames[0], semantic=silent)
+    record = _score(replace(scene, frames=tuple(frames)))
+    assert record.supervised is not None
+    assert record.supervised.labelled_share == 1.0
+    assert record.supervised.unanswered_share == pytest.approx(1 / len(frames), abs=1e-4)
+    assert "no motion is stated; 100% of the returns can contradict" in _headlines(record)
+    assert any("gave no answer in" in each for each in _headlines(record))
+    assert SceneScore.model_validate_json(encode_scene_score(record)) == record
+
+
 def test_the_headline_of_a_missed_car_has_its_speed() -> None:
     record = _score(labelled_scene([WALL, MISSED_CAR]))
     (track,) = record.tracks

@@ -41,6 +41,8 @@ CHANGED = {
     "odometry": "other",
     "lidar_topic": "/lidar/left",
     "odometry_topic": "/odom",
+    "recorded_topic": "/objects",
+    "predictions": "s3://answers/run-2",
     "path_template": "{date}/{name}",
     "stamp_at": "end",
     "camera": "recorded",

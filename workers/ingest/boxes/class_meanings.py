@@ -96,7 +96,7 @@ IMMOVABLE: Final = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class ClassMeaning:
-    """What a class means.
+    """Meaning of one class.
 
     Attributes:
         name: Its name in records.

@@ -44,8 +44,8 @@ class BoxPairing(Generic[Item]):
     """Pairs clouds with boxes whose stamp is nearest, within half a frame.
 
     Boxes may come before their cloud or, since a model takes time, after it. A cloud leaves when a
-    later answer cannot be nearer, or when ten more wait. A cloud without an answer has no boxes:
-    the model said nothing about it, which differs from an answer without boxes.
+    later answer cannot be nearer, or when ten more wait. A cloud without an answer has
+    no boxes and is not judged. An answer without boxes labels every point as static.
 
     Args:
         spaces: Poses of the log's spaces.

@@ -1,4 +1,4 @@
-"""ROS messages as dictionaries, by their definition; fields that nobody wants are passed over."""
+"""ROS messages as dictionaries, by their definition; fields that place no box are skipped."""
 
 import struct
 from collections.abc import Sequence

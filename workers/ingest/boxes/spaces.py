@@ -9,7 +9,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from schemas.arrays import NS_PER_S, Transform
-from schemas.work import Channel, StatedPose
+from schemas.recorded_source import StatedPose
+from schemas.work import Channel
 from workers.ingest.camera_messages import frame_and_stamp
 from workers.ingest.decoding import MessageUnreadableError, can_decode, decode_message, ros_type
 from workers.ingest.messages import RawMessage

@@ -20,8 +20,8 @@ from workers.ingest.message_size import too_much_to_decode
 from workers.ingest.messages import MAX_TIME_NS, RawMessage
 from workers.ingest.transforms import rigid
 
-MAX_SIZE_M: Final = 100.0
-"""Largest side of a box, metres; a train of the tram is longer in no message."""
+MAX_SIZE_M: Final = 60.0
+"""Largest side of a box, metres; the longest trams have 55."""
 
 MAX_PLACE_M: Final = 1e7
 """Largest coordinate of a centre, metres: a map in UTM coordinates has 6e6."""
