@@ -133,6 +133,7 @@ class Instance:
             stream labels static. They are all in its box and a margin of one metre.
         agreed_share: Share of these points that the other stream labels dynamic too. It labels the
             rest unknown.
+        rim_share: Share of its points next to a point that both label dynamic, within about 0.6 m.
     """
 
     kind: Outcome
@@ -149,6 +150,7 @@ class Instance:
     confirmed_share: float | None = None
     denied_share: float = 1.0
     agreed_share: float = 0.0
+    rim_share: float = 1.0
 
 
 KindName = Annotated[

@@ -19,6 +19,9 @@ MARK: Final = "counterpoint"
 
 PAGE_MARK: Final = f'<meta name="generator" content="{MARK}">'
 
+JSON_MARK: Final = f'"generator": "{MARK}"'
+"""Mark of a JSON file of a command, near its beginning, as `json.dumps` writes it."""
+
 _HEAD_BYTES: Final = 4096
 
 
@@ -115,7 +118,7 @@ def _is_ours(path: Path) -> bool:
         head = file.read(_HEAD_BYTES)
     if not head:
         return True  # as `touch` or `mktemp` leaves it: nothing is lost
-    if PAGE_MARK.encode() in head:
+    if PAGE_MARK.encode() in head or JSON_MARK.encode() in head:
         return True
     try:
         with Image.open(path, formats=["PNG"]) as picture:

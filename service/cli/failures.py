@@ -1,6 +1,5 @@
 """Verb `bench failures`: how well contradictions find failures, compared with other rankings."""
 
-from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 from urllib.parse import unquote, urlsplit
@@ -16,15 +15,15 @@ from service.cli.options import (
     settings_for,
 )
 from service.cli.output import counted, json_line, progress, remark, table
+from service.cli.planting import planted_path, planting_of, say_variants
 from service.errors import UsageError
-from service.output_files import need_folder, need_writable
+from service.output_files import need_folder, need_writable, save_text
 from service.reports.failure_report import COLUMNS_MEAN, write_report
 
 if TYPE_CHECKING:
     from workers.lab.evaluation.failures.bench import FailureBench
     from workers.lab.evaluation.failures.natural import NaturalTable
     from workers.lab.evaluation.failures.planted import PlantedTable
-    from workers.lab.evaluation.failures.planting.variants import Planting
     from workers.lab.evaluation.failures.ranking import RankingRow
 
 TABLES = ("planted", "natural")
@@ -101,6 +100,10 @@ def failures(
     share: Annotated[
         str, typer.Option("--share", help="Share of the scenes that fail, as 1/6 (--plant).")
     ] = "1/6",
+    keep: Annotated[
+        bool,
+        typer.Option("--keep", help="Write planted.json next to the report (--plant)."),
+    ] = False,
     draws: Annotated[
         int,
         typer.Option("--draws", min=0, max=MOST, help="Draws of the bootstrap; 0: no intervals."),
@@ -115,6 +118,10 @@ def failures(
         raise UsageError(f"--table must be planted or natural, got {only!r}")
     if report is not None:
         need_writable(report, option="--report", force=force)
+    planting = planting_of(variants=variants, seed=seed, frames=frames, share=share)
+    listed = planted_path(report, keep=keep, force=force) if plant else None
+    if plant and truth is None:
+        raise UsageError("--plant makes labels from truth: name its folder with --truth")
     if kept is not None:
         need_folder(kept, option="--kept")
     logs_url = url if truth is not None else f"{url.rstrip('/')}/logs"
@@ -129,22 +136,24 @@ def failures(
         **mining.flags(),
     )
     if plant:
-        chosen = _planting(variants, seed, frames, share)
         from workers.lab.evaluation.failures.planting.bench import bench_planting
 
         with progress() as bar:
             task = bar.add_task("mining", total=None)
-            planted = bench_planting(
+            made, planted = bench_planting(
                 logs_url,
                 where,
                 settings.mining(),
-                chosen,
+                planting,
                 processes=workers,
                 kept=settings.state / "bench" if kept is None else kept,
                 draws=draws,
                 on_progress=lambda done, total: bar.update(task, completed=done, total=total),
             )
-        _say(planted, json=json, report=report, force=force)
+        if listed is not None:
+            save_text(planted.model_dump_json(indent=1), listed, option="--keep", force=force)
+            remark(f"planted failures: {listed}")
+        _say(made, json=json, report=report, force=force)
         return
     from workers.lab.evaluation.failures.bench import bench_failures
     from workers.lab.evaluation.failures.uncertainty import Probing
@@ -166,40 +175,20 @@ def failures(
     _say(bench, json=json, report=report, force=force)
 
 
-def _planting(variants: int, seed: int, frames: str, share: str) -> "Planting":
-    """Build the settings of planting from the options.
-
-    Raises:
-        UsageError: If the range or the share is not of its form.
-    """
-    from workers.lab.evaluation.failures.planting.drive import FrameRange
-    from workers.lab.evaluation.failures.planting.variants import Planting
-
-    first, colon, end = frames.partition(":")
-    given = [each for each in (first, end) if each]
-    if not colon or not all(each.isdecimal() for each in given):
-        raise UsageError(f"--frames must be A:B, as 0:28 or 28:, got {frames!r}")
-    chosen = FrameRange(int(first or 0), int(end) if end else None)
-    try:
-        part = float(Fraction(share))
-    except (ValueError, ZeroDivisionError):
-        part = -1.0
-    if not 0.0 < part < 1.0:
-        raise UsageError(f"--share must be over 0 and under 1, as 1/6 or 0.05, got {share!r}")
-    return Planting(variants=variants, seed=seed, frames=chosen, share=part)
-
-
 def _say(bench: "FailureBench", *, json: bool, report: Path | None, force: bool) -> None:
     """Print a benchmark, and write its report if one is wanted."""
     if json:
         json_line(bench.as_json())
     else:
         _say_what_it_is_too_small_for(bench)
-        if bench.planted is not None:
+        if bench.planted is not None and bench.variants:
+            say_variants(bench, bench.planted)
+        elif bench.planted is not None:
             _say_planted(bench.planted)
         if bench.natural is not None:
             _say_natural(bench.natural)
-        remark(COLUMNS_MEAN)
+        if not bench.variants:
+            remark(COLUMNS_MEAN)
     for judged_in, stream in bench.judged.items():
         remark(f"evaluated in {judged_in}: supervised stream {stream}")
     if report is None:

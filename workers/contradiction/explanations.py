@@ -50,6 +50,9 @@ EXPLANATION_TEXTS: Final[Mapping[str, str]] = {
     "observed",
     "atypical size": "it is too low, too long or too tall for a usual road user",
     "occlusion before and after": "the witness could not observe its place before or after",
+    "blind self-supervised stream": "the self-supervised stream is blind in most of its frames: "
+    "start of a log, gap, lost pose; the witness labels alone, by fewer looks",
+    "motion in bulk": "more than 1,250 points per frame move by confirmed and measured motion",
     "unhealthy odometry": "poses were doubted in some of its frames",
     "rising ground around it": "the ground around it rises where no object is: spray, vibration",
     "clutter of like contradictions": "six or more others contradict in the same way in its frames",
@@ -156,6 +159,8 @@ def explanations_of(
         ("end of the log", features.log_end > HALF, {"log_end": 0.0}),
         ("atypical size", missed and is_atypical_size(size_m), {}),
         ("occlusion before and after", unlabelled > HALF, {}),
+        ("blind self-supervised stream", features.blind_share > HALF, {"blind_share": 0.0}),
+        ("motion in bulk", features.bulk_motion > HALF, {"bulk_motion": 0.0}),
         ("unhealthy odometry", features.pose_doubted > 0.0, {"pose_doubted": 0.0}),
         ("rising ground around it", features.rising_ground > HALF, {"rising_ground": 0.0}),
         ("clutter of like contradictions", features.clutter > HALF, {"clutter": 0.0}),

@@ -10,12 +10,16 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S
 from schemas.contradiction import Instance, Scene
 from schemas.labels import MotionLabel
+from workers.contradiction.blind_moments import blind_share, witness_votes
+from workers.contradiction.bulk_motion import bulk_motion_of
 from workers.contradiction.clamp import clamp01
+from workers.contradiction.rims import rim_likeness
 from workers.contradiction.rising_ground import RisingGround, rising_share
 from workers.contradiction.scene_context import SceneContext, scene_context_of
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
 from workers.contradiction.shape_persistence import ShapePersistence, shape_persistence_of
 from workers.contradiction.size_priors import box_plausibility
+from workers.contradiction.standing_ghosts import standing_share
 from workers.contradiction.temporal_context import temporal_context_of
 from workers.contradiction.track_features import DescribedTrack, TrackFeatures
 from workers.contradiction.track_motion import motion_plausibility, path_of
@@ -122,18 +126,32 @@ def _features_of(
     def mean(values: Sequence[float]) -> float:
         return float(np.average(values, weights=points))
 
+    shape_static = min(persistence.here_before, persistence.here_after)
+    travels = 1.0 - standing_share(
+        track.kind, scene.task, shape_static=shape_static, witness_static=witness_static
+    )
+    confirmed = clamp01(mean([_confirmed_share(member.confirmed_share) for member in members]))
+    pose_doubted = mean(context.doubted[at].tolist())
+    bulk_motion = bulk_motion_of(
+        points=float(np.median(points)),
+        confirmed=confirmed if track.kind.measured else 0.0,
+        speed_m_per_s=float(np.median(speeds)),
+        pose_doubted=pose_doubted,
+    )
+    rim = rim_likeness(members)
+    agreed_share = clamp01(mean([member.agreed_share for member in members]))
     range_m = mean([float(np.hypot(*m.centre_m[:2])) for m in members])
     return TrackFeatures(
         witness_dynamic=witness_dynamic,
         witness_static=witness_static,
-        displacement=path.displacement,
-        straightness=path.straightness,
+        displacement=path.displacement * travels,
+        straightness=max(path.straightness * travels, bulk_motion),
         duration=duration,
         continuity=len(members) / float(at[-1] - at[0] + 1),
         point_count=point_count,
         distance=clamp01(range_m / _FAR_M),
         road_user_size=clamp01(box_plausibility(size_m, settings)),
-        length=clamp01(float(size_m[0]) / _LONG_M),
+        length=clamp01(float(size_m[0]) / _LONG_M) * (1.0 - bulk_motion),
         height=clamp01(float(size_m[2]) / _TALL_M),
         thinness=clamp01(1.0 - float(size_m[1]) / _THIN_M),
         lowness=clamp01((_LOW_M - float(size_m[2])) / _LOWEST_M)
@@ -142,8 +160,8 @@ def _features_of(
         not_refuted_after=temporal.not_refuted_after * path_weight,
         dynamic_before=temporal.dynamic_before,
         dynamic_after=temporal.dynamic_after,
-        shape_static=min(persistence.here_before, persistence.here_after),
-        shape_static_after=persistence.here_after,
+        shape_static=shape_static,
+        shape_static_after=persistence.here_after * (1.0 - bulk_motion),
         arrived=persistence.elsewhere_before,
         departed=persistence.elsewhere_after,
         transits=min(persistence.elsewhere_before, persistence.elsewhere_after),
@@ -155,20 +173,25 @@ def _features_of(
         selfsupervised_confidence=clamp01(
             mean([member.predictive_confidence for member in members])
         ),
-        confirmed=clamp01(mean([_confirmed_share(member.confirmed_share) for member in members])),
+        confirmed=confirmed,
         speed_consistency=clamp01(speed_consistency),
         speed=clamp01(float(np.median(speeds)) / _FAST_M_PER_S),
-        pose_doubted=mean(context.doubted[at].tolist()),
+        pose_doubted=pose_doubted,
         turn_rate=clamp01(float(context.turn_rad_per_s[at].max()) / _TURN_RAD_PER_S),
         unobserved=clamp01(float(context.unobserved[at].mean())),
-        denied_share=clamp01(mean([member.denied_share for member in members])),
-        agreed_share=clamp01(mean([member.agreed_share for member in members])),
+        denied_share=clamp01(
+            mean([member.denied_share for member in members]) + agreed_share * (1.0 - rim)
+        ),
+        agreed_share=agreed_share * rim,
         unlabelled_share=_unlabelled_share(scene, members),
         clutter=1.0
         - math.exp(
             -(float(np.median([context.clutter[kind, i] for i in at.tolist()])) - 1) / _CLUTTER
         ),
         rising_ground=_rising_ground(members, context.ground),
+        blind_share=blind_share(scene, members),
+        witness_votes=witness_votes(scene, members),
+        bulk_motion=bulk_motion,
     )
 
 

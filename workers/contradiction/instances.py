@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import Mask
+from schemas.arrays import Labels, Mask
 from schemas.contradiction import Instance, LabelledFrame, Scene
 from schemas.labels import MotionLabel
 from schemas.task import Outcome
@@ -119,6 +119,9 @@ def _instances_of(
         return
     own, around = counts_around(points_m, candidates, queried, np.float32(settings.around_m))
     labelled_points = _labelled_points(frame, kind)
+    _, agreed = counts_around(
+        points_m, candidates, _agreed(frame, kind) & apart, np.float32(settings.rim_m)
+    )
     order = np.argsort(clusters, kind="stable")
     first = np.searchsorted(clusters[order], np.arange(found + 1))
     members = [order[first[c] : first[c + 1]] for c in range(found)]
@@ -143,6 +146,7 @@ def _instances_of(
             confirmed_share=_confirmed_share(frame, kind, index),
             denied_share=denied_share,
             agreed_share=agreed_share,
+            rim_share=float((agreed[member] > 0).mean()),
         )
 
 
@@ -160,8 +164,24 @@ def _candidates(frame: LabelledFrame, kind: Outcome) -> tuple[Mask, Mask]:
     return comparable, comparable & static & (witness == MotionLabel.DYNAMIC)
 
 
+def _agreed(frame: LabelledFrame, kind: Outcome) -> Mask:
+    """Return the points (N,) that the source of a kind and the other stream both label dynamic."""
+    chosen, other = _source_and_other(frame, kind)
+    agreed: Mask = chosen & (other == MotionLabel.DYNAMIC)
+    return agreed
+
+
 def _labelled_points(frame: LabelledFrame, kind: Outcome) -> LabelledPoints:
     """Return all points with the contradicting source's label, and the other stream's labels."""
+    chosen, other = _source_and_other(frame, kind)
+    if frame.predictive.ground_mask is not None:
+        chosen = chosen & ~frame.predictive.ground_mask
+    rows = np.flatnonzero(chosen)
+    return LabelledPoints(frame.posed.frame.points_m[rows], other[rows])
+
+
+def _source_and_other(frame: LabelledFrame, kind: Outcome) -> tuple[Mask, Labels]:
+    """Return the points that the source of a kind labels, and the labels of the other stream."""
     if kind.of_witness and frame.witness is not None:
         chosen, other = frame.witness.labels == MotionLabel.DYNAMIC, frame.predictive.labels
     elif kind.measured:
@@ -170,10 +190,7 @@ def _labelled_points(frame: LabelledFrame, kind: Outcome) -> LabelledPoints:
     else:
         chosen = frame.semantic.labels == frame.task.classes.index(kind.semantic)
         other = frame.predictive.labels
-    if frame.predictive.ground_mask is not None:
-        chosen = chosen & ~frame.predictive.ground_mask
-    rows = np.flatnonzero(chosen)
-    return LabelledPoints(frame.posed.frame.points_m[rows], other[rows])
+    return chosen, other
 
 
 def _class_name(frame: LabelledFrame, index: NDArray[np.int64], class_names: Sequence[str]) -> str:

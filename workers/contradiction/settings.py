@@ -21,6 +21,8 @@ class InstanceSettings:
             extent.
         around_m: Side of the cells in which the points around an instance are counted. The block
             has three cells each way: a point within about half a metre touches the instance.
+        rim_m: Side of the cells in which agreed points next to an instance are sought. The block
+            has three cells each way: bled labels reach about half a metre from a mover.
         max_coordinate_m: Largest coordinate of a point that is clustered: no lidar of a car
             measures as far, and a wild return must not extend the grid of cells.
     """
@@ -31,6 +33,7 @@ class InstanceSettings:
     max_voxels: int = 6_000
     coarsest_voxel_m: float = 0.4
     around_m: float = 0.4
+    rim_m: float = 0.4
     max_coordinate_m: float = 500.0
 
 

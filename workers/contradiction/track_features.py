@@ -19,15 +19,16 @@ class TrackFeatures:
         witness_dynamic: Share of its points that the witness labels dynamic.
         witness_static: Share of its points that the witness labels static.
         displacement: Straight distance that both ends of its box travelled over the ground; 0.5 at
-            one metre.
+            one metre. Less where the supervised stream alone labels it dynamic and it stands
+            (`standing_ghosts.py`): the box of a ghost slides along the structure.
         straightness: Share of the box's motion that lies along one straight path, the rest is
-            jitter.
+            jitter. Less for a ghost that stands, and at least `bulk_motion`.
         duration: Time from its first to its last frame; 0.63 at half a second.
         continuity: Share of the frames of its span in which it contradicts.
         point_count: Median points per frame; 0.63 at 25.
         distance: Range over 80 m.
         road_user_size: Plausibility of its box as one of a road user.
-        length: Length over 12 m.
+        length: Length over 12 m; less by `bulk_motion`.
         height: Height over 3 m.
         thinness: 1 for a box of no width, 0 from 0.4 m on.
         lowness: 1 up to a height of 0.5 m, 0 from 1 m on; fades to 0 at a range of 50 m, since a
@@ -44,7 +45,8 @@ class TrackFeatures:
         dynamic_after: Share of it that the supervised stream labels dynamic later.
         shape_static: Agreement of its shape with points in the same place 0.5 to 2 s earlier and
             later (`shape_persistence.py`); tested only for lasting tracks with enough points.
-        shape_static_after: The same agreement, later only.
+        shape_static_after: The same agreement, later only; less by `bulk_motion`, since a lorry
+            covers its own shape for seconds.
         arrived: Evidence that its shape was elsewhere before, and that one velocity leads from
             there to here. This and the next two are 0 where its place is hidden or the log ends.
         departed: Evidence that its shape is elsewhere later.
@@ -65,11 +67,17 @@ class TrackFeatures:
         denied_share: Share of all points labelled dynamic around it that the other stream labels
             static.
         agreed_share: Share of these that the other stream labels dynamic too: high at the rim of an
-            agreed mover.
+            agreed mover, and 0 where it is too wide or has too many points for a rim (`rims.py`).
         unlabelled_share: Share of its points without a label of the self-supervised stream.
         clutter: Count of other contradictions of its kind in its frames; 0.63 at eight.
         rising_ground: Share of the ground around it that rises where no object is
             (`rising_ground.py`); 0 up to 3 %, 1 from 10 % on.
+        blind_share: Share of its frames in which the self-supervised stream is blind: at the start
+            of a log, after a gap or a lost pose (`blind_moments.py`).
+        witness_votes: Frames that vote on the points that the witness labels dynamic, as a share of
+            those of a full second before and after; 0 without such points.
+        bulk_motion: Thousands of points whose motion is confirmed and measured (`bulk_motion.py`);
+            0 up to 500 points per frame, 1 from 2,000 on.
     """
 
     witness_dynamic: float
@@ -109,6 +117,9 @@ class TrackFeatures:
     unlabelled_share: float
     clutter: float
     rising_ground: float
+    blind_share: float
+    witness_votes: float
+    bulk_motion: float
 
     def named(self) -> dict[str, float]:
         """Return all of them by name, rounded to 4 digits."""

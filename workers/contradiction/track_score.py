@@ -1,6 +1,6 @@
-"""Strength of a track: the expected value of reviewing it, as a product of five factors.
+"""Strength of a track: the expected value of reviewing it, as a product of six factors.
 
-    strength = persistence x points x size x chance x poses, each in [0, 1]
+    strength = persistence x points x size x chance x poses x looks, each in [0, 1]
 
 - persistence  1 - exp(-seen x continuity / 0.5 s). `seen` is the number of frames of the track less
   a half, times the frame period; `continuity` is the share of the frames of its span in which it
@@ -15,6 +15,8 @@
   0. It applies less to an isolated contradiction, because wrong poses make the whole street appear
   to move. Tracks that only the supervised stream labels dynamic lose by lost poses alone, because
   wrong poses never make a mover appear static.
+- looks        Where the self-supervised stream is blind and the witness labels alone, the share of
+  the frames of a full second before and after that vote (`blind_moments.py`); else 1.
 
 Attribution was fitted for motion only. For other tasks `chance` is the product of both streams'
 confidences and of the isolation of the track. `size` is then the plausibility of its box where the
@@ -51,9 +53,9 @@ class RankedTrack:
 
     Attributes:
         track: The track.
-        strength: Product of the five factors, rounded to 4 digits.
+        strength: Product of the six factors, rounded to 4 digits.
         presence: Product of persistence, points and size.
-        gate: Factor of doubted poses.
+        gate: Product of the factors of doubted poses and of looks.
         strongest: Index of its instance with the most points and the highest confidences.
         speed_m_per_s: Median of the measured speeds over the ground; 0 when none was measured.
         class_name: Commonest class of its points.
@@ -149,6 +151,7 @@ def _rank(
     lasting += lone * max(0.0, seen - lasting)
     presence = lasting * features.point_count * size
     gate = _gate(weights[frames], lone, static=track.kind.semantic == scene.task.moving)
+    gate *= 1.0 - features.blind_share * (1.0 - features.witness_votes)
     speeds = np.linalg.norm(np.stack([member.velocity_m_per_s for member in members]), axis=1)
     return RankedTrack(
         track=track,

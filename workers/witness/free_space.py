@@ -22,6 +22,9 @@ REACH_S: Final = 1.0
 AGES_S: Final = (1.0, 0.8, 0.6, 0.4, 0.2)
 """Ages of the voting frames, seconds, farthest first; frames in between agree with these."""
 
+MAX_VOTES: Final = 2 * len(AGES_S)
+"""Number of frames that vote on a place at most: those of a full second before and after."""
+
 _TOLERANCE_NS: Final = NS_PER_S // 16
 """Half a revolution at 10 Hz and its jitter."""
 
@@ -88,8 +91,8 @@ def classify(
         after: Later ones.
 
     Returns:
-        DYNAMIC, STATIC or UNKNOWN for every point; the confidence is the share of the frames asked
-        that vote on it.
+        DYNAMIC, STATIC or UNKNOWN for every point; the confidence is the number of frames that vote
+        on it, as a share of `MAX_VOTES`. At either end of a log it is at most one half.
     """
     n = len(labelled.posed.frame)
     labels = np.full(n, MotionLabel.UNKNOWN, np.uint8)
@@ -100,14 +103,13 @@ def classify(
     centroids = view.places.centroids_m
     sides = [_visibilities(observation, centroids, others) for others in (before, after)]
     votes = [votes_of(answers, len(centroids)) for answers in sides]
-    asked = sum(len(answers) for answers in sides)
     seen_through = votes[0].seen_through | votes[1].seen_through
     free, occupied = _sums(votes)
     moves = _moving(centroids, seen_through, free + occupied > 0)
     classified = np.full(len(centroids), MotionLabel.UNKNOWN, np.uint8)
     classified[(occupied > free) & ~seen_through] = MotionLabel.STATIC
     classified[moves] = MotionLabel.DYNAMIC
-    known = (free + occupied) / max(1, asked)
+    known = (free + occupied) / MAX_VOTES
     sure = np.where(classified == MotionLabel.UNKNOWN, 0.0, known)
     of_point = view.places.of_point
     labels[view.judged_index] = classified[of_point]

@@ -47,20 +47,20 @@ class NoiseSettings:
         bleed_most_m: Largest width of bleeding; beyond half a metre it would be an object.
     """
 
-    bleed_m: float = 0.15
-    bleed_spread: float = 0.5
+    bleed_m: float = 0.2
+    bleed_spread: float = 0.6
     bleed_per_m: float = 0.015
-    ground_factor: float = 0.7
-    shadow_rad: float = float(np.radians(0.15))
-    inside_m: float = 0.05
-    blobs_per_frame: float = 0.7
-    blob_m: tuple[float, float] = (0.25, 0.8)
-    blob_frames: int = 3
+    ground_factor: float = 0.9
+    shadow_rad: float = float(np.radians(0.2))
+    inside_m: float = 0.07
+    blobs_per_frame: float = 1.0
+    blob_m: tuple[float, float] = (0.25, 1.0)
+    blob_frames: int = 4
     blob_moving_share: float = 0.4
     flicker_from_m: float = 25.0
     flicker_full_m: float = 60.0
     flicker_share: float = 0.10
-    late_share: float = 0.03
+    late_share: float = 0.04
     rest_frames: int = 7
     bleed_most_m: float = 0.45
 

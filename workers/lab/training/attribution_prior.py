@@ -13,6 +13,9 @@ Rows with truth are few and come from a few streets, while these relations are p
 - An object labelled moving later was moving before. One that stands from then on has stopped.
 - On an object that stays throughout, a label of moving is wrong. At the end of a log, it is unknown
   whether such an object sets off.
+- Thousands of points whose motion is confirmed and measured move.
+- While the self-supervised stream is blind, the witness lacks the frames of one side too, and is
+  seldom right alone.
 - Points at the rim of an object that both streams see moving are its rim, and no stream's error.
 """
 
@@ -79,6 +82,7 @@ PRIOR: Final[Mapping[str, Mapping[Wrong, Row]]] = {
                 "not_refuted_after": 1.0,
                 "dynamic_after": 1.0,
                 "clutter": -1.0,
+                "bulk_motion": 1.5,
             },
         ),
         Wrong.SELFSUPERVISED: (
@@ -130,7 +134,13 @@ PRIOR: Final[Mapping[str, Mapping[Wrong, Row]]] = {
         ),
         Wrong.NEITHER: (
             0.0,
-            {"clutter": 2.0, "pose_doubted": 1.5, "shape_static": 2.0, "rising_ground": 5.0},
+            {
+                "clutter": 2.0,
+                "pose_doubted": 1.5,
+                "shape_static": 2.0,
+                "rising_ground": 5.0,
+                "blind_share": 2.0,
+            },
         ),
     },
 }

@@ -35,6 +35,9 @@ class FailureBench(BaseModel):
     judged: dict[str, str] = Field(
         default_factory=dict, description="Name of the supervised stream, by table."
     )
+    variants: int = Field(
+        default=0, description="Variants of each drive; 0 where the logs have their own failures."
+    )
     within: str = Field(
         default="",
         description="`within one drive` where intervals are by variant; empty: by log or drive.",

@@ -28,7 +28,7 @@ from workers.lab.evaluation.failures.ranking import (
     row_of,
 )
 from workers.lab.evaluation.failures.retrieval import retrieve
-from workers.lab.evaluation.failures.rows import MinedLog, SceneRow
+from workers.lab.evaluation.failures.rows import OTHER_KIND, MinedLog, SceneRow, TrackRow
 
 
 class PlantedTable(RankingRow):
@@ -53,6 +53,12 @@ class PlantedTable(RankingRow):
         "occur ten times; null: records without attribution."
     )
     attribution: AttributionAccuracy
+    attribution_of_failures: AttributionAccuracy | None = Field(
+        default=None, description="Of the tracks on planted failures alone."
+    )
+    attribution_of_others: AttributionAccuracy | None = Field(
+        default=None, description="Of all other tracks."
+    )
     common_mode_recall: float | None = Field(
         description="Share of planted failures on which both streams are wrong that surface."
     )
@@ -93,6 +99,7 @@ def planted_table(
     mine = row_of(scores, items, draws=draws)
     best = best_of(baselines)
     attribution = evaluate_attribution(track for scene in scenes for track in scene.tracks)
+    on_failures, elsewhere = _tracks_by_failure(scenes)
     shared = common_mode(scenes)
     return PlantedTable(
         **mine.model_dump(),
@@ -105,6 +112,8 @@ def planted_table(
         gain_interval=_gain_interval(scores, others.get(best), items, draws),
         attribution_accuracy=attribution.accuracy,
         attribution=attribution,
+        attribution_of_failures=evaluate_attribution(on_failures),
+        attribution_of_others=evaluate_attribution(elsewhere),
         common_mode_recall=shared.recall,
         common_mode=shared,
         calibration=calibrate(scores, items.wanted),
@@ -139,6 +148,17 @@ def failure_names(scene: SceneRow, log_id: str) -> list[str]:
         for each in scene.failing
     )
     return sorted(names)
+
+
+def _tracks_by_failure(scenes: Sequence[SceneRow]) -> tuple[list[TrackRow], list[TrackRow]]:
+    """Return the tracks on planted failures, and all others."""
+    on_failures: list[TrackRow] = []
+    others: list[TrackRow] = []
+    for scene in scenes:
+        planted = {thing.key for thing in scene.failing if thing.kind != OTHER_KIND}
+        for track in scene.tracks:
+            (on_failures if track.thing in planted else others).append(track)
+    return on_failures, others
 
 
 _OF_MANY: Final = ("label_swap", "range_limit")

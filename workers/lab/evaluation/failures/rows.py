@@ -57,6 +57,13 @@ class TrackRow(BaseModel):
     verdict: Wrong | None = Field(description="True verdict; null: truth unknown.")
     said: Attribution | None = Field(default=None, description="Recorded attribution; null: none.")
     evidence: dict[str, float] = Field(description="Its evidence, by name.")
+    first_frame: int = Field(default=-1, description="Frame of the scene in which it begins.")
+    place_m: tuple[float, float, float] | None = Field(
+        default=None, description="Centre of its middle box, odom space, metres."
+    )
+    size_m: tuple[float, float, float] | None = Field(
+        default=None, description="Length, width and height of that box, metres."
+    )
 
 
 class SceneRow(BaseModel):

@@ -3,8 +3,9 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from schemas.arrays import NS_PER_S, Mask
+from schemas.arrays import NS_PER_S, Mask, Transform
 from schemas.attribution import Wrong
 from schemas.contradiction import Instance, Scene, SceneState
 from workers.lab.evaluation.failures.baseline_scores import scene_baselines
@@ -139,6 +140,7 @@ def _track_rows(
             stray = _stray(f"stray {len(strays)}", members, seen, track, other_wrong)
             strays.append(stray)
             key = stray.key
+        middle = members[len(members) // 2]
         rows.append(
             TrackRow(
                 kind=each.track.kind.name,
@@ -152,6 +154,9 @@ def _track_rows(
                 verdict=verdict,
                 said=each.attribution,
                 evidence=each.features.named(),
+                first_frame=members[0].frame_index,
+                place_m=_place(middle, seen[middle.frame_index].labelled.posed.odom_from_sensor),
+                size_m=_three(middle.size_m),
             )
         )
     return rows, strays
@@ -176,6 +181,15 @@ def _stray(
         fails=False,
     )
     return _object_row(thing, seen, None, other_wrong)
+
+
+def _place(instance: Instance, odom_from_sensor: Transform) -> tuple[float, float, float]:
+    return _three(odom_from_sensor[:3, :3] @ instance.centre_m + odom_from_sensor[:3, 3])
+
+
+def _three(values: NDArray[np.float64]) -> tuple[float, float, float]:
+    x, y, z = (round(float(value), 2) for value in values)
+    return x, y, z
 
 
 def _rounded(views: Mapping[str, float]) -> dict[str, float]:

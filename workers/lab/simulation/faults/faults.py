@@ -82,8 +82,7 @@ class PlantedFailure:
         class_name: True class of the object.
         radius_m: Radius of a ghost.
         slides_m_per_s: Velocity of a ghost's label along what stands, x and y in world space.
-        part_share: Of a half-labelled object: share of its points that are labelled static.
-        heading_rad: Of a half-labelled object: direction from that part to the rest, world space.
+        part: Share of the object's points that get the wrong label, from one of its ends on.
     """
 
     kind: FailureKind
@@ -97,10 +96,9 @@ class PlantedFailure:
     common_mode: bool = False
     because: str = ""
     class_name: str = ""
+    part: float = 1.0
     radius_m: float = GHOST_RADIUS_M
     slides_m_per_s: tuple[float, float] = (0.0, 0.0)
-    part_share: float = 0.0
-    heading_rad: float = 0.0
 
     def is_on(self, time_s: float) -> bool:
         """Test that the labels are wrong at a time; a flicker has right labels in between."""
@@ -159,17 +157,6 @@ def ghost_points(
     return mine
 
 
-def part_of(frame: TrueFrame, failure: PlantedFailure) -> NDArray[np.int64]:
-    """Find the part of a half-labelled object that is labelled static, as indices of points."""
-    mine = np.flatnonzero(frame.track == failure.track)
-    if not len(mine):
-        return mine
-    ahead = np.array([np.cos(failure.heading_rad), np.sin(failure.heading_rad), 0.0])
-    along_m = frame.points_m[mine] @ (frame.world_from_sensor[:3, :3].T @ ahead)
-    order = np.argsort(along_m, kind="stable")
-    return np.asarray(mine[order[: round(failure.part_share * len(mine))]])
-
-
 def _corrupt(
     frame: TrueFrame,
     motion: NDArray[np.uint8],
@@ -178,17 +165,19 @@ def _corrupt(
 ) -> None:
     kind = failure.kind
     mine = frame.track == failure.track
+    if failure.part < 1.0:
+        mine = _end_of(frame, mine, failure.part)
     if kind is FailureKind.GHOST_MOVER and failure.place_m is not None:
         place_m = failure.ghost_place_m(frame.time_s)
         ghost = ghost_points(frame, place_m, radius_m=failure.radius_m, track=failure.track)
         motion[ghost], label[ghost] = DYNAMIC, StreetClass.CAR
+    elif kind is FailureKind.GHOST_MOVER:
+        motion[mine], label[mine] = DYNAMIC, StreetClass.CAR
     elif kind is FailureKind.PARKED_CALLED_MOVING:
         motion[mine] = DYNAMIC
     elif kind is FailureKind.FLICKER:
         right = frame.motion[mine]
         motion[mine] = np.where(right == DYNAMIC, STATIC, DYNAMIC)
-    elif kind is FailureKind.HALF_LABELLED:
-        motion[part_of(frame, failure)] = STATIC
     elif kind is FailureKind.LABEL_SWAP:
         motion[mine] = STATIC
         motion[frame.track == failure.other_track] = DYNAMIC
@@ -199,3 +188,22 @@ def _corrupt(
         motion[mine] = STATIC
     if kind in (FailureKind.UNSEEN_CLASS, FailureKind.MISSED_PEDESTRIAN):
         label[mine] = StreetClass.OBJECT
+
+
+def _end_of(frame: TrueFrame, mine: Mask, part: float) -> Mask:
+    """Return this share of an object's points: those nearest to one end, the same in all frames."""
+    index = np.flatnonzero(mine)
+    if len(index) < 2:
+        return mine
+    places = frame.points_m[index] @ frame.world_from_sensor[:3, :3].T
+    away = places[:, :2] - places[:, :2].mean(axis=0)
+    _, axes = np.linalg.eigh(away.T @ away)
+    long = axes[:, -1] * np.sign(axes[:, -1] @ NORTH_EAST)
+    along = away @ long
+    end = np.zeros_like(mine)
+    end[index[along <= np.quantile(along, part)]] = True
+    return end
+
+
+NORTH_EAST: Final = np.array([0.8, 0.6])
+"""Direction in the world by which the ends of an object are told apart."""

@@ -9,6 +9,7 @@ from workers.lab.evaluation.failures.bench import FailureBench, jobs_of
 from workers.lab.evaluation.failures.intervals import DRAWS, MIN_LOGS
 from workers.lab.evaluation.failures.mining import MiningRun, mine_logs, scenes_of_drive
 from workers.lab.evaluation.failures.planted import planted_table
+from workers.lab.evaluation.failures.planting.planted_file import PlantedFile, planted_file
 from workers.lab.evaluation.failures.planting.variants import Planting, plan_variants
 from workers.lab.evaluation.failures.rows import MinedLog
 from workers.lab.evaluation.truth.truth import TruthUnusableError
@@ -24,7 +25,7 @@ def bench_planting(
     kept: Path | None,
     draws: int = DRAWS,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
-) -> FailureBench:
+) -> tuple[FailureBench, PlantedFile]:
     """Plant failures in labels made from the truth of real drives, and rank their scenes.
 
     Args:
@@ -35,7 +36,10 @@ def bench_planting(
         processes: Number of variants mined in parallel.
         kept: Folder of cached results; None caches nothing.
         draws: Bootstrap draws; 0 computes no intervals.
-        on_progress: Called with the number of frames mined and their total.
+        on_progress: Called with the number of variants mined and their total.
+
+    Returns:
+        The tables, and the list of what was planted.
 
     Raises:
         TruthUnusableError: If no log has truth with motion and tracks.
@@ -70,14 +74,16 @@ def bench_planting(
     names = sorted(plan)
     by_drive = len(names) >= MIN_LOGS
     groups = [names.index(job.recording.log_id) for job in jobs] if by_drive else None
-    return FailureBench(
+    bench = FailureBench(
         bucket=bucket_url,
         logs=len(names),
         judged={"planted": recorded.supervised},
+        variants=planting.variants,
         within=_within(len(names)),
         skipped=skipped,
         planted=planted_table(mined, groups=groups, draws=draws),
     )
+    return bench, planted_file(bucket_url, planting, mined)
 
 
 def _within(drives: int) -> str:

@@ -8,7 +8,7 @@ as if its labels were written into a log and mined.
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from schemas.frame import LidarFrame, PosedFrame
+from schemas.frame import LidarFrame, PosedFrame, RecordedLabels
 from schemas.labels import FrameLabels
 from schemas.task import Task
 from workers.lab.evaluation.failures.frame_truth import FrameWithTruth
@@ -77,6 +77,22 @@ def replaying(parts: Parts, drive: Drive) -> Parts:
     )
 
 
+def mine_labels(
+    drive: Drive, labels: Iterable[RecordedLabels], parts: Parts, *, pipeline_version: str
+) -> Iterator[MinedScene]:
+    """Mine a drive with these recorded labels, one of each frame.
+
+    The result is that of a log which contains them, bit for bit.
+    """
+    frames = (
+        replace(frame.posed.frame, recorded=recorded)
+        for frame, recorded in zip(drive.frames, labels, strict=True)
+    )
+    return mine_shard(
+        drive.shard, frames, replaying(parts, drive), pipeline_version=pipeline_version
+    )
+
+
 def mine_variant(
     drive: Drive, variant: Variant, parts: Parts, *, pipeline_version: str
 ) -> MinedLog:
@@ -91,17 +107,10 @@ def mine_variant(
     failures = place_failures(drive, variant)
     start_ns = drive.frames[0].posed.frame.stamp_ns
     planted = PlantedFaults(failures=tuple(failures)).truth(start_ns)
-    frames = (
-        replace(frame.posed.frame, recorded=labels)
-        for frame, labels in zip(
-            drive.frames, labels_of_variant(drive, variant, failures), strict=True
-        )
-    )
     rows: list[SceneRow] = []
     shown = set[int]()
-    mined: Iterable[MinedScene] = mine_shard(
-        drive.shard, frames, replaying(parts, drive), pipeline_version=pipeline_version
-    )
+    labels = labels_of_variant(drive, variant, failures)
+    mined = mine_labels(drive, labels, parts, pipeline_version=pipeline_version)
     place = {frame.posed.frame.stamp_ns: frame for frame in drive.frames}
     for cell, each in enumerate(mined):
         seen = [FrameWithTruth(one, place[one.stamp_ns].truth) for one in each.scene.frames]

@@ -1,14 +1,14 @@
 """Plan of the variants of real drives: the scenes in which a failure is planted, and its kind."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 
 from workers.lab.evaluation.failures.planting.drive import Drive, FrameRange
 from workers.lab.labels.noise import REAL, NoiseSettings
-from workers.lab.simulation.faults.candidates import measure_visibility
+from workers.lab.simulation.faults.candidates import SceneVisibility, measure_visibility
 from workers.lab.simulation.faults.fault_placement import plant_in_scene
 from workers.lab.simulation.faults.faults import PlantedFailure
 from workers.lab.simulation.faults.plan import TEN_KINDS, FailureKind, balanced
@@ -119,8 +119,38 @@ def place_failures(drive: Drive, variant: Variant) -> list[PlantedFailure]:
         )
         others = [each for each in TEN_KINDS if each is not kind]
         order = [kind, *(others[place] for place in rng.permutation(len(others)))]
-        found = (plant_in_scene(view, each, scene, rng) for each in order)
+        found = (_plant(view, each, scene, rng) for each in order)
         failure = next((each for each in found if each is not None), None)
         if failure is not None:
             placed.append(failure)
     return placed
+
+
+def _plant(
+    view: SceneVisibility, kind: FailureKind, scene: int, rng: np.random.Generator
+) -> PlantedFailure | None:
+    """Plant a failure of a kind; some ghosts are in parked cars, some large movers fail in part."""
+    in_car = kind is FailureKind.GHOST_MOVER and rng.random() < GHOST_IN_CAR_SHARE
+    as_kind = FailureKind.PARKED_CALLED_MOVING if in_car else kind
+    failure = plant_in_scene(view, as_kind, scene, rng)
+    if failure is None:
+        return None
+    part = round(float(rng.uniform(*PART)), 2)
+    if in_car:
+        return replace(failure, kind=kind, part=part)
+    large = failure.track >= 0 and np.median(view.points[:, failure.track]) >= LARGE_POINTS
+    if large and kind in IN_PART and rng.random() < PART_SHARE:
+        return replace(failure, part=part)
+    return failure
+
+
+GHOST_IN_CAR_SHARE: Final = 1 / 3
+"""Share of ghosts that lie in a standing object of the truth, and not on structure."""
+
+LARGE_POINTS: Final = 500
+"""Median points of an object that a model may label in part."""
+
+IN_PART: Final = (FailureKind.MISSED_MOVER, FailureKind.VERSION_REGRESSION)
+PART_SHARE: Final = 0.5
+PART: Final = (0.6, 0.9)
+"""Least and largest part; below half of its points an object does not count as failing."""
