@@ -206,4 +206,4 @@ def _end_of(frame: TrueFrame, mine: Mask, part: float) -> Mask:
 
 
 NORTH_EAST: Final = np.array([0.8, 0.6])
-"""Direction in the world by which the ends of an object are told apart."""
+"""Direction in the world that distinguishes the ends of an object."""
