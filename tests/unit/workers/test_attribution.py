@@ -21,13 +21,13 @@ from workers.contradiction.version import contradiction_version
 from workers.lab.evaluation.failures.rows import MinedLog, ObjectRow, SceneRow, TrackRow
 from workers.lab.training.attribution import (
     MIN_VERDICTS,
-    digest_of,
     fit,
     fit_kind,
     main,
 )
 from workers.lab.training.attribution_prior import PRIOR
 from workers.lab.training.attribution_scores import leave_one_log_out
+from workers.lab.training.attribution_tables import digest_of
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
 PARKED = Thing((12, -4, 0), DYNAMIC, STATIC)

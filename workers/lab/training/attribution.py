@@ -8,12 +8,10 @@ instead of the prior written by hand, so that what other logs taught is kept.
 """
 
 import argparse
-import hashlib
 import json
 import logging
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,12 +24,12 @@ from scipy.special import logsumexp
 from schemas.attribution import Wrong
 from schemas.contradiction import ContradictionKind
 from schemas.errors import CounterpointError, PermanentError, TransientError
-from workers.contradiction.attribution import FILE
 from workers.contradiction.track_features import NAMES
 from workers.lab.evaluation.failures.attribution import is_evaluated
 from workers.lab.evaluation.failures.rows import MinedLog, TrackRow
 from workers.lab.training.attribution_prior import PRIOR, Row
 from workers.lab.training.attribution_scores import leave_one_log_out, usable_tracks
+from workers.lab.training.attribution_tables import Prior, Rows, digest_of, read_table, shipped_rows
 
 log = logging.getLogger(__name__)
 
@@ -61,14 +59,9 @@ _UNWITNESSED: Final = 0.3
 
 _LEAST: Final = 0.02
 
-Rows = Mapping[str, Any]
-"""The rows of one kind, in the format of `attribution.json`."""
 
 KINDS: Final = tuple(PRIOR)
 """Kinds of contradictions that have a table."""
-
-Prior = Mapping[str, Mapping[Wrong, Row]]
-"""Intercepts and weights by kind and verdict, towards which a fit is drawn."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -126,41 +119,6 @@ def read_mined_logs(folders: Sequence[Path]) -> list[MinedLog]:
     if not logs:
         raise PermanentError(f"no mined logs in {', '.join(map(str, folders))}")
     return sorted(logs, key=lambda each: (each.log_id, each.pipeline_version))
-
-
-def shipped_rows() -> dict[str, Rows]:
-    """Return the rows of all kinds in the table that ships."""
-    text = resources.files("workers.contradiction").joinpath(FILE).read_text(encoding="utf-8")
-    return dict(json.loads(text)["kinds"])
-
-
-def read_table(file: Path) -> Prior:
-    """Read an earlier table as a prior; verdicts that it lacks keep the prior written by hand.
-
-    Raises:
-        PermanentError: If it cannot be read.
-    """
-    try:
-        kinds = json.loads(file.read_text(encoding="utf-8"))["kinds"]
-        return {
-            kind: {
-                answer: (float(kinds[kind][answer]["intercept"]), kinds[kind][answer]["weights"])
-                if answer in kinds[kind]
-                else row
-                for answer, row in rows.items()
-            }
-            for kind, rows in PRIOR.items()
-        }
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise PermanentError(
-            f"--update: {file} is no attribution table ({error}); name a file that this command "
-            "wrote, or leave the option out"
-        ) from error
-
-
-def digest_of(file: Path) -> str:
-    """Return the first digits of a file's SHA-256, by which the card names its table."""
-    return hashlib.sha256(file.read_bytes()).hexdigest()[:12]
 
 
 def fit(
