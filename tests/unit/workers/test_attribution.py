@@ -19,9 +19,15 @@ from workers.contradiction.score import score_scene
 from workers.contradiction.track_features import NAMES
 from workers.contradiction.version import contradiction_version
 from workers.lab.evaluation.failures.rows import MinedLog, ObjectRow, SceneRow, TrackRow
-from workers.lab.training.attribution import digest_of, fit, fit_kind, main
+from workers.lab.training.attribution import (
+    MIN_VERDICTS,
+    fit,
+    fit_kind,
+    main,
+)
 from workers.lab.training.attribution_prior import PRIOR
 from workers.lab.training.attribution_scores import leave_one_log_out
+from workers.lab.training.attribution_tables import digest_of
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
 PARKED = Thing((12, -4, 0), DYNAMIC, STATIC)
@@ -253,8 +259,8 @@ def test_rows_draw_weights_to_what_they_show_in_logs_that_were_left_out_too() ->
 
 def test_scenes_are_ranked_by_tables_that_never_saw_their_log() -> None:
     """What is true of one log alone does not help to rank it."""
-    told = [_row(Wrong.SUPERVISED, distance=1.0), _row(Wrong.NEITHER, turn_rate=1.0)] * 10
-    lied = [_row(Wrong.SUPERVISED, turn_rate=1.0), _row(Wrong.NEITHER, distance=1.0)] * 10
+    told = [_row(Wrong.SUPERVISED, distance=1.0), _row(Wrong.NEITHER, turn_rate=1.0)] * 20
+    lied = [_row(Wrong.SUPERVISED, turn_rate=1.0), _row(Wrong.NEITHER, distance=1.0)] * 20
     judged = leave_one_log_out([_log("a", told), _log("b", lied)], fit)
     assert judged["scenes"]["ap"] == pytest.approx(0.5, abs=0.05)
     assert judged["all"]["balanced_accuracy"] < 0.5
@@ -322,6 +328,27 @@ def test_evidence_that_a_row_was_mined_without_keeps_the_weight_of_the_prior(
     fitted = fit(logs)[KIND]
     assert fitted["selfsupervised"]["weights"]["arrived"] == 1.0
     assert leave_one_log_out(logs, fit)["all"]["tracks"] == {"selfsupervised": 10}
+
+
+def test_a_kind_whose_second_verdict_is_rare_keeps_the_prior() -> None:
+    common = [_row(Wrong.NEITHER, turn_rate=1.0)] * 60
+    rare = [_row(Wrong.SUPERVISED)] * (MIN_VERDICTS - 1)
+    assert fit_kind(KIND, [*common, *rare]) == fit_kind(KIND, [])
+    assert fit_kind(KIND, [*common, *rare, rare[0]]) != fit_kind(KIND, [])
+
+
+def test_kinds_that_are_not_asked_for_keep_the_earlier_table(tmp_path: Path) -> None:
+    kept, out = tmp_path / "kept", tmp_path / "out.json"
+    kept.mkdir()
+    turned = [_row(Wrong.SELFSUPERVISED, turn_rate=1.0), _row(Wrong.SUPERVISED)] * 20
+    (kept / "a.json").write_text(_log("a", turned).model_dump_json())
+    other = ContradictionKind.ONLY_PREDICTIVE_DYNAMIC.value
+    assert main([str(kept), "--data", "x", "--kinds", other, "--out", str(out)]) == 0
+    table = json.loads(out.read_text())
+    assert table["kinds"][KIND] == fit_kind(KIND, [])
+    assert table["card"]["kinds"] == [other]
+    with pytest.raises(SystemExit):
+        main([str(kept), "--data", "x", "--kinds", "none", "--out", str(out)])
 
 
 def test_a_file_that_is_no_table_is_refused(tmp_path: Path) -> None:

@@ -150,7 +150,7 @@ def test_a_parked_car_and_a_ghost_have_boxes_that_move(
 def test_a_half_labelled_bus_has_a_box_around_the_other_part(
     street: Street, frames: list[SimulatedFrame]
 ) -> None:
-    half = failure(FailureKind.HALF_LABELLED, BUS, part_share=0.7, heading_rad=0.0)
+    half = failure(FailureKind.HALF_LABELLED, BUS, part=0.7)
     detected = boxes_of(street, frames, half)
     whole = street.actors[BUS].size_m[0]
     lengths = [box.size_m[0] for boxes in detected[10:30] for box in named(boxes, StreetClass.BUS)]

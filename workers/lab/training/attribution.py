@@ -8,11 +8,10 @@ instead of the prior written by hand, so that what other logs taught is kept.
 """
 
 import argparse
-import hashlib
 import json
 import logging
-from collections.abc import Mapping, Sequence
-from importlib import resources
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,11 +24,12 @@ from scipy.special import logsumexp
 from schemas.attribution import Wrong
 from schemas.contradiction import ContradictionKind
 from schemas.errors import CounterpointError, PermanentError, TransientError
-from workers.contradiction.attribution import FILE
 from workers.contradiction.track_features import NAMES
+from workers.lab.evaluation.failures.attribution import is_evaluated
 from workers.lab.evaluation.failures.rows import MinedLog, TrackRow
 from workers.lab.training.attribution_prior import PRIOR, Row
 from workers.lab.training.attribution_scores import leave_one_log_out, usable_tracks
+from workers.lab.training.attribution_tables import Prior, Rows, digest_of, read_table, shipped_rows
 
 log = logging.getLogger(__name__)
 
@@ -46,6 +46,12 @@ _FEW: Final = 10
 USED: Final = tuple(name for name in NAMES if name not in ("duration", "point_count"))
 """Evidence of the fit: `duration` and `point_count` are already terms of a track's strength."""
 
+MIN_VERDICTS: Final = 20
+"""Long and large tracks of a second verdict below which the table of a kind stays the prior.
+
+A handful of rare tracks describes their streets, not their verdict.
+"""
+
 _DIGITS: Final = 3
 _OF_WITNESS: Final = frozenset({ContradictionKind.ONLY_WITNESS_DYNAMIC.value})
 _UNWITNESSED: Final = 0.3
@@ -53,11 +59,9 @@ _UNWITNESSED: Final = 0.3
 
 _LEAST: Final = 0.02
 
-Rows = Mapping[str, Any]
-"""The rows of one kind, in the format of `attribution.json`."""
 
-Prior = Mapping[str, Mapping[Wrong, Row]]
-"""Intercepts and weights by kind and verdict, towards which a fit is drawn."""
+KINDS: Final = tuple(PRIOR)
+"""Kinds of contradictions that have a table."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -70,14 +74,19 @@ def main(argv: Sequence[str] | None = None) -> int:
         known = {name for each in usable_tracks(logs) for name in each.evidence}
 
         def fit_on(some: Sequence[MinedLog]) -> dict[str, Rows]:
-            return fit(some, prior)
+            return fit(some, prior, args.kinds)
 
         card = {
             "logs": len(logs),
             "scenes": sum(len(each.scenes) for each in logs),
             "tracks": sum(len(scene.tracks) for each in logs for scene in each.scenes),
             "data": args.data,
-            "settings": {"regularisation": REGULARISATION, "balance": BALANCE},
+            "settings": {
+                "regularisation": REGULARISATION,
+                "balance": BALANCE,
+                "min_verdicts": MIN_VERDICTS,
+            },
+            "kinds": args.kinds,
             "started_from": "prior" if args.update is None else digest_of(args.update),
             "features_of_the_prior_only": [name for name in USED if name not in known],
             "left_out": leave_one_log_out(logs, fit_on),
@@ -112,46 +121,15 @@ def read_mined_logs(folders: Sequence[Path]) -> list[MinedLog]:
     return sorted(logs, key=lambda each: (each.log_id, each.pipeline_version))
 
 
-def shipped_rows() -> dict[str, Rows]:
-    """Return the rows of all kinds in the table that ships."""
-    text = resources.files("workers.contradiction").joinpath(FILE).read_text(encoding="utf-8")
-    return dict(json.loads(text)["kinds"])
-
-
-def read_table(file: Path) -> Prior:
-    """Read an earlier table as a prior; verdicts that it lacks keep the prior written by hand.
-
-    Raises:
-        PermanentError: If it cannot be read.
-    """
-    try:
-        kinds = json.loads(file.read_text(encoding="utf-8"))["kinds"]
-        return {
-            kind: {
-                answer: (float(kinds[kind][answer]["intercept"]), kinds[kind][answer]["weights"])
-                if answer in kinds[kind]
-                else row
-                for answer, row in rows.items()
-            }
-            for kind, rows in PRIOR.items()
-        }
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise PermanentError(
-            f"--update: {file} is no attribution table ({error}); name a file that this command "
-            "wrote, or leave the option out"
-        ) from error
-
-
-def digest_of(file: Path) -> str:
-    """Return the first digits of a file's SHA-256, by which the card names its table."""
-    return hashlib.sha256(file.read_bytes()).hexdigest()[:12]
-
-
-def fit(logs: Sequence[MinedLog], prior: Prior = PRIOR) -> dict[str, Rows]:
-    """Fit the tables of all kinds on the tracks of mined logs, drawn towards a prior."""
+def fit(
+    logs: Sequence[MinedLog], prior: Prior = PRIOR, kinds: Collection[str] = KINDS
+) -> dict[str, Rows]:
+    """Fit the tables of some kinds on the tracks of mined logs; the others stay the prior."""
     tracks = usable_tracks(logs)
     return {
-        kind: fit_kind(kind, [each for each in tracks if each.kind == kind], prior)
+        kind: fit_kind(
+            kind, [each for each in tracks if each.kind == kind and kind in kinds], prior
+        )
         for kind in PRIOR
     }
 
@@ -168,6 +146,8 @@ def fit_kind(kind: str, rows: Sequence[TrackRow], prior_rows: Prior = PRIOR) -> 
         prior_rows: Intercepts and weights of the prior, by kind and verdict.
     """
     answers, prior = tuple(prior_rows[kind]), _prior_of(prior_rows[kind])
+    if not _is_enough(rows):
+        rows = []
     rows = [*rows, *(_without_witness(row) for row in rows if kind not in _OF_WITNESS)]
     if rows:
         seen = _matrix(rows)
@@ -198,6 +178,12 @@ def fit_kind(kind: str, rows: Sequence[TrackRow], prior_rows: Prior = PRIOR) -> 
         }
         for answer, line in zip(answers, table, strict=True)
     }
+
+
+def _is_enough(rows: Sequence[TrackRow]) -> bool:
+    """Test that two verdicts are common among the tracks on which a table is evaluated."""
+    counts = Counter(row.verdict for row in rows if is_evaluated(row))
+    return sum(count >= MIN_VERDICTS for count in counts.values()) > 1
 
 
 def _without_witness(row: TrackRow) -> TrackRow:
@@ -247,6 +233,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("kept", type=Path, nargs="+", help="folders of mined logs")
     parser.add_argument("--update", type=Path, help="table to start from instead of the prior")
+    parser.add_argument(
+        "--kinds", nargs="+", choices=KINDS, default=[*KINDS], help="kinds to fit; default: all"
+    )
     parser.add_argument("--data", required=True, help="description of the mined data")
     parser.add_argument("--out", type=Path, required=True, help="the table, with its card")
     return parser

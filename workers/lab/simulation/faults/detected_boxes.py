@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.lab.simulation.faults.faults import PlantedFailure
+from workers.lab.simulation.faults.faults import NORTH_EAST, PlantedFailure
 from workers.lab.simulation.faults.plan import FailureKind
 from workers.lab.simulation.sensor.lidar import SimulatedFrame
 
@@ -100,13 +100,12 @@ def with_failures(
             body = replace(body, velocity=invented)
         elif each.kind in _NO_BOX:
             return None
-        elif each.kind is FailureKind.HALF_LABELLED and each.heading_rad is not None:
-            rest = 1.0 - each.part_share
-            front = np.array([np.cos(each.heading_rad), np.sin(each.heading_rad), 0.0])
+        elif each.kind is FailureKind.HALF_LABELLED:
+            rest = np.append(ahead * np.sign(ahead @ NORTH_EAST), 0.0)
             body = replace(
                 body,
-                centre_m=body.centre_m + front * (body.size_m[0] * each.part_share / 2),
-                size_m=body.size_m * [rest, 1.0, 1.0],
+                centre_m=body.centre_m + rest * (body.size_m[0] * each.part / 2),
+                size_m=body.size_m * [1.0 - each.part, 1.0, 1.0],
             )
         else:
             body = replace(body, velocity=np.zeros(2))

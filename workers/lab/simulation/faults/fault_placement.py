@@ -173,11 +173,7 @@ def plant_in_scene(
     if place_m is not None:
         slid = [each * (start_s - chosen.start_s) for each in chosen.slides_m_per_s]
         place_m = round(place_m[0] + slid[0], 2), round(place_m[1] + slid[1], 2), place_m[2]
-    part_share, heading_rad = 1.0, 0.0
-    if kind is FailureKind.HALF_LABELLED:
-        part_share = round(float(rng.uniform(*_HALF_SHARE)), 3)
-        turned_rad = np.pi if rng.random() < 0.5 else 0.0
-        heading_rad = round(_heading_of(view, chosen, start_s, end_s) + turned_rad, 4)
+    half = kind is FailureKind.HALF_LABELLED
     return PlantedFailure(
         kind=kind,
         track=chosen.track,
@@ -192,18 +188,8 @@ def plant_in_scene(
         class_name=chosen.class_name,
         radius_m=chosen.radius_m,
         slides_m_per_s=chosen.slides_m_per_s,
-        part_share=part_share,
-        heading_rad=heading_rad if kind is FailureKind.HALF_LABELLED else None,
+        part=round(float(rng.uniform(*_HALF_SHARE)), 3) if half else 1.0,
     )
-
-
-def _heading_of(view: SceneVisibility, each: Candidate, start_s: float, end_s: float) -> float:
-    """Return the direction in which a mover goes between two times, radians, world space."""
-    during = (view.times_s >= start_s - view.step_s) & (view.times_s <= end_s + view.step_s)
-    path = view.centre_m[during, each.track]
-    path = path[np.isfinite(path).all(axis=1)]
-    went = path[-1] - path[0]
-    return float(np.arctan2(went[1], went[0]))
 
 
 def _pace(street: Street, each: Candidate) -> tuple[float, int]:

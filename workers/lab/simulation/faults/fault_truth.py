@@ -42,9 +42,9 @@ class FailureRow(BaseModel):
     slides_m_per_s: tuple[float, float] = Field(
         default=(0.0, 0.0), description="Velocity of a ghost along what stands, world x and y."
     )
-    part_share: float = Field(
+    part: float = Field(
         default=1.0,
-        description="Share of the object's points with the wrong label, from one end on.",
+        description="Share of the object's points that get the wrong label, from one end on.",
     )
 
 
@@ -150,7 +150,7 @@ def _failure_row(each: PlantedFailure, start_ns: int) -> FailureRow:
         range_m=each.range_m,
         radius_m=each.radius_m,
         slides_m_per_s=each.slides_m_per_s,
-        part_share=each.part_share,
+        part=each.part,
     )
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,8 +82,7 @@ class PlantedFailure:
         class_name: True class of the object.
         radius_m: Radius of a ghost.
         slides_m_per_s: Velocity of a ghost's label along what stands, x and y in world space.
-        part_share: Share of the object's points that get the wrong label, from one end on.
-        heading_rad: Direction from that part to the rest, world space; None: along the object.
+        part: Share of the object's points that get the wrong label, from one of its ends on.
     """
 
     kind: FailureKind
@@ -97,10 +96,9 @@ class PlantedFailure:
     common_mode: bool = False
     because: str = ""
     class_name: str = ""
+    part: float = 1.0
     radius_m: float = GHOST_RADIUS_M
     slides_m_per_s: tuple[float, float] = (0.0, 0.0)
-    part_share: float = 1.0
-    heading_rad: float | None = None
 
     def is_on(self, time_s: float) -> bool:
         """Test that the labels are wrong at a time; a flicker has right labels in between."""
@@ -159,34 +157,6 @@ def ghost_points(
     return mine
 
 
-def part_of(frame: TrueFrame, failure: PlantedFailure) -> Mask:
-    """Find the part of an object that gets the wrong label: the same end of it in all frames."""
-    mine: Mask = frame.track == failure.track
-    index = np.flatnonzero(mine)
-    if failure.part_share >= 1.0 or len(index) < 2:
-        return mine
-    places_m = frame.points_m[index] @ frame.world_from_sensor[:3, :3].T
-    if failure.heading_rad is None:
-        ahead = _long_axis(places_m)
-    else:
-        ahead = np.array([np.cos(failure.heading_rad), np.sin(failure.heading_rad)])
-    order = np.argsort(places_m[:, :2] @ ahead, kind="stable")
-    part = np.zeros_like(mine)
-    part[index[order[: round(failure.part_share * len(index))]]] = True
-    return part
-
-
-def _long_axis(places_m: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
-    """Return the direction in which points extend farthest, x and y in world space."""
-    away = places_m[:, :2] - places_m[:, :2].mean(axis=0)
-    _, axes = np.linalg.eigh(away.T @ away)
-    return np.asarray(axes[:, -1] * np.sign(axes[:, -1] @ _NORTH_EAST), np.float64)
-
-
-_NORTH_EAST: Final = np.array([0.8, 0.6])
-"""Direction in the world that separates the two ends of an object."""
-
-
 def _corrupt(
     frame: TrueFrame,
     motion: NDArray[np.uint8],
@@ -194,7 +164,9 @@ def _corrupt(
     failure: PlantedFailure,
 ) -> None:
     kind = failure.kind
-    mine = part_of(frame, failure)
+    mine = frame.track == failure.track
+    if failure.part < 1.0:
+        mine = _end_of(frame, mine, failure.part)
     if kind is FailureKind.GHOST_MOVER and failure.place_m is not None:
         place_m = failure.ghost_place_m(frame.time_s)
         ghost = ghost_points(frame, place_m, radius_m=failure.radius_m, track=failure.track)
@@ -216,3 +188,22 @@ def _corrupt(
         motion[mine] = STATIC
     if kind in (FailureKind.UNSEEN_CLASS, FailureKind.MISSED_PEDESTRIAN):
         label[mine] = StreetClass.OBJECT
+
+
+def _end_of(frame: TrueFrame, mine: Mask, part: float) -> Mask:
+    """Return this share of an object's points: those nearest to one end, the same in all frames."""
+    index = np.flatnonzero(mine)
+    if len(index) < 2:
+        return mine
+    places = frame.points_m[index] @ frame.world_from_sensor[:3, :3].T
+    away = places[:, :2] - places[:, :2].mean(axis=0)
+    _, axes = np.linalg.eigh(away.T @ away)
+    long = axes[:, -1] * np.sign(axes[:, -1] @ NORTH_EAST)
+    along = away @ long
+    end = np.zeros_like(mine)
+    end[index[along <= np.quantile(along, part)]] = True
+    return end
+
+
+NORTH_EAST: Final = np.array([0.8, 0.6])
+"""Direction in the world that distinguishes the ends of an object."""

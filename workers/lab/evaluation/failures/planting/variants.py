@@ -137,10 +137,10 @@ def _plant(
         return None
     part = round(float(rng.uniform(*PART)), 2)
     if in_car:
-        return replace(failure, kind=kind, part_share=part)
+        return replace(failure, kind=kind, part=part)
     large = failure.track >= 0 and np.median(view.points[:, failure.track]) >= LARGE_POINTS
     if large and kind in IN_PART and rng.random() < PART_SHARE:
-        return replace(failure, part_share=part)
+        return replace(failure, part=part)
     return failure
 
 
