@@ -26,7 +26,7 @@ from workers.lab.training.attribution import (
     main,
 )
 from workers.lab.training.attribution_prior import PRIOR
-from workers.lab.training.attribution_scores import leave_one_log_out
+from workers.lab.training.attribution_scores import borders_as_neither, leave_one_log_out
 from workers.lab.training.attribution_tables import digest_of
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
@@ -190,8 +190,8 @@ def _row(wrong: Wrong, **evidence: float) -> TrackRow:
         gate=1.0,
         frames=10,
         points=500,
-        thing="",
-        true_track=-1,
+        thing="track 1",
+        true_track=1,
         verdict=wrong,
         evidence=known,
     )
@@ -335,6 +335,18 @@ def test_a_kind_whose_second_verdict_is_rare_keeps_the_prior() -> None:
     rare = [_row(Wrong.SUPERVISED)] * (MIN_VERDICTS - 1)
     assert fit_kind(KIND, [*common, *rare]) == fit_kind(KIND, [])
     assert fit_kind(KIND, [*common, *rare, rare[0]]) != fit_kind(KIND, [])
+
+
+def test_bled_labels_on_no_object_are_fitted_as_nobodys_error() -> None:
+    nowhere = {"thing": "", "true_track": -1}
+    bled = _row(Wrong.SUPERVISED, agreed_share=1.0).model_copy(update=nowhere)
+    ghost = _row(Wrong.SUPERVISED).model_copy(update={**nowhere, "thing": "phantom 0"})
+    assert borders_as_neither(bled).verdict is Wrong.NEITHER
+    assert borders_as_neither(ghost) == ghost
+    assert borders_as_neither(bled.model_copy(update={"true_track": 3})).verdict is Wrong.SUPERVISED
+    judged = leave_one_log_out([_log(name, [bled, ghost] * 30) for name in ("a", "b")], fit)
+    assert judged["all"]["recall"] == {"supervised": 0.5}
+    assert judged["all_with_borders_as_neither"]["balanced_accuracy"] == 1.0
 
 
 def test_kinds_that_are_not_asked_for_keep_the_earlier_table(tmp_path: Path) -> None:

@@ -53,7 +53,7 @@ def test_explanations_are_supporting_opposing_or_neutral() -> None:
         point_count=0.3,
     )
     assert said.wrong is Wrong.SUPERVISED
-    assert said.supporting == ("not refuted later", "witness label dynamic")
+    assert said.supporting == ("witness label dynamic", "not refuted later")
     assert said.opposing == ("clutter of like contradictions",)
     assert said.neutral == ("few points",)
 
@@ -65,7 +65,7 @@ def test_the_same_evidence_supports_one_attribution_and_opposes_another() -> Non
         "supervised_confidence": 0.9,
         "isolation": 0.9,
     }
-    errs = _said(ContradictionKind.ONLY_SEMANTIC_DYNAMIC, **parked)
+    errs = _said(ContradictionKind.ONLY_SEMANTIC_DYNAMIC, **parked, shape_static=1.0)
     starts = _said(
         ContradictionKind.ONLY_SEMANTIC_DYNAMIC, **parked, not_refuted_after=1.0, displacement=1.0
     )
