@@ -6,6 +6,7 @@ from typing import Any, Final
 
 from mcap_ros2.writer import Writer
 
+from schemas.predicted_boxes import SCHEMA_NAME, PredictedBoxes
 from workers.lab.simulation.faults.detected_boxes import DetectedBox
 from workers.lab.simulation.faults.detector import Detector
 from workers.lab.simulation.faults.faults import PlantedFailure
@@ -13,7 +14,6 @@ from workers.lab.simulation.sensor.lidar import SimulatedFrame
 from workers.lab.simulation.world.street import Street
 
 BOXES_TOPIC: Final = "/perception/objects"
-SCHEMA_NAME: Final = "counterpoint.boxes.v1"
 
 
 class DetectorWriter:
@@ -22,7 +22,8 @@ class DetectorWriter:
     def __init__(self, writer: Writer, street: Street) -> None:
         self._detector = Detector(street)
         self._mcap = writer._writer
-        schema = self._mcap.register_schema(name=SCHEMA_NAME, encoding="jsonschema", data=b"{}")
+        published = json.dumps(PredictedBoxes.model_json_schema()).encode()
+        schema = self._mcap.register_schema(name=SCHEMA_NAME, encoding="jsonschema", data=published)
         self._channel = self._mcap.register_channel(
             topic=BOXES_TOPIC, message_encoding="json", schema_id=schema
         )
