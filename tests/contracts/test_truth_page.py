@@ -47,7 +47,7 @@ def test_the_example_writes_truth_that_is_read(
 
 
 def test_the_classes_on_the_page_are_understood(tmp_path: Path) -> None:
-    (example,) = re.findall(r"```json\n(.*?)```", page(), re.DOTALL)
+    (example,) = re.findall(r"## classes\.json.*?```json\n(.*?)```", page(), re.DOTALL)
     (tmp_path / "classes.json").write_text(example)
     table = coarse_of_ids(tmp_path)
     assert table is not None

@@ -45,7 +45,8 @@ def test_no_verb_lists_options_of_mining_by_hand() -> None:
         if MINING & set(options) not in (set(), MINING)
     }
     assert partly == {
-        "worker": {"--model", "--weights"},
+        "inspect": {"--predictions"},
+        "worker": {"--model", "--predictions", "--weights"},
         "eval motion": {"--weights"},
         "eval shards": {"--selfsupervised"},
     }

@@ -195,7 +195,7 @@ def test_a_strong_track_has_its_places_in_odom_space() -> None:
     (track,) = _score(labelled_scene([WALL, MISSED_CAR], ego_m_per_s=5)).tracks
     assert track.first_odom_m == pytest.approx((-20, 3, 0), abs=0.2)
     assert track.last_odom_m == pytest.approx((-1, 3, 0), abs=0.2)
-    brief = replace(MISSED_CAR, frames=frozenset({7}), points=15)
+    brief = replace(MISSED_CAR, frames=frozenset({7}), points=25)
     (weak,) = _score(labelled_scene([WALL, brief])).tracks
     assert weak.strength < MIN_REPORTED_STRENGTH
     assert weak.first_odom_m is weak.last_odom_m is None

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from schemas.predicted_boxes import SCHEMA_NAME
 from workers.lab.simulation.faults.detected_boxes import DetectedBox
 from workers.lab.simulation.faults.detector import Detector
 from workers.lab.simulation.faults.faults import DYNAMIC, PlantedFailure
 from workers.lab.simulation.faults.plan import FailureKind
 from workers.lab.simulation.models.kinds import StreetClass
-from workers.lab.simulation.output.box_messages import BOXES_TOPIC, SCHEMA_NAME
+from workers.lab.simulation.output.box_messages import BOXES_TOPIC
 from workers.lab.simulation.output.write import write_log
 from workers.lab.simulation.sensor.lidar import UNEVEN_64, Lidar, SimulatedFrame, sweep
 from workers.lab.simulation.world.motion_along_road import Road, drive_along, stand

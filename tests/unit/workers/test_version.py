@@ -45,6 +45,7 @@ CHANGED = {
     "predictions": "s3://answers/run-2",
     "path_template": "{date}/{name}",
     "stamp_at": "end",
+    "compensated": "yes",
     "camera": "recorded",
     "instances": "paper",
     "witness": "none",
