@@ -215,14 +215,14 @@ class AskedService:
             if not problem.problem or len(problem.problem) > MOST_PROBLEM:
                 return "failed", f"a sentence of {len(problem.problem)} characters"
             return ("try again" if problem.transient else "refused"), problem.problem
-        may_be_empty = question.asked in ("history", "selections", "cache")
+        may_be_empty = question.asked in ("history", "selected", "cache")
         return ("answered", "") if replies or may_be_empty else ("failed", "no reply at all")
 
     def _key(self, question: Question) -> str:
         match question.asked:
             case "history":
                 return keys.all_scenes(root=ROOT)
-            case "selections":
+            case "selected":
                 return keys.all_selected(root=ROOT)
             case "cache":
                 return keys.scene_cache(root=ROOT)

@@ -108,6 +108,7 @@ DAMAGES: Final[Mapping[str, Change]] = {
 
 
 RIGHT: Final = (
+    Question("history", ""),
     Question("top", {}),
     Question("select", {"budget": 3}),
     Question("rates", {"by": "vehicle"}),
@@ -217,7 +218,7 @@ def _history() -> SearchStrategy[Question]:
     names = ("since", "most", "newest", "withdrawn", "_max", "_time", "other")
     pair = st.builds("{}={}".format, st.sampled_from(names), st.sampled_from(numbers))
     parameters = st.lists(pair, max_size=3).map(";".join)
-    asked: SearchStrategy[str] = st.sampled_from(("history", "selections", "cache"))
+    asked: SearchStrategy[str] = st.sampled_from(("history", "selected", "cache"))
     return st.builds(
         Question, asked, st.just(""), st.just(()), st.just("none"), parameters=parameters
     )

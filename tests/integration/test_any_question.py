@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from service.api.verbs import ASKED
+from service.api.verbs import ASKED, VERBS
 from tests.fuzz.ask import MOST_MB, ask_many
 from tests.fuzz.questions import RIGHT
 
@@ -23,6 +23,7 @@ def test_every_question_is_answered_or_refused(tmp_path: Path) -> None:
     assert report.peak_mb < MOST_MB, "\n".join(report.lines())
     assert set(ASKED) <= report.ends.keys()
     for question in RIGHT:
-        verb = question.asked
-        assert report.ends[verb].get("answered"), f"no {verb} that is right is answered any more"
-        assert report.ends[verb].get("refused"), f"no {verb} was wrong: the questions show nothing"
+        ends = report.ends[question.asked]
+        assert ends.get("answered"), f"no {question.asked} that is right is answered any more"
+        if question.asked in VERBS:
+            assert ends.get("refused"), f"no {question.asked} was wrong: the questions show nothing"
