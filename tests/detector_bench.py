@@ -57,7 +57,7 @@ WEAK: Final = 0.05
 
 @dataclass(frozen=True)
 class Kind:
-    """How a detector's output is recorded.
+    """A form in which a detector's output is recorded.
 
     Attributes:
         write: Message of boxes.
@@ -223,7 +223,7 @@ def mine(
 
 @dataclass(frozen=True)
 class Judged:
-    """What mining found of what was planted.
+    """Planted failures, and the tracks that mining found.
 
     Attributes:
         planted: Failures, as planted.

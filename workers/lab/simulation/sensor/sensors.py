@@ -10,9 +10,19 @@ from workers.lab.simulation.sensor.lidar import UNEVEN_64, Lidar
 SensorName = Literal["pandar64", "hdl64", "hdl64-compensated", "hdl32", "vlp32c", "os1-128"]
 MountingName = Literal["roof", "mast", "rack"]
 
-_HDL64: Final = (
-    *np.linspace(2.0, -8.33, 32).round(3).tolist(),
-    *np.linspace(-8.83, -24.33, 32).round(3).tolist(),
+_HDL64: Final = Lidar(
+    name="hdl64",
+    elevation_deg=(
+        *np.linspace(2.0, -8.33, 32).round(3).tolist(),
+        *np.linspace(-8.83, -24.33, 32).round(3).tolist(),
+    ),
+    columns=1800,
+    max_range_m=120.0,
+    reach_m=110.0,
+    noise_m=0.02,
+    gain=240.0,
+    gamma=0.35,
+    least_range_m=0.9,
 )
 _VLP32C: Final = (
     *(15.0, 10.333, 7.0, 4.667, 3.333, 2.333, 1.667, 1.333, 1.0, 0.667, 0.333, 0.0),
@@ -37,29 +47,8 @@ SENSORS: Final[dict[SensorName, Lidar]] = {
         roof_answers=0.5,
         gain=65.0,
     ),
-    "hdl64": Lidar(
-        name="hdl64",
-        elevation_deg=_HDL64,
-        columns=1800,
-        max_range_m=120.0,
-        reach_m=110.0,
-        noise_m=0.02,
-        gain=240.0,
-        gamma=0.35,
-        least_range_m=0.9,
-    ),
-    "hdl64-compensated": Lidar(
-        name="hdl64-compensated",
-        elevation_deg=_HDL64,
-        columns=2000,
-        max_range_m=120.0,
-        reach_m=110.0,
-        noise_m=0.02,
-        gain=240.0,
-        gamma=0.35,
-        least_range_m=0.9,
-        compensated=True,
-    ),
+    "hdl64": _HDL64,
+    "hdl64-compensated": replace(_HDL64, name="hdl64-compensated", columns=2000, compensated=True),
     "hdl32": Lidar(
         name="hdl32",
         elevation_deg=tuple(np.linspace(10.67, -30.67, 32).round(3).tolist()),
