@@ -1,5 +1,6 @@
 """Assembly of the review page: guard, static files, templates, and the routes of each page."""
 
+from threading import Event
 from typing import Final
 
 from fastapi import FastAPI
@@ -37,6 +38,7 @@ def make_app(source: Reader, settings: WebSettings) -> FastAPI:
         middleware=[Middleware(Guard, hosts=settings.hosts)],
     )
     app.state.source, app.state.settings = source, settings
+    app.state.closing = Event()
     app.state.visitors, app.state.templates = Visitors(settings.key), environment()
     for page in (reviewer,):  # one module with a `router` for each page
         app.include_router(page.router)
