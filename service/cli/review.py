@@ -5,7 +5,6 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
@@ -47,9 +46,7 @@ ReviewListen = Annotated[
 ]
 Hosts = Annotated[
     list[str] | None,
-    typer.Option(
-        "--host", help="Further name under which browsers ask for the page. Repeatable."
-    ),
+    typer.Option("--host", help="Further name under which browsers ask for the page. Repeatable."),
 ]
 
 

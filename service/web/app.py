@@ -14,7 +14,7 @@ from starlette.staticfiles import StaticFiles
 from schemas.errors import PermanentError, TransientError
 from service.api.reader import Reader
 from service.errors import NothingFoundError
-from service.web import reviewer
+from service.web import reviewer, thumbnails
 from service.web.context import STATIC, environment, render, wants_json
 from service.web.security import Guard
 from service.web.settings import WebSettings
@@ -38,9 +38,9 @@ def make_app(source: Reader, settings: WebSettings) -> FastAPI:
         middleware=[Middleware(Guard, hosts=settings.hosts)],
     )
     app.state.source, app.state.settings = source, settings
-    app.state.closing = Event()
+    app.state.closing, app.state.thumbnails = Event(), thumbnails.Thumbnails()
     app.state.visitors, app.state.templates = Visitors(settings.key), environment()
-    for page in (reviewer,):  # one module with a `router` for each page
+    for page in (reviewer, thumbnails):  # one module with a `router` for each page
         app.include_router(page.router)
     app.mount("/static", StaticFiles(directory=STATIC), name="static")
     app.add_exception_handler(PermanentError, _refused)
