@@ -36,7 +36,8 @@ CAUSES: Final = {
     "occlusion": "an object that is hidden for a time",
     "common_mode": "both streams wrong in the same way",
 }
-"""Taxonomy of causes, in the order of their keys on the page. Most are failures that the paper lists:
+"""Taxonomy of causes, in the order of their keys on the page. Most are failures that the paper
+lists:
 unseen objects, fast oncoming traffic, stops at red lights, faults of clusters, turns and speed
 bumps, and two streams that err together.
 """
