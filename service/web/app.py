@@ -14,14 +14,32 @@ from starlette.staticfiles import StaticFiles
 from schemas.errors import PermanentError, TransientError
 from service.api.reader import Reader
 from service.errors import NothingFoundError
-from service.web import dashboard, live, ranking, reviewer, thumbnails, verdicts
+from service.web import (
+    agreement,
+    dashboard,
+    live,
+    ranking,
+    reviewer,
+    selections,
+    thumbnails,
+    verdicts,
+)
 from service.web.context import STATIC, environment, render, wants_json
 from service.web.progress import Progress
 from service.web.security import Guard
 from service.web.settings import WebSettings
 from service.web.visitor import Visitors
 
-PAGES: Final = (ranking, dashboard, verdicts, thumbnails, live, reviewer)
+PAGES: Final = (
+    ranking,
+    dashboard,
+    selections,
+    agreement,
+    verdicts,
+    thumbnails,
+    live,
+    reviewer,
+)
 """Modules of pages, each with its `router`."""
 
 NO_PAGE: Final = "there is no such page"
