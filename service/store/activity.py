@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from sqlalchemy import ColumnElement, Connection, Table, case, distinct, func, select
+from sqlalchemy import ColumnElement, Connection, Table, case, func, select
 
 from schemas.arrays import NS_PER_S
 from schemas.verdict import DECIDED, RIGHT, Verdict
@@ -43,11 +43,11 @@ def choices(connection: Connection, *, causes: Sequence[str]) -> ChoicesReply:
     sources, findings = LISTING_SOURCES.c, LISTING_FINDINGS.c
 
     def values(column: ColumnElement[Any]) -> tuple[str, ...]:
-        found = connection.execute(select(distinct(column)).order_by(column).limit(MAX_CHOICES))
+        found = connection.execute(select(column).distinct().order_by(column).limit(MAX_CHOICES))
         return tuple(found.scalars())
 
     def members(column: ColumnElement[Any]) -> tuple[str, ...]:
-        sets = connection.execute(select(distinct(column))).scalars()
+        sets = connection.execute(select(column).distinct()).scalars()
         return tuple(sorted({name for each in sets for name in _names(each)}))[:MAX_CHOICES]
 
     return ChoicesReply(
