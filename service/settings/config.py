@@ -69,6 +69,9 @@ def _postgres(url: str) -> str:
 _POSTGRES: Final = ("postgres", "postgresql", "postgresql+psycopg")
 
 Names = Annotated[tuple[str, ...], BeforeValidator(_listed)]
+OwnCauses = Annotated[
+    tuple[Annotated[str, Field(min_length=1, max_length=64)], ...], BeforeValidator(_listed)
+]
 PostgresUrl = Annotated[str, AfterValidator(_postgres)]
 
 
@@ -146,6 +149,11 @@ class Settings(MiningSettings):
         description="Days after which the overlays of withdrawn scenes are deleted from the "
         "artifacts; 0: never.",
     )
+    causes: OwnCauses = Field(
+        default=(),
+        max_length=100,
+        description="Causes of errors that reviewers may name, in addition to the taxonomy.",
+    )
     database: PostgresUrl = Field(
         default="",
         repr=False,  # may hold a password
@@ -160,6 +168,16 @@ class Settings(MiningSettings):
     worker_http_listen: str = Field(
         default="127.0.0.1:9465",
         description="Address at which `worker` serves /metrics, /healthz and /readyz; empty: none.",
+    )
+    review_listen: str = Field(
+        default="127.0.0.1:8087",
+        description="Address at which `review` and `run --review` serve the review page; port 0 "
+        "takes a free one.",
+    )
+    review_hosts: Names = Field(
+        default=(),
+        description="Names under which browsers may ask for the review page, in addition to those "
+        "of the loopback and to its own address.",
     )
     vehicles: Names = Field(
         default=(),
