@@ -48,7 +48,9 @@ def overlay_of(
         stamps_ns=np.array([frame.stamp_ns for frame in frames], dtype=np.int64),
         offsets=offsets,
         points_cm=_gather(frames, _points_cm),
-        agreements=_gather(frames, lambda frame: frame.agreements),
+        semantic_labels=_gather(frames, lambda frame: frame.semantic.labels),
+        predictive_labels=_gather(frames, lambda frame: frame.predictive.labels),
+        witness_labels=_gather(frames, _witness_labels),
         ground_mask=_gather(frames, lambda frame: _or(frame.predictive.ground_mask, frame, False)),
         class_id=_gather(frames, lambda frame: _or(frame.semantic.class_id, frame, np.int16(-1))),
         class_names=tuple(class_names),
@@ -79,6 +81,12 @@ def _or(
     array: NDArray[Any] | None, frame: LabelledFrame, otherwise: bool | np.int16
 ) -> NDArray[Any]:
     return np.full(len(frame.agreements), otherwise) if array is None else array
+
+
+def _witness_labels(frame: LabelledFrame) -> NDArray[np.uint8]:
+    if frame.witness is None:
+        return np.full(len(frame.agreements), frame.task.unknown, dtype=np.uint8)
+    return frame.witness.labels
 
 
 def _to_byte(labels: FrameLabels) -> NDArray[np.uint8]:
