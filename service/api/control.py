@@ -191,7 +191,7 @@ class Control:
         return RetryReply(retried=tuple(retried))
 
     def _scene(self, request: SceneRequest) -> StoredScene:
-        stored = self._ledger.scene(request.scene_id)
+        stored = self._ledger.scene(request.scene_id, withdrawn=request.withdrawn)
         if stored is None:
             raise no_such_scene(request.scene_id)
         return stored

@@ -113,6 +113,11 @@ class SceneRequest(BaseModel):
     model_config = _STRICT
 
     scene_id: SceneId
+    withdrawn: bool = Field(
+        default=False,
+        exclude_if=lambda value: not value,
+        description="Accept the last record of a scene that is no longer current, too.",
+    )
 
 
 class RetryRequest(BaseModel):

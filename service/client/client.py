@@ -13,6 +13,8 @@ from schemas.score import SceneScore
 from schemas.transport import keys
 from schemas.transport.ask import ask_until
 from schemas.transport.bus import client_session
+from schemas.transport.overlay_codec import overlay_file_of
+from schemas.transport.overlay_file import OverlayFile
 from schemas.transport.wire import decode, encode
 from schemas.verdict import VerdictRow
 from service.api.messages import (
@@ -124,6 +126,11 @@ class ControlClient:
             SceneScore, self._ask("scene", checked_request(SceneRequest, scene_id=scene_id))
         )
 
+    def record(self, scene_id: str) -> bytes:
+        """Return the record of a scene as published; the last one if it is withdrawn."""
+        asked = checked_request(SceneRequest, scene_id=scene_id, withdrawn=True)
+        return self._ask("scene", asked)
+
     def overlay(self, scene_id: str) -> bytes:
         """Return the overlay of a current scene, encoded."""
         return self._ask("overlay", checked_request(SceneRequest, scene_id=scene_id))
@@ -131,6 +138,10 @@ class ControlClient:
     def overlay_place(self, scene_id: str) -> str:
         """Return the name of the source of a scene's overlay, for messages."""
         return f"{scene_id}, from the service at {','.join(self._connect)}"
+
+    def overlay_file(self, scene_id: str) -> OverlayFile:
+        """Open the overlay of a current scene for reading single blocks."""
+        return overlay_file_of(self.overlay(scene_id), where=self.overlay_place(scene_id))
 
     def scenes(self, request: ScenesRequest) -> ScenesReply:
         """Return a page of current scenes."""
