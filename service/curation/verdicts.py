@@ -36,7 +36,8 @@ CAUSES: Final = {
     "occlusion": "an object that is hidden for a time",
     "common_mode": "both streams wrong in the same way",
 }
-"""Taxonomy of causes, in the order of their keys on the page. Most are failures that the paper lists:
+"""Taxonomy of causes, in the order of their keys on the page. Most are failures that the paper
+lists:
 unseen objects, fast oncoming traffic, stops at red lights, faults of clusters, turns and speed
 bumps, and two streams that err together.
 """
@@ -49,6 +50,9 @@ MAX_REVIEWERS: Final = 100
 
 MAX_VERDICTS_ASKED: Final = 500
 """Rows of one page of the verdicts at most."""
+
+MAX_CHOICES: Final = 1000
+"""Values of one filter that a reply lists."""
 
 Z_95: Final = 1.959963984540054
 """Quantile of the normal distribution for an interval of 95 %."""
@@ -185,14 +189,14 @@ class ChoicesReply(BaseModel):
 
     model_config = _STRICT
 
-    vehicles: tuple[Kept, ...] = Field(max_length=1000)
-    software_versions: tuple[Kept, ...] = Field(max_length=1000)
-    kinds: tuple[Kept, ...] = Field(max_length=1000)
-    class_names: tuple[Kept, ...] = Field(max_length=1000)
-    modes: tuple[Kept, ...] = Field(max_length=1000, description="Supervised streams.")
-    reviewers: tuple[Kept, ...] = Field(max_length=1000)
+    vehicles: tuple[Kept, ...] = Field(max_length=MAX_CHOICES)
+    software_versions: tuple[Kept, ...] = Field(max_length=MAX_CHOICES)
+    kinds: tuple[Kept, ...] = Field(max_length=MAX_CHOICES)
+    class_names: tuple[Kept, ...] = Field(max_length=MAX_CHOICES)
+    modes: tuple[Kept, ...] = Field(max_length=MAX_CHOICES, description="Supervised streams.")
+    reviewers: tuple[Kept, ...] = Field(max_length=MAX_CHOICES)
     causes: tuple[Kept, ...] = Field(
-        max_length=1000, description="The taxonomy, then those of the setting `causes`."
+        max_length=MAX_CHOICES, description="The taxonomy, then those of the setting `causes`."
     )
 
 

@@ -14,11 +14,15 @@ from starlette.staticfiles import StaticFiles
 from schemas.errors import PermanentError, TransientError
 from service.api.reader import Reader
 from service.errors import NothingFoundError
-from service.web import reviewer, thumbnails
+from service.web import dashboard, live, ranking, reviewer, thumbnails, verdicts
 from service.web.context import STATIC, environment, render, wants_json
+from service.web.progress import Progress
 from service.web.security import Guard
 from service.web.settings import WebSettings
 from service.web.visitor import Visitors
+
+PAGES: Final = (ranking, dashboard, verdicts, thumbnails, live, reviewer)
+"""Modules of pages, each with its `router`."""
 
 NO_PAGE: Final = "there is no such page"
 
@@ -39,8 +43,9 @@ def make_app(source: Reader, settings: WebSettings) -> FastAPI:
     )
     app.state.source, app.state.settings = source, settings
     app.state.closing, app.state.thumbnails = Event(), thumbnails.Thumbnails()
+    app.state.progress, app.state.newest = Progress(), live.Newest()
     app.state.visitors, app.state.templates = Visitors(settings.key), environment()
-    for page in (reviewer, thumbnails):  # one module with a `router` for each page
+    for page in PAGES:
         app.include_router(page.router)
     app.mount("/static", StaticFiles(directory=STATIC), name="static")
     app.add_exception_handler(PermanentError, _refused)

@@ -11,6 +11,7 @@ from starlette.responses import HTMLResponse, Response
 from schemas.visible import visible
 from service.api.reader import Reader
 from service.web import phrases
+from service.web.progress import progress_text
 from service.web.settings import WebSettings
 from service.web.visitor import Visitor, Visitors
 
@@ -85,7 +86,7 @@ def page_context(request: Request) -> dict[str, Any]:
         "theme": visitor.theme,
         "place": settings_of(request).place,
         "section": "",
-        "progress": "",
+        "progress": progress_text(request, reviewer=visitor.reviewer, budget=visitor.budget),
         "path": f"{request.url.path}{query}",
     }
 

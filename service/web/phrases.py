@@ -1,11 +1,14 @@
 """Short phrases of pages: instants, counts, shares and names of attributions. Pure."""
 
+import re
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from typing import Final
 
 from schemas.arrays import NS_PER_S
 from service.curation.scene_names import begins
+
+_UNIT: Final = re.compile(r"(\d) (m/s|m|s|%)(?![\w/])")
 
 KIND_NAMES: Final[Mapping[str, str]] = {
     "only_semantic_dynamic": "only supervised dynamic",
@@ -90,6 +93,11 @@ def interval(share: float, low: float, high: float) -> str:
     return f"{share:.2f} ({low:.2f} to {high:.2f})"
 
 
+def with_units(text: str) -> str:
+    """Join each number with its unit, so that no line breaks between them."""
+    return _UNIT.sub("\\1\u00a0\\2", text)
+
+
 FILTERS: Final[Mapping[str, Callable[..., str]]] = {
     "kind_name": kind_name,
     "wrong_name": wrong_name,
@@ -101,4 +109,5 @@ FILTERS: Final[Mapping[str, Callable[..., str]]] = {
     "score": score,
     "grouped": grouped,
     "counted": counted,
+    "with_units": with_units,
 }

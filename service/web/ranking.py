@@ -10,7 +10,6 @@ from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import Response
 
-from schemas.errors import PermanentError
 from service.api.reader import Reader
 from service.curation.listing import ListedScene, ScenesRequest
 from service.errors import UsageError
