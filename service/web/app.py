@@ -14,14 +14,15 @@ from starlette.staticfiles import StaticFiles
 from schemas.errors import PermanentError, TransientError
 from service.api.reader import Reader
 from service.errors import NothingFoundError
-from service.web import dashboard, live, ranking, reviewer, thumbnails, verdicts
+from service.web import dashboard, live, ranking, reviewer, scene_page, thumbnails, verdicts
 from service.web.context import STATIC, environment, render, wants_json
 from service.web.progress import Progress
+from service.web.overlay_cache import OpenOverlays
 from service.web.security import Guard
 from service.web.settings import WebSettings
 from service.web.visitor import Visitors
 
-PAGES: Final = (ranking, dashboard, verdicts, thumbnails, live, reviewer)
+PAGES: Final = (ranking, scene_page, dashboard, verdicts, thumbnails, live, reviewer)
 """Modules of pages, each with its `router`."""
 
 NO_PAGE: Final = "there is no such page"
@@ -43,6 +44,7 @@ def make_app(source: Reader, settings: WebSettings) -> FastAPI:
     )
     app.state.source, app.state.settings = source, settings
     app.state.closing, app.state.thumbnails = Event(), thumbnails.Thumbnails()
+    app.state.overlays = OpenOverlays()
     app.state.progress, app.state.newest = Progress(), live.Newest()
     app.state.visitors, app.state.templates = Visitors(settings.key), environment()
     for page in PAGES:

@@ -5,6 +5,9 @@
 
 const AT_ONCE = 3;
 
+/** Points that the page keeps: 240 MB. Of a larger scene only frames near the shown one are kept. */
+export const MOST_POINTS = 30_000_000;
+
 /**
  * Order frames by their distance from one.
  * @param {number} count
@@ -22,11 +25,13 @@ export class Frames {
    * @param {(index: number) => string} url Address of a frame's block.
    * @param {(index: number, frame: Frame) => void} onFrame
    * @param {(index: number, problem: string) => void} onProblem
+   * @param {(index: number) => void} onDrop
    */
-  constructor(list, url, onFrame, onProblem) {
+  constructor(list, url, onFrame, onProblem, onDrop) {
     this.list = list;
     this.url = url;
     this.onProblem = onProblem;
+    this.onDrop = onDrop;
     /** @type {number[]} */
     this.waiting = [];
     this.running = 0;
@@ -45,7 +50,19 @@ export class Frames {
    * @param {number} first
    */
   load(first) {
-    this.waiting = order(this.list.length, first).filter((i) => !this.asked.has(i));
+    const near = new Set();
+    let points = 0;
+    for (const i of order(this.list.length, first)) {
+      points += this.list[i].points;
+      if (points <= MOST_POINTS || i === first) near.add(i);
+    }
+    for (const i of this.asked) {
+      if (!near.has(i)) {
+        this.asked.delete(i);
+        this.onDrop(i);
+      }
+    }
+    this.waiting = [...near].filter((i) => !this.asked.has(i));
     while (this.running < AT_ONCE && this.waiting.length) this.#next();
   }
 
@@ -54,8 +71,8 @@ export class Frames {
     this.asked.add(index);
     this.running++;
     try {
-      const answer = await fetch(this.url(index));
-      if (!answer.ok) throw new Error(`${answer.status}: ${(await answer.text()).slice(0, 300)}`);
+      const answer = await fetch(this.url(index), { headers: { accept: "application/json, */*" } });
+      if (!answer.ok) throw new Error((await answer.json()).problem);
       const buffer = await answer.arrayBuffer();
       this.worker.postMessage({ index, buffer, count: this.list[index].points }, [buffer]);
     } catch (error) {

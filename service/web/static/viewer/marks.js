@@ -192,6 +192,22 @@ export class Marks {
   }
 
   /**
+   * Return left, top, right and bottom of a track's box; null where it is behind the viewer.
+   * @param {Track} track
+   * @param {number} frame
+   * @param {ArrayLike<number>[]} poses
+   */
+  extent(track, frame, poses) {
+    const box = boxAt(track, frame);
+    if (!box) return null;
+    const rows = rowsOf(poses[box[0]]);
+    const at = corners(box.slice(1), 0.12).map((corner) => this.pixel(apply(rows, corner)));
+    const [us, vs] = [0, 1].map((axis) => at.map((pixel) => pixel?.[axis] ?? NaN));
+    if (us.some(Number.isNaN)) return null;
+    return [Math.min(...us), Math.min(...vs), Math.max(...us), Math.max(...vs)];
+  }
+
+  /**
    * Draw the number of a track above its box, where there is room.
    * @param {Track} track
    * @param {number} frame
@@ -200,21 +216,15 @@ export class Marks {
    * @param {boolean} selected
    */
   name(track, frame, poses, ink, selected) {
-    const box = boxAt(track, frame);
-    if (!box) return;
-    const rows = rowsOf(poses[box[0]]);
-    const at = corners(box.slice(1), 0.12)
-      .map((corner) => this.pixel(apply(rows, corner)))
-      .filter((each) => each !== null);
-    if (at.length < 8) return;
+    const extent = this.extent(track, frame, poses);
+    if (!extent) return;
     const { context, ratio } = this;
     const words = selected && track.verdict ? `${track.label} · ${track.verdict}` : track.label;
     const size = (selected ? 15 : 12) * ratio;
     context.font = `${selected ? 650 : 550} ${size}px system-ui, sans-serif`;
     const wide = context.measureText(words).width + size;
     const tall = size * 1.55;
-    const [left, right] = [Math.min(...at.map((p) => p[0])), Math.max(...at.map((p) => p[0]))];
-    const [top, bottom] = [Math.min(...at.map((p) => p[1])), Math.max(...at.map((p) => p[1]))];
+    const [left, top, right, bottom] = extent;
     if (right < 0 || left > this.width || bottom < 0 || top > this.height) return;
     const middle = (left + right - wide) / 2;
     const spots = [

@@ -88,6 +88,11 @@ export class Viewer {
     if (index === this.frame) this.draw();
   }
 
+  /** Forget the points of a frame. @param {number} index */
+  drop(index) {
+    this.frames[index] = undefined;
+  }
+
   /** Show a frame. @param {number} index */
   show(index) {
     this.frame = Math.max(0, Math.min(this.frames.length - 1, index));
@@ -128,6 +133,30 @@ export class Viewer {
       this.top.target[1] -= dy * 0.3;
     }
     this.draw();
+  }
+
+  /**
+   * Return the track whose box is at a pixel, the smallest one; null where there is none.
+   * @param {number} index Pane.
+   * @param {number} x
+   * @param {number} y
+   */
+  trackAt(index, x, y) {
+    const pane = this.panes[index];
+    const ratio = window.devicePixelRatio || 1;
+    const { width, height } = pane.surface;
+    const marks = new Marks(pane.context, pane.camera.rows(height), pane.camera.flat, width, height, ratio);
+    let [best, least] = [/** @type {number | null} */ (null), Infinity];
+    for (const [track] of this.#shown()) {
+      const spot = marks.extent(track, this.frame, this.scene.frames.map((each) => each.pose));
+      if (!spot) continue;
+      const [left, top, right, bottom] = spot.map((value) => value / ratio);
+      const size = (right - left) * (bottom - top);
+      if (x > left - 6 && x < right + 6 && y > top - 6 && y < bottom + 6 && size < least) {
+        [best, least] = [track.id, size];
+      }
+    }
+    return best;
   }
 
   /** Look from the vehicle ahead. */
@@ -220,10 +249,10 @@ export class Viewer {
     context.putImageData(/** @type {ImageData} */ (surface.image), 0, 0);
     const marks = new Marks(context, rows, camera.flat, surface.width, surface.height, ratio);
     marks.ego(poses[this.frame], camera.flat);
+    if (!this.labels) return;
     const shown = this.#shown();
     for (const [track, ink, selected] of shown) marks.path(track, poses, ink, selected);
     for (const [track, ink, selected] of shown) marks.box(track, this.frame, poses, ink, selected);
-    if (!this.labels) return;
     for (const [track, ink, selected] of shown.reverse()) {
       marks.name(track, this.frame, poses, ink, selected);
     }
