@@ -20,6 +20,9 @@ from schemas.task import MOTION, Task
 NO_POSITION_CM: Final = -32768
 """Value of all three coordinates of a point without a return, or farther than 327 m."""
 
+MAX_CLASSES: Final = 255
+"""Semantic classes of an overlay at most; one byte names the class of a point."""
+
 MAX_NAME_BYTES: Final = 255
 """Bytes of one name in the file systems of Linux, macOS and Windows."""
 
@@ -121,6 +124,8 @@ class Overlay:
         _check_range("offsets", np.diff(self.offsets), 0, points)
         if not frames or self.offsets[0] != 0 or self.offsets[-1] != points:
             raise ValueError(f"offsets must run from 0 to {points} over at least one frame")
+        if len(self.class_names) > MAX_CLASSES:
+            raise ValueError(f"an overlay has at most {MAX_CLASSES} classes")
         for name in ("semantic_labels", "predictive_labels", "witness_labels"):
             _check_range(name, getattr(self, name), 0, self.task.unknown)
         _check_range("class_id", self.class_id, -1, len(self.class_names) - 1)

@@ -18,6 +18,7 @@ from schemas.transport.overlay_codec import encode_overlay
 from schemas.transport.wire import encode_scene_score
 from schemas.work import Damage, MiningStats, Recording, Shard
 from workers.contradiction.overlay import overlay_of
+from workers.contradiction.scoring_inputs import encode_inputs
 from workers.ingest.read import read_shard
 from workers.memory import peak_memory_bytes
 from workers.parts.protocols import Parts
@@ -159,7 +160,13 @@ def mine_records(
 def _encoded(mined: MinedScene, class_names: tuple[str, ...], pipeline_version: str) -> MinedRecord:
     record = encode_scene_score(mined.score)
     digest = sha256(record)
-    overlay = overlay_of(mined.scene, mined.instances, mined.tracks, class_names=class_names)
+    overlay = overlay_of(
+        mined.scene,
+        mined.instances,
+        mined.tracks,
+        class_names=class_names,
+        scoring_inputs=encode_inputs(mined.inputs),
+    )
     return MinedRecord(
         score=mined.score,
         record=record,

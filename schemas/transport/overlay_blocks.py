@@ -23,7 +23,9 @@ VIEW_BYTES_A_POINT: Final = 9
 
 _FOUR_BITS: Final = np.uint8(15)
 _SHIFT: Final = np.uint8(4)
-_LEVEL: Final = 1  # level 3 costs twice the time for 6 % of an overlay
+_PARAMETERS: Final = zstandard.ZstdCompressionParameters.from_level(3, hash_log=14, chain_log=14)
+"""Level 3 with small tables: on 20 PandaSet frames 1.5 % less than level 1 for 7 ms."""
+
 _COUNT: Final = struct.Struct("<I")
 _INSTANCE_BYTES: Final = 8
 
@@ -54,19 +56,14 @@ def view_block(overlay: Overlay, frame: int) -> bytes:
     predictive = _in_four_bits(overlay.predictive_labels[at], unknown)
     instance = overlay.instance_index[at]
     chosen = np.flatnonzero(instance >= 0)
+    listed = (chosen.astype("<u4").tobytes(), instance[chosen].astype("<u4").tobytes())
     return compress(
-        b"".join(
-            (
-                to_planes(overlay.points_cm[at]).tobytes(),
-                (semantic | (predictive << _SHIFT)).tobytes(),
-                overlay.class_id[at].astype(np.uint8).tobytes(),  # -1 becomes 255
-                _in_four_bits(overlay.witness_labels[at], unknown).tobytes(),
-                np.packbits(overlay.ground_mask[at]).tobytes(),
-                _COUNT.pack(len(chosen)),
-                chosen.astype("<u4").tobytes(),
-                instance[chosen].astype("<u4").tobytes(),
-            )
-        )
+        *(plane.tobytes() for plane in to_planes(overlay.points_cm[at]).reshape(6, -1)),
+        (semantic | (predictive << _SHIFT)).tobytes(),
+        overlay.class_id[at].astype(np.uint8).tobytes(),  # -1 becomes 255
+        _in_four_bits(overlay.witness_labels[at], unknown).tobytes(),
+        np.packbits(overlay.ground_mask[at]).tobytes(),
+        b"".join((_COUNT.pack(len(chosen)), *listed)),
     )
 
 
@@ -111,7 +108,7 @@ def rest_block(overlay: Overlay, frame: int) -> bytes:
     """Encode the confidences of both streams in one frame."""
     at = overlay.points_of(frame)
     return compress(
-        overlay.semantic_confidence[at].tobytes() + overlay.predictive_confidence[at].tobytes()
+        overlay.semantic_confidence[at].tobytes(), overlay.predictive_confidence[at].tobytes()
     )
 
 
@@ -127,9 +124,20 @@ def rest_points(block: bytes, points: int) -> NDArray[np.uint8]:
     return np.frombuffer(raw, np.uint8).reshape(2, points)
 
 
-def compress(raw: bytes, *, level: int = _LEVEL) -> bytes:
-    """Compress a block; the header has its checksum."""
-    return zstandard.ZstdCompressor(level=level).compress(raw)
+def compress(*parts: bytes) -> bytes:
+    """Compress parts to one zstd frame; the header of the overlay has its checksum.
+
+    Each part begins a block of its own within the frame, with statistics of its own: 2 % less than
+    in one run, for any reader.
+    """
+    compressor = zstandard.ZstdCompressor(compression_params=_PARAMETERS)
+    stream = compressor.compressobj(size=sum(len(part) for part in parts))
+    out = []
+    for part in parts:
+        out.append(stream.compress(part))
+        out.append(stream.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK))
+    out.append(stream.flush())
+    return b"".join(out)
 
 
 def decompress(block: bytes, *, at_most: int = MAX_UNPACKED_BYTES) -> bytes:

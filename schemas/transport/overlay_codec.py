@@ -31,11 +31,6 @@ from schemas.transport.overlay_version_1 import decoded_version_1
 MAX_OVERLAY_BYTES: Final = MAX_UNPACKED_BYTES
 """Maximum bytes of an overlay, encoded and decoded."""
 
-MAX_CLASSES_KEPT: Final = 255
-"""Semantic classes that the points of an overlay may have."""
-
-_INPUTS_LEVEL: Final = 6
-
 _NOT_WELL_FORMED: Final = (
     KeyError,
     TypeError,
@@ -50,16 +45,12 @@ def encode_overlay(overlay: Overlay) -> bytes:
     """Encode an overlay; equal overlays give equal bytes.
 
     Raises:
-        ValueError: If it has more than 255 classes, or would be larger than any overlay.
+        ValueError: If it would be larger than any overlay.
     """
-    if len(overlay.class_names) > MAX_CLASSES_KEPT:
-        raise ValueError(f"an overlay names at most {MAX_CLASSES_KEPT} classes")
     views = [view_block(overlay, frame) for frame in range(len(overlay))]
     rests = [rest_block(overlay, frame) for frame in range(len(overlay))]
     pictures = [picture.image_bytes for picture in overlay.pictures]
-    inputs = b""
-    if overlay.scoring_inputs:
-        inputs = compress(overlay.scoring_inputs, level=_INPUTS_LEVEL)
+    inputs = compress(overlay.scoring_inputs) if overlay.scoring_inputs else b""
     blocks = [*views, *rests, *pictures, inputs]
     ends = np.cumsum([len(block) for block in blocks])
     starts = [0, *ends.tolist()]

@@ -1,7 +1,7 @@
 """Messages of clients to the service, in addition to the leases of `schemas.work`."""
 
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -27,6 +27,14 @@ from service.errors import UsageError
 _STRICT = ConfigDict(frozen=True, extra="forbid")
 
 
+WithVerdicts = Annotated[
+    bool,
+    Field(
+        exclude_if=lambda value: not value,
+        description="Give each row its verdicts; absent: no, since earlier clients refuse them.",
+    ),
+]
+
 Request = TypeVar("Request", bound=BaseModel)
 
 
@@ -49,6 +57,7 @@ class TopRequest(BaseModel):
         le=MAX_SCENES_ASKED,
         description="Number of rows at most; None: all.",
     )
+    verdicts: WithVerdicts = False
 
 
 class TopReply(BaseModel):
@@ -74,6 +83,7 @@ class SelectRequest(BaseModel):
 
     budget: int = Field(ge=1, le=MAX_SCENES_ASKED, description="Scenes the labellers can take.")
     name: Name | None = Field(default=None, description="None: the service names it.")
+    verdicts: WithVerdicts = False
 
 
 class SelectionRequest(BaseModel):
@@ -82,6 +92,7 @@ class SelectionRequest(BaseModel):
     model_config = _STRICT
 
     name: Name
+    verdicts: WithVerdicts = False
 
 
 class SelectionsReply(BaseModel):

@@ -25,7 +25,7 @@ from service.api.messages import (
 from service.curation.activity import ActivityReply, ActivityRequest
 from service.curation.listing import ScenesReply, ScenesRequest
 from service.curation.ranking import RankedScene
-from service.curation.rates import RateRow, RatesRequest, rates
+from service.curation.rates import RateRow, RatesRequest, rates, with_judged
 from service.curation.selection import Selection, SelectionSummary
 from service.curation.status import ParkedWork, Status
 from service.curation.verdicts import (
@@ -141,7 +141,7 @@ class StateReader:
         """Rank every current scene, best first, and return at most `most`; None: all."""
         asked = checked_request(TopRequest, most=most)
         with self._ledger() as ledger:
-            return ledger.ranking(most=asked.most)
+            return ledger.verdicts.with_verdicts(ledger.ranking(most=asked.most))
 
     @contextmanager
     def _ledger_to_write(self, *, what: str) -> Iterator[Ledger]:
@@ -174,16 +174,17 @@ class StateReader:
         asked = checked_request(SelectRequest, budget=budget, name=name)
         with self._ledger_to_write(what="select") as ledger:
             chosen = ledger.select(budget=asked.budget)
-            return ledger.selections.save(asked.name, budget=asked.budget, scenes=chosen)
+            stored = ledger.selections.save(asked.name, budget=asked.budget, scenes=chosen)
+            return ledger.verdicts.in_selection(stored)
 
     def selection(self, name: str) -> Selection:
         """Return the stored selection of this name."""
         asked = checked_request(SelectionRequest, name=name)
         with self._ledger() as ledger:
             found = ledger.selections.one(asked.name)
-        if found is None:
-            raise no_such_selection(name)
-        return found
+            if found is None:
+                raise no_such_selection(name)
+            return ledger.verdicts.in_selection(found)
 
     def selections(self) -> list[SelectionSummary]:
         """List every stored selection without its scenes, oldest first."""
@@ -234,7 +235,8 @@ class StateReader:
     def rates(self, request: RatesRequest) -> list[RateRow]:
         """Count contradictions by group."""
         with self._ledger() as ledger:
-            return rates(ledger.rate_sums(request), request.by)
+            rows = rates(ledger.rate_sums(request), request.by)
+            return with_judged(rows, request, ledger.verdicts.judged_scenes())
 
     def status(self) -> Status:
         """Return the progress of planning and mining."""

@@ -3,11 +3,12 @@
 import time
 from collections.abc import Callable, Iterator, Sequence
 from threading import Event
-from typing import Final
+from typing import Any, Final
 
 import structlog
 from pydantic import BaseModel
 
+from schemas.errors import PermanentError
 from schemas.runtime.retry import StoppedError
 from schemas.score import SceneScore
 from schemas.transport import keys
@@ -83,21 +84,17 @@ class ControlClient:
 
     def top(self, most: int | None = None) -> list[RankedScene]:
         """Rank every current scene, best first, and return at most `most`; None: all."""
-        return list(
-            decode(TopReply, self._ask("top", checked_request(TopRequest, most=most))).scenes
-        )
+        return list(decode(TopReply, self._ask_with_verdicts("top", TopRequest, most=most)).scenes)
 
     def select(self, *, budget: int, name: str | None = None) -> Selection:
         """Store the best distinct scenes as a named selection, and publish it."""
         return decode(
-            Selection, self._ask("select", checked_request(SelectRequest, budget=budget, name=name))
+            Selection, self._ask_with_verdicts("select", SelectRequest, budget=budget, name=name)
         )
 
     def selection(self, name: str) -> Selection:
         """Return the stored selection of this name."""
-        return decode(
-            Selection, self._ask("selection", checked_request(SelectionRequest, name=name))
-        )
+        return decode(Selection, self._ask_with_verdicts("selection", SelectionRequest, name=name))
 
     def selections(self) -> list[SelectionSummary]:
         """List every stored selection without its scenes, oldest first."""
@@ -118,7 +115,9 @@ class ControlClient:
 
     def rates(self, request: RatesRequest) -> list[RateRow]:
         """Return the rate of contradictions by group."""
-        return list(decode(RatesReply, self._ask("rates", request)).rows)
+        asked = request.model_dump(exclude={"verdicts"})
+        reply = self._ask_with_verdicts("rates", RatesRequest, **asked)
+        return list(decode(RatesReply, reply).rows)
 
     def scene(self, scene_id: str) -> SceneScore:
         """Return the record of a current scene."""
@@ -170,6 +169,15 @@ class ControlClient:
     def choices(self) -> ChoicesReply:
         """Return the values that filters and verdicts choose from."""
         return decode(ChoicesReply, self._ask("choices"))
+
+    def _ask_with_verdicts(self, verb: str, kind: type[BaseModel], **fields: Any) -> bytes:
+        """Request rows with their verdicts; without, from a service that knows none."""
+        try:
+            return self._ask(verb, checked_request(kind, **fields, verdicts=True))
+        except PermanentError as error:
+            if "verdicts: " not in str(error):
+                raise
+            return self._ask(verb, checked_request(kind, **fields))
 
     def _ask(self, verb: str, request: BaseModel | None = None) -> bytes:
         with client_session(self._connect) as session:

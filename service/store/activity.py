@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from sqlalchemy import ColumnElement, Connection, Table, case, distinct, func, select
+from sqlalchemy import ColumnElement, Connection, Table, case, func, select
 
 from schemas.arrays import NS_PER_S
 from schemas.verdict import DECIDED, RIGHT, Verdict
@@ -20,6 +20,7 @@ from service.curation.activity import (
     RecordedBucket,
 )
 from service.curation.verdicts import CAUSES, MAX_CHOICES, ChoicesReply, Precision, precision_of
+from service.store.listed_scenes import names_in
 from service.store.tables import LISTED_SCENES, LISTING_FINDINGS, LISTING_SOURCES, VERDICTS
 
 _BUCKET_S: Final = {"hour": 3600, "day": 86_400}
@@ -43,12 +44,12 @@ def choices(connection: Connection, *, causes: Sequence[str]) -> ChoicesReply:
     sources, findings = LISTING_SOURCES.c, LISTING_FINDINGS.c
 
     def values(column: ColumnElement[Any]) -> tuple[str, ...]:
-        found = connection.execute(select(distinct(column)).order_by(column).limit(MAX_CHOICES))
+        found = connection.execute(select(column).distinct().order_by(column).limit(MAX_CHOICES))
         return tuple(found.scalars())
 
     def members(column: ColumnElement[Any]) -> tuple[str, ...]:
-        sets = connection.execute(select(distinct(column))).scalars()
-        return tuple(sorted({name for each in sets for name in _names(each)}))[:MAX_CHOICES]
+        sets = connection.execute(select(column).distinct()).scalars()
+        return tuple(sorted({name for each in sets for name in names_in(each)}))[:MAX_CHOICES]
 
     return ChoicesReply(
         vehicles=values(sources.vehicle),
@@ -140,7 +141,7 @@ def _groups(
     findings = _by_number(connection, request, _C.finding, LISTING_FINDINGS)
     yield from _of("vehicle", ((row, (row.vehicle,)) for row in sources), verdicts)
     yield from _of("version", ((row, (row.software_version,)) for row in sources), verdicts)
-    yield from _of("kind", ((row, _names(row.kinds)) for row in findings), verdicts)
+    yield from _of("kind", ((row, names_in(row.kinds)) for row in findings), verdicts)
 
 
 def _by_number(
@@ -185,7 +186,7 @@ def _of(
 
 def _groups_of(by: ActivityBy, verdict: Any) -> Sequence[str]:
     if by == "kind":
-        return _names(verdict.kinds)
+        return names_in(verdict.kinds)
     return (verdict.vehicle if by == "vehicle" else verdict.software_version,)
 
 
@@ -203,11 +204,6 @@ def _is_within(verdict: Any, request: ActivityRequest) -> bool:
     return bool(
         at_ns >= request.since_ns and (request.until_ns is None or at_ns < request.until_ns)
     )
-
-
-def _names(each: str) -> list[str]:
-    """Read a set that `set_of` wrote."""
-    return each.strip("|").split("|") if each else []
 
 
 def _rate(contradicting: Any, compared: Any) -> float:
