@@ -1,14 +1,17 @@
 """Verb `review`: the page on which scenes are looked at and judged."""
 
+import subprocess
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from functools import partial
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
+from schemas.errors import TransientError
 from service.cli.options import (
     Artifacts,
     Config,
@@ -21,19 +24,25 @@ from service.cli.options import (
 )
 from service.cli.output import remark
 from service.cli.scenes import reader
-from service.errors import UsageError
+from service.errors import StateOutdatedError, UsageError
 from service.settings.config import Settings
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
 
+OPEN: Final = "look at the scenes and judge them"
+
 STOPPING: Final = "stopping: the page is closed; every verdict that was answered is stored"
 
 NEEDS_EXTRA: Final = (
-    "the review page needs the extra `review`: pip install 'counterpoint[review]' ({} is missing)"
+    "the review page needs the extra `review`: pip install 'counterpoint[review]' (missing: {})"
 )
 
+_LIBRARIES: Final = ("fastapi", "jinja2", "python_multipart", "uvicorn")
+
 _LOOK_S: Final = 0.5
+_END_S: Final = 8.0
+"""Time for the process of the page to end, seconds."""
 
 _EVERYWHERE: Final = frozenset({"0.0.0.0", "::"})  # noqa: S104
 """Addresses that mean every address of a machine, and name none."""
@@ -72,8 +81,12 @@ def review(
     A service that runs on the state stores the verdicts; without one, this command does. The page
     has no password: on any other address than the loopback, who reaches it can judge.
     """
+    from service.client import ControlClient
+
     need_extra()
-    reader(config, connect=connect, state=state, database=database)  # refuses a wrong source
+    is_state = not isinstance(
+        reader(config, connect=connect, state=state, database=database), ControlClient
+    )
     settings = settings_for(
         config,
         connect=connect,
@@ -87,13 +100,57 @@ def review(
     )
     from schemas.runtime.process import stop_on_signals
 
-    is_state = state is not None or database is not None or not settings.connect
+    if is_state:
+        bring_up_to_date(settings)
     with stop_on_signals(partial(remark, STOPPING)) as stop:
         if end_with_stdin:
             threading.Thread(target=_wait_for_end, args=(stop,), daemon=True).start()
         with page_of(settings, is_state=is_state) as thread:
             while thread.is_alive() and not stop.wait(_LOOK_S):
                 pass
+
+
+def serve_until_stopped(settings: Settings) -> None:
+    """Serve the page of a state until Ctrl-C, on a free port if its own is taken."""
+    from schemas.runtime.process import stop_on_signals
+
+    with stop_on_signals(partial(remark, STOPPING)) as stop, ExitStack() as opened:
+        try:
+            thread = opened.enter_context(page_of(settings, is_state=True))
+        except TransientError:
+            free = settings.model_copy(update={"review_listen": "127.0.0.1:0"})
+            thread = opened.enter_context(page_of(free, is_state=True))
+        remark(f"{OPEN}: open the address in a browser; end with Ctrl-C")
+        while thread.is_alive() and not stop.wait(_LOOK_S):
+            pass
+
+
+@contextmanager
+def review_process(flags: Mapping[str, object]) -> Iterator[None]:
+    """Run `counterpoint review` as a process of its own within a `with` block.
+
+    It prints its address itself. It ends with this process, however that ends.
+
+    Args:
+        flags: Values of its options by name; None: it is not given.
+    """
+    arguments = [
+        part
+        for name, value in flags.items()
+        if value is not None
+        for part in (f"--{name.replace('_', '-')}", str(value))
+    ]
+    command = [sys.executable, "-P", "-m", "service.cli", "review", "--end-with-stdin", *arguments]
+    with subprocess.Popen(command, stdin=subprocess.PIPE) as process:  # noqa: S603
+        try:
+            yield
+        finally:
+            if process.stdin is not None:
+                process.stdin.close()
+            try:
+                process.wait(_END_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
 
 
 @contextmanager
@@ -140,19 +197,40 @@ def _app_of(settings: Settings, hosts: frozenset[str], *, is_state: bool) -> "Fa
     return make_app(client, WebSettings(place, key, hosts, logs=settings.bucket))
 
 
+def bring_up_to_date(settings: Settings) -> None:
+    """Migrate the state of an earlier version, as a service does at its start.
+
+    Raises:
+        StateInUseError: If a service of that version runs on it.
+    """
+    from service.store.opening import open_ledger_store, open_ledger_store_to_read, sole_service
+    from service.store.state import StateLock
+
+    try:
+        open_ledger_store_to_read(settings).close()
+    except StateOutdatedError:
+        with StateLock(settings.state), sole_service(settings):
+            open_ledger_store(settings).close()
+        remark(f"the state was brought up to date: {settings.state}")
+
+
+def has_extra() -> bool:
+    """Return true if the libraries of the page are installed."""
+    return not _missing()
+
+
 def need_extra() -> None:
     """Refuse to start without the libraries of the page.
 
     Raises:
         UsageError: If one is missing; the message names the extra.
     """
-    try:
-        import fastapi  # noqa: F401
-        import jinja2  # noqa: F401
-        import python_multipart  # noqa: F401
-        import uvicorn  # noqa: F401
-    except ModuleNotFoundError as error:
-        raise UsageError(NEEDS_EXTRA.format(error.name)) from None
+    if missing := _missing():
+        raise UsageError(NEEDS_EXTRA.format(", ".join(missing)))
+
+
+def _missing() -> list[str]:
+    return [name for name in _LIBRARIES if find_spec(name) is None]
 
 
 def _wait_for_end(stop: threading.Event) -> None:

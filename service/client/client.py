@@ -86,10 +86,15 @@ class ControlClient:
         """Rank every current scene, best first, and return at most `most`; None: all."""
         return list(decode(TopReply, self._ask_with_verdicts("top", TopRequest, most=most)).scenes)
 
-    def select(self, *, budget: int, name: str | None = None) -> Selection:
-        """Store the best distinct scenes as a named selection, and publish it."""
+    def select(
+        self, *, budget: int, name: str | None = None, scenes: Sequence[str] | None = None
+    ) -> Selection:
+        """Store the best distinct scenes, or these, as a named selection, and publish it."""
         return decode(
-            Selection, self._ask_with_verdicts("select", SelectRequest, budget=budget, name=name)
+            Selection,
+            self._ask_with_verdicts(
+                "select", SelectRequest, budget=budget, name=name, scenes=scenes
+            ),
         )
 
     def selection(self, name: str) -> Selection:

@@ -14,7 +14,17 @@ from starlette.staticfiles import StaticFiles
 from schemas.errors import PermanentError, TransientError
 from service.api.reader import Reader
 from service.errors import NothingFoundError
-from service.web import dashboard, live, ranking, reviewer, scene_page, thumbnails, verdicts
+from service.web import (
+    agreement,
+    dashboard,
+    live,
+    ranking,
+    reviewer,
+    scene_page,
+    selections,
+    thumbnails,
+    verdicts,
+)
 from service.web.context import STATIC, environment, render, wants_json
 from service.web.progress import Progress
 from service.web.overlay_cache import OpenOverlays
@@ -22,7 +32,17 @@ from service.web.security import Guard
 from service.web.settings import WebSettings
 from service.web.visitor import Visitors
 
-PAGES: Final = (ranking, scene_page, dashboard, verdicts, thumbnails, live, reviewer)
+PAGES: Final = (
+    ranking,
+    scene_page,
+    dashboard,
+    selections,
+    agreement,
+    verdicts,
+    thumbnails,
+    live,
+    reviewer,
+)
 """Modules of pages, each with its `router`."""
 
 NO_PAGE: Final = "there is no such page"

@@ -19,6 +19,13 @@ HERE: Final = Path(__file__).resolve().parent
 STATIC: Final = HERE / "static"
 
 
+_AGAIN: Final = (
+    '<!doctype html><meta http-equiv="refresh" content="0"><title>Counterpoint</title>'
+    '<p>Opening the page. <a href="">Open it</a></p>'
+)
+"""Page that opens the same address again, from here, so that the browser sends the cookie."""
+
+
 def _shown(value: object) -> object:
     """Make terminal escapes and marks of writing direction visible in whatever a template prints.
 
@@ -93,6 +100,9 @@ def page_context(request: Request) -> dict[str, Any]:
 
 def render(request: Request, template: str, *, status: int = 200, **context: Any) -> Response:
     """Answer with a page, and set the cookie of a visitor who has none of this state."""
+    visitor_of(request)
+    if request.state.is_new and request.headers.get("sec-fetch-site") == "cross-site":
+        return HTMLResponse(_AGAIN)  # a page elsewhere has a link to us: the cookie was not sent
     templates = cast(Environment, request.app.state.templates)
     text = templates.get_template(template).render(page_context(request) | context)
     response = HTMLResponse(text, status_code=status)

@@ -129,7 +129,7 @@ def _disagreement(buckets: Sequence[RecordedBucket], per: ActivityPer) -> Chart:
         [
             Sample(
                 each.time_ms // _SPAN_MS[per],
-                _label(each.time_ms, per),
+                _tick(each.time_ms, per),
                 each.disagreement_rate,
                 f"{_label(each.time_ms, per)}: {percent(each.disagreement_rate, 2)} of the points, "
                 f"{counted(each.scenes, 'scene')}",
@@ -146,7 +146,7 @@ def _recorded(buckets: Sequence[RecordedBucket], per: ActivityPer) -> Chart:
         [
             Sample(
                 each.time_ms // _SPAN_MS[per],
-                _label(each.time_ms, per),
+                _tick(each.time_ms, per),
                 each.scenes,
                 f"{_label(each.time_ms, per)}: {counted(each.scenes, 'scene')}, mean score "
                 f"{each.mean_score:.3f}",
@@ -162,7 +162,7 @@ def _precision(buckets: Sequence[JudgedBucket], per: ActivityPer) -> Chart:
         [
             Sample(
                 each.time_ms // _SPAN_MS[per],
-                _label(each.time_ms, per),
+                _tick(each.time_ms, per),
                 each.so_far.share,
                 f"{_label(each.time_ms, per)}: precision so far {_phrase(each.so_far)}, "
                 f"{each.so_far.right} of {each.so_far.judged}",
@@ -181,7 +181,7 @@ def _judged(buckets: Sequence[JudgedBucket], per: ActivityPer) -> Chart:
         [
             Sample(
                 each.time_ms // _SPAN_MS[per],
-                _label(each.time_ms, per),
+                _tick(each.time_ms, per),
                 each.verdicts,
                 f"{_label(each.time_ms, per)}: {counted(each.verdicts, 'verdict')}",
                 "/?judged=yes&sort=judged",
@@ -222,7 +222,13 @@ def _label(time_ms: int, per: ActivityPer) -> str:
         at = datetime.fromtimestamp(time_ms / 1000, tz=UTC)
     except (OverflowError, ValueError, OSError):  # a clock that was never set
         return str(time_ms)
-    return f"{at:%m-%d %H:%M}" if per == "hour" else f"{at:%Y-%m-%d}"
+    return f"{at:%Y-%m-%d %H:%M}" if per == "hour" else f"{at:%Y-%m-%d}"
+
+
+def _tick(time_ms: int, per: ActivityPer) -> str:
+    """Return a label of the time axis, which leaves out the year and, of hours, the month."""
+    label = _label(time_ms, per)
+    return label[8:] if per == "hour" else label[5:]
 
 
 def _recorded_in(time_ms: int, per: ActivityPer) -> str:

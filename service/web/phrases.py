@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 from typing import Final
 
 from schemas.arrays import NS_PER_S
+from schemas.bounds import MAX_INTEGER
 from service.curation.scene_names import begins
 
 _UNIT: Final = re.compile(r"(\d) (m/s|m|s|%)(?![\w/])")
@@ -93,6 +94,19 @@ def interval(share: float, low: float, high: float) -> str:
     return f"{share:.2f} ({low:.2f} to {high:.2f})"
 
 
+def scene_name(scene_id: str) -> str:
+    """Return a short name of a scene by its id: last part of the log, and its begin in UTC."""
+    parts = scene_id.rsplit("/", 3)
+    if len(parts) < 3 or not parts[-1].isdecimal() or int(parts[-1]) > MAX_INTEGER:
+        return scene_id
+    return f"{parts[-3]}@{begins(int(parts[-1]))}"
+
+
+def strategy_name(strategy: str) -> str:
+    """Return in words by what a selection was chosen."""
+    return {"best-distinct": "best distinct", "chosen": "chosen by hand"}.get(strategy, strategy)
+
+
 def with_units(text: str) -> str:
     """Join each number with its unit, so that no line breaks between them."""
     return _UNIT.sub("\\1\u00a0\\2", text)
@@ -110,4 +124,6 @@ FILTERS: Final[Mapping[str, Callable[..., str]]] = {
     "grouped": grouped,
     "counted": counted,
     "with_units": with_units,
+    "scene_name": scene_name,
+    "strategy_name": strategy_name,
 }

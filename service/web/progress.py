@@ -55,11 +55,11 @@ def summary(found: AgreementReply, *, reviewer: str, budget: int) -> dict[str, A
 
     Args:
         found: Sums over the verdicts.
-        reviewer: The reviewer; empty: not known yet.
+        reviewer: The reviewer; empty: not known yet, and the scenes of all count.
         budget: Number of scenes that the reviewer chose; the size of a selection goes before it.
     """
     mine = next((each for each in found.pace if each.reviewer == reviewer), None)
-    judged = mine.scenes if mine else 0
+    judged = mine.scenes if mine else 0 if reviewer else found.scenes
     budget = found.budget or budget
     parts = []
     if budget:
