@@ -26,8 +26,8 @@ from service.web import (
     verdicts,
 )
 from service.web.context import STATIC, environment, render, wants_json
-from service.web.progress import Progress
 from service.web.overlay_cache import OpenOverlays
+from service.web.progress import Progress
 from service.web.security import Guard
 from service.web.settings import WebSettings
 from service.web.visitor import Visitors

@@ -107,8 +107,11 @@ class OpenOverlays:
     def _keep(self, key: tuple[str, str], opened: OverlayFile) -> None:
         with self._lock:
             self._kept[key] = opened
-            while len(self._kept) > 1 and sum(map(_bytes_of, self._kept.values())) > self._max_bytes:
+            while len(self._kept) > 1 and self._open_bytes() > self._max_bytes:
                 self._kept.popitem(last=False)
+
+    def _open_bytes(self) -> int:
+        return sum(map(_bytes_of, self._kept.values()))
 
 
 def _bytes_of(opened: OverlayFile) -> int:

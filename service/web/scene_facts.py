@@ -1,4 +1,4 @@
-"""Facts of a scene for the viewer in the browser: frames, tracks, boxes, pictures, colours. Pure."""
+"""Facts of a scene for the viewer in the browser: frames, tracks, pictures and colours. Pure."""
 
 from collections.abc import Sequence
 from typing import Any, Final
@@ -6,7 +6,7 @@ from typing import Any, Final
 from schemas.arrays import NS_PER_S
 from schemas.attribution import Wrong
 from schemas.contradiction import TrackRecord
-from schemas.score import SceneScore
+from schemas.score import MIN_REPORTED_STRENGTH, SceneScore
 from schemas.task import Task, task_named
 from schemas.transport.overlay_header import OverlayHeader, PictureEntry
 from service.pictures.style import Colour, colours_of, inks_of, meaning
@@ -110,6 +110,7 @@ def _track_facts(track: TrackRecord, task: Task, boxes: list[list[float]]) -> di
         "id": track.track_id,
         "label": label_of(track),
         "verdict": attribution_of(track),
+        "strong": track.strength >= MIN_REPORTED_STRENGTH,
         "ink": inks_of(task)[kind.code],
         "safe": SAFE_WITNESS if kind.of_witness else safe[kind.code],
         "boxes": boxes,

@@ -7,7 +7,7 @@ from typing import Final
 from schemas.arrays import NS_PER_S
 from schemas.contradiction import TrackRecord
 from schemas.frame import OdometryState
-from schemas.score import SceneScore
+from schemas.score import MIN_REPORTED_STRENGTH, SceneScore
 from service.curation.listing import ListedScene
 from service.curation.ranking import Neighbour
 from service.curation.twins import ShownScene, same_thing
@@ -28,6 +28,7 @@ class TrackStory:
     Attributes:
         track: Its record.
         label: Number and class.
+        is_strong: True for a reason of the score, and for the first track in any case.
         headline: Of its reason; empty where it is no reason.
         chances: Name and probability of each attribution, the most probable first.
         supporting: Evidence for the attribution with the length of its bar, the weightiest first.
@@ -40,6 +41,7 @@ class TrackStory:
 
     track: TrackRecord
     label: str
+    is_strong: bool
     headline: str
     chances: tuple[tuple[str, float], ...]
     supporting: tuple[tuple[str, float], ...]
@@ -109,18 +111,18 @@ def around(rows: Iterable[ListedScene], score: SceneScore) -> list[ListedScene]:
     return [*before[-MOST_NEIGHBOURS:], *after[:MOST_NEIGHBOURS]]
 
 
-def same_things(score: SceneScore, others: Sequence[SceneScore]) -> dict[str, list[str]]:
+def same_things(score: SceneScore, others: Sequence[SceneScore]) -> dict[str, list[int]]:
     """Find tracks of neighbouring scenes that are the same thing as a track of this one.
 
     Returns:
-        Labels of this scene's tracks that a neighbour shows too, by the neighbour's id.
+        Ids of this scene's tracks that a neighbour shows too, by the neighbour's id.
     """
     mine = _shown(score)
-    found: dict[str, list[str]] = {}
+    found: dict[str, list[int]] = {}
     for other in others:
         theirs = _shown(other)
         shared = [
-            label_of(track)
+            track.track_id
             for track in mine.tracks
             if any(same_thing(one, theirs, track, mine) for one in theirs.tracks)
         ]
@@ -129,13 +131,18 @@ def same_things(score: SceneScore, others: Sequence[SceneScore]) -> dict[str, li
     return found
 
 
+def is_strong(score: SceneScore, track: TrackRecord) -> bool:
+    """Return true for a track that is a reason of the score, and for the first one."""
+    return track.strength >= MIN_REPORTED_STRENGTH or track is score.tracks[0]
+
+
 def _shown(score: SceneScore) -> ShownScene:
     at = Neighbour(score.scene_id, score.start_ns, score.end_ns)
     return ShownScene(
         at,
         odom=(score.log_id, score.lidar_topic, score.producers.pipeline_version),
         driven_m=score.odometry.distance_m,
-        tracks=score.tracks,
+        tracks=tuple(track for track in score.tracks if is_strong(score, track)),
     )
 
 
@@ -160,6 +167,7 @@ def _story(score: SceneScore, track: TrackRecord, headline: str) -> TrackStory:
     return TrackStory(
         track=track,
         label=label_of(track),
+        is_strong=is_strong(score, track),
         headline=headline,
         chances=tuple(sorted(chances, key=lambda pair: -pair[1])),
         supporting=_weighted(found.supporting if found else ()),

@@ -57,8 +57,8 @@ export function table(style, task) {
     const chosen = code & (OF_TRACK | SELECTED);
     const ground = (code & GROUND) !== 0 && plain;
     if (ground && style.ground === "hidden") continue;
-    let share = plain ? 0.72 : chosen ? 1 : 0.8;
-    if (ground) share = style.ground === "dim" ? 0.34 : 0.72;
+    let share = plain ? 0.85 : chosen ? 1 : 0.8;
+    if (ground) share = style.ground === "dim" ? 0.36 : 0.85;
     if (outcome === many * many && plain) share *= 0.75;
     colours[code] = pixel(rgb, code & SELECTED ? 1.12 : share);
     sizes[code] = code & SELECTED ? 3 : chosen ? 2 : plain ? 1 : 2;

@@ -12,6 +12,7 @@ import { css } from "./colours.js";
  * @property {number} id
  * @property {string} label
  * @property {string} verdict Who errs, with the probability.
+ * @property {boolean} strong True for a reason of the score; weaker ones are drawn when selected.
  * @property {Rgb} ink
  * @property {Rgb} safe
  * @property {number[][]} boxes Frame, centre x, y, z, length, width, height and yaw, in turn.
@@ -219,8 +220,9 @@ export class Marks {
     const extent = this.extent(track, frame, poses);
     if (!extent) return;
     const { context, ratio } = this;
-    const words = selected && track.verdict ? `${track.label} · ${track.verdict}` : track.label;
-    const size = (selected ? 15 : 12) * ratio;
+    const roomy = this.width > 420 * ratio;
+    const words = selected && roomy && track.verdict ? `${track.label} · ${track.verdict}` : track.label;
+    const size = (selected && roomy ? 15 : 12) * ratio;
     context.font = `${selected ? 650 : 550} ${size}px system-ui, sans-serif`;
     const wide = context.measureText(words).width + size;
     const tall = size * 1.55;

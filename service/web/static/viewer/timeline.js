@@ -5,9 +5,9 @@ import { css } from "./colours.js";
 
 /** @typedef {import("./viewer.js").Viewer} Viewer */
 
-const ROW = 7;
+const ROW = 11;
 const GAP = 2;
-const MOST_ROWS = 6;
+const MOST_ROWS = 5;
 const FASTEST_MS = 60;
 
 export class Timeline {
@@ -33,15 +33,14 @@ export class Timeline {
       if (track) onTrack(track.id);
     });
     new ResizeObserver(() => this.draw()).observe(this.strip);
-    this.strip.style.height = `${Math.max(1, this.rows().length) * (ROW + GAP)}px`;
   }
 
   /** Tracks with a row: the strongest ones, and the selected one in any case. */
   rows() {
     const { tracks } = this.viewer.scene;
-    const rows = tracks.slice(0, MOST_ROWS);
+    const rows = tracks.filter((each, i) => each.strong || i === 0).slice(0, MOST_ROWS);
     const chosen = tracks.find((each) => each.id === this.viewer.selected);
-    if (chosen && !rows.includes(chosen)) rows[rows.length - 1] = chosen;
+    if (chosen && !rows.includes(chosen)) rows.splice(MOST_ROWS - 1, 1, chosen);
     return rows;
   }
 
@@ -71,6 +70,8 @@ export class Timeline {
 
   /** Show where in time the view is, and draw the strip. */
   draw() {
+    const rows = this.rows();
+    this.strip.style.height = `${Math.max(1, rows.length) * (ROW + GAP)}px`;
     const { frame, scene, selected, style, frames } = this.viewer;
     this.scrub.value = String(frame);
     const { seconds } = scene.frames[frame];
@@ -84,7 +85,7 @@ export class Timeline {
     const context = /** @type {CanvasRenderingContext2D} */ (this.strip.getContext("2d"));
     context.clearRect(0, 0, width, height);
     const cell = width / scene.frames.length;
-    this.rows().forEach((track, row) => {
+    rows.forEach((track, row) => {
       const top = row * (ROW + GAP) * ratio;
       const here = new Set(track.boxes.map((box) => box[0]));
       const ink = style.safe ? track.safe : track.ink;
@@ -94,6 +95,10 @@ export class Timeline {
         context.fillStyle = css(here.has(i) ? ink : [128, 136, 150], here.has(i) ? share : share + 0.1);
         context.fillRect(i * cell + ratio / 2, top, Math.max(1, cell - ratio), ROW * ratio);
       });
+      context.font = `650 ${10 * ratio}px system-ui, sans-serif`;
+      context.fillStyle = strong ? "rgb(10 11 14)" : getComputedStyle(this.strip).color;
+      const begin = track.boxes[0][0] * cell;
+      context.fillText(String(track.id + 1), begin + 4 * ratio, top + 9 * ratio);
     });
     context.fillStyle = "rgb(128 136 150 / 0.35)";
     scene.frames.forEach((_, i) => {

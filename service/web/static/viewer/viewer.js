@@ -124,13 +124,16 @@ export class Viewer {
     this.space.target = [target[0], target[1], target[2]];
     this.space.yaw = box && away > 2 ? Math.atan2(dy, dx) : heading;
     this.space.pitch = box ? 0.42 : 0.6;
-    this.space.distance = box ? Math.min(60, Math.max(11, 3.4 * size, 1.5 * way)) : 45;
+    this.space.distance = box ? Math.min(60, Math.max(9, 2.9 * size, 0.9 * way)) : 45;
     this.top.target = [target[0], target[1], target[2]];
     this.top.yaw = heading;
-    this.top.distance = box ? Math.min(120, Math.max(34, 6 * size, 2 * way, 1.3 * away)) : 80;
-    if (box && away < 60) {
-      this.top.target[0] -= dx * 0.3;
-      this.top.target[1] -= dy * 0.3;
+    this.top.distance = box ? Math.min(120, Math.max(30, 6 * size, 1.6 * way)) : 80;
+    if (box && away < 45) {
+      const { clientWidth: wide, clientHeight: tall } = this.panes[1].canvas;
+      const shape = Math.max(0.4, Math.min(1, wide / Math.max(1, tall)));
+      this.top.distance = Math.max(this.top.distance, (1.15 * (away + size + 5)) / shape);
+      this.top.target[0] -= dx / 2;
+      this.top.target[1] -= dy / 2;
     }
     this.draw();
   }
@@ -263,7 +266,9 @@ export class Viewer {
    * @returns {[Track, import("./colours.js").Rgb, boolean][]}
    */
   #shown() {
-    const tracks = this.scene.tracks.filter((each) => this.everyTrack || each.id === this.selected);
+    const tracks = this.scene.tracks.filter(
+      (each) => each.id === this.selected || (this.everyTrack && each.strong),
+    );
     tracks.sort((a, b) => Number(a.id === this.selected) - Number(b.id === this.selected) || b.id - a.id);
     return tracks.map((each) => [each, this.style.safe ? each.safe : each.ink, each.id === this.selected]);
   }
