@@ -219,9 +219,7 @@ def _causes(source: Reader) -> list[tuple[str, str]]:
     return [(name, CAUSES.get(name, name)) for name in source.choices().causes]
 
 
-def _block(
-    request: Request, scene_id: str, digest: str, *, kind: str, number: int
-) -> Response:
+def _block(request: Request, scene_id: str, digest: str, *, kind: str, number: int) -> Response:
     """Answer with a block; browsers undo zstd themselves where they ask for it.
 
     Over plain HTTP on another host Chromium does not ask, and fails when it is sent.
@@ -249,5 +247,3 @@ def _kept(
     if request.headers.get("if-none-match") == etag:
         return Response(status_code=304, headers=kept)
     return Response(data, media_type=media_type, headers=kept)
-
-

@@ -7,7 +7,7 @@ from typing import Final
 from schemas.arrays import NS_PER_S
 from schemas.contradiction import TrackRecord
 from schemas.frame import OdometryState
-from schemas.score import MIN_REPORTED_STRENGTH, SceneScore
+from schemas.score import MIN_REPORTED_STRENGTH, Reason, SceneScore
 from service.curation.listing import ListedScene
 from service.curation.ranking import Neighbour
 from service.curation.twins import ShownScene, same_thing
@@ -54,8 +54,8 @@ class TrackStory:
 
 def stories_of(score: SceneScore) -> list[TrackStory]:
     """Return the tracks of a record, strongest first."""
-    headlines = {reason.track_id: reason.headline for reason in score.reasons}
-    return [_story(score, track, headlines.get(track.track_id, "")) for track in score.tracks]
+    reasons = {reason.track_id: reason for reason in score.reasons}
+    return [_story(score, track, reasons.get(track.track_id)) for track in score.tracks]
 
 
 def blind_spots(score: SceneScore) -> list[tuple[str, str]]:
@@ -146,8 +146,10 @@ def _shown(score: SceneScore) -> ShownScene:
     )
 
 
-def _story(score: SceneScore, track: TrackRecord, headline: str) -> TrackStory:
+def _story(score: SceneScore, track: TrackRecord, reason: Reason | None) -> TrackStory:
     found, strongest = track.attribution, track.strongest
+    supporting = (reason.supporting if reason else ()) or (found.supporting if found else ())
+    opposing = (reason.opposing if reason else ()) or (found.opposing if found else ())
     chances: list[tuple[str, float]] = []
     if found is not None:
         chances = [
@@ -168,10 +170,10 @@ def _story(score: SceneScore, track: TrackRecord, headline: str) -> TrackStory:
         track=track,
         label=label_of(track),
         is_strong=is_strong(score, track),
-        headline=headline,
+        headline=reason.headline if reason else "",
         chances=tuple(sorted(chances, key=lambda pair: -pair[1])),
-        supporting=_weighted(found.supporting if found else ()),
-        opposing=_weighted(found.opposing if found else ()),
+        supporting=_weighted(supporting),
+        opposing=_weighted(opposing),
         measured=tuple(measured),
         first_s=seconds(track.first_ns),
         last_s=seconds(track.last_ns),

@@ -162,7 +162,8 @@ export class Marks {
   }
 
   /**
-   * Draw the box of a track; dashed where it does not contradict in this frame.
+   * Draw the box of a track. Where it does not contradict in this frame only the selected one is
+   * drawn, dashed.
    * @param {Track} track
    * @param {number} frame
    * @param {ArrayLike<number>[]} poses
@@ -174,6 +175,7 @@ export class Marks {
     if (!box) return;
     const { context, ratio } = this;
     const here = box[0] === frame;
+    if (!here && !selected) return;
     const rows = rowsOf(poses[box[0]]);
     const places = corners(box.slice(1), 0.12).map((corner) => apply(rows, corner));
     context.setLineDash(here ? [] : [4 * ratio, 4 * ratio]);
@@ -218,7 +220,7 @@ export class Marks {
    */
   name(track, frame, poses, ink, selected) {
     const extent = this.extent(track, frame, poses);
-    if (!extent) return;
+    if (!extent || (!selected && boxAt(track, frame)[0] !== frame)) return;
     const { context, ratio } = this;
     const roomy = this.width > 420 * ratio;
     const words = selected && roomy && track.verdict ? `${track.label} · ${track.verdict}` : track.label;
