@@ -7,9 +7,11 @@ import { NO_POSITION_CM } from "./codec.js";
 /** Pixels and depths of a view; it grows with the view. */
 export class Surface {
   constructor() {
-    this.width = 0;
-    this.height = 0;
-    this.resize(1, 1);
+    this.width = 1;
+    this.height = 1;
+    this.image = new ImageData(1, 1);
+    this.pixels = new Uint32Array(this.image.data.buffer);
+    this.depths = new Float32Array(1);
   }
 
   /**

@@ -249,7 +249,7 @@ export class Viewer {
       const matrix = fromSensor(rows, poses[this.frame]);
       surface.draw(frame.points, matrix, camera.flat, this.#table(pane.by || this.style.by), ratio);
     }
-    context.putImageData(/** @type {ImageData} */ (surface.image), 0, 0);
+    context.putImageData(surface.image, 0, 0);
     const marks = new Marks(context, rows, camera.flat, surface.width, surface.height, ratio);
     marks.ego(poses[this.frame], camera.flat);
     if (!this.labels) return;
