@@ -93,7 +93,7 @@ def ranking(request: Request) -> Response:
         problem=problem,
         cards=[card_of(scene, filters) for scene in found.rows],
         total=found.total,
-        next=filters.query(after=found.next) if found.next else "",
+        next_page=filters.query(after=found.next) if found.next else "",
         first=filters.query(after=None),
         is_first="after" not in filters.given,
         given=defaultdict(str, filters.given),
