@@ -13,7 +13,8 @@ from schemas.transport.array_pack import MAX_UNPACKED_BYTES, PackUnreadableError
 from schemas.transport.bucket import open_bucket
 from schemas.transport.overlay_codec import decode_overlay, encode_overlay
 from schemas.transport.overlay_version_1 import VERSION_1_MAGIC
-from tests.overlays import encode_version_1, labels_of_points
+from tests.overlays import labels_of_points
+from workers.lab.evaluation.benchmarks.bench_overlay import encode_version_1
 
 ARRAYS = (
     "stamps_ns",

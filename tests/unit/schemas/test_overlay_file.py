@@ -14,8 +14,8 @@ from schemas.transport.array_pack import PackUnreadableError
 from schemas.transport.overlay_codec import decode_overlay, encode_overlay, overlay_file_of
 from schemas.transport.overlay_file import OverlayIsVersion1Error, open_overlay_file
 from schemas.transport.overlay_header import BEGIN, OVERLAY_MAGIC, encoded_header
-from tests.overlays import encode_version_1
 from tests.unit.schemas.test_overlay import _overlay
+from workers.lab.evaluation.benchmarks.bench_overlay import encode_version_1
 
 
 def _reader(payload: bytes) -> tuple[Callable[[int, int], bytes], list[tuple[int, int]]]:
