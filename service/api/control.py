@@ -44,7 +44,7 @@ from service.api.staging import Staging
 from service.api.verbs import VERBS
 from service.curation.activity import ActivityReply, ActivityRequest
 from service.curation.listing import ScenesReply, ScenesRequest
-from service.curation.rates import RatesRequest, rates
+from service.curation.rates import RatesRequest, rates, with_judged
 from service.curation.selection import Selection
 from service.curation.status import Status
 from service.curation.strategies.catalogue import strategy_of
@@ -169,11 +169,17 @@ class Control:
 
     def answer_top(self, request: TopRequest) -> TopReply:
         """List the ranking."""
-        return TopReply(scenes=tuple(self._ledger.ranking(most=request.most)))
+        rows = self._ledger.ranking(most=request.most)
+        if request.verdicts:
+            rows = self._ledger.verdicts.with_verdicts(rows)
+        return TopReply(scenes=tuple(rows))
 
     def answer_rates(self, request: RatesRequest) -> RatesReply:
         """Count contradictions by group."""
-        return RatesReply(rows=tuple(rates(self._ledger.rate_sums(request), request.by)))
+        rows = rates(self._ledger.rate_sums(request), request.by)
+        if request.verdicts:
+            rows = with_judged(rows, request, self._ledger.verdicts.judged_scenes())
+        return RatesReply(rows=tuple(rows))
 
     def answer_select(self, request: SelectRequest) -> Selection:
         """Make, store and publish a selection."""
@@ -185,14 +191,14 @@ class Control:
             strategy=strategy_of(request.scenes),
         )
         self._on_selection(selection)
-        return selection
+        return self._ledger.verdicts.in_selection(selection) if request.verdicts else selection
 
     def answer_selection(self, request: SelectionRequest) -> Selection:
         """Return one stored selection."""
         found = self._ledger.selections.one(request.name)
         if found is None:
             raise no_such_selection(request.name)
-        return found
+        return self._ledger.verdicts.in_selection(found) if request.verdicts else found
 
     def answer_selections(self, _: None) -> SelectionsReply:
         """List every stored selection, without its scenes."""
@@ -246,7 +252,7 @@ class Control:
         return RetryReply(retried=tuple(retried))
 
     def _scene(self, request: SceneRequest) -> StoredScene:
-        stored = self._ledger.scene(request.scene_id)
+        stored = self._ledger.scene(request.scene_id, withdrawn=request.withdrawn)
         if stored is None:
             raise no_such_scene(request.scene_id)
         return stored

@@ -1,7 +1,7 @@
 """Messages of clients to the service, in addition to the leases of `schemas.work`."""
 
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -28,6 +28,14 @@ from service.errors import UsageError
 _STRICT = ConfigDict(frozen=True, extra="forbid")
 
 
+WithVerdicts = Annotated[
+    bool,
+    Field(
+        exclude_if=lambda value: not value,
+        description="Give each row its verdicts; absent: no, since earlier clients refuse them.",
+    ),
+]
+
 Request = TypeVar("Request", bound=BaseModel)
 
 
@@ -50,6 +58,7 @@ class TopRequest(BaseModel):
         le=MAX_SCENES_ASKED,
         description="Number of rows at most; None: all.",
     )
+    verdicts: WithVerdicts = False
 
 
 class TopReply(BaseModel):
@@ -75,6 +84,7 @@ class SelectRequest(BaseModel):
 
     budget: int = Field(ge=1, le=MAX_SCENES_ASKED, description="Scenes the labellers can take.")
     name: Name | None = Field(default=None, description="None: the service names it.")
+    verdicts: WithVerdicts = False
     scenes: tuple[SceneId, ...] | None = Field(
         default=None,
         max_length=MAX_SCENES_CHOSEN,
@@ -89,6 +99,7 @@ class SelectionRequest(BaseModel):
     model_config = _STRICT
 
     name: Name
+    verdicts: WithVerdicts = False
 
 
 class SelectionsReply(BaseModel):
@@ -120,6 +131,11 @@ class SceneRequest(BaseModel):
     model_config = _STRICT
 
     scene_id: SceneId
+    withdrawn: bool = Field(
+        default=False,
+        exclude_if=lambda value: not value,
+        description="Accept the last record of a scene that is no longer current, too.",
+    )
 
 
 class RetryRequest(BaseModel):

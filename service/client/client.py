@@ -3,16 +3,19 @@
 import time
 from collections.abc import Callable, Iterator, Sequence
 from threading import Event
-from typing import Final
+from typing import Any, Final
 
 import structlog
 from pydantic import BaseModel
 
+from schemas.errors import PermanentError
 from schemas.runtime.retry import StoppedError
 from schemas.score import SceneScore
 from schemas.transport import keys
 from schemas.transport.ask import ask_until
 from schemas.transport.bus import client_session
+from schemas.transport.overlay_codec import overlay_file_of
+from schemas.transport.overlay_file import OverlayFile
 from schemas.transport.wire import decode, encode
 from schemas.verdict import VerdictRow
 from service.api.messages import (
@@ -81,22 +84,22 @@ class ControlClient:
 
     def top(self, most: int | None = None) -> list[RankedScene]:
         """Rank every current scene, best first, and return at most `most`; None: all."""
-        return list(
-            decode(TopReply, self._ask("top", checked_request(TopRequest, most=most))).scenes
-        )
+        return list(decode(TopReply, self._ask_with_verdicts("top", TopRequest, most=most)).scenes)
 
     def select(
         self, *, budget: int, name: str | None = None, scenes: Sequence[str] | None = None
     ) -> Selection:
         """Store the best distinct scenes, or these, as a named selection, and publish it."""
-        asked = checked_request(SelectRequest, budget=budget, name=name, scenes=scenes)
-        return decode(Selection, self._ask("select", asked))
+        return decode(
+            Selection,
+            self._ask_with_verdicts(
+                "select", SelectRequest, budget=budget, name=name, scenes=scenes
+            ),
+        )
 
     def selection(self, name: str) -> Selection:
         """Return the stored selection of this name."""
-        return decode(
-            Selection, self._ask("selection", checked_request(SelectionRequest, name=name))
-        )
+        return decode(Selection, self._ask_with_verdicts("selection", SelectionRequest, name=name))
 
     def selections(self) -> list[SelectionSummary]:
         """List every stored selection without its scenes, oldest first."""
@@ -117,13 +120,20 @@ class ControlClient:
 
     def rates(self, request: RatesRequest) -> list[RateRow]:
         """Return the rate of contradictions by group."""
-        return list(decode(RatesReply, self._ask("rates", request)).rows)
+        asked = request.model_dump(exclude={"verdicts"})
+        reply = self._ask_with_verdicts("rates", RatesRequest, **asked)
+        return list(decode(RatesReply, reply).rows)
 
     def scene(self, scene_id: str) -> SceneScore:
         """Return the record of a current scene."""
         return decode(
             SceneScore, self._ask("scene", checked_request(SceneRequest, scene_id=scene_id))
         )
+
+    def record(self, scene_id: str) -> bytes:
+        """Return the record of a scene as published; the last one if it is withdrawn."""
+        asked = checked_request(SceneRequest, scene_id=scene_id, withdrawn=True)
+        return self._ask("scene", asked)
 
     def overlay(self, scene_id: str) -> bytes:
         """Return the overlay of a current scene, encoded."""
@@ -132,6 +142,10 @@ class ControlClient:
     def overlay_place(self, scene_id: str) -> str:
         """Return the name of the source of a scene's overlay, for messages."""
         return f"{scene_id}, from the service at {','.join(self._connect)}"
+
+    def overlay_file(self, scene_id: str) -> OverlayFile:
+        """Open the overlay of a current scene for reading single blocks."""
+        return overlay_file_of(self.overlay(scene_id), where=self.overlay_place(scene_id))
 
     def scenes(self, request: ScenesRequest) -> ScenesReply:
         """Return a page of current scenes."""
@@ -160,6 +174,15 @@ class ControlClient:
     def choices(self) -> ChoicesReply:
         """Return the values that filters and verdicts choose from."""
         return decode(ChoicesReply, self._ask("choices"))
+
+    def _ask_with_verdicts(self, verb: str, kind: type[BaseModel], **fields: Any) -> bytes:
+        """Request rows with their verdicts; without, from a service that knows none."""
+        try:
+            return self._ask(verb, checked_request(kind, **fields, verdicts=True))
+        except PermanentError as error:
+            if "verdicts: " not in str(error):
+                raise
+            return self._ask(verb, checked_request(kind, **fields))
 
     def _ask(self, verb: str, request: BaseModel | None = None) -> bytes:
         with client_session(self._connect) as session:

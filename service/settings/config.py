@@ -42,7 +42,7 @@ MAX_WAIT_S: Final = 1e9
 
 MAX_DAYS: Final = 1e6
 
-NOT_IN_VERSION: Final = frozenset({"bucket", "artifacts", "model", "weights"})
+NOT_IN_VERSION: Final = frozenset({"bucket", "artifacts", "model", "weights", "pictures"})
 """Settings shared by workers that no pipeline version depends on."""
 
 

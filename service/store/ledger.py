@@ -336,14 +336,18 @@ class Ledger:
         with self._store.reading() as connection:
             return scenes.current_scenes(connection, on_damaged=self._store.note_damaged)
 
-    def scene(self, scene_id: str) -> StoredScene | None:
-        """Return the current scene of this id.
+    def scene(self, scene_id: str, *, withdrawn: bool = False) -> StoredScene | None:
+        """Return the current scene of this id; with `withdrawn` else its last record.
 
         Raises:
             RecordDamagedError: If its record is damaged.
         """
+        note = self._store.note_damaged
         with self._store.reading() as connection:
-            return scenes.current_scene(connection, scene_id, on_damaged=self._store.note_damaged)
+            found = scenes.current_scene(connection, scene_id, on_damaged=note)
+            if found is None and withdrawn:
+                return scenes.withdrawn_scene(connection, scene_id, on_damaged=note)
+            return found
 
     def ranking(self, *, most: int | None = None) -> list[RankedScene]:
         """Rank current scenes, best first, and return at most `most`; None: all."""

@@ -42,7 +42,7 @@ from service.store.tables import (
     SCENES,
     VERDICTS,
 )
-from service.store.verdicts import summaries
+from service.store.verdict_rows import summaries
 
 _C: Final = LISTED_SCENES.c
 _IDS_AT_ONCE: Final = 5000

@@ -162,6 +162,25 @@ def current_scene(
     return _scene(row)
 
 
+def withdrawn_scene(
+    connection: Connection, scene_id: str, *, on_damaged: OnDamaged
+) -> StoredScene | None:
+    """Read the last record of a scene that is no longer current; None where it is damaged."""
+    row = connection.execute(
+        _stored()
+        .where(
+            SCENES.c.log_id == scene_id.rsplit("/", 2)[0],  # the index begins with it
+            SCENES.c.scene_id == scene_id,
+            SCENES.c.is_current.is_(False),
+        )
+        .order_by(SCENES.c.withdrawn_seq.desc())
+        .limit(1)
+    ).one_or_none()
+    if row is None or not _is_sound(row, on_damaged):
+        return None
+    return _scene(row)
+
+
 def _is_sound(row: Row[Any], on_damaged: OnDamaged) -> bool:
     if row.withdrawn:  # has no record to compare
         return True

@@ -20,11 +20,13 @@ from service.web import (
     live,
     ranking,
     reviewer,
+    scene_page,
     selections,
     thumbnails,
     verdicts,
 )
 from service.web.context import STATIC, environment, render, wants_json
+from service.web.overlay_cache import OpenOverlays
 from service.web.progress import Progress
 from service.web.security import Guard
 from service.web.settings import WebSettings
@@ -32,6 +34,7 @@ from service.web.visitor import Visitors
 
 PAGES: Final = (
     ranking,
+    scene_page,
     dashboard,
     selections,
     agreement,
@@ -61,6 +64,7 @@ def make_app(source: Reader, settings: WebSettings) -> FastAPI:
     )
     app.state.source, app.state.settings = source, settings
     app.state.closing, app.state.thumbnails = Event(), thumbnails.Thumbnails()
+    app.state.overlays = OpenOverlays()
     app.state.progress, app.state.newest = Progress(), live.Newest()
     app.state.visitors, app.state.templates = Visitors(settings.key), environment()
     for page in PAGES:
