@@ -1,4 +1,4 @@
-"""`counterpoint review` as a process: killed between verdicts, restarted, and ended by its parent."""
+"""`counterpoint review` as a process: killed between verdicts, restarted, ended by its parent."""
 
 import re
 import signal
