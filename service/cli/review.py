@@ -74,7 +74,9 @@ def review(
     config: Config = None,
     log_format: LogFormat = None,
     log_level: LogLevel = None,
-    end_with_stdin: Annotated[bool, typer.Option(hidden=True)] = False,
+    end_with_stdin: Annotated[
+        bool, typer.Option(hidden=True, help="Stop when stdin ends.")
+    ] = False,
 ) -> None:
     """Serve the review page: look at the ranked scenes, judge them, make selections.
 

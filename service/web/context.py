@@ -1,4 +1,4 @@
-"""What every page shares: templates, the visitor, the token, and the form of an answer."""
+"""Common parts of every page: templates, the visitor, the token, and the form of an answer."""
 
 from pathlib import Path
 from typing import Any, Final, cast
@@ -79,9 +79,9 @@ def page_context(request: Request) -> dict[str, Any]:
     """Return what `base.html` and the forms of every page need.
 
     Returns:
-        `token` of the forms, `reviewer`, `budget`, `theme`, `place` (state folder or endpoint),
-        `path` (with its query, to come back to), `section` (the page of the menu, empty for none)
-        and `progress` (budget, pace and precision so far, as a phrase).
+        `token` of the forms, `reviewer`, `budget` and `theme` of the visitor. `place` is the state
+        folder or the endpoint. `path` has its query, for forms to come back to. `section` is the
+        page of the menu; empty: none. `progress` is a phrase of budget, pace and precision so far.
     """
     visitor = visitor_of(request)
     query = f"?{request.url.query}" if request.url.query else ""

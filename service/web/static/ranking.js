@@ -67,15 +67,36 @@ const live = /** @type {HTMLElement} */ (document.querySelector("#live"));
 const query = new URLSearchParams(location.search);
 query.delete("after");
 query.set("since_seq", live.dataset.since ?? "0");
-const events = new EventSource(`/live?${query}`);
-events.addEventListener("scenes", (event) => {
-  const { count } = JSON.parse(/** @type {MessageEvent} */ (event).data);
+/** @type {EventSource | null} */
+let events = null;
+
+/** Listen while the tab is looked at: a browser has six connections to a host for all its tabs. */
+function listen() {
+  if (document.hidden) {
+    events?.close();
+    events = null;
+  } else if (events === null) {
+    events = new EventSource(`/live?${query}`);
+    events.addEventListener("scenes", showNew);
+    events.addEventListener("progress", showProgress);
+  }
+}
+
+function showNew(/** @type {MessageEvent} */ event) {
+  const { count } = JSON.parse(event.data);
   const link = /** @type {HTMLAnchorElement} */ (live.querySelector("a"));
   link.textContent = `${count} new ${count === 1 ? "scene" : "scenes"}: show`;
   live.hidden = count === 0;
-});
-events.addEventListener("progress", (event) => {
+}
+
+function showProgress(/** @type {MessageEvent} */ event) {
   const line = document.querySelector("#progress");
-  if (line) line.textContent = JSON.parse(/** @type {MessageEvent} */ (event).data).text;
+  if (line) line.textContent = JSON.parse(event.data).text;
+}
+
+document.addEventListener("visibilitychange", listen);
+window.addEventListener("pagehide", () => {
+  events?.close();
+  events = null;
 });
-window.addEventListener("pagehide", () => events.close());
+window.addEventListener("pageshow", listen);
