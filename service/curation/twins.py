@@ -81,7 +81,9 @@ def shows_all(better: ShownScene, scene: ShownScene) -> bool:
     """Return true if a scene shows every weighty reason of another one, which has a reason."""
     reasons = scene.reasons
     weighty = [each for each in reasons if each.strength >= WEIGHTY_SHARE * reasons[0].strength]
-    return all(any(same_thing(one, better, each, scene) for one in better.tracks) for each in weighty)
+    return all(
+        any(same_thing(one, better, each, scene) for one in better.tracks) for each in weighty
+    )
 
 
 def same_thing(one: TrackRecord, of: ShownScene, other: TrackRecord, in_scene: ShownScene) -> bool:

@@ -81,7 +81,7 @@ def overlay_of(
 def _kept_classes(
     class_id: NDArray[np.int16], names: Sequence[str]
 ) -> tuple[NDArray[np.int16], tuple[str, ...]]:
-    """Number the classes anew where there are more than an overlay keeps."""
+    """Number the commonest classes from 0 on where there are more than an overlay keeps."""
     if len(names) <= MAX_CLASSES:
         return class_id, tuple(names)
     counts = np.bincount(class_id + 1, minlength=len(names) + 1)[1:]

@@ -34,7 +34,7 @@ class PictureUnreadableError(Exception):
 
 
 def as_recorded(view: CameraView, *, frame: int, tracks: tuple[int, ...]) -> Picture:
-    """Return the picture of a camera's image as it was recorded.
+    """Return the picture of a camera's image with its recorded bytes.
 
     Raises:
         PictureUnreadableError: If it is neither JPEG nor PNG, or is too large.

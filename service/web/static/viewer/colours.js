@@ -89,8 +89,8 @@ function colourOf(style, task, of) {
 }
 
 /**
- * Name the entries of a colouring for the legend.
- * @param {Style} style
+ * Name the entries of a colouring for the legend; `labels`: of one stream's labels.
+ * @param {{by: Style["by"] | "labels", safe: boolean}} style
  * @param {{outcomes: (Outcome & {meaning: string})[], classes: string[]}} task
  * @returns {{name: string, colour: Rgb}[]}
  */
@@ -105,12 +105,11 @@ export function legend(style, task) {
     return [
       { name: "free space: occupied before, so static", colour: SAW_THROUGH },
       { name: "free space: was empty, so dynamic", colour: WITNESS },
-      { name: "not observed before", colour: SILENT },
+      { name: "free space: no label", colour: SILENT },
     ];
   }
-  const who = style.by === "supervised" ? "supervised" : "self-supervised";
   return [
-    ...task.classes.map((name, i) => ({ name: `${who}: ${name}`, colour: set(i * many + i) })),
-    { name: `${who}: no label`, colour: SILENT },
+    ...task.classes.map((name, i) => ({ name, colour: set(i * many + i) })),
+    { name: "no label", colour: SILENT },
   ];
 }

@@ -58,6 +58,8 @@ export class Pictures {
     });
     this.shown = best;
     if (best < 0) return;
+    const seen = selected === null || this.list[best].tracks.includes(selected);
+    this.place.classList.toggle("small", !seen);
     if (!this.images.has(best)) {
       const image = new Image();
       image.addEventListener("load", () => this.draw());
@@ -76,7 +78,11 @@ export class Pictures {
     if (around) this.#paint(this.crop, image, picture, around);
     this.#paint(this.whole, image, picture, [0, 0, picture.width, picture.height]);
     const { seconds } = this.viewer.scene.frames[picture.frame];
-    if (this.caption) this.caption.textContent = `${picture.topic}, ${seconds.toFixed(1)} s`;
+    const { selected } = this.viewer;
+    const blind = selected !== null && !picture.tracks.includes(selected);
+    const where = `${picture.topic.split("/").slice(0, 3).join("/")}, ${seconds.toFixed(1)} s`;
+    const words = blind ? `No kept picture shows track ${selected + 1}. ${where}` : where;
+    if (this.caption) this.caption.textContent = words;
   }
 
   /**
@@ -131,12 +137,13 @@ export class Pictures {
         context.stroke();
         if (!first) continue;
         const words = String(track.id + 1);
-        context.font = `650 ${12 * ratio}px system-ui, sans-serif`;
-        const wide = context.measureText(words).width + 8 * ratio;
-        context.fillStyle = css(ink);
-        context.fillRect(first[0], first[1] - 17 * ratio, wide, 16 * ratio);
+        const size = (chosen ? 13 : 9) * ratio;
+        context.font = `650 ${size}px system-ui, sans-serif`;
+        const wide = context.measureText(words).width + size * 0.6;
+        context.fillStyle = css(ink, chosen ? 1 : 0.85);
+        context.fillRect(first[0], first[1] - 1.4 * size, wide, 1.25 * size);
         context.fillStyle = "rgb(10 11 14)";
-        context.fillText(words, first[0] + 4 * ratio, first[1] - 5 * ratio);
+        context.fillText(words, first[0] + 0.3 * size, first[1] - 0.45 * size);
       }
     }
   }

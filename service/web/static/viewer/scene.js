@@ -45,6 +45,8 @@ class Page {
       (index, frame) => {
         this.viewer.put(index, frame);
         this.timeline.draw();
+        const there = this.viewer.frames.filter((each) => each).length;
+        document.documentElement.dataset.loaded = String(there);
       },
       (index, problem) => this.fail(index, problem),
       (index) => this.viewer.drop(index),
@@ -141,6 +143,7 @@ class Page {
     for (const each of all("[data-layout]")) {
       each.setAttribute("aria-pressed", String(each.dataset.layout === layout));
     }
+    this.legend();
     for (const [id, name] of [["#left-name", "Supervised labels"], ["#right-name", "Self-supervised labels"]]) {
       one(id).hidden = layout !== "labels";
       one(id).textContent = name;
@@ -158,8 +161,17 @@ class Page {
     for (const [name, value] of Object.entries(on)) {
       one(`[data-toggle="${name}"]`).setAttribute("aria-pressed", String(value));
     }
+    this.legend();
+    this.timeline.draw();
+    this.pictures.draw();
+  }
+
+  /** Name the colours that are shown. */
+  legend() {
+    const { style, layout } = this.viewer;
+    const by = layout === "labels" ? /** @type {const} */ ("labels") : style.by;
     one("#legend").replaceChildren(
-      ...legend(style, facts.task).map(({ name, colour }) => {
+      ...legend({ ...style, by }, facts.task).map(({ name, colour }) => {
         const item = document.createElement("li");
         const swatch = document.createElement("i");
         swatch.style.background = css(colour);
@@ -167,8 +179,6 @@ class Page {
         return item;
       }),
     );
-    this.timeline.draw();
-    this.pictures.draw();
   }
 
   /** @param {string} name */

@@ -162,11 +162,14 @@ export class Viewer {
     return best;
   }
 
-  /** Look from the vehicle ahead. */
+  /** Look from the vehicle towards the selected track, or ahead. */
   ego() {
     const { pose } = this.scene.frames[this.frame];
-    this.space.target = apply(rowsOf(pose), [9, 0, 0.2]);
-    this.space.yaw = Math.atan2(pose[4], pose[0]);
+    const track = this.scene.tracks.find((each) => each.id === this.selected);
+    const box = track && boxAt(track, this.frame);
+    const angle = box ? Math.atan2(box[2], box[1]) : 0;
+    this.space.target = apply(rowsOf(pose), [9 * Math.cos(angle), 9 * Math.sin(angle), 0.2]);
+    this.space.yaw = Math.atan2(pose[4], pose[0]) + angle;
     this.space.pitch = 0.16;
     this.space.distance = 13;
     this.draw();

@@ -40,7 +40,7 @@ _IN_VERSION_1: Final = (
     "instance_track",
     "instance_boxes",
 )
-"""Arrays that version 1 has as they are."""
+"""Arrays that version 1 stores unchanged."""
 
 Result = TypeVar("Result")
 
