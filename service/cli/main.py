@@ -31,6 +31,7 @@ from service.cli import (
     selections,
     settings,
     simulate,
+    verdicts,
     weights,
 )
 from service.cli.output import page, remark, remark_as_events, usage
@@ -58,7 +59,7 @@ app = typer.Typer(
     "each other. No label is needed.",
     epilog="Try it: counterpoint demo --out demo-output",
 )
-for mining in (daemons, logs, scenes, selections, rates, retry):
+for mining in (daemons, logs, scenes, selections, verdicts, rates, retry):
     mining.add_to(app)
 for measuring in (demo, simulate, evaluate, measure, calibrate, parts, settings, weights):
     measuring.add_to(app)
