@@ -32,6 +32,7 @@ from service.cli import (
     selections,
     settings,
     simulate,
+    verdicts,
     weights,
 )
 from service.cli.output import page, remark, remark_as_events, usage
@@ -59,7 +60,7 @@ app = typer.Typer(
     "each other. No label is needed.",
     epilog="Try it: counterpoint demo --out demo-output",
 )
-for mining in (daemons, logs, scenes, selections, rates, retry, review):
+for mining in (daemons, logs, scenes, selections, verdicts, rates, retry, review):
     mining.add_to(app)
 for measuring in (demo, simulate, evaluate, measure, calibrate, parts, settings, weights):
     measuring.add_to(app)

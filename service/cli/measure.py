@@ -25,6 +25,7 @@ def add_to(app: typer.Typer) -> None:
     bench.command(epilog="counterpoint bench motion logs/car-7/2026-11-20/drive.mcap")(motion)
     bench.command(epilog="counterpoint bench networks logs/car-7/2026-11-20/drive.mcap")(networks)
     bench.command(epilog="counterpoint bench ledger --folder /var/lib/counterpoint")(ledger)
+    bench.command(epilog="counterpoint bench listing --scenes 1000000")(listing)
     bench.command(epilog="counterpoint bench failures fleet --report failures.html")(failures)
     bench.command(epilog="counterpoint bench simulation drive.mcap --sensor pandar64")(simulation)
     bench.command(epilog="counterpoint bench overlay logs/car-7/2026-11-20/drive.mcap")(overlay)
@@ -246,6 +247,43 @@ def ledger(
         f"durable writes, {scenes_per_shard} scenes per shard",
         ("write", "threads", "scenes in the ledger", "per second", "median ms", "99th ms"),
         ((r.what, r.threads, r.scenes, r.per_s, r.median_ms, r.p99_ms) for r in rows),
+    )
+
+
+def listing(
+    folder: Annotated[
+        Path | None,
+        typer.Option(
+            "--folder",
+            help="Folder for the state; it is kept, and used again; default: one that is deleted.",
+        ),
+    ] = None,
+    scenes: Annotated[
+        int, typer.Option("--scenes", min=1000, max=MOST, help="Scenes in the ledger.")
+    ] = 100_000,
+    json: Json = False,
+) -> None:
+    """Time pages of the listing by filter, order and search, in a large ledger."""
+    from service.store.bench_listing import bench_listing
+
+    if folder is not None:
+        need_folder(folder, option="--folder")
+        folder.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix="bench-listing-") as temporary, progress() as bar:
+        task = bar.add_task("timing", total=None)
+        rows = bench_listing(
+            folder or Path(temporary),
+            scenes=scenes,
+            on_progress=lambda what: bar.update(task, description=what),
+        )
+    if json:
+        for row in rows:
+            json_line(row)
+        return
+    table(
+        f"pages of a ledger of {rows[0].scenes} scenes",
+        ("request", "scenes that pass", "median ms", "most ms"),
+        ((row.what, row.total, row.median_ms, row.most_ms) for row in rows),
     )
 
 

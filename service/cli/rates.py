@@ -68,6 +68,7 @@ def rates(
 
 def _say(rows: Sequence[RateRow], request: RatesRequest) -> None:
     worst = max(row.disagreement_rate for row in rows)
+    judged = any(row.judged_scenes for row in rows)
     heading = _HEADINGS[request.by]
     table(
         "% of compared points on which the streams contradict each other: "
@@ -84,6 +85,7 @@ def _say(rows: Sequence[RateRow], request: RatesRequest) -> None:
             "gated",
             "mean",
             "best",
+            *(("judged", "right") if judged else ()),
         ),
         (
             (
@@ -98,6 +100,7 @@ def _say(rows: Sequence[RateRow], request: RatesRequest) -> None:
                 row.gated_scenes,
                 row.mean_score,
                 row.best_score,
+                *((row.judged_scenes, row.right_scenes) if judged else ()),
             )
             for row in rows
         ),

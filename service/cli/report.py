@@ -133,10 +133,11 @@ def say_scenes(title: str, rows: Sequence[RankedScene], *, among: Sequence[Ranke
         rows: Scenes to print.
         among: Scenes among which their short names are unique, and that twins name by rank.
     """
+    judged = ("verdicts",) if any(row.verdicts for row in rows) else ()
     rank_of, name_of = {row.scene_id: row.rank for row in among}, short_names(among)
     listing(
         title,
-        ("rank", "score", "seconds", "reasons", "twin of", "scene (begins, UTC)"),
+        ("rank", "score", "seconds", "reasons", "twin of", *judged, "scene (begins, UTC)"),
         (
             (
                 (
@@ -145,6 +146,7 @@ def say_scenes(title: str, rows: Sequence[RankedScene], *, among: Sequence[Ranke
                     f"{(row.end_ns - row.start_ns) / 1e9:.1f}",
                     len(row.reasons) or None,
                     rank_of.get(row.twin_of, row.twin_of) if row.twin_of else None,
+                    *((row.verdicts.text if row.verdicts else None,) if judged else ()),
                     name_of.get(row.scene_id, row.scene_id),
                 ),
                 first_of(row.reasons),

@@ -10,6 +10,8 @@ import typer
 from schemas.bounds import MAX_NEWEST, MAX_SCENES_ASKED
 from schemas.errors import PermanentError
 from service.api.reader import Reader, StateReader, choose_endpoint, overlay_of
+from service.cli.listing import ListingOptions, listed, say_listed
+from service.cli.option_groups import grouped
 from service.cli.options import (
     MOST,
     Artifacts,
@@ -105,19 +107,26 @@ def _say_service(there: bool) -> None:
     remark("the service is back" if there else "no service answers; waiting for it")
 
 
+@grouped
 def top(
+    *,
     n: Annotated[
         int | None,
         typer.Option("-n", min=1, max=MAX_SCENES_ASKED, help="Number of rows; default: all."),
     ] = None,
+    filters: ListingOptions,
     connect: Connect = None,
     state: StateToRead = None,
     database: Database = None,
     json: Json = False,
     config: Config = None,
 ) -> None:
-    """List every current scene, the most contradicting first."""
+    """List every current scene, the most contradicting first, or those that pass the filters."""
     source = reader(config, connect=connect, state=state, database=database)
+    if filters.any_given():
+        now_s = time.clock_gettime(time.CLOCK_REALTIME)
+        say_listed(*listed(source, filters.request(now_s=now_s), most=n), json=json)
+        return
     rows = source.top(n)
     if json:
         for row in rows:
@@ -163,7 +172,7 @@ def show(
 
     need_writable(out, option="--out", force=force, endings=(".png",))
     source = reader(config, connect=connect, state=state, artifacts=artifacts, database=database)
-    scene_id, rank, name = _found(source, scene)
+    scene_id, rank, name = find_scene(source, scene)
     score, overlay = source.scene(scene_id), overlay_of(source, scene_id)
     title = title_of(score, rank=rank, name=name)
     if on_image:
@@ -177,7 +186,7 @@ def show(
     say_judged([score])
 
 
-def _found(source: Reader, said: str) -> tuple[str, int | None, str]:
+def find_scene(source: Reader, said: str) -> tuple[str, int | None, str]:
     """Find the id, rank and short name of the scene of a rank, short name or id.
 
     The ranking is not read for an id; rank and name are then unknown.

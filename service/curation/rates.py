@@ -187,11 +187,21 @@ def rates_request(by: str, *, since: str = "", until: str = "", now_s: float) ->
     known = get_args(RatesBy)
     if by not in known:
         raise UsageError(f"cannot group by {by!r}; by one of: {', '.join(known)}")
+    since_ns, until_ns = instants_ns(since=since, until=until, now_s=now_s)
+    return RatesRequest.model_validate({"by": by, "since_ns": since_ns, "until_ns": until_ns})
+
+
+def instants_ns(*, since: str, until: str, now_s: float) -> tuple[int, int | None]:
+    """Parse two times of recording, as `rates_request` does; nanoseconds since the Unix epoch.
+
+    Raises:
+        UsageError: If one is no time, or the second is not the later one.
+    """
     since_ns = _instant_ns(since, what="since", now_s=now_s) if since else 0
     until_ns = _instant_ns(until, what="until", now_s=now_s) if until else None
     if until_ns is not None and until_ns <= since_ns:
         raise UsageError(f"until ({until}) must be later than since ({since or 'the first scene'})")
-    return RatesRequest.model_validate({"by": by, "since_ns": since_ns, "until_ns": until_ns})
+    return since_ns, until_ns
 
 
 def _row(sums: RateSums, *, by_hour: bool) -> RateRow:

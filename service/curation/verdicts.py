@@ -141,7 +141,7 @@ class PairAgreement(BaseModel):
 
 
 class Conflict(BaseModel):
-    """A scene or track on which reviewers differ."""
+    """A scene or track on which two reviewers decided differently which stream is wrong."""
 
     model_config = _STRICT
 
@@ -322,7 +322,7 @@ def judged_and_right(
 
 
 def _differ(given: Iterable[VerdictRow]) -> bool:
-    return len({row.verdict for row in given}) > 1
+    return len({row.verdict for row in given} & DECIDED) > 1
 
 
 def _pace(reviewer: str, rows: Sequence[VerdictRow]) -> Pace:

@@ -13,6 +13,7 @@ from schemas.errors import CounterpointError
 from service.background.bucket_watch import BucketSeen
 from service.store.backlog import Backlog, LogDamage
 from service.store.transaction_effects import WorkKind
+from service.store.verdict_rows import JudgedOutcome
 from service.store.work_items import WorkState
 
 BucketError = Literal["unreachable", "refused"]
@@ -170,6 +171,14 @@ def _of_ledger(backlog: Backlog, *, now_s: float) -> Iterator[Metric]:
         backlog.workers,
     )
     yield _gauge("current_scenes", "Current scenes, which are ranked.", backlog.current_scenes)
+    yield _gauge(
+        "judged_scenes",
+        "Scenes on which a reviewer decided which stream is wrong; `right`: the supervised one, "
+        "alone or with the other. The precision of the ranking so far is `right` over both. Worry "
+        "when its share of `right` falls: reviewers look at scenes in vain.",
+        {(outcome,): backlog.judged_scenes.get(outcome, 0) for outcome in get_args(JudgedOutcome)},
+        labels=("outcome",),
+    )
     yield _gauge(
         "unpublished_events",
         "Scene events on disk that the outbox has not published yet. Worry when it only grows: "

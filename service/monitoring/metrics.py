@@ -15,6 +15,7 @@ from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, disa
 from schemas.contradiction import ContradictionKind, SceneState
 from schemas.labels import Agreement
 from schemas.score import SceneScore
+from schemas.verdict import Verdict
 from service.api.request_queue import Outcome
 from service.api.verbs import ASKED
 from service.monitoring.gauges import NAMESPACE, ServiceGauges, Sources
@@ -145,6 +146,12 @@ class ServiceMetrics:
             "grow again afterwards: the cause of their failure remains.",
             work=get_args(WorkKind),
         )
+        self._verdicts = self._counter(
+            "verdicts",
+            "Verdicts of reviewers by value, undos (`withdrawn`) included. Worry when `unsure` or "
+            "`duplicate` takes over: the pictures or the choice of scenes do not help.",
+            verdict=tuple(Verdict),
+        )
         self._questions = self._counter(
             "questions",
             "Questions from the bus by verb and outcome. Worry when `try_again` grows: the service "
@@ -192,6 +199,8 @@ class ServiceMetrics:
             self._parked.labels(work).inc(count)
         for work, count in effects.retried.items():
             self._retried.labels(work).inc(count)
+        for verdict, count in effects.verdicts.items():
+            self._verdicts.labels(verdict.value).inc(count)
 
     def on_database_error(self) -> None:
         """Count a failed transaction."""

@@ -9,6 +9,7 @@ from service.store.events import counter
 from service.store.overview import newest_pipeline
 from service.store.tables import DAMAGE, LEASES, PLANS, RECORDINGS, SCENES, SHARDS
 from service.store.transaction_effects import WorkKind
+from service.store.verdict_rows import JudgedOutcome, judged_outcomes
 from service.store.work_items import OPEN, WorkState
 
 LogDamage = Literal["truncated", "unreadable"]
@@ -31,6 +32,7 @@ class Backlog:
         workers: Workers that hold them.
         current_scenes: Current scenes, of any pipeline version.
         unpublished: Events that the outbox has not published yet.
+        judged_scenes: Records with a verdict that decides which stream is wrong, by the outcome.
         oldest_listed_s: First listing of the oldest recording with work left, seconds of the
             service's clock; None when no work is left.
     """
@@ -43,6 +45,7 @@ class Backlog:
     workers: int = 0
     current_scenes: int = 0
     unpublished: int = 0
+    judged_scenes: dict[JudgedOutcome, int] = field(default_factory=dict)
     oldest_listed_s: float | None = None
 
 
@@ -62,6 +65,7 @@ def backlog(connection: Connection, *, now_s: float) -> Backlog:
         workers=held.workers,
         current_scenes=connection.execute(_CURRENT_SCENES).scalar_one(),
         unpublished=counter(connection, "seq") - counter(connection, "published"),
+        judged_scenes=judged_outcomes(connection),
         oldest_listed_s=_oldest_listed_s(connection, version),
     )
 

@@ -2,7 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from sqlalchemy import Connection, and_, case, func, select
 
@@ -18,6 +18,9 @@ from schemas.verdict import (
 from service.curation.rates import JudgedScene
 from service.store.listed_scenes import names_in
 from service.store.tables import SCENES, VERDICTS
+
+JudgedOutcome = Literal["right", "wrong"]
+"""Outcome of a judged record: rightly shown, since the supervised stream is wrong, or not."""
 
 _DECIDED: Final = sorted(verdict.value for verdict in DECIDED)
 _RIGHT: Final = sorted(verdict.value for verdict in RIGHT)
@@ -62,6 +65,21 @@ def _summary(rows: Sequence[Any], *, digest: str, reviewer: str | None) -> Verdi
         if row.track_id is None and row.reviewer == reviewer:
             mine = Verdict(row.verdict)
     return VerdictSummary(mine=mine, last_s=last_s, **counts)
+
+
+def judged_outcomes(connection: Connection) -> dict[JudgedOutcome, int]:
+    """Count the judged records by outcome, as the precision does; cheap enough for a scrape."""
+    c = VERDICTS.c
+    records = (
+        select(func.max(case((c.verdict.in_(_RIGHT), 1), else_=0)).label("is_right"))
+        .where(c.is_current, c.verdict.in_(_DECIDED))
+        .group_by(c.scene_id, c.sha256)
+        .subquery()
+    )
+    judged, right = connection.execute(
+        select(func.count(), func.coalesce(func.sum(records.c.is_right), 0))
+    ).one()
+    return {"right": int(right), "wrong": int(judged) - int(right)}
 
 
 def judged_scenes(connection: Connection) -> list[JudgedScene]:

@@ -13,6 +13,7 @@ from starlette.staticfiles import StaticFiles
 
 from schemas.errors import PermanentError, TransientError
 from service.api.reader import Reader
+from service.curation.verdicts import ChoicesReply
 from service.errors import NothingFoundError
 from service.web import (
     agreement,
@@ -26,6 +27,7 @@ from service.web import (
     verdicts,
 )
 from service.web.context import STATIC, environment, render, wants_json
+from service.web.kept import Kept
 from service.web.overlay_cache import OpenOverlays
 from service.web.progress import Progress
 from service.web.security import Guard
@@ -66,6 +68,8 @@ def make_app(source: Reader, settings: WebSettings) -> FastAPI:
     app.state.closing, app.state.thumbnails = Event(), thumbnails.Thumbnails()
     app.state.overlays = OpenOverlays()
     app.state.progress, app.state.newest = Progress(), live.Newest()
+    app.state.choices = Kept[ChoicesReply](age_s=ranking.KEPT_S)
+    app.state.activity = Kept[dashboard.Shown](age_s=dashboard.KEPT_S)
     app.state.visitors, app.state.templates = Visitors(settings.key), environment()
     for page in PAGES:
         app.include_router(page.router)

@@ -4,7 +4,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Final, Literal
+from typing import Final, Literal, cast
 from urllib.parse import urlencode
 
 from fastapi import APIRouter
@@ -26,6 +26,7 @@ from service.curation.verdicts import Precision
 from service.errors import UsageError
 from service.web.charts import Chart, Sample, bar_chart, line_chart
 from service.web.context import render, source_of
+from service.web.kept import Kept
 from service.web.phrases import counted, interval, kind_name, percent
 from service.web.ranking import kind_class
 
@@ -34,8 +35,14 @@ router = APIRouter()
 MOST_SAMPLES: Final = 120
 """Hours or days of a chart at most, the latest ones."""
 
+KEPT_S: Final = 10.0
+"""Age up to which a dashboard is shown again, seconds: it counts all scenes."""
+
 FEW_DAYS: Final = 4
 """Days up to which a chart shows hours unless days are asked for."""
+
+Shown = tuple[ActivityPer, ActivityReply, Status]
+"""Step of the charts, the activity, and the status."""
 
 _SPAN_MS: Final = {"hour": 3_600_000, "day": 86_400_000}
 _PARAMETER: Final = {"vehicle": "vehicle", "version": "version", "kind": "kind"}
@@ -71,8 +78,10 @@ def dashboard(request: Request) -> Response:
     times = rates_request(
         "hour", since=since, until=until, now_s=time.clock_gettime(time.CLOCK_REALTIME)
     )
-    per, found = _activity(source, times, wanted)
-    status = source.status()
+    kept = cast(Kept[Shown], request.app.state.activity)
+    per, found, status = kept.of(
+        (since, until, wanted), lambda: (*_activity(source, times, wanted), source.status())
+    )
     return render(
         request,
         "dashboard.html",

@@ -5,6 +5,7 @@ import json
 import time
 from collections.abc import AsyncIterator
 from contextlib import suppress
+from functools import partial
 from threading import Event
 from typing import Any, Final, cast
 
@@ -20,6 +21,7 @@ from service.curation.verdicts import VerdictsRequest
 from service.errors import UsageError
 from service.web.context import source_of, visitor_of
 from service.web.filters import Filters
+from service.web.kept import Kept
 from service.web.progress import progress_of, summary
 
 router = APIRouter()
@@ -36,18 +38,19 @@ class Newest:
 
     def __init__(self) -> None:
         """Begin with nothing known."""
-        self._lock = asyncio.Lock()
-        self._at_s = -LOOK_EVERY_S
-        self._numbers = (0, 0)
+        self._kept: Kept[tuple[int, int]] = Kept(age_s=LOOK_EVERY_S)
+        self._last = (0, 0)
 
-    async def of(self, source: Reader) -> tuple[int, int]:
+    def of(self, source: Reader) -> tuple[int, int]:
         """Return the numbers; the last known ones while the source does not answer."""
-        async with self._lock:
-            if time.monotonic() - self._at_s >= LOOK_EVERY_S:
-                with suppress(PermanentError, TransientError):
-                    self._numbers = await run_in_threadpool(_numbers, source)
-                self._at_s = time.monotonic()
-            return self._numbers
+        with suppress(PermanentError, TransientError):
+            self._last = self._kept.of("newest", partial(_numbers, source))
+        return self._last
+
+
+def newest_of(request: Request) -> tuple[int, int]:
+    """Return the numbers of the newest scene and verdict."""
+    return cast(Newest, request.app.state.newest).of(source_of(request))
 
 
 def _numbers(source: Reader) -> tuple[int, int]:
@@ -69,13 +72,12 @@ async def live(request: Request) -> Response:
 
 
 async def _events(request: Request, filters: Filters, since: int) -> AsyncIterator[str]:
-    source, newest = source_of(request), cast(Newest, request.app.state.newest)
     closing = cast(Event, request.app.state.closing)
-    scene, verdict = since, (await newest.of(source))[1]
+    scene, verdict = since, (await run_in_threadpool(newest_of, request))[1]
     said_s = time.monotonic()
     yield "retry: 2000\n\n"
     while not closing.is_set():
-        last_scene, last_verdict = await newest.of(source)
+        last_scene, last_verdict = await run_in_threadpool(newest_of, request)
         if last_scene > scene:
             scene = last_scene
             count = await run_in_threadpool(_new_scenes, request, filters, since)

@@ -1,8 +1,5 @@
 """Progress of a reviewer in one phrase: budget, pace, and precision so far."""
 
-import threading
-import time
-from collections import OrderedDict
 from typing import Any, Final, cast
 
 from starlette.requests import Request
@@ -10,39 +7,28 @@ from starlette.requests import Request
 from schemas.errors import PermanentError, TransientError
 from service.api.reader import Reader
 from service.curation.verdicts import AgreementReply, AgreementRequest
+from service.web.kept import Kept
 from service.web.phrases import grouped, interval
 
 KEPT_S: Final = 5.0
 """Age up to which an answer about all verdicts is used again, seconds."""
 
-_MOST_KEPT: Final = 50
-
 
 class Progress:
-    """Answers about all verdicts, or those on a selection, each kept for some seconds."""
+    """Sums over all verdicts, or those on a selection, each kept for some seconds."""
 
     def __init__(self) -> None:
         """Begin with none."""
-        self._lock = threading.Lock()
-        self._kept: OrderedDict[str, tuple[float, AgreementReply]] = OrderedDict()
+        self._kept: Kept[AgreementReply] = Kept(age_s=KEPT_S)
 
     def of(self, source: Reader, selection: str) -> AgreementReply:
         """Return the sums over the verdicts on a selection; empty: on all scenes."""
-        with self._lock:
-            kept = self._kept.get(selection)
-        if kept is not None and time.monotonic() - kept[0] < KEPT_S:
-            return kept[1]
-        found = source.agreement(AgreementRequest(selection=selection or None))
-        with self._lock:
-            self._kept[selection] = (time.monotonic(), found)
-            while len(self._kept) > _MOST_KEPT:
-                self._kept.popitem(last=False)
-        return found
+        asked = AgreementRequest(selection=selection or None)
+        return self._kept.of(selection, lambda: source.agreement(asked))
 
     def forget(self) -> None:
         """Ask again next time, since a verdict was given."""
-        with self._lock:
-            self._kept.clear()
+        self._kept.forget()
 
 
 def progress_of(request: Request) -> Progress:

@@ -3,20 +3,25 @@
 import time
 from collections import defaultdict
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, cast
 from urllib.parse import quote
 
 from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import Response
 
-from service.api.reader import Reader
 from service.curation.listing import ListedScene, ScenesRequest
+from service.curation.verdicts import ChoicesReply
 from service.errors import UsageError
 from service.web.context import render, source_of, visitor_of
 from service.web.filters import JUDGED, ORDERS, WRONGS, Filters
+from service.web.kept import Kept
+from service.web.live import newest_of
 
 router = APIRouter()
+
+KEPT_S: Final = 5.0
+"""Age up to which the values of the filters are used again, seconds."""
 
 PAGE: Final = 40
 """Scenes of a page: some six screens."""
@@ -79,7 +84,7 @@ def asked(request: Request, filters: Filters, **changes: object) -> ScenesReques
 def ranking(request: Request) -> Response:
     """Answer with a page of the list; a filter that is not possible is named above it."""
     source, filters = source_of(request), Filters.of(request.query_params)
-    problem = ""
+    problem, (seq, _) = "", newest_of(request)  # before the list: what comes later is new
     try:
         found = source.scenes(asked(request, filters))
     except UsageError as error:
@@ -98,11 +103,11 @@ def ranking(request: Request) -> Response:
         is_first="after" not in filters.given,
         given=defaultdict(str, filters.given),
         chips=filters.chips(),
-        choices=source.choices(),
+        choices=cast(Kept[ChoicesReply], request.app.state.choices).of("", source.choices),
         orders=ORDERS,
         judged=JUDGED,
         wrongs=WRONGS,
-        seq=_last_seq(source),
+        seq=seq,
     )
 
 
@@ -111,9 +116,3 @@ def scenes(request: Request) -> Response:
     """Answer with a page of the list as JSON."""
     found = source_of(request).scenes(asked(request, Filters.of(request.query_params)))
     return Response(found.model_dump_json(), media_type="application/json")
-
-
-def _last_seq(source: Reader) -> int:
-    """Return the number of the newest scene, after which live ones count."""
-    newest = source.scenes(ScenesRequest(sort="newest", most=1)).rows
-    return newest[0].seq if newest else 0

@@ -60,8 +60,8 @@ def _key_in(path: Path) -> bytes:
     """Read the key of a file; make it first, readable by its owner alone, if there is none."""
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        written = path.with_name(f"{path.name}.{os.getpid()}")
-        made = os.open(written, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+        written = path.with_name(f"{path.name}.{secrets.token_hex(6)}")
+        made = os.open(written, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with os.fdopen(made, "wb") as file:
             file.write(secrets.token_bytes(KEY_BYTES))
         with suppress(FileExistsError):  # of two that start at once, one wins
