@@ -42,7 +42,7 @@ AROUND_NS: Final = 30 * NS_PER_S
 MOST_AROUND: Final = 60
 MOST_VERDICTS: Final = 100
 
-NEAREST: Final = 4
+NEAREST: Final = 3
 """Neighbours whose records are compared for the same thing."""
 
 WITHDRAWN: Final = (
@@ -82,6 +82,7 @@ def scene_page(request: Request, scene_id: SceneId = "") -> Response:
         stories=stories,
         blind=blind_spots(score),
         facts=facts,
+        first_frame=_first_frame(request, facts),
         problem=problem or ("" if row else WITHDRAWN),
         neighbours=[(each, href_of(each.scene_id)) for each in neighbours],
         shared=same_things(score, _records(source, score.start_ns, neighbours)),
@@ -196,6 +197,15 @@ def facts_of(
     except (PermanentError, TransientError) as error:
         return None, f"The points of this scene cannot be shown: {error}"
     return viewer_facts(seen.score, opened.header) | _addresses(seen, opened), ""
+
+
+def _first_frame(request: Request, facts: dict[str, Any] | None) -> int:
+    """Return the frame that the viewer loads first: that of the address, or the strongest."""
+    if facts is None:
+        return 0
+    asked = request.query_params.get("frame", "")
+    known = asked.isascii() and asked.isdecimal() and int(asked[:6]) < len(facts["frames"])
+    return int(asked) if known else int(facts["start"])
 
 
 def _addresses(seen: SeenScene, opened: OverlayFile) -> dict[str, Any]:
