@@ -21,7 +21,7 @@ from service.curation.listing import ListedScene, ScenesRequest
 from service.curation.verdicts import CAUSES, VerdictsRequest
 from service.pictures.scene import draw_scene
 from service.pictures.title import title_of
-from service.web.context import render, settings_of, source_of, visitor_of
+from service.web.context import render, source_of, visitor_of
 from service.web.filters import Filters
 from service.web.overlay_cache import OpenOverlays, SeenScene, seen_scene
 from service.web.phrases import VERDICT_NAMES
@@ -68,6 +68,7 @@ def scene_page(request: Request, scene_id: SceneId = "") -> Response:
     neighbours = around(rows, score)
     verdicts = source.verdicts(VerdictsRequest(scene_id=scene_id, most=MOST_VERDICTS)).rows
     stories = stories_of(score)
+    choices = source.choices()
     moment_ns = score.tracks[0].strongest.stamp_ns if score.tracks else score.start_ns
     return render(
         request,
@@ -89,8 +90,8 @@ def scene_page(request: Request, scene_id: SceneId = "") -> Response:
         mine=[each for each in verdicts if each.reviewer == reviewer],
         others=[each for each in verdicts if each.reviewer != reviewer],
         given=GIVEN,
-        causes=_causes(source),
-        links=links_of(settings_of(request).logs, score.log_id, moment_ns),
+        causes=[(name, CAUSES.get(name, name)) for name in choices.causes],
+        links=links_of(choices.bucket, score.log_id, moment_ns),
         order=order_of(
             source,
             score,
@@ -222,11 +223,6 @@ def _records(source: Reader, start_ns: int, rows: list[ListedScene]) -> list[Any
         except PermanentError:
             continue
     return found
-
-
-def _causes(source: Reader) -> list[tuple[str, str]]:
-    """Return name and words of each cause, the taxonomy first."""
-    return [(name, CAUSES.get(name, name)) for name in source.choices().causes]
 
 
 def _block(request: Request, scene_id: str, digest: str, *, kind: str, number: int) -> Response:

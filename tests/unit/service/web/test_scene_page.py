@@ -116,7 +116,7 @@ def test_html_of_a_record_is_text(page: Page, state: Path) -> None:
 
 
 def test_browsers_open_logs_of_an_http_bucket_at_the_second() -> None:
-    links = links_of("https://logs.example/fleet/", "car 7/a.mcap", 1_700_000_000_123_456_789)
+    links = links_of("https://logs.example/fleet/", "car 7/a", 1_700_000_000_123_456_789)
     assert [name for name, _ in links.web] == ["Foxglove", "Lichtblick"]
     for _, href in links.web:
         asked = parse_qs(urlsplit(href).query)
@@ -126,10 +126,10 @@ def test_browsers_open_logs_of_an_http_bucket_at_the_second() -> None:
 
 
 def test_other_logs_have_a_command_whose_names_are_quoted() -> None:
-    local = links_of("/data/logs", "car 7/a;b.mcap", 0)
+    local = links_of("/data/logs", "car 7/a;b", 0)
     assert local.web == ()
     assert local.commands == ("rerun '/data/logs/car 7/a;b.mcap'",)
-    cloud = links_of("s3://fleet/logs", "car-7/a.mcap", 0)
+    cloud = links_of("s3://fleet/logs", "car-7/a", 0)
     assert cloud.commands == ("aws s3 cp s3://fleet/logs/car-7/a.mcap . && rerun a.mcap",)
 
 
