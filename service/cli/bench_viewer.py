@@ -1,7 +1,8 @@
 """Verb `bench viewer`: what a reviewer waits for on the page of a scene, each with its bound."""
 
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
@@ -10,6 +11,9 @@ from service.cli.options import Config, Json, StateToRead
 from service.cli.output import json_line, progress, remark, table
 from service.cli.scenes import reader
 from service.errors import UsageError
+
+if TYPE_CHECKING:
+    from service.web.bench_viewer import Figure
 
 NEEDS: Final = (
     "bench viewer drives Debian's chromium by Playwright: pip install 'counterpoint[dev,review]' "
@@ -45,7 +49,7 @@ def viewer(
             bar.update(task, advance=1)
     if json:
         for row in rows:
-            json_line(row)
+            json_line(asdict(row))
         return
     table(
         f"{scene_id}: page of the scene",
@@ -54,13 +58,20 @@ def viewer(
             (
                 row.name,
                 f"{row.value:.1f} {row.unit}".strip(),
-                f"{'at least' if row.at_least else 'at most'} {row.bound:.0f} {row.unit}".strip(),
+                _bound(row),
                 "yes" if row.is_held else "NO",
             )
             for row in rows
         ),
     )
-    remark(f"{sum(row.is_held for row in rows)} of {len(rows)} bounds are held")
+    bounded = [row for row in rows if row.bound is not None]
+    remark(f"{sum(row.is_held for row in bounded)} of {len(bounded)} bounds are held")
+
+
+def _bound(row: "Figure") -> str:
+    if row.bound is None:
+        return ""
+    return f"{'at least' if row.at_least else 'at most'} {row.bound:.0f} {row.unit}".strip()
 
 
 def _best(source: Reader) -> str:

@@ -192,13 +192,11 @@ def _app_of(settings: Settings, hosts: frozenset[str], *, is_state: bool) -> "Fa
         folder = settings.state if settings.state.is_dir() else None
         place = str(settings.state)
         key = key_of_state(folder, place=settings.database or place)
-        return make_app(
-            source_of_state(settings), WebSettings(place, key, hosts, logs=settings.bucket)
-        )
+        return make_app(source_of_state(settings), WebSettings(place, key, hosts))
     place = settings.connect
     key = key_of_state(None, place=f"{settings.root} {place}")
     client = ControlClient(settings.connect.split(","), root=settings.root)
-    return make_app(client, WebSettings(place, key, hosts, logs=settings.bucket))
+    return make_app(client, WebSettings(place, key, hosts))
 
 
 def bring_up_to_date(settings: Settings) -> None:

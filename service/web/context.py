@@ -120,5 +120,6 @@ def render(request: Request, template: str, *, status: int = 200, **context: Any
 
 
 def wants_json(request: Request) -> bool:
-    """Return true if a script asks, which sends `Accept: application/json`."""
-    return "application/json" in request.headers.get("accept", "")
+    """Return true if a script asks: for data, or with `Accept: application/json`."""
+    is_data = request.url.path.startswith("/data/")
+    return is_data or "application/json" in request.headers.get("accept", "")

@@ -7,6 +7,7 @@ from typing import Final
 from urllib.parse import quote, urlencode, urlsplit
 
 from schemas.arrays import NS_PER_S
+from schemas.transport.recordings import EXTENSION
 
 FOXGLOVE: Final = "https://app.foxglove.dev/~/view"
 LICHTBLICK: Final = "https://lichtblick-suite.github.io/lichtblick/"
@@ -45,24 +46,26 @@ def links_of(bucket_url: str, log_id: str, stamp_ns: int) -> LogLinks:
 
     Args:
         bucket_url: Bucket of the logs, URL or path; empty: unknown.
-        log_id: Key of the log in it.
+        log_id: Key of the log in it, without its extension. Of a split recording the name is that
+            of all parts, which end in `_0`, `_1` and so on.
         stamp_ns: Instant to open, nanoseconds since the Unix epoch.
     """
     moment = rfc3339(stamp_ns)
     parts = urlsplit(bucket_url)
-    name = shell_quote(log_id.rpartition("/")[2])
+    key = f"{log_id}{EXTENSION}"
+    name = shell_quote(key.rpartition("/")[2])
     if parts.scheme in ("http", "https"):
-        where = f"{bucket_url.rstrip('/')}/{quote(log_id)}"
+        where = f"{bucket_url.rstrip('/')}/{quote(key)}"
         query = urlencode({"ds": "remote-file", "ds.url": where, "time": moment})
         web = (("Foxglove", f"{FOXGLOVE}?{query}"), ("Lichtblick", f"{LICHTBLICK}?{query}"))
         fetched = f"curl -fLO {shell_quote(where)}"
         return LogLinks(web, (f"{fetched} && rerun {name}",), moment, where)
     if parts.scheme in ("s3", "gs", "az"):
-        where = f"{bucket_url.rstrip('/')}/{log_id}"
+        where = f"{bucket_url.rstrip('/')}/{key}"
         copy = {"s3": "aws s3 cp", "gs": "gcloud storage cp", "az": "az storage copy -s"}
         end = " -d ." if parts.scheme == "az" else " ."
         fetched = f"{copy[parts.scheme]} {shell_quote(where)}{end}"
         return LogLinks((), (f"{fetched} && rerun {name}",), moment, where)
     folder = parts.path if parts.scheme == "file" else bucket_url
-    where = f"{folder.rstrip('/')}/{log_id}" if folder else log_id
+    where = f"{folder.rstrip('/')}/{key}" if folder else key
     return LogLinks((), (f"rerun {shell_quote(where)}",), moment, where)

@@ -6,9 +6,12 @@ from urllib.parse import quote
 
 from schemas.score import SceneScore
 from service.api.reader import Reader
-from service.curation.listing import MAX_PAGE, ListedScene
+from service.curation.listing import ListedScene
 from service.errors import UsageError
 from service.web.filters import Filters
+
+MOST_LISTED: Final = 60
+"""Scenes of the list that are searched for the shown one."""
 
 _NO_CURSOR: Final = {"after": None}
 
@@ -40,7 +43,7 @@ def order_of(
 
     def rows(**changes: object) -> tuple[tuple[ListedScene, ...], int]:
         asked = filters.request(
-            reviewer=reviewer, now_s=now_s, most=MAX_PAGE, **{"after": "", **changes}
+            reviewer=reviewer, now_s=now_s, most=MOST_LISTED, **{"after": "", **changes}
         )
         found = source.scenes(asked)
         return found.rows, found.total

@@ -21,7 +21,7 @@ from service.curation.listing import ListedScene, ScenesRequest
 from service.curation.verdicts import CAUSES, VerdictsRequest
 from service.pictures.scene import draw_scene
 from service.pictures.title import title_of
-from service.web.context import render, settings_of, source_of, visitor_of
+from service.web.context import render, source_of, visitor_of
 from service.web.filters import Filters
 from service.web.overlay_cache import OpenOverlays, SeenScene, seen_scene
 from service.web.phrases import VERDICT_NAMES
@@ -42,7 +42,7 @@ AROUND_NS: Final = 30 * NS_PER_S
 MOST_AROUND: Final = 60
 MOST_VERDICTS: Final = 100
 
-NEAREST: Final = 4
+NEAREST: Final = 3
 """Neighbours whose records are compared for the same thing."""
 
 WITHDRAWN: Final = (
@@ -68,6 +68,7 @@ def scene_page(request: Request, scene_id: SceneId = "") -> Response:
     neighbours = around(rows, score)
     verdicts = source.verdicts(VerdictsRequest(scene_id=scene_id, most=MOST_VERDICTS)).rows
     stories = stories_of(score)
+    choices = source.choices()
     moment_ns = score.tracks[0].strongest.stamp_ns if score.tracks else score.start_ns
     return render(
         request,
@@ -82,14 +83,15 @@ def scene_page(request: Request, scene_id: SceneId = "") -> Response:
         stories=stories,
         blind=blind_spots(score),
         facts=facts,
+        first_frame=_first_frame(request, facts),
         problem=problem or ("" if row else WITHDRAWN),
         neighbours=[(each, href_of(each.scene_id)) for each in neighbours],
         shared=same_things(score, _records(source, score.start_ns, neighbours)),
         mine=[each for each in verdicts if each.reviewer == reviewer],
         others=[each for each in verdicts if each.reviewer != reviewer],
         given=GIVEN,
-        causes=_causes(source),
-        links=links_of(settings_of(request).logs, score.log_id, moment_ns),
+        causes=[(name, CAUSES.get(name, name)) for name in choices.causes],
+        links=links_of(choices.bucket, score.log_id, moment_ns),
         order=order_of(
             source,
             score,
@@ -198,6 +200,15 @@ def facts_of(
     return viewer_facts(seen.score, opened.header) | _addresses(seen, opened), ""
 
 
+def _first_frame(request: Request, facts: dict[str, Any] | None) -> int:
+    """Return the frame that the viewer loads first: that of the address, or the strongest."""
+    if facts is None:
+        return 0
+    asked = request.query_params.get("frame", "")
+    known = asked.isascii() and asked.isdecimal() and int(asked[:6]) < len(facts["frames"])
+    return int(asked) if known else int(facts["start"])
+
+
 def _addresses(seen: SeenScene, opened: OverlayFile) -> dict[str, Any]:
     return {"id": seen.score.scene_id, "digest": seen.digest, "state": seen.score.state.value}
 
@@ -212,11 +223,6 @@ def _records(source: Reader, start_ns: int, rows: list[ListedScene]) -> list[Any
         except PermanentError:
             continue
     return found
-
-
-def _causes(source: Reader) -> list[tuple[str, str]]:
-    """Return name and words of each cause, the taxonomy first."""
-    return [(name, CAUSES.get(name, name)) for name in source.choices().causes]
 
 
 def _block(request: Request, scene_id: str, digest: str, *, kind: str, number: int) -> Response:

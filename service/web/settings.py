@@ -27,14 +27,12 @@ class WebSettings:
         place: State folder or endpoint, as pages show it.
         key: Secret that signs the cookies of this state.
         hosts: Names under which the page may be asked, in addition to those of the loopback.
-        logs: Bucket of the logs, URL or path, for links to them; empty: unknown.
         causes: The user's own causes of failures, in addition to those of the paper.
     """
 
     place: str
     key: bytes
     hosts: frozenset[str] = frozenset()
-    logs: str = ""
     causes: tuple[str, ...] = ()
 
 

@@ -71,7 +71,7 @@ export class Frames {
     this.asked.add(index);
     this.running++;
     try {
-      const answer = await fetch(this.url(index), { headers: { accept: "application/json, */*" } });
+      const answer = await fetch(this.url(index));
       if (!answer.ok) throw new Error((await answer.json()).problem);
       const buffer = await answer.arrayBuffer();
       this.worker.postMessage({ index, buffer, count: this.list[index].points }, [buffer]);

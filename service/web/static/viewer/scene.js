@@ -122,7 +122,7 @@ class Page {
 
   /** Connect the buttons, and show what they are set to. */
   tools() {
-    for (const each of all("[data-layout]")) each.onclick = () => this.arrange(each.dataset.layout);
+    for (const each of all("button[data-layout]")) each.onclick = () => this.arrange(each.dataset.layout);
     for (const each of all("[data-by]")) each.onclick = () => this.restyle({ by: each.dataset.by });
     for (const each of all("[data-toggle]")) each.onclick = () => this.toggle(each.dataset.toggle);
     for (const each of all("details.track")) {
@@ -140,7 +140,7 @@ class Page {
   arrange(layout) {
     one("#panes").dataset.layout = layout;
     this.viewer.arrange(layout);
-    for (const each of all("[data-layout]")) {
+    for (const each of all("button[data-layout]")) {
       each.setAttribute("aria-pressed", String(each.dataset.layout === layout));
     }
     this.legend();
