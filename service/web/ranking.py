@@ -100,6 +100,7 @@ def ranking(request: Request) -> Response:
         problem=problem,
         cards=[card_of(scene, filters) for scene in found.rows],
         total=found.total,
+        is_least=found.is_least,
         next_page=filters.query(after=found.next) if found.next else "",
         first=filters.query(after=None),
         is_first="after" not in filters.given,
