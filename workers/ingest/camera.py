@@ -47,13 +47,6 @@ class CameraUnavailableError(PermanentError):
     """The log has no calibrated camera that saw a frame."""
 
 
-def read_cameras(
-    bucket: Bucket, recording: Recording, *, lidar_topic: str, stamp_ns: int
-) -> list[CameraView]:
-    """Read the image of each calibrated camera that belongs to a frame; see `CameraReader`."""
-    return CameraReader(bucket, recording, lidar_topic=lidar_topic).views_at(stamp_ns)
-
-
 @dataclass(slots=True, eq=False)
 class CameraReader:
     """Reader of the cameras of a log, frame by frame; the first frame opens the log.
