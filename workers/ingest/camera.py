@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from io import BytesIO
 from itertools import takewhile
 from typing import Final
 
@@ -22,6 +21,7 @@ from workers.ingest.camera_messages import (
 )
 from workers.ingest.camera_model import CameraView
 from workers.ingest.frames import sensor_points
+from workers.ingest.images import IMAGE_ERRORS, image_size
 from workers.ingest.log_index import LogIndex, index_recording
 from workers.ingest.message_lookup import MessageLookup, readable
 from workers.ingest.messages import RawMessage
@@ -45,13 +45,6 @@ VIEW_COS: Final = float(np.cos(np.deg2rad(30)))
 
 class CameraUnavailableError(PermanentError):
     """The log has no calibrated camera that saw a frame."""
-
-
-def read_cameras(
-    bucket: Bucket, recording: Recording, *, lidar_topic: str, stamp_ns: int
-) -> list[CameraView]:
-    """Read the image of each calibrated camera that belongs to a frame; see `CameraReader`."""
-    return CameraReader(bucket, recording, lidar_topic=lidar_topic).views_at(stamp_ns)
 
 
 @dataclass(slots=True, eq=False)
@@ -270,10 +263,7 @@ def _combine(image: CameraImage, found: Calibration, camera_from_lidar: Transfor
 
 
 def _size(image: CameraImage) -> tuple[int, int]:
-    from PIL import Image, UnidentifiedImageError
-
     try:
-        with Image.open(BytesIO(image.data)) as opened:
-            return opened.size
-    except (UnidentifiedImageError, OSError, ValueError) as error:
+        return image_size(image.data)
+    except IMAGE_ERRORS as error:
         raise NoViewError(f"has an image in format {image.format!r} that cannot be read") from error
