@@ -149,6 +149,7 @@ class Service:
             on_scenes=self._news.set,
             on_selection=self._outbox.publish_selection,
             on_commit_seconds=self.metrics.committed,
+            causes=settings.causes,
         )
         self.metrics.read_from(
             Sources(

@@ -1,7 +1,7 @@
 """Handlers of the verbs of workers and users; each maps a payload to a reply payload."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from importlib.metadata import version
 from itertools import groupby
@@ -14,6 +14,7 @@ from pydantic import BaseModel, ValidationError
 from schemas.mining import MiningSettings
 from schemas.transport import keys
 from schemas.transport.wire import decode, encode
+from schemas.verdict import VerdictRow
 from schemas.work import (
     Answer,
     ClaimReply,
@@ -33,15 +34,28 @@ from service.api.messages import (
     SelectRequest,
     TopReply,
     TopRequest,
+    VerdictsReply,
+    verdicts_reply,
 )
 from service.api.payload_check import require_affordable
 from service.api.reader import no_such_scene, no_such_selection, read_overlay
 from service.api.request_queue import RequestQueue, malformed
 from service.api.staging import Staging
 from service.api.verbs import VERBS
+from service.curation.activity import ActivityReply, ActivityRequest
+from service.curation.listing import ScenesReply, ScenesRequest
 from service.curation.rates import RatesRequest, rates
 from service.curation.selection import Selection
 from service.curation.status import Status
+from service.curation.verdicts import (
+    AgreementReply,
+    AgreementRequest,
+    ChoicesReply,
+    JudgeRequest,
+    UndoRequest,
+    VerdictsRequest,
+    need_cause,
+)
 from service.store.ledger import Ledger, StoredScene
 
 log = structlog.get_logger(__name__)
@@ -65,12 +79,14 @@ class Control:
         on_scenes: Callable[[], None],
         on_selection: Callable[[Selection], None],
         on_commit_seconds: Callable[[float], None] = lambda _: None,
+        causes: Sequence[str] = (),
     ) -> None:
-        """Keep the parts, and the callbacks for committed scenes and stored selections.
+        """Keep the parts, the user's own causes of verdicts, and the callbacks.
 
+        `on_scenes` is called after each commit and each verdict, which are published then.
         `on_commit_seconds` is called with the time that the ledger took for each commit.
         """
-        self._on_commit_seconds = on_commit_seconds
+        self._on_commit_seconds, self._causes = on_commit_seconds, tuple(causes)
         self._settings, self._ledger, self._staging = settings, ledger, staging
         self._on_scenes, self._on_selection = on_scenes, on_selection
         self._about = AboutReply(package=version("counterpoint"))  # an upgrade changes the files
@@ -175,6 +191,39 @@ class Control:
     def answer_selections(self, _: None) -> SelectionsReply:
         """List every stored selection, without its scenes."""
         return SelectionsReply(selections=tuple(self._ledger.selections.listed()))
+
+    def answer_scenes(self, request: ScenesRequest) -> ScenesReply:
+        """Return a page of current scenes."""
+        return self._ledger.listing(request)
+
+    def answer_judge(self, request: JudgeRequest) -> VerdictRow:
+        """Store and publish a verdict."""
+        need_cause(request.cause, self._causes)
+        stored = self._ledger.verdicts.judge(request)
+        self._on_scenes()
+        return stored
+
+    def answer_undo(self, request: UndoRequest) -> VerdictRow:
+        """Undo a reviewer's last verdict, and publish that."""
+        stored = self._ledger.verdicts.undo(request)
+        self._on_scenes()
+        return stored
+
+    def answer_verdicts(self, request: VerdictsRequest) -> VerdictsReply:
+        """Return a page of verdicts, latest first."""
+        return verdicts_reply(self._ledger.verdicts.page(request), most=request.most)
+
+    def answer_agreement(self, request: AgreementRequest) -> AgreementReply:
+        """Sum up the verdicts that count."""
+        return self._ledger.verdicts.agreement(request)
+
+    def answer_activity(self, request: ActivityRequest) -> ActivityReply:
+        """Sum up scenes and verdicts over time and by group."""
+        return self._ledger.activity(request)
+
+    def answer_choices(self, _: None) -> ChoicesReply:
+        """List the values that filters and verdicts choose from."""
+        return self._ledger.choices(causes=self._causes)
 
     def answer_retry(self, request: RetryRequest) -> RetryReply:
         """Try parked work again."""

@@ -1,5 +1,6 @@
 """Messages of clients to the service, in addition to the leases of `schemas.work`."""
 
+from collections.abc import Sequence
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -8,16 +9,19 @@ from schemas.bounds import (
     MAX_LISTED,
     MAX_LOGS_NAMED,
     MAX_SCENES_ASKED,
+    Count,
     LogId,
     Name,
     Said,
     SceneId,
 )
 from schemas.transport.wire import first_problem
+from schemas.verdict import VerdictRow
 from service.curation.ranking import RankedScene
 from service.curation.rates import RateRow
 from service.curation.selection import SelectionSummary
 from service.curation.status import ParkedWork
+from service.curation.verdicts import MAX_VERDICTS_ASKED
 from service.errors import UsageError
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
@@ -86,6 +90,21 @@ class SelectionsReply(BaseModel):
     model_config = _STRICT
 
     selections: tuple[SelectionSummary, ...] = Field(max_length=MAX_LISTED)
+
+
+class VerdictsReply(BaseModel):
+    """A page of verdicts, latest first."""
+
+    model_config = _STRICT
+
+    rows: tuple[VerdictRow, ...] = Field(max_length=MAX_VERDICTS_ASKED)
+    next: Count | None = Field(description="`before` of the next page; null: this is the last.")
+
+
+def verdicts_reply(rows: Sequence[VerdictRow], *, most: int) -> VerdictsReply:
+    """Return a page of verdicts, of one row more than it shows where there is a next page."""
+    shown = tuple(rows[:most])
+    return VerdictsReply(rows=shown, next=shown[-1].ordinal if len(rows) > most else None)
 
 
 class SceneRequest(BaseModel):

@@ -10,18 +10,32 @@ from schemas.overlay import Overlay, overlay_key
 from schemas.score import SceneScore
 from schemas.transport.bucket import open_bucket
 from schemas.transport.overlay_codec import MAX_OVERLAY_BYTES, decode_overlay
+from schemas.verdict import VerdictRow
 from service.api.messages import (
     RetryRequest,
     SceneRequest,
     SelectionRequest,
     SelectRequest,
     TopRequest,
+    VerdictsReply,
     checked_request,
+    verdicts_reply,
 )
+from service.curation.activity import ActivityReply, ActivityRequest
+from service.curation.listing import ScenesReply, ScenesRequest
 from service.curation.ranking import RankedScene
 from service.curation.rates import RateRow, RatesRequest, rates
 from service.curation.selection import Selection, SelectionSummary
 from service.curation.status import ParkedWork, Status
+from service.curation.verdicts import (
+    AgreementReply,
+    AgreementRequest,
+    ChoicesReply,
+    JudgeRequest,
+    UndoRequest,
+    VerdictsRequest,
+    need_cause,
+)
 from service.errors import NothingFoundError, StateInUseError, UsageError
 from service.settings.config import Settings
 from service.settings.messages import shown
@@ -71,6 +85,34 @@ class Reader(Protocol):
 
     def retry(self, log_ids: Sequence[str] | None = None) -> list[ParkedWork]:
         """Retry parked work, of these logs or all; return what was parked."""
+        ...
+
+    def scenes(self, request: ScenesRequest) -> ScenesReply:
+        """Return a page of current scenes."""
+        ...
+
+    def judge(self, request: JudgeRequest) -> VerdictRow:
+        """Store a verdict; the same request again, by its key, is stored once."""
+        ...
+
+    def undo(self, request: UndoRequest) -> VerdictRow:
+        """Undo a reviewer's last verdict; return the event of the undo."""
+        ...
+
+    def verdicts(self, request: VerdictsRequest) -> VerdictsReply:
+        """Return a page of verdicts, latest first."""
+        ...
+
+    def agreement(self, request: AgreementRequest) -> AgreementReply:
+        """Return agreement, conflicts, pace and precision of the verdicts that count."""
+        ...
+
+    def activity(self, request: ActivityRequest) -> ActivityReply:
+        """Return scenes, disagreement, verdicts and precision over time and by group."""
+        ...
+
+    def choices(self) -> ChoicesReply:
+        """Return the values that filters and verdicts choose from."""
         ...
 
 
@@ -180,6 +222,53 @@ class StateReader:
         """Return the progress of planning and mining."""
         with self._ledger() as ledger:
             return ledger.status()
+
+    def scenes(self, request: ScenesRequest) -> ScenesReply:
+        """Return a page of current scenes."""
+        with self._ledger() as ledger:
+            return ledger.listing(request)
+
+    def judge(self, request: JudgeRequest) -> VerdictRow:
+        """Store a verdict; the same request again, by its key, is stored once.
+
+        Raises:
+            UsageError: If a service runs on this state, since it is the only writer and publisher;
+                or if there is no such cause.
+            NothingFoundError: If there was never such a scene.
+        """
+        need_cause(request.cause, self._settings.causes)
+        with self._ledger_to_write(what="judge") as ledger:
+            return ledger.verdicts.judge(request)
+
+    def undo(self, request: UndoRequest) -> VerdictRow:
+        """Undo a reviewer's last verdict; return the event of the undo.
+
+        Raises:
+            UsageError: If a service runs on this state, since it is the only writer and publisher.
+            NothingFoundError: If there is no verdict to undo.
+        """
+        with self._ledger_to_write(what="undo") as ledger:
+            return ledger.verdicts.undo(request)
+
+    def verdicts(self, request: VerdictsRequest) -> VerdictsReply:
+        """Return a page of verdicts, latest first."""
+        with self._ledger() as ledger:
+            return verdicts_reply(ledger.verdicts.page(request), most=request.most)
+
+    def agreement(self, request: AgreementRequest) -> AgreementReply:
+        """Return agreement, conflicts, pace and precision of the verdicts that count."""
+        with self._ledger() as ledger:
+            return ledger.verdicts.agreement(request)
+
+    def activity(self, request: ActivityRequest) -> ActivityReply:
+        """Return scenes, disagreement, verdicts and precision over time and by group."""
+        with self._ledger() as ledger:
+            return ledger.activity(request)
+
+    def choices(self) -> ChoicesReply:
+        """Return the values that filters and verdicts choose from."""
+        with self._ledger() as ledger:
+            return ledger.choices(causes=self._settings.causes)
 
 
 def overlay_of(source: Reader, scene_id: str) -> Overlay:

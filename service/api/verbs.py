@@ -10,6 +10,7 @@ from pydantic import BaseModel
 from schemas.bounds import MAX_COMMIT_BYTES, MAX_QUESTION_BYTES
 from schemas.mining import MiningSettings
 from schemas.score import SceneScore
+from schemas.verdict import VerdictRow
 from schemas.work import (
     Answer,
     ClaimReply,
@@ -29,10 +30,21 @@ from service.api.messages import (
     SelectRequest,
     TopReply,
     TopRequest,
+    VerdictsReply,
 )
+from service.curation.activity import ActivityReply, ActivityRequest
+from service.curation.listing import ScenesReply, ScenesRequest
 from service.curation.rates import RatesRequest
 from service.curation.selection import Selection
 from service.curation.status import Status
+from service.curation.verdicts import (
+    AgreementReply,
+    AgreementRequest,
+    ChoicesReply,
+    JudgeRequest,
+    UndoRequest,
+    VerdictsRequest,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +83,13 @@ VERBS: Final[Mapping[str, VerbType]] = MappingProxyType(
         "status": VerbType(None, Status, reads_all=True),
         "scene": VerbType(SceneRequest, SceneScore),
         "rates": VerbType(RatesRequest, RatesReply, reads_all=True),
+        "scenes": VerbType(ScenesRequest, ScenesReply),
+        "judge": VerbType(JudgeRequest, VerdictRow, writes=True),
+        "undo": VerbType(UndoRequest, VerdictRow, writes=True),
+        "verdicts": VerbType(VerdictsRequest, VerdictsReply),
+        "agreement": VerbType(AgreementRequest, AgreementReply, reads_all=True),
+        "activity": VerbType(ActivityRequest, ActivityReply, reads_all=True),
+        "choices": VerbType(None, ChoicesReply),
         "retry": VerbType(RetryRequest, RetryReply, writes=True),
     }
 )

@@ -14,6 +14,7 @@ from schemas.transport import keys
 from schemas.transport.ask import ask_until
 from schemas.transport.bus import client_session
 from schemas.transport.wire import decode, encode
+from schemas.verdict import VerdictRow
 from service.api.messages import (
     RatesReply,
     RetryReply,
@@ -24,14 +25,25 @@ from service.api.messages import (
     SelectRequest,
     TopReply,
     TopRequest,
+    VerdictsReply,
     checked_request,
 )
 from service.client.merge import Holding, SceneEvent, SceneMerge, Wanted
 from service.client.subscription import SceneSubscription
+from service.curation.activity import ActivityReply, ActivityRequest
+from service.curation.listing import ScenesReply, ScenesRequest
 from service.curation.ranking import RankedScene
 from service.curation.rates import RateRow, RatesRequest
 from service.curation.selection import Selection, SelectionSummary
 from service.curation.status import ParkedWork, Status
+from service.curation.verdicts import (
+    AgreementReply,
+    AgreementRequest,
+    ChoicesReply,
+    JudgeRequest,
+    UndoRequest,
+    VerdictsRequest,
+)
 
 log = structlog.get_logger(__name__)
 
@@ -119,6 +131,34 @@ class ControlClient:
     def overlay_place(self, scene_id: str) -> str:
         """Return the name of the source of a scene's overlay, for messages."""
         return f"{scene_id}, from the service at {','.join(self._connect)}"
+
+    def scenes(self, request: ScenesRequest) -> ScenesReply:
+        """Return a page of current scenes."""
+        return decode(ScenesReply, self._ask("scenes", request))
+
+    def judge(self, request: JudgeRequest) -> VerdictRow:
+        """Store a verdict; the same request again, by its key, is stored once."""
+        return decode(VerdictRow, self._ask("judge", request))
+
+    def undo(self, request: UndoRequest) -> VerdictRow:
+        """Undo a reviewer's last verdict; return the event of the undo."""
+        return decode(VerdictRow, self._ask("undo", request))
+
+    def verdicts(self, request: VerdictsRequest) -> VerdictsReply:
+        """Return a page of verdicts, latest first."""
+        return decode(VerdictsReply, self._ask("verdicts", request))
+
+    def agreement(self, request: AgreementRequest) -> AgreementReply:
+        """Return agreement, conflicts, pace and precision of the verdicts that count."""
+        return decode(AgreementReply, self._ask("agreement", request))
+
+    def activity(self, request: ActivityRequest) -> ActivityReply:
+        """Return scenes, disagreement, verdicts and precision over time and by group."""
+        return decode(ActivityReply, self._ask("activity", request))
+
+    def choices(self) -> ChoicesReply:
+        """Return the values that filters and verdicts choose from."""
+        return decode(ChoicesReply, self._ask("choices"))
 
     def _ask(self, verb: str, request: BaseModel | None = None) -> bytes:
         with client_session(self._connect) as session:

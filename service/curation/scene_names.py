@@ -91,3 +91,18 @@ def _end_of(log_id: str, log_ids: set[str]) -> str:
         if sum(f"/{other}".endswith(f"/{end}") for other in log_ids) == 1:
             return end
     return log_id
+
+
+def parse_short_name(text: str) -> tuple[str, int] | None:
+    """Return the log's end and the begin, nanoseconds rounded down to a tenth of a second.
+
+    None: the text is no short name.
+    """
+    said = _NAME.fullmatch(text)
+    if said is None:
+        return None
+    try:
+        moment = datetime.strptime(said["begins"], "%Y-%m-%dT%H:%M:%S.%f").replace(tzinfo=UTC)
+    except ValueError:
+        return None
+    return said["log"], int(moment.timestamp()) * 10**9 + moment.microsecond * 1000

@@ -69,6 +69,9 @@ def _postgres(url: str) -> str:
 _POSTGRES: Final = ("postgres", "postgresql", "postgresql+psycopg")
 
 Names = Annotated[tuple[str, ...], BeforeValidator(_listed)]
+OwnCauses = Annotated[
+    tuple[Annotated[str, Field(min_length=1, max_length=64)], ...], BeforeValidator(_listed)
+]
 PostgresUrl = Annotated[str, AfterValidator(_postgres)]
 
 
@@ -145,6 +148,11 @@ class Settings(MiningSettings):
         le=MAX_DAYS,
         description="Days after which the overlays of withdrawn scenes are deleted from the "
         "artifacts; 0: never.",
+    )
+    causes: OwnCauses = Field(
+        default=(),
+        max_length=100,
+        description="Causes of errors that reviewers may name, in addition to the taxonomy.",
     )
     database: PostgresUrl = Field(
         default="",

@@ -8,6 +8,7 @@ from sqlalchemy import ColumnElement, Connection, Row, and_, bindparam, insert, 
 from schemas.canonical import canonical_json
 from schemas.score import SceneScore
 from schemas.task import MOTION
+from service.store.listed_scenes import ListedNow, list_scenes, list_stored, unlist
 from service.store.statements import Statement
 from service.store.tables import COUNTERS, SCENES
 from service.store.work_items import Work
@@ -35,8 +36,12 @@ def insert_scenes(
     """
     following = _next_numbers(connection, sum(score.scene_id in current for score, _, _ in scenes))
     rows: list[dict[str, Any]] = []
+    listed: list[ListedNow] = []
     for score, record, sha256 in scenes:
         is_current = score.scene_id in current
+        seq, counts = next(following) if is_current else None, point_counts(score)
+        if seq is not None:
+            listed.append((seq, score, sha256, counts))
         rows.append(
             {
                 "log_id": work.log_id,
@@ -44,7 +49,7 @@ def insert_scenes(
                 "pipeline_version": work.pipeline_version,
                 "scene_id": score.scene_id,
                 "shard": work.shard,
-                "seq": next(following) if is_current else None,
+                "seq": seq,
                 "withdrawn_seq": None,
                 "is_current": is_current,
                 "withdrawn_by": "" if is_current else "pipeline",
@@ -58,13 +63,14 @@ def insert_scenes(
                 "state": score.state.value,
                 "score": score.score,
                 "reasons": reasons_as_stored(score),
-                **point_counts(score),
+                **counts,
                 "record": record,
                 "sha256": sha256,
             }
         )
     if rows:
         _INSERT_SCENE.run_each(connection, rows)
+    list_scenes(connection, listed)
 
 
 def withdraw(
@@ -84,7 +90,7 @@ def withdraw(
             withdrawal needs no event of its own.
     """
     going = connection.execute(
-        select(*_KEY, SCENES.c.scene_id).where(SCENES.c.is_current, which).order_by(SCENES.c.seq)
+        select(*_KEY, SCENES.c.seq).where(SCENES.c.is_current, which).order_by(SCENES.c.seq)
     ).all()
     following = _next_numbers(connection, sum(row.scene_id not in replaced for row in going))
     withdrawn = [
@@ -97,6 +103,7 @@ def withdraw(
     ]
     if withdrawn:
         connection.execute(_WITHDRAW, withdrawn)
+    unlist(connection, [row.seq for row in going])
 
 
 def restore(connection: Connection, which: ColumnElement[bool]) -> None:
@@ -113,6 +120,7 @@ def restore(connection: Connection, which: ColumnElement[bool]) -> None:
     restored = [{**_key_of(row), "number": next(following)} for row in returning]
     if restored:
         connection.execute(_RESTORE, restored)
+    list_stored(connection, [row["number"] for row in restored])
 
 
 def _key_of(row: Row[*tuple[Any, ...]]) -> dict[str, Any]:

@@ -21,16 +21,21 @@ from schemas.work import (
     Recording,
     RenewRequest,
 )
+from service.curation.activity import ActivityReply, ActivityRequest
+from service.curation.listing import ScenesReply, ScenesRequest
 from service.curation.ranking import RankedScene
 from service.curation.rates import RatesRequest, RateSums
 from service.curation.status import ParkedWork, SkippedEntries, Status
 from service.curation.strategies.catalogue import DEFAULT, select
+from service.curation.verdicts import ChoicesReply
 from service.store import (
+    activity,
     backlog,
     claims,
     commits,
     events,
     leases,
+    listing,
     manifest,
     overview,
     ranking,
@@ -49,6 +54,7 @@ from service.store.retired_overlays import RetiredOverlays
 from service.store.scenes import StoredScene
 from service.store.selections import Selections
 from service.store.transaction_effects import StoreObserver
+from service.store.verdicts import Verdicts
 
 __all__ = ["LeasePolicy", "Ledger", "StoredScene"]
 
@@ -70,6 +76,7 @@ class Ledger:
     Attributes:
         retired_overlays: Overlays that are no longer needed, and since when.
         selections: Stored selections.
+        verdicts: Stored verdicts.
 
     Raises (every method):
         StoreUnavailableError: Transient: disk full, database locked for too long.
@@ -98,6 +105,7 @@ class Ledger:
         self._new_lease_id = new_lease_id
         self.retired_overlays = RetiredOverlays(store, now_s=now_s)
         self.selections = Selections(store, now_s=now_s)
+        self.verdicts = Verdicts(store, now_s=now_s)
         self._listing = 0
         """Number of listings received, from which claims know that plans may be missing."""
         self._seeded: dict[str, int] = {}
@@ -341,6 +349,21 @@ class Ledger:
         """Rank current scenes, best first, and return at most `most`; None: all."""
         with self._store.reading() as connection:
             return list(ranking.ranked(connection, most=most, on_damaged=self._store.note_damaged))
+
+    def listing(self, request: ScenesRequest) -> ScenesReply:
+        """Return a page of current scenes by filter and order, or raise as `listing.page` does."""
+        with self._store.reading() as connection:
+            return listing.page(connection, request, on_damaged=self._store.note_damaged)
+
+    def activity(self, request: ActivityRequest) -> ActivityReply:
+        """Return scenes, disagreement, verdicts and precision over time and by group."""
+        with self._store.reading() as connection:
+            return activity.activity(connection, request)
+
+    def choices(self, *, causes: Sequence[str] = ()) -> ChoicesReply:
+        """Return the values that filters and verdicts choose from; `causes` are the user's own."""
+        with self._store.reading() as connection:
+            return activity.choices(connection, causes=causes)
 
     def select(self, *, budget: int, strategy: str = DEFAULT) -> list[RankedScene]:
         """Choose scenes of the ranking, or raise as `service.curation.strategies` does."""

@@ -1,5 +1,6 @@
 """Named selections in the store: written once, never changed."""
 
+import json
 from collections.abc import Callable, Sequence
 
 from sqlalchemy import Connection, func, insert, select, update
@@ -7,7 +8,7 @@ from sqlalchemy import Connection, func, insert, select, update
 from service.curation.ranking import RankedScene
 from service.curation.selection import Selection, SelectionSummary
 from service.curation.strategies.catalogue import DEFAULT
-from service.errors import UsageError
+from service.errors import NothingFoundError, UsageError
 from service.store.engine import Store
 from service.store.tables import COUNTERS, SELECTION_SCENES, SELECTIONS
 
@@ -66,6 +67,19 @@ class Selections:
         """Return every selection without its scenes, oldest first."""
         with self._store.reading() as connection:
             return _listed(connection)
+
+
+def scene_ids_of(connection: Connection, name: str) -> set[str]:
+    """Return the ids of the scenes of a selection.
+
+    Raises:
+        NothingFoundError: If there is none of this name.
+    """
+    stored = select(SELECTIONS.c.name).where(SELECTIONS.c.name == name)
+    if connection.execute(stored).one_or_none() is None:
+        raise NothingFoundError(f"no selection {name!r}; `counterpoint selection list` lists them")
+    scenes = select(SELECTION_SCENES.c.scene).where(SELECTION_SCENES.c.name == name)
+    return {json.loads(scene)["scene_id"] for scene in connection.execute(scenes).scalars()}
 
 
 def _save(

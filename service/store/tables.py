@@ -15,8 +15,12 @@ def _number(name: str, *, key: bool = False, nullable: bool = False) -> Column[A
     return Column(name, BigInteger, primary_key=key, nullable=nullable, autoincrement=False)
 
 
-def _real(name: str) -> Column[Any]:
-    return Column(name, Double, nullable=False)
+def _real(name: str, *, nullable: bool = False) -> Column[Any]:
+    return Column(name, Double, nullable=nullable)
+
+
+def _may_be_null(name: str) -> Column[Any]:
+    return Column(name, Text, nullable=True)
 
 
 def _flag(name: str) -> Column[Any]:
@@ -191,3 +195,61 @@ SKIPPED_ENTRIES: Final = Table(
     _text("why"),
     _number("others"),
 )
+
+VERDICTS: Final = Table(
+    "verdicts",
+    METADATA,
+    _number("ordinal", key=True),
+    _text("key"),
+    _text("scene_id"),
+    _text("sha256"),
+    _number("track_id", nullable=True),
+    _text("reviewer"),
+    _text("verdict"),
+    _text("cause"),
+    _text("note"),
+    _may_be_null("duplicate_of"),
+    _real("judged_s"),
+    _real("took_s", nullable=True),
+    _flag("is_current"),
+    _text("vehicle"),
+    _text("software_version"),
+    _text("kinds"),
+)
+
+LISTING_SOURCES: Final = Table(
+    "listing_sources",
+    METADATA,
+    _number("source", key=True),
+    _text("digest"),
+    _text("log_id"),
+    _text("lidar_topic"),
+    _text("vehicle"),
+    _text("software_version"),
+    _text("mode"),
+)
+
+LISTING_FINDINGS: Final = Table(
+    "listing_findings",
+    METADATA,
+    _number("finding", key=True),
+    _text("digest"),
+    _text("kinds"),
+    _text("class_names"),
+    _text("wrongs"),
+)
+
+LISTED_SCENES: Final = Table(
+    "listed_scenes",
+    METADATA,
+    _number("seq", key=True),
+    _real("place"),
+    _number("start_ns"),
+    _number("source"),
+    _number("finding"),
+    _number("judged"),
+    _number("compared"),
+    _number("contradicting"),
+)
+
+LISTED_WORDS: Final = Table("listed_words", METADATA, _number("seq", key=True), _text("words"))

@@ -7,6 +7,7 @@ from typing import Final, Literal, Protocol
 from sqlalchemy import Connection
 
 from schemas.score import SceneScore
+from schemas.verdict import Verdict
 from schemas.work import Answer
 
 WorkKind = Literal["plan", "shard"]
@@ -29,6 +30,7 @@ class Effects:
         leases_ended: Leases ended, by the reason in the ledger.
         parked: Plans and shards that are not retried, by kind.
         retried: Parked ones that are retried on request, by kind.
+        verdicts: Verdicts stored, by value.
     """
 
     scenes: list[SceneScore] = field(default_factory=list)
@@ -37,6 +39,7 @@ class Effects:
     leases_ended: Counter[str] = field(default_factory=Counter)
     parked: Counter[WorkKind] = field(default_factory=Counter)
     retried: Counter[WorkKind] = field(default_factory=Counter)
+    verdicts: Counter[Verdict] = field(default_factory=Counter)
 
     def note_commit(self, kind: WorkKind, answer: Answer, *, stored: bool) -> None:
         """Count the answer to one commit."""

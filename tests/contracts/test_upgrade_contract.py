@@ -12,7 +12,7 @@ from sqlalchemy import Engine, insert, select
 from service.errors import StateUnusableError
 from service.store import migrations
 from service.store.engine import Store, open_store_to_read
-from service.store.tables import METADATA, SCHEMA_VERSIONS
+from service.store.tables import LISTED_SCENES, METADATA, SCHEMA_VERSIONS
 from tests.contracts.databases import OnPostgres, OnSqlite
 from tests.contracts.ledger_world import Clock, World
 
@@ -69,7 +69,10 @@ class UpgradeContract(ABC):
                 found = connection.execute(select(*known).order_by(*table.primary_key.columns))
                 key = [column.name for column in table.primary_key.columns]
                 expected = sorted(rows, key=lambda row: [row[column] for column in key])
-                assert [dict(row._mapping) for row in found] == [stored(row) for row in expected]
+                kept = [dict(row._mapping) for row in found]
+                if name == "counters":  # later versions count more
+                    kept = [row for row in kept if row["name"] in {one["name"] for one in rows}]
+                assert kept == [stored(row) for row in expected]
 
     def test_states_and_scenes_and_selections_are_what_they_were(self, world: World) -> None:
         status = world.ledger.status("p2")
@@ -90,6 +93,9 @@ class UpgradeContract(ABC):
         kept = [row for row in FIRST["tables"]["scenes"] if row["is_current"]]
         assert sorted(world.ids()) == sorted(row["scene_id"] for row in kept)
         assert [each.name for each in world.ledger.selections.all()] == ["monday", "selection-2"]
+        with world.store.reading() as connection:
+            listed = select(LISTED_SCENES.c.seq).order_by(LISTED_SCENES.c.seq)
+            assert list(connection.execute(listed).scalars()) == sorted(row["seq"] for row in kept)
         assert {each.strategy for each in world.ledger.selections.listed()} == {""}
 
     def test_work_goes_on_and_old_revisions_come_back(self, world: World) -> None:

@@ -1,11 +1,13 @@
 """Migration of a database from any earlier version to this program's, in numbered steps."""
 
+from collections.abc import Callable, Mapping
 from importlib.resources import files
 from typing import Final
 
 from sqlalchemy import Connection, inspect, text
 
 from service.errors import StateOutdatedError, StateUnusableError
+from service.store.listed_scenes import list_stored_scenes
 
 STEPS: Final[tuple[str, ...]] = (
     "0001_ledger.sql",
@@ -17,18 +19,29 @@ STEPS: Final[tuple[str, ...]] = (
     "0007_served_bucket.sql",
     "0008_incarnation.sql",
     "0009_reading.sql",
+    "0010_review.sql",
 )
 """Step i migrates version i to i + 1. A step that has been released is never edited."""
 
 SCHEMA_VERSION: Final = len(STEPS)
 
+_FILLED: Final[Mapping[str, Callable[[Connection], None]]] = {"0010_review.sql": list_stored_scenes}
+"""Steps that fill new tables from records, which SQL alone cannot read."""
+
 _SPELLINGS: Final = {
-    "sqlite": {"{blob}": "BLOB", "{true}": "1", "{false}": "0", "{bytewise}": ""},
+    "sqlite": {
+        "{blob}": "BLOB",
+        "{true}": "1",
+        "{false}": "0",
+        "{bytewise}": "",
+        "{rowid}": "INTEGER",
+    },
     "postgresql": {
         "{blob}": "BYTEA",
         "{true}": "TRUE",
         "{false}": "FALSE",
         "{bytewise}": 'COLLATE "C"',
+        "{rowid}": "BIGINT",
     },
 }
 """SQL fragments that differ between the two servers; the steps are otherwise plain SQL. SQLite uses
@@ -59,6 +72,8 @@ def migrate(connection: Connection, *, name: str) -> None:
     for number in range(version, SCHEMA_VERSION):
         for statement in _statements(STEPS[number], dialect=connection.dialect.name):
             connection.exec_driver_sql(statement)
+        if (fill := _FILLED.get(STEPS[number])) is not None:
+            fill(connection)
         connection.execute(
             text("INSERT INTO schema_version (version) VALUES (:version)"), {"version": number + 1}
         )

@@ -1,0 +1,288 @@
+"""Pages of the listing: current scenes by filter and order, from narrow rows and indexes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import Any, Final
+
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    FromClause,
+    and_,
+    bindparam,
+    false,
+    func,
+    or_,
+    select,
+    tuple_,
+)
+
+from schemas.arrays import NS_PER_S
+from schemas.events import MAX_LISTED_TRACKS, TrackSummary
+from schemas.score import MIN_REPORTED_STRENGTH, SceneScore
+from schemas.transport.wire import decode
+from schemas.verdict import VerdictSummary
+from service.curation.listing import (
+    ListedScene,
+    SceneOrder,
+    ScenesReply,
+    ScenesRequest,
+    cursor_of,
+    keys_of,
+)
+from service.curation.scene_names import begins, parse_short_name
+from service.store.record_digests import OnDamaged, problem_of
+from service.store.selections import scene_ids_of
+from service.store.tables import (
+    LISTED_SCENES,
+    LISTED_WORDS,
+    LISTING_FINDINGS,
+    LISTING_SOURCES,
+    SCENES,
+    VERDICTS,
+)
+from service.store.verdicts import summaries
+
+_C: Final = LISTED_SCENES.c
+_IDS_AT_ONCE: Final = 5000
+
+
+@dataclass(frozen=True, slots=True)
+class _Order:
+    """An order of the listing.
+
+    Attributes:
+        columns: Values that sort the rows and that a cursor contains; the last one is unique.
+        descending: The greatest first.
+    """
+
+    columns: tuple[ColumnElement[Any], ...]
+    descending: bool = False
+
+
+_ORDERS: Final[dict[SceneOrder, _Order]] = {
+    "score": _Order((_C.place, _C.start_ns, _C.seq)),
+    "newest": _Order((_C.seq,), descending=True),
+    "earliest": _Order((_C.start_ns, _C.seq)),
+    "latest": _Order((_C.start_ns, _C.seq), descending=True),
+    "judged": _Order((_C.judged,), descending=True),
+}
+
+
+def page(connection: Connection, request: ScenesRequest, *, on_damaged: OnDamaged) -> ScenesReply:
+    """Read one page of the current scenes that pass the filters.
+
+    Args:
+        connection: To read from.
+        request: Filters, order and cursor.
+        on_damaged: Called for damaged scenes, which are left out.
+
+    Raises:
+        UsageError: If the cursor is of another order.
+        NothingFoundError: If there is no such selection.
+    """
+    order = _ORDERS[request.sort]
+    wanted = and_(True, *_filters(connection, request))
+    source: FromClause = LISTED_SCENES
+    columns = order.columns
+    if request.text and parse_short_name(request.text) is None:
+        # The search reads every text in turn, and finds the row of each match by its number. The
+        # sums keep SQLite from walking an index of the rows and finding the text of each instead.
+        source = LISTED_WORDS.join(LISTED_SCENES, _C.seq == LISTED_WORDS.c.seq + 0)
+        columns = (columns[0] + 0, *columns[1:])
+        wanted = and_(wanted, _contains(connection, LISTED_WORDS.c.words, request.text.casefold()))
+    total = connection.execute(select(func.count()).select_from(source).where(wanted)).scalar_one()
+    if request.after:
+        wanted = and_(
+            wanted, _beyond(order, keys_of(request.sort, request.after, count=len(columns)))
+        )
+    places = connection.execute(
+        select(_C.seq, *(column.label(f"key_{n}") for n, column in enumerate(order.columns)))
+        .select_from(source)
+        .where(wanted)
+        .order_by(*(column.desc() if order.descending else column for column in columns))
+        .limit(request.most + 1)
+    ).all()
+    shown = places[: request.most]
+    following = ""
+    if len(places) > request.most:
+        last = shown[-1]._mapping
+        keys = tuple(last[f"key_{n}"] for n in range(len(order.columns)))
+        following = cursor_of(request.sort, keys)
+    rows = _rows(connection, [row.seq for row in shown], request.reviewer, on_damaged)
+    return ScenesReply(rows=tuple(rows), next=following, total=total)
+
+
+def _beyond(order: _Order, keys: Sequence[float | int]) -> ColumnElement[bool]:
+    place = tuple_(
+        *(
+            bindparam(None, key, column.type)
+            for key, column in zip(keys, order.columns, strict=True)
+        )
+    )
+    return tuple_(*order.columns) < place if order.descending else tuple_(*order.columns) > place
+
+
+def _filters(connection: Connection, request: ScenesRequest) -> list[ColumnElement[bool]]:
+    """Return the conditions on the narrow rows."""
+    found: list[ColumnElement[bool]] = []
+    found += _of_sources(connection, request)
+    found += _of_findings(connection, request)
+    if request.since_ns is not None:
+        found.append(_C.start_ns >= request.since_ns)
+    if request.until_ns is not None:
+        found.append(_C.start_ns < request.until_ns)
+    if request.min_score:
+        found.append(_C.place <= -request.min_score)
+    if request.max_score is not None:
+        found.append(_C.place >= -request.max_score)
+    if request.selection is not None:
+        ids = sorted(scene_ids_of(connection, request.selection))
+        found.append(_in(_C.seq, _numbers_of(connection, ids)))
+    found += _of_verdicts(request)
+    return found
+
+
+def _of_verdicts(request: ScenesRequest) -> list[ColumnElement[bool]]:
+    found: list[ColumnElement[bool]] = []
+    if request.judged == "yes" or request.sort == "judged":
+        found.append(_C.judged > 0)
+    if request.judged == "no":
+        found.append(_C.judged == 0)
+    if request.judged in {"mine", "not_mine"}:
+        mine = (
+            select(SCENES.c.seq)
+            .join(
+                VERDICTS,
+                and_(
+                    VERDICTS.c.scene_id == SCENES.c.scene_id, VERDICTS.c.sha256 == SCENES.c.sha256
+                ),
+            )
+            .where(
+                SCENES.c.is_current,
+                VERDICTS.c.is_current,
+                VERDICTS.c.reviewer == (request.reviewer or ""),
+            )
+        )
+        if request.judged == "mine":
+            found += [_C.judged > 0, _C.seq.in_(mine)]
+        else:
+            found.append(or_(_C.judged == 0, _C.seq.not_in(mine)))
+    return found
+
+
+def _of_sources(connection: Connection, request: ScenesRequest) -> list[ColumnElement[bool]]:
+    """Return the conditions on where a scene comes from: log, vehicle, version and stream."""
+    c, wanted = LISTING_SOURCES.c, []
+    if request.vehicle is not None:
+        wanted.append(c.vehicle == request.vehicle)
+    if request.software_version is not None:
+        wanted.append(c.software_version == request.software_version)
+    if request.mode is not None:
+        named = func.substr(c.mode, 1, len(request.mode) + 1) == f"{request.mode}@"
+        wanted.append(or_(c.mode == request.mode, named))
+    found: list[ColumnElement[bool]] = []
+    log, short = request.log, parse_short_name(request.text)
+    if wanted or log is not None or short is not None:
+        sources = connection.execute(select(c.source, c.log_id).where(and_(True, *wanted))).all()
+        numbers = [
+            row.source
+            for row in sources
+            if (log is None or fnmatchcase(row.log_id, log))
+            and (short is None or f"/{row.log_id}".endswith(f"/{short[0]}"))
+        ]
+        found.append(_in(_C.source, numbers))
+    if short is not None:
+        found += [_C.start_ns >= short[1], _C.start_ns < short[1] + NS_PER_S // 10]
+    return found
+
+
+def _of_findings(connection: Connection, request: ScenesRequest) -> list[ColumnElement[bool]]:
+    """Return the condition on the strong tracks of a scene."""
+    c = LISTING_FINDINGS.c
+    wanted = [
+        _contains(connection, column, f"|{value}|")
+        for column, value in (
+            (c.kinds, request.kind),
+            (c.class_names, request.class_name),
+            (c.wrongs, request.wrong.value if request.wrong else None),
+        )
+        if value is not None
+    ]
+    if not wanted:
+        return []
+    return [_in(_C.finding, connection.execute(select(c.finding).where(*wanted)).scalars().all())]
+
+
+def _in(column: ColumnElement[Any], numbers: Sequence[int]) -> ColumnElement[bool]:
+    """Return a condition with the numbers in its text, of which a database bounds no count."""
+    if not numbers:
+        return false()
+    return column.in_(bindparam(None, list(numbers), expanding=True, literal_execute=True))
+
+
+def _contains(connection: Connection, column: ColumnElement[Any], part: str) -> ColumnElement[bool]:
+    if connection.dialect.name == "sqlite":
+        return func.instr(column, part) > 0
+    return func.strpos(column, part) > 0
+
+
+def _numbers_of(connection: Connection, scene_ids: Sequence[str]) -> list[int]:
+    numbers: list[int] = []
+    for begin in range(0, len(scene_ids), _IDS_AT_ONCE):
+        some = scene_ids[begin : begin + _IDS_AT_ONCE]
+        query = select(SCENES.c.seq).where(SCENES.c.is_current, SCENES.c.scene_id.in_(some))
+        numbers += connection.execute(query).scalars().all()
+    return numbers
+
+
+def _rows(
+    connection: Connection, numbers: Sequence[int], reviewer: str | None, on_damaged: OnDamaged
+) -> list[ListedScene]:
+    """Read the scenes of a page from their records, in the order given."""
+    stored = {
+        row.seq: row
+        for row in connection.execute(
+            select(SCENES.c.seq, SCENES.c.scene_id, SCENES.c.sha256, SCENES.c.record).where(
+                SCENES.c.seq.in_(numbers)
+            )
+        )
+    }
+    intact = []
+    for seq in numbers:
+        if problem := problem_of(stored[seq]):
+            on_damaged(stored[seq].scene_id, problem)
+        else:
+            intact.append(stored[seq])
+    judged = summaries(
+        connection, [(row.scene_id, row.sha256) for row in intact], reviewer=reviewer
+    )
+    return [_listed(row, judged.get(row.scene_id, VerdictSummary())) for row in intact]
+
+
+def _listed(row: Any, verdicts: VerdictSummary) -> ListedScene:
+    score = decode(SceneScore, bytes(row.record))
+    strong = [track for track in score.tracks if track.strength >= MIN_REPORTED_STRENGTH]
+    first = strong[0] if strong else None
+    return ListedScene(
+        scene_id=score.scene_id,
+        log_id=score.log_id,
+        lidar_topic=score.lidar_topic,
+        name=f"{score.log_id.rpartition('/')[2]}@{begins(score.start_ns)}",
+        vehicle=score.vehicle,
+        software_version=score.software_version,
+        start_ns=score.start_ns,
+        end_ns=score.end_ns,
+        state=score.state.value,
+        score=score.score,
+        seq=row.seq,
+        sha256=row.sha256,
+        headline=score.reasons[0].headline if score.reasons else "",
+        kind=first.kind if first else "",
+        class_name=first.class_name if first else "",
+        wrong=first.attribution.wrong if first and first.attribution else None,
+        strength=first.strength if first else 0.0,
+        tracks=tuple(TrackSummary.of(track) for track in strong[:MAX_LISTED_TRACKS]),
+        verdicts=verdicts,
+    )
