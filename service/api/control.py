@@ -47,6 +47,7 @@ from service.curation.listing import ScenesReply, ScenesRequest
 from service.curation.rates import RatesRequest, rates
 from service.curation.selection import Selection
 from service.curation.status import Status
+from service.curation.strategies.catalogue import strategy_of
 from service.curation.verdicts import (
     AgreementReply,
     AgreementRequest,
@@ -176,8 +177,13 @@ class Control:
 
     def answer_select(self, request: SelectRequest) -> Selection:
         """Make, store and publish a selection."""
-        chosen = self._ledger.select(budget=request.budget)
-        selection = self._ledger.selections.save(request.name, budget=request.budget, scenes=chosen)
+        chosen = self._ledger.select(budget=request.budget, wanted=request.scenes)
+        selection = self._ledger.selections.save(
+            request.name,
+            budget=request.budget,
+            scenes=chosen,
+            strategy=strategy_of(request.scenes),
+        )
         self._on_selection(selection)
         return selection
 

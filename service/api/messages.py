@@ -9,6 +9,7 @@ from schemas.bounds import (
     MAX_LISTED,
     MAX_LOGS_NAMED,
     MAX_SCENES_ASKED,
+    MAX_SCENES_CHOSEN,
     Count,
     LogId,
     Name,
@@ -74,6 +75,12 @@ class SelectRequest(BaseModel):
 
     budget: int = Field(ge=1, le=MAX_SCENES_ASKED, description="Scenes the labellers can take.")
     name: Name | None = Field(default=None, description="None: the service names it.")
+    scenes: tuple[SceneId, ...] | None = Field(
+        default=None,
+        max_length=MAX_SCENES_CHOSEN,
+        exclude_if=lambda value: value is None,
+        description="Scenes that a person chose; None: the strategy chooses.",
+    )
 
 
 class SelectionRequest(BaseModel):

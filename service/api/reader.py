@@ -27,6 +27,7 @@ from service.curation.ranking import RankedScene
 from service.curation.rates import RateRow, RatesRequest, rates
 from service.curation.selection import Selection, SelectionSummary
 from service.curation.status import ParkedWork, Status
+from service.curation.strategies.catalogue import strategy_of
 from service.curation.verdicts import (
     AgreementReply,
     AgreementRequest,
@@ -51,8 +52,10 @@ class Reader(Protocol):
         """Rank every current scene, best first."""
         ...
 
-    def select(self, *, budget: int, name: str | None) -> Selection:
-        """Store the best distinct scenes as a named selection."""
+    def select(
+        self, *, budget: int, name: str | None, scenes: Sequence[str] | None = None
+    ) -> Selection:
+        """Store the best distinct scenes, or these, as a named selection."""
         ...
 
     def selection(self, name: str) -> Selection:
@@ -156,16 +159,23 @@ class StateReader:
                 f"a service runs on this state and alone may {what}: use --connect {endpoint}"
             ) from None
 
-    def select(self, *, budget: int, name: str | None) -> Selection:
-        """Store the best distinct scenes as a named selection.
+    def select(
+        self, *, budget: int, name: str | None, scenes: Sequence[str] | None = None
+    ) -> Selection:
+        """Store the best distinct scenes, or these, as a named selection.
 
         Raises:
             UsageError: If a service runs on this state, since it is the only writer and publisher.
         """
-        asked = checked_request(SelectRequest, budget=budget, name=name)
+        asked = checked_request(SelectRequest, budget=budget, name=name, scenes=scenes)
         with self._ledger_to_write(what="select") as ledger:
-            chosen = ledger.select(budget=asked.budget)
-            return ledger.selections.save(asked.name, budget=asked.budget, scenes=chosen)
+            chosen = ledger.select(budget=asked.budget, wanted=asked.scenes)
+            return ledger.selections.save(
+                asked.name,
+                budget=asked.budget,
+                scenes=chosen,
+                strategy=strategy_of(asked.scenes),
+            )
 
     def selection(self, name: str) -> Selection:
         """Return the stored selection of this name."""

@@ -27,6 +27,7 @@ from service.cli import (
     parts,
     rates,
     retry,
+    review,
     scenes,
     selections,
     settings,
@@ -58,7 +59,7 @@ app = typer.Typer(
     "each other. No label is needed.",
     epilog="Try it: counterpoint demo --out demo-output",
 )
-for mining in (daemons, logs, scenes, selections, rates, retry):
+for mining in (daemons, logs, scenes, selections, rates, retry, review):
     mining.add_to(app)
 for measuring in (demo, simulate, evaluate, measure, calibrate, parts, settings, weights):
     measuring.add_to(app)

@@ -85,11 +85,12 @@ class ControlClient:
             decode(TopReply, self._ask("top", checked_request(TopRequest, most=most))).scenes
         )
 
-    def select(self, *, budget: int, name: str | None = None) -> Selection:
-        """Store the best distinct scenes as a named selection, and publish it."""
-        return decode(
-            Selection, self._ask("select", checked_request(SelectRequest, budget=budget, name=name))
-        )
+    def select(
+        self, *, budget: int, name: str | None = None, scenes: Sequence[str] | None = None
+    ) -> Selection:
+        """Store the best distinct scenes, or these, as a named selection, and publish it."""
+        asked = checked_request(SelectRequest, budget=budget, name=name, scenes=scenes)
+        return decode(Selection, self._ask("select", asked))
 
     def selection(self, name: str) -> Selection:
         """Return the stored selection of this name."""

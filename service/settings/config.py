@@ -169,6 +169,16 @@ class Settings(MiningSettings):
         default="127.0.0.1:9465",
         description="Address at which `worker` serves /metrics, /healthz and /readyz; empty: none.",
     )
+    review_listen: str = Field(
+        default="127.0.0.1:8087",
+        description="Address at which `review` and `run --review` serve the review page; port 0 "
+        "takes a free one.",
+    )
+    review_hosts: Names = Field(
+        default=(),
+        description="Names under which browsers may ask for the review page, in addition to those "
+        "of the loopback and to its own address.",
+    )
     vehicles: Names = Field(
         default=(),
         max_length=50,

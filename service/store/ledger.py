@@ -26,7 +26,7 @@ from service.curation.listing import ScenesReply, ScenesRequest
 from service.curation.ranking import RankedScene
 from service.curation.rates import RatesRequest, RateSums
 from service.curation.status import ParkedWork, SkippedEntries, Status
-from service.curation.strategies.catalogue import DEFAULT, select
+from service.curation.strategies.catalogue import Wanted, select
 from service.curation.verdicts import ChoicesReply
 from service.store import (
     activity,
@@ -365,13 +365,13 @@ class Ledger:
         with self._store.reading() as connection:
             return activity.choices(connection, causes=causes)
 
-    def select(self, *, budget: int, strategy: str = DEFAULT) -> list[RankedScene]:
+    def select(self, *, budget: int, wanted: Wanted = None) -> list[RankedScene]:
         """Choose scenes of the ranking, or raise as `service.curation.strategies` does."""
         with (
             self._store.reading() as connection,
             closing(ranking.ranked(connection, on_damaged=self._store.note_damaged)) as ranked,
         ):
-            return select(ranked, budget=budget, strategy=strategy)
+            return select(ranked, budget=budget, wanted=wanted)
 
     def rate_sums(self, request: RatesRequest) -> list[RateSums]:
         """Return sums over the requested groups of current scenes, in no order."""
