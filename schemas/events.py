@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from schemas.attribution import Chance, Wrong
 from schemas.bounds import MAX_LISTED, Count, Finite, Kept, Said, StampNs
 from schemas.contradiction import KindName, Place, TrackRecord
+from schemas.verdict import VerdictSummary
 
 MAX_LISTED_TRACKS: Final = 5
 """Tracks of a row of the ranking at most, as many as a record gives reasons about tracks."""
@@ -92,3 +93,9 @@ class RankedScene(BaseModel):
         description="A better scene next to it that shows the same things, and is no twin itself.",
     )
     sha256: Kept = Field(description="Digest of the record as published.")
+    verdicts: VerdictSummary | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="Verdicts of reviewers; absent without one, in published selections, and "
+        "where they were not requested.",
+    )

@@ -16,11 +16,13 @@ from schemas.events import RankedScene, SceneNumber
 from schemas.predicted_boxes import PredictedBoxes
 from schemas.problem import Problem
 from schemas.score import SceneScore
+from schemas.verdict import VerdictRecord
 
 PUBLISHED: Final[Mapping[str, type[BaseModel]]] = {
     "counterpoint.scene_score.v2": SceneScore,
     "counterpoint.scene_number.v1": SceneNumber,
     "counterpoint.ranked_scene.v1": RankedScene,
+    "counterpoint.verdict.v1": VerdictRecord,
     "counterpoint.problem.v1": Problem,
     "counterpoint.boxes.v1": PredictedBoxes,
 }

@@ -24,6 +24,7 @@ from schemas.transport.wire import (
     SCENE_SCORE_V1_ENCODING,
     is_of_version_1,
 )
+from schemas.verdict import VERDICT_ENCODING
 
 log = structlog.get_logger(__name__)
 
@@ -46,6 +47,10 @@ RECORD_V1: Final = zenoh.Encoding(SCENE_SCORE_V1_ENCODING[0]).with_schema(
 
 RANKED: Final = zenoh.Encoding(RANKED_SCENE_ENCODING[0]).with_schema(RANKED_SCENE_ENCODING[1])
 """Encoding of one scene of a selection."""
+
+
+VERDICT: Final = zenoh.Encoding(VERDICT_ENCODING[0]).with_schema(VERDICT_ENCODING[1])
+"""Encoding of one verdict."""
 
 
 def encoding_of(record: bytes) -> zenoh.Encoding:

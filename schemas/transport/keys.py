@@ -61,6 +61,21 @@ def selected(*, root: str, selection: str, log_id: str, scene_id: str) -> str:
     return _whole(f"{root}/v1/selected/{'/'.join(map(_part, parts))}")
 
 
+def verdict(*, root: str, scene_id: str, ordinal: int) -> str:
+    """Key of one numbered verdict; each has a key of its own, since each is an event.
+
+    Raises:
+        KeyTooLongError: If the names exceed the bounds of the current version.
+    """
+    log_id = scene_id.rsplit("/", 2)[0]
+    return _whole(f"{root}/v1/verdict/{_part(log_id)}/{_part(_within(log_id, scene_id))}/{ordinal}")
+
+
+def all_verdicts(*, root: str) -> str:
+    """Key expression of all verdicts, for subscriptions and history requests."""
+    return f"{root}/v1/verdict/**"
+
+
 def control(*, root: str, verb: str) -> str:
     """Key of a question to the service."""
     return f"{root}/v1/ctl/{verb}"

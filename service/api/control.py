@@ -25,6 +25,7 @@ from schemas.work import (
 )
 from service.api.messages import (
     AboutReply,
+    ProposeRequest,
     RatesReply,
     RetryReply,
     RetryRequest,
@@ -43,8 +44,9 @@ from service.api.request_queue import RequestQueue, malformed
 from service.api.staging import Staging
 from service.api.verbs import VERBS
 from service.curation.activity import ActivityReply, ActivityRequest
+from service.curation.candidates import Proposal
 from service.curation.listing import ScenesReply, ScenesRequest
-from service.curation.rates import RatesRequest, rates
+from service.curation.rates import RatesRequest, rates, with_judged
 from service.curation.selection import Selection
 from service.curation.status import Status
 from service.curation.strategies.catalogue import strategy_of
@@ -169,30 +171,42 @@ class Control:
 
     def answer_top(self, request: TopRequest) -> TopReply:
         """List the ranking."""
-        return TopReply(scenes=tuple(self._ledger.ranking(most=request.most)))
+        rows = self._ledger.ranking(most=request.most)
+        if request.verdicts:
+            rows = self._ledger.verdicts.with_verdicts(rows)
+        return TopReply(scenes=tuple(rows))
 
     def answer_rates(self, request: RatesRequest) -> RatesReply:
         """Count contradictions by group."""
-        return RatesReply(rows=tuple(rates(self._ledger.rate_sums(request), request.by)))
+        rows = rates(self._ledger.rate_sums(request), request.by)
+        if request.verdicts:
+            rows = with_judged(rows, request, self._ledger.verdicts.judged_scenes())
+        return RatesReply(rows=tuple(rows))
 
     def answer_select(self, request: SelectRequest) -> Selection:
         """Make, store and publish a selection."""
-        chosen = self._ledger.select(budget=request.budget, wanted=request.scenes)
+        chosen = self._ledger.select(
+            budget=request.budget, name=request.name, terms=request.terms, wanted=request.scenes
+        )
         selection = self._ledger.selections.save(
             request.name,
             budget=request.budget,
             scenes=chosen,
-            strategy=strategy_of(request.scenes),
+            strategy=strategy_of(request.scenes, request.terms.strategy),
         )
         self._on_selection(selection)
-        return selection
+        return self._ledger.verdicts.in_selection(selection) if request.verdicts else selection
+
+    def answer_propose(self, request: ProposeRequest) -> Proposal:
+        """Return the choice that a selection would store, with its reasons."""
+        return self._ledger.propose(budget=request.budget, name=request.name, terms=request.terms)
 
     def answer_selection(self, request: SelectionRequest) -> Selection:
         """Return one stored selection."""
         found = self._ledger.selections.one(request.name)
         if found is None:
             raise no_such_selection(request.name)
-        return found
+        return self._ledger.verdicts.in_selection(found) if request.verdicts else found
 
     def answer_selections(self, _: None) -> SelectionsReply:
         """List every stored selection, without its scenes."""

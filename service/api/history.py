@@ -17,8 +17,9 @@ from schemas.bounds import MAX_INTEGER, MAX_NEWEST
 from schemas.errors import PermanentError
 from schemas.events import SceneNumber
 from schemas.transport import keys
-from schemas.transport.bus import RANKED, encoding_of
+from schemas.transport.bus import RANKED, VERDICT, encoding_of
 from schemas.transport.wire import encode
+from schemas.verdict import VerdictRecord
 from service.api.outbox import selected_scenes
 from service.api.request_queue import RequestQueue
 from service.store.ledger import Ledger, StoredScene
@@ -38,6 +39,7 @@ class History:
         requests.declare_history(keys.all_scenes(root=self._root), self.answer)
         requests.declare_history(keys.scene_cache(root=self._root), self.answer_as_cache)
         requests.declare_history(keys.all_selected(root=self._root), self.answer_selected)
+        requests.declare_history(keys.all_verdicts(root=self._root), self.answer_verdicts)
 
     def answer(self, query: zenoh.Query) -> None:
         """Reply with scenes in the order of their numbers, as the parameters request.
@@ -103,6 +105,41 @@ class History:
             for key, payload in selected_scenes(selection, root=self._root):
                 if query.key_expr.intersects(key):
                     query.reply(key, payload, encoding=RANKED)
+
+    def answer_verdicts(self, query: zenoh.Query) -> None:
+        """Reply with verdicts in the order of their numbers, undone ones and undos included.
+
+        `since=N` gives those with a greater number, `most=M` stops after so many.
+
+        Raises:
+            PermanentError: If a parameter is no number within its bounds, or `since` is beyond the
+                last one.
+        """
+        most, since = _number(query, "most"), _number(query, "since") or 0
+        if since > (last := self._ledger.verdicts.last()):
+            raise PermanentError(
+                f"no verdict {since} here, the last is {last}: these verdicts are from another "
+                "ledger; drop yours, and begin again with since=0"
+            )
+        for verdict, key in islice(self._verdicts_with_keys(query, since), most):
+            query.reply(
+                key,
+                encode(verdict),
+                encoding=VERDICT,
+                attachment=encode(SceneNumber(seq=verdict.ordinal)),
+            )
+
+    def _verdicts_with_keys(
+        self, query: zenoh.Query, since: int
+    ) -> Iterator[tuple[VerdictRecord, str]]:
+        while page := self._ledger.verdicts.since(since, PAGE):
+            for verdict in page:
+                key = keys.verdict(
+                    root=self._root, scene_id=verdict.scene_id, ordinal=verdict.ordinal
+                )
+                if query.key_expr.intersects(key):
+                    yield verdict, key
+            since = page[-1].ordinal
 
     def _pages(
         self, read: Callable[[int, int], list[StoredScene]], seq: int, most: int | None = None

@@ -1,7 +1,7 @@
 """Messages of clients to the service, in addition to the leases of `schemas.work`."""
 
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -20,13 +20,21 @@ from schemas.transport.wire import first_problem
 from schemas.verdict import VerdictRow
 from service.curation.ranking import RankedScene
 from service.curation.rates import RateRow
-from service.curation.selection import SelectionSummary
+from service.curation.selection import SelectionSummary, SelectionTerms
 from service.curation.status import ParkedWork
 from service.curation.verdicts import MAX_VERDICTS_ASKED
 from service.errors import UsageError
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
 
+
+WithVerdicts = Annotated[
+    bool,
+    Field(
+        exclude_if=lambda value: not value,
+        description="Give each row its verdicts; absent: no, since earlier clients refuse them.",
+    ),
+]
 
 Request = TypeVar("Request", bound=BaseModel)
 
@@ -50,6 +58,7 @@ class TopRequest(BaseModel):
         le=MAX_SCENES_ASKED,
         description="Number of rows at most; None: all.",
     )
+    verdicts: WithVerdicts = False
 
 
 class TopReply(BaseModel):
@@ -81,6 +90,24 @@ class SelectRequest(BaseModel):
         exclude_if=lambda value: value is None,
         description="Scenes that a person chose; None: the strategy chooses.",
     )
+    terms: SelectionTerms = Field(
+        default=SelectionTerms(),
+        exclude_if=lambda value: value == SelectionTerms(),
+        description="How the scenes are chosen.",
+    )
+    verdicts: WithVerdicts = False
+
+
+class ProposeRequest(BaseModel):
+    """Request for the choice that a selection would store now; nothing is stored."""
+
+    model_config = _STRICT
+
+    budget: int = Field(ge=1, le=MAX_SCENES_ASKED, description="Scenes the labellers can take.")
+    name: Name | None = Field(
+        default=None, description="Selection to compare with; None: it would be a new one."
+    )
+    terms: SelectionTerms = SelectionTerms()
 
 
 class SelectionRequest(BaseModel):
@@ -89,6 +116,7 @@ class SelectionRequest(BaseModel):
     model_config = _STRICT
 
     name: Name
+    verdicts: WithVerdicts = False
 
 
 class SelectionsReply(BaseModel):
@@ -142,7 +170,7 @@ class RetryReply(BaseModel):
     retried: tuple[ParkedWork, ...] = Field(max_length=MAX_LISTED)
 
 
-def checked_request(kind: type[Request], **fields: Any) -> Request:
+def checked_request(kind: type[Request], /, **fields: Any) -> Request:
     """Make a request from the values that a user gave.
 
     Raises:

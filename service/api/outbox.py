@@ -9,7 +9,7 @@ import zenoh
 
 from schemas.events import SceneNumber
 from schemas.transport import keys
-from schemas.transport.bus import RANKED, encoding_of, is_connected
+from schemas.transport.bus import RANKED, VERDICT, encoding_of, is_connected
 from schemas.transport.wire import encode
 from service.curation.selection import Selection
 from service.store.ledger import Ledger, StoredScene
@@ -41,7 +41,7 @@ class Outbox:
 
     def publish(self) -> None:
         """Publish every pending event, or stop when no router is connected."""
-        while self.publish_some():
+        while self.publish_some() + self.publish_verdicts():
             pass
 
     def publish_some(self) -> int:
@@ -55,6 +55,24 @@ class Outbox:
             self._ledger.mark_published(events[-1].seq)
             log.debug("scenes published", scenes=len(events), seq=events[-1].seq)
         return len(events)
+
+    def publish_verdicts(self) -> int:
+        """Publish the next batch of verdicts; return how many, 0 while no router is connected."""
+        if not is_connected(self._session):
+            return 0
+        verdicts = self._ledger.verdicts.unpublished(BATCH)
+        for verdict in verdicts:
+            key = keys.verdict(root=self._root, scene_id=verdict.scene_id, ordinal=verdict.ordinal)
+            self._session.put(
+                key,
+                encode(verdict),
+                encoding=VERDICT,
+                attachment=encode(SceneNumber(seq=verdict.ordinal)),
+                congestion_control=zenoh.CongestionControl.DROP,
+            )
+        if verdicts:
+            self._ledger.verdicts.mark_published(verdicts[-1].ordinal)
+        return len(verdicts)
 
     def publish_selection(self, selection: Selection) -> None:
         """Put every scene of a stored selection to its key, best first."""

@@ -12,6 +12,7 @@ from schemas.transport.bucket import open_bucket
 from schemas.transport.overlay_codec import MAX_OVERLAY_BYTES, decode_overlay
 from schemas.verdict import VerdictRow
 from service.api.messages import (
+    ProposeRequest,
     RetryRequest,
     SceneRequest,
     SelectionRequest,
@@ -22,10 +23,11 @@ from service.api.messages import (
     verdicts_reply,
 )
 from service.curation.activity import ActivityReply, ActivityRequest
+from service.curation.candidates import Proposal
 from service.curation.listing import ScenesReply, ScenesRequest
 from service.curation.ranking import RankedScene
-from service.curation.rates import RateRow, RatesRequest, rates
-from service.curation.selection import Selection, SelectionSummary
+from service.curation.rates import RateRow, RatesRequest, rates, with_judged
+from service.curation.selection import USUAL_TERMS, Selection, SelectionSummary, SelectionTerms
 from service.curation.status import ParkedWork, Status
 from service.curation.strategies.catalogue import strategy_of
 from service.curation.verdicts import (
@@ -53,9 +55,20 @@ class Reader(Protocol):
         ...
 
     def select(
-        self, *, budget: int, name: str | None, scenes: Sequence[str] | None = None
+        self,
+        *,
+        budget: int,
+        name: str | None,
+        scenes: Sequence[str] | None = None,
+        terms: SelectionTerms = USUAL_TERMS,
     ) -> Selection:
-        """Store the best distinct scenes, or these, as a named selection."""
+        """Store scenes chosen by the terms, or these, as a named selection."""
+        ...
+
+    def propose(
+        self, *, budget: int, name: str | None = None, terms: SelectionTerms = USUAL_TERMS
+    ) -> Proposal:
+        """Return the choice that `select` would store, with its reasons; nothing is stored."""
         ...
 
     def selection(self, name: str) -> Selection:
@@ -135,7 +148,7 @@ class StateReader:
         """Rank every current scene, best first, and return at most `most`; None: all."""
         asked = checked_request(TopRequest, most=most)
         with self._ledger() as ledger:
-            return ledger.ranking(most=asked.most)
+            return ledger.verdicts.with_verdicts(ledger.ranking(most=asked.most))
 
     @contextmanager
     def _ledger_to_write(self, *, what: str) -> Iterator[Ledger]:
@@ -160,31 +173,47 @@ class StateReader:
             ) from None
 
     def select(
-        self, *, budget: int, name: str | None, scenes: Sequence[str] | None = None
+        self,
+        *,
+        budget: int,
+        name: str | None,
+        scenes: Sequence[str] | None = None,
+        terms: SelectionTerms = USUAL_TERMS,
     ) -> Selection:
-        """Store the best distinct scenes, or these, as a named selection.
+        """Store scenes chosen by the terms, or these, as a named selection.
 
         Raises:
             UsageError: If a service runs on this state, since it is the only writer and publisher.
         """
-        asked = checked_request(SelectRequest, budget=budget, name=name, scenes=scenes)
+        asked = checked_request(SelectRequest, budget=budget, name=name, scenes=scenes, terms=terms)
         with self._ledger_to_write(what="select") as ledger:
-            chosen = ledger.select(budget=asked.budget, wanted=asked.scenes)
-            return ledger.selections.save(
+            chosen = ledger.select(
+                budget=asked.budget, name=asked.name, terms=asked.terms, wanted=asked.scenes
+            )
+            stored = ledger.selections.save(
                 asked.name,
                 budget=asked.budget,
                 scenes=chosen,
-                strategy=strategy_of(asked.scenes),
+                strategy=strategy_of(asked.scenes, asked.terms.strategy),
             )
+            return ledger.verdicts.in_selection(stored)
+
+    def propose(
+        self, *, budget: int, name: str | None = None, terms: SelectionTerms = USUAL_TERMS
+    ) -> Proposal:
+        """Return the choice that `select` would store, with its reasons; nothing is stored."""
+        asked = checked_request(ProposeRequest, budget=budget, name=name, terms=terms)
+        with self._ledger() as ledger:
+            return ledger.propose(budget=asked.budget, name=asked.name, terms=asked.terms)
 
     def selection(self, name: str) -> Selection:
         """Return the stored selection of this name."""
         asked = checked_request(SelectionRequest, name=name)
         with self._ledger() as ledger:
             found = ledger.selections.one(asked.name)
-        if found is None:
-            raise no_such_selection(name)
-        return found
+            if found is None:
+                raise no_such_selection(name)
+            return ledger.verdicts.in_selection(found)
 
     def selections(self) -> list[SelectionSummary]:
         """List every stored selection without its scenes, oldest first."""
@@ -226,7 +255,8 @@ class StateReader:
     def rates(self, request: RatesRequest) -> list[RateRow]:
         """Count contradictions by group."""
         with self._ledger() as ledger:
-            return rates(ledger.rate_sums(request), request.by)
+            rows = rates(ledger.rate_sums(request), request.by)
+            return with_judged(rows, request, ledger.verdicts.judged_scenes())
 
     def status(self) -> Status:
         """Return the progress of planning and mining."""

@@ -3,11 +3,12 @@
 import time
 from collections.abc import Callable, Iterator, Sequence
 from threading import Event
-from typing import Final
+from typing import Any, Final
 
 import structlog
 from pydantic import BaseModel
 
+from schemas.errors import PermanentError
 from schemas.runtime.retry import StoppedError
 from schemas.score import SceneScore
 from schemas.transport import keys
@@ -16,6 +17,7 @@ from schemas.transport.bus import client_session
 from schemas.transport.wire import decode, encode
 from schemas.verdict import VerdictRow
 from service.api.messages import (
+    ProposeRequest,
     RatesReply,
     RetryReply,
     RetryRequest,
@@ -31,10 +33,16 @@ from service.api.messages import (
 from service.client.merge import Holding, SceneEvent, SceneMerge, Wanted
 from service.client.subscription import SceneSubscription
 from service.curation.activity import ActivityReply, ActivityRequest
+from service.curation.candidates import Proposal
 from service.curation.listing import ScenesReply, ScenesRequest
 from service.curation.ranking import RankedScene
 from service.curation.rates import RateRow, RatesRequest
-from service.curation.selection import Selection, SelectionSummary
+from service.curation.selection import (
+    USUAL_TERMS,
+    Selection,
+    SelectionSummary,
+    SelectionTerms,
+)
 from service.curation.status import ParkedWork, Status
 from service.curation.verdicts import (
     AgreementReply,
@@ -81,22 +89,30 @@ class ControlClient:
 
     def top(self, most: int | None = None) -> list[RankedScene]:
         """Rank every current scene, best first, and return at most `most`; None: all."""
-        return list(
-            decode(TopReply, self._ask("top", checked_request(TopRequest, most=most))).scenes
-        )
+        return list(decode(TopReply, self._ask_with_verdicts("top", TopRequest, most=most)).scenes)
 
     def select(
-        self, *, budget: int, name: str | None = None, scenes: Sequence[str] | None = None
+        self,
+        *,
+        budget: int,
+        name: str | None = None,
+        scenes: Sequence[str] | None = None,
+        terms: SelectionTerms = USUAL_TERMS,
     ) -> Selection:
-        """Store the best distinct scenes, or these, as a named selection, and publish it."""
-        asked = checked_request(SelectRequest, budget=budget, name=name, scenes=scenes)
-        return decode(Selection, self._ask("select", asked))
+        """Store scenes chosen by the terms, or these, as a named selection, and publish it."""
+        asked = {"budget": budget, "name": name, "scenes": scenes, "terms": terms}
+        return decode(Selection, self._ask_with_verdicts("select", SelectRequest, **asked))
+
+    def propose(
+        self, *, budget: int, name: str | None = None, terms: SelectionTerms = USUAL_TERMS
+    ) -> Proposal:
+        """Return the choice that `select` would store, with its reasons; nothing is stored."""
+        asked = checked_request(ProposeRequest, budget=budget, name=name, terms=terms)
+        return decode(Proposal, self._ask("propose", asked))
 
     def selection(self, name: str) -> Selection:
         """Return the stored selection of this name."""
-        return decode(
-            Selection, self._ask("selection", checked_request(SelectionRequest, name=name))
-        )
+        return decode(Selection, self._ask_with_verdicts("selection", SelectionRequest, name=name))
 
     def selections(self) -> list[SelectionSummary]:
         """List every stored selection without its scenes, oldest first."""
@@ -117,7 +133,9 @@ class ControlClient:
 
     def rates(self, request: RatesRequest) -> list[RateRow]:
         """Return the rate of contradictions by group."""
-        return list(decode(RatesReply, self._ask("rates", request)).rows)
+        asked = request.model_dump(exclude={"verdicts"})
+        reply = self._ask_with_verdicts("rates", RatesRequest, **asked)
+        return list(decode(RatesReply, reply).rows)
 
     def scene(self, scene_id: str) -> SceneScore:
         """Return the record of a current scene."""
@@ -160,6 +178,15 @@ class ControlClient:
     def choices(self) -> ChoicesReply:
         """Return the values that filters and verdicts choose from."""
         return decode(ChoicesReply, self._ask("choices"))
+
+    def _ask_with_verdicts(self, verb: str, kind: type[BaseModel], **fields: Any) -> bytes:
+        """Request rows with their verdicts; without, from a service that knows none."""
+        try:
+            return self._ask(verb, checked_request(kind, **fields, verdicts=True))
+        except PermanentError as error:
+            if "verdicts: " not in str(error):
+                raise
+            return self._ask(verb, checked_request(kind, **fields))
 
     def _ask(self, verb: str, request: BaseModel | None = None) -> bytes:
         with client_session(self._connect) as session:

@@ -14,7 +14,7 @@ from service.curation.descriptors import Descriptors, describe, describing
 from service.curation.ranking import RankedScene
 
 BALANCED: Final = ("vehicle", "software version", "kind")
-"""Groups over which a selection is balanced. Places are none of them: no record has a global pose."""
+"""Groups over which a selection is balanced. Places are none: no record has a global pose."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,9 +84,7 @@ class Rows:
 
     def at(self, chosen: NDArray[np.int64] | slice) -> Self:
         """Return some of the candidates."""
-        return type(self)(
-            self.quality[chosen], self.descriptors[chosen], self.groups[chosen]
-        )
+        return type(self)(self.quality[chosen], self.descriptors[chosen], self.groups[chosen])
 
     def then(self, other: Self) -> Self:
         """Return these candidates and then others."""

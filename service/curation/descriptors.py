@@ -1,8 +1,9 @@
 """Descriptors of scenes: what their contradicting tracks are, as unit vectors. Pure.
 
-The inner product of two descriptors is their likeness, 0 to 1. A track is described by its kind, its
-class, who errs, its length, height and speed, its distance, and its bearing in the sensor's view. A
-scene is described by its listed tracks that are a reason, weighted by their strengths.
+The inner product of two descriptors is their likeness, 0 to 1. A track is described by its kind,
+its class, who errs, its length, height and speed, its distance, and its bearing in the sensor's
+view. A scene is described by its listed tracks that are a reason, weighted by their strengths.
+Records contain no statistics of the weather, so that descriptors contain none.
 """
 
 import math
@@ -172,9 +173,7 @@ def describe(scenes: Iterable[RankedScene]) -> Descriptors:
     flat = [track for tracks in rows for track in tracks]
     number = np.repeat(np.arange(len(rows)), [len(tracks) for tracks in rows])
     strength = np.array([track.strength for track in flat], np.float64)
-    return describe_scenes(
-        describe_tracks(columns_of(flat)), number, strength, count=len(rows)
-    )
+    return describe_scenes(describe_tracks(columns_of(flat)), number, strength, count=len(rows))
 
 
 def describing(scene: RankedScene) -> tuple[TrackSummary, ...]:
@@ -184,4 +183,6 @@ def describing(scene: RankedScene) -> tuple[TrackSummary, ...]:
 
 
 def _unit(rows: NDArray[np.float32]) -> NDArray[np.float32]:
-    return rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), np.float32(1e-12))
+    length = np.linalg.norm(rows, axis=1, keepdims=True)
+    unit: NDArray[np.float32] = rows / np.maximum(length, np.float32(1e-12))
+    return unit

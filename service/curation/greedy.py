@@ -12,7 +12,7 @@ from service.curation.candidates import Candidate, Rows, rows_of
 from service.curation.objectives import ObjectiveKind
 
 FIRST_READ: Final = 512
-"""Candidates that are read first; four times as many each time that others may change the choice."""
+"""Candidates that are read first; four times as many where others may change the choice."""
 
 MOST_READ: Final = 32_768
 """Candidates that are compared at most. Beyond them a candidate is left out, although its score

@@ -1,6 +1,7 @@
 """Rate of contradictions, by vehicle, software version, kind, hour or log."""
 
 import re
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -27,6 +28,11 @@ class RatesRequest(BaseModel):
     by: RatesBy
     since_ns: StampNs = Field(default=0, description="Recorded at or after, ns since the epoch.")
     until_ns: StampNs | None = Field(default=None, description="Recorded before; None: no end.")
+    verdicts: bool = Field(
+        default=False,
+        exclude_if=lambda value: not value,
+        description="Give each row its verdicts; absent: no, since earlier clients refuse them.",
+    )
 
 
 class RateRow(BaseModel):
@@ -59,6 +65,17 @@ class RateRow(BaseModel):
         description="Mean over the scenes that are not gated; 0 without any."
     )
     best_score: Finite = Field(description="Highest score of the group.")
+    judged_scenes: Count | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="Scenes with a verdict that decides which stream is wrong; by kind: scenes "
+        "with a strong track of it; absent where it was not requested.",
+    )
+    right_scenes: Count | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="Of these, with a verdict that the supervised stream is wrong.",
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +121,56 @@ def rates(sums: Iterable[RateSums], by: RatesBy) -> list[RateRow]:
     return sorted(rows, key=lambda row: (-row.disagreement_rate, row.group))
 
 
+@dataclass(frozen=True, slots=True)
+class JudgedScene:
+    """A current scene with a verdict that decides, in the terms of rates.
+
+    Attributes:
+        log_id: Its recording.
+        start_ns: Its begin, nanoseconds since the Unix epoch.
+        vehicle: Its vehicle.
+        software_version: Its software version.
+        kinds: Kinds of its strong tracks.
+        is_right: True if a verdict is that the supervised stream is wrong.
+    """
+
+    log_id: str
+    start_ns: int
+    vehicle: str
+    software_version: str
+    kinds: tuple[str, ...]
+    is_right: bool
+
+
+def with_judged(
+    rows: Iterable[RateRow], request: RatesRequest, judged: Iterable[JudgedScene]
+) -> list[RateRow]:
+    """Return the rows of a request with the verdicts on the scenes of each."""
+    count: Counter[str] = Counter()
+    right: Counter[str] = Counter()
+    for scene in judged:
+        late = request.until_ns is not None and scene.start_ns >= request.until_ns
+        if late or scene.start_ns < request.since_ns:
+            continue
+        groups = {
+            "vehicle": (scene.vehicle,),
+            "version": (scene.software_version,),
+            "kind": scene.kinds,
+            "hour": (_rfc3339(scene.start_ns // HOUR_NS * 3600),),
+            "log": (scene.log_id,),
+        }[request.by]
+        count.update(groups)
+        right.update(groups if scene.is_right else ())
+    return [
+        row.model_copy(update={"judged_scenes": count[row.group], "right_scenes": right[row.group]})
+        for row in rows
+    ]
+
+
+def _rfc3339(instant_s: int) -> str:
+    return datetime.fromtimestamp(instant_s, tz=UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
 def rates_request(by: str, *, since: str = "", until: str = "", now_s: float) -> RatesRequest:
     """Parse the values that a user or a dashboard gave.
 
@@ -129,7 +196,7 @@ def rates_request(by: str, *, since: str = "", until: str = "", now_s: float) ->
 
 def _row(sums: RateSums, *, by_hour: bool) -> RateRow:
     hour_s = int(sums.group) * 3600 if by_hour else 0
-    time = datetime.fromtimestamp(hour_s, tz=UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    time = _rfc3339(hour_s)
     return RateRow(
         group=time if by_hour else str(sums.group),
         time=time if by_hour else None,

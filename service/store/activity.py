@@ -20,6 +20,7 @@ from service.curation.activity import (
     RecordedBucket,
 )
 from service.curation.verdicts import CAUSES, MAX_CHOICES, ChoicesReply, Precision, precision_of
+from service.store.listed_scenes import names_in
 from service.store.tables import LISTED_SCENES, LISTING_FINDINGS, LISTING_SOURCES, VERDICTS
 
 _BUCKET_S: Final = {"hour": 3600, "day": 86_400}
@@ -48,7 +49,7 @@ def choices(connection: Connection, *, causes: Sequence[str]) -> ChoicesReply:
 
     def members(column: ColumnElement[Any]) -> tuple[str, ...]:
         sets = connection.execute(select(column).distinct()).scalars()
-        return tuple(sorted({name for each in sets for name in _names(each)}))[:MAX_CHOICES]
+        return tuple(sorted({name for each in sets for name in names_in(each)}))[:MAX_CHOICES]
 
     return ChoicesReply(
         vehicles=values(sources.vehicle),
@@ -140,7 +141,7 @@ def _groups(
     findings = _by_number(connection, request, _C.finding, LISTING_FINDINGS)
     yield from _of("vehicle", ((row, (row.vehicle,)) for row in sources), verdicts)
     yield from _of("version", ((row, (row.software_version,)) for row in sources), verdicts)
-    yield from _of("kind", ((row, _names(row.kinds)) for row in findings), verdicts)
+    yield from _of("kind", ((row, names_in(row.kinds)) for row in findings), verdicts)
 
 
 def _by_number(
@@ -185,7 +186,7 @@ def _of(
 
 def _groups_of(by: ActivityBy, verdict: Any) -> Sequence[str]:
     if by == "kind":
-        return _names(verdict.kinds)
+        return names_in(verdict.kinds)
     return (verdict.vehicle if by == "vehicle" else verdict.software_version,)
 
 
@@ -203,11 +204,6 @@ def _is_within(verdict: Any, request: ActivityRequest) -> bool:
     return bool(
         at_ns >= request.since_ns and (request.until_ns is None or at_ns < request.until_ns)
     )
-
-
-def _names(each: str) -> list[str]:
-    """Read a set that `set_of` wrote."""
-    return each.strip("|").split("|") if each else []
 
 
 def _rate(contradicting: Any, compared: Any) -> float:

@@ -192,12 +192,12 @@ class _Bench:
         return LogPlan(
             log_id=log_id,
             vehicle=log_id.partition("/")[0],
-            lidar_topics=(_LIDAR.topic,),
+            lidar_topics=(LIDAR.topic,),
             shards=tuple(
                 Shard(
                     log_id=log_id,
                     index=index,
-                    lidar=_LIDAR,
+                    lidar=LIDAR,
                     anchor_ns=_START_NS,
                     warmup_start_ns=start_ns,
                     start_ns=start_ns,
@@ -216,7 +216,7 @@ class _Bench:
         for start_ns in range(shard.start_ns, shard.end_ns, _SCENE_NS):
             scene_id = f"{shard.log_id}/{shard.lidar_name}/{start_ns}"
             yield encode_scene_score(
-                _SCORE.model_copy(
+                SCORE.model_copy(
                     update={
                         "scene_id": scene_id,
                         "log_id": shard.log_id,
@@ -275,7 +275,7 @@ def _fdatasync(path: Path, *, times: int) -> LedgerTiming:
 
 def _bare_sqlite(path: Path, *, times: int) -> LedgerTiming:
     """Commit one row of one record at a time, without a ledger."""
-    record = encode_scene_score(_SCORE)
+    record = encode_scene_score(SCORE)
     durations_s = []
     connection = sqlite3.connect(path, isolation_level=None)
     try:
@@ -312,7 +312,7 @@ def _timing(
 
 _CLAIM: Final = ClaimRequest(worker_id=_WORKER, pipeline_version=_VERSION)
 
-_LIDAR: Final = Channel(
+LIDAR: Final = Channel(
     topic="/lidar",
     message_encoding="cdr",
     schema_name="sensor_msgs/msg/PointCloud2",
@@ -325,10 +325,10 @@ _SHARES: Final = AgreementShares(
     both_static=0.9, both_dynamic=0.05, only_semantic_dynamic=0.05, only_predictive_dynamic=0.0
 )
 
-_SCORE: Final = SceneScore(
+SCORE: Final = SceneScore(
     scene_id="unknown",
     log_id="unknown",
-    lidar_topic=_LIDAR.topic,
+    lidar_topic=LIDAR.topic,
     vehicle="car-0",
     date="2026-01-01",
     software_version="1.0",

@@ -3,7 +3,6 @@
 import math
 import uuid
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
 from typing import Final
 
 import structlog
@@ -22,11 +21,13 @@ from schemas.work import (
     RenewRequest,
 )
 from service.curation.activity import ActivityReply, ActivityRequest
+from service.curation.candidates import Proposal
 from service.curation.listing import ScenesReply, ScenesRequest
 from service.curation.ranking import RankedScene
 from service.curation.rates import RatesRequest, RateSums
+from service.curation.selection import USUAL_TERMS, SelectionTerms
 from service.curation.status import ParkedWork, SkippedEntries, Status
-from service.curation.strategies.catalogue import Wanted, select
+from service.curation.strategies.catalogue import Wanted
 from service.curation.verdicts import ChoicesReply
 from service.store import (
     activity,
@@ -38,6 +39,7 @@ from service.store import (
     listing,
     manifest,
     overview,
+    proposals,
     ranking,
     rates,
     recordings,
@@ -365,13 +367,43 @@ class Ledger:
         with self._store.reading() as connection:
             return activity.choices(connection, causes=causes)
 
-    def select(self, *, budget: int, wanted: Wanted = None) -> list[RankedScene]:
-        """Choose scenes of the ranking, or raise as `service.curation.strategies` does."""
-        with (
-            self._store.reading() as connection,
-            closing(ranking.ranked(connection, on_damaged=self._store.note_damaged)) as ranked,
-        ):
-            return select(ranked, budget=budget, wanted=wanted)
+    def propose(
+        self,
+        *,
+        budget: int,
+        name: str | None = None,
+        terms: SelectionTerms = USUAL_TERMS,
+        wanted: Wanted = None,
+    ) -> Proposal:
+        """Choose scenes of the ranking, or raise as `service.curation.strategies` does.
+
+        Args:
+            budget: Number of scenes at most.
+            name: Selection that is made; the ones stored before it are the earlier ones.
+            terms: How they are chosen.
+            wanted: Scenes that a person chose; the terms are then not used.
+        """
+        with self._store.reading() as connection:
+            return proposals.propose(
+                connection,
+                budget=budget,
+                name=name,
+                terms=terms,
+                wanted=wanted,
+                on_damaged=self._store.note_damaged,
+            )
+
+    def select(
+        self,
+        *,
+        budget: int,
+        name: str | None = None,
+        terms: SelectionTerms = USUAL_TERMS,
+        wanted: Wanted = None,
+    ) -> list[RankedScene]:
+        """Choose scenes as `propose` does, and return them best first."""
+        proposal = self.propose(budget=budget, name=name, terms=terms, wanted=wanted)
+        return sorted((each.scene for each in proposal.choices), key=lambda scene: scene.rank)
 
     def rate_sums(self, request: RatesRequest) -> list[RateSums]:
         """Return sums over the requested groups of current scenes, in no order."""

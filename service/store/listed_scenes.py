@@ -153,6 +153,11 @@ def words_of(score: SceneScore) -> str:
     return f"{score.scene_id} {headlines}".casefold()
 
 
+def names_in(names: str) -> tuple[str, ...]:
+    """Read a set that `set_of` wrote."""
+    return tuple(names.strip("|").split("|")) if names else ()
+
+
 def kinds_of(score: SceneScore) -> str:
     """Return the kinds of the strong tracks of a scene, as a set in one text."""
     return set_of(track.kind for track in _strong(score))

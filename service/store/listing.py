@@ -42,7 +42,7 @@ from service.store.tables import (
     SCENES,
     VERDICTS,
 )
-from service.store.verdicts import summaries
+from service.store.verdict_rows import summaries
 
 _C: Final = LISTED_SCENES.c
 _IDS_AT_ONCE: Final = 5000
@@ -83,15 +83,10 @@ def page(connection: Connection, request: ScenesRequest, *, on_damaged: OnDamage
         NothingFoundError: If there is no such selection.
     """
     order = _ORDERS[request.sort]
-    wanted = and_(True, *_filters(connection, request))
-    source: FromClause = LISTED_SCENES
+    source, wanted = _searched(connection, request)
     columns = order.columns
-    if request.text and parse_short_name(request.text) is None:
-        # The search reads every text in turn, and finds the row of each match by its number. The
-        # sums keep SQLite from walking an index of the rows and finding the text of each instead.
-        source = LISTED_WORDS.join(LISTED_SCENES, _C.seq == LISTED_WORDS.c.seq + 0)
+    if source is not LISTED_SCENES:  # as in `_searched`, for the order
         columns = (columns[0] + 0, *columns[1:])
-        wanted = and_(wanted, _contains(connection, LISTED_WORDS.c.words, request.text.casefold()))
     total = connection.execute(select(func.count()).select_from(source).where(wanted)).scalar_one()
     if request.after:
         wanted = and_(
@@ -112,6 +107,27 @@ def page(connection: Connection, request: ScenesRequest, *, on_damaged: OnDamage
         following = cursor_of(request.sort, keys)
     rows = _rows(connection, [row.seq for row in shown], request.reviewer, on_damaged)
     return ScenesReply(rows=tuple(rows), next=following, total=total)
+
+
+def numbers_that_pass(connection: Connection, request: ScenesRequest) -> set[int]:
+    """Return the numbers of all current scenes that pass the filters; the order is not used."""
+    source, wanted = _searched(connection, request)
+    return set(connection.execute(select(_C.seq).select_from(source).where(wanted)).scalars())
+
+
+def _searched(
+    connection: Connection, request: ScenesRequest
+) -> tuple[FromClause, ColumnElement[bool]]:
+    """Return the table that filters and search read, and their condition."""
+    wanted = and_(True, *_filters(connection, request))
+    if not request.text or parse_short_name(request.text) is not None:
+        return LISTED_SCENES, wanted
+    # The search reads every text in turn, and finds the row of each match by its number. The sum
+    # keeps SQLite from walking an index of the rows and finding the text of each instead.
+    source = LISTED_WORDS.join(LISTED_SCENES, _C.seq == LISTED_WORDS.c.seq + 0)
+    return source, and_(
+        wanted, _contains(connection, LISTED_WORDS.c.words, request.text.casefold())
+    )
 
 
 def _beyond(order: _Order, keys: Sequence[float | int]) -> ColumnElement[bool]:

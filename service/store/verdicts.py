@@ -1,14 +1,21 @@
 """Verdicts in the store: numbered events, each written once; an undo is an event as well."""
 
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Final
+from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, and_, func, insert, select, update
 
 from schemas.score import SceneScore
 from schemas.transport.wire import decode
-from schemas.verdict import Standing, Verdict, VerdictRecord, VerdictRow, VerdictSummary
+from schemas.verdict import (
+    Verdict,
+    VerdictRecord,
+    VerdictRow,
+    VerdictSummary,
+)
+from service.curation.ranking import RankedScene
+from service.curation.rates import JudgedScene
+from service.curation.selection import Selection
 from service.curation.verdicts import (
     AgreementReply,
     AgreementRequest,
@@ -25,9 +32,14 @@ from service.store.record_digests import problem_of
 from service.store.selections import scene_ids_of
 from service.store.tables import COUNTERS, SCENES, VERDICTS
 from service.store.transaction_effects import effects_of
-
-_IDS_AT_ONCE: Final = 5000
-"""Scene ids in one statement; SQLite bounds its parameters to 32,766."""
+from service.store.verdict_rows import (
+    ROWS,
+    current_verdicts,
+    events_after,
+    judged_scenes,
+    rows_of,
+    summaries,
+)
 
 
 class Verdicts:
@@ -67,9 +79,9 @@ class Verdicts:
             wanted.append(c.is_current)
         if request.before is not None:
             wanted.append(c.ordinal < request.before)
-        query = _ROWS.where(and_(True, *wanted)).order_by(c.ordinal.desc())
+        query = ROWS.where(and_(True, *wanted)).order_by(c.ordinal.desc())
         with self._store.reading() as connection:
-            return _rows(connection, query.limit(request.most + 1))
+            return rows_of(connection, query.limit(request.most + 1))
 
     def current(self) -> list[VerdictRow]:
         """Return every verdict that counts, in the order of their numbers."""
@@ -100,10 +112,30 @@ class Verdicts:
         with self._store.reading() as connection:
             return summaries(connection, scenes, reviewer=reviewer)
 
+    def with_verdicts(self, rows: Sequence[RankedScene]) -> list[RankedScene]:
+        """Return rows of the ranking with the verdicts on them."""
+        found = self.summaries((row.scene_id, row.sha256) for row in rows)
+        return [
+            row.model_copy(update={"verdicts": found[row.scene_id]})
+            if row.scene_id in found
+            else row
+            for row in rows
+        ]
+
+    def in_selection(self, selection: Selection) -> Selection:
+        """Return a selection with the verdicts on its scenes."""
+        rows = tuple(self.with_verdicts(selection.scenes))
+        return selection.model_copy(update={"scenes": rows})
+
+    def judged_scenes(self) -> list[JudgedScene]:
+        """Return the current scenes with a verdict that decides, each once."""
+        with self._store.reading() as connection:
+            return judged_scenes(connection)
+
     def since(self, ordinal: int, limit: int) -> list[VerdictRecord]:
         """Return events with a greater number, in their order."""
         with self._store.reading() as connection:
-            return _events(connection, after=ordinal, limit=limit)
+            return events_after(connection, after=ordinal, limit=limit)
 
     def last(self) -> int:
         """Return the number of the last event, 0 when there is none."""
@@ -114,7 +146,7 @@ class Verdicts:
         """Return events after the cursor of the outbox, in their order."""
         with self._store.reading() as connection:
             after = _counter(connection, "verdict_published")
-            return _events(connection, after=after, limit=limit)
+            return events_after(connection, after=after, limit=limit)
 
     def mark_published(self, ordinal: int) -> None:
         """Move the cursor forward, durably: everything up to this number is published."""
@@ -124,44 +156,6 @@ class Verdicts:
                 .where(COUNTERS.c.name == "verdict_published", COUNTERS.c.value < ordinal)
                 .values(value=ordinal)
             )
-
-
-def current_verdicts(connection: Connection) -> list[VerdictRow]:
-    """Return every verdict that counts, in the order of their numbers."""
-    return _rows(connection, _ROWS.where(VERDICTS.c.is_current).order_by(VERDICTS.c.ordinal))
-
-
-def summaries(
-    connection: Connection, scenes: Iterable[tuple[str, str]], *, reviewer: str | None
-) -> dict[str, VerdictSummary]:
-    """Count the verdicts on scenes, as `Verdicts.summaries`."""
-    shown = dict(scenes)
-    c, found = VERDICTS.c, defaultdict[str, list[Any]](list)
-    columns = (c.scene_id, c.sha256, c.track_id, c.reviewer, c.verdict, c.judged_s)
-    query = select(*columns).where(c.is_current).order_by(c.ordinal)
-    ids = list(shown)
-    for begin in range(0, len(ids), _IDS_AT_ONCE):
-        some = ids[begin : begin + _IDS_AT_ONCE]
-        for row in connection.execute(query.where(c.scene_id.in_(some))):
-            found[row.scene_id].append(row)
-    return {
-        scene_id: _summary(rows, digest=shown[scene_id], reviewer=reviewer)
-        for scene_id, rows in found.items()
-    }
-
-
-def _summary(rows: Sequence[Any], *, digest: str, reviewer: str | None) -> VerdictSummary:
-    counts: defaultdict[str, int] = defaultdict(int)
-    mine, last_s = None, None
-    for row in rows:
-        if row.sha256 != digest:
-            counts["earlier"] += 1
-            continue
-        counts["tracks" if row.track_id is not None else row.verdict] += 1
-        last_s = row.judged_s
-        if row.track_id is None and row.reviewer == reviewer:
-            mine = Verdict(row.verdict)
-    return VerdictSummary(mine=mine, last_s=last_s, **counts)
 
 
 def _judge(connection: Connection, request: JudgeRequest, now_s: float) -> VerdictRow:
@@ -266,7 +260,7 @@ def _store(connection: Connection, event: VerdictRecord, **copied: str) -> Verdi
         connection.execute(update(VERDICTS).where(c.ordinal == counts).values(is_current=True))
     judge_again(connection, event.scene_id, event.sha256)
     effects_of(connection).verdicts[event.verdict] += 1
-    (row,) = _rows(connection, _ROWS.where(c.ordinal == event.ordinal))
+    (row,) = rows_of(connection, ROWS.where(c.ordinal == event.ordinal))
     return row
 
 
@@ -323,7 +317,7 @@ def _counter(connection: Connection, name: str) -> int:
 
 
 def _of_key(connection: Connection, key: str) -> VerdictRow | None:
-    found = _rows(connection, _ROWS.where(VERDICTS.c.key == key))
+    found = rows_of(connection, ROWS.where(VERDICTS.c.key == key))
     return found[0] if found else None
 
 
@@ -333,31 +327,3 @@ def _other_write(key: str) -> UsageError:
 
 def _is_same(column: ColumnElement[Any], value: int | None) -> ColumnElement[bool]:
     return column.is_(None) if value is None else column == value
-
-
-def _events(connection: Connection, *, after: int, limit: int) -> list[VerdictRecord]:
-    names = tuple(VerdictRecord.model_fields)
-    query = select(*(VERDICTS.c[name] for name in names)).where(VERDICTS.c.ordinal > after)
-    rows = connection.execute(query.order_by(VERDICTS.c.ordinal).limit(limit))
-    return [VerdictRecord(**row) for row in rows.mappings()]
-
-
-def _rows(connection: Connection, query: Any) -> list[VerdictRow]:
-    return [
-        VerdictRow(
-            **{name: row[name] for name in (*VerdictRecord.model_fields, "is_current")},
-            record=_standing(row),
-        )
-        for row in connection.execute(query).mappings()
-    ]
-
-
-def _standing(row: Any) -> Standing:
-    if row["current_sha256"] is None:
-        return "withdrawn"
-    return "current" if row["current_sha256"] == row["sha256"] else "replaced"
-
-
-_ROWS: Final = select(VERDICTS, SCENES.c.sha256.label("current_sha256")).outerjoin(
-    SCENES, and_(SCENES.c.is_current, SCENES.c.scene_id == VERDICTS.c.scene_id)
-)

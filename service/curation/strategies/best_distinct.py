@@ -13,7 +13,7 @@ def best_distinct(
     candidates: Iterable[Candidate],
     *,
     budget: int,
-    taken: Sequence[Candidate],  # noqa: ARG001 - it compares nothing but twins, which are marked
+    taken: Sequence[Candidate],
 ) -> list[Choice]:
     """Choose the best distinct scenes, and then twins until the budget is filled.
 
@@ -36,9 +36,7 @@ def best_distinct(
             break
     chosen = distinct + twins[: budget - len(distinct)]
     chosen.sort(key=lambda each: each.scene.rank)
-    return [
-        Choice(scene=each.scene, gain=each.scene.score, why=why_best(each)) for each in chosen
-    ]
+    return [Choice(scene=each.scene, gain=each.scene.score, why=why_best(each)) for each in chosen]
 
 
 def with_reason(candidates: Iterable[Candidate]) -> Iterable[Candidate]:

@@ -14,7 +14,7 @@ def one_pass(
     candidates: Iterable[Candidate],
     *,
     budget: int,
-    taken: Sequence[Candidate],  # noqa: ARG001 - they are left out; their likeness would not fit
+    taken: Sequence[Candidate],
 ) -> list[Choice]:
     """Choose as `determinantal` does, from all scenes, of which few are in memory at a time.
 
