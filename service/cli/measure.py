@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from service.cli.bench_selection import selection
 from service.cli.bench_simulation import simulation
 from service.cli.failures import failures
 from service.cli.options import MOST, Config, Json, settings_for
@@ -25,6 +26,7 @@ def add_to(app: typer.Typer) -> None:
     bench.command(epilog="counterpoint bench ledger --folder /var/lib/counterpoint")(ledger)
     bench.command(epilog="counterpoint bench failures fleet --report failures.html")(failures)
     bench.command(epilog="counterpoint bench simulation drive.mcap --sensor pandar64")(simulation)
+    bench.command(epilog="counterpoint bench selection counterpoint-state/bench")(selection)
     app.add_typer(bench, name="bench")
 
 

@@ -17,13 +17,13 @@ from service.curation.candidates import BALANCED, Rows
 
 Gains = NDArray[np.float64]
 
-SHARPNESS: Final = 8
-"""Power of the likeness: scenes that share half of their descriptors count as unlike."""
+SHARPNESS: Final = 16
+"""Power of the likeness: only scenes that are alike in nearly everything count as the same."""
 
-SPREAD: Final = 3.0
+SPREAD: Final = 100.0
 """Weight of the likeness in `Determinantal`: near 0 the order is that of the score alone."""
 
-BALANCE: Final = 0.3
+BALANCE: Final = 0.1
 """Weight of `Balance`. These three were chosen on 120 simulated scenes, of which nothing is
 reported.
 """

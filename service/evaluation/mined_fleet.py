@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+import numpy as np
 from pydantic import ValidationError
 
 from schemas.arrays import NS_PER_S
@@ -29,6 +30,9 @@ _FAR_M: Final = 80.0
 _FAST_M_PER_S: Final = 10.0
 """Values of 1 of the evidence `distance` and `speed`, which the rows contain in their place."""
 
+AGAIN: Final = "again-"
+"""Begin of the log ids of repetitions."""
+
 Failure = tuple[str, str, str]
 """A distinct failure: log, object, kind."""
 
@@ -39,12 +43,14 @@ class FleetScene:
 
     Attributes:
         candidate: As the ledger would list it, with its rank in this fleet.
+        origin: Its log; of a repetition, the log that it repeats.
         failures: Distinct planted failures that it shows.
         failing: Of these, planted kind and true class.
         row: Its row.
     """
 
     candidate: Candidate
+    origin: str
     failures: frozenset[Failure]
     failing: frozenset[tuple[str, str]]
     row: SceneRow
@@ -99,8 +105,13 @@ def fleet_of(logs: Iterable[MinedLog]) -> list[FleetScene]:
         found.append(
             FleetScene(
                 candidate=Candidate(ranked, vehicle=log.log_id.partition("/")[0]),
+                origin=origin_of(log.log_id),
                 failures=frozenset(
-                    (log.log_id, str(each.track) if each.track >= 0 else each.key, each.kind)
+                    (
+                        origin_of(log.log_id),
+                        str(each.track) if each.track >= 0 else each.key,
+                        each.kind,
+                    )
                     for each in failing
                 ),
                 failing=frozenset((each.kind, each.class_name) for each in failing),
@@ -108,6 +119,11 @@ def fleet_of(logs: Iterable[MinedLog]) -> list[FleetScene]:
             )
         )
     return found
+
+
+def origin_of(log_id: str) -> str:
+    """Return the log that a repetition repeats; other logs are their own origin."""
+    return log_id.partition("/")[2] if log_id.startswith(AGAIN) else log_id
 
 
 def _ordered(log: MinedLog) -> list[tuple[int, SceneRow]]:
@@ -164,3 +180,48 @@ def track_of(track: TrackRow, row: SceneRow, number: int) -> TrackRecord:
             predictive_confidence=0.0,
         ),
     )
+
+
+def recurring(logs: Iterable[MinedLog], *, times: int, seed: int = 0) -> list[MinedLog]:
+    """Repeat each log, as if other cars met the same failures.
+
+    The repetitions have their own log ids, so that no twin is found between them. Scores and
+    strengths are disturbed by 20 %, sizes by 15 %, distance and speed by 50 % (one standard
+    deviation). The failures keep the names of the first: they are found once.
+    """
+    rng = np.random.default_rng(seed)
+
+    def off(value: float, share: float, most: float = 1.0) -> float:
+        return float(np.clip(value * (1.0 + share * rng.standard_normal()), 0.0, most))
+
+    def seen_again(track: TrackRow) -> TrackRow:
+        evidence = {
+            name: off(value, 0.5) if name in ("distance", "speed") else value
+            for name, value in track.evidence.items()
+        }
+        size_m = track.size_m and tuple(off(each, 0.15, 100.0) for each in track.size_m)
+        strength = off(track.strength, 0.2)
+        return track.model_copy(
+            update={"evidence": evidence, "size_m": size_m, "strength": strength}
+        )
+
+    found = []
+    for log in logs:
+        found.append(log)
+        for number in range(1, times):
+            scenes = [
+                scene.model_copy(
+                    update={
+                        "scene_id": f"{AGAIN}{number}/{scene.scene_id}",
+                        "score": off(scene.score, 0.2),
+                        "tracks": tuple(seen_again(track) for track in scene.tracks),
+                    }
+                )
+                for scene in log.scenes
+            ]
+            found.append(
+                log.model_copy(
+                    update={"log_id": f"{AGAIN}{number}/{log.log_id}", "scenes": tuple(scenes)}
+                )
+            )
+    return found

@@ -117,7 +117,7 @@ def _row(
     shown: Shown,
     draws: int,
 ) -> LooksRow:
-    logs = [each.candidate.scene.log_id for each in fleet]
+    logs = [each.origin for each in fleet]
     numbers = np.unique(logs, return_inverse=True)[1].tolist()
     own, by_score = _places(orders[name]), _places(orders[BY_SCORE])
     by_log = found == "failures"
