@@ -185,7 +185,7 @@ class Control:
 
     def answer_select(self, request: SelectRequest) -> Selection:
         """Make, store and publish a selection."""
-        chosen = self._ledger.select(
+        chosen = self._ledger.proposals.select(
             budget=request.budget, name=request.name, terms=request.terms, wanted=request.scenes
         )
         selection = self._ledger.selections.save(
@@ -199,7 +199,9 @@ class Control:
 
     def answer_propose(self, request: ProposeRequest) -> Proposal:
         """Return the choice that a selection would store, with its reasons."""
-        return self._ledger.propose(budget=request.budget, name=request.name, terms=request.terms)
+        return self._ledger.proposals.propose(
+            budget=request.budget, name=request.name, terms=request.terms
+        )
 
     def answer_selection(self, request: SelectionRequest) -> Selection:
         """Return one stored selection."""

@@ -187,7 +187,7 @@ class StateReader:
         """
         asked = checked_request(SelectRequest, budget=budget, name=name, scenes=scenes, terms=terms)
         with self._ledger_to_write(what="select") as ledger:
-            chosen = ledger.select(
+            chosen = ledger.proposals.select(
                 budget=asked.budget, name=asked.name, terms=asked.terms, wanted=asked.scenes
             )
             stored = ledger.selections.save(
@@ -204,7 +204,7 @@ class StateReader:
         """Return the choice that `select` would store, with its reasons; nothing is stored."""
         asked = checked_request(ProposeRequest, budget=budget, name=name, terms=terms)
         with self._ledger() as ledger:
-            return ledger.propose(budget=asked.budget, name=asked.name, terms=asked.terms)
+            return ledger.proposals.propose(budget=asked.budget, name=asked.name, terms=asked.terms)
 
     def selection(self, name: str) -> Selection:
         """Return the stored selection of this name."""

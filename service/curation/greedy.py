@@ -14,7 +14,7 @@ from service.curation.objectives import ObjectiveKind
 FIRST_READ: Final = 512
 """Candidates that are read first; four times as many where others may change the choice."""
 
-MOST_READ: Final = 32_768
+MOST_READ: Final = 16_384
 """Candidates that are compared at most. Beyond them a candidate is left out, although its score
 would let it add more than the last choice does.
 """
@@ -33,7 +33,7 @@ class Pool(Protocol):
 
 
 class ReadPool:
-    """Pool that reads a ranking as far as it is needed."""
+    """Pool that reads a ranking lazily."""
 
     def __init__(self, candidates: Iterable[Candidate]) -> None:
         """Begin with nothing read."""

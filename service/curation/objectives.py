@@ -30,7 +30,7 @@ reported.
 
 
 class Objective(Protocol):
-    """What each of a fixed set of candidates adds, as some of them are taken."""
+    """Value of the taken ones of a fixed set of candidates, by what each further one adds."""
 
     def gains(self) -> Gains:
         """Return what each candidate adds to those taken."""

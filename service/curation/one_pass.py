@@ -31,6 +31,8 @@ class OnePass(Generic[Item]):
         self._objective, self._budget = objective, budget
         self._rows: Rows | None = None
         self._items: list[Item] = []
+        self._least = 0.0
+        """What the last of the kept scenes adds; a scene whose score allows less is dropped."""
 
     def offer(self, items: list[Item], rows: Rows) -> None:
         """Take the next scenes of the stream, any number of them.
@@ -41,9 +43,16 @@ class OnePass(Generic[Item]):
         """
         for begin in range(0, len(items), BLOCK):
             block = rows.at(slice(begin, begin + BLOCK))
-            kept = block if self._rows is None else self._rows.then(block)
-            known = self._items + items[begin : begin + BLOCK]
-            numbers, _ = pick_from(kept, self._objective, budget=KEPT * self._budget)
+            most = [self._objective.most(quality) for quality in block.quality.tolist()]
+            useful = np.flatnonzero(np.array(most) > self._least)
+            if len(useful) == 0:
+                continue
+            new = block.at(useful)
+            kept = new if self._rows is None else self._rows.then(new)
+            known = self._items + [items[begin + number] for number in useful.tolist()]
+            numbers, gains = pick_from(kept, self._objective, budget=KEPT * self._budget)
+            if len(numbers) == KEPT * self._budget:
+                self._least = float(gains[-1])
             self._rows = kept.at(np.sort(numbers))
             self._items = [known[number] for number in np.sort(numbers).tolist()]
 

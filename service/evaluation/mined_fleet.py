@@ -21,7 +21,7 @@ from service.curation.candidates import Candidate
 from service.curation.ranking import Neighbour, RankedScene
 from service.curation.twins import ShownScene, Twins
 from service.errors import NothingFoundError, UsageError
-from workers.lab.evaluation.failures.rows import OTHER_KIND, MinedLog, SceneRow, TrackRow
+from workers.lab.evaluation.failures.rows import OTHER_KIND, MinedLog, ObjectRow, SceneRow, TrackRow
 
 FRAME_NS: Final = NS_PER_S // 10
 """Frame period of the simulated lidars, nanoseconds."""
@@ -107,18 +107,17 @@ def fleet_of(logs: Iterable[MinedLog]) -> list[FleetScene]:
                 candidate=Candidate(ranked, vehicle=log.log_id.partition("/")[0]),
                 origin=origin_of(log.log_id),
                 failures=frozenset(
-                    (
-                        origin_of(log.log_id),
-                        str(each.track) if each.track >= 0 else each.key,
-                        each.kind,
-                    )
-                    for each in failing
+                    (origin_of(log.log_id), _name_of(each), each.kind) for each in failing
                 ),
                 failing=frozenset((each.kind, each.class_name) for each in failing),
                 row=row,
             )
         )
     return found
+
+
+def _name_of(thing: ObjectRow) -> str:
+    return str(thing.track) if thing.track >= 0 else thing.key
 
 
 def origin_of(log_id: str) -> str:

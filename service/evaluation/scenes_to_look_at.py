@@ -177,9 +177,7 @@ def _looks(
 
 
 def _copies(drawn: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return how often each drawn scene was drawn before: failures of a log drawn twice count as
-    two.
-    """
+    """Return how often each drawn scene was drawn before; a log drawn twice counts as two."""
     counts: dict[int, int] = {}
     found = np.empty(len(drawn), np.int64)
     for at, scene in enumerate(drawn.tolist()):

@@ -21,13 +21,10 @@ from schemas.work import (
     RenewRequest,
 )
 from service.curation.activity import ActivityReply, ActivityRequest
-from service.curation.candidates import Proposal
 from service.curation.listing import ScenesReply, ScenesRequest
 from service.curation.ranking import RankedScene
 from service.curation.rates import RatesRequest, RateSums
-from service.curation.selection import USUAL_TERMS, SelectionTerms
 from service.curation.status import ParkedWork, SkippedEntries, Status
-from service.curation.strategies.catalogue import Wanted
 from service.curation.verdicts import ChoicesReply
 from service.store import (
     activity,
@@ -39,7 +36,6 @@ from service.store import (
     listing,
     manifest,
     overview,
-    proposals,
     ranking,
     rates,
     recordings,
@@ -51,6 +47,7 @@ from service.store import (
 from service.store.backlog import Backlog
 from service.store.engine import Store
 from service.store.leases import LeasePolicy
+from service.store.proposals import Proposals
 from service.store.recordings import SyncResult
 from service.store.retired_overlays import RetiredOverlays
 from service.store.scenes import StoredScene
@@ -78,6 +75,7 @@ class Ledger:
     Attributes:
         retired_overlays: Overlays that are no longer needed, and since when.
         selections: Stored selections.
+        proposals: Choices of scenes for new ones.
         verdicts: Stored verdicts.
 
     Raises (every method):
@@ -107,6 +105,7 @@ class Ledger:
         self._new_lease_id = new_lease_id
         self.retired_overlays = RetiredOverlays(store, now_s=now_s)
         self.selections = Selections(store, now_s=now_s)
+        self.proposals = Proposals(store)
         self.verdicts = Verdicts(store, now_s=now_s)
         self._listing = 0
         """Number of listings received, from which claims know that plans may be missing."""
@@ -366,44 +365,6 @@ class Ledger:
         """Return the values that filters and verdicts choose from; `causes` are the user's own."""
         with self._store.reading() as connection:
             return activity.choices(connection, causes=causes)
-
-    def propose(
-        self,
-        *,
-        budget: int,
-        name: str | None = None,
-        terms: SelectionTerms = USUAL_TERMS,
-        wanted: Wanted = None,
-    ) -> Proposal:
-        """Choose scenes of the ranking, or raise as `service.curation.strategies` does.
-
-        Args:
-            budget: Number of scenes at most.
-            name: Selection that is made; the ones stored before it are the earlier ones.
-            terms: How they are chosen.
-            wanted: Scenes that a person chose; the terms are then not used.
-        """
-        with self._store.reading() as connection:
-            return proposals.propose(
-                connection,
-                budget=budget,
-                name=name,
-                terms=terms,
-                wanted=wanted,
-                on_damaged=self._store.note_damaged,
-            )
-
-    def select(
-        self,
-        *,
-        budget: int,
-        name: str | None = None,
-        terms: SelectionTerms = USUAL_TERMS,
-        wanted: Wanted = None,
-    ) -> list[RankedScene]:
-        """Choose scenes as `propose` does, and return them best first."""
-        proposal = self.propose(budget=budget, name=name, terms=terms, wanted=wanted)
-        return sorted((each.scene for each in proposal.choices), key=lambda scene: scene.rank)
 
     def rate_sums(self, request: RatesRequest) -> list[RateSums]:
         """Return sums over the requested groups of current scenes, in no order."""

@@ -8,16 +8,68 @@ from sqlalchemy import Connection, select
 
 from service.curation.candidates import Candidate, Proposal
 from service.curation.ranking import RankedScene
-from service.curation.selection import SelectionTerms
+from service.curation.selection import USUAL_TERMS, SelectionTerms
 from service.curation.strategies import catalogue
 from service.curation.strategies.catalogue import Wanted, strategy_named, strategy_of
 from service.curation.strategies.covering import MOST_REMEMBERED
 from service.store import listing, ranking
+from service.store.engine import Store
 from service.store.record_digests import OnDamaged
 from service.store.tables import SCENES, SELECTION_SCENES, SELECTIONS
 
 
-def propose(
+class Proposals:
+    """Chooses scenes for selections; it stores nothing."""
+
+    def __init__(self, store: Store) -> None:
+        """Keep the store."""
+        self._store = store
+
+    def propose(
+        self,
+        *,
+        budget: int,
+        name: str | None = None,
+        terms: SelectionTerms = USUAL_TERMS,
+        wanted: Wanted = None,
+    ) -> Proposal:
+        """Choose scenes of the ranking by the terms.
+
+        Args:
+            budget: Number of scenes at most.
+            name: Selection that is made. Where it is stored, the ones after it are not considered,
+                so that the same request gives the same scenes again.
+            terms: Strategy, filters and treatment of earlier selections.
+            wanted: Scenes that a person chose; the terms are then not used.
+
+        Raises:
+            UsageError: If there is no such strategy.
+            NothingFoundError: If a filter names a selection that does not exist.
+        """
+        with self._store.reading() as connection:
+            return _propose(
+                connection,
+                budget=budget,
+                name=name,
+                terms=terms,
+                wanted=wanted,
+                on_damaged=self._store.note_damaged,
+            )
+
+    def select(
+        self,
+        *,
+        budget: int,
+        name: str | None = None,
+        terms: SelectionTerms = USUAL_TERMS,
+        wanted: Wanted = None,
+    ) -> list[RankedScene]:
+        """Choose scenes as `propose` does, and return them best first."""
+        proposal = self.propose(budget=budget, name=name, terms=terms, wanted=wanted)
+        return sorted((each.scene for each in proposal.choices), key=lambda scene: scene.rank)
+
+
+def _propose(
     connection: Connection,
     *,
     budget: int,
@@ -26,21 +78,7 @@ def propose(
     wanted: Wanted,
     on_damaged: OnDamaged,
 ) -> Proposal:
-    """Choose scenes of the ranking by the terms.
-
-    Args:
-        connection: In the transaction to read from.
-        budget: Number of scenes at most.
-        name: Selection that is made. Where it is stored, the ones after it are not considered, so
-            that the same request gives the same scenes again.
-        terms: Strategy, filters and treatment of earlier selections.
-        wanted: Scenes that a person chose; the terms are then not used.
-        on_damaged: Called for damaged scenes, which are left out.
-
-    Raises:
-        UsageError: If there is no such strategy.
-        NothingFoundError: If a filter names a selection that does not exist.
-    """
+    """Choose scenes as `Proposals.propose` says, in the transaction to read from."""
     strategy_named(terms.strategy)
     earlier = [] if terms.again or wanted is not None else _earlier(connection, name)
     taken = {json.loads(scene)["scene_id"] for scene in earlier}
