@@ -25,6 +25,7 @@ from schemas.work import (
 )
 from service.api.messages import (
     AboutReply,
+    ProposeRequest,
     RatesReply,
     RetryReply,
     RetryRequest,
@@ -43,6 +44,7 @@ from service.api.request_queue import RequestQueue, malformed
 from service.api.staging import Staging
 from service.api.verbs import VERBS
 from service.curation.activity import ActivityReply, ActivityRequest
+from service.curation.candidates import Proposal
 from service.curation.listing import ScenesReply, ScenesRequest
 from service.curation.rates import RatesRequest, rates, with_judged
 from service.curation.selection import Selection
@@ -183,15 +185,23 @@ class Control:
 
     def answer_select(self, request: SelectRequest) -> Selection:
         """Make, store and publish a selection."""
-        chosen = self._ledger.select(budget=request.budget, wanted=request.scenes)
+        chosen = self._ledger.proposals.select(
+            budget=request.budget, name=request.name, terms=request.terms, wanted=request.scenes
+        )
         selection = self._ledger.selections.save(
             request.name,
             budget=request.budget,
             scenes=chosen,
-            strategy=strategy_of(request.scenes),
+            strategy=strategy_of(request.scenes, request.terms.strategy),
         )
         self._on_selection(selection)
         return self._ledger.verdicts.in_selection(selection) if request.verdicts else selection
+
+    def answer_propose(self, request: ProposeRequest) -> Proposal:
+        """Return the choice that a selection would store, with its reasons."""
+        return self._ledger.proposals.propose(
+            budget=request.budget, name=request.name, terms=request.terms
+        )
 
     def answer_selection(self, request: SelectionRequest) -> Selection:
         """Return one stored selection."""

@@ -20,7 +20,7 @@ from schemas.transport.wire import first_problem
 from schemas.verdict import VerdictRow
 from service.curation.ranking import RankedScene
 from service.curation.rates import RateRow
-from service.curation.selection import SelectionSummary
+from service.curation.selection import SelectionSummary, SelectionTerms
 from service.curation.status import ParkedWork
 from service.curation.verdicts import MAX_VERDICTS_ASKED
 from service.errors import UsageError
@@ -84,13 +84,30 @@ class SelectRequest(BaseModel):
 
     budget: int = Field(ge=1, le=MAX_SCENES_ASKED, description="Scenes the labellers can take.")
     name: Name | None = Field(default=None, description="None: the service names it.")
-    verdicts: WithVerdicts = False
     scenes: tuple[SceneId, ...] | None = Field(
         default=None,
         max_length=MAX_SCENES_CHOSEN,
         exclude_if=lambda value: value is None,
         description="Scenes that a person chose; None: the strategy chooses.",
     )
+    terms: SelectionTerms = Field(
+        default=SelectionTerms(),
+        exclude_if=lambda value: value == SelectionTerms(),
+        description="How the scenes are chosen.",
+    )
+    verdicts: WithVerdicts = False
+
+
+class ProposeRequest(BaseModel):
+    """Request for the choice that a selection would store now; nothing is stored."""
+
+    model_config = _STRICT
+
+    budget: int = Field(ge=1, le=MAX_SCENES_ASKED, description="Scenes the labellers can take.")
+    name: Name | None = Field(
+        default=None, description="Selection to compare with; None: it would be a new one."
+    )
+    terms: SelectionTerms = SelectionTerms()
 
 
 class SelectionRequest(BaseModel):

@@ -13,6 +13,7 @@ from schemas.transport.overlay_codec import MAX_OVERLAY_BYTES, decode_overlay, o
 from schemas.transport.overlay_file import OverlayFile, OverlayIsVersion1Error, open_overlay_file
 from schemas.verdict import VerdictRow
 from service.api.messages import (
+    ProposeRequest,
     RetryRequest,
     SceneRequest,
     SelectionRequest,
@@ -23,10 +24,11 @@ from service.api.messages import (
     verdicts_reply,
 )
 from service.curation.activity import ActivityReply, ActivityRequest
+from service.curation.candidates import Proposal
 from service.curation.listing import ScenesReply, ScenesRequest
 from service.curation.ranking import RankedScene
 from service.curation.rates import RateRow, RatesRequest, rates, with_judged
-from service.curation.selection import Selection, SelectionSummary
+from service.curation.selection import USUAL_TERMS, Selection, SelectionSummary, SelectionTerms
 from service.curation.status import ParkedWork, Status
 from service.curation.strategies.catalogue import strategy_of
 from service.curation.verdicts import (
@@ -54,9 +56,20 @@ class Reader(Protocol):
         ...
 
     def select(
-        self, *, budget: int, name: str | None, scenes: Sequence[str] | None = None
+        self,
+        *,
+        budget: int,
+        name: str | None,
+        scenes: Sequence[str] | None = None,
+        terms: SelectionTerms = USUAL_TERMS,
     ) -> Selection:
-        """Store the best distinct scenes, or these, as a named selection."""
+        """Store scenes chosen by the terms, or these, as a named selection."""
+        ...
+
+    def propose(
+        self, *, budget: int, name: str | None = None, terms: SelectionTerms = USUAL_TERMS
+    ) -> Proposal:
+        """Return the choice that `select` would store, with its reasons; nothing is stored."""
         ...
 
     def selection(self, name: str) -> Selection:
@@ -169,23 +182,38 @@ class StateReader:
             ) from None
 
     def select(
-        self, *, budget: int, name: str | None, scenes: Sequence[str] | None = None
+        self,
+        *,
+        budget: int,
+        name: str | None,
+        scenes: Sequence[str] | None = None,
+        terms: SelectionTerms = USUAL_TERMS,
     ) -> Selection:
-        """Store the best distinct scenes, or these, as a named selection.
+        """Store scenes chosen by the terms, or these, as a named selection.
 
         Raises:
             UsageError: If a service runs on this state, since it is the only writer and publisher.
         """
-        asked = checked_request(SelectRequest, budget=budget, name=name, scenes=scenes)
+        asked = checked_request(SelectRequest, budget=budget, name=name, scenes=scenes, terms=terms)
         with self._ledger_to_write(what="select") as ledger:
-            chosen = ledger.select(budget=asked.budget, wanted=asked.scenes)
+            chosen = ledger.proposals.select(
+                budget=asked.budget, name=asked.name, terms=asked.terms, wanted=asked.scenes
+            )
             stored = ledger.selections.save(
                 asked.name,
                 budget=asked.budget,
                 scenes=chosen,
-                strategy=strategy_of(asked.scenes),
+                strategy=strategy_of(asked.scenes, asked.terms.strategy),
             )
             return ledger.verdicts.in_selection(stored)
+
+    def propose(
+        self, *, budget: int, name: str | None = None, terms: SelectionTerms = USUAL_TERMS
+    ) -> Proposal:
+        """Return the choice that `select` would store, with its reasons; nothing is stored."""
+        asked = checked_request(ProposeRequest, budget=budget, name=name, terms=terms)
+        with self._ledger() as ledger:
+            return ledger.proposals.propose(budget=asked.budget, name=asked.name, terms=asked.terms)
 
     def selection(self, name: str) -> Selection:
         """Return the stored selection of this name."""

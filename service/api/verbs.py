@@ -21,6 +21,7 @@ from schemas.work import (
 )
 from service.api.messages import (
     AboutReply,
+    ProposeRequest,
     RatesReply,
     RetryReply,
     RetryRequest,
@@ -33,6 +34,7 @@ from service.api.messages import (
     VerdictsReply,
 )
 from service.curation.activity import ActivityReply, ActivityRequest
+from service.curation.candidates import Proposal
 from service.curation.listing import ScenesReply, ScenesRequest
 from service.curation.rates import RatesRequest
 from service.curation.selection import Selection
@@ -77,6 +79,7 @@ VERBS: Final[Mapping[str, VerbType]] = MappingProxyType(
         "fail": VerbType(FailRequest, Answer, writes=True),
         "top": VerbType(TopRequest, TopReply, reads_all=True),
         "select": VerbType(SelectRequest, Selection, writes=True),
+        "propose": VerbType(ProposeRequest, Proposal, reads_all=True),
         "selection": VerbType(SelectionRequest, Selection),
         "selections": VerbType(None, SelectionsReply, reads_all=True),
         "overlay": VerbType(SceneRequest, None),

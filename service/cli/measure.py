@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from service.cli.bench_overlay import overlay
+from service.cli.bench_selection import selection
 from service.cli.bench_simulation import simulation
 from service.cli.bench_viewer import viewer
 from service.cli.failures import failures
@@ -30,6 +31,7 @@ def add_to(app: typer.Typer) -> None:
     bench.command(epilog="counterpoint bench simulation drive.mcap --sensor pandar64")(simulation)
     bench.command(epilog="counterpoint bench overlay logs/car-7/2026-11-20/drive.mcap")(overlay)
     bench.command(epilog="counterpoint bench viewer --state counterpoint-state")(viewer)
+    bench.command(epilog="counterpoint bench selection counterpoint-state/bench")(selection)
     app.add_typer(bench, name="bench")
 
 

@@ -1,5 +1,6 @@
 """Verbs on selections: `select`, `selection list`, `selection show`."""
 
+import time
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Annotated, Final
@@ -7,18 +8,24 @@ from typing import Annotated, Final
 import typer
 
 from schemas.bounds import MAX_NAME, MAX_SCENES_ASKED
+from service.cli.option_groups import grouped
 from service.cli.options import Config, Connect, Database, Json, StateToRead
 from service.cli.output import counted, json_line, page, remark, table
 from service.cli.report import say_scenes
+from service.cli.scene_filters import SceneFilters
 from service.cli.scenes import reader
-from service.curation.ranking import RankedScene
+from service.curation.candidates import Proposal
+from service.curation.ranking import RankedScene, has_reason
 from service.curation.scene_names import short_names
-from service.curation.selection import Selection, left_out, why_no_reason
+from service.curation.selection import Selection, SelectionTerms, left_out, why_no_reason
+from service.curation.strategies.catalogue import DEFAULT, STRATEGIES, strategy_named
 from service.errors import UsageError
 from service.export.formats import FORMATS
 
 MOST_LEFT_OUT: Final = 5
 """Scenes that are named for each cause of leaving them out; further ones are counted."""
+
+_STRATEGIES: Final = ", ".join(row.name for row in STRATEGIES)
 
 SelectionName = Annotated[str, typer.Argument(help="Name, as `selection list` prints it.")]
 
@@ -32,7 +39,9 @@ def add_to(app: typer.Typer) -> None:
     app.add_typer(selection, name="selection")
 
 
+@grouped
 def select(
+    *,
     budget: Annotated[
         int,
         typer.Option(
@@ -43,17 +52,32 @@ def select(
         ),
     ],
     name: Annotated[str | None, typer.Option("--name", help="Name of the selection.")] = None,
+    strategy: Annotated[
+        str, typer.Option("--strategy", help=f"Strategy of the choice: {_STRATEGIES}.")
+    ] = DEFAULT,
+    again: Annotated[
+        bool, typer.Option("--again", help="Also choose scenes that earlier selections contain.")
+    ] = False,
+    dry_run: Annotated[
+        bool,
+        typer.Option("--dry-run", help="Explain each choice in a line, and store nothing."),
+    ] = False,
+    filters: SceneFilters,
     connect: Connect = None,
     state: StateToRead = None,
     database: Database = None,
     json: Json = False,
     config: Config = None,
 ) -> None:
-    """Store the best distinct scenes under a name, and publish them."""
+    """Choose scenes that no earlier selection contains, store them under a name, publish them."""
     if name is not None:
         _need_name(name, option="--name")
     source = reader(config, connect=connect, state=state, database=database)
-    selection = source.select(budget=budget, name=name)
+    terms = terms_of(strategy=strategy, again=again, filters=filters)
+    if dry_run:
+        _say_proposal(source.propose(budget=budget, name=name, terms=terms), json=json)
+        return
+    selection = source.select(budget=budget, name=name, terms=terms)
     if json:
         _print_json(selection)
         return
@@ -61,6 +85,42 @@ def select(
     say_selection(selection, among=ranking)
     say_left_out(selection, ranking)
     remark("ids for a labelling tool: --json, or the published selection")
+
+
+def terms_of(*, strategy: str, again: bool, filters: SceneFilters) -> SelectionTerms:
+    """Make the terms of a selection of what a user gave.
+
+    Raises:
+        UsageError: If a value is invalid, or there is no such strategy.
+    """
+    strategy_named(strategy)
+    asked = filters.request(now_s=time.clock_gettime(time.CLOCK_REALTIME))
+    return SelectionTerms(strategy=strategy, again=again, filters=asked)
+
+
+def _say_proposal(proposal: Proposal, *, json: bool) -> None:
+    if json:
+        for choice in proposal.choices:
+            json_line(choice)
+        return
+    names = short_names([choice.scene for choice in proposal.choices])
+    table(
+        f"{len(proposal.choices)} of at most {counted(proposal.budget, 'scene')} by "
+        f"{proposal.strategy}; nothing is stored",
+        ("", "rank", "scene", "adds", "why"),
+        (
+            (
+                number,
+                choice.scene.rank,
+                names[choice.scene.scene_id],
+                f"{choice.gain:.3f}",
+                choice.why,
+            )
+            for number, choice in enumerate(proposal.choices, start=1)
+        ),
+    )
+    if proposal.taken:
+        remark(f"{counted(proposal.taken, 'scene')} of earlier selections left out; --again: kept")
 
 
 def list_selections(
@@ -116,14 +176,24 @@ def say_left_out(selection: Selection, ranking: Sequence[RankedScene]) -> None:
     """Print a line for each of the first scenes that a selection left out, with the cause."""
     names, rank_of = short_names(ranking), {row.scene_id: row.rank for row in ranking}
     passed = left_out(ranking, selection)
-    for rows, is_twin in ((passed.twins, True), (passed.without, False)):
+
+    def why(row: RankedScene) -> str:
+        if not has_reason(row):
+            return f"no reason, {why_no_reason(row)}"
+        if row.twin_of is None:
+            return "selected earlier, filtered, or like a chosen scene"
+        return f"twin of rank {rank_of.get(row.twin_of)}, which shows the same"
+
+    kinds = (
+        (passed.twins, "twins"),
+        (passed.others, "with a reason"),
+        (passed.without, "without a reason"),
+    )
+    for rows, what in kinds:
         for row in rows[:MOST_LEFT_OUT]:
-            why = f"twin of rank {rank_of.get(row.twin_of or '')}" if is_twin else "no reason"
-            more = "which shows the same" if is_twin else why_no_reason(row)
             scene = f"rank {row.rank}, {row.score:.3f}, {names[row.scene_id]}"
-            remark(f"left out: {scene}: {why}, {more}")
+            remark(f"left out: {scene}: {why(row)}")
         if (others := len(rows) - MOST_LEFT_OUT) > 0:
-            what = "twins" if is_twin else "without a reason"
             remark(f"left out: {others} more {what}")
     if selection.last_rank is not None:
         remark(f"the budget is used up at rank {selection.last_rank}; later ones were not compared")

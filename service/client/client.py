@@ -19,6 +19,7 @@ from schemas.transport.overlay_file import OverlayFile
 from schemas.transport.wire import decode, encode
 from schemas.verdict import VerdictRow
 from service.api.messages import (
+    ProposeRequest,
     RatesReply,
     RetryReply,
     RetryRequest,
@@ -34,10 +35,16 @@ from service.api.messages import (
 from service.client.merge import Holding, SceneEvent, SceneMerge, Wanted
 from service.client.subscription import SceneSubscription
 from service.curation.activity import ActivityReply, ActivityRequest
+from service.curation.candidates import Proposal
 from service.curation.listing import ScenesReply, ScenesRequest
 from service.curation.ranking import RankedScene
 from service.curation.rates import RateRow, RatesRequest
-from service.curation.selection import Selection, SelectionSummary
+from service.curation.selection import (
+    USUAL_TERMS,
+    Selection,
+    SelectionSummary,
+    SelectionTerms,
+)
 from service.curation.status import ParkedWork, Status
 from service.curation.verdicts import (
     AgreementReply,
@@ -87,15 +94,23 @@ class ControlClient:
         return list(decode(TopReply, self._ask_with_verdicts("top", TopRequest, most=most)).scenes)
 
     def select(
-        self, *, budget: int, name: str | None = None, scenes: Sequence[str] | None = None
+        self,
+        *,
+        budget: int,
+        name: str | None = None,
+        scenes: Sequence[str] | None = None,
+        terms: SelectionTerms = USUAL_TERMS,
     ) -> Selection:
-        """Store the best distinct scenes, or these, as a named selection, and publish it."""
-        return decode(
-            Selection,
-            self._ask_with_verdicts(
-                "select", SelectRequest, budget=budget, name=name, scenes=scenes
-            ),
-        )
+        """Store scenes chosen by the terms, or these, as a named selection, and publish it."""
+        asked = {"budget": budget, "name": name, "scenes": scenes, "terms": terms}
+        return decode(Selection, self._ask_with_verdicts("select", SelectRequest, **asked))
+
+    def propose(
+        self, *, budget: int, name: str | None = None, terms: SelectionTerms = USUAL_TERMS
+    ) -> Proposal:
+        """Return the choice that `select` would store, with its reasons; nothing is stored."""
+        asked = checked_request(ProposeRequest, budget=budget, name=name, terms=terms)
+        return decode(Proposal, self._ask("propose", asked))
 
     def selection(self, name: str) -> Selection:
         """Return the stored selection of this name."""

@@ -2,11 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from schemas.bounds import MAX_INTEGER, MAX_LISTED, Count, Finite, Kept
+from schemas.bounds import MAX_INTEGER, MAX_LISTED, Count, Finite, Kept, Said
+from service.curation.listing import ScenesRequest
 from service.curation.ranking import RankedScene, has_reason
+from service.curation.strategies.catalogue import DEFAULT
 
 
 class Selection(BaseModel):
@@ -26,7 +29,29 @@ class Selection(BaseModel):
     @property
     def last_rank(self) -> int | None:
         """Lowest rank that was considered; None: all, since the budget was not used up."""
-        return self.scenes[-1].rank if len(self.scenes) == self.budget else None
+        if len(self.scenes) < self.budget:
+            return None
+        return max(scene.rank for scene in self.scenes)
+
+
+class SelectionTerms(BaseModel):
+    """Terms by which a selection is chosen."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    strategy: Said = Field(default=DEFAULT, description="Name of a selection strategy.")
+    again: bool = Field(
+        default=False,
+        description="Choose as if no earlier selection had taken any scene.",
+    )
+    filters: ScenesRequest | None = Field(
+        default=None,
+        description="Only scenes that pass them; order, cursor and number of rows are not used.",
+    )
+
+
+USUAL_TERMS: Final = SelectionTerms()
+"""The default strategy, over every scene that no earlier selection contains."""
 
 
 class SelectionSummary(BaseModel):
@@ -47,11 +72,14 @@ class LeftOut:
 
     Attributes:
         twins: Scenes that show what a better neighbour shows, ranked before the last one selected.
+        others: Further scenes with a reason, ranked before it: of earlier selections, excluded by a
+            filter, or like scenes that were chosen.
         without: Scenes without a reason, ranked before the last one selected, or anywhere if the
             budget was not used up.
     """
 
     twins: tuple[RankedScene, ...]
+    others: tuple[RankedScene, ...]
     without: tuple[RankedScene, ...]
 
 
@@ -65,7 +93,8 @@ def left_out(ranking: Sequence[RankedScene], selection: Selection) -> LeftOut:
     chosen = {scene.scene_id for scene in selection.scenes}
     passed = [row for row in ranking[: selection.last_rank] if row.scene_id not in chosen]
     return LeftOut(
-        twins=tuple(row for row in passed if has_reason(row)),
+        twins=tuple(row for row in passed if has_reason(row) and row.twin_of is not None),
+        others=tuple(row for row in passed if has_reason(row) and row.twin_of is None),
         without=tuple(row for row in passed if not has_reason(row)),
     )
 

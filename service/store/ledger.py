@@ -3,7 +3,6 @@
 import math
 import uuid
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
 from typing import Final
 
 import structlog
@@ -26,7 +25,6 @@ from service.curation.listing import ScenesReply, ScenesRequest
 from service.curation.ranking import RankedScene
 from service.curation.rates import RatesRequest, RateSums
 from service.curation.status import ParkedWork, SkippedEntries, Status
-from service.curation.strategies.catalogue import Wanted, select
 from service.curation.verdicts import ChoicesReply
 from service.store import (
     activity,
@@ -49,6 +47,7 @@ from service.store import (
 from service.store.backlog import Backlog
 from service.store.engine import Store
 from service.store.leases import LeasePolicy
+from service.store.proposals import Proposals
 from service.store.recordings import SyncResult
 from service.store.retired_overlays import RetiredOverlays
 from service.store.scenes import StoredScene
@@ -76,6 +75,7 @@ class Ledger:
     Attributes:
         retired_overlays: Overlays that are no longer needed, and since when.
         selections: Stored selections.
+        proposals: Choices of scenes for new ones.
         verdicts: Stored verdicts.
 
     Raises (every method):
@@ -105,6 +105,7 @@ class Ledger:
         self._new_lease_id = new_lease_id
         self.retired_overlays = RetiredOverlays(store, now_s=now_s)
         self.selections = Selections(store, now_s=now_s)
+        self.proposals = Proposals(store)
         self.verdicts = Verdicts(store, now_s=now_s)
         self._listing = 0
         """Number of listings received, from which claims know that plans may be missing."""
@@ -368,14 +369,6 @@ class Ledger:
         """Return the values that filters and verdicts choose from; `causes` are the user's own."""
         with self._store.reading() as connection:
             return activity.choices(connection, causes=causes)
-
-    def select(self, *, budget: int, wanted: Wanted = None) -> list[RankedScene]:
-        """Choose scenes of the ranking, or raise as `service.curation.strategies` does."""
-        with (
-            self._store.reading() as connection,
-            closing(ranking.ranked(connection, on_damaged=self._store.note_damaged)) as ranked,
-        ):
-            return select(ranked, budget=budget, wanted=wanted)
 
     def rate_sums(self, request: RatesRequest) -> list[RateSums]:
         """Return sums over the requested groups of current scenes, in no order."""

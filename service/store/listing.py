@@ -135,16 +135,33 @@ class _Found:
 def _found(connection: Connection, wanted: ColumnElement[bool], part: str) -> _Found:
     """Search every text in turn, and find the row of each match by its number.
 
-    A few matches are then read by their numbers, so that the texts are read once. The sum keeps
-    SQLite from walking the rows instead and finding the text of each.
+    A few matches are then read by their numbers, so that the texts are read once.
     """
-    source = LISTED_WORDS.join(LISTED_SCENES, _C.seq == LISTED_WORDS.c.seq + 0)
+    source = _words_and_rows()
     wanted = and_(wanted, _contains(connection, LISTED_WORDS.c.words, part))
     matches = select(_C.seq).select_from(source).where(wanted).limit(MOST_COUNTED + 1)
     numbers = connection.execute(matches).scalars().all()
     if len(numbers) > MOST_COUNTED:
         return _Found(source, wanted, MOST_COUNTED, is_least=True)
     return _Found(LISTED_SCENES, _in(_C.seq, numbers), len(numbers), is_least=False)
+
+
+def numbers_that_pass(connection: Connection, request: ScenesRequest) -> set[int]:
+    """Return the numbers of all current scenes that pass the filters; the order is not used."""
+    source: FromClause = LISTED_SCENES
+    wanted = and_(True, *_filters(connection, request))
+    if request.text and parse_short_name(request.text) is None:
+        source = _words_and_rows()
+        wanted = and_(wanted, _contains(connection, LISTED_WORDS.c.words, request.text.casefold()))
+    return set(connection.execute(select(_C.seq).select_from(source).where(wanted)).scalars())
+
+
+def _words_and_rows() -> FromClause:
+    """Return the texts with their rows, read in the order of the texts.
+
+    The sum keeps SQLite from walking the rows instead and finding the text of each.
+    """
+    return LISTED_WORDS.join(LISTED_SCENES, _C.seq == LISTED_WORDS.c.seq + 0)
 
 
 def _beyond(order: _Order, keys: Sequence[float | int]) -> ColumnElement[bool]:

@@ -1,7 +1,7 @@
 """Ranking of current scenes, read lazily in its order."""
 
 import json
-from collections.abc import Generator
+from collections.abc import Container, Generator
 from itertools import takewhile
 from typing import Any, Final
 
@@ -10,6 +10,7 @@ from sqlalchemy import ColumnElement, Connection, bindparam, literal_column, sel
 from schemas.contradiction import TrackRecord
 from schemas.events import MAX_LISTED_TRACKS, TrackSummary
 from schemas.score import MIN_REPORTED_STRENGTH, from_version_1
+from service.curation.candidates import Candidate
 from service.curation.ranking import Neighbour, RankedScene
 from service.curation.twins import ShownScene, Twins
 from service.store.record_digests import OnDamaged, problem_of
@@ -23,16 +24,30 @@ _AT_ONCE: Final = 500
 def ranked(
     connection: Connection, *, most: int | None = None, on_damaged: OnDamaged
 ) -> Generator[RankedScene, None, None]:
+    """Rank current scenes, as `candidates` does."""
+    for each in candidates(connection, most=most, on_damaged=on_damaged):
+        yield each.scene
+
+
+def candidates(
+    connection: Connection,
+    *,
+    most: int | None = None,
+    only: Container[int] | None = None,
+    on_damaged: OnDamaged,
+) -> Generator[Candidate, None, None]:
     """Rank current scenes, best first, ranks from 1; each is compared with its record.
 
     Args:
         connection: In the transaction to read from; it is read while this is iterated.
         most: Number of rows; None: all.
+        only: Numbers of the scenes that are returned; None: all. The others keep their ranks, and
+            have twins.
         on_damaged: Called for damaged scenes, which are left out.
     """
     query = (
         select(*_READ, *_ODOM, _C.log_id, _C.lidar_topic, _C.score, _C.state, _C.reasons)
-        .add_columns(_C.sha256, _C.record)
+        .add_columns(_C.sha256, _C.record, _C.vehicle, _C.software_version, _C.seq)
         .where(_C.is_current)
         .order_by(_UNJUDGED, _C.score.desc(), _bytewise(connection), _C.start_ns, _C.scene_id)
         .limit(most)
@@ -46,7 +61,10 @@ def ranked(
                 continue
             rank += 1
             shown = _shown(row)
-            yield RankedScene(
+            twin_of = twins.twin_of(shown, _around(connection, row)) if shown.tracks else None
+            if only is not None and row.seq not in only:
+                continue
+            scene = RankedScene(
                 rank=rank,
                 scene_id=row.scene_id,
                 log_id=row.log_id,
@@ -55,9 +73,10 @@ def ranked(
                 score=row.score,
                 reasons=headlines_of(row.reasons),
                 tracks=tuple(TrackSummary.of(each) for each in shown.tracks[:MAX_LISTED_TRACKS]),
-                twin_of=twins.twin_of(shown, _around(connection, row)) if shown.tracks else None,
+                twin_of=twin_of,
                 sha256=row.sha256,
             )
+            yield Candidate(scene, row.vehicle, row.software_version)
 
 
 def _shown(row: Any) -> ShownScene:

@@ -85,7 +85,7 @@ class DamagedRecordContract(StoreContract):
                 for scene_ids in shown:
                     assert len(scene_ids) == len(set(scene_ids)) == 8
                     assert self.scene_id not in scene_ids
-                chosen = {scene.scene_id for scene in ledger.select(budget=9)}
+                chosen = {scene.scene_id for scene in ledger.proposals.select(budget=9)}
                 assert self.scene_id not in chosen
         said = [line for line in logs if line["log_level"] == "error"]
         assert [line["scene_id"] for line in said] == [self.scene_id]

@@ -558,10 +558,10 @@ class LedgerContract(StoreContract):
     def test_a_selection_is_durable_and_never_changes(self, world: World) -> None:
         world.listed("a", "b")
         world.mine_all()
-        chosen = world.ledger.select(budget=2)
+        chosen = world.ledger.proposals.select(budget=2)
         first = world.ledger.selections.save(None, budget=2, scenes=chosen)
         named = world.ledger.selections.save(
-            "for-monday", budget=3, scenes=world.ledger.select(budget=3)
+            "for-monday", budget=3, scenes=world.ledger.proposals.select(budget=3)
         )
         assert first.name == "selection-1"
         assert len(chosen) == 2

@@ -154,7 +154,7 @@ class RankingContract(StoreContract):
 
     def test_nothing_ranks_as_nothing(self, world: World) -> None:
         assert world.ledger.ranking() == []
-        assert world.ledger.select(budget=3) == []
+        assert world.ledger.proposals.select(budget=3) == []
 
     def test_a_scene_that_is_not_current_has_no_rank_and_no_twin(self, world: World) -> None:
         rank(world, scene(0, 0.9), scene(1, 0.5), scene(1, 0.2, log_id="b"))
@@ -202,8 +202,8 @@ class RankingContract(StoreContract):
         with_reason = [row for row in ranking if row.score >= MIN_REPORTED_STRENGTH]
         distinct = [row for row in with_reason if row.twin_of is None]
         assert len(distinct) < len(with_reason)
-        assert world.ledger.select(budget=40) == distinct[:40]
-        assert world.ledger.select(budget=4000) == with_reason
+        assert world.ledger.proposals.select(budget=40) == distinct[:40]
+        assert world.ledger.proposals.select(budget=4000) == with_reason
 
 
 class TestRankingOnSqlite(OnSqlite, RankingContract):

@@ -1,32 +1,46 @@
 """The best scenes with a reason; twins only where they fill the budget."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import takewhile
 
 from schemas.score import MIN_REPORTED_STRENGTH
-from service.curation.ranking import RankedScene, has_reason
+from service.curation.candidates import Candidate, Choice
+from service.curation.explanations import why_best
+from service.curation.ranking import has_reason
 
 
-def best_distinct(ranking: Iterable[RankedScene], *, budget: int) -> list[RankedScene]:
+def best_distinct(
+    candidates: Iterable[Candidate],
+    *,
+    budget: int,
+    taken: Sequence[Candidate],
+) -> list[Choice]:
     """Choose the best distinct scenes, and then twins until the budget is filled.
 
     A twin comes last, because a labeller who sees the better neighbour sees the same thing. A scene
     without a reason is never chosen, even when the budget is not used up.
 
     Args:
-        ranking: Best first; read only as far as needed.
+        candidates: Best first; read only as far as needed.
         budget: Scenes the labellers can take, at least 1.
+        taken: Scenes of earlier selections.
 
     Returns:
-        At most `budget` scenes, best first.
+        At most `budget` choices, best first.
     """
-    distinct: list[RankedScene] = []
-    twins: list[RankedScene] = []
-    # A score is at least the strength of each track: below the level no scene has a reason.
-    for scene in takewhile(lambda scene: scene.score >= MIN_REPORTED_STRENGTH, ranking):
-        if has_reason(scene):
-            (distinct if scene.twin_of is None else twins).append(scene)
+    distinct: list[Candidate] = []
+    twins: list[Candidate] = []
+    for each in with_reason(candidates):
+        (distinct if each.scene.twin_of is None else twins).append(each)
         if len(distinct) == budget:
             break
     chosen = distinct + twins[: budget - len(distinct)]
-    return sorted(chosen, key=lambda scene: scene.rank)
+    chosen.sort(key=lambda each: each.scene.rank)
+    return [Choice(scene=each.scene, gain=each.scene.score, why=why_best(each)) for each in chosen]
+
+
+def with_reason(candidates: Iterable[Candidate]) -> Iterable[Candidate]:
+    """Return the candidates with a reason, which are read no further than one can be."""
+    # A score is at least the strength of each track: below the level no scene has a reason.
+    strong = takewhile(lambda each: each.scene.score >= MIN_REPORTED_STRENGTH, candidates)
+    return (each for each in strong if has_reason(each.scene))

@@ -1,16 +1,17 @@
 """The best distinct scenes under a budget, and strategies by name."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 import pytest
 
 from schemas.attribution import Attribution, Wrong
 from schemas.events import TrackSummary
 from schemas.score import MIN_REPORTED_STRENGTH
+from service.curation.candidates import Candidate, Choice
 from service.curation.ranking import RankedScene, has_reason
 from service.curation.selection import Selection, left_out, why_no_reason
 from service.curation.strategies import catalogue
-from service.curation.strategies.catalogue import STRATEGIES, Strategy, select
+from service.curation.strategies.catalogue import STRATEGIES, Strategy
 from service.errors import UsageError
 from tests.factories import track_record
 
@@ -40,6 +41,13 @@ def row(
         twin_of=twin_of,
         sha256="0" * 64,
     )
+
+
+def select(
+    ranking: Iterable[RankedScene], *, budget: int, strategy: str = catalogue.DEFAULT
+) -> list[RankedScene]:
+    candidates = (Candidate(scene) for scene in ranking)
+    return [each.scene for each in catalogue.select(candidates, budget=budget, strategy=strategy)]
 
 
 RANKING = [
@@ -112,8 +120,11 @@ def test_why_a_scene_has_no_reason_is_told() -> None:
     assert why_no_reason(RANKING[7]) == "nothing contradicts, or it was not judged"
 
 
-def last_first(ranking: Iterable[RankedScene], *, budget: int) -> list[RankedScene]:
-    return list(ranking)[::-1][:budget]
+def last_first(
+    candidates: Iterable[Candidate], *, budget: int, taken: Sequence[Candidate]
+) -> list[Choice]:
+    last = [each.scene for each in candidates][::-1][:budget]
+    return [Choice(scene=scene, gain=0.0, why="late") for scene in last]
 
 
 def test_one_row_makes_a_strategy(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -33,7 +33,7 @@ def test_each_scene_that_is_left_out_has_a_line_with_its_cause(
     assert "left out: rank 8, 0.420, b@" in printed.err
     assert ": twin of rank 7, which shows the same" in printed.err
     assert "the budget is used up at rank 9" in printed.err
-    assert main(["select", "--budget", "50", "--name", "all", *state]) == 0
+    assert main(["select", "--budget", "50", "--name", "all", "--again", *state]) == 0
     printed = capsys.readouterr()
     assert "16 of at most 50 scenes" in printed.out, "twins fill the budget"
     assert printed.err.count("left out: rank ") == 2

@@ -1,0 +1,131 @@
+"""Choice of scenes for a selection: the ranking, the filters and what earlier selections took."""
+
+import json
+from collections.abc import Sequence
+from contextlib import closing
+
+from sqlalchemy import Connection, select
+
+from service.curation.candidates import Candidate, Proposal
+from service.curation.ranking import RankedScene
+from service.curation.selection import USUAL_TERMS, SelectionTerms
+from service.curation.strategies import catalogue
+from service.curation.strategies.catalogue import Wanted, strategy_named, strategy_of
+from service.curation.strategies.covering import MOST_REMEMBERED
+from service.store import listing, ranking
+from service.store.engine import Store
+from service.store.record_digests import OnDamaged
+from service.store.tables import SCENES, SELECTION_SCENES, SELECTIONS
+
+
+class Proposals:
+    """Chooses scenes for selections; it stores nothing."""
+
+    def __init__(self, store: Store) -> None:
+        """Keep the store."""
+        self._store = store
+
+    def propose(
+        self,
+        *,
+        budget: int,
+        name: str | None = None,
+        terms: SelectionTerms = USUAL_TERMS,
+        wanted: Wanted = None,
+    ) -> Proposal:
+        """Choose scenes of the ranking by the terms.
+
+        Args:
+            budget: Number of scenes at most.
+            name: Selection that is made. Where it is stored, the ones after it are not considered,
+                so that the same request gives the same scenes again.
+            terms: Strategy, filters and treatment of earlier selections.
+            wanted: Scenes that a person chose; the terms are then not used.
+
+        Raises:
+            UsageError: If there is no such strategy.
+            NothingFoundError: If a filter names a selection that does not exist.
+        """
+        with self._store.reading() as connection:
+            return _propose(
+                connection,
+                budget=budget,
+                name=name,
+                terms=terms,
+                wanted=wanted,
+                on_damaged=self._store.note_damaged,
+            )
+
+    def select(
+        self,
+        *,
+        budget: int,
+        name: str | None = None,
+        terms: SelectionTerms = USUAL_TERMS,
+        wanted: Wanted = None,
+    ) -> list[RankedScene]:
+        """Choose scenes as `propose` does, and return them best first."""
+        proposal = self.propose(budget=budget, name=name, terms=terms, wanted=wanted)
+        return sorted((each.scene for each in proposal.choices), key=lambda scene: scene.rank)
+
+
+def _propose(
+    connection: Connection,
+    *,
+    budget: int,
+    name: str | None,
+    terms: SelectionTerms,
+    wanted: Wanted,
+    on_damaged: OnDamaged,
+) -> Proposal:
+    """Choose scenes as `Proposals.propose` says, in the transaction to read from."""
+    strategy_named(terms.strategy)
+    earlier = [] if terms.again or wanted is not None else _earlier(connection, name)
+    taken = {json.loads(scene)["scene_id"] for scene in earlier}
+    only = None
+    if terms.filters is not None and wanted is None:
+        only = listing.numbers_that_pass(connection, terms.filters)
+    with closing(ranking.candidates(connection, only=only, on_damaged=on_damaged)) as ranked:
+        choices = catalogue.select(
+            (each for each in ranked if each.scene.scene_id not in taken),
+            budget=budget,
+            strategy=terms.strategy,
+            wanted=wanted,
+            taken=_candidates(connection, earlier[-MOST_REMEMBERED:]),
+        )
+    return Proposal(
+        strategy=strategy_of(wanted, terms.strategy),
+        budget=budget,
+        taken=len(taken),
+        choices=tuple(choices),
+    )
+
+
+def _earlier(connection: Connection, name: str | None) -> list[str]:
+    """Return the scenes of earlier selections as stored, oldest first."""
+    query = (
+        select(SELECTION_SCENES.c.scene)
+        .join(SELECTIONS, SELECTIONS.c.name == SELECTION_SCENES.c.name)
+        .order_by(SELECTIONS.c.ordinal, SELECTION_SCENES.c.position)
+    )
+    if name is not None:
+        own = connection.execute(select(SELECTIONS.c.ordinal).where(SELECTIONS.c.name == name))
+        ordinal = own.scalar_one_or_none()
+        if ordinal is not None:
+            query = query.where(SELECTIONS.c.ordinal < ordinal)
+    return list(connection.execute(query).scalars())
+
+
+def _candidates(connection: Connection, stored: Sequence[str]) -> list[Candidate]:
+    """Read stored scenes; of one that is no longer current, vehicle and version are unknown."""
+    scenes = [RankedScene.model_validate_json(scene) for scene in stored]
+    query = select(SCENES.c.scene_id, SCENES.c.vehicle, SCENES.c.software_version).where(
+        SCENES.c.is_current, SCENES.c.scene_id.in_([scene.scene_id for scene in scenes])
+    )
+    sources = {row.scene_id: row for row in connection.execute(query)}
+    return [
+        Candidate(scene, found.vehicle, found.software_version)
+        if (found := sources.get(scene.scene_id))
+        else Candidate(scene)
+        for scene in scenes
+    ]
