@@ -22,6 +22,7 @@ from service.cli import (
     daemons,
     demo,
     evaluate,
+    exports,
     logs,
     measure,
     parts,
@@ -58,7 +59,7 @@ app = typer.Typer(
     "each other. No label is needed.",
     epilog="Try it: counterpoint demo --out demo-output",
 )
-for mining in (daemons, logs, scenes, selections, rates, retry):
+for mining in (daemons, logs, scenes, selections, exports, rates, retry):
     mining.add_to(app)
 for measuring in (demo, simulate, evaluate, measure, calibrate, parts, settings, weights):
     measuring.add_to(app)

@@ -25,7 +25,7 @@ from workers.ingest.messages import RawMessage
 from workers.ingest.part_reader import PartReader
 from workers.ingest.pointcloud import decode_cloud
 from workers.ingest.records import RecordMalformedError, parse, walk
-from workers.ingest.topic_sampling import Sample, sample_end, sample_topics
+from workers.ingest.topic_sampling import sample_end, sample_topics
 from workers.ingest.topics import Topic, chunks_of, count_in, topics_of
 from workers.ingest.transforms import is_static
 
@@ -270,7 +270,7 @@ class CutExcerpt:
     def _copied(
         self, opened: OpenedChunk, ids: Mapping[tuple[int, int], Channel]
     ) -> Iterator[ExcerptMessage]:
-        """Yield copies of a chunk's messages; mining has recorded the damage of an unreadable one."""
+        """Yield copies of a chunk's messages; mining has recorded the damage of what is unreadable."""
         part, records = opened.ref.part, opened.records
         wanted = {channel_id for number, channel_id in ids if number == part}
         try:
