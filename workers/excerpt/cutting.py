@@ -270,7 +270,7 @@ class CutExcerpt:
     def _copied(
         self, opened: OpenedChunk, ids: Mapping[tuple[int, int], Channel]
     ) -> Iterator[ExcerptMessage]:
-        """Yield copies of a chunk's messages; mining has recorded the damage of what is unreadable."""
+        """Yield copies of a chunk's messages; damage of it was recorded when it was mined."""
         part, records = opened.ref.part, opened.records
         wanted = {channel_id for number, channel_id in ids if number == part}
         try:
