@@ -6,9 +6,20 @@ from typing import Final
 from service.errors import UsageError
 from service.export.format import Format
 from service.export.json_lines import JSON
+from service.export.labelstudio import LABELSTUDIO
 from service.export.mcap_excerpt import MCAP
+from service.export.openlabel import OPENLABEL
+from service.export.parquet import PARQUET
+from service.export.pcd import CVAT, XTREME1
+from service.export.segments import SEGMENTS
+from service.export.semantickitti import SEMANTICKITTI
 
-FORMATS: Final[Mapping[str, Format]] = {each.name: each for each in (JSON, MCAP)}
+_ROWS: Final = (
+    *(MCAP, SEMANTICKITTI, OPENLABEL, SEGMENTS, CVAT, XTREME1, LABELSTUDIO),
+    *(PARQUET, JSON),
+)
+
+FORMATS: Final[Mapping[str, Format]] = {each.name: each for each in _ROWS}
 """By the name that `counterpoint export --format` takes."""
 
 

@@ -8,13 +8,13 @@ from functools import cache
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from schemas.arrays import NS_PER_S
 from schemas.excerpt import ExcerptChannel, ExcerptMessage
 from schemas.overlay import Overlay
 from schemas.score import SceneScore
 from service.export.points import LabelledCloud
+from service.export.rotation import quaternion_wxyz
 from service.pictures.style import colours_of
 
 POINTS: Final = "/counterpoint/points"
@@ -171,7 +171,7 @@ def pose(cloud: LabelledCloud, *, log_time_ns: int) -> ExcerptMessage:
     _set_time(message.timestamp, cloud.stamp_ns)
     x, y, z = map(float, sensor_from_odom[:3, 3])
     message.translation.x, message.translation.y, message.translation.z = x, y, z
-    w, x, y, z = _quaternion(sensor_from_odom[:3, :3])
+    w, x, y, z = quaternion_wxyz(sensor_from_odom[:3, :3])
     message.rotation.w, message.rotation.x = w, x
     message.rotation.y, message.rotation.z = y, z
     return _message(SPACES, "FrameTransform", message, log_time_ns)
@@ -234,18 +234,3 @@ def _set_pose(field: Any, centre_m: tuple[float, float, float], yaw_rad: float) 
 
 def _set_colour(field: Any, red: float, green: float, blue: float, alpha: float) -> None:
     field.r, field.g, field.b, field.a = red, green, blue, alpha
-
-
-def _quaternion(rotation: NDArray[np.float64]) -> tuple[float, float, float, float]:
-    """Return w, x, y, z of a rotation: an eigenvector of its symmetric matrix (Bar-Itzhack)."""
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation
-    symmetric = np.array(
-        [
-            [xx + yy + zz, zy - yz, xz - zx, yx - xy],
-            [zy - yz, xx - yy - zz, yx + xy, zx + xz],
-            [xz - zx, yx + xy, yy - xx - zz, zy + yz],
-            [yx - xy, zx + xz, zy + yz, zz - xx - yy],
-        ]
-    )
-    w, x, y, z = np.linalg.eigh(symmetric)[1][:, -1].tolist()
-    return w, x, y, z
