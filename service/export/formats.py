@@ -8,6 +8,7 @@ from service.export.format import Format
 from service.export.json_lines import JSON
 from service.export.labelstudio import LABELSTUDIO
 from service.export.mcap_excerpt import MCAP
+from service.export.nuscenes_lidarseg import NUSCENES
 from service.export.openlabel import OPENLABEL
 from service.export.parquet import PARQUET
 from service.export.pcd import CVAT, XTREME1
@@ -16,7 +17,7 @@ from service.export.semantickitti import SEMANTICKITTI
 
 _ROWS: Final = (
     *(MCAP, SEMANTICKITTI, OPENLABEL, SEGMENTS, CVAT, XTREME1, LABELSTUDIO),
-    *(PARQUET, JSON),
+    *(NUSCENES, PARQUET, JSON),
 )
 
 FORMATS: Final[Mapping[str, Format]] = {each.name: each for each in _ROWS}
