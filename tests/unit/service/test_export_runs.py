@@ -142,7 +142,7 @@ def test_a_scene_of_another_state_is_missing(world: ExportWorld, tmp_path: Path)
 
 
 def test_an_unknown_format_is_refused_with_those_that_are_known() -> None:
-    with pytest.raises(UsageError, match="no format 'csv': --format is one of json, mcap"):
+    with pytest.raises(UsageError, match="no format 'csv': --format is one of mcap, semantickitti"):
         format_named("csv")
 
 
