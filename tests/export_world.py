@@ -80,7 +80,7 @@ def write_log(folder: Path, *, frames: int = 40) -> Path:
             data = cloud(at_ns, rows(number).tobytes(), ("x", "y", "z", "intensity"))
             for topic in (LIDAR, "/other/points"):
                 writer.add_message(ids[topic], at_ns + 5_000_000, data, at_ns + 3_000_000)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     return path
 
 

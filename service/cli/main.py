@@ -23,6 +23,7 @@ from service.cli import (
     demo,
     evaluate,
     exports,
+    label_imports,
     logs,
     measure,
     parts,
@@ -59,7 +60,7 @@ app = typer.Typer(
     "each other. No label is needed.",
     epilog="Try it: counterpoint demo --out demo-output",
 )
-for mining in (daemons, logs, scenes, selections, exports, rates, retry):
+for mining in (daemons, logs, scenes, selections, exports, label_imports, rates, retry):
     mining.add_to(app)
 for measuring in (demo, simulate, evaluate, measure, calibrate, parts, settings, weights):
     measuring.add_to(app)

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from schemas.arrays import NS_PER_S
+from schemas.arrays import NS_PER_S, Transform
 from schemas.excerpt import ExcerptChannel, ExcerptMessage
 from schemas.overlay import Overlay
 from schemas.score import SceneScore
@@ -44,6 +44,9 @@ _POINT: Final = np.dtype(
     align=True,
 )
 """One point: `index` is its place in the raw message, `category` the code of its outcome."""
+
+_PLACES: Final[Mapping[str, Any]] = _POINT.fields or {}
+"""Type and offset of each element."""
 
 _STEPS_PER_M: Final = np.float32(256)
 """Steps of a coordinate in a metre: 4 mm compress well, and the raw cloud has the exact place."""
@@ -111,7 +114,7 @@ def point_cloud(cloud: LabelledCloud, overlay: Overlay, *, log_time_ns: int) -> 
     message.pose.orientation.w = 1.0
     message.point_stride = _POINT.itemsize
     for name in _POINT.names or ():
-        kind, offset = (_POINT.fields or {})[name][:2]
+        kind, offset = _PLACES[name][:2]
         message.fields.add(name=name, offset=offset, type=_TYPES[kind.str.replace("|", "")])
     message.data = made.tobytes()
     return _message(POINTS, "PointCloud", message, log_time_ns)
@@ -166,7 +169,7 @@ def boxes(
 
 def pose(cloud: LabelledCloud, *, log_time_ns: int) -> ExcerptMessage:
     """Return the pose of a frame: the odom space as a child of the lidar's."""
-    sensor_from_odom = np.linalg.inv(cloud.odom_from_sensor)
+    sensor_from_odom: Transform = np.linalg.inv(cloud.odom_from_sensor)
     message = _classes()["FrameTransform"](parent_frame_id=cloud.frame_id, child_frame_id=ODOM)
     _set_time(message.timestamp, cloud.stamp_ns)
     x, y, z = map(float, sensor_from_odom[:3, 3])

@@ -107,6 +107,22 @@ def open_journal(folder: Path, selection: Selection, *, format_name: str) -> Ite
             shutil.rmtree(journal.growing, ignore_errors=True)
 
 
+def scenes_of(folder: Path, *, format_name: str) -> list[str]:
+    """List the places of the scenes of an export, in the order they were written.
+
+    Raises:
+        UsageError: If the folder is no export, or one in another format.
+    """
+    lines = _lines_of(folder / NAME)
+    if not lines or lines[0].get("generator") != _GENERATOR:
+        raise UsageError(f"this is no folder of an export: it has no {NAME} ({folder})")
+    if lines[0].get("format") != format_name:
+        raise UsageError(
+            f"this folder is an export as {lines[0].get('format')}, not as {format_name} ({folder})"
+        )
+    return [str(each["place"]) for each in lines[1:]]
+
+
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
     """Lock a folder against other exports; the lock ends with the process, however it ends."""

@@ -75,8 +75,8 @@ def write_scene(scene: SceneToExport, folder: Path) -> None:
     frames: list[dict[str, Any]] = []
     for cloud in scene.clouds():
         file, token = tables.add(cloud)
-        points = [cloud.points_m, cloud.intensity * 255, cloud.ring]
-        np.column_stack(points).astype("<f4").tofile(folder / file)
+        points = np.column_stack([cloud.points_m, cloud.intensity * 255, cloud.ring])
+        points.astype("<f4").tofile(folder / file)
         lookup[cloud.label].tofile(folder / tables.label_file(token))
         write_index(cloud, folder)
         frames.append(frame_of(cloud, scene))

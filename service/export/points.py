@@ -81,7 +81,7 @@ class PointLabels:
         self._track = np.array([*of, -1], dtype=np.int32)
         self._strength = np.array([*strengths, 0.0], dtype=np.float32)
         self._rule = np.array([_RULES.get(each, _SEMANTIC) for each in [*wrong, None]])
-        self._semantic, self._predictive = _moving_by_outcome(overlay.task)
+        self._semantic, self._predictive = moving_by_outcome(overlay.task)
         self._still_id, self._moving_id = semantickitti_ids(overlay.class_names)
 
     def of(self, cloud: SceneCloud) -> LabelledCloud:
@@ -118,7 +118,7 @@ class PointLabels:
         return np.where(rule == _NEITHER, ~semantic, moving)
 
 
-def _moving_by_outcome(task: Task) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def moving_by_outcome(task: Task) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return by the code of an outcome if each stream labels the point moving."""
     semantic = [bool(task.moving) and each.semantic == task.moving for each in task.outcomes]
     predictive = [bool(task.moving) and each.predictive == task.moving for each in task.outcomes]

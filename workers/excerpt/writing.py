@@ -54,7 +54,7 @@ def write_mcap(
             )
         for name, content in metadata:
             writer.add_metadata(name, dict(content))
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
 
 
 class _Channels:

@@ -12,9 +12,7 @@ from mcap_ros2.decoder import DecoderFactory as Ros2
 
 from service.export.scene import JudgedTrack
 from tests.export_world import (
-    BEGIN_NS,
     FRAMES,
-    LIDAR,
     MOVER,
     STEP_NS,
     made_world,
@@ -22,6 +20,7 @@ from tests.export_world import (
     returns,
     static_transform,
 )
+from tests.tiny_logs import BEGIN_NS, LIDAR
 
 COLOUR_OF_SELF_SUPERVISED_ALONE = (178, 34, 34)
 
