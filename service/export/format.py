@@ -27,6 +27,7 @@ class Format:
         write_scene: Writes a scene; None for a format with nothing for each scene.
         write_all: Writes the files about all scenes; None without any.
         reads_logs: True if the points of the log are written, so that a bucket is needed.
+        check: Raises UsageError if a package is missing; None for a format that needs none.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Format:
     write_scene: WriteScene | None = None
     write_all: WriteAll | None = None
     reads_logs: bool = False
+    check: Callable[[], None] | None = None
 
     def place_of(self, scene: SceneToExport) -> str:
         """Return the path of a scene's file or folder, relative to the output."""

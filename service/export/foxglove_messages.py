@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from schemas.arrays import NS_PER_S, Transform
+from schemas.arrays import NS_PER_S
 from schemas.excerpt import ExcerptChannel, ExcerptMessage
 from schemas.overlay import Overlay
 from schemas.score import SceneScore
@@ -169,7 +169,7 @@ def boxes(
 
 def pose(cloud: LabelledCloud, *, log_time_ns: int) -> ExcerptMessage:
     """Return the pose of a frame: the odom space as a child of the lidar's."""
-    sensor_from_odom: Transform = np.linalg.inv(cloud.odom_from_sensor)
+    sensor_from_odom = np.asarray(np.linalg.inv(cloud.odom_from_sensor), dtype=np.float64)
     message = _classes()["FrameTransform"](parent_frame_id=cloud.frame_id, child_frame_id=ODOM)
     _set_time(message.timestamp, cloud.stamp_ns)
     x, y, z = map(float, sensor_from_odom[:3, 3])

@@ -7,6 +7,7 @@ by transforms, as labelling platforms require.
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
@@ -36,10 +37,8 @@ def write_scene(scene: SceneToExport, path: Path) -> None:
     """Write the excerpt of one scene.
 
     Raises:
-        UsageError: If the package with Foxglove's schemas is not installed.
         PermanentError: If the log is gone, or no longer has the frames.
     """
-    _need_schemas()
     excerpt = scene.excerpt()
     scene.opened.write_mcap(
         path,
@@ -138,9 +137,8 @@ def layout(lidar_topic: str) -> dict[str, Any]:
     }
 
 
-def _need_schemas() -> None:
-    from importlib.util import find_spec
-
+def need_schemas() -> None:
+    """Refuse where the package with Foxglove's schemas is not installed."""
     if find_spec("foxglove_schemas_protobuf") is None:
         raise UsageError(
             "format mcap needs Foxglove's message schemas: install 'counterpoint[export]'"
@@ -154,5 +152,6 @@ MCAP: Final = Format(
     write_scene=write_scene,
     write_all=write_layout,
     reads_logs=True,
+    check=need_schemas,
 )
 """Raw messages byte for byte, points with colours, boxes, events, metadata, and a layout."""

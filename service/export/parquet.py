@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,16 +21,14 @@ Row = Mapping[str, Any]
 def write_tables(selection: Selection, scenes: Sequence[SceneToExport], folder: Path) -> None:
     """Write both tables; a track has the id of its scene.
 
-    Raises:
-        UsageError: If pyarrow is not installed.
+    Args:
+        selection: The selection, whose name is metadata of both.
+        scenes: Its scenes.
+        folder: Folder for the tables.
     """
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ModuleNotFoundError:
-        raise UsageError(
-            "format parquet needs pyarrow: install 'counterpoint[predictions]'"
-        ) from None
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     about = {b"counterpoint.selection": selection.name.encode()}
     for name, fields, rows in (
         (SCENES, _scene_fields(pa), [_scene_row(each) for each in scenes]),
@@ -41,6 +40,12 @@ def write_tables(selection: Selection, scenes: Sequence[SceneToExport], folder: 
     ):
         table = pa.Table.from_pylist(rows, schema=pa.schema(fields, metadata=about))
         pq.write_table(table, folder / name, compression="zstd")
+
+
+def need_pyarrow() -> None:
+    """Refuse where pyarrow is not installed."""
+    if find_spec("pyarrow") is None:
+        raise UsageError("format parquet needs pyarrow: install 'counterpoint[predictions]'")
 
 
 def _scene_fields(pa: Any) -> list[tuple[str, Any]]:
@@ -148,5 +153,6 @@ PARQUET: Final = Format(
     name="parquet",
     text="Tables of scores and tracks: one row for each scene, and one for each track.",
     write_all=write_tables,
+    check=need_pyarrow,
 )
 """Read by pandas, DuckDB, Spark and others."""

@@ -77,10 +77,13 @@ def run_export(
         on_scene: Called with the number of scenes done.
 
     Raises:
-        UsageError: If the folder contains another export, or files of something else.
+        UsageError: If the folder contains another export or files of something else, or if a
+            package that the format needs is missing.
         StateInUseError: If another export into the folder runs.
         OutputFullError: If the disk is full.
     """
+    if wanted.check is not None:
+        wanted.check()
     report = ExportReport()
     with open_journal(folder, selection, format_name=wanted.name) as journal:
         found: list[SceneToExport] = []
