@@ -12,12 +12,13 @@ from service.export.nuscenes_lidarseg import NUSCENES
 from service.export.openlabel import OPENLABEL
 from service.export.parquet import PARQUET
 from service.export.pcd import CVAT, XTREME1
+from service.export.rerun_recording import RERUN
 from service.export.segments import SEGMENTS
 from service.export.semantickitti import SEMANTICKITTI
 
 _ROWS: Final = (
     *(MCAP, SEMANTICKITTI, OPENLABEL, SEGMENTS, CVAT, XTREME1, LABELSTUDIO),
-    *(NUSCENES, PARQUET, JSON),
+    *(NUSCENES, RERUN, PARQUET, JSON),
 )
 
 FORMATS: Final[Mapping[str, Format]] = {each.name: each for each in _ROWS}
