@@ -22,6 +22,8 @@ from service.cli import (
     daemons,
     demo,
     evaluate,
+    exports,
+    label_imports,
     logs,
     measure,
     parts,
@@ -60,8 +62,10 @@ app = typer.Typer(
     "each other. No label is needed.",
     epilog="Try it: counterpoint demo --out demo-output",
 )
-for mining in (daemons, logs, scenes, selections, verdicts, rates, retry, review):
+for mining in (daemons, logs, scenes, selections, verdicts, exports, label_imports):
     mining.add_to(app)
+for looking in (rates, retry, review):
+    looking.add_to(app)
 for measuring in (demo, simulate, evaluate, measure, calibrate, parts, settings, weights):
     measuring.add_to(app)
 

@@ -20,7 +20,7 @@ from service.curation.scene_names import short_names
 from service.curation.selection import Selection, SelectionTerms, left_out, why_no_reason
 from service.curation.strategies.catalogue import DEFAULT, STRATEGIES, strategy_named
 from service.errors import UsageError
-from service.export.formats import FORMATS
+from service.export.json_lines import json_lines
 
 MOST_LEFT_OUT: Final = 5
 """Scenes that are named for each cause of leaving them out; further ones are counted."""
@@ -205,7 +205,7 @@ def _need_name(name: str, *, option: str) -> None:
 
 
 def _print_json(selection: Selection) -> None:
-    for line in FORMATS["json"](selection):
+    for line in json_lines(selection):
         page(line)
 
 

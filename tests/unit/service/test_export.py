@@ -4,7 +4,7 @@ import json
 
 from service.curation.ranking import RankedScene
 from service.curation.selection import Selection
-from service.export.formats import FORMATS
+from service.export.json_lines import json_lines
 
 ROWS = tuple(
     RankedScene(
@@ -24,7 +24,7 @@ WEEK = Selection(name="week 47\n", strategy="best-distinct", budget=2, scenes=RO
 
 
 def test_json_has_a_line_for_each_scene_with_the_name_of_the_selection() -> None:
-    lines = list(FORMATS["json"](WEEK))
+    lines = list(json_lines(WEEK))
     assert all(line.endswith("\n") and line.count("\n") == 1 for line in lines)
     assert [json.loads(line) for line in lines] == [
         {"selection": WEEK.name, "strategy": "best-distinct", **row.model_dump(mode="json")}

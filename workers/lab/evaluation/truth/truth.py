@@ -75,6 +75,7 @@ class LogTruth:
     _number_of_stamp: Mapping[int, int]
     _objects: Mapping[Path, Mapping[int, Mapping[int, TrueObject]]]
     _rotations: Mapping[int, NDArray[np.float64]]
+    _partial: bool = False
 
     @classmethod
     def beside(cls, recording: Recording, truth: Path) -> Self | None:
@@ -87,6 +88,8 @@ class LogTruth:
         entries: list[_Entry] = []
         topics: list[str] = []
         folders = [truth / part.key.removesuffix(EXTENSION) for part in recording.parts]
+        if not any(folder.is_dir() for folder in folders):
+            folders = [truth / recording.log_id]
         for folder in folders:
             for entry, topic in _entries_of(folder):
                 entries.append(entry)
@@ -105,6 +108,7 @@ class LogTruth:
             stamps,
             {folder: objects_in(folder) for folder in folders},
             {stamp: pose for folder in folders for stamp, pose in rotations_in(folder).items()},
+            any(_is_partial(folder) for folder in folders),
         )
 
     def __len__(self) -> int:
@@ -118,14 +122,19 @@ class LogTruth:
             frame: The frame with all its recorded points.
             position: Number of frames of the log read before it.
 
+        Returns:
+            Its number; of a frame that a partial truth does not list, one beyond all numbers.
+
         Raises:
-            TruthUnusableError: If the truth lists stamps and this one is not among them.
+            TruthUnusableError: If the truth lists the stamps of all frames, but not this one.
         """
         if not self._number_of_stamp:
             return position
         try:
             return self._number_of_stamp[frame.stamp_ns]
         except KeyError:
+            if self._partial:
+                return len(self._entries)
             raise TruthUnusableError(
                 f"truth knows no frame of stamp {frame.stamp_ns} ({frame.log_id}, frame "
                 f"{position}); is it the truth of another log?"
@@ -222,3 +231,9 @@ def _entries_of(folder: Path) -> Iterator[tuple[_Entry, str]]:
     if numbered:
         for number in range(int(numbered[-1].stem) + 1):
             yield _Entry(folder / f"{number:06d}.npz", None, None), ""
+
+
+def _is_partial(folder: Path) -> bool:
+    """Return True if a folder lists some frames only: the others are not judged."""
+    listing = folder / "frames.json"
+    return listing.is_file() and bool(json.loads(listing.read_text()).get("partial", False))

@@ -1,0 +1,70 @@
+"""Verb `import-labels`: finished labels of an export become truth, and judge the contradictions."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from schemas.errors import PermanentError
+from service.api.reader import Reader, overlay_of
+from service.cli.options import Artifacts, Config, Connect, Database, Json, StateToRead
+from service.cli.output import counted, json_line, remark
+from service.cli.scenes import reader
+from service.errors import UsageError
+from service.export.judging import JudgedContradiction, counted_verdicts, judge
+from service.export.label_files import LABEL_FORMATS, labels_in
+from service.export.label_import import ImportedScene, read_scenes, write_truth
+from service.output_files import need_folder
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the verbs of this file to the command."""
+    app.command("import-labels", epilog="counterpoint import-labels week-47 --truth truth")(
+        import_labels
+    )
+
+
+def import_labels(
+    folder: Annotated[Path, typer.Argument(help="Folder of an export, with finished labels.")],
+    truth: Annotated[Path, typer.Option("--truth", help="Folder of truth to write, empty or new.")],
+    form: Annotated[
+        str, typer.Option("--format", help=f"Form of the labels: {', '.join(LABEL_FORMATS)}.")
+    ] = "semantickitti",
+    connect: Connect = None,
+    state: StateToRead = None,
+    artifacts: Artifacts = None,
+    database: Database = None,
+    json: Json = False,
+    config: Config = None,
+) -> None:
+    """Return finished labels to their raw points, as truth, and judge each contradiction by them.
+
+    `bench failures --truth` reads the result. Nothing is written if one label file does not fit.
+    """
+    read = labels_in(form)
+    if truth.is_dir() and any(truth.iterdir()):
+        raise UsageError(f"--truth must be an empty folder, or a new one ({truth})")
+    source = reader(config, connect=connect, state=state, artifacts=artifacts, database=database)
+    scenes = list(read_scenes(folder, read, form=form))
+    need_folder(truth, option="--truth")
+    frames = write_truth(scenes, truth)
+    judged = [each for scene in scenes for each in _judged(source, scene, json=json)]
+    unlabelled = sum(scene.unlabelled for scene in scenes)
+    without = f"; {counted(unlabelled, 'frame')} without labels" if unlabelled else ""
+    remark(f"{truth}: {counted(frames, 'frame')} of {counted(len(scenes), 'scene')}{without}")
+    told = ", ".join(f"{name} {count}" for name, count in counted_verdicts(judged).items())
+    remark(f"{counted(len(judged), 'contradiction')} judged; which stream is wrong: {told or '-'}")
+
+
+def _judged(source: Reader, scene: ImportedScene, *, json: bool) -> list[JudgedContradiction]:
+    """Judge a scene; one that is no longer current has truth, and no judgement."""
+    try:
+        found = judge(overlay_of(source, scene.scene_id), scene.frames)
+    except PermanentError as error:
+        remark(f"not judged: {scene.scene_id}: {error}")
+        return []
+    for each in found:
+        if json:
+            json_line({"scene_id": scene.scene_id, **asdict(each)})
+    return found

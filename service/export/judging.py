@@ -1,0 +1,112 @@
+"""Contradictions judged by finished labels: each track is a failure of a stream, or none."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.errors import PermanentError
+from schemas.overlay import Overlay
+from service.export.label_import import DYNAMIC, UNKNOWN, LabelledFrame
+from service.export.points import moving_by_outcome
+
+LEAST_JUDGED: Final = 0.5
+"""Share of a track's points that the labels must judge, else the track is `unsure`."""
+
+MOST_WRONG: Final = 0.5
+"""Share of judged points that a stream labels otherwise than the truth, from which it is wrong."""
+
+
+class OtherPointsError(PermanentError):
+    """The labels are of other points than the overlay."""
+
+
+@dataclass(frozen=True, slots=True)
+class JudgedContradiction:
+    """A track of a scene, judged by the labels of its points.
+
+    Attributes:
+        track_id: The track, as in the record and beyond.
+        points: Its points in the labelled frames.
+        judged_share: Share of them that the labels judge.
+        supervised_wrong: Share of the judged points that the supervised stream labels wrong.
+        selfsupervised_wrong: The same of the self-supervised stream.
+        verdict: `supervised`, `self_supervised`, `both`, `neither`, or `unsure`.
+    """
+
+    track_id: int
+    points: int
+    judged_share: float
+    supervised_wrong: float
+    selfsupervised_wrong: float
+    verdict: str
+
+
+def judge(overlay: Overlay, frames: Sequence[LabelledFrame]) -> list[JudgedContradiction]:
+    """Compare both streams with the labels on the points of every track.
+
+    Args:
+        overlay: Overlay of the scene.
+        frames: Its labelled frames.
+
+    Returns:
+        A judgement of each track that has points in these frames, by track.
+
+    Raises:
+        OtherPointsError: If a frame has another number of points.
+    """
+    semantic, predictive = moving_by_outcome(overlay.task)
+    counts: dict[int, NDArray[np.int64]] = {}
+    for frame in frames:
+        points = overlay.points_of(frame.number)
+        if points.stop - points.start != len(frame.words):
+            raise OtherPointsError(
+                f"frame {frame.number} has {len(frame.words)} points in the export and "
+                f"{points.stop - points.start} in the overlay: its log was replaced since"
+            )
+        instance = overlay.instance_index[points]
+        of_tracks = np.flatnonzero(instance >= 0)
+        track = overlay.instance_track[instance[of_tracks]]
+        motion = frame.motion[of_tracks]
+        outcome = overlay.agreements[points][of_tracks]
+        judged, moves = motion != UNKNOWN, motion == DYNAMIC
+        facts = np.stack(
+            [
+                np.ones(len(of_tracks), dtype=np.int64),
+                judged,
+                judged & (semantic[outcome] != moves),
+                judged & (predictive[outcome] != moves),
+            ]
+        ).astype(np.int64)
+        for number in np.unique(track).tolist():
+            mine = facts[:, track == number].sum(axis=1)
+            counts[number] = counts.get(number, np.zeros(4, dtype=np.int64)) + mine
+    return [_judged(number, counts[number]) for number in sorted(counts)]
+
+
+def _judged(track_id: int, counts: NDArray[np.int64]) -> JudgedContradiction:
+    points, judged, supervised, selfsupervised = counts.tolist()
+    shares = {
+        "supervised": supervised / max(judged, 1),
+        "self_supervised": selfsupervised / max(judged, 1),
+    }
+    wrong = [name for name, share in shares.items() if share > MOST_WRONG]
+    verdict = "both" if len(wrong) == 2 else "".join(wrong) or "neither"
+    return JudgedContradiction(
+        track_id=track_id,
+        points=points,
+        judged_share=judged / points,
+        supervised_wrong=shares["supervised"],
+        selfsupervised_wrong=shares["self_supervised"],
+        verdict=verdict if judged >= LEAST_JUDGED * points else "unsure",
+    )
+
+
+def counted_verdicts(judged: Sequence[JudgedContradiction]) -> Mapping[str, int]:
+    """Count the verdicts by name, the commonest first."""
+    counts: dict[str, int] = {}
+    for each in judged:
+        counts[each.verdict] = counts.get(each.verdict, 0) + 1
+    return dict(sorted(counts.items(), key=lambda pair: (-pair[1], pair[0])))

@@ -1,0 +1,1 @@
+"""Excerpts of logs around scenes: cut byte for byte, and written as MCAP."""
