@@ -12,8 +12,9 @@ from mcap_ros2._dynamic import serialize_dynamic
 from schemas.attribution import Attribution, Wrong
 from schemas.canonical import sha256
 from schemas.labels import Agreement
-from schemas.overlay import NO_POSITION_CM, Overlay
+from schemas.overlay import NO_POSITION_CM, Overlay, labels_from_agreements
 from schemas.score import Reason, SceneScore
+from schemas.task import MOTION
 from schemas.transport.bucket import open_bucket
 from schemas.transport.wire import encode_scene_score
 from service.curation.ranking import RankedScene
@@ -138,6 +139,7 @@ def overlay(score: SceneScore) -> Overlay:
     instance = np.full((FRAMES, POINTS), -1, dtype=np.int32)
     for number in range(FRAMES):
         instance[number, MOVER] = number
+    semantic, predictive = labels_from_agreements(agreements.reshape(-1))
     first = (score.start_ns - BEGIN_NS) // STEP_NS
     placed = np.stack([rows(first + number)[:, :3] for number in range(FRAMES)])
     points_cm = np.where(np.isnan(placed), NO_POSITION_CM, np.nan_to_num(placed) * 100)
@@ -149,7 +151,9 @@ def overlay(score: SceneScore) -> Overlay:
         stamps_ns=score.start_ns + STEP_NS * np.arange(FRAMES, dtype=np.int64),
         offsets=POINTS * np.arange(FRAMES + 1, dtype=np.int64),
         points_cm=np.round(points_cm).astype(np.int16).reshape(-1, 3),
-        agreements=agreements.reshape(-1),
+        semantic_labels=semantic,
+        predictive_labels=predictive,
+        witness_labels=np.full(FRAMES * POINTS, MOTION.unknown, dtype=np.uint8),
         ground_mask=np.zeros(FRAMES * POINTS, dtype=np.bool_),
         class_id=class_id.reshape(-1),
         class_names=CLASSES,

@@ -15,7 +15,7 @@ from service.api.reader import Reader
 from service.curation.listing import MAX_PAGE
 from service.curation.selection import Selection
 from service.errors import UsageError
-from service.export.formats import FORMATS
+from service.export.json_lines import json_lines
 from service.web.context import render, source_of, visitor_of, wants_json
 from service.web.filters import Filters
 from service.web.progress import progress_of, summary
@@ -133,7 +133,7 @@ def selection(request: Request) -> Response:
 @router.get("/data/selection")
 def selection_lines(request: Request) -> Response:
     """Answer with the JSON lines of a selection, as `selection show --json` prints them."""
-    lines = "".join(FORMATS["json"](_named(request)))
+    lines = "".join(json_lines(_named(request)))
     return Response(
         lines,
         media_type="application/x-ndjson",
