@@ -36,6 +36,9 @@ MAX_APART_NS: Final = NS_PER_S // 2
 _MOST_CHUNKS: Final = 8
 """Chunks whose images are kept for the next frame."""
 
+_SWEEP_NS: Final = NS_PER_S // 10
+"""Time of a sweep, within which the lidar sees what a camera sees."""
+
 _MOST_SEARCHES: Final = 4
 """Frames around which the places of cameras are searched."""
 
@@ -117,7 +120,8 @@ class CameraReader:
         is_placed = all(topic.channel.topic in self._placed for topic in log.images)
         if not is_placed and self._searches < _MOST_SEARCHES:
             self._searches += 1
-            return MessageLookup(log.index, log.topics, logged_ns, MAX_APART_NS)
+            reach_ns = min(MAX_APART_NS, self.reach_ns + _SWEEP_NS)
+            return MessageLookup(log.index, log.topics, logged_ns, reach_ns)
         for old in list(self._chunks)[:-_MOST_CHUNKS]:
             del self._chunks[old]
         swept_ns = [each.swept_after_ns for each in self._placed.values()] or [0]
