@@ -25,6 +25,7 @@ from workers.ingest.images import IMAGE_ERRORS, image_size
 from workers.ingest.log_index import LogIndex, index_recording
 from workers.ingest.message_lookup import MessageLookup, readable
 from workers.ingest.messages import RawMessage
+from workers.ingest.part_reader import RecentReads
 from workers.ingest.point_time import point_time
 from workers.ingest.topic_sampling import Sample, sample_topics
 from workers.ingest.topics import Topic, topics_of
@@ -35,6 +36,9 @@ MAX_APART_NS: Final = NS_PER_S // 2
 
 _MOST_CHUNKS: Final = 8
 """Chunks whose images are kept for the next frame."""
+
+_SWEEP_NS: Final = NS_PER_S // 10
+"""Time of a sweep, within which the lidar sees what a camera sees."""
 
 _MOST_SEARCHES: Final = 4
 """Frames around which the places of cameras are searched."""
@@ -59,12 +63,14 @@ class CameraReader:
         lidar_topic: Topic of the frames' lidar.
         reach_ns: Time around the sweep over the cameras in which chunks are searched for images,
             once the cameras are placed.
+        recent: Last reads of each part of the log by the reader of its clouds; empty: none.
     """
 
     bucket: Bucket
     recording: Recording
     lidar_topic: str
     reach_ns: int = MAX_APART_NS
+    recent: Sequence[RecentReads] = ()
     _log: "_OpenedLog | None" = None
     _placed: "dict[str, _Placed]" = field(default_factory=dict)
     _searches: int = 0
@@ -117,7 +123,8 @@ class CameraReader:
         is_placed = all(topic.channel.topic in self._placed for topic in log.images)
         if not is_placed and self._searches < _MOST_SEARCHES:
             self._searches += 1
-            return MessageLookup(log.index, log.topics, logged_ns, MAX_APART_NS)
+            reach_ns = min(MAX_APART_NS, self.reach_ns + _SWEEP_NS)
+            return MessageLookup(log.index, log.topics, logged_ns, reach_ns)
         for old in list(self._chunks)[:-_MOST_CHUNKS]:
             del self._chunks[old]
         swept_ns = [each.swept_after_ns for each in self._placed.values()] or [0]
@@ -131,7 +138,7 @@ class CameraReader:
         )
 
     def _opened(self) -> "_OpenedLog":
-        index = index_recording(self.bucket, self.recording)
+        index = index_recording(self.bucket, self.recording, recent=self.recent)
         topics = topics_of(index.parts)
         images = [topic for topic in topics if has_images(topic.channel) and topic.messages]
         lidar = [topic for topic in topics if topic.channel.topic == self.lidar_topic]
