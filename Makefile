@@ -8,7 +8,7 @@ help:         ## Show this list
 .venv/.installed: pyproject.toml
 	@echo "installing into .venv: 2 GB, some two minutes without a word"
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[workers,dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[workers,dev,review]'
 	@touch $@
 
 install: .venv/.installed  ## Make .venv with the command counterpoint in it
@@ -28,6 +28,9 @@ integration: .venv/.installed  ## Real processes and servers, killed and restart
 	@# Two processes; what shares a server stays in one of them.
 	$(BIN)/pytest -q -m integration --numprocesses 2 --dist loadgroup
 
+browser: .venv/.installed  ## The review page in Debian's chromium
+	$(BIN)/pytest -q -m browser
+
 golden: .venv/.installed   ## Compare every part with reference outputs: make golden DIR=../shared/golden
 	$(BIN)/python -m tests.golden $(DIR)
 
@@ -41,4 +44,4 @@ demo: .venv/.installed     ## Simulated street logs, the whole system, a ranked 
 bench: .venv/.installed    ## Where the time goes, beside floors measured in the same run
 	$(BIN)/counterpoint bench pipeline
 
-.PHONY: help install check test integration golden fix demo bench
+.PHONY: help install check test integration browser golden fix demo bench

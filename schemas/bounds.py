@@ -44,6 +44,9 @@ MAX_SCENES_OF_A_SHARD: Final = 20_000
 MAX_SCENES_ASKED: Final = 10_000_000
 """Rows of the ranking, or scenes of a selection, that one request may ask for."""
 
+MAX_SCENES_CHOSEN: Final = 5_000
+"""Scenes that one request may name; ids of up to 200 characters then fit MAX_QUESTION_BYTES."""
+
 MAX_NEWEST: Final = 100_000
 """Scenes that one request for the newest may ask for; the service keeps them all in memory."""
 

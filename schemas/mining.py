@@ -116,6 +116,13 @@ class MiningSettings(BaseModel):
         description="Clouds with a time per point were recorded without the motion of the car, all "
         "in the sensor's space of one instant; auto: recognised while the car moves.",
     )
+    pictures: Literal["all", "small", "none"] = Field(
+        default="small",
+        description="Camera pictures kept with a scene, faces and plates on them included; small: "
+        "at most eight, 640 pixels wide, of the frames in which its reported tracks are strongest; "
+        "all: as recorded, of every camera and frame that sees a reported track; none: no picture. "
+        "A change applies to scenes mined from then on.",
+    )
     intensity_scale: Finite = Field(
         default=0.0, ge=0, description="Recorded value that means 1; 0: detected."
     )

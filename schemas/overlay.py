@@ -6,18 +6,22 @@ A record gives the amount of contradiction, the overlay shows the points. A revi
 
 import hashlib
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import Agreements, Mask, Points, check_array, freeze
+from schemas.arrays import Agreements, Labels, Mask, Points, check_array, freeze
+from schemas.overlay_picture import MAX_PICTURES, Picture
 from schemas.task import MOTION, Task
 
 NO_POSITION_CM: Final = -32768
 """Value of all three coordinates of a point without a return, or farther than 327 m."""
+
+MAX_CLASSES: Final = 255
+"""Semantic classes of an overlay at most; one byte names the class of a point."""
 
 MAX_NAME_BYTES: Final = 255
 """Bytes of one name in the file systems of Linux, macOS and Windows."""
@@ -32,7 +36,9 @@ _DIGEST_DIGITS: Final = 32
 _PARTLY_ENCODED: Final = re.compile("%[0-9A-F]?$")
 
 _PER_POINT: Final = {
-    "agreements": np.uint8,
+    "semantic_labels": np.uint8,
+    "predictive_labels": np.uint8,
+    "witness_labels": np.uint8,
     "ground_mask": np.bool_,
     "class_id": np.int16,
     "semantic_confidence": np.uint8,
@@ -52,7 +58,10 @@ class Overlay:
         stamps_ns: (F,) nanoseconds since the Unix epoch.
         offsets: (F + 1,) frame f has points offsets[f] to offsets[f + 1].
         points_cm: (P, 3) sensor space of each frame, centimetres; `NO_POSITION_CM` where none.
-        agreements: (P,) codes of the task's outcomes.
+        semantic_labels: (P,) labels of the supervised stream, of the task.
+        predictive_labels: (P,) labels of the self-supervised stream, of the task.
+        witness_labels: (P,) labels of the third witness, of the task; `unknown` also where none was
+            queried.
         ground_mask: (P,) true where the self-supervised stream labels ground.
         class_id: (P,) semantic class as an index into `class_names`, -1 none.
         class_names: Classes of the supervised stream; may be empty.
@@ -67,6 +76,10 @@ class Overlay:
         instance_boxes: (I, 7) centre x, y, z, length, width, height in metres, yaw in radians, in
             the sensor space of its frame.
         task: The task of both streams.
+        pictures: Camera images that were kept, by frame and topic.
+        scoring_inputs: Track features and scene facts from which the score is computed again, as
+            `workers.contradiction.scoring_inputs` encodes them; empty in overlays without them.
+        agreements: (P,) codes of the task's outcomes, from the labels of both streams.
 
     Raises:
         ValueError: If an array has the wrong shape or type, or does not fit the others.
@@ -76,7 +89,9 @@ class Overlay:
     stamps_ns: NDArray[np.int64]
     offsets: NDArray[np.int64]
     points_cm: NDArray[np.int16]
-    agreements: Agreements
+    semantic_labels: Labels
+    predictive_labels: Labels
+    witness_labels: Labels
     ground_mask: Mask
     class_id: NDArray[np.int16]
     class_names: tuple[str, ...]
@@ -89,6 +104,9 @@ class Overlay:
     instance_track: NDArray[np.int32]
     instance_boxes: NDArray[np.float32]
     task: Task = MOTION
+    pictures: tuple[Picture, ...] = ()
+    scoring_inputs: bytes = b""
+    agreements: Agreements = field(init=False)
 
     def __post_init__(self) -> None:
         """Check that the arrays fit each other, and make them read-only."""
@@ -106,11 +124,22 @@ class Overlay:
         _check_range("offsets", np.diff(self.offsets), 0, points)
         if not frames or self.offsets[0] != 0 or self.offsets[-1] != points:
             raise ValueError(f"offsets must run from 0 to {points} over at least one frame")
-        _check_range("agreements", self.agreements, 0, self.task.not_compared)
+        if len(self.class_names) > MAX_CLASSES:
+            raise ValueError(f"an overlay has at most {MAX_CLASSES} classes")
+        for name in ("semantic_labels", "predictive_labels", "witness_labels"):
+            _check_range(name, getattr(self, name), 0, self.task.unknown)
         _check_range("class_id", self.class_id, -1, len(self.class_names) - 1)
         _check_range("instance_index", self.instance_index, -1, found - 1)
         _check_range("instance_frame", self.instance_frame, 0, frames - 1)
-        freeze(*(value for value in self._arrays().values()))
+        _check_range("instance_kind", self.instance_kind, 0, self.task.not_compared - 1)
+        if len(self.pictures) > MAX_PICTURES:
+            raise ValueError(f"an overlay has at most {MAX_PICTURES} pictures")
+        _check_range(
+            "frames of pictures", np.array([p.frame for p in self.pictures]), 0, frames - 1
+        )
+        told = agreements_of(self.semantic_labels, self.predictive_labels, self.task)
+        object.__setattr__(self, "agreements", told)
+        freeze(told, *(getattr(self, name) for name in _ARRAYS))
 
     def __len__(self) -> int:
         """Count the frames."""
@@ -132,9 +161,6 @@ class Overlay:
         """Return the indices of the instances found in a frame."""
         return np.flatnonzero(self.instance_frame == frame)
 
-    def _arrays(self) -> dict[str, NDArray[Any]]:
-        return {name: getattr(self, name) for name in _ARRAYS}
-
 
 _ARRAYS: Final = (
     "stamps_ns",
@@ -147,6 +173,27 @@ _ARRAYS: Final = (
     "instance_track",
     "instance_boxes",
 )
+
+
+def agreements_of(semantic: Labels, predictive: Labels, task: Task) -> Agreements:
+    """Return the agreement of each pair of labels; `not_compared` where either is `unknown`."""
+    unknown = (semantic >= task.unknown) | (predictive >= task.unknown)
+    codes = predictive * np.uint8(len(task.classes)) + semantic
+    codes[unknown] = task.not_compared
+    return codes
+
+
+def labels_from_agreements(agreements: Agreements, task: Task = MOTION) -> tuple[Labels, Labels]:
+    """Return the labels of the supervised and of the self-supervised stream, per point.
+
+    Where the streams were not compared both are `unknown`, because an agreement does not keep the
+    label of the one that labelled.
+    """
+    classes = np.uint8(len(task.classes))
+    told = agreements < task.not_compared
+    semantic = np.where(told, agreements % classes, np.uint8(task.unknown))
+    predictive = np.where(told, agreements // classes, np.uint8(task.unknown))
+    return semantic, predictive
 
 
 def overlay_key(*, log_id: str, scene_id: str, pipeline_version: str, sha256: str) -> str:

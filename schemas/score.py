@@ -236,6 +236,19 @@ class SceneScore(BaseModel):
         return self
 
 
+MOST_LABELS: Final = 10
+"""Tracks that a picture labels by number and class."""
+
+
+def shown_tracks(score: SceneScore, *, most: int = MOST_LABELS) -> list[TrackRecord]:
+    """Return the tracks that a picture names: strong ones, and in any case the first one.
+
+    Weaker ones have boxes without a number; they are no reason of the score.
+    """
+    strong = [track for track in score.tracks if track.strength >= MIN_REPORTED_STRENGTH]
+    return (strong or list(score.tracks[:1]))[:most]
+
+
 _OF_THE_SCENE: Final = (
     "odometry ",
     "recorded odometry ",

@@ -169,6 +169,11 @@ class Shard(BaseModel):
         default=None, description="Recorded motion of the car, if there is any."
     )
     camera: CameraCalibration | None = None
+    has_cameras: bool = Field(
+        default=False,
+        exclude_if=lambda value: not value,
+        description="The log is indexed and has compressed images, of which pictures may be kept.",
+    )
     anchor_ns: StampNs = Field(description="First frame of the log: origin of the grid.")
     warmup_start_ns: StampNs
     start_ns: StampNs
@@ -316,6 +321,8 @@ class MiningStats(BaseModel):
     bytes_read: Tally = 0
     bytes_needed: Tally = 0
     range_reads: Tally = 0
+    pictures: Tally = Field(default=0, description="Camera pictures kept with the scenes.")
+    picture_bytes: Tally = 0
     stage_s: dict[Name, Seconds] = Field(default_factory=dict, max_length=256)
     peak_memory_bytes: Tally = 0
 

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from functools import partial
 from threading import Event
 from typing import TYPE_CHECKING, Final
@@ -58,6 +58,7 @@ def run_embedded(
     once: bool,
     remark: Callable[[str], None],
     on_progress: Callable[[str, int, int | None], None],
+    page: AbstractContextManager[None] | None = None,
 ) -> Status:
     """Run router, service and workers of one machine until a signal, or until all is mined.
 
@@ -68,6 +69,7 @@ def run_embedded(
             signal stops the run.
         on_progress: Called at intervals with the current step, the shards finished, and the shards
             in total, if known.
+        page: Entered once the service answers, and left first at the end: the review page.
 
     Returns:
         Status of the ledger at the end.
@@ -119,6 +121,8 @@ def run_embedded(
             where = _metrics_at(_open_pages(settings, daemon, ledger, opened, *registries))
         opened.enter_context(pool)
         remark(f"mining {bucket.url} with {settings.workers} workers; service at {endpoint}{where}")
+        if page is not None:
+            opened.enter_context(page)
         version = _stay(service, ledger, pool, stop, once=once, on_progress=on_progress)
         status = ledger.status(version or None)
     if once and not stop.is_set():

@@ -8,6 +8,7 @@ import numpy as np
 from schemas.labels import Agreement
 from schemas.overlay import Overlay
 from tests.factories import BEGIN_NS
+from tests.overlays import labels_of_points
 
 TRACKS = np.repeat(np.array([4, 5, -1], dtype=np.int16), 10)
 """Truth: ten points of object 4, ten of object 5, ten of nobody."""
@@ -43,7 +44,7 @@ def one_thing(
         stamps_ns=np.array([stamp_ns], dtype=np.int64),
         offsets=np.array([0, points], dtype=np.int64),
         points_cm=(100 * PLACES_M).astype(np.int16),
-        agreements=np.zeros(points, np.uint8),
+        **labels_of_points(np.zeros(points, np.uint8)),
         ground_mask=np.zeros(points, np.bool_),
         class_id=np.full(points, -1, np.int16),
         class_names=(),

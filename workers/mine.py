@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,17 +11,19 @@ from schemas.contradiction import LabelledFrame
 from schemas.frame import LidarFrame, OdometryState
 from schemas.labels import Blindness
 from schemas.mining import MiningSettings
-from schemas.overlay import overlay_key
+from schemas.overlay import Overlay, overlay_key
 from schemas.score import SceneScore
 from schemas.transport.bucket import Bucket
 from schemas.transport.overlay_codec import encode_overlay
 from schemas.transport.wire import encode_scene_score
 from schemas.work import Damage, MiningStats, Recording, Shard
 from workers.contradiction.overlay import overlay_of
+from workers.contradiction.scoring_inputs import encode_inputs
 from workers.ingest.read import read_shard
 from workers.memory import peak_memory_bytes
 from workers.parts.protocols import Parts
-from workers.pipeline import MinedScene, mine_shard
+from workers.pictures.scene_pictures import ScenePictures
+from workers.pipeline import mine_shard
 from workers.stage_timing import StageClock, timed
 
 
@@ -75,6 +77,8 @@ class MiningReport:
     bytes_read: int = 0
     bytes_needed: int = 0
     range_reads: int = 0
+    pictures: int = 0
+    picture_bytes: int = 0
 
     def add(self, frames: Iterable[LabelledFrame]) -> None:
         """Count the frames of a scene by pose health, blindness and labels."""
@@ -97,6 +101,8 @@ class MiningReport:
             bytes_read=self.bytes_read,
             bytes_needed=self.bytes_needed,
             range_reads=self.range_reads,
+            pictures=self.pictures,
+            picture_bytes=self.picture_bytes,
             stage_s={name: round(s, 3) for name, s in sorted(self.clock.seconds.items())},
             peak_memory_bytes=peak_memory_bytes(),
         )
@@ -134,6 +140,7 @@ def mine_records(
     clock = report.clock
     report.bytes_needed = shard.needed_bytes
     reader = read_shard(bucket, recording, shard, settings)
+    pictures = ScenePictures.of(bucket, recording, shard, size=settings.pictures)
     scenes = mine_shard(
         shard,
         clock.drawn("ingest", _checked(reader.frames(), check)),
@@ -143,7 +150,16 @@ def mine_records(
     try:
         for mined in clock.drawn("contradiction", scenes):
             with clock.stage("encoding"):
-                encoded = _encoded(mined, parts.supervised.class_names, pipeline_version)
+                overlay = overlay_of(
+                    *(mined.scene, mined.instances, mined.tracks),
+                    class_names=parts.supervised.class_names,
+                    scoring_inputs=encode_inputs(mined.inputs),
+                )
+            with clock.stage("pictures"):
+                kept = pictures.of_scene(mined.score, overlay)
+            with clock.stage("encoding"):
+                overlay = replace(overlay, pictures=kept) if kept else overlay
+                encoded = _encoded(mined.score, overlay, pipeline_version)
             report.scenes += 1
             report.frames += mined.score.frames
             report.points += mined.score.points
@@ -151,23 +167,23 @@ def mine_records(
             report.odometry_problem = report.odometry_problem or mined.score.odometry.reason
             yield encoded
     finally:
-        report.range_reads = reader.range_reads
-        report.bytes_read = reader.bytes_read
+        report.range_reads = reader.range_reads + pictures.range_reads
+        report.bytes_read = reader.bytes_read + pictures.bytes_read
+        report.pictures, report.picture_bytes = pictures.pictures, pictures.picture_bytes
         report.damage.extend(reader.damage)
 
 
-def _encoded(mined: MinedScene, class_names: tuple[str, ...], pipeline_version: str) -> MinedRecord:
-    record = encode_scene_score(mined.score)
+def _encoded(score: SceneScore, overlay: Overlay, pipeline_version: str) -> MinedRecord:
+    record = encode_scene_score(score)
     digest = sha256(record)
-    overlay = overlay_of(mined.scene, mined.instances, mined.tracks, class_names=class_names)
     return MinedRecord(
-        score=mined.score,
+        score=score,
         record=record,
         sha256=digest,
         overlay=encode_overlay(overlay),
         overlay_key=overlay_key(
-            log_id=mined.score.log_id,
-            scene_id=mined.score.scene_id,
+            log_id=score.log_id,
+            scene_id=score.scene_id,
             pipeline_version=pipeline_version,
             sha256=digest,
         ),

@@ -12,7 +12,9 @@ from workers.contradiction.agreement import compare
 from workers.contradiction.attribution import attribute_tracks
 from workers.contradiction.feature_extraction import extract_features
 from workers.contradiction.instances import find_instances
+from workers.contradiction.scene_statistics import statistics_of
 from workers.contradiction.score import score_scene
+from workers.contradiction.scoring_inputs import ScoringInputs, inputs_of
 from workers.contradiction.track_score import RankedTrack, rank_tracks
 from workers.contradiction.tracks import associate_instances
 from workers.ingest.scenes import cut_scenes
@@ -21,12 +23,13 @@ from workers.parts.protocols import Parts
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MinedScene:
-    """A scored scene with the points, instances and tracks of its overlay."""
+    """A scored scene with the points, instances, tracks and scoring inputs of its overlay."""
 
     score: SceneScore
     scene: Scene
     instances: tuple[Instance, ...]
     tracks: tuple[RankedTrack, ...]
+    inputs: ScoringInputs
 
 
 def mine_shard(
@@ -67,7 +70,14 @@ def mine_shard(
         described = extract_features(scene, instances, tracks)
         attributions = attribute_tracks(described)
         ranked = rank_tracks(scene, described, attributions)
+        statistics = statistics_of(scene)
         score = score_scene(
-            shard, scene, instances, ranked, parts=parts, pipeline_version=pipeline_version
+            *(shard, scene, instances, ranked),
+            parts=parts,
+            pipeline_version=pipeline_version,
+            statistics=statistics,
         )
-        yield MinedScene(score, scene, instances, ranked)
+        inputs = inputs_of(
+            *(score, scene, instances, described, statistics), own_model=parts.own_model
+        )
+        yield MinedScene(score, scene, instances, ranked, inputs)

@@ -16,6 +16,7 @@ NO_EFFECT_ON_RECORDS: Final = frozenset(
     {
         "schemas.transport.bucket",  # fetches bytes, whose digests the log's plan names
         "schemas.transport.bucket_errors",
+        "workers.pictures.scene_pictures",  # keeps images next to a record
         "workers.warmup.jit_warmup",  # compiles loops ahead of time without changing results
         "workers.memory",  # measures
         "workers.stage_timing",  # measures

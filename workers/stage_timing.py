@@ -20,6 +20,7 @@ Stage = Literal[
     "selfsupervised",
     "witness",
     "contradiction",
+    "pictures",
     "encoding",
     "publishing",
     "committing",

@@ -12,8 +12,8 @@ from workers.parts.protocols import Parts
 from workers.parts.registry import build_parts
 from workers.sources import syntax_digest
 
-NOT_IN_VERSION: Final = frozenset({"bucket", "artifacts", "model", "weights"})
-"""Settings that change no record, the places of logs, models and overlays; every other may."""
+NOT_IN_VERSION: Final = frozenset({"bucket", "artifacts", "model", "weights", "pictures"})
+"""Settings that change no record: places of logs, models and overlays, and kept pictures."""
 
 ROOTS: Final = ("workers.ingest.plan", "workers.mine", "workers.parts.registry")
 """Modules that plan and mine a log; with all their imports they are the code of a record."""

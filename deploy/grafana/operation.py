@@ -252,6 +252,16 @@ TIME: Final = Row(
             ),
         ),
         Panel(
+            title="Camera pictures kept",
+            description="Bytes per second that the setting pictures adds to the artifacts, and "
+            "pictures per second.",
+            unit="Bps",
+            queries=(
+                Query(per_second("counterpoint_worker_picture_bytes_total"), "bytes"),
+                Query(per_second("counterpoint_worker_pictures_total"), "pictures"),
+            ),
+        ),
+        Panel(
             title="Time to make a commit durable",
             description="Above half a second the disk of the state is too slow, or shared.",
             unit="s",

@@ -35,6 +35,16 @@ def pack(magic: bytes, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any
     Raises:
         ValueError: If an array has a type that is not stored, or the pack would be too large.
     """
+    body = joined(meta, arrays)
+    return magic + zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True).compress(body)
+
+
+def joined(meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """Join arrays and their metadata, uncompressed; equal input gives equal bytes.
+
+    Raises:
+        ValueError: If an array has a type that is not stored, or the whole would be too large.
+    """
     stored = {
         name: np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
         for name, array in sorted(arrays.items())
@@ -51,7 +61,7 @@ def pack(magic: bytes, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any
     body = b"".join([_LENGTH.pack(len(header)), header, *(a.tobytes() for a in stored.values())])
     if len(body) > MAX_UNPACKED_BYTES:
         raise ValueError(f"pack of {len(body)} bytes exceeds {MAX_UNPACKED_BYTES}")
-    return magic + zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True).compress(body)
+    return body
 
 
 def unpack(magic: bytes, payload: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
@@ -72,10 +82,15 @@ def unpack(magic: bytes, payload: bytes) -> tuple[dict[str, Any], dict[str, NDAr
         body = memoryview(zstandard.ZstdDecompressor().decompress(frame, max_output_size=size))
     except zstandard.ZstdError as error:
         raise PackUnreadableError(f"damaged: {error}") from error
-    return _parse(body)
+    return parted(body)
 
 
-def _parse(body: memoryview) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+def parted(body: memoryview) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Return what `joined` joined; the arrays are read-only.
+
+    Raises:
+        PackUnreadableError: If the bytes are damaged.
+    """
     try:
         (length,) = _LENGTH.unpack_from(body, 0)
         at = _LENGTH.size + length

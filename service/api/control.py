@@ -47,6 +47,7 @@ from service.curation.listing import ScenesReply, ScenesRequest
 from service.curation.rates import RatesRequest, rates, with_judged
 from service.curation.selection import Selection
 from service.curation.status import Status
+from service.curation.strategies.catalogue import strategy_of
 from service.curation.verdicts import (
     AgreementReply,
     AgreementRequest,
@@ -182,8 +183,13 @@ class Control:
 
     def answer_select(self, request: SelectRequest) -> Selection:
         """Make, store and publish a selection."""
-        chosen = self._ledger.select(budget=request.budget)
-        selection = self._ledger.selections.save(request.name, budget=request.budget, scenes=chosen)
+        chosen = self._ledger.select(budget=request.budget, wanted=request.scenes)
+        selection = self._ledger.selections.save(
+            request.name,
+            budget=request.budget,
+            scenes=chosen,
+            strategy=strategy_of(request.scenes),
+        )
         self._on_selection(selection)
         return self._ledger.verdicts.in_selection(selection) if request.verdicts else selection
 
@@ -246,7 +252,7 @@ class Control:
         return RetryReply(retried=tuple(retried))
 
     def _scene(self, request: SceneRequest) -> StoredScene:
-        stored = self._ledger.scene(request.scene_id)
+        stored = self._ledger.scene(request.scene_id, withdrawn=request.withdrawn)
         if stored is None:
             raise no_such_scene(request.scene_id)
         return stored

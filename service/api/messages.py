@@ -9,6 +9,7 @@ from schemas.bounds import (
     MAX_LISTED,
     MAX_LOGS_NAMED,
     MAX_SCENES_ASKED,
+    MAX_SCENES_CHOSEN,
     Count,
     LogId,
     Name,
@@ -84,6 +85,12 @@ class SelectRequest(BaseModel):
     budget: int = Field(ge=1, le=MAX_SCENES_ASKED, description="Scenes the labellers can take.")
     name: Name | None = Field(default=None, description="None: the service names it.")
     verdicts: WithVerdicts = False
+    scenes: tuple[SceneId, ...] | None = Field(
+        default=None,
+        max_length=MAX_SCENES_CHOSEN,
+        exclude_if=lambda value: value is None,
+        description="Scenes that a person chose; None: the strategy chooses.",
+    )
 
 
 class SelectionRequest(BaseModel):
@@ -124,6 +131,11 @@ class SceneRequest(BaseModel):
     model_config = _STRICT
 
     scene_id: SceneId
+    withdrawn: bool = Field(
+        default=False,
+        exclude_if=lambda value: not value,
+        description="Accept the last record of a scene that is no longer current, too.",
+    )
 
 
 class RetryRequest(BaseModel):

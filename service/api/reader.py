@@ -9,7 +9,8 @@ from schemas.errors import ObjectChangedError
 from schemas.overlay import Overlay, overlay_key
 from schemas.score import SceneScore
 from schemas.transport.bucket import open_bucket
-from schemas.transport.overlay_codec import MAX_OVERLAY_BYTES, decode_overlay
+from schemas.transport.overlay_codec import MAX_OVERLAY_BYTES, decode_overlay, overlay_file_of
+from schemas.transport.overlay_file import OverlayFile, OverlayIsVersion1Error, open_overlay_file
 from schemas.verdict import VerdictRow
 from service.api.messages import (
     RetryRequest,
@@ -27,6 +28,7 @@ from service.curation.ranking import RankedScene
 from service.curation.rates import RateRow, RatesRequest, rates, with_judged
 from service.curation.selection import Selection, SelectionSummary
 from service.curation.status import ParkedWork, Status
+from service.curation.strategies.catalogue import strategy_of
 from service.curation.verdicts import (
     AgreementReply,
     AgreementRequest,
@@ -51,8 +53,10 @@ class Reader(Protocol):
         """Rank every current scene, best first."""
         ...
 
-    def select(self, *, budget: int, name: str | None) -> Selection:
-        """Store the best distinct scenes as a named selection."""
+    def select(
+        self, *, budget: int, name: str | None, scenes: Sequence[str] | None = None
+    ) -> Selection:
+        """Store the best distinct scenes, or these, as a named selection."""
         ...
 
     def selection(self, name: str) -> Selection:
@@ -67,8 +71,16 @@ class Reader(Protocol):
         """Return the record of a current scene."""
         ...
 
+    def record(self, scene_id: str) -> bytes:
+        """Return the record of a scene as published; the last one if it is withdrawn."""
+        ...
+
     def overlay(self, scene_id: str) -> bytes:
         """Return the overlay of a current scene, encoded."""
+        ...
+
+    def overlay_file(self, scene_id: str) -> OverlayFile:
+        """Open the overlay of a current scene for reading single blocks."""
         ...
 
     def overlay_place(self, scene_id: str) -> str:
@@ -156,16 +168,23 @@ class StateReader:
                 f"a service runs on this state and alone may {what}: use --connect {endpoint}"
             ) from None
 
-    def select(self, *, budget: int, name: str | None) -> Selection:
-        """Store the best distinct scenes as a named selection.
+    def select(
+        self, *, budget: int, name: str | None, scenes: Sequence[str] | None = None
+    ) -> Selection:
+        """Store the best distinct scenes, or these, as a named selection.
 
         Raises:
             UsageError: If a service runs on this state, since it is the only writer and publisher.
         """
-        asked = checked_request(SelectRequest, budget=budget, name=name)
+        asked = checked_request(SelectRequest, budget=budget, name=name, scenes=scenes)
         with self._ledger_to_write(what="select") as ledger:
-            chosen = ledger.select(budget=asked.budget)
-            stored = ledger.selections.save(asked.name, budget=asked.budget, scenes=chosen)
+            chosen = ledger.select(budget=asked.budget, wanted=asked.scenes)
+            stored = ledger.selections.save(
+                asked.name,
+                budget=asked.budget,
+                scenes=chosen,
+                strategy=strategy_of(asked.scenes),
+            )
             return ledger.verdicts.in_selection(stored)
 
     def selection(self, name: str) -> Selection:
@@ -201,15 +220,24 @@ class StateReader:
         """Return the overlay of a current scene, encoded."""
         return read_overlay(self._settings.mining().artifacts, self._scene(scene_id))
 
+    def record(self, scene_id: str) -> bytes:
+        """Return the record of a scene as published; the last one if it is withdrawn."""
+        return self._scene(scene_id, withdrawn=True).record
+
+    def overlay_file(self, scene_id: str) -> OverlayFile:
+        """Open the overlay of a current scene for reading single blocks."""
+        scene = self._scene(scene_id)
+        return open_stored_overlay(self._settings.mining().artifacts, scene)
+
     def overlay_place(self, scene_id: str) -> str:
         """Return the URL of a current scene's overlay."""
         key = _key_of(self._scene(scene_id))
         return f"{shown(self._settings.mining().artifacts)}/{key}"
 
-    def _scene(self, scene_id: str) -> StoredScene:
-        asked = checked_request(SceneRequest, scene_id=scene_id)
+    def _scene(self, scene_id: str, *, withdrawn: bool = False) -> StoredScene:
+        asked = checked_request(SceneRequest, scene_id=scene_id, withdrawn=withdrawn)
         with self._ledger() as ledger:
-            stored = ledger.scene(asked.scene_id)
+            stored = ledger.scene(asked.scene_id, withdrawn=asked.withdrawn)
         if stored is None:
             raise no_such_scene(scene_id)
         return stored
@@ -294,10 +322,39 @@ def read_overlay(artifacts_url: str, scene: StoredScene) -> bytes:
     try:
         return open_bucket(artifacts_url).read_all(_key_of(scene), at_most=MAX_OVERLAY_BYTES)
     except ObjectChangedError:
-        raise NothingFoundError(
-            f"no overlay of {scene.scene_id} in {shown(artifacts_url)}; name its bucket with "
-            "--artifacts"
-        ) from None
+        raise no_overlay(scene, artifacts_url) from None
+
+
+def open_stored_overlay(artifacts_url: str, scene: StoredScene) -> OverlayFile:
+    """Open the overlay of a scene in the artifacts bucket for reading single blocks.
+
+    An overlay of version 1 has no blocks: it is read whole and encoded again.
+
+    Raises:
+        NothingFoundError: If it does not exist.
+        PackUnreadableError: If it is damaged, or of a newer version; the message names its URL.
+    """
+    bucket, key = open_bucket(artifacts_url), _key_of(scene)
+    where = f"{shown(artifacts_url)}/{key}"
+    found = bucket.head(key)
+    if found is None:
+        raise no_overlay(scene, artifacts_url)
+
+    def read(offset: int, length: int) -> bytes:
+        return bucket.read_range(key, offset, length, found.etag) if length else b""
+
+    try:
+        return open_overlay_file(read, file_bytes=found.size, where=where)
+    except OverlayIsVersion1Error:
+        return overlay_file_of(read_overlay(artifacts_url, scene), where=where)
+
+
+def no_overlay(scene: StoredScene, artifacts_url: str) -> NothingFoundError:
+    """Return the error for a scene without an overlay."""
+    return NothingFoundError(
+        f"no overlay of {scene.scene_id} in {shown(artifacts_url)}; name its bucket with "
+        "--artifacts"
+    )
 
 
 def _key_of(scene: StoredScene) -> str:

@@ -64,6 +64,9 @@ def run(
     workers: Workers = None,
     once: Once = False,
     dry_run: DryRun = False,
+    review: Annotated[
+        bool, typer.Option("--review", help="Serve the review page too, a process of its own.")
+    ] = False,
     shard_seconds: ShardSeconds = None,
     include: Include = None,
     exclude: Exclude = None,
@@ -101,14 +104,29 @@ def run(
         return
     if json:
         raise UsageError("--json is for --dry-run; a run logs: --log-format json")
+    from service.cli.review import need_extra, review_process
     from service.embedded import run_embedded
 
+    page = None
+    if review:
+        need_extra()
+        page = review_process(
+            {
+                "state": settings.state,
+                "database": database,
+                "artifacts": artifacts,
+                "config": config,
+                "log_format": log_format,
+                "log_level": log_level,
+            }
+        )
     with progress() as bar:
         task = bar.add_task("mining", total=None)
         status = run_embedded(
             settings,
             once=once,
             remark=remark,
+            page=page,
             on_progress=lambda what, done, total: bar.update(
                 task, description=what, completed=done, total=total
             ),

@@ -1,5 +1,6 @@
 """Verb `demo`: mines, ranks and draws a small simulated fleet, and compares it with its truth."""
 
+import sys
 import time
 from collections.abc import Collection, Sequence
 from pathlib import Path
@@ -9,6 +10,7 @@ import typer
 
 from service.cli.options import LogFormat, LogLevel, log_as
 from service.cli.output import command, counted, listing, progress, remark, table
+from service.cli.review import OPEN, has_extra, serve_until_stopped
 
 if TYPE_CHECKING:
     from service.demo.planted import DemoScene
@@ -35,7 +37,10 @@ def demo(
         ),
     ] = False,
 ) -> None:
-    """Simulate street logs, mine them, rank the scenes, draw the best ones."""
+    """Simulate street logs, mine them, rank the scenes, draw the best ones.
+
+    On a terminal the review page is served at the end, until Ctrl-C.
+    """
     from service.cli.report import say_what_was_found
     from service.demo.run import demo_settings, run_demo
 
@@ -74,6 +79,10 @@ def demo(
     remark(f"any scene by its rank: {command()} show 1 --state {state} --out scene.png")
     remark(f"the best for the labellers: {command()} select --budget 4 --state {state}")
     remark(f"your own logs: {command()} run --bucket FOLDER --once")
+    if sys.stdin.isatty() and sys.stderr.isatty() and has_extra():
+        serve_until_stopped(settings)
+    else:
+        remark(f"{OPEN}: {command()} review --state {state}")
 
 
 def say_demo_ranking(scenes: "Sequence[DemoScene]", *, most: int = DEMO_ROWS) -> None:

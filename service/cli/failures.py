@@ -15,7 +15,7 @@ from service.cli.options import (
     settings_for,
 )
 from service.cli.output import counted, json_line, progress, remark, table
-from service.cli.planting import planted_path, planting_of, say_variants
+from service.cli.planting import planting_of, say_variants
 from service.errors import UsageError
 from service.output_files import need_folder, need_writable, save_text
 from service.reports.failure_report import COLUMNS_MEAN, write_report
@@ -100,10 +100,10 @@ def failures(
     share: Annotated[
         str, typer.Option("--share", help="Share of the scenes that fail, as 1/6 (--plant).")
     ] = "1/6",
-    keep: Annotated[
-        bool,
-        typer.Option("--keep", help="Write planted.json next to the report (--plant)."),
-    ] = False,
+    listed: Annotated[
+        Path | None,
+        typer.Option("--planted", help="Write the planted failures to this JSON file (--plant)."),
+    ] = None,
     draws: Annotated[
         int,
         typer.Option("--draws", min=0, max=MOST, help="Draws of the bootstrap; 0: no intervals."),
@@ -119,7 +119,10 @@ def failures(
     if report is not None:
         need_writable(report, option="--report", force=force)
     planting = planting_of(variants=variants, seed=seed, frames=frames, share=share)
-    listed = planted_path(report, keep=keep, force=force) if plant else None
+    if listed is not None:
+        need_writable(listed, option="--planted", force=force)
+    if listed is not None and not plant:
+        raise UsageError("--planted lists what --plant plants: give --plant, or leave it out")
     if plant and only is not None:
         raise UsageError("--plant has one table: leave --table out")
     if kept is not None:
@@ -151,7 +154,7 @@ def failures(
                 on_progress=lambda done, total: bar.update(task, completed=done, total=total),
             )
         if listed is not None:
-            save_text(planted.model_dump_json(indent=1), listed, option="--keep", force=force)
+            save_text(planted.model_dump_json(indent=1), listed, option="--planted", force=force)
             remark(f"planted failures: {listed}")
         _say(made, json=json, report=report, force=force)
         return

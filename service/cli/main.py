@@ -27,6 +27,7 @@ from service.cli import (
     parts,
     rates,
     retry,
+    review,
     scenes,
     selections,
     settings,
@@ -59,7 +60,7 @@ app = typer.Typer(
     "each other. No label is needed.",
     epilog="Try it: counterpoint demo --out demo-output",
 )
-for mining in (daemons, logs, scenes, selections, verdicts, rates, retry):
+for mining in (daemons, logs, scenes, selections, verdicts, rates, retry, review):
     mining.add_to(app)
 for measuring in (demo, simulate, evaluate, measure, calibrate, parts, settings, weights):
     measuring.add_to(app)

@@ -7,7 +7,9 @@ from typing import Annotated
 
 import typer
 
+from service.cli.bench_overlay import overlay
 from service.cli.bench_simulation import simulation
+from service.cli.bench_viewer import viewer
 from service.cli.failures import failures
 from service.cli.options import MOST, Config, Json, settings_for
 from service.cli.output import json_line, progress, remark, table
@@ -26,6 +28,8 @@ def add_to(app: typer.Typer) -> None:
     bench.command(epilog="counterpoint bench listing --scenes 1000000")(listing)
     bench.command(epilog="counterpoint bench failures fleet --report failures.html")(failures)
     bench.command(epilog="counterpoint bench simulation drive.mcap --sensor pandar64")(simulation)
+    bench.command(epilog="counterpoint bench overlay logs/car-7/2026-11-20/drive.mcap")(overlay)
+    bench.command(epilog="counterpoint bench viewer --state counterpoint-state")(viewer)
     app.add_typer(bench, name="bench")
 
 

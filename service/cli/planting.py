@@ -2,12 +2,10 @@
 
 from collections.abc import Mapping
 from fractions import Fraction
-from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from service.cli.output import counted, remark, table
 from service.errors import UsageError
-from service.output_files import need_writable
 
 if TYPE_CHECKING:
     from workers.lab.evaluation.failures.attribution import AttributionAccuracy
@@ -16,8 +14,6 @@ if TYPE_CHECKING:
     from workers.lab.evaluation.failures.planted import PlantedTable
     from workers.lab.evaluation.failures.planting.variants import Planting
     from workers.lab.evaluation.failures.ranking import RankingRow
-
-PLANTED_FILE: Final = "planted.json"
 
 
 def planting_of(*, variants: int, seed: int, frames: str, share: str) -> "Planting":
@@ -41,21 +37,6 @@ def planting_of(*, variants: int, seed: int, frames: str, share: str) -> "Planti
         raise UsageError(f"--share must be over 0 and under 1, as 1/6 or 0.05, got {share!r}")
     chosen = FrameRange(int(first or 0), int(end) if end else None)
     return Planting(variants=variants, seed=seed, frames=chosen, share=part)
-
-
-def planted_path(report: Path | None, *, keep: bool, force: bool) -> Path | None:
-    """Return the path of `planted.json` next to the report, checked; None without --keep.
-
-    Raises:
-        UsageError: If there is no report, or the file cannot be written.
-    """
-    if not keep:
-        return None
-    if report is None:
-        raise UsageError(f"--keep writes {PLANTED_FILE} next to the report: name one with --report")
-    path = report.with_name(PLANTED_FILE)
-    need_writable(path, option="--keep", force=force)
-    return path
 
 
 def say_variants(bench: "FailureBench", found: "PlantedTable") -> None:

@@ -14,6 +14,8 @@ from schemas.score import SceneScore
 from schemas.transport import keys
 from schemas.transport.ask import ask_until
 from schemas.transport.bus import client_session
+from schemas.transport.overlay_codec import overlay_file_of
+from schemas.transport.overlay_file import OverlayFile
 from schemas.transport.wire import decode, encode
 from schemas.verdict import VerdictRow
 from service.api.messages import (
@@ -84,10 +86,15 @@ class ControlClient:
         """Rank every current scene, best first, and return at most `most`; None: all."""
         return list(decode(TopReply, self._ask_with_verdicts("top", TopRequest, most=most)).scenes)
 
-    def select(self, *, budget: int, name: str | None = None) -> Selection:
-        """Store the best distinct scenes as a named selection, and publish it."""
+    def select(
+        self, *, budget: int, name: str | None = None, scenes: Sequence[str] | None = None
+    ) -> Selection:
+        """Store the best distinct scenes, or these, as a named selection, and publish it."""
         return decode(
-            Selection, self._ask_with_verdicts("select", SelectRequest, budget=budget, name=name)
+            Selection,
+            self._ask_with_verdicts(
+                "select", SelectRequest, budget=budget, name=name, scenes=scenes
+            ),
         )
 
     def selection(self, name: str) -> Selection:
@@ -123,6 +130,11 @@ class ControlClient:
             SceneScore, self._ask("scene", checked_request(SceneRequest, scene_id=scene_id))
         )
 
+    def record(self, scene_id: str) -> bytes:
+        """Return the record of a scene as published; the last one if it is withdrawn."""
+        asked = checked_request(SceneRequest, scene_id=scene_id, withdrawn=True)
+        return self._ask("scene", asked)
+
     def overlay(self, scene_id: str) -> bytes:
         """Return the overlay of a current scene, encoded."""
         return self._ask("overlay", checked_request(SceneRequest, scene_id=scene_id))
@@ -130,6 +142,10 @@ class ControlClient:
     def overlay_place(self, scene_id: str) -> str:
         """Return the name of the source of a scene's overlay, for messages."""
         return f"{scene_id}, from the service at {','.join(self._connect)}"
+
+    def overlay_file(self, scene_id: str) -> OverlayFile:
+        """Open the overlay of a current scene for reading single blocks."""
+        return overlay_file_of(self.overlay(scene_id), where=self.overlay_place(scene_id))
 
     def scenes(self, request: ScenesRequest) -> ScenesReply:
         """Return a page of current scenes."""

@@ -81,10 +81,13 @@ def shows_all(better: ShownScene, scene: ShownScene) -> bool:
     """Return true if a scene shows every weighty reason of another one, which has a reason."""
     reasons = scene.reasons
     weighty = [each for each in reasons if each.strength >= WEIGHTY_SHARE * reasons[0].strength]
-    return all(any(_same(one, better, each, scene) for one in better.tracks) for each in weighty)
+    return all(
+        any(same_thing(one, better, each, scene) for one in better.tracks) for each in weighty
+    )
 
 
-def _same(one: TrackRecord, of: ShownScene, other: TrackRecord, in_scene: ShownScene) -> bool:
+def same_thing(one: TrackRecord, of: ShownScene, other: TrackRecord, in_scene: ShownScene) -> bool:
+    """Return true if a track of one scene and a track of its neighbour are the same thing."""
     if (one.kind, one.class_name) != (other.kind, other.class_name):
         return False
     if of.at.start_ns > in_scene.at.start_ns:

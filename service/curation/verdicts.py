@@ -198,6 +198,9 @@ class ChoicesReply(BaseModel):
     causes: tuple[Kept, ...] = Field(
         max_length=MAX_CHOICES, description="The taxonomy, then those of the setting `causes`."
     )
+    bucket: Kept = Field(
+        default="", description="URL of the logs, to open one elsewhere; empty before a listing."
+    )
 
 
 def need_cause(cause: str, own: Sequence[str]) -> None:

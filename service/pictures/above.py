@@ -42,6 +42,7 @@ def draw_above(
     dot_px: int = 1,
     background: bool = True,
     rings: bool = True,
+    scale: bool = True,
 ) -> Image.Image:
     """Draw one frame from above.
 
@@ -51,7 +52,8 @@ def draw_above(
         labels: Track numbers and texts, drawn next to their boxes where there is room.
         dot_px: Radius of contradicting points; agreeing ones are smaller.
         background: Draw static points of the other frames faintly.
-        rings: Draw rings of distance from the sensor; a scale bar is always drawn.
+        rings: Draw rings of distance from the sensor.
+        scale: Draw a scale bar.
     """
     fine = View(view.frame, view.centre_m, view.half_m, view.size_px * _FINE)
     pixels = np.full((fine.size_px, fine.size_px, 3), BACKGROUND, dtype=np.uint8)
@@ -67,7 +69,8 @@ def draw_above(
     draw_ego(draw, fine)
     image = image.resize((view.size_px, view.size_px), Image.Resampling.BOX)
     draw = ImageDraw.Draw(image)
-    draw_scale(draw, view, ring_names=rings)
+    if scale:
+        draw_scale(draw, view, ring_names=rings)
     _draw_labels(draw, overlay, view, labels)
     return image
 

@@ -2,14 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import ImageDraw
 
-from schemas.arrays import Mask, Points
 from schemas.overlay import Overlay
+from schemas.sights import Projection, corners_m
 from service.pictures.style import BACKGROUND, Colour, font, inks_of
 
 _SAMPLES: Final = 24
@@ -20,20 +20,9 @@ _EDGES: Final = np.array(
 )
 """(12, 2) pairs of corners that differ in one direction."""
 
-_SIGNS: Final = np.array([[(c >> axis & 1) - 0.5 for axis in range(3)] for c in range(8)])
-"""(8, 3) corners of a box of side 1 around the origin."""
-
 _LABEL_PX: Final = 18
 _WIDTH_PX: Final = (2, 4)
 """Width of the lines of a box, and of one for which the image was chosen, pixels."""
-
-
-class Projection(Protocol):
-    """Projection of lidar points into one image, as `workers.ingest.camera_model.CameraView`."""
-
-    def project(self, points_m: Points) -> tuple[NDArray[np.float64], Mask]:
-        """Return (N, 2) pixels, and (N,) true where they are inside the image."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,15 +43,6 @@ class CameraBox:
     label: str
     is_shown: bool = False
     is_of_witness: bool = False
-
-
-def corners_m(box: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Return the (8, 3) corners of a box (centre, length, width, height, yaw), sensor space."""
-    x, y, z, length, width, height, yaw = (float(value) for value in box)
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    turned = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    corners = (_SIGNS * (length, width, height)) @ turned.T + (x, y, z)
-    return np.asarray(corners, dtype=np.float32)
 
 
 def boxes_of(

@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw
 from schemas.arrays import NS_PER_S
 from schemas.contradiction import SceneState, TrackRecord
 from schemas.overlay import Overlay
-from schemas.score import SceneScore
+from schemas.score import MOST_LABELS, SceneScore, shown_tracks
 from schemas.task import Outcome, task_named
 from service.pictures.above import draw_above
 from service.pictures.camera import draw_camera
@@ -28,7 +28,7 @@ from service.pictures.style import (
     meaning,
     shorten,
 )
-from service.pictures.title import MOST_LABELS, Title, labels_of, shown_tracks, title_of
+from service.pictures.title import Title, labels_of, title_of
 from service.pictures.view import View
 
 __all__ = ["draw_camera", "draw_scene"]

@@ -1,7 +1,5 @@
 """The frame and the camera that see the first track, as in the paper's review."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -9,13 +7,15 @@ from PIL import Image
 
 from schemas.arrays import NS_PER_S
 from schemas.overlay import Overlay
+from schemas.overlay_picture import Picture
 from schemas.score import SceneScore
+from schemas.sights import sights_of
 from schemas.transport.bucket import Bucket, open_bucket
 from schemas.transport.recordings import group_recordings
 from schemas.work import Recording
 from service.errors import NothingFoundError, UsageError
 from service.pictures.camera import draw_camera
-from service.pictures.camera_boxes import boxes_of, corners_m
+from service.pictures.camera_boxes import boxes_of
 from service.pictures.scene import strongest_frame
 from service.pictures.title import Title, labels_of
 from service.settings.config import Settings
@@ -32,34 +32,24 @@ MOST_READS: Final = 4
 _AHEAD_M: Final = np.array([[10.0, 0.0, 0.0]], dtype=np.float32)
 
 
-@dataclass(frozen=True, slots=True)
-class Sight:
-    """A frame and a camera that see a track.
-
-    Attributes:
-        track_id: The track.
-        frame: Index of the frame.
-        topic: Topic of the camera's images.
-    """
-
-    track_id: int
-    frame: int
-    topic: str
-
-
 def draw_on_camera(
     score: SceneScore, overlay: Overlay, settings: Settings, *, title: Title
 ) -> Image.Image:
     """Draw a scene on the camera image that sees its first track; else the next one that is seen.
 
-    All cameras of the log are searched, in every frame of the track. Apart from `inspect` and
-    `score`, this is the only verb that opens a log; it needs the extra `workers`.
+    A picture that was kept with the scene is used where one sees a track. Otherwise all cameras of
+    the log are searched, in every frame of the track. Apart from `inspect` and `score`, this is
+    then the only verb that opens a log; it needs the extra `workers`.
 
     Raises:
-        UsageError: If no log bucket is named.
+        UsageError: If no picture was kept, and no log bucket is named.
         NothingFoundError: If the scene's log is no longer in it.
         CameraUnavailableError: If the log has no calibrated camera that saw the frame.
     """
+    kept = _kept(score, overlay)
+    if kept is not None:
+        picture, track_id = kept
+        return _drawn(score, overlay, view_of(picture), picture.frame, title, track_id=track_id)
     from workers.ingest.camera import read_cameras
 
     bucket, recording = _log_of(score, settings)
@@ -70,7 +60,7 @@ def draw_on_camera(
 
     start = strongest_frame(score, overlay)
     read = {start: views_at(start)}
-    for sight in sights_of(score, overlay, read[start]):
+    for sight in sights_of(score.tracks[:MOST_LOOKS], overlay, read[start]):
         if sight.frame not in read:
             if len(read) == MOST_READS:
                 break
@@ -82,34 +72,41 @@ def draw_on_camera(
     return _drawn(score, overlay, ahead, start, title, track_id=None)
 
 
-def sights_of(
-    score: SceneScore, overlay: Overlay, views: "Sequence[CameraView]"
-) -> Iterator[Sight]:
-    """Yield frames and cameras that see the strongest tracks, the best one first.
+def view_of(picture: Picture) -> "CameraView":
+    """Return the projection into a kept picture."""
+    from workers.ingest.camera_model import CameraView
 
-    The frames of the first track come first, by their distance in time to its strongest one; of
-    several cameras first the one that sees most of its box.
+    return CameraView(
+        topic=picture.topic,
+        stamp_ns=picture.stamp_ns,
+        image_bytes=picture.image_bytes,
+        image_format=picture.media_type,
+        width=picture.width,
+        height=picture.height,
+        pixel_from_camera=picture.pixel_from_camera,
+        distortion_model=picture.distortion_model,
+        distortion=picture.distortion,
+        camera_from_lidar=picture.camera_from_lidar,
+    )
 
-    Args:
-        score: Record of the scene.
-        overlay: Overlay of the scene.
-        views: One image of each camera, whose projection is the same in all frames.
-    """
+
+def _kept(score: SceneScore, overlay: Overlay) -> tuple[Picture, int] | None:
+    """Return the kept picture of the first track that one sees, nearest to its strongest frame."""
     for track in score.tracks[:MOST_LOOKS]:
-        mine = np.flatnonzero(overlay.instance_track == track.track_id)
-        apart_ns = overlay.stamps_ns[overlay.instance_frame[mine]] - track.strongest.stamp_ns
-        for instance in mine[np.argsort(np.abs(apart_ns), kind="stable")]:
-            corners = corners_m(overlay.instance_boxes[instance])
-            points = np.concatenate([corners.mean(axis=0, keepdims=True), corners])
-            seen = [(view.project(points)[1], view.topic) for view in views]
-            seen.sort(key=lambda pair: (-int(pair[0].sum()), pair[1]))
-            frame = int(overlay.instance_frame[instance])
-            yield from (Sight(track.track_id, frame, topic) for inside, topic in seen if inside[0])
+        seen = [each for each in overlay.pictures if track.track_id in each.tracks]
+        if seen:
+            strongest_ns = track.strongest.stamp_ns
+            apart_ns = [abs(int(overlay.stamps_ns[each.frame]) - strongest_ns) for each in seen]
+            return seen[apart_ns.index(min(apart_ns))], track.track_id
+    return None
 
 
 def _log_of(score: SceneScore, settings: Settings) -> tuple[Bucket, Recording]:
     if not settings.bucket:
-        raise UsageError("--on-image reads the log: name its bucket with --bucket URL")
+        raise UsageError(
+            "no picture was kept with the scene, so --on-image reads the log: name its bucket with "
+            "--bucket URL"
+        )
     bucket = open_bucket(settings.bucket)
     folder = score.log_id.rpartition("/")[0]
     recordings = {found.log_id: found for found in group_recordings(bucket.list(prefix=folder))}

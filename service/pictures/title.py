@@ -1,14 +1,9 @@
 """Title of a picture: rank, score and short name of its scene; and the labels of its tracks."""
 
 from dataclasses import dataclass
-from typing import Final
 
-from schemas.contradiction import TrackRecord
-from schemas.score import MIN_REPORTED_STRENGTH, SceneScore
+from schemas.score import SceneScore, shown_tracks
 from service.curation.scene_names import begins
-
-MOST_LABELS: Final = 10
-"""Tracks that a picture labels by number and class."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,15 +35,6 @@ def title_of(score: SceneScore, *, rank: int | None = None, name: str = "") -> T
     """Return the title of a scene; without a name it is the last part of the log's."""
     own = f"{score.log_id.rpartition('/')[2]}@{begins(score.start_ns)}"
     return Title(score.score, name or own, rank)
-
-
-def shown_tracks(score: SceneScore, *, most: int = MOST_LABELS) -> list[TrackRecord]:
-    """Return the tracks that a picture names: strong ones, and in any case the first one.
-
-    Weaker ones have boxes without a number; they are no reason of the score.
-    """
-    strong = [track for track in score.tracks if track.strength >= MIN_REPORTED_STRENGTH]
-    return (strong or list(score.tracks[:1]))[:most]
 
 
 def labels_of(score: SceneScore) -> list[tuple[int, str]]:

@@ -42,7 +42,7 @@ MAX_WAIT_S: Final = 1e9
 
 MAX_DAYS: Final = 1e6
 
-NOT_IN_VERSION: Final = frozenset({"bucket", "artifacts", "model", "weights"})
+NOT_IN_VERSION: Final = frozenset({"bucket", "artifacts", "model", "weights", "pictures"})
 """Settings shared by workers that no pipeline version depends on."""
 
 
@@ -168,6 +168,16 @@ class Settings(MiningSettings):
     worker_http_listen: str = Field(
         default="127.0.0.1:9465",
         description="Address at which `worker` serves /metrics, /healthz and /readyz; empty: none.",
+    )
+    review_listen: str = Field(
+        default="127.0.0.1:8087",
+        description="Address at which `review` and `run --review` serve the review page; port 0 "
+        "takes a free one.",
+    )
+    review_hosts: Names = Field(
+        default=(),
+        description="Names under which browsers may ask for the review page, in addition to those "
+        "of the loopback and to its own address.",
     )
     vehicles: Names = Field(
         default=(),

@@ -24,7 +24,11 @@ _OF_KUBERNETES: Final = re.compile(
 )
 """Endings of the variables that Kubernetes sets in pods for a service named `counterpoint…`."""
 
-_FLAG_NAMES: Final = {"grid.shard_s": "shard_seconds", "grid.warmup_s": "warmup_seconds"}
+_FLAG_NAMES: Final = {
+    "grid.shard_s": "shard_seconds",
+    "grid.warmup_s": "warmup_seconds",
+    "pictures": "keep_pictures",  # of no verb so far: `--pictures` is a folder to draw into
+}
 """Flags whose names differ from their setting's."""
 
 Kind: TypeAlias = Literal["default", "preset", "file", "variable", "flag"]

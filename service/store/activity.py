@@ -21,6 +21,7 @@ from service.curation.activity import (
 )
 from service.curation.verdicts import CAUSES, MAX_CHOICES, ChoicesReply, Precision, precision_of
 from service.store.listed_scenes import names_in
+from service.store.served_bucket import served_bucket
 from service.store.tables import LISTED_SCENES, LISTING_FINDINGS, LISTING_SOURCES, VERDICTS
 
 _BUCKET_S: Final = {"hour": 3600, "day": 86_400}
@@ -59,6 +60,7 @@ def choices(connection: Connection, *, causes: Sequence[str]) -> ChoicesReply:
         modes=values(sources.mode),
         reviewers=values(VERDICTS.c.reviewer),
         causes=(*CAUSES, *causes)[:MAX_CHOICES],
+        bucket=served_bucket(connection),
     )
 
 

@@ -26,7 +26,7 @@ from service.curation.listing import ScenesReply, ScenesRequest
 from service.curation.ranking import RankedScene
 from service.curation.rates import RatesRequest, RateSums
 from service.curation.status import ParkedWork, SkippedEntries, Status
-from service.curation.strategies.catalogue import DEFAULT, select
+from service.curation.strategies.catalogue import Wanted, select
 from service.curation.verdicts import ChoicesReply
 from service.store import (
     activity,
@@ -336,14 +336,14 @@ class Ledger:
         with self._store.reading() as connection:
             return scenes.current_scenes(connection, on_damaged=self._store.note_damaged)
 
-    def scene(self, scene_id: str) -> StoredScene | None:
-        """Return the current scene of this id.
+    def scene(self, scene_id: str, *, withdrawn: bool = False) -> StoredScene | None:
+        """Return the current scene of this id; with `withdrawn` else its last record.
 
         Raises:
             RecordDamagedError: If its record is damaged.
         """
         with self._store.reading() as connection:
-            return scenes.current_scene(connection, scene_id, on_damaged=self._store.note_damaged)
+            return scenes.last_scene(connection, scene_id, withdrawn, self._store.note_damaged)
 
     def ranking(self, *, most: int | None = None) -> list[RankedScene]:
         """Rank current scenes, best first, and return at most `most`; None: all."""
@@ -365,13 +365,13 @@ class Ledger:
         with self._store.reading() as connection:
             return activity.choices(connection, causes=causes)
 
-    def select(self, *, budget: int, strategy: str = DEFAULT) -> list[RankedScene]:
+    def select(self, *, budget: int, wanted: Wanted = None) -> list[RankedScene]:
         """Choose scenes of the ranking, or raise as `service.curation.strategies` does."""
         with (
             self._store.reading() as connection,
             closing(ranking.ranked(connection, on_damaged=self._store.note_damaged)) as ranked,
         ):
-            return select(ranked, budget=budget, strategy=strategy)
+            return select(ranked, budget=budget, wanted=wanted)
 
     def rate_sums(self, request: RatesRequest) -> list[RateSums]:
         """Return sums over the requested groups of current scenes, in no order."""

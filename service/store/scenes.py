@@ -162,6 +162,35 @@ def current_scene(
     return _scene(row)
 
 
+def last_scene(
+    connection: Connection, scene_id: str, withdrawn: bool, on_damaged: OnDamaged
+) -> StoredScene | None:
+    """Read the current scene of an id; with `withdrawn`, else its last record."""
+    found = current_scene(connection, scene_id, on_damaged=on_damaged)
+    if found is not None or not withdrawn:
+        return found
+    return withdrawn_scene(connection, scene_id, on_damaged=on_damaged)
+
+
+def withdrawn_scene(
+    connection: Connection, scene_id: str, *, on_damaged: OnDamaged
+) -> StoredScene | None:
+    """Read the last record of a scene that is no longer current; None where it is damaged."""
+    row = connection.execute(
+        _stored()
+        .where(
+            SCENES.c.log_id == scene_id.rsplit("/", 2)[0],  # the index begins with it
+            SCENES.c.scene_id == scene_id,
+            SCENES.c.is_current.is_(False),
+        )
+        .order_by(SCENES.c.withdrawn_seq.desc())
+        .limit(1)
+    ).one_or_none()
+    if row is None or not _is_sound(row, on_damaged):
+        return None
+    return _scene(row)
+
+
 def _is_sound(row: Row[Any], on_damaged: OnDamaged) -> bool:
     if row.withdrawn:  # has no record to compare
         return True

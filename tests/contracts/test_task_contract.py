@@ -20,6 +20,7 @@ from schemas.transport.wire import decode, encode_scene_score
 from service.pictures.scene import draw_camera, draw_scene
 from service.pictures.style import colours_of, meaning
 from tests.labelled_worlds import CLASS_NAMES, Thing, labelled_scene, shard_of
+from tests.overlays import labels_of_points
 from workers.contradiction.agreement import compare
 from workers.contradiction.overlay import overlay_of
 from workers.errors import TasksDifferError
@@ -224,9 +225,8 @@ def _told(task: Task) -> list[Outcome]:
 def _one_of_each(task: Task) -> Overlay:
     scene = labelled_scene([Thing((5, 0, 0), 0, 0, points=len(task.outcomes))], frames=1, task=task)
     made = overlay_of(scene, (), (), class_names=CLASS_NAMES)
-    fields = {name: getattr(made, name) for name in made.__dataclass_fields__}
-    fields["agreements"] = np.arange(len(task.outcomes), dtype=np.uint8)
-    return Overlay(**fields)
+    agreements = np.arange(len(task.outcomes), dtype=np.uint8)
+    return replace(made, **labels_of_points(agreements, task))
 
 
 def _photo(width: int) -> bytes:

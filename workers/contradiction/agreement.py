@@ -1,10 +1,7 @@
 """Agreement of the two streams, per point."""
 
-from typing import cast
-
-import numpy as np
-
 from schemas.arrays import Agreements, Labels
+from schemas.overlay import agreements_of
 from schemas.task import MOTION, Task
 
 
@@ -30,6 +27,4 @@ def compare(semantic: Labels, predictive: Labels, task: Task = MOTION) -> Agreem
             f"streams labelled different points: {len(semantic)} semantic, "
             f"{len(predictive)} predictive; a stage must never drop or reorder points"
         )
-    unknown = (semantic >= task.unknown) | (predictive >= task.unknown)
-    codes = predictive * np.uint8(len(task.classes)) + semantic
-    return cast("Agreements", np.where(unknown, np.uint8(task.not_compared), codes))
+    return agreements_of(semantic, predictive, task)

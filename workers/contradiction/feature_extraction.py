@@ -20,7 +20,7 @@ from workers.contradiction.scene_context import SceneContext, scene_context_of
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
 from workers.contradiction.shape_persistence import ShapePersistence, shape_persistence_of
 from workers.contradiction.size_priors import box_plausibility
-from workers.contradiction.standing_ghosts import standing_share
+from workers.contradiction.standing_ghosts import path_share, standing_share
 from workers.contradiction.temporal_context import temporal_context_of
 from workers.contradiction.track_features import DescribedTrack, TrackFeatures
 from workers.contradiction.track_motion import motion_plausibility, path_of
@@ -134,6 +134,8 @@ def _features_of(
     if standing > 0.0 and path.displacement > 0.0:
         standing *= 1.0 - bled_share(scene, members)
     travels = 1.0 - standing
+    free = path_share(track.kind, scene.task, witness_static=witness_static)
+    arrived, departed = persistence.elsewhere_before * free, persistence.elsewhere_after * free
     confirmed = clamp01(mean([_confirmed_share(member.confirmed_share) for member in members]))
     pose_doubted = mean(context.doubted[at].tolist())
     bulk_motion = bulk_motion_of(
@@ -166,9 +168,9 @@ def _features_of(
         dynamic_after=temporal.dynamic_after,
         shape_static=shape_static,
         shape_static_after=persistence.here_after * (1.0 - bulk_motion),
-        arrived=persistence.elsewhere_before,
-        departed=persistence.elsewhere_after,
-        transits=min(persistence.elsewhere_before, persistence.elsewhere_after),
+        arrived=arrived,
+        departed=departed,
+        transits=min(arrived, departed),
         log_end=clamp01(
             (_DEPARTURE_SEEN_S - observed_s) / (_DEPARTURE_SEEN_S - _DEPARTURE_UNSEEN_S)
         ),

@@ -12,13 +12,13 @@ from schemas.score import (
     MAX_OPPOSING,
     MAX_SUPPORTING,
     MIN_REPORTED_STRENGTH,
-    OdometryHealth,
     Reason,
     StreamHealth,
     SupervisedHealth,
 )
 from schemas.task import Outcome, Task
 from workers.contradiction.explanations import HALF
+from workers.contradiction.scene_statistics import SceneStatistics
 from workers.contradiction.track_score import RankedTrack
 from workers.contradiction.tracks import frame_period_s
 
@@ -49,9 +49,7 @@ def reasons_of(
     ranked: Sequence[RankedTrack],
     *,
     state: SceneState,
-    health: OdometryHealth,
-    stream: StreamHealth,
-    supervised: SupervisedHealth | None = None,
+    statistics: SceneStatistics,
     own_model: str = "",
 ) -> tuple[Reason, ...]:
     """Return the reasons of a score, strongest first.
@@ -64,11 +62,10 @@ def reasons_of(
         instances: Its instances.
         ranked: Its tracks, strongest first.
         state: State of its score.
-        health: Health of its poses.
-        stream: Health of the self-supervised stream.
-        supervised: Health of the supervised stream; None where it answers everything.
+        statistics: Statistics of the scene.
         own_model: Name of the user's own model; empty: the supervised stream is a shipped one.
     """
+    health, stream = statistics.odometry, statistics.stream
     span_s = (scene.end_ns - scene.start_ns) / NS_PER_S
     cause = f" ({health.reason})" if health.reason else ""
     if state is SceneState.TOO_SHORT:
@@ -88,12 +85,12 @@ def reasons_of(
             f"odometry {health.state.value}{cause} in {doubted:.0%} of the frames, which have a "
             "lower weight"
         )
-    lowered.append(_remark(scene))
+    lowered.append(statistics.remark)
     if stream.blind_share > 0.0:
         lowered.append(_blind(stream))
-    lowered += open_questions(supervised)
+    lowered += open_questions(statistics.supervised)
     if stream.blind_share < 1.0:
-        lowered.append(_nothing_compared(scene))
+        lowered.append(_nothing_compared(statistics))
     return (*reasons, *(Reason(headline=each) for each in lowered if each))
 
 
@@ -180,27 +177,21 @@ def _attributed(kind: Outcome, attribution: Attribution | None, supervised: str)
     return f": {wrong}, {100 * attribution.chance:.0f} %"
 
 
-def _nothing_compared(scene: Scene) -> str:
+def _nothing_compared(statistics: SceneStatistics) -> str:
     """Return why no point was compared; empty where one was."""
-    unknown = scene.task.unknown
-    if any((frame.agreements != scene.task.not_compared).any() for frame in scene.frames):
+    if statistics.compared:
         return ""
     silent = [
         name
-        for name, labelled in (
-            (SUPERVISED, [frame.semantic for frame in scene.frames]),
-            (SELFSUPERVISED, [frame.predictive for frame in scene.frames]),
+        for name, is_silent in (
+            (SUPERVISED, statistics.supervised_silent),
+            (SELFSUPERVISED, statistics.selfsupervised_silent),
         )
-        if all((labels.labels == unknown).all() for labels in labelled)
+        if is_silent
     ]
     if not silent:
         return "nothing was compared: no point was labelled by both streams"
     return f"nothing was compared: the {' and the '.join(silent)} stream labelled no point"
-
-
-def _remark(scene: Scene) -> str:
-    """Return the first remark on the poses of the scene; empty without one."""
-    return next((frame.posed.remark for frame in scene.frames if frame.posed.remark), "")
 
 
 def _blind(stream: StreamHealth) -> str:

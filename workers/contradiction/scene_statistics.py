@@ -36,6 +36,49 @@ class PointShares:
     nonground_points: AgreementShares
 
 
+@dataclass(frozen=True, slots=True)
+class SceneStatistics:
+    """Statistics of a scene that its record and the reasons of its score state.
+
+    Attributes:
+        shares: Shares of its points by outcome.
+        odometry: Health of its poses.
+        stream: Health of the self-supervised stream.
+        supervised: Health of the supervised stream; None where it answers everything.
+        remark: First remark on its poses; empty without one.
+        compared: True if any point was labelled by both streams.
+        supervised_silent: True if the supervised stream labelled no point.
+        selfsupervised_silent: True if the self-supervised stream labelled no point.
+    """
+
+    shares: PointShares
+    odometry: OdometryHealth
+    stream: StreamHealth
+    supervised: SupervisedHealth | None
+    remark: str
+    compared: bool
+    supervised_silent: bool
+    selfsupervised_silent: bool
+
+
+def statistics_of(scene: Scene) -> SceneStatistics:
+    """Compute the statistics of a scene."""
+    frames, unknown = scene.frames, scene.task.unknown
+    compared = any((frame.agreements != scene.task.not_compared).any() for frame in frames)
+    return SceneStatistics(
+        shares=point_shares(frames),
+        odometry=odometry_health(scene),
+        stream=stream_health(scene),
+        supervised=supervised_health(scene),
+        remark=next((frame.posed.remark for frame in frames if frame.posed.remark), ""),
+        compared=compared,
+        supervised_silent=not compared
+        and all((frame.semantic.labels == unknown).all() for frame in frames),
+        selfsupervised_silent=not compared
+        and all((frame.predictive.labels == unknown).all() for frame in frames),
+    )
+
+
 def point_shares(frames: Sequence[LabelledFrame]) -> PointShares:
     """Count the outcomes over all points, and over those off the ground.
 

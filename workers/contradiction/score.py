@@ -17,6 +17,7 @@ and their tracks have strength 0. They are listed last and never ranked.
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 from schemas.attribution import Attribution
@@ -40,12 +41,7 @@ from schemas.task import Outcome
 from schemas.transport.wire import encode
 from schemas.work import Shard
 from workers.contradiction.reasons import class_word, reasons_of
-from workers.contradiction.scene_statistics import (
-    odometry_health,
-    point_shares,
-    stream_health,
-    supervised_health,
-)
+from workers.contradiction.scene_statistics import SceneStatistics, statistics_of
 from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
 from workers.contradiction.track_score import RankedTrack, pose_weights
 
@@ -78,6 +74,28 @@ class Streams(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Log, lidar, vehicle and software of a scene, as its record names them."""
+
+    log_id: str
+    lidar_topic: str
+    vehicle: str
+    date: str
+    software_version: str
+
+    @classmethod
+    def of(cls, shard: Shard) -> "Origin":
+        """Return the origin of the scenes of a shard."""
+        return cls(
+            log_id=shard.log_id,
+            lidar_topic=shard.lidar.topic,
+            vehicle=shard.vehicle,
+            date=shard.date,
+            software_version=shard.software_version,
+        )
+
+
 def score_scene(
     shard: Shard,
     scene: Scene,
@@ -86,6 +104,7 @@ def score_scene(
     *,
     parts: Streams,
     pipeline_version: str,
+    statistics: SceneStatistics | None = None,
     settings: ScoreSettings = DEFAULT_SCORE,
 ) -> SceneScore:
     """Score one scene and build its record.
@@ -97,24 +116,58 @@ def score_scene(
         ranked: Their tracks, from `rank_tracks`.
         parts: The streams that labelled it, for their versions.
         pipeline_version: Digest of everything that changes a record.
+        statistics: Statistics of the scene; None: computed here.
         settings: Constants of the score.
 
     Returns:
         The record, which fits the bus: with very long names it has fewer than 32 tracks.
     """
+    return record_of(
+        *(Origin.of(shard), scene, statistics or statistics_of(scene), instances, ranked),
+        producers=Producers(
+            supervised=parts.supervised.version,
+            selfsupervised=parts.selfsupervised.version,
+            pipeline_version=pipeline_version,
+        ),
+        own_model=parts.own_model,
+        settings=settings,
+    )
+
+
+def record_of(
+    origin: Origin,
+    scene: Scene,
+    statistics: SceneStatistics,
+    instances: Sequence[Instance],
+    ranked: Sequence[RankedTrack],
+    *,
+    producers: Producers,
+    own_model: str,
+    settings: ScoreSettings = DEFAULT_SCORE,
+) -> SceneScore:
+    """Score one scene by its statistics and tracks; the points of its frames are not used.
+
+    Args:
+        origin: Log, lidar, vehicle and software of the scene.
+        scene: The scene.
+        statistics: Its statistics.
+        instances: Its instances.
+        ranked: Their tracks.
+        producers: Versions of the streams and of the pipeline.
+        own_model: Name of the user's own model; empty where the supervised stream is a shipped one.
+        settings: Constants of the score.
+    """
     state = judge_odometry(scene, settings=settings)
     counts = 1.0 if state is SceneState.SCORED else 0.0
-    shares = point_shares(scene.frames)
-    health, stream = odometry_health(scene), stream_health(scene)
-    supervised = supervised_health(scene)
+    shares = statistics.shares
     record = SceneScore(
         task=scene.task.name,
         scene_id=scene.scene_id,
-        log_id=shard.log_id,
-        lidar_topic=shard.lidar.topic,
-        vehicle=shard.vehicle,
-        date=shard.date,
-        software_version=shard.software_version,
+        log_id=origin.log_id,
+        lidar_topic=origin.lidar_topic,
+        vehicle=origin.vehicle,
+        date=origin.date,
+        software_version=origin.software_version,
         start_ns=scene.start_ns,
         end_ns=scene.end_ns,
         frames=len(scene.frames),
@@ -123,10 +176,8 @@ def score_scene(
         reasons=reasons_of(
             *(scene, instances, ranked),
             state=state,
-            health=health,
-            stream=stream,
-            supervised=supervised,
-            own_model=parts.own_model,
+            statistics=statistics,
+            own_model=own_model,
         ),
         points=shares.points,
         compared_share=shares.compared_share,
@@ -137,14 +188,10 @@ def score_scene(
             _track_record(scene, instances, each, track_id=track_id, counts=counts)
             for track_id, each in enumerate(ranked[:MAX_TRACKS])
         ),
-        odometry=health,
-        health=stream,
-        supervised=supervised,
-        producers=Producers(
-            supervised=parts.supervised.version,
-            selfsupervised=parts.selfsupervised.version,
-            pipeline_version=pipeline_version,
-        ),
+        odometry=statistics.odometry,
+        health=statistics.stream,
+        supervised=statistics.supervised,
+        producers=producers,
     )
     return _fit(record)
 

@@ -7,9 +7,19 @@ free space finds its places occupied. A person who walks along a beam appears st
 too, but not by shape. A bus that sets off lies over its own shape, but free space sees its ends
 move. Labels that bleed from a mover onto the structure behind it slide too, and are no ghost
 (`bled_labels.py`).
+
+The shape of a ghost on a rail or a hedge can also be found elsewhere, since such a structure
+repeats itself. An object can only have arrived at a place that was free before, and free space is
+queried for that (`path_share`).
 """
 
+from typing import Final
+
 from schemas.task import Outcome, Task
+from workers.contradiction.clamp import clamp01
+
+_OCCUPIED: Final = 0.75
+"""Share of static points by the witness above which no place was free: the rest is its noise."""
 
 
 def standing_share(
@@ -26,6 +36,25 @@ def standing_share(
     Returns:
         0 to 1; 0 for kinds whose box follows a motion source.
     """
-    if kind.of_witness or kind.measured or kind.semantic != task.moving:
-        return 0.0
-    return shape_static * witness_static
+    return shape_static * witness_static if _has_no_motion_source(kind, task) else 0.0
+
+
+def path_share(kind: Outcome, task: Task, *, witness_static: float) -> float:
+    """Return the share of an arrival or a departure by shape that free space leaves possible.
+
+    Args:
+        kind: Kind of the track.
+        task: Its task.
+        witness_static: Share of its points that the witness labels static.
+
+    Returns:
+        0 where the witness found all of its places occupied, 1 up to three quarters of them; 1 for
+        kinds whose box follows a motion source.
+    """
+    if not _has_no_motion_source(kind, task):
+        return 1.0
+    return clamp01((1.0 - witness_static) / (1.0 - _OCCUPIED))
+
+
+def _has_no_motion_source(kind: Outcome, task: Task) -> bool:
+    return not (kind.of_witness or kind.measured) and kind.semantic == task.moving

@@ -48,7 +48,8 @@ class TrackFeatures:
         shape_static_after: The same agreement, later only; less by `bulk_motion`, since a lorry
             covers its own shape for seconds.
         arrived: Evidence that its shape was elsewhere before, and that one velocity leads from
-            there to here. This and the next two are 0 where its place is hidden or the log ends.
+            there to here. This and the next two are 0 where its place is hidden or the log ends,
+            and for a ghost whose places free space found occupied (`standing_ghosts.py`).
         departed: Evidence that its shape is elsewhere later.
         transits: The smaller of `arrived` and `departed`: an object that only stops or sets off has
             one of both.

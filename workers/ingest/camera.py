@@ -1,7 +1,7 @@
 """Camera views: the images that belong to a frame, and their calibration, for pictures."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from io import BytesIO
 from itertools import takewhile
 from typing import Final
@@ -22,8 +22,9 @@ from workers.ingest.camera_messages import (
 )
 from workers.ingest.camera_model import CameraView
 from workers.ingest.frames import sensor_points
-from workers.ingest.log_index import index_recording
+from workers.ingest.log_index import LogIndex, index_recording
 from workers.ingest.message_lookup import MessageLookup, readable
+from workers.ingest.messages import RawMessage
 from workers.ingest.point_time import point_time
 from workers.ingest.topic_sampling import Sample, sample_topics
 from workers.ingest.topics import Topic, topics_of
@@ -31,6 +32,12 @@ from workers.ingest.transforms import has_transforms
 
 MAX_APART_NS: Final = NS_PER_S // 2
 """Largest time between image and frame, nanoseconds; a later image shows another situation."""
+
+_MOST_CHUNKS: Final = 8
+"""Chunks whose images are kept for the next frame."""
+
+_MOST_SEARCHES: Final = 4
+"""Frames around which the places of cameras are searched."""
 
 VIEW_COS: Final = float(np.cos(np.deg2rad(30)))
 """Cosine of 30 degrees: returns within this angle of a camera's axis are in its view."""
@@ -43,58 +50,153 @@ class CameraUnavailableError(PermanentError):
 def read_cameras(
     bucket: Bucket, recording: Recording, *, lidar_topic: str, stamp_ns: int
 ) -> list[CameraView]:
-    """Read the image of each calibrated camera that belongs to a frame.
+    """Read the image of each calibrated camera that belongs to a frame; see `CameraReader`."""
+    return CameraReader(bucket, recording, lidar_topic=lidar_topic).views_at(stamp_ns)
 
-    Of a camera's images the one nearest to the lidar's sweep over its view is taken, as far as
-    points have times.
 
-    Args:
+@dataclass(slots=True, eq=False)
+class CameraReader:
+    """Reader of the cameras of a log, frame by frame; the first frame opens the log.
+
+    Place and calibration of a camera are those at the first frame that it saw.
+
+    Attributes:
         bucket: Bucket of the log.
         recording: The log.
-        lidar_topic: Topic of the frame's lidar.
-        stamp_ns: Of the frame, nanoseconds since the Unix epoch.
-
-    Returns:
-        At least one view, by topic.
-
-    Raises:
-        CameraUnavailableError: If no camera with a known place saw the frame; it gives the reason.
-        NotMcapError: If a part is no MCAP file.
-        ObjectChangedError: If a part is no longer the listed one.
+        lidar_topic: Topic of the frames' lidar.
+        reach_ns: Time around the sweep over the cameras in which chunks are searched for images,
+            once the cameras are placed.
     """
-    index = index_recording(bucket, recording)
-    topics = topics_of(index.parts)
-    images = [topic for topic in topics if has_images(topic.channel) and topic.messages]
-    lidar = [topic for topic in topics if topic.channel.topic == lidar_topic]
-    sample = sample_topics(index, lidar, []).get(lidar_topic)
-    if sample is None:
-        raise _unavailable(f"no cloud of {lidar_topic} can be read", recording)
-    if not images:
-        raise _unavailable("no topic holds compressed images (sensor_msgs or foxglove)", recording)
-    wanted = [topic for topic in topics if _is_of_a_camera(topic)]
-    delay_ns = (sample.bounds.least_ns + sample.bounds.most_ns) // 2
-    lookup = MessageLookup(index, wanted, log_time_ns=stamp_ns + delay_ns, reach_ns=MAX_APART_NS)
-    frame = _Frame(lookup, sample, stamp_ns, calibrations_in(lookup))
-    views: list[CameraView] = []
-    problems: list[str] = []
-    for topic in images:
-        try:
-            views.append(_view(frame, topic))
-        except NoViewError as error:
-            problems.append(f"{topic.channel.topic} {error}")
-    if not views:
-        raise _unavailable("; ".join(problems), recording)
-    return sorted(views, key=lambda view: view.topic)
+
+    bucket: Bucket
+    recording: Recording
+    lidar_topic: str
+    reach_ns: int = MAX_APART_NS
+    _log: "_OpenedLog | None" = None
+    _placed: "dict[str, _Placed]" = field(default_factory=dict)
+    _searches: int = 0
+    _chunks: dict[tuple[int, int], list[RawMessage]] = field(default_factory=dict)
+
+    @property
+    def range_reads(self) -> int:
+        """Requests so far."""
+        return self._log.index.range_reads if self._log else 0
+
+    @property
+    def bytes_read(self) -> int:
+        """Bytes read by these requests."""
+        return self._log.index.bytes_read if self._log else 0
+
+    def views_at(self, stamp_ns: int) -> list[CameraView]:
+        """Read the image of each calibrated camera that belongs to a frame.
+
+        Of a camera's images the one nearest to the lidar's sweep over its view is taken, as far as
+        points have times.
+
+        Args:
+            stamp_ns: Of the frame, nanoseconds since the Unix epoch.
+
+        Returns:
+            At least one view, by topic.
+
+        Raises:
+            CameraUnavailableError: If no camera with a known place saw the frame; it gives the
+                reason.
+            NotMcapError: If a part is no MCAP file.
+            ObjectChangedError: If a part is no longer the listed one.
+        """
+        log = self._log = self._log or self._opened()
+        lookup = self._lookup(log, stamp_ns)
+        views: list[CameraView] = []
+        problems: list[str] = []
+        for topic in log.images:
+            try:
+                views.append(self._view(log, lookup, topic, stamp_ns))
+            except NoViewError as error:
+                problems.append(f"{topic.channel.topic} {error}")
+        if not views:
+            raise _unavailable("; ".join(problems), self.recording)
+        return sorted(views, key=lambda view: view.topic)
+
+    def _lookup(self, log: "_OpenedLog", stamp_ns: int) -> MessageLookup:
+        """Look for images, and as long as cameras have no place also for calibrations."""
+        logged_ns = stamp_ns + log.delay_ns
+        is_placed = all(topic.channel.topic in self._placed for topic in log.images)
+        if not is_placed and self._searches < _MOST_SEARCHES:
+            self._searches += 1
+            return MessageLookup(log.index, log.topics, logged_ns, MAX_APART_NS)
+        for old in list(self._chunks)[:-_MOST_CHUNKS]:
+            del self._chunks[old]
+        swept_ns = [each.swept_after_ns for each in self._placed.values()] or [0]
+        middle_ns = (min(swept_ns) + max(swept_ns)) // 2
+        return MessageLookup(
+            index=log.index,
+            topics=log.images,
+            log_time_ns=logged_ns + middle_ns,
+            reach_ns=self.reach_ns + max(swept_ns) - middle_ns,
+            opened=self._chunks,
+        )
+
+    def _opened(self) -> "_OpenedLog":
+        index = index_recording(self.bucket, self.recording)
+        topics = topics_of(index.parts)
+        images = [topic for topic in topics if has_images(topic.channel) and topic.messages]
+        lidar = [topic for topic in topics if topic.channel.topic == self.lidar_topic]
+        sample = sample_topics(index, lidar, []).get(self.lidar_topic)
+        if sample is None:
+            raise _unavailable(f"no cloud of {self.lidar_topic} can be read", self.recording)
+        if not images:
+            why = "no topic holds compressed images (sensor_msgs or foxglove)"
+            raise _unavailable(why, self.recording)
+        wanted = [topic for topic in topics if _is_of_a_camera(topic)]
+        return _OpenedLog(index, sample, images, wanted)
+
+    def _view(
+        self, log: "_OpenedLog", lookup: MessageLookup, topic: Topic, stamp_ns: int
+    ) -> CameraView:
+        images = readable(lookup.near(topic), camera_image)
+        if not images:
+            raise NoViewError("has no image that can be read near the frame")
+        name = topic.channel.topic
+        placed = self._placed.get(name) or _place(log, lookup, images[0])
+        self._placed[name] = placed
+        seen_ns = stamp_ns + placed.swept_after_ns
+        image = min(images, key=lambda each: (abs(each.stamp_ns - seen_ns), each.stamp_ns))
+        apart_ns = abs(image.stamp_ns - seen_ns)
+        if apart_ns > MAX_APART_NS:
+            raise NoViewError(f"has its nearest image {apart_ns / NS_PER_S:.1f} s from the frame")
+        return _combine(image, placed.calibration, placed.camera_from_lidar)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Frame:
-    """The frame to show, and the log's messages around it."""
+class _OpenedLog:
+    """Index of a log, first clouds of its lidar, and topics: images, and all of its cameras."""
 
-    lookup: MessageLookup
+    index: LogIndex
     sample: Sample
-    stamp_ns: int
-    calibrations: Sequence[Calibration]
+    images: Sequence[Topic]
+    topics: Sequence[Topic]
+
+    @property
+    def delay_ns(self) -> int:
+        return (self.sample.bounds.least_ns + self.sample.bounds.most_ns) // 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Placed:
+    """Calibration and place of a camera, and the time from a frame to the sweep over its view."""
+
+    calibration: Calibration
+    camera_from_lidar: Transform
+    swept_after_ns: int
+
+
+def _place(log: _OpenedLog, lookup: MessageLookup, image: CameraImage) -> _Placed:
+    found = _calibration_for(image, calibrations_in(lookup))
+    if found is None:
+        raise NoViewError("has no calibration")
+    placed = camera_from_lidar(lookup, log.sample, found.frame_id or image.frame_id)
+    return _Placed(found, placed, _swept_after_ns(log.sample, placed))
 
 
 def _unavailable(why: str, recording: Recording) -> CameraUnavailableError:
@@ -104,22 +206,6 @@ def _unavailable(why: str, recording: Recording) -> CameraUnavailableError:
 def _is_of_a_camera(topic: Topic) -> bool:
     channel = topic.channel
     return has_images(channel) or has_calibrations(channel) or has_transforms(channel)
-
-
-def _view(frame: _Frame, topic: Topic) -> CameraView:
-    images = readable(frame.lookup.near(topic), camera_image)
-    if not images:
-        raise NoViewError("has no image that can be read near the frame")
-    found = _calibration_for(images[0], frame.calibrations)
-    if found is None:
-        raise NoViewError("has no calibration")
-    placed = camera_from_lidar(frame.lookup, frame.sample, found.frame_id or images[0].frame_id)
-    seen_ns = frame.stamp_ns + _swept_after_ns(frame.sample, placed)
-    image = min(images, key=lambda each: (abs(each.stamp_ns - seen_ns), each.stamp_ns))
-    apart_ns = abs(image.stamp_ns - seen_ns)
-    if apart_ns > MAX_APART_NS:
-        raise NoViewError(f"has its nearest image {apart_ns / NS_PER_S:.1f} s from the frame")
-    return _combine(image, found, placed)
 
 
 def _calibration_for(image: CameraImage, calibrations: Sequence[Calibration]) -> Calibration | None:

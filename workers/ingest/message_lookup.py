@@ -29,13 +29,14 @@ class MessageLookup:
         topics: All topics of later queries.
         log_time_ns: The moment.
         reach_ns: Time around it in which chunks are read.
+        opened: Messages of the chunks read so far, which lookups of the same topics may share.
     """
 
     index: LogIndex
     topics: Sequence[Topic]
     log_time_ns: int
     reach_ns: int
-    _opened: dict[tuple[int, int], list[RawMessage]] = field(default_factory=dict)
+    opened: dict[tuple[int, int], list[RawMessage]] = field(default_factory=dict)
     _left_bytes: int = MAX_MOMENT_BYTES
 
     def near(self, topic: Topic) -> list[RawMessage]:
@@ -55,9 +56,9 @@ class MessageLookup:
 
     def _messages(self, chunk: IndexedChunk, topic: Topic) -> list[RawMessage]:
         where = (chunk.ref.part, chunk.ref.offset)
-        if where not in self._opened:
-            self._opened[where] = self._open(chunk)
-        return [each for each in self._opened[where] if each.channel is topic.channel]
+        if where not in self.opened:
+            self.opened[where] = self._open(chunk)
+        return [each for each in self.opened[where] if each.channel is topic.channel]
 
     def _open(self, chunk: IndexedChunk) -> list[RawMessage]:
         """Copy the wanted messages, so that the chunk itself need not stay in memory."""

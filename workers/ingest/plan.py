@@ -12,6 +12,7 @@ from schemas.visible import visible
 from schemas.work import Channel, ChunkRef, Damage, LogPlan, Recording, Shard
 from workers.errors import LogUnusableError, NotMcapError
 from workers.ingest.camera_calibration import find_calibration
+from workers.ingest.camera_messages import has_images
 from workers.ingest.damage import DamageList, damaged
 from workers.ingest.footer import TruncatedPart
 from workers.ingest.frames import intensity_scale_of
@@ -124,7 +125,8 @@ def plan_index(
             channel = _without_schema(sample.topic.channel)
             camera = _camera(index, topics, sample, settings)
             motion = find_motion(topics, settings.odometry_topic)
-            lidar = _Lidar(channel, anchor_ns, recorded, motion, camera, identity)
+            has_cameras = _has_cameras(index, topics)
+            lidar = _Lidar(channel, anchor_ns, recorded, motion, camera, has_cameras, identity)
             for shard in _shards(index, lidar, sample, settings, damage):
                 plan_bytes += len(shard.model_dump_json())
                 if plan_bytes > MAX_PLAN_BYTES:
@@ -159,6 +161,7 @@ class _Lidar:
     recorded: FoundSource | None
     motion: Channel | None
     camera: CameraCalibration | None
+    has_cameras: bool
     identity: Identity
 
 
@@ -284,6 +287,7 @@ def _shards(
             recorded=source and source_of_shard(source, index, lidar.channel, read),
             motion=None if lidar.motion is None else _without_schema(lidar.motion),
             camera=lidar.camera,
+            has_cameras=lidar.has_cameras,
             anchor_ns=anchor_ns,
             warmup_start_ns=window.warmup_start_ns,
             start_ns=window.start_ns,
@@ -301,6 +305,12 @@ def _shards(
             date=lidar.identity.date,
             software_version=lidar.identity.software_version,
         )
+
+
+def _has_cameras(index: LogIndex, topics: Sequence[Topic]) -> bool:
+    """Return whether pictures can be read without a scan: a log without index is scanned once."""
+    is_indexed = not any(part.recovered for part in index.parts)
+    return is_indexed and any(has_images(topic.channel) and topic.messages for topic in topics)
 
 
 def _length(refs: Iterable[ChunkRef]) -> int:

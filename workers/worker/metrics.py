@@ -141,6 +141,16 @@ class WorkerMetrics:
             "Stored bytes of the chunks that hold mined frames. Worry when bytes read to mine "
             "exceed twice this: shards are too short for these logs.",
         )
+        self._pictures = self._counter(
+            "pictures",
+            "Camera pictures kept with mined scenes, attempts included; 0 where the setting "
+            "`pictures` is none, and in logs without calibrated cameras.",
+        )
+        self._picture_bytes = self._counter(
+            "picture_bytes",
+            "Bytes of these pictures, in the artifacts. Worry when they grow faster than the "
+            "artifacts may: `pictures = small` keeps at most eight a scene.",
+        )
         self._range_reads = self._counter(
             "range_reads", "Requests to the log bucket, to plan or to mine.", work=get_args(Work)
         )
@@ -248,6 +258,8 @@ class WorkerMetrics:
         self._bytes_read.labels("mine").inc(stats.bytes_read)
         self._bytes_needed.inc(stats.bytes_needed)
         self._range_reads.labels("mine").inc(stats.range_reads)
+        self._pictures.inc(stats.pictures)
+        self._picture_bytes.inc(stats.picture_bytes)
         self._peak_memory.set(stats.peak_memory_bytes)
         for state, frames in odometry_frames.items():
             self._odometry_frames.labels(state.value).inc(frames)

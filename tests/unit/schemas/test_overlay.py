@@ -7,14 +7,22 @@ import pytest
 
 from schemas.labels import Agreement
 from schemas.overlay import NO_POSITION_CM, Overlay, overlay_key
+from schemas.overlay_picture import Picture
+from schemas.task import GROUND
 from schemas.transport.array_pack import MAX_UNPACKED_BYTES, PackUnreadableError, pack, unpack
 from schemas.transport.bucket import open_bucket
-from schemas.transport.overlay_codec import OVERLAY_MAGIC, decode_overlay, encode_overlay
+from schemas.transport.overlay_codec import decode_overlay, encode_overlay
+from schemas.transport.overlay_version_1 import VERSION_1_MAGIC
+from tests.overlays import labels_of_points
+from workers.lab.evaluation.benchmarks.bench_overlay import encode_version_1
 
 ARRAYS = (
     "stamps_ns",
     "offsets",
     "points_cm",
+    "semantic_labels",
+    "predictive_labels",
+    "witness_labels",
     "agreements",
     "ground_mask",
     "class_id",
@@ -40,7 +48,9 @@ def _overlay(*, points: int = 700, instances: int = 2, frames: int = 2) -> Overl
         stamps_ns=1_700_000_000_000_000_000 + np.arange(frames, dtype=np.int64) * 100_000_000,
         offsets=np.arange(frames + 1, dtype=np.int64) * points,
         points_cm=rng.integers(-32768, 32768, (total, 3)).astype(np.int16),
-        agreements=rng.integers(0, 5, total).astype(np.uint8),
+        semantic_labels=rng.integers(0, 3, total).astype(np.uint8),
+        predictive_labels=rng.integers(0, 3, total).astype(np.uint8),
+        witness_labels=rng.integers(0, 3, total).astype(np.uint8),
         ground_mask=rng.random(total) < 0.5,
         class_id=rng.integers(-1, 2, total).astype(np.int16),
         class_names=("building", "Fußgänger"),
@@ -52,6 +62,26 @@ def _overlay(*, points: int = 700, instances: int = 2, frames: int = 2) -> Overl
         instance_kind=np.full(instances, Agreement.ONLY_PREDICTIVE_DYNAMIC, dtype=np.uint8),
         instance_track=np.arange(instances, dtype=np.int32),
         instance_boxes=rng.random((instances, 7)).astype(np.float32),
+        pictures=(_picture(),) if instances else (),
+        scoring_inputs=b"{}" * instances,
+    )
+
+
+def _picture() -> Picture:
+    rng = np.random.default_rng(6)
+    return Picture(
+        topic="/camera/front",
+        frame=0,
+        stamp_ns=1_700_000_000_000_000_007,
+        width=64,
+        height=48,
+        media_type="image/jpeg",
+        image_bytes=b"\xff\xd8 and so on",
+        pixel_from_camera=rng.random((3, 4)),
+        camera_from_lidar=rng.random((4, 4)),
+        distortion_model="plumb_bob",
+        distortion=(0.1, 1e-17, 0.0),
+        tracks=(0, 3),
     )
 
 
@@ -71,6 +101,33 @@ def test_what_is_decoded_is_what_was_encoded(points: int, instances: int, frames
     for name in ARRAYS:
         np.testing.assert_array_equal(getattr(after, name), getattr(before, name), err_msg=name)
         assert getattr(after, name).dtype == getattr(before, name).dtype, name
+    assert after.scoring_inputs == before.scoring_inputs
+    for mine, theirs in zip(after.pictures, before.pictures, strict=True):
+        for each in Picture.__dataclass_fields__:
+            np.testing.assert_array_equal(getattr(mine, each), getattr(theirs, each), err_msg=each)
+
+
+@pytest.mark.parametrize("points", [0, 333])
+def test_an_overlay_of_version_1_opens_with_the_labels_that_it_had(points: int) -> None:
+    before = _overlay(points=points)
+    after = decode_overlay(encode_version_1(before))
+    compared = before.agreements != Agreement.NOT_COMPARED
+    for name in ARRAYS:
+        told, known = getattr(after, name), getattr(before, name)
+        if name in {"semantic_labels", "predictive_labels"}:
+            known = np.where(compared, known, np.uint8(2))
+        if name == "witness_labels":
+            known = np.full(2 * points, 2, dtype=np.uint8)
+        np.testing.assert_array_equal(told, known, err_msg=name)
+    assert after.pictures == ()
+    assert after.scoring_inputs == b""
+
+
+def test_another_task_keeps_its_labels() -> None:
+    before = replace(_overlay(), task=GROUND)
+    after = decode_overlay(encode_overlay(before))
+    assert after.task is GROUND
+    np.testing.assert_array_equal(after.agreements, before.agreements)
 
 
 def test_equal_overlays_are_equal_bytes() -> None:
@@ -83,7 +140,7 @@ def test_neighbouring_points_take_few_bytes() -> None:
     overlay = replace(
         _overlay(points=20_000, instances=0, frames=1),
         points_cm=np.rint(wall_cm).astype(np.int16),
-        agreements=np.zeros(20_000, dtype=np.uint8),
+        **labels_of_points(np.zeros(20_000, dtype=np.uint8)),
         ground_mask=np.zeros(20_000, dtype=np.bool_),
         class_id=np.zeros(20_000, dtype=np.int16),
         semantic_confidence=np.full(20_000, 240, dtype=np.uint8),
@@ -115,32 +172,43 @@ def test_a_truncated_overlay_is_refused(cut: int) -> None:
 
 def test_a_flipped_byte_is_noticed() -> None:
     payload = bytearray(encode_overlay(_overlay()))
-    payload[len(payload) // 2] ^= 0x40
-    with pytest.raises(PackUnreadableError, match="damaged"):
-        decode_overlay(bytes(payload))
+    for at in range(16, len(payload), 997):
+        damaged = bytearray(payload)
+        damaged[at] ^= 0x40
+        with pytest.raises(PackUnreadableError, match="damaged"):
+            decode_overlay(bytes(damaged))
+
+
+def test_an_overlay_of_a_newer_version_is_refused_with_a_sentence() -> None:
+    newer = b"CPOVL3\n\0" + encode_overlay(_overlay())[8:]
+    with pytest.raises(PackUnreadableError, match=r"^the overlay is of version 3, .* update"):
+        decode_overlay(newer)
 
 
 def test_something_else_is_refused_by_its_first_bytes() -> None:
-    with pytest.raises(PackUnreadableError, match="expected b'CPOVL1"):
+    with pytest.raises(PackUnreadableError, match="expected b'CPOVL2"):
         decode_overlay(b"\x89PNG\r\n\x1a\n and so on")
 
 
 def test_a_bomb_is_refused_before_it_is_decompressed() -> None:
     claims_eight_gib = b"\x28\xb5\x2f\xfd\xe0" + (8 * 2**30).to_bytes(8, "little") + b"\x01\0\0"
     with pytest.raises(PackUnreadableError, match="more than"):
-        decode_overlay(OVERLAY_MAGIC + claims_eight_gib)
+        decode_overlay(VERSION_1_MAGIC + claims_eight_gib)
     assert MAX_UNPACKED_BYTES < 8 * 2**30
 
 
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"agreements": np.full(1400, 9, dtype=np.uint8)}, "agreements must lie in 0 to 4"),
+        ({"semantic_labels": np.full(1400, 9, np.uint8)}, "semantic_labels must lie in 0 to 2"),
+        ({"witness_labels": np.full(1400, 3, np.uint8)}, "witness_labels must lie in 0 to 2"),
+        ({"instance_kind": np.full(2, 4, np.uint8)}, "instance_kind must lie in 0 to 3"),
+        ({"pictures": (replace(_picture(), frame=2),)}, "frames of pictures must lie in 0 to 1"),
         ({"class_id": np.full(1400, 7, dtype=np.int16)}, "class_id must lie in -1 to 1"),
         ({"instance_index": np.full(1400, 2, dtype=np.int32)}, "instance_index must lie in"),
         ({"offsets": np.array([0, 900, 1300])}, "offsets must run from 0 to 1400"),
         ({"offsets": np.array([0, 1500, 1400])}, "offsets must lie in"),
-        ({"agreements": np.zeros(3, dtype=np.uint8)}, r"agreements must be \(1400\) uint8"),
+        ({"predictive_labels": np.zeros(3, np.uint8)}, r"labels must be \(1400\) uint8"),
         ({"points_cm": np.zeros((1400, 2), dtype=np.int16)}, "points_cm must be"),
     ],
 )
@@ -153,7 +221,7 @@ def test_arrays_that_do_not_fit_each_other_are_refused(
 
 def test_a_pack_with_a_lying_header_is_refused() -> None:
     for arrays in ({"points_cm": np.zeros((3, 5), dtype=np.uint8)}, {}):
-        payload = pack(OVERLAY_MAGIC, {"scene_id": "s", "class_names": []}, arrays)
+        payload = pack(VERSION_1_MAGIC, {"scene_id": "s", "class_names": []}, arrays)
         with pytest.raises(PackUnreadableError, match="not a well-formed overlay"):
             decode_overlay(payload)
 

@@ -14,6 +14,7 @@ from schemas.work import NothingToDo, PlanLease
 from service.store.engine import open_store
 from service.store.ledger import StoredScene
 from tests.contracts.ledger_world import World, mined, shard_commit
+from tests.overlays import labels_of_points
 
 
 def small_overlay(scene_id: str) -> Overlay:
@@ -23,7 +24,7 @@ def small_overlay(scene_id: str) -> Overlay:
         stamps_ns=np.array([0], np.int64),
         offsets=np.array([0, 3], np.int64),
         points_cm=np.array([[100, 0, 0], [0, 200, 0], [0, 0, 50]], np.int16),
-        agreements=np.zeros(3, np.uint8),
+        **labels_of_points(np.zeros(3, np.uint8)),
         ground_mask=np.zeros(3, np.bool_),
         class_id=np.full(3, -1, np.int16),
         class_names=(),

@@ -10,9 +10,9 @@ from PIL import Image
 from schemas.arrays import Mask, Points
 from schemas.overlay import Overlay
 from schemas.score import SceneScore
-from service.pictures.camera_boxes import boxes_of, corners_m
+from schemas.sights import corners_m, sights_of
+from service.pictures.camera_boxes import boxes_of
 from service.pictures.scene import draw_camera, frame_of
-from service.pictures.strongest_frame import sights_of
 from service.pictures.title import labels_of
 from tests.labelled_worlds import labelled_scene
 from tests.unit.service.test_picture import (
@@ -71,14 +71,14 @@ def test_the_first_track_is_looked_for_in_every_camera_and_frame(
     phantom, missed = sorted(score.tracks[:2], key=lambda track: track.kind)[::-1]
     views = [_Pinhole("/front"), _Pinhole("/left", left=True)]
     first = {score.tracks[0].track_id}
-    seen = list(sights_of(score, overlay, views))  # type: ignore[arg-type]
+    seen = list(sights_of(score.tracks, overlay, views))
     assert {each.track_id for each in seen[:1]} == first
     by_track = {each.track_id: each for each in reversed(seen)}
     assert by_track[phantom.track_id].topic == "/front"
     strongest = frame_of(phantom, overlay)
     assert by_track[phantom.track_id].frame == strongest
     assert by_track[missed.track_id].topic == "/left", "it passes on the left"
-    assert list(sights_of(score, overlay, [])) == []
+    assert list(sights_of(score.tracks, overlay, [])) == []
 
 
 def test_a_camera_picture_has_its_title_above_and_its_boxes_on_it(

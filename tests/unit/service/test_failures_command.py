@@ -3,8 +3,7 @@ from pathlib import Path
 import pytest
 
 from service.cli.main import main
-from service.cli.planting import planted_path, planting_of
-from service.errors import UsageError
+from service.cli.planting import planting_of
 
 
 @pytest.mark.parametrize(
@@ -19,7 +18,8 @@ from service.errors import UsageError
         (["logs", "--truth", "t", "--plant", "--share", "1/0"], "over 0 and under 1"),
         (["logs", "--truth", "t", "--plant", "--share", "1"], "over 0 and under 1"),
         (["logs", "--truth", "t", "--plant", "--share", "nan"], "over 0 and under 1"),
-        (["logs", "--truth", "t", "--plant", "--keep"], "--report"),
+        (["logs", "--truth", "t", "--planted", "p.json"], "give --plant"),
+        (["logs", "--truth", "t", "--plant", "--planted", "/"], "--planted"),
         (["logs", "--truth", "t", "--plant", "--table", "natural"], "leave --table out"),
         (["file:///nowhere/fleet", "--plant"], "/nowhere/fleet"),
     ],
@@ -46,15 +46,3 @@ def test_options_of_planting_are_read_as_they_are_written() -> None:
     assert (planting.variants, planting.seed, planting.share) == (3, 7, 0.05)
     assert (planting.frames.first, planting.frames.end) == (28, None)
     assert str(planting_of(variants=1, seed=0, frames="4:28", share="1/6").frames) == "4:28"
-
-
-def test_a_list_of_planted_failures_replaces_its_own_kind_alone(tmp_path: Path) -> None:
-    report, path = tmp_path / "report.html", tmp_path / "planted.json"
-    assert planted_path(report, keep=False, force=False) is None
-    assert planted_path(report, keep=True, force=False) == path
-    path.write_text('{\n "generator": "counterpoint",\n "bucket": "logs"}')
-    assert planted_path(report, keep=True, force=False) == path
-    path.write_text('{"failures": []}')
-    with pytest.raises(UsageError, match="did not write it"):
-        planted_path(report, keep=True, force=False)
-    assert planted_path(report, keep=True, force=True) == path

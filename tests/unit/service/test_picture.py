@@ -19,6 +19,7 @@ from service.pictures.style import colours_of, font, inks_of, shorten, wrap
 from service.pictures.title import title_of
 from service.pictures.view import View
 from tests.labelled_worlds import CLASS_NAMES, Thing, labelled_scene, ranked_tracks, shard_of
+from tests.overlays import labels_of_points
 from workers.contradiction.instances import find_instances
 from workers.contradiction.overlay import overlay_of
 from workers.contradiction.score import score_scene
@@ -225,7 +226,7 @@ def _tiny(agreements: list[Agreement]) -> Overlay:
         stamps_ns=np.zeros(1, dtype=np.int64),
         offsets=np.array([0, n]),
         points_cm=np.full((n, 3), 100, dtype=np.int16),
-        agreements=np.array(agreements, dtype=np.uint8),
+        **labels_of_points(np.array(agreements, dtype=np.uint8)),
         ground_mask=np.zeros(n, dtype=np.bool_),
         class_id=np.full(n, -1, dtype=np.int16),
         class_names=(),

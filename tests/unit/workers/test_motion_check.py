@@ -11,7 +11,7 @@ from schemas.frame import OdometryState, RecordedMotion
 from schemas.labels import MotionLabel
 from tests.factories import frame, labelled, pose, posed, scene
 from workers.contradiction.reasons import reasons_of
-from workers.contradiction.scene_statistics import odometry_health, stream_health
+from workers.contradiction.scene_statistics import odometry_health, statistics_of
 from workers.contradiction.score import judge_odometry
 from workers.witness.free_space import TwoSidedFreeSpace
 from workers.witness.recorded_motion import FEWEST, MotionCheck, MotionComparison
@@ -151,5 +151,5 @@ def test_a_frozen_recording_gates_nothing_and_is_said_once() -> None:
     state = judge_odometry(seen)
     health = odometry_health(seen)
     assert (state, health.state, health.reason) == (SceneState.SCORED, OdometryState.HEALTHY, "")
-    told = reasons_of(seen, (), (), state=state, health=health, stream=stream_health(seen))
+    told = reasons_of(seen, (), (), state=state, statistics=statistics_of(seen))
     assert sum("recorded odometry not believed" in each.headline for each in told) == 1

@@ -9,9 +9,11 @@ import pytest
 from schemas.attribution import Wrong
 from schemas.contradiction import LabelledFrame, Scene
 from schemas.labels import FrameLabels, MotionLabel
+from schemas.task import MOTION
 from tests.labelled_worlds import CLASS_NAMES, START_NS, Thing, labelled_frame, ranked_tracks
 from workers.contradiction.agreement import compare
 from workers.contradiction.instances import find_instances
+from workers.contradiction.standing_ghosts import path_share
 from workers.contradiction.track_score import RankedTrack
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
@@ -69,3 +71,20 @@ def test_labels_that_bleed_from_a_mover_onto_the_wall_behind_it_keep_their_path(
     alone, bled = _track(STATIC), _track(STATIC, others=passer)
     assert bled.features.displacement > 0.5 > alone.features.displacement
     assert bled.strength < 0.5 * alone.strength
+
+
+@pytest.mark.parametrize(
+    ("kind", "witness_static", "share"),
+    [
+        ("only_semantic_dynamic", 1.0, 0.0),
+        ("only_semantic_dynamic", 0.875, 0.5),
+        ("only_semantic_dynamic", 0.5, 1.0),
+        ("only_predictive_dynamic", 1.0, 1.0),
+        ("only_witness_dynamic", 1.0, 1.0),
+    ],
+)
+def test_nothing_arrives_where_free_space_found_every_place_occupied(
+    kind: str, witness_static: float, share: float
+) -> None:
+    found = path_share(MOTION.kind(kind), MOTION, witness_static=witness_static)
+    assert found == pytest.approx(share)

@@ -1,0 +1,244 @@
+"""The scene page in a browser: the view, the verdict by keyboard, links, and broken overlays."""
+
+import re
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from schemas.transport.overlay_codec import decode_overlay, overlay_file_of
+from tests.browser.conftest import PHONE, Review, opened
+from tests.browser.scene_overlay import FRAMES, overlay_path, state_with_points
+from workers.lab.evaluation.benchmarks.bench_overlay import encode_version_1
+
+pytestmark = pytest.mark.browser
+
+
+@pytest.fixture(scope="session")
+def mined_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("scenes") / "state"
+    state_with_points(folder)
+    return folder
+
+
+def ids(review: Review) -> list[str]:
+    return [str(row["scene_id"]) for row in review.client("counter").scenes()]
+
+
+def at(scene_id: str, rest: str = "") -> str:
+    return f"/scene?id={scene_id.replace('/', '%2F')}{rest}"
+
+
+def drawn(page: Page, frame: int | None = None) -> None:
+    """Wait until a frame is drawn with its points."""
+    wanted = r"\d+" if frame is None else str(frame)
+    expect(page.locator("html")).to_have_attribute("data-drawn", re.compile(f"^{wanted}$"))
+
+
+def pixels(page: Page, pane: str = "#left") -> str:
+    return str(page.locator(pane).evaluate("canvas => canvas.toDataURL()"))
+
+
+def named(page: Page, name: str = "ana") -> None:
+    page.locator("#who summary").click()
+    page.get_by_label("Reviewer").fill(name)
+    page.locator("#who").get_by_role("button", name="Save").click()
+    expect(page.locator("#who summary")).to_have_text(name)
+
+
+def test_a_scene_opens_at_its_strongest_moment_and_is_scrubbed(
+    browser: Browser, review: Review
+) -> None:
+    with opened(browser, review, at(ids(review)[0])) as page:
+        drawn(page, FRAMES - 1)
+        expect(page.get_by_role("heading", level=1)).to_have_text("supervised labels car static")
+        before = pixels(page)
+        page.keyboard.press("ArrowLeft")
+        drawn(page, FRAMES - 2)
+        assert pixels(page) != before
+        page.keyboard.press("Home")
+        drawn(page, 0)
+        page.get_by_label("Frame", exact=True).fill("3")
+        drawn(page, 3)
+        expect(page).to_have_url(re.compile(r"frame=3&track=0"))
+        page.keyboard.press("Space")
+        expect(page.get_by_role("button", name="Pause")).to_be_visible()
+
+
+def test_the_view_turns_zooms_and_changes_by_key(browser: Browser, review: Review) -> None:
+    with opened(browser, review, at(ids(review)[0])) as page:
+        drawn(page)
+        seen = {pixels(page)}
+        for key in ("a", "w", "+", "x", "c", "g", "o", "e", "f"):
+            page.keyboard.press(key)
+            page.wait_for_timeout(60)
+            if key not in ("g", "f"):
+                assert pixels(page) not in seen, key
+            seen.add(pixels(page))
+        page.keyboard.press("l")
+        expect(page.locator("#right-name")).to_have_text("Self-supervised labels")
+        page.keyboard.press("Escape")
+        expect(page.locator("#right-name")).to_be_hidden()
+        before = pixels(page)
+        page.keyboard.down("v")
+        page.wait_for_timeout(60)
+        assert pixels(page) != before
+        page.keyboard.up("v")
+        page.wait_for_timeout(60)
+        assert pixels(page) == before
+        page.mouse.move(300, 400)
+        page.mouse.down()
+        page.mouse.move(360, 430)
+        page.mouse.up()
+        page.wait_for_timeout(60)
+        assert pixels(page) != before
+
+
+def test_two_runs_draw_the_same_pixels(browser: Browser, review: Review) -> None:
+    runs = []
+    for _ in range(2):
+        with opened(browser, review, at(ids(review)[0])) as page:
+            drawn(page)
+            page.wait_for_timeout(300)
+            runs.append((pixels(page), pixels(page, "#right")))
+    assert runs[0] == runs[1]
+
+
+def test_a_deep_link_opens_frame_and_track(browser: Browser, review: Review) -> None:
+    with opened(browser, review, at(ids(review)[0], "&frame=1&track=1")) as page:
+        drawn(page, 1)
+        expect(page.locator("details.track[open] .what")).to_contain_text("pedestrian")
+        page.keyboard.press("[")
+        expect(page).to_have_url(re.compile("track=0"))
+        expect(page.locator("#pictures canvas").first).to_be_visible()
+
+
+def test_every_scene_is_judged_by_keyboard_and_a_verdict_undone(
+    browser: Browser, review: Review
+) -> None:
+    scenes = ids(review)
+    with opened(browser, review, at(scenes[0])) as page:
+        named(page)
+        for number in range(len(scenes)):
+            drawn(page)
+            here = page.url
+            page.keyboard.press(str(1 + number % 4))
+            page.keyboard.press("2")
+            page.keyboard.press("Enter")
+            if number < len(scenes) - 1:
+                expect(page).not_to_have_url(re.compile(re.escape(here.partition("&frame")[0])))
+        expect(page.locator("#status")).to_contain_text("every scene of the list is judged")
+        page.keyboard.press("Control+z")
+        expect(page.locator(".given.mine")).to_have_count(0)
+    rows = review.client("ana").scenes()
+    assert sum(row["verdicts"]["mine"] is None for row in rows) == 1  # type: ignore[index]
+
+
+def test_a_track_is_judged_with_a_note_and_others_see_it_folded(
+    browser: Browser, review: Review
+) -> None:
+    scene = ids(review)[0]
+    with opened(browser, review, at(scene)) as page:
+        named(page)
+        drawn(page)
+        page.keyboard.press("]")
+        page.keyboard.press("0")
+        page.keyboard.press("4")
+        page.keyboard.press("n")
+        page.keyboard.type("1 child <b>behind</b> a bin")
+        page.keyboard.press("Enter")
+        page.wait_for_url(lambda url: scene.replace("/", "%2F") not in url)
+        page.goto(at(scene))
+        expect(page.locator(".given.mine")).to_contain_text("neither wrong")
+        expect(page.locator(".given.mine")).to_contain_text("track 2")
+        expect(page.locator(".given.mine q")).to_have_text("1 child <b>behind</b> a bin")
+    with opened(browser, review, at(scene)) as page:
+        named(page, "bob")
+        expect(page.get_by_text("1 verdict of others")).to_be_visible()
+        expect(page.get_by_text("1 child")).to_be_hidden()
+
+
+def test_tab_leaves_the_canvas_and_keys_stay_out_of_fields(
+    browser: Browser, review: Review
+) -> None:
+    with opened(browser, review, at(ids(review)[0])) as page:
+        drawn(page)
+        page.locator("#left").focus()
+        for _ in range(2):
+            page.keyboard.press("Tab")
+        expect(page.locator("#left")).not_to_be_focused()
+        page.locator("input[name=note]").focus()
+        page.keyboard.type("lt1")
+        expect(page.locator("input[name=note]")).to_have_value("lt1")
+        expect(page.locator("input[name=verdict]:checked")).to_have_count(0)
+
+
+def test_without_script_the_picture_and_the_form_work(browser: Browser, review: Review) -> None:
+    scene = ids(review)[0]
+    with opened(browser, review, at(scene), script=False) as page:
+        expect(page.locator("img.drawn")).to_have_js_property("naturalWidth", 1720)
+        page.locator("label.self_supervised").click()
+        page.locator("label.choice", has_text="occlusion").click()
+        page.get_by_label("Your name").fill("ana")
+        page.get_by_role("button", name="Save").last.click()
+        page.goto(at(scene))
+        expect(page.locator(".given.mine")).to_contain_text("self-supervised wrong")
+        page.get_by_role("button", name="Undo my verdict").click()
+        expect(page.locator(".given.mine")).to_have_count(0)
+
+
+@pytest.mark.parametrize("how", ["gone", "cut", "newer"])
+def test_a_scene_without_its_points_is_shown_and_judged(
+    browser: Browser, review: Review, how: str
+) -> None:
+    scene = ids(review)[0]
+    path = overlay_path(review.state, scene)
+    data = path.read_bytes()
+    if how == "gone":
+        path.unlink()
+    else:
+        path.write_bytes(data[:5000] if how == "cut" else data[:5] + b"9" + data[6:])
+    words = {"gone": "no overlay", "cut": "unreadable", "newer": "update"}
+    with opened(browser, review, at(scene)) as page:
+        expect(page.locator(".stage")).to_contain_text(words[how])
+        expect(page.get_by_text("Evidence for").first).to_be_visible()
+        judged_unsure(page, scene)
+
+
+def test_a_damaged_frame_is_named_and_the_scene_is_judged(browser: Browser, review: Review) -> None:
+    scene = ids(review)[0]
+    path = overlay_path(review.state, scene)
+    last = overlay_file_of(path.read_bytes()).header.frames[-1]
+    data = bytearray(path.read_bytes())
+    data[last.view[0] + 40 : last.view[0] + 60] = bytes(20)
+    path.write_bytes(data)
+    page = browser.new_page(base_url=review.url)
+    page.goto(at(scene))
+    expect(page.locator("#loading")).to_contain_text("does not have its checksum")
+    page.keyboard.press("ArrowLeft")
+    drawn(page, FRAMES - 2)
+    judged_unsure(page, scene)
+    page.close()
+
+
+def judged_unsure(page: Page, scene: str) -> None:
+    page.get_by_label("Your name").fill("ana")
+    page.locator("h1").click()
+    page.keyboard.press("5")
+    page.keyboard.press("Enter")
+    page.wait_for_url(lambda url: scene.replace("/", "%2F") not in url)
+
+
+def test_an_overlay_of_version_1_is_shown(browser: Browser, review: Review) -> None:
+    scene = ids(review)[0]
+    path = overlay_path(review.state, scene)
+    path.write_bytes(encode_version_1(decode_overlay(path.read_bytes())))
+    with opened(browser, review, at(scene)) as page:
+        drawn(page)
+
+
+def test_a_phone_shows_the_whole_page(browser: Browser, review: Review) -> None:
+    with opened(browser, review, at(ids(review)[0]), size=PHONE) as page:
+        drawn(page)
+        assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
+        expect(page.get_by_role("button", name="Save").last).to_be_visible()

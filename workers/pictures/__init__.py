@@ -1,0 +1,1 @@
+"""Camera pictures that are kept with the scenes."""
