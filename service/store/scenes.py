@@ -162,6 +162,16 @@ def current_scene(
     return _scene(row)
 
 
+def last_scene(
+    connection: Connection, scene_id: str, withdrawn: bool, on_damaged: OnDamaged
+) -> StoredScene | None:
+    """Read the current scene of an id; with `withdrawn`, else its last record."""
+    found = current_scene(connection, scene_id, on_damaged=on_damaged)
+    if found is not None or not withdrawn:
+        return found
+    return withdrawn_scene(connection, scene_id, on_damaged=on_damaged)
+
+
 def withdrawn_scene(
     connection: Connection, scene_id: str, *, on_damaged: OnDamaged
 ) -> StoredScene | None:
