@@ -1,6 +1,8 @@
 """Format `mcap`, read back by the `mcap` reader with the decoders of each schema."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -129,3 +131,30 @@ def test_the_layout_shows_the_overlay(excerpt: Path) -> None:
     panel = layout["configById"]["3D!counterpoint"]
     assert panel["topics"]["/counterpoint/points"]["colorMode"] == "rgba-fields"
     assert layout["layout"]["first"] == "3D!counterpoint"
+
+
+@pytest.mark.parametrize("form", ["mcap", "rerun"])
+def test_rerun_opens_what_is_written(form: str, tmp_path: Path) -> None:
+    pytest.importorskip("rerun")
+    world = made_world(tmp_path)
+    report = world.export(world.selection(scenes=1), form, tmp_path / "out")
+    (written,) = report.written.values()
+    path = tmp_path / "out" / written.place
+    run = [sys.executable, "-m", "rerun"]
+    if form == "mcap":
+        recording = tmp_path / "converted.rrd"
+        subprocess.run(
+            [*run, "mcap", "convert", str(path), "-o", str(recording)],
+            check=True,
+            capture_output=True,
+        )
+        path = recording
+    verified = subprocess.run(
+        [*run, "rrd", "verify", str(path)], check=True, capture_output=True, text=True
+    )
+    assert "verified without error" in verified.stdout + verified.stderr
+    stats = subprocess.run(
+        [*run, "rrd", "stats", str(path)], check=True, capture_output=True, text=True
+    )
+    points = "/counterpoint/points" if form == "mcap" else "/odom/lidar/points"
+    assert points in stats.stdout
