@@ -26,7 +26,7 @@ BOXES: Final = f"{SENSOR}/boxes"
 REASONS: Final = "reasons"
 RECORD: Final = "record"
 
-_POINT_PX: Final = 2.0
+_POINT_PX: Final = 1.2
 """Radius of a point on the screen, in points of the user interface."""
 
 
