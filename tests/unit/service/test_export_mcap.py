@@ -17,10 +17,12 @@ from tests.export_world import (
     FRAMES,
     MOVER,
     STEP_NS,
+    ExportWorld,
     made_world,
     record,
     returns,
     static_transform,
+    write_log,
 )
 from tests.tiny_logs import BEGIN_NS, LIDAR
 
@@ -131,6 +133,21 @@ def test_the_layout_shows_the_overlay(excerpt: Path) -> None:
     panel = layout["configById"]["3D!counterpoint"]
     assert panel["topics"]["/counterpoint/points"]["colorMode"] == "rgba-fields"
     assert layout["layout"]["first"] == "3D!counterpoint"
+
+
+def test_a_scene_across_the_parts_of_a_split_recording_is_one_excerpt(
+    excerpt: Path, tmp_path: Path
+) -> None:
+    bucket = tmp_path / "logs"
+    write_log(bucket, frames=22, part="_0")
+    write_log(bucket, first=22, part="_1")
+    world = ExportWorld(bucket)
+    report = world.export(world.selection(scenes=1), "mcap", tmp_path / "out")
+    assert report.missing == {}
+    (written,) = report.written.values()
+    split = tmp_path / "out" / written.place
+    for topic in (LIDAR, "/tf_static", "/counterpoint/points", "/counterpoint/boxes"):
+        assert raw_messages(split, topic) == raw_messages(excerpt, topic)
 
 
 @pytest.mark.parametrize("form", ["mcap", "rerun"])
