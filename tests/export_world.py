@@ -57,9 +57,16 @@ def returns() -> np.ndarray[Any, np.dtype[np.int64]]:
     return np.flatnonzero(np.arange(POINTS) % SILENT != 0)
 
 
-def write_log(folder: Path, *, frames: int = 40) -> Path:
-    """Write the log: a lidar of ten hertz, static transforms at its begin, and another lidar."""
-    path = folder / f"{LOG_ID}.mcap"
+def write_log(folder: Path, *, frames: int = 40, first: int = 0, part: str = "") -> Path:
+    """Write the log: a lidar of ten hertz, static transforms at its begin, and another lidar.
+
+    Args:
+        folder: Of the bucket.
+        frames: Number after the last frame.
+        first: The first frame; the transforms are written with frame 0.
+        part: `_0` and so on, for a part of a split recording.
+    """
+    path = folder / f"{LOG_ID}{part}.mcap"
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("wb") as file:
         writer = Writer(file, chunk_size=4000)
@@ -75,8 +82,9 @@ def write_log(folder: Path, *, frames: int = 40) -> Path:
                 kind.replace("/", "/msg/"), "ros2msg", ROS2_DEFINITIONS[kind].encode()
             )
             ids[topic] = writer.register_channel(topic, "cdr", schema, {"qos": "latched"})
-        writer.add_message(ids["/tf_static"], BEGIN_NS, static_transform(), BEGIN_NS)
-        for number in range(frames):
+        if not first:
+            writer.add_message(ids["/tf_static"], BEGIN_NS, static_transform(), BEGIN_NS)
+        for number in range(first, frames):
             at_ns = BEGIN_NS + number * STEP_NS
             data = cloud(at_ns, rows(number).tobytes(), ("x", "y", "z", "intensity"))
             for topic in (LIDAR, "/other/points"):

@@ -24,11 +24,12 @@ from service.cli.options import (
 from service.cli.output import counted, json_line, progress, remark
 from service.cli.scenes import reader
 from service.curation.ranking import RankedScene
+from service.curation.verdicts import MAX_VERDICTS_ASKED, VerdictsRequest
 from service.errors import UsageError
 from service.export.format import Format
 from service.export.formats import FORMATS, format_named
 from service.export.running import ExportReport, run_export
-from service.export.scene import SceneToExport
+from service.export.scene import JudgedTrack, SceneToExport
 from service.output_files import need_folder
 
 if TYPE_CHECKING:
@@ -123,12 +124,28 @@ def _opener(
             row=row,
             score=score,
             sha256=sha256(encode_scene_score(score)),
-            verdicts=(),
+            verdicts=_verdicts_on(source, row),
             open_overlay=lambda: overlay_of(source, row.scene_id),
             source=logs,
         )
 
     return open_scene
+
+
+def _verdicts_on(source: Reader, row: RankedScene) -> tuple[JudgedTrack, ...]:
+    """Return the verdicts that count on the record of a scene, latest first."""
+    asked = VerdictsRequest(scene_id=row.scene_id, most=MAX_VERDICTS_ASKED)
+    return tuple(
+        JudgedTrack(
+            track_id=each.track_id,
+            reviewer=each.reviewer,
+            verdict=each.verdict.value,
+            cause=each.cause,
+            note=each.note,
+        )
+        for each in source.verdicts(asked).rows
+        if each.record == "current"
+    )
 
 
 def _say(report: ExportReport, out: Path, wanted: Format, *, json: bool) -> None:

@@ -111,7 +111,7 @@ def point_cloud(cloud: LabelledCloud, overlay: Overlay, *, log_time_ns: int) -> 
     made["label"], made["category"] = cloud.label, cloud.category
     message = _classes()["PointCloud"](frame_id=cloud.frame_id)
     _set_time(message.timestamp, cloud.stamp_ns)
-    message.pose.orientation.w = 1.0
+    _set_pose(message.pose, (0.0, 0.0, 0.0), 0.0)
     message.point_stride = _POINT.itemsize
     for name in _POINT.names or ():
         kind, offset = _PLACES[name][:2]
@@ -230,6 +230,7 @@ def _set_time(field: Any, ns: int) -> None:
 
 
 def _set_pose(field: Any, centre_m: tuple[float, float, float], yaw_rad: float) -> None:
+    field.position.SetInParent()  # readers expect a position at the origin, too
     field.position.x, field.position.y, field.position.z = centre_m
     field.orientation.w = float(np.cos(yaw_rad / 2))
     field.orientation.z = float(np.sin(yaw_rad / 2))

@@ -120,7 +120,21 @@ def scenes_of(folder: Path, *, format_name: str) -> list[str]:
         raise UsageError(
             f"this folder is an export as {lines[0].get('format')}, not as {format_name} ({folder})"
         )
-    return [str(each["place"]) for each in lines[1:]]
+    places = [str(each["place"]) for each in lines[1:]]
+    for place in places:
+        need_inside(place, what="place", path=folder / NAME)
+    return places
+
+
+def need_inside(relative: str, *, what: str, path: Path) -> None:
+    """Refuse a path that leads out of its folder: the files of an export come from elsewhere.
+
+    Raises:
+        UsageError: If it is absolute, empty, or goes up.
+    """
+    parts = Path(relative).parts
+    if not parts or Path(relative).is_absolute() or ".." in parts or "\0" in relative:
+        raise UsageError(f"{what} leads out of its folder: {relative!r} ({path})")
 
 
 @contextmanager

@@ -6,7 +6,7 @@ labels in the order of the exported points.
 
 import json
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -60,7 +60,7 @@ def read_segments(folder: Path, number: int) -> Words | None:
         ) from None
 
 
-@cache
+@lru_cache(maxsize=1)
 def _segments_frames(path: Path) -> list[Any]:
     try:
         read = json.loads(path.read_text(encoding="utf-8"))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from service.errors import UsageError
 from service.export.frames_file import INDEX, NAME
-from service.export.journal import scenes_of
+from service.export.journal import need_inside, scenes_of
 from service.export.label_files import ReadLabels
 
 UNKNOWN, STATIC, DYNAMIC = 0, 1, 2
@@ -27,6 +27,9 @@ FIRST_MOVING: Final = 251
 """First class of SemanticKITTI that names a moving thing; 251 is that of its motion benchmark."""
 
 _OUTLIER: Final = 1
+
+MAX_POINTS: Final = 2**26
+"""Points of one message; the largest lidars have a few million."""
 
 LEARNING: Final = {
     10: 1,
@@ -139,7 +142,8 @@ def _read_scene(folder: Path, read: ReadLabels) -> ImportedScene:
         about = json.loads(path.read_text(encoding="utf-8"))
         frames = [_read_frame(folder, each, read) for each in about["frames"]]
         scene_id, log_id = str(about["scene_id"]), str(about["log_id"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        need_inside(log_id, what="log_id", path=path)
+    except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
         raise UsageError(
             f"cannot read the frames of an exported scene: {type(error).__name__}: {error} ({path})"
         ) from None
@@ -149,6 +153,8 @@ def _read_scene(folder: Path, read: ReadLabels) -> ImportedScene:
 
 def _read_frame(folder: Path, about: dict[str, Any], read: ReadLabels) -> LabelledFrame | None:
     number, points, raw = int(about["index"]), int(about["points"]), int(about["raw_points"])
+    if not 0 <= points <= raw <= MAX_POINTS:
+        raise ValueError(f"frame {number} with {points} of {raw} points")
     words = read(folder, number)
     if words is None:
         return None

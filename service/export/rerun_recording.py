@@ -26,8 +26,8 @@ BOXES: Final = f"{SENSOR}/boxes"
 REASONS: Final = "reasons"
 RECORD: Final = "record"
 
-_POINT_PX: Final = 2.0
-"""Radius of a point on the screen, in its own units: a negative radius, as Rerun defines it."""
+_POINT_PX: Final = 1.2
+"""Radius of a point on the screen, in points of the user interface."""
 
 
 def need_rerun() -> None:
@@ -107,8 +107,8 @@ def _blueprint(scene: SceneToExport) -> Any:
     space = rrb.Spatial3DView(origin="odom", name=scene.stem)
     record = rrb.TextDocumentView(origin=RECORD, name="record")
     reasons = rrb.TextLogView(origin=REASONS, name="reasons")
-    beside = rrb.Vertical(record, reasons)
-    return rrb.Blueprint(rrb.Horizontal(space, beside, column_shares=[3, 1]), collapse_panels=True)
+    texts = rrb.Vertical(record, reasons)
+    return rrb.Blueprint(rrb.Horizontal(space, texts, column_shares=[3, 1]), collapse_panels=True)
 
 
 def _document(scene: SceneToExport) -> str:

@@ -1,6 +1,8 @@
 """Format `mcap`, read back by the `mcap` reader with the decoders of each schema."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +17,12 @@ from tests.export_world import (
     FRAMES,
     MOVER,
     STEP_NS,
+    ExportWorld,
     made_world,
     record,
     returns,
     static_transform,
+    write_log,
 )
 from tests.tiny_logs import BEGIN_NS, LIDAR
 
@@ -129,3 +133,45 @@ def test_the_layout_shows_the_overlay(excerpt: Path) -> None:
     panel = layout["configById"]["3D!counterpoint"]
     assert panel["topics"]["/counterpoint/points"]["colorMode"] == "rgba-fields"
     assert layout["layout"]["first"] == "3D!counterpoint"
+
+
+def test_a_scene_across_the_parts_of_a_split_recording_is_one_excerpt(
+    excerpt: Path, tmp_path: Path
+) -> None:
+    bucket = tmp_path / "logs"
+    write_log(bucket, frames=22, part="_0")
+    write_log(bucket, first=22, part="_1")
+    world = ExportWorld(bucket)
+    report = world.export(world.selection(scenes=1), "mcap", tmp_path / "out")
+    assert report.missing == {}
+    (written,) = report.written.values()
+    split = tmp_path / "out" / written.place
+    for topic in (LIDAR, "/tf_static", "/counterpoint/points", "/counterpoint/boxes"):
+        assert raw_messages(split, topic) == raw_messages(excerpt, topic)
+
+
+@pytest.mark.parametrize("form", ["mcap", "rerun"])
+def test_rerun_opens_what_is_written(form: str, tmp_path: Path) -> None:
+    pytest.importorskip("rerun")
+    world = made_world(tmp_path)
+    report = world.export(world.selection(scenes=1), form, tmp_path / "out")
+    (written,) = report.written.values()
+    path = tmp_path / "out" / written.place
+    run = [sys.executable, "-m", "rerun"]
+    if form == "mcap":
+        recording = tmp_path / "converted.rrd"
+        subprocess.run(
+            [*run, "mcap", "convert", str(path), "-o", str(recording)],
+            check=True,
+            capture_output=True,
+        )
+        path = recording
+    verified = subprocess.run(
+        [*run, "rrd", "verify", str(path)], check=True, capture_output=True, text=True
+    )
+    assert "verified without error" in verified.stdout + verified.stderr
+    stats = subprocess.run(
+        [*run, "rrd", "stats", str(path)], check=True, capture_output=True, text=True
+    )
+    points = "/counterpoint/points" if form == "mcap" else "/odom/lidar/points"
+    assert points in stats.stdout

@@ -108,6 +108,25 @@ def test_a_folder_of_something_else_is_refused(tmp_path: Path, sequences: Path) 
         labels_in("mcap")
 
 
+def changed(sequences: Path, **changes: object) -> None:
+    path = sequences / "sequences/00/frames.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+
+
+@pytest.mark.parametrize("log_id", ["../../etc/cron.d", "/etc/cron.d", ""])
+def test_a_log_outside_the_folder_of_truth_is_refused(sequences: Path, log_id: str) -> None:
+    changed(sequences, log_id=log_id)
+    with pytest.raises(UsageError, match="log_id leads out of its folder"):
+        scenes_in(sequences)
+
+
+def test_a_frame_of_absurd_size_is_refused(sequences: Path) -> None:
+    frame = {"index": 0, "topic": "/t", "header_stamp": 1, "points": 34, "raw_points": 2**40}
+    changed(sequences, frames=[frame])
+    with pytest.raises(UsageError, match="cannot read the frames of an exported scene"):
+        scenes_in(sequences)
+
+
 def test_a_broken_label_of_segments_is_refused(
     exported: tuple[ExportWorld, Path], tmp_path: Path
 ) -> None:
