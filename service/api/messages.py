@@ -158,7 +158,7 @@ class RetryReply(BaseModel):
     retried: tuple[ParkedWork, ...] = Field(max_length=MAX_LISTED)
 
 
-def checked_request(kind: type[Request], **fields: Any) -> Request:
+def checked_request(kind: type[Request], /, **fields: Any) -> Request:
     """Make a request from the values that a user gave.
 
     Raises:

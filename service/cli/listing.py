@@ -93,26 +93,26 @@ class ListingOptions:
 
 def listed(
     source: Reader, request: ScenesRequest, *, most: int | None
-) -> tuple[list[ListedScene], int]:
-    """Read page after page; return the first `most` scenes, None: all, and the number that pass."""
+) -> tuple[list[ListedScene], str]:
+    """Read page after page; return the first `most` scenes, None: all, and how many pass."""
     rows: list[ListedScene] = []
     while True:
         left = MAX_PAGE if most is None else min(MAX_PAGE, most - len(rows))
         page = source.scenes(request.model_copy(update={"most": left}))
         rows += page.rows
         if not page.next or (most is not None and len(rows) >= most):
-            return rows, page.total
+            return rows, f"{'over ' if page.is_least else ''}{counted(page.total, 'scene')}"
         request = request.model_copy(update={"after": page.next})
 
 
-def say_listed(rows: list[ListedScene], total: int, *, json: bool) -> None:
+def say_listed(rows: list[ListedScene], total: str, *, json: bool) -> None:
     """Print scenes that pass the filters, each with its headline below."""
     if json:
         for row in rows:
             json_line(row)
         return
     listing(
-        f"{len(rows)} of {counted(total, 'scene')}",
+        f"{len(rows)} of {total}",
         ("score", "seconds", "vehicle", "verdicts", "scene"),
         (
             (

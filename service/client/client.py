@@ -175,7 +175,7 @@ class ControlClient:
         """Return the values that filters and verdicts choose from."""
         return decode(ChoicesReply, self._ask("choices"))
 
-    def _ask_with_verdicts(self, verb: str, kind: type[BaseModel], **fields: Any) -> bytes:
+    def _ask_with_verdicts(self, verb: str, kind: type[BaseModel], /, **fields: Any) -> bytes:
         """Request rows with their verdicts; without, from a service that knows none."""
         try:
             return self._ask(verb, checked_request(kind, **fields, verdicts=True))

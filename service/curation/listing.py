@@ -27,6 +27,9 @@ from service.errors import UsageError
 MAX_PAGE: Final = 200
 """Rows of a page at most."""
 
+MOST_COUNTED: Final = 10_000
+"""Matches of a search that are counted; a common word would be counted as long as it is sought."""
+
 SceneOrder = Literal["score", "newest", "earliest", "latest", "judged"]
 """Order of a listing. `score`: best first, as the ranking, scenes without a valid score last.
 `newest`: last committed first. `earliest`, `latest`: by time of recording. `judged`: most recently
@@ -108,6 +111,10 @@ class ScenesReply(BaseModel):
     rows: tuple[ListedScene, ...] = Field(max_length=MAX_PAGE)
     next: str = Field(max_length=512, description="Cursor of the next page; empty: the last one.")
     total: Count = Field(description="Scenes that pass the filters now, on all pages.")
+    is_least: bool = Field(
+        default=False,
+        description="There are more than `total`: matches of a search are counted up to 10,000.",
+    )
 
 
 def cursor_of(order: SceneOrder, keys: tuple[float | int, ...]) -> str:

@@ -24,6 +24,7 @@ from schemas.score import MIN_REPORTED_STRENGTH, SceneScore
 from schemas.transport.wire import decode
 from schemas.verdict import VerdictSummary
 from service.curation.listing import (
+    MOST_COUNTED,
     ListedScene,
     SceneOrder,
     ScenesReply,
@@ -84,19 +85,19 @@ def page(connection: Connection, request: ScenesRequest, *, on_damaged: OnDamage
     """
     order = _ORDERS[request.sort]
     wanted = and_(True, *_filters(connection, request))
-    source: FromClause = LISTED_SCENES
-    columns = order.columns
     if request.text and parse_short_name(request.text) is None:
-        # The search reads every text in turn, and finds the row of each match by its number. The
-        # sums keep SQLite from walking an index of the rows and finding the text of each instead.
-        source = LISTED_WORDS.join(LISTED_SCENES, _C.seq == LISTED_WORDS.c.seq + 0)
-        columns = (columns[0] + 0, *columns[1:])
-        wanted = and_(wanted, _contains(connection, LISTED_WORDS.c.words, request.text.casefold()))
-    total = connection.execute(select(func.count()).select_from(source).where(wanted)).scalar_one()
+        found = _found(connection, wanted, request.text.casefold())
+        total, is_least, source, columns = found.total, found.is_least, found.source, order.columns
+        wanted = found.wanted
+        if is_least:  # the sum keeps SQLite from walking an index and finding each row's text
+            columns = (columns[0] + 0, *columns[1:])
+    else:
+        counted = select(func.count()).select_from(LISTED_SCENES).where(wanted)
+        total, is_least = connection.execute(counted).scalar_one(), False
+        source, columns = LISTED_SCENES, order.columns
     if request.after:
-        wanted = and_(
-            wanted, _beyond(order, keys_of(request.sort, request.after, count=len(columns)))
-        )
+        keys = keys_of(request.sort, request.after, count=len(columns))
+        wanted = and_(wanted, _beyond(order, keys))
     places = connection.execute(
         select(_C.seq, *(column.label(f"key_{n}") for n, column in enumerate(order.columns)))
         .select_from(source)
@@ -111,7 +112,39 @@ def page(connection: Connection, request: ScenesRequest, *, on_damaged: OnDamage
         keys = tuple(last[f"key_{n}"] for n in range(len(order.columns)))
         following = cursor_of(request.sort, keys)
     rows = _rows(connection, [row.seq for row in shown], request.reviewer, on_damaged)
-    return ScenesReply(rows=tuple(rows), next=following, total=total)
+    return ScenesReply(rows=tuple(rows), next=following, total=total, is_least=is_least)
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """Result of a search.
+
+    Attributes:
+        source: Tables of the rows that are found.
+        wanted: Condition on them.
+        total: Number of matches, at most `MOST_COUNTED`.
+        is_least: There are more.
+    """
+
+    source: FromClause
+    wanted: ColumnElement[bool]
+    total: int
+    is_least: bool
+
+
+def _found(connection: Connection, wanted: ColumnElement[bool], part: str) -> _Found:
+    """Search every text in turn, and find the row of each match by its number.
+
+    A few matches are then read by their numbers, so that the texts are read once. The sum keeps
+    SQLite from walking the rows instead and finding the text of each.
+    """
+    source = LISTED_WORDS.join(LISTED_SCENES, _C.seq == LISTED_WORDS.c.seq + 0)
+    wanted = and_(wanted, _contains(connection, LISTED_WORDS.c.words, part))
+    matches = select(_C.seq).select_from(source).where(wanted).limit(MOST_COUNTED + 1)
+    numbers = connection.execute(matches).scalars().all()
+    if len(numbers) > MOST_COUNTED:
+        return _Found(source, wanted, MOST_COUNTED, is_least=True)
+    return _Found(LISTED_SCENES, _in(_C.seq, numbers), len(numbers), is_least=False)
 
 
 def _beyond(order: _Order, keys: Sequence[float | int]) -> ColumnElement[bool]:

@@ -85,7 +85,9 @@ def problem_page(request: Request, sentence: str, *, status: int) -> Response:
     """Answer with a sentence: JSON for a script, a page for a person."""
     if wants_json(request):
         return JSONResponse({"problem": sentence}, status_code=status)
-    return render(request, "problem.html", status=status, sentence=sentence, code=status)
+    return render(
+        request, "problem.html", status=status, sentence=sentence, code=status, progress=""
+    )
 
 
 def _refused(request: Request, error: Exception) -> Response:

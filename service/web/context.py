@@ -75,8 +75,12 @@ def visitor_of(request: Request) -> Visitor:
     return cast(Visitor, request.state.visitor)
 
 
-def page_context(request: Request) -> dict[str, Any]:
+def page_context(request: Request, *, has_progress: bool = True) -> dict[str, Any]:
     """Return what `base.html` and the forms of every page need.
+
+    Args:
+        request: The request that is answered.
+        has_progress: False for a page that states its progress, or has none.
 
     Returns:
         `token` of the forms, `reviewer`, `budget` and `theme` of the visitor. `place` is the state
@@ -93,7 +97,9 @@ def page_context(request: Request) -> dict[str, Any]:
         "theme": visitor.theme,
         "place": settings_of(request).place,
         "section": "",
-        "progress": progress_text(request, reviewer=visitor.reviewer, budget=visitor.budget),
+        "progress": progress_text(request, reviewer=visitor.reviewer, budget=visitor.budget)
+        if has_progress
+        else "",
         "path": f"{request.url.path}{query}",
     }
 
@@ -104,7 +110,9 @@ def render(request: Request, template: str, *, status: int = 200, **context: Any
     if request.state.is_new and request.headers.get("sec-fetch-site") == "cross-site":
         return HTMLResponse(_AGAIN)  # a page elsewhere has a link to us: the cookie was not sent
     templates = cast(Environment, request.app.state.templates)
-    text = templates.get_template(template).render(page_context(request) | context)
+    text = templates.get_template(template).render(
+        page_context(request, has_progress="progress" not in context) | context
+    )
     response = HTMLResponse(text, status_code=status)
     if request.state.is_new:
         visitors_of(request).keep(response, visitor_of(request))

@@ -123,7 +123,11 @@ class Filters:
         try:
             return ScenesRequest.model_validate(fields | changes)
         except ValidationError as error:
-            raise UsageError(f"this filter is not possible: {first_problem(error)}") from None
+            field, _, problem = first_problem(error).partition(": ")
+            titles = {FIELDS[name]: title for name, title in TITLES.items() if name in FIELDS}
+            raise UsageError(
+                f"this filter is not possible: {titles.get(field, field)}: {problem}"
+            ) from None
 
     def query(self, **changes: str | None) -> str:
         """Return the query of an address with these filters and changes; empty without any."""

@@ -10,6 +10,7 @@ from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import Response
 
+from schemas.errors import PermanentError
 from service.curation.listing import ListedScene, ScenesRequest
 from service.curation.verdicts import ChoicesReply
 from service.errors import UsageError
@@ -83,11 +84,12 @@ def asked(request: Request, filters: Filters, **changes: object) -> ScenesReques
 @router.get("/")
 def ranking(request: Request) -> Response:
     """Answer with a page of the list; a filter that is not possible is named above it."""
-    source, filters = source_of(request), Filters.of(request.query_params)
-    problem, (seq, _) = "", newest_of(request)  # before the list: what comes later is new
+    source, given = source_of(request), Filters.of(request.query_params)
+    problem, filters = "", given
+    seq, _ = newest_of(request)  # before the list: what comes later is new
     try:
         found = source.scenes(asked(request, filters))
-    except UsageError as error:
+    except PermanentError as error:
         problem, filters = str(error), Filters({})
         found = source.scenes(asked(request, filters))
     return render(
@@ -98,11 +100,12 @@ def ranking(request: Request) -> Response:
         problem=problem,
         cards=[card_of(scene, filters) for scene in found.rows],
         total=found.total,
+        is_least=found.is_least,
         next_page=filters.query(after=found.next) if found.next else "",
         first=filters.query(after=None),
         is_first="after" not in filters.given,
-        given=defaultdict(str, filters.given),
-        chips=filters.chips(),
+        given=defaultdict(str, given.given),
+        chips=given.chips(),
         choices=cast(Kept[ChoicesReply], request.app.state.choices).of("", source.choices),
         orders=ORDERS,
         judged=JUDGED,

@@ -41,7 +41,8 @@ def selections(request: Request) -> Response:
         most=1,
         after="",
     )
-    total = source.scenes(asked).total
+    listed = source.scenes(asked)
+    total = listed.total
     return render(
         request,
         "selections.html",
@@ -51,6 +52,7 @@ def selections(request: Request) -> Response:
         hidden={name: value for name, value in filters.given.items() if name != "after"},
         chips=filters.chips(),
         total=total,
+        is_least=listed.is_least,
         suggested=max(1, min(total, visitor_of(request).budget or USUAL_BUDGET)),
         most=MAX_SCENES_CHOSEN,
     )

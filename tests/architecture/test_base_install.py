@@ -5,7 +5,8 @@ import sys
 
 import pytest
 
-HEAVY = ("torch", "kiss_icp", "sklearn", "scipy", "numba", "mcap", "pypatchworkpp")
+WEB = ("fastapi", "jinja2", "starlette", "uvicorn")
+HEAVY = (*WEB, "torch", "kiss_icp", "sklearn", "scipy", "numba", "mcap", "pypatchworkpp")
 CATALOGUE = {
     "workers",
     "workers.errors",

@@ -21,7 +21,7 @@ from workers.worker.config import DRAIN_S, WorkerConfig
 ROOT = Path(__file__).resolve().parents[2]
 DEPLOY = ROOT / "deploy"
 COMPOSE = yaml.safe_load((DEPLOY / "compose.yaml").read_text(encoding="utf-8"))
-OURS = ("router", "service", "worker")
+OURS = ("router", "service", "worker", "review")
 
 
 def dockerfile() -> list[tuple[str, str]]:

@@ -35,6 +35,10 @@ WORKING: Final[dict[tuple[str, ...], list[str]]] = {
     ("selection", "show"): ["week", "--state", "state"],
     ("show",): ["1", "--out", "o.png", "--state", "state"],
     ("status",): ["--state", "state"],
+    ("verdict", "add"): ["1", "both", "--state", "state"],
+    ("verdict", "undo"): ["--state", "state"],
+    ("verdict", "list"): ["--state", "state"],
+    ("agreement",): ["--state", "state"],
     ("rates",): ["--state", "state"],
     ("retry",): ["--all", "--state", "state"],
     ("demo",): ["--out", "file"],
@@ -46,6 +50,7 @@ WORKING: Final[dict[tuple[str, ...], list[str]]] = {
     ("bench", "motion"): ["file"],
     ("bench", "networks"): ["file", "--only", "images"],
     ("bench", "ledger"): ["--folder", "missing"],
+    ("bench", "listing"): ["--folder", "file"],
     ("bench", "failures"): ["file", "--truth", "folder"],
     ("calibrate", "sensor"): ["file", "--out", "profile.json"],
     ("weights", "import"): [
