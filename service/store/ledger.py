@@ -342,12 +342,9 @@ class Ledger:
         Raises:
             RecordDamagedError: If its record is damaged.
         """
-        note = self._store.note_damaged
+        find = scenes.last_scene if withdrawn else scenes.current_scene
         with self._store.reading() as connection:
-            found = scenes.current_scene(connection, scene_id, on_damaged=note)
-            if found is None and withdrawn:
-                return scenes.withdrawn_scene(connection, scene_id, on_damaged=note)
-            return found
+            return find(connection, scene_id, on_damaged=self._store.note_damaged)
 
     def ranking(self, *, most: int | None = None) -> list[RankedScene]:
         """Rank current scenes, best first, and return at most `most`; None: all."""
