@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Transform, check_array, freeze
+from schemas.bounds import MAX_TOPIC
 
 MEDIA_TYPES: Final = frozenset({"image/jpeg", "image/png"})
 """Media types of pictures, which every browser shows."""
@@ -16,6 +17,13 @@ MAX_PICTURES: Final = 1024
 
 MAX_SIDE_PX: Final = 32_768
 """Largest width and height of a picture, pixels."""
+
+
+MAX_COEFFICIENTS: Final = 64
+"""Coefficients of a lens at most; the models that are known have 4 to 14."""
+
+MAX_MODEL: Final = 64
+"""Characters of the name of a lens model."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,6 +71,10 @@ class Picture:
                 f"a picture has sides of 1 to {MAX_SIDE_PX} pixels, not {self.width} x "
                 f"{self.height}"
             )
+        if not 0 < len(self.topic) <= MAX_TOPIC or len(self.distortion_model) > MAX_MODEL:
+            raise ValueError("the topic or the lens model of a picture has no name, or a long one")
+        if len(self.distortion) > MAX_COEFFICIENTS:
+            raise ValueError(f"a lens has at most {MAX_COEFFICIENTS} coefficients")
         check_array("pixel_from_camera", self.pixel_from_camera, shape=(3, 4), dtype=np.float64)
         check_array("camera_from_lidar", self.camera_from_lidar, shape=(4, 4), dtype=np.float64)
         numbers = (*self.pixel_from_camera.ravel(), *self.camera_from_lidar.ravel())

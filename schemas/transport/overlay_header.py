@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.bounds import MAX_INTEGER, Finite, Name, SceneId, Topic
 from schemas.canonical import canonical_json
-from schemas.overlay_picture import MAX_PICTURES, MAX_SIDE_PX
+from schemas.overlay_picture import MAX_COEFFICIENTS, MAX_MODEL, MAX_PICTURES, MAX_SIDE_PX
 from schemas.task import MAX_CLASSES
 from schemas.transport.array_pack import MAX_UNPACKED_BYTES
 
@@ -78,8 +78,8 @@ class PictureCalibration(BaseModel):
     camera_from_lidar: Transform16
     width: int = Field(ge=1, le=MAX_SIDE_PX)
     height: int = Field(ge=1, le=MAX_SIDE_PX)
-    distortion_model: str = Field(default="", max_length=64)
-    distortion: tuple[Finite, ...] = Field(default=(), max_length=64)
+    distortion_model: str = Field(default="", max_length=MAX_MODEL)
+    distortion: tuple[Finite, ...] = Field(default=(), max_length=MAX_COEFFICIENTS)
 
 
 class PictureEntry(BaseModel):

@@ -259,7 +259,7 @@ def listing(
         ),
     ] = None,
     scenes: Annotated[
-        int, typer.Option("--scenes", min=1000, max=MOST, help="Scenes in the ledger.")
+        int, typer.Option("--scenes", min=1, max=MOST, help="Scenes in the ledger.")
     ] = 100_000,
     json: Json = False,
 ) -> None:

@@ -50,13 +50,12 @@ def draw_on_camera(
     if kept is not None:
         picture, track_id = kept
         return _drawn(score, overlay, view_of(picture), picture.frame, title, track_id=track_id)
-    from workers.ingest.camera import read_cameras
+    from workers.ingest.camera import CameraReader
 
-    bucket, recording = _log_of(score, settings)
+    cameras = CameraReader(*_log_of(score, settings), lidar_topic=score.lidar_topic)
 
     def views_at(frame: int) -> "list[CameraView]":
-        stamp_ns = int(overlay.stamps_ns[frame])
-        return read_cameras(bucket, recording, lidar_topic=score.lidar_topic, stamp_ns=stamp_ns)
+        return cameras.views_at(int(overlay.stamps_ns[frame]))
 
     start = strongest_frame(score, overlay)
     read = {start: views_at(start)}

@@ -119,7 +119,7 @@ def _read(row: Any) -> ListedNow:
 
 
 def _list(connection: Connection, rows: Sequence[ListedNow]) -> None:
-    known: dict[str, int] = {}
+    known: dict[tuple[str, ...], int] = {}
     any_verdict = bool(_ANY_VERDICT.rows(connection, {}))
     listed, words = [], []
     for seq, score, digest, counts in rows:
@@ -216,15 +216,19 @@ def _named(table: Table) -> _Named:
 
 
 def _number_of(
-    connection: Connection, named: _Named, values: dict[str, str], known: dict[str, int]
+    connection: Connection,
+    named: _Named,
+    values: dict[str, str],
+    known: dict[tuple[str, ...], int],
 ) -> int:
     """Return the number of these values; they get the next one when they are new."""
-    digest = sha256(canonical_json(values))
-    number = known.get(digest)
+    found = tuple(values.values())  # five of a source, three of a finding: never equal
+    number = known.get(found)
     if number is None:
+        digest = sha256(canonical_json(values))
         row = named.find.first(connection, {"at_digest": digest})
         row = row or named.add.one(connection, {"digest": digest, **values})
-        number = known[digest] = row.number
+        number = known[found] = row.number
     return number
 
 

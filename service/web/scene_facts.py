@@ -19,8 +19,8 @@ SAFE_COLOURS: Final[tuple[Colour, ...]] = (
     (225, 225, 235),
     (74, 78, 84),
 )
-"""Colours of the outcomes of two classes that colour-blind reviewers tell apart (after Okabe and
-Ito): grey, orange, blue, white, and dark grey where not compared.
+"""Colours of the outcomes of two classes that colour-blind reviewers can distinguish (after
+Okabe and Ito): grey, orange, blue, white, and dark grey where not compared.
 """
 
 SAFE_WITNESS: Final[Colour] = (204, 121, 167)
@@ -31,7 +31,7 @@ POSE_DIGITS: Final = 6
 
 
 def viewer_facts(score: SceneScore, header: OverlayHeader) -> dict[str, Any]:
-    """Return all that the viewer needs besides the blocks, ready for JSON.
+    """Return all that the viewer needs in addition to the blocks, ready for JSON.
 
     Only tracks of the record have boxes: all tracks of a busy scene at once are unreadable.
     """

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from io import BytesIO
 from itertools import takewhile
 from typing import Final
 
@@ -22,6 +21,7 @@ from workers.ingest.camera_messages import (
 )
 from workers.ingest.camera_model import CameraView
 from workers.ingest.frames import sensor_points
+from workers.ingest.images import IMAGE_ERRORS, image_size
 from workers.ingest.log_index import LogIndex, index_recording
 from workers.ingest.message_lookup import MessageLookup, readable
 from workers.ingest.messages import RawMessage
@@ -36,6 +36,9 @@ MAX_APART_NS: Final = NS_PER_S // 2
 _MOST_CHUNKS: Final = 8
 """Chunks whose images are kept for the next frame."""
 
+_SWEEP_NS: Final = NS_PER_S // 10
+"""Time of a sweep, within which the lidar sees what a camera sees."""
+
 _MOST_SEARCHES: Final = 4
 """Frames around which the places of cameras are searched."""
 
@@ -45,13 +48,6 @@ VIEW_COS: Final = float(np.cos(np.deg2rad(30)))
 
 class CameraUnavailableError(PermanentError):
     """The log has no calibrated camera that saw a frame."""
-
-
-def read_cameras(
-    bucket: Bucket, recording: Recording, *, lidar_topic: str, stamp_ns: int
-) -> list[CameraView]:
-    """Read the image of each calibrated camera that belongs to a frame; see `CameraReader`."""
-    return CameraReader(bucket, recording, lidar_topic=lidar_topic).views_at(stamp_ns)
 
 
 @dataclass(slots=True, eq=False)
@@ -124,7 +120,8 @@ class CameraReader:
         is_placed = all(topic.channel.topic in self._placed for topic in log.images)
         if not is_placed and self._searches < _MOST_SEARCHES:
             self._searches += 1
-            return MessageLookup(log.index, log.topics, logged_ns, MAX_APART_NS)
+            reach_ns = min(MAX_APART_NS, self.reach_ns + _SWEEP_NS)
+            return MessageLookup(log.index, log.topics, logged_ns, reach_ns)
         for old in list(self._chunks)[:-_MOST_CHUNKS]:
             del self._chunks[old]
         swept_ns = [each.swept_after_ns for each in self._placed.values()] or [0]
@@ -270,10 +267,7 @@ def _combine(image: CameraImage, found: Calibration, camera_from_lidar: Transfor
 
 
 def _size(image: CameraImage) -> tuple[int, int]:
-    from PIL import Image, UnidentifiedImageError
-
     try:
-        with Image.open(BytesIO(image.data)) as opened:
-            return opened.size
-    except (UnidentifiedImageError, OSError, ValueError) as error:
+        return image_size(image.data)
+    except IMAGE_ERRORS as error:
         raise NoViewError(f"has an image in format {image.format!r} that cannot be read") from error

@@ -4,10 +4,11 @@ from io import BytesIO
 from typing import Final
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 from schemas.overlay_picture import Picture
 from workers.ingest.camera_model import CameraView
+from workers.ingest.images import IMAGE_ERRORS
 
 SMALL_WIDTH_PX: Final = 640
 """Width of small pictures at most, pixels."""
@@ -20,13 +21,6 @@ MAX_RECORDED_BYTES: Final = 16 * 1024 * 1024
 
 _QUALITY: Final = 80
 _MEDIA_TYPES: Final = {"JPEG": "image/jpeg", "PNG": "image/png"}
-_UNREADABLE: Final = (
-    UnidentifiedImageError,
-    Image.DecompressionBombError,
-    OSError,
-    ValueError,
-    SyntaxError,  # of a damaged PNG
-)
 
 
 class PictureUnreadableError(Exception):
@@ -42,7 +36,7 @@ def as_recorded(view: CameraView, *, frame: int, tracks: tuple[int, ...]) -> Pic
     try:
         with Image.open(BytesIO(view.image_bytes)) as opened:
             media_type = _MEDIA_TYPES.get(opened.format or "")
-    except _UNREADABLE as error:
+    except IMAGE_ERRORS as error:
         raise PictureUnreadableError(str(error)) from error
     if media_type is None or len(view.image_bytes) > MAX_RECORDED_BYTES:
         raise PictureUnreadableError(f"{view.image_format} of {len(view.image_bytes)} bytes")
@@ -65,7 +59,7 @@ def smaller(view: CameraView, *, frame: int, tracks: tuple[int, ...]) -> Picture
             image = opened.convert("RGB").resize(size, Image.Resampling.BILINEAR)
         out = BytesIO()
         image.save(out, format="JPEG", quality=_QUALITY)
-    except _UNREADABLE as error:
+    except IMAGE_ERRORS as error:
         raise PictureUnreadableError(str(error)) from error
     return _picture(view, out.getvalue(), "image/jpeg", size, frame, tracks)
 

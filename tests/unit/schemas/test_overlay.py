@@ -219,6 +219,25 @@ def test_arrays_that_do_not_fit_each_other_are_refused(
         replace(_overlay(), **change)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"media_type": "image/webp"}, "not 'image/webp'"),
+        ({"width": 0}, "not 0 x 48"),
+        ({"topic": "t" * 257}, "topic or the lens model"),
+        ({"distortion": (0.0,) * 65}, "at most 64 coefficients"),
+        ({"distortion": (float("nan"),)}, "not finite"),
+        ({"camera_from_lidar": np.full((4, 4), np.inf)}, "not finite"),
+        ({"pixel_from_camera": np.zeros((3, 3))}, "pixel_from_camera must be"),
+    ],
+)
+def test_a_picture_that_no_reader_would_take_is_refused(
+    change: dict[str, object], says: str
+) -> None:
+    with pytest.raises(ValueError, match=says):
+        replace(_picture(), **change)  # type: ignore[arg-type]
+
+
 def test_a_pack_with_a_lying_header_is_refused() -> None:
     for arrays in ({"points_cm": np.zeros((3, 5), dtype=np.uint8)}, {}):
         payload = pack(VERSION_1_MAGIC, {"scene_id": "s", "class_names": []}, arrays)

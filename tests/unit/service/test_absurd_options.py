@@ -50,7 +50,7 @@ WORKING: Final[dict[tuple[str, ...], list[str]]] = {
     ("bench", "motion"): ["file"],
     ("bench", "networks"): ["file", "--only", "images"],
     ("bench", "ledger"): ["--folder", "missing"],
-    ("bench", "listing"): ["--folder", "file"],
+    ("bench", "listing"): ["--scenes", "1", "--folder", "file"],
     ("bench", "failures"): ["file", "--truth", "folder"],
     ("calibrate", "sensor"): ["file", "--out", "profile.json"],
     ("weights", "import"): [

@@ -1,5 +1,6 @@
 """Boxes and title on the camera image, and the frame and camera that see the first track."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,11 +10,15 @@ from PIL import Image
 
 from schemas.arrays import Mask, Points
 from schemas.overlay import Overlay
+from schemas.overlay_picture import Picture
 from schemas.score import SceneScore
 from schemas.sights import corners_m, sights_of
+from service.errors import UsageError
 from service.pictures.camera_boxes import boxes_of
 from service.pictures.scene import draw_camera, frame_of
-from service.pictures.title import labels_of
+from service.pictures.strongest_frame import draw_on_camera
+from service.pictures.title import labels_of, title_of
+from service.settings.config import Settings
 from tests.labelled_worlds import labelled_scene
 from tests.unit.service.test_picture import (
     AGREED,
@@ -118,3 +123,41 @@ def test_weak_tracks_have_boxes_without_a_number(mined: tuple[SceneScore, Overla
     assert labels_of(none) == labels_of(score)[1:2], "the first is named in any case"
     boxes = boxes_of(overlay, 0, _Pinhole(), labels=())
     assert [box.label for box in boxes] == [""]
+
+
+def _kept(frame: int, *tracks: int) -> Picture:
+    return Picture(
+        topic=f"/kept/{frame}",
+        frame=frame,
+        stamp_ns=0,
+        width=200,
+        height=100,
+        media_type="image/png",
+        image_bytes=photo(200, 100),
+        pixel_from_camera=np.array([[100.0, 0, 100, 0], [0, 100, 50, 0], [0, 0, 1, 0]]),
+        camera_from_lidar=np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]),
+        tracks=tracks,
+    )
+
+
+def test_the_picture_kept_with_a_scene_is_drawn_without_its_log(
+    mined: tuple[SceneScore, Overlay],
+) -> None:
+    """Of several that see the first track it is the one nearest to its strongest frame."""
+    score, overlay = mined
+    strongest = int(overlay.stamps_ns.searchsorted(score.tracks[0].strongest.stamp_ns))
+    far = (strongest + 6) % 12
+    pictures = (_kept(far, 0, 1), _kept(strongest, 0), _kept((far + 1) % 12, 1))
+    both = replace(overlay, pictures=pictures)
+    drawn = draw_on_camera(score, both, Settings(), title=title_of(score))
+    alone = replace(overlay, pictures=pictures[1:2])
+    assert drawn == draw_on_camera(score, alone, Settings(), title=title_of(score))
+    other = replace(overlay, pictures=pictures[2:])
+    assert drawn != draw_on_camera(score, other, Settings(), title=title_of(score))
+
+
+def test_without_a_kept_picture_the_bucket_of_the_log_is_needed(
+    mined: tuple[SceneScore, Overlay],
+) -> None:
+    with pytest.raises(UsageError, match=r"no picture was kept .* --bucket URL"):
+        draw_on_camera(*mined, Settings(), title=title_of(mined[0]))

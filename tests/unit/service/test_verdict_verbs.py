@@ -130,7 +130,7 @@ def test_top_filters_through_the_listing(
         row["scene_id"] for row in every if row["log_id"] == "a"
     ]
     every_filter = ["--kind", "only_predictive_dynamic", "--class", "car", "--mode", "s"]
-    assert len(run(capsys, "top", *every_filter, "--since", "2020-01-01", *state)) == 18
+    assert len(run(capsys, "top", *every_filter, "--since", "2020-01-01", *state)) == 16
     assert len(run(capsys, "top", "-n", "2", "--judged", "no", *state)) == 2
     assert run(capsys, "top", "--judged", "yes", *state) == []
     assert main(["top", "--judged", "perhaps", *state]) == 1

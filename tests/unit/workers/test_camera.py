@@ -18,7 +18,7 @@ from schemas.arrays import NS_PER_S
 from schemas.transport.bucket import Bucket, open_bucket
 from schemas.transport.recordings import group_recordings
 from schemas.work import Recording
-from workers.ingest.camera import CameraUnavailableError, read_cameras
+from workers.ingest.camera import CameraReader, CameraUnavailableError
 from workers.ingest.camera_model import CameraView, distort
 from workers.ingest.ros_definitions import ROS2_DEFINITIONS
 from workers.ingest.transforms import TransformTree, rigid
@@ -172,7 +172,7 @@ def usual_log() -> Log:
 
 def views_of(log: Log, *, stamp_ns: int = STAMP_NS) -> list[CameraView]:
     bucket, recording = log.recording()
-    return read_cameras(bucket, recording, lidar_topic=LIDAR, stamp_ns=stamp_ns)
+    return CameraReader(bucket, recording, lidar_topic=LIDAR).views_at(stamp_ns)
 
 
 def view_of(log: Log, *, stamp_ns: int = STAMP_NS) -> CameraView:
@@ -412,7 +412,7 @@ def test_real_logs_show_the_image_of_their_frame_and_thousands_of_points_in_it(
     recording = next(each for each in group_recordings(bucket.list()) if each.log_id == log)
     truth = reference / "data" / "truth" / f"{Path(recording.parts[-1].key).with_suffix('')}"
     stamp_ns = json.loads((truth / "frames.json").read_text())["frames"][10]["header_stamp"]
-    (view,) = read_cameras(bucket, recording, lidar_topic=topic, stamp_ns=stamp_ns)
+    (view,) = CameraReader(bucket, recording, lidar_topic=topic).views_at(stamp_ns)
     assert (view.stamp_ns - stamp_ns) / 1e6 == pytest.approx(apart_ms, abs=1.5)
     with Image.open(BytesIO(view.image_bytes)) as image:
         assert image.size == (view.width, view.height)

@@ -1,6 +1,7 @@
 """Camera pictures that are kept with a scene: which ones, how large, and at what cost."""
 
 from io import BytesIO
+from zlib import crc32
 
 import numpy as np
 import pytest
@@ -33,8 +34,22 @@ def _photo(width: int = 1280, height: int = 960, format_: str = "JPEG") -> bytes
     return out.getvalue()
 
 
-def _log(*, damaged: frozenset[int] = frozenset(), photo: bytes | None = None) -> Log:
-    """Front and rear camera at 10 Hz; the front images of some frames are damaged."""
+def _plain(width: int, height: int) -> bytes:
+    out = BytesIO()
+    Image.new("L", (width, height)).save(out, format="PNG")
+    return out.getvalue()
+
+
+def _bomb() -> bytes:
+    """A PNG that claims 60,000 by 60,000 pixels."""
+    head = b"IHDR" + (60_000).to_bytes(4, "big") * 2 + b"\x08\x02\0\0\0"
+    return b"\x89PNG\r\n\x1a\n" + (13).to_bytes(4, "big") + head + crc32(head).to_bytes(4, "big")
+
+
+def _log(
+    *, damaged: frozenset[int] = frozenset(), photo: bytes | None = None, bad: bytes = b"\xff\xd8"
+) -> Log:
+    """Front and rear camera at 10 Hz; the front images of some frames are bad."""
     log, good = Log(), photo or _photo()
     log.transforms(("lidar", "front", (0.5, 0, 0), FORWARD), ("lidar", "rear", (-0.5, 0, 0), REAR))
     for frame in range(12):
@@ -42,7 +57,7 @@ def _log(*, damaged: frozenset[int] = frozenset(), photo: bytes | None = None) -
         log.cloud(stamp_ns)
         for camera in ("front", "rear"):
             is_damaged = camera == "front" and frame in damaged
-            log.image(camera, stamp_ns + 3_000_000, data=good[:2000] if is_damaged else good)
+            log.image(camera, stamp_ns + 3_000_000, data=bad if is_damaged else good)
             log.info(camera, stamp_ns)
     return log
 
@@ -101,10 +116,22 @@ def test_all_keeps_every_image_that_sees_a_track_as_it_was_recorded(
     assert {(picture.width, picture.height) for picture in kept} == {(1280, 960)}
 
 
-def test_a_damaged_image_costs_that_picture_only(mined: tuple[SceneScore, Overlay]) -> None:
+@pytest.mark.parametrize(
+    "bad",
+    [
+        pytest.param(_photo()[:2000], id="truncated JPEG"),
+        pytest.param(_photo(format_="PNG")[:2000], id="truncated PNG"),
+        pytest.param(b"no image", id="no image"),
+        pytest.param(_bomb(), id="far too many pixels"),
+        pytest.param(_plain(9000, 9000), id="too many pixels"),
+    ],
+)
+def test_a_damaged_image_costs_that_picture_only(
+    mined: tuple[SceneScore, Overlay], bad: bytes
+) -> None:
     whole = _pictures("small", _log()).of_scene(*mined)
     lost = next(picture for picture in whole if picture.topic == FRONT)
-    kept = _pictures("small", _log(damaged=frozenset({lost.frame}))).of_scene(*mined)
+    kept = _pictures("small", _log(damaged=frozenset({lost.frame}), bad=bad)).of_scene(*mined)
     assert {(p.topic, p.frame) for p in whole} - {(p.topic, p.frame) for p in kept} == {
         (lost.topic, lost.frame)
     }
