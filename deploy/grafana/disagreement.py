@@ -326,13 +326,48 @@ STORE: Final = Row(
     ),
 )
 
+REVIEW: Final = Row(
+    "Review",
+    (
+        Panel(
+            title="Verdicts per hour",
+            description="Verdicts of reviewers by value; `withdrawn` is an undo. When `unsure` or "
+            "`duplicate` takes over, the pictures or the choice of scenes do not help.",
+            unit="short",
+            width=12,
+            stacked=True,
+            queries=(
+                Query(
+                    f"sum by (verdict) (rate(counterpoint_verdicts_total{AT_A_TIME})) * 3600",
+                    "{{verdict}}",
+                ),
+            ),
+        ),
+        Panel(
+            title="Precision so far",
+            description="Share of the judged scenes on which the supervised stream is wrong. When "
+            "it falls, reviewers look at scenes in vain.",
+            unit="percentunit",
+            width=12,
+            most=1,
+            queries=(
+                Query(
+                    'sum (counterpoint_judged_scenes{outcome="right"})'
+                    " / sum (counterpoint_judged_scenes)",
+                    "precision",
+                ),
+            ),
+        ),
+    ),
+)
+
 DASHBOARD: Final = Dashboard(
     uid="counterpoint-disagreement",
     title="Counterpoint: disagreement",
     description="Where and when the supervised and the self-supervised stream contradict each "
     "other.",
     since="now-24h",
-    rows=(NOW, OVER_TIME, SCENES, STORE),
+    rows=(NOW, OVER_TIME, SCENES, REVIEW, STORE),
     variables={"vehicle": "label_values(counterpoint_vehicle_scenes_total, vehicle)"},
     choices={
         "recorded": (

@@ -28,7 +28,7 @@ MAX_PAGE: Final = 200
 """Rows of a page at most."""
 
 MOST_COUNTED: Final = 10_000
-"""Matches of a search that are counted; a common word would be counted as long as it is sought."""
+"""Matches of a search that are counted; of a common word there may be a million."""
 
 SceneOrder = Literal["score", "newest", "earliest", "latest", "judged"]
 """Order of a listing. `score`: best first, as the ranking, scenes without a valid score last.

@@ -38,6 +38,9 @@ MOST_SAMPLES: Final = 120
 KEPT_S: Final = 10.0
 """Age up to which a dashboard is shown again, seconds: it counts all scenes."""
 
+PATIENCE_S: Final = 4.0
+"""Time that a dashboard waits for the counts, seconds; then the page loads itself again."""
+
 FEW_DAYS: Final = 4
 """Days up to which a chart shows hours unless days are asked for."""
 
@@ -79,14 +82,20 @@ def dashboard(request: Request) -> Response:
         "hour", since=since, until=until, now_s=time.clock_gettime(time.CLOCK_REALTIME)
     )
     kept = cast(Kept[Shown], request.app.state.activity)
-    per, found, status = kept.of(
-        (since, until, wanted), lambda: (*_activity(source, times, wanted), source.status())
+    shown = kept.within(
+        (since, until, wanted),
+        lambda: (*_activity(source, times, wanted), source.status()),
+        patience_s=PATIENCE_S,
     )
+    given = {"since": since, "until": until, "per": wanted}
+    if shown is None:
+        return render(request, "counting.html", section="dashboard", given=given)
+    per, found, status = shown
     return render(
         request,
         "dashboard.html",
         section="dashboard",
-        given={"since": since, "until": until, "per": wanted},
+        given=given,
         per=per,
         disagreement=_disagreement(found.recorded, per),
         recorded=_recorded(found.recorded, per),

@@ -13,6 +13,7 @@ from starlette.responses import Response
 
 from schemas.errors import PermanentError
 from service.api.reader import Reader, overlay_of
+from service.errors import NothingFoundError
 from service.pictures.thumbnail import draw_placeholder, draw_thumbnail
 from service.web.context import source_of
 
@@ -27,6 +28,7 @@ MOST_AT_A_TIME: Final = 2
 """Thumbnails that are drawn at a time; each decodes an overlay into about 100 MB."""
 
 NO_OVERLAY: Final = "no overlay"
+UNREADABLE: Final = "overlay unreadable"
 
 _COLOURS: Final = 64
 
@@ -82,7 +84,8 @@ def thumbnail(
         made = kept.of(source_of(request), scene_id, digest)
     except PermanentError as error:
         log.info("no thumbnail", scene_id=scene_id, problem=str(error))
-        return Response(png_of(draw_placeholder(NO_OVERLAY)), media_type="image/png")
+        words = NO_OVERLAY if isinstance(error, NothingFoundError) else UNREADABLE
+        return Response(png_of(draw_placeholder(words)), media_type="image/png")
     # Another digest is another address, so that browsers may keep what they have.
     headers = {"cache-control": "private, max-age=604800, immutable"} if digest else {}
     return Response(made, media_type="image/png", headers=headers)

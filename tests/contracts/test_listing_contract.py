@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import pytest
+from sqlalchemy import update
 
 from schemas.arrays import NS_PER_S
 from schemas.attribution import Attribution, Wrong
@@ -16,7 +17,8 @@ from schemas.verdict import Verdict
 from service.curation.activity import ActivityRequest
 from service.curation.listing import ListedScene, ScenesReply, ScenesRequest
 from service.curation.verdicts import JudgeRequest, UndoRequest
-from service.errors import NothingFoundError, UsageError
+from service.errors import NothingFoundError, RecordDamagedError, UsageError
+from service.store.tables import SCENES
 from tests.contracts.databases import OnPostgres, OnSqlite
 from tests.contracts.ledger_world import (
     START_NS,
@@ -244,6 +246,14 @@ class ListingContract(StoreContract):
         assert ask(world, selection="none").total == 0
         with pytest.raises(NothingFoundError, match="no selection 'other'"):
             ask(world, selection="other")
+
+    def test_a_damaged_record_is_left_out_of_its_page(self, world: World) -> None:
+        commit(world, scene(0, 0.9), scene(1, 0.5))
+        with world.store.writing() as connection:
+            connection.execute(update(SCENES).where(SCENES.c.score > 0.7).values(record=b"{}"))
+        assert numbers(ask(world).rows) == [1]
+        with pytest.raises(RecordDamagedError, match="cannot be judged"):
+            judge(world, f"a/lidar/{START_NS}")
 
     @pytest.mark.parametrize(
         "cursor", ["x", "ä", "W10=", "WyJuZXdlc3QiLCAxXQ==", "WyJzY29yZSIsICJhIiwgMSwgMl0="]

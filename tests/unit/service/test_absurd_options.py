@@ -50,7 +50,6 @@ WORKING: Final[dict[tuple[str, ...], list[str]]] = {
     ("bench", "motion"): ["file"],
     ("bench", "networks"): ["file", "--only", "images"],
     ("bench", "ledger"): ["--folder", "missing"],
-    ("bench", "listing"): ["--scenes", "1", "--folder", "file"],
     ("bench", "failures"): ["file", "--truth", "folder"],
     ("calibrate", "sensor"): ["file", "--out", "profile.json"],
     ("weights", "import"): [
@@ -63,7 +62,7 @@ WORKING: Final[dict[tuple[str, ...], list[str]]] = {
 }
 """Arguments under which a verb ends at once, with a result or a refusal."""
 
-LONG: Final = {("doctor",), ("bench", "simulation")}
+LONG: Final = {("doctor",), ("bench", "simulation"), ("bench", "listing")}
 """Verbs that work for seconds whatever they are given; they share their options with others."""
 
 STARTS: Final = {

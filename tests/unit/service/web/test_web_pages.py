@@ -97,6 +97,19 @@ def test_a_state_whose_overlays_are_gone_is_still_reviewed(page: Page, state: Pa
     assert answer.headers["cache-control"] == "no-store", "it may come back"
 
 
+@pytest.mark.parametrize("payload", [b"", b"CPOVL2\n\0" + b"\xff" * 64, b"\x28\xb5\x2f\xfd" * 9])
+def test_a_broken_overlay_has_a_picture_that_says_so(
+    page: Page, state: Path, payload: bytes
+) -> None:
+    for file in (state / "artifacts").rglob("*"):
+        if file.is_file():
+            file.write_bytes(payload)
+    row = page.scenes()[0]
+    answer = page.get(f"/thumb.png?id={row['scene_id']}&digest={row['sha256']}")
+    assert answer.status_code == 200
+    assert answer.headers["cache-control"] == "no-store"
+
+
 def test_a_verdict_is_stored_once_and_undone(page: Page) -> None:
     page.as_reviewer("Ada", budget=5)
     row = page.scenes()[0]
