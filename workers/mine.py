@@ -140,7 +140,7 @@ def mine_records(
     clock = report.clock
     report.bytes_needed = shard.needed_bytes
     reader = read_shard(bucket, recording, shard, settings)
-    pictures = ScenePictures.of(bucket, recording, shard, size=settings.pictures)
+    pictures = ScenePictures.of(bucket, reader, size=settings.pictures)
     scenes = mine_shard(
         shard,
         clock.drawn("ingest", _checked(reader.frames(), check)),

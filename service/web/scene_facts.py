@@ -37,6 +37,7 @@ def viewer_facts(score: SceneScore, header: OverlayHeader) -> dict[str, Any]:
     """
     task = task_named(score.task)
     instances, known = header.instances, {track.track_id for track in score.tracks}
+    stamps_ns = [int(frame.stamp_ns) for frame in header.frames]
     boxes: dict[int, list[list[float]]] = {track_id: [] for track_id in known}
     for frame, track, box in zip(instances.frame, instances.track, instances.boxes, strict=True):
         if track in known:
@@ -54,11 +55,12 @@ def viewer_facts(score: SceneScore, header: OverlayHeader) -> dict[str, Any]:
         "owners": [track if track in known else -1 for track in instances.track],
         "tracks": [
             _track_facts(track, task, sorted(boxes[track.track_id]))
+            | {"frame": frame_at(track.strongest.stamp_ns, stamps_ns)}
             for track in score.tracks
             if boxes[track.track_id]
         ],
         "pictures": [_picture_facts(entry, known) for entry in header.pictures],
-        "start": start_frame(score, [int(frame.stamp_ns) for frame in header.frames]),
+        "start": start_frame(score, stamps_ns),
     }
 
 

@@ -207,7 +207,9 @@ def _first_frame(request: Request, facts: dict[str, Any] | None) -> int:
         return 0
     asked = request.query_params.get("frame", "")
     known = asked.isascii() and asked.isdecimal() and int(asked[:6]) < len(facts["frames"])
-    return int(asked) if known else int(facts["start"])
+    track = request.query_params.get("track", "")
+    frames = {str(each["id"]): each["frame"] for each in facts["tracks"]}
+    return int(asked) if known else int(frames.get(track, facts["start"]))
 
 
 def _addresses(seen: SeenScene, opened: OverlayFile) -> dict[str, Any]:

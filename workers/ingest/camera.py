@@ -25,6 +25,7 @@ from workers.ingest.images import IMAGE_ERRORS, image_size
 from workers.ingest.log_index import LogIndex, index_recording
 from workers.ingest.message_lookup import MessageLookup, readable
 from workers.ingest.messages import RawMessage
+from workers.ingest.part_reader import RecentReads
 from workers.ingest.point_time import point_time
 from workers.ingest.topic_sampling import Sample, sample_topics
 from workers.ingest.topics import Topic, topics_of
@@ -62,12 +63,14 @@ class CameraReader:
         lidar_topic: Topic of the frames' lidar.
         reach_ns: Time around the sweep over the cameras in which chunks are searched for images,
             once the cameras are placed.
+        recent: Last reads of each part of the log by the reader of its clouds; empty: none.
     """
 
     bucket: Bucket
     recording: Recording
     lidar_topic: str
     reach_ns: int = MAX_APART_NS
+    recent: Sequence[RecentReads] = ()
     _log: "_OpenedLog | None" = None
     _placed: "dict[str, _Placed]" = field(default_factory=dict)
     _searches: int = 0
@@ -135,7 +138,7 @@ class CameraReader:
         )
 
     def _opened(self) -> "_OpenedLog":
-        index = index_recording(self.bucket, self.recording)
+        index = index_recording(self.bucket, self.recording, recent=self.recent)
         topics = topics_of(index.parts)
         images = [topic for topic in topics if has_images(topic.channel) and topic.messages]
         lidar = [topic for topic in topics if topic.channel.topic == self.lidar_topic]

@@ -1,4 +1,4 @@
-"""Images of cameras: their size, and what a damaged one raises."""
+"""Images of cameras: their size, and the errors of damaged ones."""
 
 import struct
 import zlib
@@ -20,7 +20,7 @@ IMAGE_ERRORS: Final = (
     TypeError,
     OverflowError,
 )
-"""What Pillow raises for bytes that are no image, a damaged one, or one of too many pixels."""
+"""Errors of Pillow for bytes that are no image, a damaged one, or one of too many pixels."""
 
 
 def image_size(data: bytes) -> tuple[int, int]:

@@ -1,7 +1,7 @@
 """Log index of a recording: each part's summary where it is consistent, else a recovered one."""
 
 from bisect import bisect_left
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -31,7 +31,7 @@ from workers.ingest.index import (
 from workers.ingest.index_doubts import claimed_end, contradicting, misplaced, uncounted
 from workers.ingest.index_recovery import recover_index, scan_records
 from workers.ingest.limits import MAX_CHUNK_RECORDS, MAX_CHUNKS
-from workers.ingest.part_reader import PartReader
+from workers.ingest.part_reader import PartReader, RecentReads
 from workers.ingest.planning_budget import PlanningBudget
 from workers.ingest.records import MAGIC, RecordMalformedError, count_records, walk
 
@@ -101,13 +101,20 @@ class LogIndex:
         return open_from(self.readers[ref.part], ref, self.budget)
 
 
-def index_recording(bucket: Bucket, recording: Recording, *, settled: bool = True) -> LogIndex:
+def index_recording(
+    bucket: Bucket,
+    recording: Recording,
+    *,
+    settled: bool = True,
+    recent: Sequence[RecentReads] = (),
+) -> LogIndex:
     """Index every part of a recording; of several, one that is no MCAP file is damage.
 
     Args:
         bucket: Its bucket.
         recording: Its parts.
         settled: Use a part without a valid footer as far as it goes; else it may still grow.
+        recent: Last reads of each part by another reader; empty: none.
 
     Raises:
         NotMcapError: If no part is an MCAP file.
@@ -117,6 +124,8 @@ def index_recording(bucket: Bucket, recording: Recording, *, settled: bool = Tru
     """
     budget = PlanningBudget()
     readers = tuple(PartReader(bucket, part, number) for number, part in enumerate(recording.parts))
+    for reader, shared in zip(readers, recent, strict=False):
+        reader.recent = shared
     for reader in () if settled else readers:
         if not is_closed(reader):
             raise StillGrowingError(key=reader.key, size=reader.size)

@@ -1,5 +1,6 @@
 """Part reader: range reads of one part of a recording, counted and cached."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -7,6 +8,36 @@ from schemas.transport.bucket import Bucket
 from schemas.work import Part
 
 MAX_HELD_BYTES: Final = 16 * 1024 * 1024
+
+
+MAX_RECENT_BYTES: Final = 64 * 1024 * 1024
+"""Bytes of an object's last reads that another reader of it may use again: some seconds of a log.
+"""
+
+
+@dataclass(slots=True, eq=False)
+class RecentReads:
+    """The last reads of one object, which another reader of the same object need not repeat.
+
+    One thread adds, another one may search meanwhile.
+    """
+
+    _reads: tuple[tuple[int, memoryview], ...] = ()
+
+    def add(self, offset: int, data: memoryview) -> None:
+        """Keep a read, and forget the oldest ones."""
+        kept: list[tuple[int, memoryview]] = []
+        room = MAX_RECENT_BYTES
+        for read in ((offset, data), *self._reads):
+            room -= len(read[1])
+            if room < 0:
+                break
+            kept.append(read)
+        self._reads = tuple(kept)
+
+    def find(self, offset: int, length: int) -> memoryview | None:
+        """Return these bytes if one of the reads contains them."""
+        return _within(self._reads, offset, length)
 
 
 @dataclass(slots=True, eq=False)
@@ -22,6 +53,7 @@ class PartReader:
         number: Index into the recording's parts.
         range_reads: Requests so far.
         bytes_read: Bytes read by them.
+        recent: Last reads that readers of the object share; None: not shared.
     """
 
     bucket: Bucket
@@ -29,6 +61,7 @@ class PartReader:
     number: int
     range_reads: int = 0
     bytes_read: int = 0
+    recent: RecentReads | None = None
     _held: list[tuple[int, memoryview]] = field(default_factory=list)
 
     @property
@@ -74,11 +107,20 @@ class PartReader:
         data = memoryview(self.bucket.read_range(self.key, offset, length, self.part.etag))
         self.range_reads += 1
         self.bytes_read += length
+        if self.recent is not None:
+            self.recent.add(offset, data)
         return data
 
     def held(self, offset: int, length: int) -> memoryview | None:
         """Return these bytes if they need no request."""
-        for start, data in self._held:
-            if start <= offset and offset + length <= start + len(data):
-                return data[offset - start : offset - start + length]
-        return None
+        found = _within(self._held, offset, length)
+        if found is None and self.recent is not None:
+            found = self.recent.find(offset, length)
+        return found
+
+
+def _within(reads: Iterable[tuple[int, memoryview]], offset: int, length: int) -> memoryview | None:
+    for start, data in reads:
+        if start <= offset and offset + length <= start + len(data):
+            return data[offset - start : offset - start + length]
+    return None

@@ -12,9 +12,10 @@ from schemas.overlay_picture import Picture
 from schemas.score import SceneScore, shown_tracks
 from schemas.sights import sights_of, tracks_seen
 from schemas.transport.bucket import Bucket
-from schemas.work import Recording, Shard
 from workers.ingest.camera import CameraReader
 from workers.ingest.camera_model import CameraView
+from workers.ingest.part_reader import RecentReads
+from workers.ingest.read import ShardReader
 from workers.pictures.compression import PictureUnreadableError, as_recorded, smaller
 
 _MOST_TRIES: Final = 3
@@ -53,14 +54,29 @@ class ScenePictures:
     _in_vain: int = 0
 
     @classmethod
-    def of(
-        cls, bucket: Bucket, recording: Recording, shard: Shard, *, size: Size
-    ) -> "ScenePictures":
-        """Prepare for a shard; nothing is read before the first scene with a reported track."""
+    def of(cls, bucket: Bucket, shard_reader: ShardReader, *, size: Size) -> "ScenePictures":
+        """Prepare for a shard; nothing is read before the first scene with a reported track.
+
+        Images are mostly in the chunks of the clouds, so the last reads of these are kept.
+
+        Args:
+            bucket: Bucket of the log.
+            shard_reader: Reader of the clouds, before it reads.
+            size: The setting `pictures`.
+        """
+        shard = shard_reader.shard
         if size == "none" or not shard.has_cameras:
             return cls(None, size)
-        reader = CameraReader(bucket, recording, lidar_topic=shard.lidar.topic, reach_ns=_REACH_NS)
-        return cls(reader, size)
+        recent = [RecentReads() for _ in shard_reader.readers]
+        for reader, reads in zip(shard_reader.readers, recent, strict=True):
+            reader.recent = reads
+        cameras = CameraReader(
+            *(bucket, shard_reader.recording),
+            lidar_topic=shard.lidar.topic,
+            reach_ns=_REACH_NS,
+            recent=recent,
+        )
+        return cls(cameras, size)
 
     @property
     def range_reads(self) -> int:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from schemas.mining import MiningSettings
 from schemas.overlay import Overlay
 from schemas.score import SceneScore
 from schemas.transport.bucket import Bucket
@@ -15,6 +16,8 @@ from tests.labelled_worlds import Thing, labelled_scene, shard_of
 from tests.unit.service.test_picture import DYNAMIC, PHANTOM, STATIC, WALL, mined_scene
 from tests.unit.workers.test_camera import FORWARD, LIDAR, REAR, STAMP_NS, Log
 from workers.ingest.camera import CameraReader
+from workers.ingest.part_reader import MAX_RECENT_BYTES, RecentReads
+from workers.ingest.read import read_shard
 from workers.pictures.scene_pictures import ScenePictures, Size
 
 FRAME_NS = 100_000_000
@@ -71,7 +74,8 @@ def _of(bucket: Bucket, recording: Recording, size: Size, *, has_cameras: bool) 
     shard = shard_of()
     lidar = shard.lidar.model_copy(update={"topic": LIDAR})
     shard = shard.model_copy(update={"lidar": lidar, "has_cameras": has_cameras})
-    return ScenePictures.of(bucket, recording, shard, size=size)
+    settings = MiningSettings(bucket="memory://", artifacts="")
+    return ScenePictures.of(bucket, read_shard(bucket, recording, shard, settings), size=size)
 
 
 def test_the_images_in_which_tracks_are_strongest_are_kept_small(
@@ -174,3 +178,29 @@ def test_a_log_whose_cameras_have_no_place_is_searched_a_few_times_only(
     for _ in range(10):
         assert pictures.of_scene(*mined) == ()
     assert len(asked) <= 9
+
+
+def test_what_the_reader_of_the_clouds_has_read_is_not_read_again(
+    mined: tuple[SceneScore, Overlay],
+) -> None:
+    pictures = _pictures("small", _log())
+    assert pictures.cameras is not None
+    (recent,) = pictures.cameras.recent
+    data = pictures.cameras.bucket.read_all("log.mcap")
+    recent.add(0, memoryview(data))
+    assert len(pictures.of_scene(*mined)) > 1
+    assert pictures.bytes_read == 0
+
+
+def test_recent_reads_are_bounded_and_the_newest_stay() -> None:
+    recent, size = RecentReads(), MAX_RECENT_BYTES // 4
+    data = memoryview(bytes(size))
+    for number in range(6):
+        recent.add(number * size, data)
+    assert [recent.find(number * size, 10) is not None for number in range(6)] == [
+        *(False, False, True, True, True, True)
+    ]
+    assert recent.find(3 * size - 1, 2) is None, "two reads are not joined"
+    recent.add(0, memoryview(bytes(MAX_RECENT_BYTES + 1)))
+    assert recent.find(5 * size, 10) is None
+    assert recent.find(0, 10) is None, "larger than all that may be kept"
