@@ -338,13 +338,10 @@ class Ledger:
             return scenes.current_scenes(connection, on_damaged=self._store.note_damaged)
 
     def scene(self, scene_id: str, *, withdrawn: bool = False) -> StoredScene | None:
-        """Return the current scene of this id; with `withdrawn` else its last record.
-
-        Raises:
-            RecordDamagedError: If its record is damaged.
-        """
+        """Return a current scene, or with `withdrawn` its last record; raise as `scenes` does."""
+        find = scenes.last_scene if withdrawn else scenes.current_scene
         with self._store.reading() as connection:
-            return scenes.last_scene(connection, scene_id, withdrawn, self._store.note_damaged)
+            return find(connection, scene_id, on_damaged=self._store.note_damaged)
 
     def ranking(self, *, most: int | None = None) -> list[RankedScene]:
         """Rank current scenes, best first, and return at most `most`; None: all."""

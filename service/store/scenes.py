@@ -163,19 +163,15 @@ def current_scene(
 
 
 def last_scene(
-    connection: Connection, scene_id: str, withdrawn: bool, on_damaged: OnDamaged
-) -> StoredScene | None:
-    """Read the current scene of an id; with `withdrawn`, else its last record."""
-    found = current_scene(connection, scene_id, on_damaged=on_damaged)
-    if found is not None or not withdrawn:
-        return found
-    return withdrawn_scene(connection, scene_id, on_damaged=on_damaged)
-
-
-def withdrawn_scene(
     connection: Connection, scene_id: str, *, on_damaged: OnDamaged
 ) -> StoredScene | None:
-    """Read the last record of a scene that is no longer current; None where it is damaged."""
+    """Read a scene: the current one, else its last record; None where that one is damaged.
+
+    Raises:
+        RecordDamagedError: If the record of the current one is damaged.
+    """
+    if found := current_scene(connection, scene_id, on_damaged=on_damaged):
+        return found
     row = connection.execute(
         _stored()
         .where(

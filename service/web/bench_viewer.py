@@ -108,7 +108,7 @@ class Figure:
 
 
 def bench_viewer(source: Reader, scene_id: str) -> Iterator[Figure]:
-    """Measure the page of a scene; yield each figure as soon as it is known.
+    """Measure the page of a scene, and yield its figures one by one.
 
     Args:
         source: State with the scene.

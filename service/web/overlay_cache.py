@@ -1,4 +1,4 @@
-"""Overlays that the page has open: their headers, and blocks of them as they are stored."""
+"""Overlays that the page has open: their headers, and their blocks in stored form."""
 
 import threading
 from collections import OrderedDict
@@ -23,7 +23,7 @@ CHANGED: Final = "this scene was mined again since the page was opened: load the
 
 @dataclass(frozen=True, slots=True)
 class SeenScene:
-    """The record of a scene as it is shown.
+    """The shown record of a scene.
 
     Attributes:
         score: The record.

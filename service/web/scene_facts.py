@@ -19,8 +19,8 @@ SAFE_COLOURS: Final[tuple[Colour, ...]] = (
     (225, 225, 235),
     (74, 78, 84),
 )
-"""Colours of the outcomes of two classes that colour-blind reviewers tell apart (after Okabe and
-Ito): grey, orange, blue, white, and dark grey where not compared.
+"""Colours of the outcomes of two classes that colour-blind reviewers can distinguish (after
+Okabe and Ito): grey, orange, blue, white, and dark grey where not compared.
 """
 
 SAFE_WITNESS: Final[Colour] = (204, 121, 167)
@@ -31,12 +31,13 @@ POSE_DIGITS: Final = 6
 
 
 def viewer_facts(score: SceneScore, header: OverlayHeader) -> dict[str, Any]:
-    """Return all that the viewer needs besides the blocks, ready for JSON.
+    """Return all that the viewer needs in addition to the blocks, ready for JSON.
 
     Only tracks of the record have boxes: all tracks of a busy scene at once are unreadable.
     """
     task = task_named(score.task)
     instances, known = header.instances, {track.track_id for track in score.tracks}
+    stamps_ns = [int(frame.stamp_ns) for frame in header.frames]
     boxes: dict[int, list[list[float]]] = {track_id: [] for track_id in known}
     for frame, track, box in zip(instances.frame, instances.track, instances.boxes, strict=True):
         if track in known:
@@ -54,11 +55,12 @@ def viewer_facts(score: SceneScore, header: OverlayHeader) -> dict[str, Any]:
         "owners": [track if track in known else -1 for track in instances.track],
         "tracks": [
             _track_facts(track, task, sorted(boxes[track.track_id]))
+            | {"frame": frame_at(track.strongest.stamp_ns, stamps_ns)}
             for track in score.tracks
             if boxes[track.track_id]
         ],
         "pictures": [_picture_facts(entry, known) for entry in header.pictures],
-        "start": start_frame(score, [int(frame.stamp_ns) for frame in header.frames]),
+        "start": start_frame(score, stamps_ns),
     }
 
 

@@ -59,15 +59,18 @@ def order_of(
         else:
             following = listed[own + 1 :] if own is not None else listed
             previous = listed[:own] if own is not None else ()
-        waiting, _ = rows(judged="not_mine" if reviewer else "no")
+        unjudged = next((row for row in following if not _is_judged(row)), None)
+        if unjudged is None:
+            waiting, _ = rows(judged="not_mine" if reviewer else "no")
+            ids = {row.scene_id for row in waiting} - {score.scene_id}
+            ahead = [row for row in (*following, *previous, *waiting) if row.scene_id in ids]
+            unjudged = ahead[0] if ahead else None
     except UsageError:
         return Order()
-    ids = {row.scene_id for row in waiting} - {score.scene_id}
-    ahead = [row for row in (*following, *previous, *waiting) if row.scene_id in ids]
     return Order(
         next=href_of(following[0].scene_id, rest) if following else "",
         previous=href_of(previous[-1].scene_id, rest) if previous else "",
-        unjudged=href_of(ahead[0].scene_id, rest) if ahead else "",
+        unjudged=href_of(unjudged.scene_id, rest) if unjudged else "",
         total=total,
         place=None if own is None else own + 1,
     )
@@ -76,6 +79,11 @@ def order_of(
 def href_of(scene_id: str, query: str = "") -> str:
     """Return the address of a scene's page, with the filters of the list it is opened from."""
     return f"/scene?id={quote(scene_id, safe='')}{query.replace('?', '&', 1)}"
+
+
+def _is_judged(row: ListedScene) -> bool:
+    """Return true for a scene with a verdict on it, on a track, or on an earlier record."""
+    return bool(row.verdicts.judged or row.verdicts.earlier)
 
 
 def _index(rows: tuple[ListedScene, ...], scene_id: str) -> int | None:

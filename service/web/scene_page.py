@@ -15,6 +15,7 @@ from starlette.responses import Response
 
 from schemas.arrays import NS_PER_S
 from schemas.errors import PermanentError, TransientError
+from schemas.score import SceneScore
 from schemas.transport.overlay_file import OverlayFile
 from service.api.reader import Reader, overlay_of
 from service.curation.listing import ListedScene, ScenesRequest
@@ -29,7 +30,7 @@ from service.web.ranking import kind_class
 from service.web.scene_facts import viewer_facts
 from service.web.scene_links import links_of
 from service.web.scene_order import href_of, order_of
-from service.web.scene_story import around, blind_spots, same_things, stories_of
+from service.web.scene_story import around, blind_spots, is_strong, same_things, stories_of
 
 router = APIRouter()
 
@@ -86,7 +87,7 @@ def scene_page(request: Request, scene_id: SceneId = "") -> Response:
         first_frame=_first_frame(request, facts),
         problem=problem or ("" if row else WITHDRAWN),
         neighbours=[(each, href_of(each.scene_id)) for each in neighbours],
-        shared=same_things(score, _records(source, score.start_ns, neighbours)),
+        shared=same_things(score, _records(source, score, neighbours)),
         mine=[each for each in verdicts if each.reviewer == reviewer],
         others=[each for each in verdicts if each.reviewer != reviewer],
         given=GIVEN,
@@ -206,18 +207,25 @@ def _first_frame(request: Request, facts: dict[str, Any] | None) -> int:
         return 0
     asked = request.query_params.get("frame", "")
     known = asked.isascii() and asked.isdecimal() and int(asked[:6]) < len(facts["frames"])
-    return int(asked) if known else int(facts["start"])
+    track = request.query_params.get("track", "")
+    frames = {str(each["id"]): each["frame"] for each in facts["tracks"]}
+    return int(asked) if known else int(frames.get(track, facts["start"]))
 
 
 def _addresses(seen: SeenScene, opened: OverlayFile) -> dict[str, Any]:
     return {"id": seen.score.scene_id, "digest": seen.digest, "state": seen.score.state.value}
 
 
-def _records(source: Reader, start_ns: int, rows: list[ListedScene]) -> list[Any]:
-    """Read the records of the nearest neighbours; one that cannot be read is left out."""
-    nearest = sorted(rows, key=lambda row: abs(row.start_ns - start_ns))[:NEAREST]
+def _records(source: Reader, score: SceneScore, rows: list[ListedScene]) -> list[SceneScore]:
+    """Read the records of near neighbours that list a thing of the same kind and class.
+
+    One that cannot be read is left out.
+    """
+    things = {(track.kind, track.class_name) for track in score.tracks if is_strong(score, track)}
+    similar = [row for row in rows if any((t.kind, t.class_name) in things for t in row.tracks)]
+    similar.sort(key=lambda row: abs(row.start_ns - score.start_ns))
     found = []
-    for row in nearest:
+    for row in similar[:NEAREST]:
         try:
             found.append(source.scene(row.scene_id))
         except PermanentError:

@@ -1,4 +1,4 @@
-"""What the scene page tells about a record: evidence, blindness, neighbours in time. Pure."""
+"""Contents of the scene page: evidence of tracks, blindness, neighbours in time. Pure."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

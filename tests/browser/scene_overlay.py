@@ -2,6 +2,7 @@
 
 import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -23,7 +24,7 @@ WALL, CAR = 3000, 60
 NAMES = ("car", "pedestrian")
 
 
-def two_tracks() -> dict[str, object]:
+def two_tracks() -> dict[str, Any]:
     """Fields of a record with two strong tracks, whose attributions are known."""
     tracks = [
         track_record(
@@ -53,7 +54,8 @@ def two_tracks() -> dict[str, object]:
 def overlay_with_points(scene_id: str, start_ns: int) -> Overlay:
     """Frames of a wall and two boxes of contradicting points, and one camera picture."""
     random = np.random.default_rng(7)
-    clouds, codes, owners, boxes, frames, tracks = [], [], [], [], [], []
+    boxes: list[list[float]] = []
+    clouds, codes, owners, frames, tracks = [], [], [], [], []
     for frame in range(FRAMES):
         wall = np.stack([np.full(WALL, 25.0), *(random.uniform(-12, 12, (2, WALL)))])
         parts, outcome, owner = [wall.T], [np.zeros(WALL, np.uint8)], [np.full(WALL, -1)]

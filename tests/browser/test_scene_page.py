@@ -3,9 +3,13 @@
 import re
 from pathlib import Path
 
+import httpx
+import numpy as np
 import pytest
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, Page, Route, expect
 
+from schemas.task import MOTION
+from schemas.transport.overlay_blocks import view_points
 from schemas.transport.overlay_codec import decode_overlay, overlay_file_of
 from tests.browser.conftest import PHONE, Review, opened
 from tests.browser.scene_overlay import FRAMES, overlay_path, state_with_points
@@ -242,3 +246,43 @@ def test_a_phone_shows_the_whole_page(browser: Browser, review: Review) -> None:
         drawn(page)
         assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
         expect(page.get_by_role("button", name="Save").last).to_be_visible()
+
+
+def test_bytes_that_the_browser_left_compressed_are_decompressed_by_the_page(
+    browser: Browser, review: Review
+) -> None:
+    def bare(route: Route) -> None:
+        answer = httpx.get(route.request.url, headers={"accept-encoding": "identity"})
+        route.fulfill(body=answer.content, content_type="application/octet-stream")
+
+    with opened(browser, review) as page:
+        page.route(re.compile("/data/frame"), bare)
+        page.goto(at(ids(review)[0]))
+        drawn(page, FRAMES - 1)
+
+
+def test_the_page_decodes_what_python_encoded(browser: Browser, review: Review) -> None:
+    scene = ids(review)[0]
+    file = overlay_file_of(overlay_path(review.state, scene).read_bytes())
+    count = file.header.frames[1].points
+    known = view_points(file.view(1), count, MOTION.unknown)
+    with opened(browser, review, at(scene)) as page:
+        facts = page.evaluate(
+            """async (count) => {
+              const { decodeView } = await import("/static/viewer/codec.js");
+              const { id, digest } = JSON.parse(document.querySelector("#facts").textContent);
+              const address = `/data/frame?id=${encodeURIComponent(id)}&digest=${digest}&n=1`;
+              const block = await (await fetch(address)).arrayBuffer();
+              const frame = decodeView(new Uint8Array(block), count);
+              return [frame.points, frame.members, frame.owners].map((each) => Array.from(each));
+            }""",
+            count,
+        )
+    points = np.array(facts[0]).reshape(-1, 4)
+    np.testing.assert_array_equal(points[:, :3], known.points_cm)
+    codes = points[:, 3]
+    np.testing.assert_array_equal(codes & 15, known.semantic_labels)
+    np.testing.assert_array_equal((codes >> 4) & 15, known.predictive_labels)
+    np.testing.assert_array_equal(((codes >> 8) & 15) < 2, known.witness_labels < MOTION.unknown)
+    np.testing.assert_array_equal((codes >> 12) & 1, known.ground_mask)
+    assert facts[1:] == [known.instance_points.tolist(), known.instance_of.tolist()]

@@ -51,6 +51,7 @@ export function table(style, task) {
     const supervised = code & 15;
     const predicted = (code >> 4) & 15;
     const witness = (code >> 8) & 15;
+    if (![supervised, predicted, witness].every((label) => label < many || label === UNKNOWN)) continue;
     const compared = supervised < many && predicted < many;
     const outcome = compared ? predicted * many + supervised : many * many;
     const [rgb, plain] = colourOf(style, task, { supervised, predicted, witness, outcome });

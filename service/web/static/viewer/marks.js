@@ -10,6 +10,7 @@ import { css } from "./colours.js";
  * A track of the record.
  * @typedef {object} Track
  * @property {number} id
+ * @property {number} frame Frame with its strongest evidence.
  * @property {string} label
  * @property {string} verdict Who errs, with the probability.
  * @property {boolean} strong True for a reason of the score; weaker ones are drawn when selected.

@@ -4,7 +4,6 @@
 import { isTyping } from "../app.js";
 import { css, legend } from "./colours.js";
 import { Frames } from "./frames.js";
-import { boxAt } from "./marks.js";
 import { Pictures } from "./pictures.js";
 import { listen } from "./pointer.js";
 import { Timeline } from "./timeline.js";
@@ -52,12 +51,13 @@ class Page {
       (index) => this.viewer.drop(index),
     );
     this.saving = 0;
-    const asked = Number(place.searchParams.get("frame") ?? facts.start);
-    const frame = Number.isInteger(asked) && facts.frames[asked] ? asked : facts.start;
-    this.frames.load(frame);
-    this.viewer.show(frame);
     const wanted = place.searchParams.get("track");
     const known = facts.tracks.find((/** @type {any} */ each) => String(each.id) === wanted);
+    const usual = known?.frame ?? facts.start;
+    const asked = Number(place.searchParams.get("frame") ?? usual);
+    const frame = Number.isInteger(asked) && facts.frames[asked] ? asked : usual;
+    this.frames.load(frame);
+    this.viewer.show(frame);
     this.select(known?.id ?? facts.tracks[0]?.id ?? null);
     this.viewer.look();
     all("#left, #right").forEach((canvas, pane) => {
@@ -84,15 +84,20 @@ class Page {
     this.link();
   }
 
+  /** Select a track, and look at it where its evidence is strongest. @param {number} id */
+  visit(id) {
+    const track = facts.tracks.find((/** @type {any} */ each) => each.id === id);
+    this.select(id);
+    if (track) this.show(track.frame);
+    this.viewer.look();
+  }
+
   /** Select the next track of the list, and look at it. @param {number} step */
   next(step) {
     const ids = facts.tracks.map((/** @type {any} */ each) => each.id);
     if (!ids.length) return;
     const now = ids.indexOf(this.viewer.selected);
-    this.select(ids[(now + step + ids.length) % ids.length]);
-    const track = facts.tracks.find((/** @type {any} */ each) => each.id === this.viewer.selected);
-    this.show(boxAt(track, this.viewer.frame)[0]);
-    this.viewer.look();
+    this.visit(ids[(now + step + ids.length) % ids.length]);
     one(`details.track[data-track="${this.viewer.selected}"]`)?.scrollIntoView({ block: "nearest" });
   }
 
@@ -128,8 +133,7 @@ class Page {
     for (const each of all("details.track")) {
       each.querySelector("summary").addEventListener("click", (/** @type {Event} */ event) => {
         event.preventDefault();
-        this.select(Number(each.dataset.track));
-        this.viewer.look();
+        this.visit(Number(each.dataset.track));
       });
     }
     this.restyle({});

@@ -1,6 +1,7 @@
 """Routes of the scene page: blocks as stored, records without overlay, withdrawn scenes, links."""
 
 from pathlib import Path
+from typing import Any
 from urllib.parse import parse_qs, quote, urlsplit
 
 import pytest
@@ -71,7 +72,7 @@ def test_a_picture_is_sent_with_its_media_type(page: Page) -> None:
     ],
 )
 def test_what_is_not_there_is_answered_with_a_sentence(
-    page: Page, change: dict[str, str], words: str
+    page: Page, change: dict[str, Any], words: str
 ) -> None:
     scene_id, digest = first(page)
     answer = page.get(data(**({"kind": "frame", "scene_id": scene_id, "digest": digest} | change)))
