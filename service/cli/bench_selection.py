@@ -36,11 +36,12 @@ def selection(
     ] = 1_000_000,
     json: Json = False,
 ) -> None:
-    """Compare selection strategies on fleets with planted failures; time them on synthetic rows."""
+    """Compare strategies and modes with planted failures; time strategies on synthetic rows."""
     if not kept and not rows:
         raise UsageError("give folders of mined logs, or --rows: there is nothing to measure")
     if kept:
         _say_looks(kept, recurring=recurring, draws=draws, json=json)
+        _say_modes(kept, json=json)
     if rows:
         _say_speed(rows, json=json)
 
@@ -73,6 +74,31 @@ def _say_looks(kept: list[Path], *, recurring: int, draws: int, json: bool) -> N
                 for row in found
             ),
         )
+
+
+def _say_modes(kept: list[Path], *, json: bool) -> None:
+    from service.evaluation.mined_fleet import read_logs
+    from service.evaluation.modes_figure import modes_figure
+
+    row = modes_figure([log for folder in kept for log in read_logs(folder)])
+    if json:
+        json_line(row)
+        return
+    table(
+        "failure modes against planted kinds",
+        ("tracks", "in a mode", "modes", "planted", "kinds", "mutual information", "ids kept"),
+        (
+            (
+                row.tracks,
+                f"{100 * row.in_modes:.0f} %",
+                row.modes,
+                row.planted,
+                row.kinds,
+                "" if row.ami is None else f"{row.ami:.2f}",
+                "" if row.kept is None else f"{100 * row.kept:.0f} %",
+            ),
+        ),
+    )
 
 
 def _say_speed(rows: int, *, json: bool) -> None:

@@ -24,6 +24,7 @@ from service.cli import (
     evaluate,
     logs,
     measure,
+    modes,
     parts,
     rates,
     retry,
@@ -59,7 +60,7 @@ app = typer.Typer(
     "each other. No label is needed.",
     epilog="Try it: counterpoint demo --out demo-output",
 )
-for mining in (daemons, logs, scenes, selections, rates, retry, review):
+for mining in (daemons, logs, scenes, selections, modes, rates, retry, review):
     mining.add_to(app)
 for measuring in (demo, simulate, evaluate, measure, calibrate, parts, settings, weights):
     measuring.add_to(app)
