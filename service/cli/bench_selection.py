@@ -50,7 +50,7 @@ def _say_looks(kept: list[Path], *, recurring: int, draws: int, json: bool) -> N
     from service.evaluation import mined_fleet
     from service.evaluation.scenes_to_look_at import SHARES, looks_rows
 
-    logs = [log for folder in kept for log in mined_fleet.read_logs(folder)]
+    logs = mined_fleet.read_fleets(kept)
     for times in sorted({1, recurring}):
         fleet = mined_fleet.fleet_of(mined_fleet.recurring(logs, times=times))
         found = looks_rows(fleet, draws=draws)
@@ -77,10 +77,10 @@ def _say_looks(kept: list[Path], *, recurring: int, draws: int, json: bool) -> N
 
 
 def _say_modes(kept: list[Path], *, json: bool) -> None:
-    from service.evaluation.mined_fleet import read_logs
+    from service.evaluation.mined_fleet import read_fleets
     from service.evaluation.modes_figure import modes_figure
 
-    row = modes_figure([log for folder in kept for log in read_logs(folder)])
+    row = modes_figure(read_fleets(kept))
     if json:
         json_line(row)
         return

@@ -35,7 +35,7 @@ def modes(
     table(
         f"{counted(len(found.modes), 'mode')} of {counted(found.tracks, 'strong track')} in "
         f"{found.hours:.2f} hours",
-        ("mode", "tracks", "scenes", "per hour", "rate", "vehicles", "versions", "best", "name"),
+        ("mode", "tracks", "scenes", "per hour", "rate", "vehicles", "versions", "best rank"),
         (
             (
                 row.mode_id,
@@ -46,13 +46,13 @@ def modes(
                 len(row.vehicles),
                 len(row.software_versions),
                 row.examples[0].rank,
-                row.name,
             )
             for row in found.modes
         ),
     )
     for row in found.modes:
-        result_line(f"{row.mode_id}: {', '.join(each.scene_id for each in row.examples)}")
+        examples = ", ".join(each.scene_id for each in row.examples)
+        result_line(f"{row.mode_id}: {row.name}; best examples: {examples}")
     if found.tracks < FIRST_GROUPED:
         remark(f"modes are formed from {FIRST_GROUPED} strong tracks on")
     elif found.without:

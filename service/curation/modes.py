@@ -139,12 +139,9 @@ def modes_of(tracks: Sequence[ModeTrack]) -> list[Mode]:
                 formed.append(_formed(members, features, tracks))
         size *= 2
     _join(labels, features, kinds, formed)
+    members = list(zip(tracks, labels.tolist(), strict=True))
     found = [
-        Mode(
-            mode.mode_id,
-            mode.name,
-            tuple(tracks[at] for at in np.flatnonzero(labels == number).tolist()),
-        )
+        Mode(mode.mode_id, mode.name, tuple(each for each, of in members if of == number))
         for number, mode in enumerate(formed)
     ]
     return sorted(found, key=lambda mode: (-len(mode.members), mode.mode_id))

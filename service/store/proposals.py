@@ -1,4 +1,4 @@
-"""Choice of scenes for a selection, and modes: the ranking, the filters and what earlier selections took."""
+"""Choice of scenes by ranking, filters and earlier selections, and their failure modes."""
 
 import json
 from collections.abc import Sequence
