@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S
 from schemas.events import TrackSummary
 from service.curation.candidates import Candidate
-from service.curation.descriptors import class_bin
 from service.curation.ranking import is_reason
 from service.errors import UsageError
 
@@ -139,9 +138,9 @@ def modes_of(tracks: Sequence[ModeTrack]) -> list[Mode]:
                 formed.append(_formed(members, features, tracks))
         size *= 2
     _join(labels, features, kinds, formed)
-    members = list(zip(tracks, labels.tolist(), strict=True))
+    labelled = list(zip(tracks, labels.tolist(), strict=True))
     found = [
-        Mode(mode.mode_id, mode.name, tuple(each for each, of in members if of == number))
+        Mode(mode.mode_id, mode.name, tuple(each for each, of in labelled if of == number))
         for number, mode in enumerate(formed)
     ]
     return sorted(found, key=lambda mode: (-len(mode.members), mode.mode_id))
@@ -160,8 +159,8 @@ def _features(tracks: Sequence[TrackSummary]) -> Features:
         )
         for track in tracks
     ]
-    classes = np.array([class_bin(track.class_name) for track in tracks], np.int64)
-    apart = np.eye(int(classes.max(initial=0)) + 1)[classes] / np.sqrt(2.0)
+    names, classes = np.unique([track.class_name for track in tracks], return_inverse=True)
+    apart = np.eye(len(names))[classes] / np.sqrt(2.0)
     return np.hstack([np.array(numbers, np.float64).reshape(len(tracks), 6), apart])
 
 
