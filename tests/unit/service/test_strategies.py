@@ -133,10 +133,10 @@ def test_reading_a_part_gives_the_choice_of_all(objective: ObjectiveKind) -> Non
 
 @BOTH
 def test_what_may_be_missed_is_bounded(objective: ObjectiveKind) -> None:
-    pool = SyntheticPool(6000, even=True)
-    part = pick(pool, objective, budget=300, most_read=700)
-    _, gains = pick_from(pool.first(6000), objective, budget=300)
-    assert part.compared == 700
+    pool = SyntheticPool(20_000, even=True)
+    part = pick(pool, objective, budget=250, most_read=512)
+    _, gains = pick_from(pool.first(20_000), objective, budget=250)
+    assert part.compared == 512
     assert part.missed > 0
     assert gains[-1] - part.gains[-1] <= part.missed
 
