@@ -1,9 +1,9 @@
 """Failure modes: strong contradicting tracks of a fleet, grouped by what is alike. Pure.
 
-Modes need no memory of their own. They are formed again as they were when the fleet had 128, 256,
-512, ... tracks: tracks within the reach of a mode join it, and HDBSCAN (scikit-learn, extra
-`curation`) groups the others of each kind of contradiction into new modes. A mode therefore keeps
-its id, its name and its members as the fleet grows.
+Modes need no memory of their own. The growth of the fleet is repeated at 128, 256, 512, ... tracks.
+Tracks within the reach of a mode join it, and HDBSCAN (scikit-learn, extra `curation`) groups the
+others of each kind of contradiction into new modes. A mode therefore keeps its id, its name and its
+members as the fleet grows.
 """
 
 from collections import Counter
@@ -96,7 +96,7 @@ def tracks_of(candidates: Iterable[Candidate]) -> list[ModeTrack]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Formed:
-    """A mode as it was formed.
+    """Lasting facts of a mode, from its first members.
 
     Attributes:
         mode_id: Digest of its first member.

@@ -14,7 +14,7 @@ from workers.lab.evaluation.failures.rows import OTHER_KIND, MinedLog
 
 
 class ModesFigure(BaseModel):
-    """How modes fit planted kinds, and how stable they are."""
+    """Fit of modes to planted kinds, and their stability."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
