@@ -111,7 +111,7 @@ def _say_speed(rows: int, *, json: bool) -> None:
         return
     table(
         f"selection from {rows} synthetic rows, one thread",
-        ("strategy", "scores", "budget", "seconds", "peak MiB", "compared", "missed at most"),
+        ("strategy", "scores", "budget", "processor s", "peak MiB", "compared", "missed at most"),
         (
             (
                 row.strategy,
@@ -127,7 +127,7 @@ def _say_speed(rows: int, *, json: bool) -> None:
     )
     table(
         "one pass against the greedy choice of all rows",
-        ("strategy", "order of the stream", "rows", "budget", "seconds", "share of its value"),
+        ("strategy", "order of the stream", "rows", "budget", "processor s", "share of its value"),
         (
             (row.strategy, row.order, row.rows, row.budget, f"{row.seconds:.2f}", row.share)
             for row in streamed
