@@ -46,6 +46,7 @@ from service.api.verbs import VERBS
 from service.curation.activity import ActivityReply, ActivityRequest
 from service.curation.candidates import Proposal
 from service.curation.listing import ScenesReply, ScenesRequest
+from service.curation.mode_rows import ModesReply
 from service.curation.rates import RatesRequest, rates, with_judged
 from service.curation.selection import Selection
 from service.curation.status import Status
@@ -175,6 +176,10 @@ class Control:
         if request.verdicts:
             rows = self._ledger.verdicts.with_verdicts(rows)
         return TopReply(scenes=tuple(rows))
+
+    def answer_modes(self, _: None) -> ModesReply:
+        """Group strong tracks into failure modes."""
+        return self._ledger.proposals.modes()
 
     def answer_rates(self, request: RatesRequest) -> RatesReply:
         """Count contradictions by group."""

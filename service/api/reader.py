@@ -26,6 +26,7 @@ from service.api.messages import (
 from service.curation.activity import ActivityReply, ActivityRequest
 from service.curation.candidates import Proposal
 from service.curation.listing import ScenesReply, ScenesRequest
+from service.curation.mode_rows import ModesReply
 from service.curation.ranking import RankedScene
 from service.curation.rates import RateRow, RatesRequest, rates, with_judged
 from service.curation.selection import USUAL_TERMS, Selection, SelectionSummary, SelectionTerms
@@ -98,6 +99,10 @@ class Reader(Protocol):
 
     def overlay_place(self, scene_id: str) -> str:
         """Return the URL or name of the source of a scene's overlay, for messages."""
+        ...
+
+    def modes(self) -> ModesReply:
+        """Group the strong tracks of the current scenes into failure modes."""
         ...
 
     def rates(self, request: RatesRequest) -> list[RateRow]:
@@ -269,6 +274,11 @@ class StateReader:
         if stored is None:
             raise no_such_scene(scene_id)
         return stored
+
+    def modes(self) -> ModesReply:
+        """Group the strong tracks of the current scenes into failure modes."""
+        with self._ledger() as ledger:
+            return ledger.proposals.modes()
 
     def rates(self, request: RatesRequest) -> list[RateRow]:
         """Count contradictions by group."""

@@ -36,6 +36,7 @@ from service.api.messages import (
 from service.curation.activity import ActivityReply, ActivityRequest
 from service.curation.candidates import Proposal
 from service.curation.listing import ScenesReply, ScenesRequest
+from service.curation.mode_rows import ModesReply
 from service.curation.rates import RatesRequest
 from service.curation.selection import Selection
 from service.curation.status import Status
@@ -85,6 +86,7 @@ VERBS: Final[Mapping[str, VerbType]] = MappingProxyType(
         "overlay": VerbType(SceneRequest, None),
         "status": VerbType(None, Status, reads_all=True),
         "scene": VerbType(SceneRequest, SceneScore),
+        "modes": VerbType(None, ModesReply, reads_all=True),
         "rates": VerbType(RatesRequest, RatesReply, reads_all=True),
         "scenes": VerbType(ScenesRequest, ScenesReply),
         "judge": VerbType(JudgeRequest, VerdictRow, writes=True),

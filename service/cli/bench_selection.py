@@ -36,11 +36,12 @@ def selection(
     ] = 1_000_000,
     json: Json = False,
 ) -> None:
-    """Compare selection strategies on fleets with planted failures; time them on synthetic rows."""
+    """Compare strategies and modes with planted failures; time strategies on synthetic rows."""
     if not kept and not rows:
         raise UsageError("give folders of mined logs, or --rows: there is nothing to measure")
     if kept:
         _say_looks(kept, recurring=recurring, draws=draws, json=json)
+        _say_modes(kept, json=json)
     if rows:
         _say_speed(rows, json=json)
 
@@ -49,7 +50,7 @@ def _say_looks(kept: list[Path], *, recurring: int, draws: int, json: bool) -> N
     from service.evaluation import mined_fleet
     from service.evaluation.scenes_to_look_at import SHARES, looks_rows
 
-    logs = [log for folder in kept for log in mined_fleet.read_logs(folder)]
+    logs = mined_fleet.read_fleets(kept)
     for times in sorted({1, recurring}):
         fleet = mined_fleet.fleet_of(mined_fleet.recurring(logs, times=times))
         found = looks_rows(fleet, draws=draws)
@@ -75,6 +76,31 @@ def _say_looks(kept: list[Path], *, recurring: int, draws: int, json: bool) -> N
         )
 
 
+def _say_modes(kept: list[Path], *, json: bool) -> None:
+    from service.evaluation.mined_fleet import read_fleets
+    from service.evaluation.modes_figure import modes_figure
+
+    row = modes_figure(read_fleets(kept))
+    if json:
+        json_line(row)
+        return
+    table(
+        "failure modes against planted kinds",
+        ("tracks", "in a mode", "modes", "planted", "kinds", "mutual information", "ids kept"),
+        (
+            (
+                row.tracks,
+                f"{100 * row.in_modes:.0f} %",
+                row.modes,
+                row.planted,
+                row.kinds,
+                "" if row.ami is None else f"{row.ami:.2f}",
+                "" if row.kept is None else f"{100 * row.kept:.0f} %",
+            ),
+        ),
+    )
+
+
 def _say_speed(rows: int, *, json: bool) -> None:
     from service.evaluation.synthetic_rows import speed_rows, stream_rows
 
@@ -85,7 +111,7 @@ def _say_speed(rows: int, *, json: bool) -> None:
         return
     table(
         f"selection from {rows} synthetic rows, one thread",
-        ("strategy", "scores", "budget", "seconds", "peak MiB", "compared", "missed at most"),
+        ("strategy", "scores", "budget", "processor s", "peak MiB", "compared", "missed at most"),
         (
             (
                 row.strategy,
@@ -101,7 +127,7 @@ def _say_speed(rows: int, *, json: bool) -> None:
     )
     table(
         "one pass against the greedy choice of all rows",
-        ("strategy", "order of the stream", "rows", "budget", "seconds", "share of its value"),
+        ("strategy", "order of the stream", "rows", "budget", "processor s", "share of its value"),
         (
             (row.strategy, row.order, row.rows, row.budget, f"{row.seconds:.2f}", row.share)
             for row in streamed

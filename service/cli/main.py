@@ -26,6 +26,7 @@ from service.cli import (
     label_imports,
     logs,
     measure,
+    modes,
     parts,
     rates,
     retry,
@@ -64,7 +65,7 @@ app = typer.Typer(
 )
 for mining in (daemons, logs, scenes, selections, verdicts, exports, label_imports):
     mining.add_to(app)
-for looking in (rates, retry, review):
+for looking in (modes, rates, retry, review):
     looking.add_to(app)
 for measuring in (demo, simulate, evaluate, measure, calibrate, parts, settings, weights):
     measuring.add_to(app)

@@ -10,7 +10,7 @@ import typer
 from schemas.bounds import MAX_NAME, MAX_SCENES_ASKED
 from service.cli.option_groups import grouped
 from service.cli.options import Config, Connect, Database, Json, StateToRead
-from service.cli.output import counted, json_line, page, remark, table
+from service.cli.output import counted, json_line, page, remark, result_line, table
 from service.cli.report import say_scenes
 from service.cli.scene_filters import SceneFilters
 from service.cli.scenes import reader
@@ -104,20 +104,12 @@ def _say_proposal(proposal: Proposal, *, json: bool) -> None:
             json_line(choice)
         return
     names = short_names([choice.scene for choice in proposal.choices])
-    table(
+    for number, choice in enumerate(proposal.choices, start=1):
+        where = f"rank {choice.scene.rank}, {names[choice.scene.scene_id]}"
+        result_line(f"{number}. {where}: adds {choice.gain:.3f}; {choice.why}")
+    remark(
         f"{len(proposal.choices)} of at most {counted(proposal.budget, 'scene')} by "
-        f"{proposal.strategy}; nothing is stored",
-        ("", "rank", "scene", "adds", "why"),
-        (
-            (
-                number,
-                choice.scene.rank,
-                names[choice.scene.scene_id],
-                f"{choice.gain:.3f}",
-                choice.why,
-            )
-            for number, choice in enumerate(proposal.choices, start=1)
-        ),
+        f"{proposal.strategy}; nothing is stored"
     )
     if proposal.taken:
         remark(f"{counted(proposal.taken, 'scene')} of earlier selections left out; --again: kept")

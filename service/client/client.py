@@ -37,6 +37,7 @@ from service.client.subscription import SceneSubscription
 from service.curation.activity import ActivityReply, ActivityRequest
 from service.curation.candidates import Proposal
 from service.curation.listing import ScenesReply, ScenesRequest
+from service.curation.mode_rows import ModesReply
 from service.curation.ranking import RankedScene
 from service.curation.rates import RateRow, RatesRequest
 from service.curation.selection import (
@@ -132,6 +133,10 @@ class ControlClient:
                 RetryReply, self._ask("retry", checked_request(RetryRequest, log_ids=wanted))
             ).retried
         )
+
+    def modes(self) -> ModesReply:
+        """Group the strong tracks of the current scenes into failure modes."""
+        return decode(ModesReply, self._ask("modes"))
 
     def rates(self, request: RatesRequest) -> list[RateRow]:
         """Return the rate of contradictions by group."""

@@ -25,11 +25,13 @@ class Candidate:
         scene: Its row of the ranking.
         vehicle: Vehicle that recorded it; empty unknown.
         software_version: Software that the vehicle ran; empty unknown.
+        seq: Number of its event, in the order in which scenes became current.
     """
 
     scene: RankedScene
     vehicle: str = ""
     software_version: str = ""
+    seq: int = 0
 
     @property
     def kind(self) -> str:

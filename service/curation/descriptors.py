@@ -28,7 +28,7 @@ _WRONGS: Final = {wrong: number for number, wrong in enumerate(Wrong)}
 _KIND_BINS: Final = 8
 """The kinds of the task of motion, and five that other kinds share by their digest."""
 
-_CLASS_BINS: Final = 24
+_CLASS_BINS: Final = 71
 """Classes share these by their digest: two classes of one bin are taken for one."""
 
 _BEARINGS: Final = 4
@@ -111,7 +111,7 @@ def kind_bin(kind: str) -> int:
 
 def class_bin(class_name: str) -> int:
     """Return the bin of a semantic class; the first one is of no class."""
-    return 1 + crc32(class_name.encode()) % (_CLASS_BINS - 1) if class_name else 0
+    return 1 + crc32(f"class {class_name}".encode()) % (_CLASS_BINS - 1) if class_name else 0
 
 
 def columns_of(tracks: Sequence[TrackSummary]) -> Tracks:

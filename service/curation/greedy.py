@@ -14,7 +14,7 @@ from service.curation.objectives import ObjectiveKind
 FIRST_READ: Final = 512
 """Candidates that are read first; four times as many where others may change the choice."""
 
-MOST_READ: Final = 16_384
+MOST_READ: Final = 4096
 """Candidates that are compared at most. Beyond them a candidate is left out, although its score
 would let it add more than the last choice does.
 """

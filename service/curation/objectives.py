@@ -17,14 +17,17 @@ from service.curation.candidates import BALANCED, Rows
 
 Gains = NDArray[np.float64]
 
-SHARPNESS: Final = 16
-"""Power of the likeness: only scenes that are alike in nearly everything count as the same."""
+SHARPNESS: Final = 32
+NEAR_SHARPNESS: Final = 128
+"""Powers of the likeness in `Determinantal` and in `KCentre`: only scenes that are alike in nearly
+everything count as the same. Lower ones also hold back other failures of the same kind.
+"""
 
-SPREAD: Final = 100.0
+SPREAD: Final = 10.0
 """Weight of the likeness in `Determinantal`: near 0 the order is that of the score alone."""
 
-BALANCE: Final = 0.1
-"""Weight of `Balance`. These three were chosen on 120 simulated scenes, of which nothing is
+BALANCE: Final = 0.05
+"""Weight of `Balance`. These numbers were chosen on 120 simulated scenes, of which nothing is
 reported.
 """
 
@@ -113,7 +116,7 @@ class Determinantal:
 
 
 class KCentre:
-    """Score times the distance to the nearest chosen one: 1 - likeness ** `SHARPNESS`."""
+    """Score times the distance to the nearest chosen one: 1 - likeness ** `NEAR_SHARPNESS`."""
 
     def __init__(self, rows: Rows) -> None:
         """Begin with nothing taken."""
@@ -128,7 +131,7 @@ class KCentre:
     def take(self, number: int) -> None:
         """Take a candidate."""
         likeness = self._descriptors @ self._descriptors[number]
-        np.minimum(self._distance, 1.0 - likeness**SHARPNESS, out=self._distance)
+        np.minimum(self._distance, 1.0 - likeness**NEAR_SHARPNESS, out=self._distance)
         np.maximum(self._distance, 0.0, out=self._distance)
         self._balance.take(number)
 

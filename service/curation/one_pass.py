@@ -32,7 +32,7 @@ class OnePass(Generic[Item]):
         self._rows: Rows | None = None
         self._items: list[Item] = []
         self._least = 0.0
-        """What the last of the kept scenes adds; a scene whose score allows less is dropped."""
+        """Gain of the last of the kept scenes; a scene whose score allows less is dropped."""
 
     def offer(self, items: list[Item], rows: Rows) -> None:
         """Take the next scenes of the stream, any number of them.

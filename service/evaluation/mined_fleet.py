@@ -5,7 +5,7 @@ no software version and one place per track, so that descriptors of a fleet know
 a ledger.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -75,6 +75,28 @@ def read_logs(folder: Path) -> list[MinedLog]:
         except (ValidationError, UnicodeDecodeError):
             raise UsageError(f"{file} is no mined log of this version; mine it again") from None
     return logs
+
+
+def read_fleets(folders: Sequence[Path]) -> list[MinedLog]:
+    """Read several fleets as one; vehicles of further fleets get other names.
+
+    Raises:
+        NothingFoundError: If one of the folders contains no mined log.
+        UsageError: If a file is no mined log.
+    """
+    found = []
+    for number, folder in enumerate(folders):
+        logs = read_logs(folder)
+        found += [_named(log, f"{number}-{log.log_id}") for log in logs] if number else logs
+    return found
+
+
+def _named(log: MinedLog, log_id: str) -> MinedLog:
+    scenes = [
+        scene.model_copy(update={"scene_id": log_id + scene.scene_id.removeprefix(log.log_id)})
+        for scene in log.scenes
+    ]
+    return log.model_copy(update={"log_id": log_id, "scenes": tuple(scenes)})
 
 
 def fleet_of(logs: Iterable[MinedLog]) -> list[FleetScene]:

@@ -1,15 +1,18 @@
-"""Choice of scenes for a selection: the ranking, the filters and what earlier selections took."""
+"""Choice of scenes by ranking, filters and earlier selections, and their failure modes."""
 
 import json
 from collections.abc import Sequence
 from contextlib import closing
 
-from sqlalchemy import Connection, select
+from sqlalchemy import Connection, func, select
 
 from service.curation.candidates import Candidate, Proposal
+from service.curation.mode_rows import DAY_NS, ModesReply, modes_reply
+from service.curation.modes import modes_of, tracks_of
 from service.curation.ranking import RankedScene
 from service.curation.selection import USUAL_TERMS, SelectionTerms
 from service.curation.strategies import catalogue
+from service.curation.strategies.best_distinct import with_reason
 from service.curation.strategies.catalogue import Wanted, strategy_named, strategy_of
 from service.curation.strategies.covering import MOST_REMEMBERED
 from service.store import listing, ranking
@@ -19,7 +22,7 @@ from service.store.tables import SCENES, SELECTION_SCENES, SELECTIONS
 
 
 class Proposals:
-    """Chooses scenes for selections; it stores nothing."""
+    """Chooses scenes for selections and groups tracks into modes; it stores nothing."""
 
     def __init__(self, store: Store) -> None:
         """Keep the store."""
@@ -55,6 +58,16 @@ class Proposals:
                 wanted=wanted,
                 on_damaged=self._store.note_damaged,
             )
+
+    def modes(self) -> ModesReply:
+        """Group the strong tracks of the current scenes into failure modes."""
+        with (
+            self._store.reading() as connection,
+            closing(ranking.candidates(connection, on_damaged=self._store.note_damaged)) as ranked,
+        ):
+            tracks = tracks_of(with_reason(ranked))
+            driven_ns = _driven_ns(connection)
+        return modes_reply(modes_of(tracks), tracks=len(tracks), driven_ns=driven_ns)
 
     def select(
         self,
@@ -99,6 +112,14 @@ def _propose(
         taken=len(taken),
         choices=tuple(choices),
     )
+
+
+def _driven_ns(connection: Connection) -> dict[int, int]:
+    """Sum the duration of the current scenes by day since the Unix epoch, nanoseconds."""
+    day = (SCENES.c.start_ns // DAY_NS).label("day")
+    driven = func.sum(SCENES.c.end_ns - SCENES.c.start_ns).label("driven_ns")
+    query = select(day, driven).where(SCENES.c.is_current).group_by(day)
+    return {int(row.day): int(row.driven_ns) for row in connection.execute(query)}
 
 
 def _earlier(connection: Connection, name: str | None) -> list[str]:

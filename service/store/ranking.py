@@ -76,7 +76,7 @@ def candidates(
                 twin_of=twin_of,
                 sha256=row.sha256,
             )
-            yield Candidate(scene, row.vehicle, row.software_version)
+            yield Candidate(scene, row.vehicle, row.software_version, row.seq)
 
 
 def _shown(row: Any) -> ShownScene:

@@ -76,3 +76,34 @@ def test_a_name_of_no_selection_is_refused(
     assert "no selection 'friday'; `counterpoint selection list`" in capsys.readouterr().err
     assert main(["selection", "show", "a\nb", *state]) == 1
     assert "must have 1 to 256 printing characters" in capsys.readouterr().err
+
+
+def test_a_dry_run_explains_each_choice_and_stores_nothing(
+    state: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = ["select", "--budget", "3", "--strategy", "k-centre", "--dry-run", *state]
+    assert main(asked) == 0
+    printed = capsys.readouterr()
+    lines = printed.out.splitlines()
+    assert [line.split(".")[0] for line in lines] == ["1", "2", "3"]
+    assert all(": adds 0." in line or ": adds 1." in line for line in lines)
+    assert all("; score 0." in line for line in lines)
+    assert "nothing is stored" in printed.err
+    assert main(["selection", "list", "--json", *state]) == 0
+    assert capsys.readouterr().out == ""
+
+
+def test_a_strategy_or_filter_that_does_not_exist_is_refused_with_a_sentence(
+    state: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["select", "--budget", "3", "--strategy", "nearest", *state]) == 1
+    assert "no selection strategy 'nearest'; known: best-distinct" in capsys.readouterr().err
+    assert main(["select", "--budget", "3", "--wrong", "nobody", *state]) == 1
+    assert "wrong" in capsys.readouterr().err
+    assert main(["select", "--budget", "3", "--since", "yesterdayish", *state]) == 1
+    assert "since is no time" in capsys.readouterr().err
+
+
+def test_modes_of_few_tracks_are_none(state: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["modes", *state]) == 0
+    assert "modes are formed from 128 strong tracks on" in capsys.readouterr().err
