@@ -337,7 +337,7 @@ class Ledger:
             return scenes.current_scenes(connection, on_damaged=self._store.note_damaged)
 
     def scene(self, scene_id: str, *, withdrawn: bool = False) -> StoredScene | None:
-        """Return a current scene, or with `withdrawn` its last record, or raise as `scenes` does."""
+        """Return a current scene, or with `withdrawn` its last record; raise as `scenes` does."""
         find = scenes.last_scene if withdrawn else scenes.current_scene
         with self._store.reading() as connection:
             return find(connection, scene_id, on_damaged=self._store.note_damaged)

@@ -1,5 +1,6 @@
 """Thumbnails of the ranking, drawn when they are first looked at and kept within a bound."""
 
+import asyncio
 import io
 import threading
 from collections import OrderedDict
@@ -8,6 +9,7 @@ from typing import Annotated, Final, cast
 import structlog
 from fastapi import APIRouter, Query
 from PIL import Image
+from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 
@@ -41,22 +43,25 @@ class Thumbnails:
         self._kept: OrderedDict[tuple[str, str], bytes] = OrderedDict()
         self._max_bytes, self._bytes = max_bytes, 0
         self._lock = threading.Lock()
-        self._places = threading.BoundedSemaphore(MOST_AT_A_TIME)
+        self.places = asyncio.Semaphore(MOST_AT_A_TIME)
 
-    def of(self, source: Reader, scene_id: str, digest: str) -> bytes:
-        """Return the PNG of a scene; draw it if it is not kept.
+    def kept(self, scene_id: str, digest: str) -> bytes | None:
+        """Return the PNG of a scene if it is kept."""
+        with self._lock:
+            known = self._kept.get((scene_id, digest))
+            if known is not None:
+                self._kept.move_to_end((scene_id, digest))
+            return known
+
+    def drawn(self, source: Reader, scene_id: str, digest: str) -> bytes:
+        """Draw the PNG of a scene, and keep it.
 
         Raises:
             PermanentError: If the scene, or its overlay, is gone or cannot be read.
         """
         key = (scene_id, digest)
-        with self._lock:
-            if (known := self._kept.get(key)) is not None:
-                self._kept.move_to_end(key)
-                return known
-        with self._places:
-            score = source.scene(scene_id)
-            made = png_of(draw_thumbnail(score, overlay_of(source, scene_id)))
+        score = source.scene(scene_id)
+        made = png_of(draw_thumbnail(score, overlay_of(source, scene_id)))
         with self._lock:
             if key not in self._kept:
                 self._kept[key] = made
@@ -75,13 +80,24 @@ def png_of(image: Image.Image) -> bytes:
 
 
 @router.get("/thumb.png")
-def thumbnail(
+async def thumbnail(
     request: Request, scene_id: Annotated[str, Query(alias="id")] = "", digest: str = ""
 ) -> Response:
-    """Answer with the thumbnail of a scene; one whose overlay is gone says so."""
-    kept = cast(Thumbnails, request.app.state.thumbnails)
+    """Answer with the thumbnail of a scene; one whose overlay is gone says so.
+
+    Requests that wait for their turn take no thread, and those that were given up are not drawn.
+    """
+    thumbnails = cast(Thumbnails, request.app.state.thumbnails)
     try:
-        made = kept.of(source_of(request), scene_id, digest)
+        made = thumbnails.kept(scene_id, digest)
+        if made is None:
+            async with thumbnails.places:
+                if await request.is_disconnected():
+                    return Response(status_code=503)
+                source = source_of(request)
+                made = thumbnails.kept(scene_id, digest) or await run_in_threadpool(
+                    thumbnails.drawn, source, scene_id, digest
+                )
     except PermanentError as error:
         log.info("no thumbnail", scene_id=scene_id, problem=str(error))
         words = NO_OVERLAY if isinstance(error, NothingFoundError) else UNREADABLE
