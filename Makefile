@@ -31,6 +31,9 @@ integration: .venv/.installed  ## Real processes and servers, killed and restart
 browser: .venv/.installed  ## The review page in Debian's chromium
 	$(BIN)/pytest -q -m browser
 
+check-js:      ## Types of the page's modules, by npm's typescript
+	npx --yes --package typescript@5 tsc -p tests/browser
+
 golden: .venv/.installed   ## Compare every part with reference outputs: make golden DIR=../shared/golden
 	$(BIN)/python -m tests.golden $(DIR)
 
@@ -44,4 +47,4 @@ demo: .venv/.installed     ## Simulated street logs, the whole system, a ranked 
 bench: .venv/.installed    ## Where the time goes, beside floors measured in the same run
 	$(BIN)/counterpoint bench pipeline
 
-.PHONY: help install check test integration browser golden fix demo bench
+.PHONY: help install check check-js test integration browser golden fix demo bench

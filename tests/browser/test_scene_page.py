@@ -162,6 +162,20 @@ def test_a_track_is_judged_with_a_note_and_others_see_it_folded(
         expect(page.get_by_text("1 child")).to_be_hidden()
 
 
+def test_a_duplicate_names_the_scene_that_shows_the_same(browser: Browser, review: Review) -> None:
+    scene, other = ids(review)[:2]
+    with opened(browser, review, at(scene)) as page:
+        named(page)
+        drawn(page)
+        expect(page.get_by_label("Shows the same as")).to_be_hidden()
+        page.keyboard.press("6")
+        page.get_by_label("Shows the same as").select_option(value=other)
+        page.get_by_role("button", name="Save").last.click()
+        page.wait_for_url(lambda url: scene.replace("/", "%2F") not in url)
+    (row,) = [row for row in review.client("bob").scenes() if row["scene_id"] == scene]
+    assert row["verdicts"]["duplicate"] == 1  # type: ignore[index]
+
+
 def test_tab_leaves_the_canvas_and_keys_stay_out_of_fields(
     browser: Browser, review: Review
 ) -> None:

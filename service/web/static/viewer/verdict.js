@@ -104,14 +104,17 @@ export class Judge {
     const fields = /** @type {Record<string, string>} */ (
       Object.fromEntries([...new FormData(this.form)].map(([name, value]) => [name, String(value)]))
     );
+    if (fields.verdict !== "duplicate") delete fields.duplicate_of;
     fields.key = this.key;
     fields.took_s = ((performance.now() - this.since) / 1000).toFixed(1);
     try {
-      const { progress } = await post("/verdict", fields);
+      const { stored, progress } = await post("/verdict", fields);
       this.key = newKey();
       const shown = document.querySelector("#progress");
       if (shown && progress?.text) shown.textContent = progress.text;
-      if (this.order.unjudged) location.assign(this.order.unjudged);
+      if (stored.record === "replaced") {
+        this.tell("saved for the record that you saw; the scene was mined again: load it again");
+      } else if (this.order.unjudged) location.assign(this.order.unjudged);
       else this.tell("saved; every scene of the list is judged");
     } catch (error) {
       const words = error instanceof Error ? error.message : String(error);
