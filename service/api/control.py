@@ -39,9 +39,10 @@ from service.api.messages import (
     verdicts_reply,
 )
 from service.api.payload_check import require_affordable
-from service.api.reader import no_such_scene, no_such_selection, read_overlay
+from service.api.reader import no_such_scene, no_such_selection
 from service.api.request_queue import RequestQueue, malformed
 from service.api.staging import Staging
+from service.api.stored_overlays import read_overlay
 from service.api.verbs import VERBS
 from service.curation.activity import ActivityReply, ActivityRequest
 from service.curation.candidates import Proposal

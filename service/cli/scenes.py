@@ -9,7 +9,8 @@ import typer
 
 from schemas.bounds import MAX_NEWEST, MAX_SCENES_ASKED
 from schemas.errors import PermanentError
-from service.api.reader import Reader, StateReader, choose_endpoint, overlay_of
+from service.api.reader import Reader, choose_endpoint, overlay_of
+from service.api.state_reader import StateReader
 from service.cli.listing import ListingOptions, listed, say_listed
 from service.cli.option_groups import grouped
 from service.cli.options import (

@@ -9,7 +9,8 @@ from typing import Final
 
 from rich.progress import Progress
 
-from service.api.reader import StateReader, overlay_of
+from service.api.reader import overlay_of
+from service.api.state_reader import StateReader
 from service.curation.ranking import has_reason
 from service.curation.scene_names import short_names
 from service.curation.status import Status

@@ -3,7 +3,8 @@
 import time
 from typing import Any, Final, cast
 
-from service.api.reader import Reader, StateReader, choose_endpoint
+from service.api.reader import Reader, choose_endpoint
+from service.api.state_reader import StateReader
 from service.client import ControlClient
 from service.errors import NothingFoundError
 from service.settings.config import Settings

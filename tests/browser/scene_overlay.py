@@ -13,7 +13,7 @@ from schemas.overlay_picture import Picture
 from schemas.score import Reason
 from schemas.task import MOTION
 from schemas.transport.overlay_codec import decode_overlay, encode_overlay
-from service.api.reader import StateReader
+from service.api.state_reader import StateReader
 from service.settings.config import load_settings
 from tests.factories import track_record
 from tests.overlays import labels_of_points

@@ -12,7 +12,7 @@ from typing import Any, get_args
 
 from sqlalchemy import func, select
 
-from service.api.reader import read_overlay
+from service.api.stored_overlays import read_overlay
 from service.curation.rates import RatesBy, RatesRequest, rates
 from service.store.engine import open_store_to_read
 from service.store.ledger import Ledger

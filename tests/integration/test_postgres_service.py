@@ -16,7 +16,7 @@ import pytest
 from sqlalchemy import create_engine, text
 
 from schemas.transport.bus import router_session
-from service.api.reader import StateReader
+from service.api.state_reader import StateReader
 from service.cli.main import main
 from service.errors import StateInUseError, StateUnusableError, UsageError
 from service.settings.config import load_settings
