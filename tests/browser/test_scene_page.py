@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import httpx
 import numpy as np
@@ -173,7 +174,8 @@ def test_a_duplicate_names_the_scene_that_shows_the_same(browser: Browser, revie
         page.get_by_role("button", name="Save").last.click()
         page.wait_for_url(lambda url: scene.replace("/", "%2F") not in url)
     (row,) = [row for row in review.client("bob").scenes() if row["scene_id"] == scene]
-    assert row["verdicts"]["duplicate"] == 1  # type: ignore[index]
+    verdicts: Any = row["verdicts"]
+    assert verdicts["duplicate"] == 1
 
 
 def test_tab_leaves_the_canvas_and_keys_stay_out_of_fields(

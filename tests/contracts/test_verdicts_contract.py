@@ -26,6 +26,13 @@ def judge(world: World, scene_id: str, verdict: str, **how: Any) -> VerdictRow:
     )
 
 
+def digest_of(world: World, scene_id: str) -> str:
+    """Return the digest of a scene's record."""
+    stored = world.ledger.scene(scene_id)
+    assert stored is not None
+    return stored.sha256
+
+
 def undo(world: World, **how: Any) -> VerdictRow:
     how = {"reviewer": "ann", "key": f"u{world.ledger.verdicts.last()}", **how}
     return world.ledger.verdicts.undo(UndoRequest(**how))
@@ -57,7 +64,7 @@ class VerdictsContract(StoreContract):
             took_s=6.5,
         )
         assert stored.ordinal == 1
-        assert stored.sha256 == world.ledger.scene(scenes[0]).sha256
+        assert stored.sha256 == digest_of(world, scenes[0])
         assert (stored.track_id, stored.cause, stored.note, stored.took_s) == (
             0,
             "brief_stop",
@@ -138,15 +145,15 @@ class VerdictsContract(StoreContract):
     ) -> None:
         seen = judge(world, scenes[0], "supervised")
         world.mine_all("p2")
-        now = world.ledger.scene(scenes[0])
-        assert now.sha256 != seen.sha256
+        now = digest_of(world, scenes[0])
+        assert now != seen.sha256
         (row,) = world.ledger.verdicts.page(VerdictsRequest(scene_id=scenes[0]))
         assert (row.is_current, row.record) == (True, "replaced")
         stale = judge(world, scenes[0], "both", sha256=seen.sha256, reviewer="bob")
         assert (stale.sha256, stale.record) == (seen.sha256, "replaced")
         fresh = judge(world, scenes[0], "neither")
-        assert (fresh.sha256, fresh.record) == (now.sha256, "current")
-        summary = world.ledger.verdicts.summaries([(scenes[0], now.sha256)], reviewer="ann")
+        assert (fresh.sha256, fresh.record) == (now, "current")
+        summary = world.ledger.verdicts.summaries([(scenes[0], now)], reviewer="ann")
         assert summary[scenes[0]].text == "neither"
         assert (summary[scenes[0]].earlier, summary[scenes[0]].mine) == (2, Verdict.NEITHER)
 

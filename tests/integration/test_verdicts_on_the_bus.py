@@ -6,6 +6,8 @@ import sys
 import threading
 import time
 import uuid
+from collections.abc import Sized
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +37,10 @@ VERDICTS = 200
 ALL = f"{DEFAULT_ROOT}/v1/verdict/**"
 
 
+def _has(found: Sized, wanted: int) -> bool:
+    return len(found) >= wanted
+
+
 def history(parts: Running, query: str = "") -> list[tuple[str, int, dict[str, Any]]]:
     """Key, number and content of every reply."""
     found = []
@@ -43,6 +49,7 @@ def history(parts: Running, query: str = "") -> list[tuple[str, int, dict[str, A
             f"{ALL}{query}", consolidation=zenoh.ConsolidationMode.NONE, timeout=10
         ):
             assert reply.ok is not None, reply.err
+            assert reply.ok.attachment is not None
             number = json.loads(reply.ok.attachment.to_bytes())["seq"]
             content = json.loads(reply.ok.payload.to_bytes())
             found.append((str(reply.ok.key_expr), number, content))
@@ -125,7 +132,8 @@ def test_no_acknowledged_verdict_is_lost_or_doubled_by_kills(tmp_path: Path) -> 
         for reviewer in reviewers:
             reviewer.start()
         for number, part in enumerate((system.service, system.router, system.service), 1):
-            until(lambda n=number: len(acknowledged) >= VERDICTS * n // 5, "verdicts are given")
+            wanted = VERDICTS * number // 5
+            until(partial(_has, acknowledged, wanted), "verdicts are given")
             part.restart()
         for reviewer in reviewers:
             reviewer.join(timeout=120)
