@@ -19,6 +19,9 @@ export function order(count, first) {
   );
 }
 
+/** Started with the module, so that it is ready when the first block is there. */
+const worker = new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
+
 export class Frames {
   /**
    * @param {{points: number}[]} list Frames of the scene.
@@ -37,7 +40,7 @@ export class Frames {
     this.running = 0;
     /** @type {Set<number>} */
     this.asked = new Set();
-    this.worker = new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
+    this.worker = worker;
     this.worker.addEventListener("message", ({ data }) => {
       if (data.problem) onProblem(data.index, data.problem);
       else onFrame(data.index, data.frame);

@@ -228,8 +228,9 @@ export class Viewer {
     });
   }
 
-  /** Draw now. */
+  /** Draw now; nothing before the first frame, whose way to the page it would only delay. */
   paint() {
+    if (!this.frames.some((each) => each)) return;
     const ratio = window.devicePixelRatio || 1;
     for (const pane of this.panes) {
       if (pane.canvas.clientWidth) this.#paint(pane, ratio);
