@@ -18,7 +18,7 @@ README: Final = ROOT / "README.md"
 
 GENERATED: Final = frozenset({"GLOSSARY.md", "METRICS.md", "PARTS.md", "SETTINGS.md"})
 
-MAX_README_LINES: Final = 108
+MAX_README_LINES: Final = 112
 MAX_COLUMNS: Final = 120
 
 _FENCE: Final = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
