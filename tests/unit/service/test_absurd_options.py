@@ -39,6 +39,10 @@ WORKING: Final[dict[tuple[str, ...], list[str]]] = {
     ("verdict", "undo"): ["--state", "state"],
     ("verdict", "list"): ["--state", "state"],
     ("agreement",): ["--state", "state"],
+    ("modes",): ["--state", "state"],
+    ("review",): ["--state", "state", "--listen", "nowhere"],
+    ("export",): ["week", "--format", "json", "--out", "written", "--state", "state"],
+    ("import-labels",): ["folder", "--truth", "written", "--state", "state"],
     ("rates",): ["--state", "state"],
     ("retry",): ["--all", "--state", "state"],
     ("demo",): ["--out", "file"],
@@ -51,6 +55,8 @@ WORKING: Final[dict[tuple[str, ...], list[str]]] = {
     ("bench", "networks"): ["file", "--only", "images"],
     ("bench", "ledger"): ["--folder", "missing"],
     ("bench", "failures"): ["file", "--truth", "folder"],
+    ("bench", "selection"): ["folder", "--rows", "0"],
+    ("bench", "overlay"): ["file"],
     ("calibrate", "sensor"): ["file", "--out", "profile.json"],
     ("weights", "import"): [
         *("file", "--network", "salsanext", "--config", "salsanext-semantickitti"),
@@ -62,7 +68,9 @@ WORKING: Final[dict[tuple[str, ...], list[str]]] = {
 }
 """Arguments under which a verb ends at once, with a result or a refusal."""
 
-LONG: Final = {("doctor",), ("bench", "simulation"), ("bench", "listing")}
+LONG: Final = {
+    *(("doctor",), ("bench", "simulation"), ("bench", "listing"), ("bench", "viewer")),
+}
 """Verbs that work for seconds whatever they are given; they share their options with others."""
 
 STARTS: Final = {
@@ -101,7 +109,7 @@ def calls(verb: tuple[str, ...]) -> Iterator[list[str]]:
     """Yield a call for each option and value, the others as they work."""
     working = WORKING[verb]
     for parameter in VERBS[verb].params:
-        if parameter.name in ("help", "log_format", "log_level"):
+        if parameter.hidden or parameter.name in ("help", "log_format", "log_level"):
             continue
         if parameter.param_type_name == "argument":
             after = working[1:] if working and not working[0].startswith("-") else working

@@ -15,6 +15,7 @@ from service.settings.sources import flag_of, leaves
 
 OF_TWO_MEANINGS = {
     "--bucket": "what is mined, and what the id of one log is relative to",
+    "--listen": "the endpoint of a router, and the address of the review page",
     "--state": "what a daemon writes, and what is read without one",
 }
 MINING = {flag_of(field.name) for field in fields(MiningOptions)}
