@@ -17,6 +17,7 @@ from service.cli.output import counted, json_line, remark, result_line, table
 from service.cli.scenes import find_scene, reader
 from service.curation.verdicts import (
     CAUSES,
+    FEW_ITEMS,
     MAX_VERDICTS_ASKED,
     AgreementReply,
     AgreementRequest,
@@ -40,7 +41,10 @@ SceneNamed = Annotated[
     str, typer.Argument(help="Rank, name in `counterpoint top`, or scene_id.", metavar="SCENE")
 ]
 Track = Annotated[
-    int | None, typer.Option("--track", min=0, max=MOST, help="track_id, instead of the scene.")
+    int | None,
+    typer.Option(
+        "--track", min=1, max=MOST, help="Track as pictures number it, instead of the scene."
+    ),
 ]
 Key = Annotated[
     str | None,
@@ -92,7 +96,7 @@ def add(
         JudgeRequest,
         key=key or uuid.uuid4().hex,
         scene_id=find_scene(source, scene)[0],
-        track_id=track,
+        track_id=_id_of(track),
         reviewer=_name(reviewer),
         verdict=Verdict(verdict),
         cause=cause,
@@ -125,7 +129,7 @@ def undo(
         key=key or uuid.uuid4().hex,
         reviewer=_name(reviewer),
         scene_id=find_scene(source, scene)[0] if scene else None,
-        track_id=track,
+        track_id=_id_of(track),
     )
     _say_stored(source.undo(request), json=json)
 
@@ -174,7 +178,7 @@ def list_verdicts(
                 row.reviewer,
                 row.verdict.value,
                 row.cause,
-                row.track_id,
+                _number_of(row.track_id),
                 row.scene_id,
                 "; ".join(filter(None, (_STANDING[row.record], row.note))),
             )
@@ -227,7 +231,7 @@ def _say_agreement(found: AgreementReply) -> None:
                     pair.other,
                     pair.items,
                     pair.agreed,
-                    None if pair.kappa is None else f"{pair.kappa:.2f}",
+                    said_of_kappa(pair.kappa, items=pair.items),
                 )
                 for pair in found.pairs
             ),
@@ -236,7 +240,10 @@ def _say_agreement(found: AgreementReply) -> None:
         table(
             counted(found.conflicting, "conflict"),
             ("scene", "track", "verdicts"),
-            ((each.scene_id, each.track_id, _given(each.verdicts)) for each in found.conflicts),
+            (
+                (each.scene_id, _number_of(each.track_id), _given(each.verdicts))
+                for each in found.conflicts
+            ),
         )
     remark(said_of_precision(found.precision))
 
@@ -252,6 +259,22 @@ def said_of_precision(precision: Precision) -> str:
     )
 
 
+def said_of_kappa(kappa: float | None, *, items: int) -> str | None:
+    """Return kappa in a table; it states nothing over fewer than `FEW_ITEMS` items."""
+    if items < FEW_ITEMS:
+        return "too few"
+    return None if kappa is None else f"{kappa:.2f}"
+
+
+def _id_of(number: int | None) -> int | None:
+    """Return the `track_id` of a number on pictures."""
+    return None if number is None else number - 1
+
+
+def _number_of(track_id: int | None) -> int | None:
+    return None if track_id is None else track_id + 1
+
+
 def _given(rows: Sequence[VerdictRow]) -> str:
     return ", ".join(f"{row.reviewer}: {row.verdict.value}" for row in rows)
 
@@ -260,7 +283,7 @@ def _say_stored(row: VerdictRow, *, json: bool) -> None:
     if json:
         json_line(row)
         return
-    track = "" if row.track_id is None else f" track {row.track_id}"
+    track = "" if row.track_id is None else f" track {_number_of(row.track_id)}"
     result_line(f"[{row.ordinal}] {row.reviewer}: {row.verdict.value}  {row.scene_id}{track}")
     if _STANDING[row.record]:
         remark(

@@ -48,6 +48,9 @@ MAX_LISTED_CONFLICTS: Final = 200
 MAX_REVIEWERS: Final = 100
 """Reviewers of a reply at most, those with the most verdicts."""
 
+FEW_ITEMS: Final = 10
+"""Common items of two reviewers below which kappa is not shown: one more would turn it round."""
+
 MAX_VERDICTS_ASKED: Final = 500
 """Rows of one page of the verdicts at most."""
 

@@ -114,7 +114,7 @@ def _save(
         raise SelectionExistsError(
             f"selection {name!r} exists: {len(stored.scenes)} scenes under a budget of "
             f"{stored.budget}, not this choice; "
-            "selections never change, choose another --name"
+            "selections never change, choose another name"
         )
     connection.execute(
         insert(SELECTIONS).values(

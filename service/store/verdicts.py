@@ -179,8 +179,8 @@ def _judge(connection: Connection, request: JudgeRequest, now_s: float) -> Verdi
     score = decode(SceneScore, bytes(seen.record))
     if request.track_id is not None and request.track_id not in _tracks(score):
         raise NothingFoundError(
-            f"scene {request.scene_id!r} has no track {request.track_id}; its record lists "
-            f"{len(score.tracks)}"
+            f"scene {request.scene_id!r} has no track {request.track_id + 1}, as pictures number "
+            f"them; its record lists {len(score.tracks)}"
         )
     if request.duplicate_of is not None:
         _seen(connection, request.duplicate_of, None)

@@ -6,7 +6,7 @@ from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import Response
 
-from service.curation.verdicts import AgreementRequest, VerdictsRequest
+from service.curation.verdicts import FEW_ITEMS, AgreementRequest, VerdictsRequest
 from service.errors import UsageError
 from service.web.context import render, source_of, visitor_of
 from service.web.phrases import interval
@@ -35,6 +35,7 @@ def agreement(request: Request) -> Response:
         selection=selection,
         selections=[each.name for each in reversed(source.selections())],
         reviewer_name=visitor_of(request).reviewer,
+        few=FEW_ITEMS,
         pairs=sorted(found.pairs, key=lambda pair: (-pair.items, pair.one, pair.other)),
         latest=latest,
         precision=""

@@ -59,12 +59,16 @@ def order_of(
         else:
             following = listed[own + 1 :] if own is not None else listed
             previous = listed[:own] if own is not None else ()
-        unjudged = next((row for row in following if not _is_judged(row)), None)
-        if unjudged is None:
-            waiting, _ = rows(judged="not_mine" if reviewer else "no")
-            ids = {row.scene_id for row in waiting} - {score.scene_id}
-            ahead = [row for row in (*following, *previous, *waiting) if row.scene_id in ids]
-            unjudged = ahead[0] if ahead else None
+        waiting, _ = rows(judged="not_mine" if reviewer else "no")
+        ids = {row.scene_id for row in waiting} - {score.scene_id}
+        is_all = len(waiting) < MOST_LISTED
+        after = [
+            row
+            for row in following
+            if row.scene_id in ids or (not is_all and _waits(row, reviewer))
+        ]
+        before = [row for row in (*previous, *waiting) if row.scene_id in ids]
+        unjudged = next(iter((*after, *before)), None)
     except UsageError:
         return Order()
     return Order(
@@ -81,9 +85,9 @@ def href_of(scene_id: str, query: str = "") -> str:
     return f"/scene?id={quote(scene_id, safe='')}{query.replace('?', '&', 1)}"
 
 
-def _is_judged(row: ListedScene) -> bool:
-    """Return true for a scene with a verdict on it, on a track, or on an earlier record."""
-    return bool(row.verdicts.judged or row.verdicts.earlier)
+def _waits(row: ListedScene, reviewer: str) -> bool:
+    """Return true for a scene without a verdict of this reviewer; without a name: of anybody."""
+    return row.verdicts.mine is None if reviewer else not row.verdicts.judged
 
 
 def _index(rows: tuple[ListedScene, ...], scene_id: str) -> int | None:

@@ -134,9 +134,25 @@ def test_every_scene_is_judged_by_keyboard_and_a_verdict_undone(
                 expect(page).not_to_have_url(re.compile(re.escape(here.partition("&frame")[0])))
         expect(page.locator("#status")).to_contain_text("every scene of the list is judged")
         page.keyboard.press("Control+z")
+        expect(page.locator("#status")).to_contain_text("is undone")
         expect(page.locator(".given.mine")).to_have_count(0)
     rows = review.client("ana").scenes()
     assert sum(row["verdicts"]["mine"] is None for row in rows) == 1  # type: ignore[index]
+
+
+def test_enter_goes_to_the_next_scene_that_this_reviewer_has_not_judged(
+    browser: Browser, review: Review
+) -> None:
+    scenes = ids(review)[:3]
+    for name in ("ana", "bob"):  # what the first one judged is still to be judged by the second
+        with opened(browser, review, at(scenes[0])) as page:
+            named(page, name)
+            drawn(page)
+            for following in scenes[1:]:
+                page.keyboard.press("1")
+                page.keyboard.press("Enter")
+                expect(page).to_have_url(re.compile(re.escape(following.replace("/", "%2F"))))
+                drawn(page)
 
 
 def test_a_track_is_judged_with_a_note_and_others_see_it_folded(
@@ -152,8 +168,7 @@ def test_a_track_is_judged_with_a_note_and_others_see_it_folded(
         page.keyboard.press("n")
         page.keyboard.type("1 child <b>behind</b> a bin")
         page.keyboard.press("Enter")
-        page.wait_for_url(lambda url: scene.replace("/", "%2F") not in url)
-        page.goto(at(scene))
+        expect(page.locator("#status")).to_contain_text("saved for track 2")
         expect(page.locator(".given.mine")).to_contain_text("neither wrong")
         expect(page.locator(".given.mine")).to_contain_text("track 2")
         expect(page.locator(".given.mine q")).to_have_text("1 child <b>behind</b> a bin")

@@ -46,7 +46,7 @@ def test_a_scene_is_judged_listed_and_undone(
     judged = ["--reviewer", "ann", *state]
     (stored,) = run(capsys, "verdict", "add", "1", "supervised", "--cause", "ground", *judged)
     assert (stored["ordinal"], stored["cause"], stored["record"]) == (1, "ground", "current")
-    run(capsys, "verdict", "add", stored["scene_id"], "both", "--track", "0", *judged)
+    run(capsys, "verdict", "add", stored["scene_id"], "both", "--track", "1", *judged)
     assert [each["verdict"] for each in run(capsys, "verdict", "list", *state)] == [
         "both",
         "supervised",

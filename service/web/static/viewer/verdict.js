@@ -23,6 +23,8 @@ export async function post(path, fields) {
   return facts;
 }
 
+const TOLD = "counterpoint-told"; // a sentence for the page that is loaded next
+
 export class Judge {
   /**
    * @param {HTMLFormElement} form
@@ -46,6 +48,9 @@ export class Judge {
       this.save();
     });
     form.addEventListener("change", () => this.tell(""));
+    const told = sessionStorage.getItem(TOLD);
+    if (told) this.tell(told);
+    sessionStorage.removeItem(TOLD);
   }
 
   /** @param {string} name @returns {HTMLInputElement[]} */
@@ -91,7 +96,7 @@ export class Judge {
     return was;
   }
 
-  /** Store the verdict, and go to the next scene that is not judged. */
+  /** Store the verdict. After one on the scene go to the next that this reviewer has not judged. */
   async save() {
     if (this.saving) return;
     if (!this.chosen) {
@@ -114,6 +119,9 @@ export class Judge {
       if (shown && progress?.text) shown.textContent = progress.text;
       if (stored.record === "replaced") {
         this.tell("saved for the record that you saw; the scene was mined again: load it again");
+      } else if (fields.track_id) {
+        sessionStorage.setItem(TOLD, `saved for track ${Number(fields.track_id) + 1}; J: next scene`);
+        location.reload();
       } else if (this.order.unjudged) location.assign(this.order.unjudged);
       else this.tell("saved; every scene of the list is judged");
     } catch (error) {
@@ -129,6 +137,7 @@ export class Judge {
     const token = String(new FormData(this.form).get("token"));
     try {
       const { stored } = await post("/undo", { token, key: newKey() });
+      sessionStorage.setItem(TOLD, "your last verdict, on this scene, is undone");
       const here = new URL(location.href);
       here.searchParams.delete("frame");
       here.searchParams.delete("track");
