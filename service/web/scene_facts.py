@@ -113,6 +113,7 @@ def _track_facts(track: TrackRecord, task: Task, boxes: list[list[float]]) -> di
         "label": label_of(track),
         "verdict": attribution_of(track),
         "strong": track.strength >= MIN_REPORTED_STRENGTH,
+        "witness": kind.of_witness,
         "ink": inks_of(task)[kind.code],
         "safe": SAFE_WITNESS if kind.of_witness else safe[kind.code],
         "boxes": boxes,

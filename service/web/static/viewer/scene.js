@@ -183,6 +183,14 @@ class Page {
         return item;
       }),
     );
+    const ofWitness = facts.tracks.find((/** @type {any} */ each) => each.witness);
+    if (by === "outcome" && ofWitness) {
+      const item = document.createElement("li");
+      const swatch = document.createElement("i");
+      swatch.style.background = css(style.safe ? ofWitness.safe : ofWitness.ink);
+      item.append(swatch, "box: free space alone: dynamic");
+      one("#legend").append(item);
+    }
   }
 
   /** @param {string} name */
