@@ -14,7 +14,7 @@ from schemas.runtime.http_endpoint import (
     metrics_route,
     text_response,
 )
-from service.curation.rates import RatesRequest, rates, rates_request
+from service.curation.rates import RatesRequest, rates, rates_request, with_judged
 from service.errors import UsageError
 from service.monitoring.readiness import Watched
 from service.store.ledger import Ledger
@@ -55,6 +55,7 @@ def _rates(ledger: Ledger, request: HttpRequest) -> HttpResponse:
         raise UsageError(f"unknown parameter {unknown[0]!r}; known: by, since, until")
     asked = _asked_rates(request.query, now_s=ledger.now_s())
     rows = rates(ledger.rate_sums(asked), asked.by)
+    rows = with_judged(rows, asked, ledger.verdicts.judged_scenes())
     return json_response([row.model_dump(mode="json", exclude_none=True) for row in rows])
 
 

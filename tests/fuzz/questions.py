@@ -121,6 +121,16 @@ RIGHT: Final = (
 """Questions that are right: a service that has been asked everything else still answers them."""
 
 
+WRONG: Final = (
+    Question("top", {"most": -1}),
+    Question("select", {"budget": 0}),
+    Question("rates", {"by": "moon"}),
+    Question("commit", {}),
+    Question("fail", {"worker_id": "$WORKER"}),
+)
+"""Questions that are wrong, so that each verb of `RIGHT` is asked a wrong one in every run."""
+
+
 def questions() -> SearchStrategy[Question]:
     """Make questions of every kind."""
     verbs = [_of_verb(verb, kind.request) for verb, kind in VERBS.items()]

@@ -14,6 +14,8 @@ from typing import Final
 
 import pytest
 
+from schemas.verdict import Verdict
+from service.curation.verdicts import JudgeRequest
 from service.store.engine import DATABASE_NAME
 from tests.dashboard_reading import FOLDER, ReadPanel, read_dashboard, variables_of
 from tests.factories import street_log
@@ -153,6 +155,15 @@ def mined(watched: Watched) -> Watched:
             and watched.value(waiting) == 0
             and watched.counted_by_workers()
         ),
+        deadline_s=MINED_S,
+    )
+    best = watched.system.client.top(1)[0]
+    watched.system.client.judge(
+        JudgeRequest(key="w", scene_id=best.scene_id, reviewer="ann", verdict=Verdict.SUPERVISED)
+    )
+    until(
+        "its verdict has been scraped",
+        lambda: watched.value("sum (counterpoint_judged_scenes)") == 1,
         deadline_s=MINED_S,
     )
     return watched

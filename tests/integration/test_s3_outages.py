@@ -240,7 +240,7 @@ def test_keys_that_expire_are_waited_for_and_new_ones_work_without_a_restart(
         outpost.credentials.user = outpost.ceph.give_new_key(expired)
 
     outpost.trouble_is_said_counted_and_over(
-        "the store denies these credentials ",  # what this store says of keys from a service
+        "these credentials ",  # denied, or not known: as the cache of the store has it
         "refused",
         begins=lambda: outpost.ceph.remove_key(expired),
         ends=renew,
