@@ -128,7 +128,7 @@ class VerdictsContract(StoreContract):
             judge(world, "a/lidar/7", "both", sha256="0" * 64)
         with pytest.raises(NothingFoundError, match="never had the record"):
             judge(world, scenes[0], "both", sha256="0" * 64)
-        with pytest.raises(NothingFoundError, match="no track 9"):
+        with pytest.raises(NothingFoundError, match="no track 10"):
             judge(world, scenes[0], "both", track_id=9)
         with pytest.raises(NothingFoundError, match="never a scene 'x'"):
             judge(world, scenes[0], "duplicate", duplicate_of="x")
