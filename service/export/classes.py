@@ -6,44 +6,17 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.semantickitti import MOVABLE, MOVING, PLAIN
+
 UNLABELLED: Final = 0
 OTHER_MOVING: Final = 259
 """Moving thing without a class of its own: `moving-other-vehicle`."""
 
+_OF_LIDAR_MOS: Final = frozenset({9, 251})
 NAMES: Final = {
-    0: "unlabeled",
-    10: "car",
-    11: "bicycle",
-    13: "bus",
-    15: "motorcycle",
-    16: "on-rails",
-    18: "truck",
-    20: "other-vehicle",
-    30: "person",
-    31: "bicyclist",
-    32: "motorcyclist",
-    40: "road",
-    44: "parking",
-    48: "sidewalk",
-    49: "other-ground",
-    50: "building",
-    51: "fence",
-    52: "other-structure",
-    60: "lane-marking",
-    70: "vegetation",
-    71: "trunk",
-    72: "terrain",
-    80: "pole",
-    81: "traffic-sign",
-    99: "other-object",
-    252: "moving-car",
-    253: "moving-bicyclist",
-    254: "moving-person",
-    255: "moving-motorcyclist",
-    256: "moving-on-rails",
-    257: "moving-bus",
-    258: "moving-truck",
-    259: "moving-other-vehicle",
+    number: name
+    for number, name in {UNLABELLED: "unlabeled", **MOVABLE, **PLAIN, **MOVING}.items()
+    if number not in _OF_LIDAR_MOS
 }
 """Ids that an export writes, as in `semantic-kitti.yaml`."""
 

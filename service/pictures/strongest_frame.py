@@ -2,7 +2,6 @@
 
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
 from PIL import Image
 
 from schemas.arrays import NS_PER_S
@@ -28,8 +27,6 @@ MOST_LOOKS: Final = 8
 
 MOST_READS: Final = 4
 """Frames whose images are read; each takes one or two chunks of the log."""
-
-_AHEAD_M: Final = np.array([[10.0, 0.0, 0.0]], dtype=np.float32)
 
 
 def draw_on_camera(

@@ -84,17 +84,17 @@ def page(connection: Connection, request: ScenesRequest, *, on_damaged: OnDamage
         NothingFoundError: If there is no such selection.
     """
     order = _ORDERS[request.sort]
-    wanted = and_(True, *_filters(connection, request))
-    if request.text and parse_short_name(request.text) is None:
-        found = _found(connection, wanted, request.text.casefold())
-        total, is_least, source, columns = found.total, found.is_least, found.source, order.columns
-        wanted = found.wanted
+    source, wanted = _searched(connection, request)
+    columns = order.columns
+    if source is not LISTED_SCENES:
+        found = _found(connection, source, wanted)
+        total, is_least = found.total, found.is_least
+        source, wanted = found.source, found.wanted
         if is_least:  # the sum keeps SQLite from walking an index and finding each row's text
             columns = (columns[0] + 0, *columns[1:])
     else:
         counted = select(func.count()).select_from(LISTED_SCENES).where(wanted)
         total, is_least = connection.execute(counted).scalar_one(), False
-        source, columns = LISTED_SCENES, order.columns
     if request.after:
         keys = keys_of(request.sort, request.after, count=len(columns))
         wanted = and_(wanted, _beyond(order, keys))
@@ -132,13 +132,11 @@ class _Found:
     is_least: bool
 
 
-def _found(connection: Connection, wanted: ColumnElement[bool], part: str) -> _Found:
+def _found(connection: Connection, source: FromClause, wanted: ColumnElement[bool]) -> _Found:
     """Search every text in turn, and find the row of each match by its number.
 
     A few matches are then read by their numbers, so that the texts are read once.
     """
-    source = _words_and_rows()
-    wanted = and_(wanted, _contains(connection, LISTED_WORDS.c.words, part))
     matches = select(_C.seq).select_from(source).where(wanted).limit(MOST_COUNTED + 1)
     numbers = connection.execute(matches).scalars().all()
     if len(numbers) > MOST_COUNTED:
@@ -148,20 +146,24 @@ def _found(connection: Connection, wanted: ColumnElement[bool], part: str) -> _F
 
 def numbers_that_pass(connection: Connection, request: ScenesRequest) -> set[int]:
     """Return the numbers of all current scenes that pass the filters; the order is not used."""
-    source: FromClause = LISTED_SCENES
-    wanted = and_(True, *_filters(connection, request))
-    if request.text and parse_short_name(request.text) is None:
-        source = _words_and_rows()
-        wanted = and_(wanted, _contains(connection, LISTED_WORDS.c.words, request.text.casefold()))
+    source, wanted = _searched(connection, request)
     return set(connection.execute(select(_C.seq).select_from(source).where(wanted)).scalars())
 
 
-def _words_and_rows() -> FromClause:
-    """Return the texts with their rows, read in the order of the texts.
+def _searched(
+    connection: Connection, request: ScenesRequest
+) -> tuple[FromClause, ColumnElement[bool]]:
+    """Return the tables that filters and search read, and their condition.
 
-    The sum keeps SQLite from walking the rows instead and finding the text of each.
+    A search reads the texts in their order. The sum keeps SQLite from walking the rows instead and
+    finding the text of each.
     """
-    return LISTED_WORDS.join(LISTED_SCENES, _C.seq == LISTED_WORDS.c.seq + 0)
+    wanted = and_(True, *_filters(connection, request))
+    if not request.text or parse_short_name(request.text) is not None:
+        return LISTED_SCENES, wanted
+    source = LISTED_WORDS.join(LISTED_SCENES, _C.seq == LISTED_WORDS.c.seq + 0)
+    words = _contains(connection, LISTED_WORDS.c.words, request.text.casefold())
+    return source, and_(wanted, words)
 
 
 def _beyond(order: _Order, keys: Sequence[float | int]) -> ColumnElement[bool]:

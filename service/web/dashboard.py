@@ -142,14 +142,27 @@ def _activity(
     return "hour", per("hour")
 
 
+def _sample(
+    time_ms: int,
+    per: ActivityPer,
+    value: float | None,
+    words: str,
+    href: str,
+    *bounds: float | None,
+) -> Sample:
+    """Return the sample of an hour or a day, named by it."""
+    at = time_ms // _SPAN_MS[per]
+    return Sample(at, _tick(time_ms, per), value, f"{_label(time_ms, per)}: {words}", href, *bounds)
+
+
 def _disagreement(buckets: Sequence[RecordedBucket], per: ActivityPer) -> Chart:
     return line_chart(
         [
-            Sample(
-                each.time_ms // _SPAN_MS[per],
-                _tick(each.time_ms, per),
+            _sample(
+                each.time_ms,
+                per,
                 each.disagreement_rate,
-                f"{_label(each.time_ms, per)}: {percent(each.disagreement_rate, 2)} of the points, "
+                f"{percent(each.disagreement_rate, 2)} of the points, "
                 f"{counted(each.scenes, 'scene')}",
                 _recorded_in(each.time_ms, per),
             )
@@ -162,12 +175,11 @@ def _disagreement(buckets: Sequence[RecordedBucket], per: ActivityPer) -> Chart:
 def _recorded(buckets: Sequence[RecordedBucket], per: ActivityPer) -> Chart:
     return bar_chart(
         [
-            Sample(
-                each.time_ms // _SPAN_MS[per],
-                _tick(each.time_ms, per),
+            _sample(
+                each.time_ms,
+                per,
                 each.scenes,
-                f"{_label(each.time_ms, per)}: {counted(each.scenes, 'scene')}, mean score "
-                f"{each.mean_score:.3f}",
+                f"{counted(each.scenes, 'scene')}, mean score {each.mean_score:.3f}",
                 _recorded_in(each.time_ms, per),
             )
             for each in buckets[-MOST_SAMPLES:]
@@ -178,11 +190,11 @@ def _recorded(buckets: Sequence[RecordedBucket], per: ActivityPer) -> Chart:
 def _precision(buckets: Sequence[JudgedBucket], per: ActivityPer) -> Chart:
     return line_chart(
         [
-            Sample(
-                each.time_ms // _SPAN_MS[per],
-                _tick(each.time_ms, per),
+            _sample(
+                each.time_ms,
+                per,
                 each.so_far.share,
-                f"{_label(each.time_ms, per)}: precision so far {_phrase(each.so_far)}, "
+                f"precision so far {_phrase(each.so_far)}, "
                 f"{each.so_far.right} of {each.so_far.judged}",
                 "/?judged=yes&sort=judged",
                 each.so_far.low,
@@ -197,11 +209,11 @@ def _precision(buckets: Sequence[JudgedBucket], per: ActivityPer) -> Chart:
 def _judged(buckets: Sequence[JudgedBucket], per: ActivityPer) -> Chart:
     return bar_chart(
         [
-            Sample(
-                each.time_ms // _SPAN_MS[per],
-                _tick(each.time_ms, per),
+            _sample(
+                each.time_ms,
+                per,
                 each.verdicts,
-                f"{_label(each.time_ms, per)}: {counted(each.verdicts, 'verdict')}",
+                counted(each.verdicts, "verdict"),
                 "/?judged=yes&sort=judged",
             )
             for each in buckets[-MOST_SAMPLES:]

@@ -59,16 +59,18 @@ def order_of(
         else:
             following = listed[own + 1 :] if own is not None else listed
             previous = listed[:own] if own is not None else ()
-        waiting, _ = rows(judged="not_mine" if reviewer else "no")
-        ids = {row.scene_id for row in waiting} - {score.scene_id}
-        is_all = len(waiting) < MOST_LISTED
-        after = [
-            row
-            for row in following
-            if row.scene_id in ids or (not is_all and _waits(row, reviewer))
-        ]
-        before = [row for row in (*previous, *waiting) if row.scene_id in ids]
-        unjudged = next(iter((*after, *before)), None)
+        unjudged = next((row for row in following if _waits(row, reviewer)), None)
+        if unjudged is None or unjudged.verdicts.tracks:  # its tracks may be this reviewer's
+            waiting, _ = rows(judged="not_mine" if reviewer else "no")
+            ids = {row.scene_id for row in waiting} - {score.scene_id}
+            is_all = len(waiting) < MOST_LISTED
+            after = [
+                row
+                for row in following
+                if row.scene_id in ids or (not is_all and _waits(row, reviewer))
+            ]
+            before = [row for row in (*previous, *waiting) if row.scene_id in ids]
+            unjudged = next(iter((*after, *before)), None)
     except UsageError:
         return Order()
     return Order(

@@ -102,7 +102,7 @@ def browser() -> Iterator[Browser]:
 
 @dataclass
 class Watch:
-    """What a browser did that it should not."""
+    """Errors, policy violations and foreign requests of a browser."""
 
     origin: str
     found: list[str] = field(default_factory=list)

@@ -1,7 +1,6 @@
 """Files with a model's answer next to the logs: labels of points per cloud, or Parquet of boxes."""
 
 import json
-from collections.abc import Mapping
 from functools import lru_cache
 from typing import Final
 
@@ -11,6 +10,7 @@ from schemas.canonical import canonical_json
 from schemas.errors import ObjectChangedError
 from schemas.frame import RecordedLabels
 from schemas.recorded_source import PredictionFiles
+from schemas.semantickitti import MOVABLE, MOVING, PLAIN
 from schemas.transport.bucket import Bucket, ObjectMeta, open_bucket
 from workers.errors import CloudUnreadableError, LogUnusableError
 from workers.ingest.limits import MAX_POINTS
@@ -30,48 +30,6 @@ MAX_FILES: Final = 1_000_000
 MAX_CLASSES_BYTES: Final = 1 << 20
 SAMPLED_FILES: Final = 8
 """Files that are read to see if any label of a log moves."""
-
-_PLAIN: Final[Mapping[int, str]] = {
-    9: "static",
-    40: "road",
-    44: "parking",
-    48: "sidewalk",
-    49: "other-ground",
-    50: "building",
-    51: "fence",
-    52: "other-structure",
-    60: "lane-marking",
-    70: "vegetation",
-    71: "trunk",
-    72: "terrain",
-    80: "pole",
-    81: "traffic-sign",
-    99: "other-object",
-}
-_MOVABLE: Final[Mapping[int, str]] = {
-    10: "car",
-    11: "bicycle",
-    13: "bus",
-    15: "motorcycle",
-    16: "on-rails",
-    18: "truck",
-    20: "other-vehicle",
-    30: "person",
-    31: "bicyclist",
-    32: "motorcyclist",
-}
-_MOVING: Final[Mapping[int, str]] = {
-    251: "moving",
-    252: "moving-car",
-    253: "moving-bicyclist",
-    254: "moving-person",
-    255: "moving-motorcyclist",
-    256: "moving-on-rails",
-    257: "moving-bus",
-    258: "moving-truck",
-    259: "moving-other-vehicle",
-}
-"""Ids of the SemanticKITTI format and of LiDAR-MOS, used where no file names the classes."""
 
 
 def find_prediction_files(url: str, log_id: str) -> tuple[PredictionFiles, str]:
@@ -212,15 +170,15 @@ def _usual_classes(bucket: Bucket, name: str, stems: list[str]) -> str:
         data = bucket.read_all(key, at_most=4 * MAX_POINTS)
         ids = np.frombuffer(data[: len(data) // 4 * 4], "<u4") & 0xFFFF
         seen.update(np.unique(ids).tolist())
-    return usual_classes(with_motion=bool(seen & (_MOVING.keys() | {9})))
+    return usual_classes(with_motion=bool(seen & (MOVING.keys() | {9})))
 
 
 @lru_cache(maxsize=2)
 def usual_classes(*, with_motion: bool) -> str:
     """Return the classes of SemanticKITTI's format as JSON."""
-    known = [(_PLAIN, False, False), (_MOVABLE, True, False)]
+    known = [(PLAIN, False, False), (MOVABLE, True, False)]
     if with_motion:
-        known.append((_MOVING, True, True))
+        known.append((MOVING, True, True))
     classes = {
         str(class_id): json.dumps({"name": name, "movable": movable, "moving": moving})
         for names, movable, moving in known

@@ -1,4 +1,4 @@
-"""What counts of the verdicts, Cohen's kappa, the interval of the precision, and the causes."""
+"""Verdicts that count, Cohen's kappa, the interval of the precision, and the causes."""
 
 import random
 from typing import Any

@@ -83,7 +83,7 @@ def test_floats_keep_all_their_bits() -> None:
 
 
 def test_the_score_follows_the_stored_features() -> None:
-    """Else a table fitted anew could not be tried without the logs."""
+    """A newly fitted table is evaluated on stored inputs, without the logs."""
     _, inputs = _scored(labelled_scene([MISSED, PHANTOM], frames=12))
     again = decode_inputs(encode_inputs(inputs))
     weak = [
