@@ -5,6 +5,7 @@ from typing import Any, Final
 from sqlalchemy import (
     ColumnElement,
     Connection,
+    Row,
     Select,
     Table,
     and_,
@@ -22,6 +23,9 @@ from service.store.tables import LEASES, PLANS, RECORDINGS, SHARDS
 from service.store.work_items import Work, WorkState, change
 from service.store.worker_deaths import History
 
+HEAD_START_S: Final = 3.0
+"""Time for which work that ended badly is left to workers that have not died, seconds."""
+
 WITHHELD_S: Final = 5.0
 """Time for which a worker gets none of the work left to another, seconds; deciding reads leases."""
 
@@ -38,7 +42,8 @@ def claim(
 
     Shards are assigned in the order of log, lidar and time, so that logs are finished one after the
     other. Work that ended badly before is left to a worker that is known to finish some
-    (`worker_deaths`).
+    (`worker_deaths`). While no such worker is known, a worker that has not died since it last
+    finished something has a head start.
     """
     version = request.pipeline_version
     here = {
@@ -50,15 +55,16 @@ def claim(
     }
     waiting = _WAITING.one(connection, here).waiting
     in_turn = (_PLAN, _SHARD) if waiting < policy.plan_ahead else (_SHARD, _PLAN)
-    withheld = False
+    withheld_s = 0.0
     for query in in_turn:
         row = query.first(connection, here)
         if row is not None and row.error:
             history = History.read(
                 connection, version, from_s=now_s - policy.heard_s, to_s=now_s + policy.lease_s
             )
-            if history.is_to_wait(request.worker_id, is_shard=query is _SHARD):
-                row, withheld = _UNTRIED[query].first(connection, here), True
+            wait_s = _wait_s(history, request, row, is_shard=query is _SHARD, now_s=now_s)
+            if wait_s:
+                row, withheld_s = _UNTRIED[query].first(connection, here), wait_s
         if row is not None:
             work = Work(row.log_id, row.revision, version, row.name if query is _SHARD else "")
             _lease(connection, work, request, lease_id=lease_id, until_s=now_s + policy.lease_s)
@@ -76,11 +82,22 @@ def claim(
                 recording=recording,
                 shard=Shard.model_validate_json(row.shard),
             )
-    if withheld:
-        return NothingToDo(retry_after_s=WITHHELD_S)
+    if withheld_s:
+        return NothingToDo(retry_after_s=withheld_s)
     # Soon, while a log is being planned, for its shards are about to come.
     planning = _PLANNING.first(connection, here)
     return NothingToDo(retry_after_s=1.0 if planning is None else 0.2)
+
+
+def _wait_s(
+    history: History, request: ClaimRequest, row: Row[Any], *, is_shard: bool, now_s: float
+) -> float:
+    """Return for how long work that ended badly is left to other workers, seconds."""
+    if history.is_to_wait(request.worker_id, is_shard=is_shard):
+        return WITHHELD_S
+    left_s = float(row.ready_at_s) + HEAD_START_S - now_s
+    has_rested = now_s >= row.ready_at_s  # not so after the clock stepped back
+    return max(0.0, left_s) if has_rested and history.died_last(request.worker_id) else 0.0
 
 
 def _lease(
@@ -116,7 +133,14 @@ def _ready(table: Table) -> ColumnElement[bool]:
 
 def _next(table: Table, *columns: Any) -> Select[Any]:
     return (
-        select(table.c.log_id, table.c.revision, table.c.error, RECORDINGS.c.recording, *columns)
+        select(
+            table.c.log_id,
+            table.c.revision,
+            table.c.error,
+            table.c.ready_at_s,
+            RECORDINGS.c.recording,
+            *columns,
+        )
         .join(
             RECORDINGS,
             and_(RECORDINGS.c.log_id == table.c.log_id, RECORDINGS.c.revision == table.c.revision),

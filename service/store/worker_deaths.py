@@ -120,6 +120,11 @@ class History:
             self._is_proven(other, is_shard=is_shard) for other in self._heard - {worker_id}
         )
 
+    def died_last(self, worker_id: str) -> bool:
+        """Return true if this worker has died since it last finished a plan or a shard."""
+        died_s = self._last_died_s({worker_id}, lambda _: True)
+        return died_s > self._last_finished_s({worker_id}, is_shard=False)
+
     def _is_proven(self, worker_id: str, *, is_shard: bool) -> bool:
         finished_s = self._last_finished_s({worker_id}, is_shard=is_shard)
         died_s = self._last_died_s({worker_id}, lambda work: bool(work.shard) >= is_shard)

@@ -114,7 +114,7 @@ class BlameContract(StoreContract):
     def test_work_rests_after_a_death_longer_each_time(self, world: World) -> None:
         world.listed("a")
         for rest_s in (2, 4, 8, 16):
-            assert die(world, "w1") is not None
+            assert die(world, f"w-before-{rest_s}") is not None
             world.clock.now_s += rest_s - 0.5
             assert isinstance(world.claim("w2"), NothingToDo)
             world.clock.now_s += 0.5
@@ -130,6 +130,22 @@ class BlameContract(StoreContract):
         assert other.shard.index != lease.shard.index
         assert isinstance(world.claim("worker-bad-pool2-1"), NothingToDo)
         assert world.mine_lease(HEALTHY).shard.index == lease.shard.index
+
+    def test_a_worker_that_has_not_died_has_a_head_start(self, world: World) -> None:
+        world.listed("a")
+        lease = die(world, "worker-bad-pool2-0")
+        assert isinstance(lease, PlanLease)
+        world.clock.now_s += 2.5
+        held_back = world.claim("worker-bad-pool2-0")
+        assert isinstance(held_back, NothingToDo)
+        assert 0 < held_back.retry_after_s < 3
+        assert isinstance(world.claim("worker-new-pool3-0"), PlanLease)
+
+    def test_a_worker_alone_gets_its_work_after_the_head_start(self, world: World) -> None:
+        world.listed("a")
+        assert die(world, "worker-bad-pool2-0") is not None
+        world.clock.now_s += 5.0
+        assert isinstance(world.claim("worker-bad-pool2-0"), PlanLease)
 
     def test_work_that_ended_badly_waits_for_nobody_who_has_left(self, world: World) -> None:
         world.listed("a")

@@ -221,7 +221,7 @@ class LedgerContract(StoreContract):
             assert world.mine_lease().shard.index == 0
             world.clock.now_s += 31
             assert world.ledger.expire() == 1
-            world.clock.now_s += 16  # its longest rest
+            world.clock.now_s += 20  # its longest rest, and the head start of others
         assert world.mine_lease().shard.index == 1
         (parked,) = world.ledger.status().parked
         assert (parked.log_id, parked.shard, parked.attempts) == ("a", "lidar-00000", 5)
@@ -388,7 +388,7 @@ class LedgerContract(StoreContract):
         for _ in range(4):
             world.clock.now_s += 31
             world.ledger.expire()
-            world.clock.now_s += 16
+            world.clock.now_s += 20
             world.mine_lease("slower")
         world.clock.now_s += 31
         world.ledger.expire()
