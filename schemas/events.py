@@ -93,6 +93,13 @@ class RankedScene(BaseModel):
         description="A better scene next to it that shows the same things, and is no twin itself.",
     )
     sha256: Kept = Field(description="Digest of the record as published.")
+    same_logs: tuple[Kept, ...] = Field(
+        default=(),
+        max_length=MAX_LISTED,
+        exclude_if=lambda value: not value,
+        description="Other logs with the same bytes, which have no scenes; absent without one, in "
+        "published selections, and where verdicts were not requested.",
+    )
     verdicts: VerdictSummary | None = Field(
         default=None,
         exclude_if=lambda value: value is None,

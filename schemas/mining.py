@@ -64,9 +64,20 @@ class MiningSettings(BaseModel):
         description="Folder of imported weights, for every chosen network; empty: the included "
         "ones. Every worker reads it from this path.",
     )
+    device: Literal["auto", "cpu", "cuda"] = Field(
+        default="auto",
+        description="Device of the networks SalsaNext and LMNet, in mining and training; auto: a "
+        "GPU of CUDA where there is one. A GPU is part of the pipeline version, because its sums "
+        "differ: where only some machines have one, cpu makes all agree.",
+    )
     selfsupervised: Name = Field(
         default="registration",
         description="Self-supervised stream, one that `counterpoint parts` lists.",
+    )
+    motion_rule: Blob = Field(
+        default="",
+        description="Thresholds of the two-stage rule: a JSON file that `calibrate motion` wrote, "
+        "for the streams `two-stage…`; empty: the published ones.",
     )
     odometry: Name = Field(
         default="kiss-icp", description="Odometry, one that `counterpoint parts` lists."
@@ -133,6 +144,15 @@ class MiningSettings(BaseModel):
             raise ValueError(
                 "predictions: only the supervised stream `recorded` reads them; set supervised to "
                 f"recorded, not {self.supervised}"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _motion_rule_is_read(self) -> "MiningSettings":
+        if self.motion_rule and self.selfsupervised.partition(":")[0] != "two-stage":
+            raise ValueError(
+                "motion_rule: only the self-supervised streams `two-stage` read it; set "
+                f"selfsupervised to two-stage, not {self.selfsupervised}"
             )
         return self
 

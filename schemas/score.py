@@ -143,14 +143,31 @@ class Reason(BaseModel):
         return "; ".join(part for part in (self.headline, self.evidence) if part)
 
 
+TAUGHT: Final = ":taught"
+"""End of the name of a supervised stream that the self-supervised stream taught."""
+
+
+def is_taught(version: str) -> bool:
+    """Return True if `name@version` is of a stream that the self-supervised stream taught."""
+    return version.partition("@")[0].endswith(TAUGHT)
+
+
 class Producers(BaseModel):
     """Sources of the labels: name and version of each stream's model, and of the pipeline."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    supervised: Said = Field(description="`name@version`; the version is a digest of its weights.")
+    supervised: Said = Field(
+        description="`name@version`; the version is a digest of its weights, and a "
+        "name that ends in `:taught` is of weights that the self-supervised stream taught."
+    )
     selfsupervised: Said = Field(description="`name@version`.")
     pipeline_version: Name = Field(description="Digest of grid, warm-up, weights and settings.")
+
+    @property
+    def taught(self) -> bool:
+        """True if the supervised stream was taught by the self-supervised one."""
+        return is_taught(self.supervised)
 
 
 class SceneScore(BaseModel):

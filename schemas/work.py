@@ -17,7 +17,6 @@ from schemas.bounds import (
     MAX_SHARDS_OF_A_PLAN,
     Blob,
     Count,
-    Digest,
     Finite,
     LogId,
     Name,
@@ -32,6 +31,9 @@ from schemas.bounds import (
 )
 from schemas.camera import CameraCalibration
 from schemas.canonical import canonical_json
+from schemas.layers import Layers as Layers
+from schemas.layers import ManifestEntry as ManifestEntry
+from schemas.layers import RescoredShard as RescoredShard
 from schemas.recorded_source import PredictionFiles, StatedPose
 from schemas.score import MAX_RECORD_BYTES
 
@@ -246,6 +248,9 @@ class ClaimRequest(BaseModel):
 
     worker_id: Name
     pipeline_version: Name
+    layers: Layers | None = Field(
+        default=None, description="Digests that make the version; absent: nothing is reused."
+    )
 
 
 class PlanLease(BaseModel):
@@ -265,7 +270,7 @@ class PlanLease(BaseModel):
 
 
 class MineLease(BaseModel):
-    """The right, until it expires, to mine one shard."""
+    """The right, until it expires, to mine one shard, or to score its scenes again."""
 
     model_config = _STRICT
 
@@ -274,6 +279,11 @@ class MineLease(BaseModel):
     expires_s: Seconds
     recording: Recording
     shard: Shard
+    rescore: RescoredShard | None = Field(
+        default=None,
+        description="Compute the scores of these scenes again from their overlays; if one cannot "
+        "be, fail with `not_rescored`. Absent: mine the log.",
+    )
 
 
 class NothingToDo(BaseModel):
@@ -283,6 +293,11 @@ class NothingToDo(BaseModel):
 
     kind: Literal["nothing"] = "nothing"
     retry_after_s: Seconds = 1.0
+    problem: Text = Field(
+        default="",
+        exclude_if=lambda value: not value,
+        description="Why this worker gets no work; empty: there is none.",
+    )
 
 
 class ClaimReply(BaseModel):
@@ -300,15 +315,6 @@ class RenewRequest(BaseModel):
 
     worker_id: Name
     lease_id: Name
-
-
-class ManifestEntry(BaseModel):
-    """One record that a worker has published."""
-
-    model_config = _STRICT
-
-    scene_id: SceneId
-    sha256: Digest
 
 
 class MiningStats(BaseModel):
@@ -369,6 +375,11 @@ class FailRequest(BaseModel):
         default=False,
         description="The worker was stopped, or a store as a whole fails: this work is not at "
         "fault, and no attempt is used up.",
+    )
+    not_rescored: bool = Field(
+        default=False,
+        description="An overlay is gone, or has no inputs of the score: mine the shard. No attempt "
+        "is used up.",
     )
 
 

@@ -1,36 +1,42 @@
-"""Assembly of processes: everything on one machine, or the service or the workers alone."""
+"""Assembly of processes: everything on one machine, or the workers alone."""
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack
 from functools import partial
 from threading import Event
 from typing import TYPE_CHECKING, Final
 
-from prometheus_client import CollectorRegistry
-
 from schemas.runtime.http_endpoint import HttpEndpoint
 from schemas.runtime.process import stop_on_signals
-from schemas.runtime.retry import StoppedError
 from schemas.transport.bucket import Bucket, open_bucket
-from schemas.transport.bus import check_endpoints, client_session, free_endpoint, router_session
+from schemas.transport.bus import check_endpoints, free_endpoint, router_session
+from schemas.transport.endpoints import from_here
+from schemas.transport.locks import check_locks
 from service.app import Service
+from service.assembly import (
+    announce,
+    enter_service,
+    make_artifacts,
+    metrics_at,
+    notices_of,
+    open_ledger,
+    open_pages,
+    wants_http,
+)
 from service.background.heartbeat import Heartbeat
 from service.curation.status import Status
-from service.errors import NothingFoundError
-from service.monitoring.gauges import Sources
-from service.monitoring.http_pages import pages
+from service.errors import NothingFoundError, UsageError
 from service.monitoring.metrics import ServiceMetrics
 from service.monitoring.readiness import Daemon
-from service.settings.config import DEFAULT_ENDPOINT, Settings, cache_folder
-from service.store.ledger import LeasePolicy, Ledger
-from service.store.opening import open_ledger_store, sole_service
-from service.store.single_writer_lock import SoleService
-from service.store.state import StateLock, free_bytes, prepare_state
+from service.security.listening import need_locked_bus, need_locked_pages, page_guard
+from service.settings.config import DEFAULT_ENDPOINT, Settings
+from service.store.ledger import Ledger
+from service.store.opening import sole_service
+from service.store.state import StateLock, prepare_state
+from service.worker_pools import accepted_by, local_pool, ray_pool
 
 if TYPE_CHECKING:
     from workers.pool.local import LocalPool
-    from workers.worker.config import Accepted
 
 LOCAL_WORKERS: Final = "local-"
 """Prefix of the ids of workers that start and end with one `run`."""
@@ -42,12 +48,6 @@ DRAINING: Final = (
     "at once, and what is unfinished is mined again"
 )
 """Remark on the first signal where workers run. No acknowledged work is lost by a second one."""
-
-STOPPING: Final = (
-    "stopping: open requests are answered; a second Ctrl-C ends at once, and nothing that was "
-    "acknowledged is lost"
-)
-"""Remark on the first signal where the service runs alone."""
 
 _STARTING: Final = "workers start; the first run compiles its loops, which takes about a minute"
 
@@ -76,19 +76,27 @@ def run_embedded(
 
     Raises:
         NothingFoundError: With `once`, if the bucket has no log, or no log has a lidar.
+        UsageError: With `standby`, since a second one would take its endpoint too.
     """
+    if settings.standby:
+        raise UsageError("standby is for `counterpoint service`, beside a router of its own")
     from workers.pool.local import LocalPool
     from workers.pool.process import LogStyle
 
     with ExitStack() as opened:
         stop = opened.enter_context(stop_on_signals(partial(remark, DRAINING)))
         bucket = open_bucket(settings.bucket)
-        lock, sole, ledger = _open_state(settings, opened, once=once)
-        _make_artifacts(settings)
-        endpoint = settings.listen or free_endpoint()
-        opened.enter_context(router_session([endpoint]))
+        prepare_state(settings.state)
+        lock = opened.enter_context(StateLock(settings.state))
+        sole = opened.enter_context(sole_service(settings))
+        _, ledger = open_ledger(settings, opened, sole=sole, once=once)
+        make_artifacts(settings)
+        listens = (settings.listen or free_endpoint()).split(",")
+        need_locked_bus(settings, listens=listens)
+        opened.enter_context(router_session(listens, locks=settings.locks))
+        endpoint = from_here(listens[0])
         ledger.free_leases(LOCAL_WORKERS)
-        service = _enter_service(
+        service = enter_service(
             settings,
             ledger,
             bucket,
@@ -98,8 +106,10 @@ def run_embedded(
             sole=sole,
             once=once,
             metrics=ServiceMetrics(vehicles=settings.vehicles),
+            locks=settings.client_locks,
+            notices=(notices := notices_of(settings, bucket, once=once)),
         )
-        _announce(lock, sole, endpoint)
+        announce(lock, sole, endpoint)
         if once and not service.recordings:
             raise NothingFoundError(f"no .mcap log in {bucket.url}")
         pool = LocalPool(
@@ -111,16 +121,20 @@ def run_embedded(
             style=LogStyle(settings.log_level, settings.log_format == "json"),
             on_death=lambda worker_id: _take_back(ledger, worker_id),
             accepts=accepted_by(settings),
+            locks=settings.client_locks,
         )
         opened.callback(pool.stop)
         daemon = Daemon()
         daemon.up(service, pool)
         registries = (service.metrics.registry, pool.registry)
         where = ""
-        if _wants_http(settings, once=once):
-            where = _metrics_at(_open_pages(settings, daemon, ledger, opened, *registries))
+        if wants_http(settings, once=once):
+            where = metrics_at(
+                open_pages(settings, daemon, ledger, opened, *registries, notices=notices)
+            )
         opened.enter_context(pool)
-        remark(f"mining {bucket.url} with {settings.workers} workers; service at {endpoint}{where}")
+        at = ", ".join(listens)
+        remark(f"mining {bucket.url} with {settings.workers} workers; service at {at}{where}")
         if page is not None:
             opened.enter_context(page)
         version = _stay(service, ledger, pool, stop, once=once, on_progress=on_progress)
@@ -130,178 +144,36 @@ def run_embedded(
     return status
 
 
-def run_service(settings: Settings, *, remark: Callable[[str], None]) -> None:
-    """Run the service alone until a signal; it waits for its router."""
-    connect = (settings.connect or DEFAULT_ENDPOINT).split(",")
-    with ExitStack() as opened:
-        stop = opened.enter_context(stop_on_signals(partial(remark, STOPPING)))
-        bucket = open_bucket(settings.bucket)
-        lock, sole, ledger = _open_state(settings, opened)
-        _make_artifacts(settings)
-        metrics = ServiceMetrics(vehicles=settings.vehicles)
-        daemon = Daemon(router=f"waiting for a router at {', '.join(connect)}")
-        http = None
-        if _wants_http(settings, once=False):  # before the router is there: it may take long
-            metrics.read_from(_before_start(settings, bucket, ledger))
-            http = _open_pages(settings, daemon, ledger, opened, metrics.registry)
-        try:
-            service = _enter_service(
-                settings,
-                ledger,
-                bucket,
-                connect,
-                opened,
-                stop=stop,
-                sole=sole,
-                metrics=metrics,
-            )
-        except StoppedError:  # there never was a router
-            return
-        daemon.up(service)
-        _announce(lock, sole, ",".join(connect))
-        where = ""
-        if http is not None:
-            opened.callback(http.close)  # no request may reach a closed service
-            where = _metrics_at(http)
-        remark(f"serving {bucket.url} over {', '.join(connect)}{where}")
-        service.run(stop)
-
-
 def run_workers(settings: Settings, *, remark: Callable[[str], None]) -> None:
     """Run workers for a service elsewhere until a signal."""
-    from workers.pool.local import LocalPool
     from workers.pool.pages import pool_pages
-    from workers.pool.process import LogStyle
 
     connect = (settings.connect or DEFAULT_ENDPOINT).split(",")
     check_endpoints(connect)  # here, not by each worker that starts
+    check_locks(settings.locks, tuple(connect))
+    need_locked_bus(settings, connects=connect)
+    need_locked_pages(settings, settings.worker_http_listen, setting="worker_http_listen")
     with ExitStack() as opened:
         stop = opened.enter_context(stop_on_signals(partial(remark, DRAINING)))
-        pool = LocalPool(
-            settings.workers,
-            connect=connect,
-            root=settings.root,
-            home=cache_folder(),
-            lease_deadline_s=settings.shard_deadline_s,
-            style=LogStyle(settings.log_level, settings.log_format == "json"),
-            name="worker",
-            accepts=accepted_by(settings),
-        )
+        is_ray = settings.pool == "ray"
+        pool = (ray_pool if is_ray else local_pool)(settings, connect, opened, stop)
         opened.callback(pool.stop)
         where = ""
         if listen := settings.worker_http_listen:
-            http = HttpEndpoint(listen, pool_pages(pool), setting="worker_http_listen")
-            where = _metrics_at(opened.enter_context(http))
+            http = HttpEndpoint(
+                listen,
+                pool_pages(pool),
+                setting="worker_http_listen",
+                guard=page_guard(settings),
+            )
+            where = metrics_at(opened.enter_context(http))
         opened.enter_context(pool)
-        remark(f"{settings.workers} workers for the service at {', '.join(connect)}{where}")
+        on = " on Ray" if is_ray else ""
+        remark(f"{settings.workers} workers{on} for the service at {', '.join(connect)}{where}")
         heartbeat = Heartbeat(lambda: {"workers": pool.alive()}, heartbeat_s=settings.heartbeat_s)
         while not stop.wait(_LOOK_S):
             pool.check()
             heartbeat.beat()
-
-
-def accepted_by(settings: Settings) -> "Accepted":
-    """Return the locations that workers with these settings accept from a service elsewhere."""
-    from workers.worker.config import Accepted
-
-    return Accepted(
-        settings.bucket,
-        settings.artifacts_url,
-        settings.model,
-        settings.weights,
-        settings.predictions,
-    )
-
-
-def _make_artifacts(settings: Settings) -> None:
-    """Make the place of overlays, so that one that cannot be written to ends the start."""
-    open_bucket(settings.mining().artifacts, create=True)
-
-
-def _open_state(
-    settings: Settings, opened: ExitStack, *, once: bool = False
-) -> tuple[StateLock, SoleService | None, Ledger]:
-    prepare_state(settings.state)
-    lock = opened.enter_context(StateLock(settings.state))
-    sole = opened.enter_context(sole_service(settings))
-    store = open_ledger_store(settings)
-    opened.callback(store.close)
-    policy = LeasePolicy(
-        lease_s=settings.lease_s,
-        max_attempts=settings.max_attempts,
-        settle_s=0.0 if once else settings.settle_s,
-    )
-    ledger = Ledger(store, now_s=lambda: time.clock_gettime(time.CLOCK_REALTIME), policy=policy)
-    return lock, sole, ledger
-
-
-def _announce(lock: StateLock, sole: SoleService | None, endpoint: str) -> None:
-    lock.announce(endpoint)
-    if sole is not None:
-        sole.announce(endpoint)
-
-
-def _enter_service(
-    settings: Settings,
-    ledger: Ledger,
-    bucket: Bucket,
-    connect: Sequence[str],
-    opened: ExitStack,
-    *,
-    stop: Event,
-    sole: SoleService | None,
-    metrics: ServiceMetrics,
-    once: bool = False,
-) -> Service:
-    session = opened.enter_context(client_session(connect, stop=stop))
-    return opened.enter_context(
-        Service(
-            settings,
-            session,
-            ledger,
-            bucket=bucket,
-            once=once,
-            hold=None if sole is None else sole.check,
-            metrics=metrics,
-        )
-    )
-
-
-def _before_start(settings: Settings, bucket: Bucket, ledger: Ledger) -> Sources:
-    """Return the sources of metrics until the service starts, as far as known without a router."""
-    return Sources(
-        backlog=ledger.backlog,
-        bucket_url=bucket.url,
-        state_free_bytes=partial(free_bytes, settings.state),
-        now_s=ledger.now_s,
-    )
-
-
-def _open_pages(
-    settings: Settings,
-    daemon: Daemon,
-    ledger: Ledger,
-    opened: ExitStack,
-    *registries: CollectorRegistry,
-) -> HttpEndpoint:
-    """Serve the HTTP pages of the service.
-
-    Raises:
-        TransientError: If the address is taken.
-    """
-    routes = pages(daemon, ledger, *registries)
-    return opened.enter_context(HttpEndpoint(settings.http_listen, routes))
-
-
-def _metrics_at(endpoint: HttpEndpoint) -> str:
-    """Return the URL of the metrics, as the end of a sentence."""
-    return f"; metrics at {endpoint.url}/metrics"
-
-
-def _wants_http(settings: Settings, *, once: bool) -> bool:
-    """Return true for a daemon, or for a run that ends by itself if an address was given for it."""
-    asked_for = not once or "http_listen" in settings.model_fields_set
-    return bool(settings.http_listen) and asked_for
 
 
 def _stay(

@@ -11,6 +11,10 @@ class StateUnusableError(PermanentError):
     """The state folder cannot be written, or belongs to a newer version."""
 
 
+class DatabaseTakenError(StateUnusableError):
+    """Another service serves the database now; this one may neither read nor write it."""
+
+
 class StateOutdatedError(StateUnusableError):
     """State of an older version; a service that starts on it migrates it."""
 

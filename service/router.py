@@ -8,6 +8,7 @@ import zenoh
 
 from schemas.runtime.process import stop_on_signals
 from schemas.transport.bus import router_session
+from schemas.transport.locks import OPEN, Locks
 from service.background.heartbeat import Heartbeat, Standing
 
 STOPPING: Final = "stopping: links are closed; a second Ctrl-C ends at once"
@@ -19,6 +20,7 @@ def run_router(
     remark: Callable[[str], None],
     connect: str = "",
     heartbeat_s: float = 300.0,
+    locks: Locks = OPEN,
 ) -> None:
     """Route until SIGTERM or SIGINT.
 
@@ -27,6 +29,7 @@ def run_router(
         remark: Called with a sentence that names the endpoints, and with one when a signal comes.
         connect: Other routers to link to, so that clients may list several and lose one.
         heartbeat_s: Longest silence of the log, seconds.
+        locks: Certificates, and Zenoh's settings laid over ours.
 
     Raises:
         TransientError: If an endpoint is taken.
@@ -35,7 +38,7 @@ def run_router(
     others = connect.split(",") if connect else []
     with (
         stop_on_signals(partial(remark, STOPPING)) as stop,
-        router_session(listen.split(","), connect=others) as session,
+        router_session(listen.split(","), connect=others, locks=locks) as session,
     ):
         remark(f"routing at {listen}")
         heartbeat = Heartbeat(lambda: _standing(session), heartbeat_s=heartbeat_s)

@@ -1,9 +1,11 @@
 """Small MCAP logs for tests: a ring of points seen all around, written as a recorder would."""
 
 import struct
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from mcap.writer import CompressionType, IndexType, Writer
@@ -49,6 +51,25 @@ class Recorder:
     def write(self, messages: Iterable[Said]) -> bytes:
         """Write a log and return its bytes."""
         out = BytesIO()
+        self._write(out, messages, lambda: None)
+        return out.getvalue()
+
+    def write_sparse(self, path: Path, messages: Iterable[Said], *, hole_bytes: int) -> None:
+        """Write a log with a hole after each chunk: a record of a private type, all zeros."""
+        with path.open("wb") as out:
+            end = 0
+
+            def hole() -> None:
+                nonlocal end
+                if out.tell() != end:  # a chunk was written
+                    out.write(struct.pack("<BQ", 0x80, hole_bytes))
+                    end = out.seek(hole_bytes, 1)
+
+            self._write(out, messages, hole)
+
+    def _write(
+        self, out: BinaryIO, messages: Iterable[Said], after_each: Callable[[], None]
+    ) -> None:
         writer = Writer(
             out,
             chunk_size=self.chunk_bytes,
@@ -77,8 +98,8 @@ class Recorder:
             writer.add_message(
                 channels[said.topic], said.log_time_ns, said.data, publish_time=said.log_time_ns
             )
+            after_each()
         writer.finish()  # type: ignore[no-untyped-call]
-        return out.getvalue()
 
 
 def ring(stamp_ns: int, *, points: int = 864, space: str = "lidar") -> bytes:

@@ -6,7 +6,7 @@ from itertools import tee
 
 from schemas.contradiction import Instance, LabelledFrame, Scene
 from schemas.frame import LidarFrame
-from schemas.score import SceneScore
+from schemas.score import SceneScore, is_taught
 from schemas.work import Shard
 from workers.contradiction.agreement import compare
 from workers.contradiction.attribution import attribute_tracks
@@ -68,7 +68,7 @@ def mine_shard(
         )
         tracks = associate_instances(scene, instances)
         described = extract_features(scene, instances, tracks)
-        attributions = attribute_tracks(described)
+        attributions = attribute_tracks(described, taught=is_taught(parts.supervised.version))
         ranked = rank_tracks(scene, described, attributions)
         statistics = statistics_of(scene)
         score = score_scene(

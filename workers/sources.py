@@ -71,8 +71,13 @@ def syntax_digest(*roots: str) -> str:
     Raises:
         ModuleNotFoundError: If a root is no module of ours.
     """
+    return digest_of(sources(*roots))
+
+
+def digest_of(modules: frozenset[str]) -> str:
+    """Digest the names and the syntax of these modules, and of none that they import."""
     digest = hashlib.sha256()
-    for module in sorted(sources(*roots)):
+    for module in sorted(modules):
         digest.update(module.encode() + b"\0" + _read(module).digest)
     return digest.hexdigest()
 

@@ -22,6 +22,7 @@ Stage = Literal[
     "contradiction",
     "pictures",
     "encoding",
+    "rescoring",
     "publishing",
     "committing",
 ]

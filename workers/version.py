@@ -1,22 +1,16 @@
 """The pipeline version: a digest of everything that may change a scored record."""
 
-import hashlib
 from typing import Final
 
-from schemas.canonical import canonical_json
 from schemas.mining import MiningSettings
-from workers.contradiction.version import contradiction_version
+from workers.layers import Layer, LayerDigests, short_digest, source_digests
 from workers.part_version import release
 from workers.parts.files import PartFiles
 from workers.parts.protocols import Parts
 from workers.parts.registry import build_parts
-from workers.sources import syntax_digest
 
-NOT_IN_VERSION: Final = frozenset({"bucket", "artifacts", "model", "weights", "pictures"})
+NOT_IN_VERSION: Final = frozenset({"bucket", "artifacts", "model", "weights", "device", "pictures"})
 """Settings that change no record: places of logs, models and overlays, and kept pictures."""
-
-ROOTS: Final = ("workers.ingest.plan", "workers.mine", "workers.parts.registry")
-"""Modules that plan and mine a log; with all their imports they are the code of a record."""
 
 LIBRARIES: Final = (
     "kiss-icp",
@@ -34,27 +28,43 @@ LIBRARIES: Final = (
 """Distributions that the values of a record may depend on."""
 
 
-def pipeline_version(settings: MiningSettings, parts: Parts) -> str:
-    """Digest settings, parts, sources and libraries: equal versions promise equal records.
+def layers_of(settings: MiningSettings, parts: Parts) -> LayerDigests:
+    """Digest settings, parts, sources and libraries, layer by layer.
+
+    Settings, parts and libraries are in `labels`: which layer they change is not known.
 
     Args:
         settings: The service's settings that all workers share.
         parts: Odometry and streams, whose own versions digest code, weights and settings.
-
-    Returns:
-        Twelve hexadecimal digits; a collision within one fleet is improbable.
     """
-    facts = {
+    code = source_digests()
+    labels = {
         "settings": settings.model_dump(mode="json", exclude=set(NOT_IN_VERSION)),
         "odometry": parts.odometry.version,
         "supervised": parts.supervised.version,
         "selfsupervised": parts.selfsupervised.version,
         "witness": parts.witness.version,
-        "contradiction": contradiction_version(),
-        "sources": syntax_digest(*ROOTS),
+        "sources": code[Layer.LABELS],
         "libraries": {name: release(name) for name in LIBRARIES},
     }
-    return hashlib.sha256(canonical_json(facts)).hexdigest()[:12]
+    return LayerDigests(
+        labels=short_digest(labels),
+        contradictions=short_digest(code[Layer.CONTRADICTIONS]),
+        score=short_digest(code[Layer.SCORE]),
+    )
+
+
+def pipeline_version(settings: MiningSettings, parts: Parts) -> str:
+    """Digest all layers: equal versions promise equal records.
+
+    Args:
+        settings: The service's settings that all workers share.
+        parts: Odometry and streams.
+
+    Returns:
+        Twelve hexadecimal digits; a collision within one fleet is improbable.
+    """
+    return layers_of(settings, parts).pipeline_version
 
 
 def parts_of(settings: MiningSettings) -> Parts:
@@ -75,7 +85,12 @@ def parts_of(settings: MiningSettings) -> Parts:
 
 def files_of(settings: MiningSettings) -> PartFiles:
     """Return the files that the settings name."""
-    return PartFiles(model=settings.model, weights=settings.weights)
+    return PartFiles(
+        model=settings.model,
+        weights=settings.weights,
+        device=settings.device,
+        motion_rule=settings.motion_rule,
+    )
 
 
 def version_of(settings: MiningSettings) -> str:

@@ -358,6 +358,19 @@ REVIEW: Final = Row(
                 ),
             ),
         ),
+        Panel(
+            title="Comparisons of versions",
+            description="Answered comparisons of two versions by result. `regressed`: a kind, "
+            "class or mode of tracks occurs significantly more often in version B.",
+            unit="short",
+            width=12,
+            stacked=True,
+            queries=(
+                Query(
+                    "sum by (result) (increase(counterpoint_comparisons_total[1d]))", "{{result}}"
+                ),
+            ),
+        ),
     ),
 )
 

@@ -138,6 +138,13 @@ PROGRESS: Final = Row(
             queries=(Query("max (counterpoint_oldest_work_age_seconds)", "oldest work"),),
         ),
         Panel(
+            title="Mined again within a day",
+            description="Core-seconds of mining logs again within the last day; 0: nothing is "
+            "mined again. The setting `remine_core_hours_a_day` bounds it.",
+            unit="s",
+            queries=(Query("max (counterpoint_remined_core_seconds)", "mined again"),),
+        ),
+        Panel(
             title="Recordings by state",
             description="Every recording in the bucket. Refused ones cannot be mined; "
             "`counterpoint status` has the cause.",
@@ -567,12 +574,40 @@ INSIDE: Final = Row(
             queries=(Query("sum (counterpoint_staging_bytes)", "bytes"),),
         ),
         Panel(
+            title="Webhooks that wait",
+            description="Time for which the receiver in the worst state has taken no event.",
+            unit="s",
+            thresholds=((60, YELLOW), (600, RED)),
+            queries=(Query("max (counterpoint_webhooks_late_seconds)", "late"),),
+        ),
+        Panel(
+            title="Webhook attempts and new modes, per hour",
+            description="Deliveries by outcome, and failure modes that were not there before.",
+            unit="short",
+            queries=(
+                Query(
+                    f"{per_second('counterpoint_webhook_attempts_total', by='outcome')} * 3600",
+                    "{{outcome}}",
+                ),
+                Query(f"{per_second('counterpoint_new_modes_total')} * 3600", "new modes"),
+            ),
+        ),
+        Panel(
             title="Overlays deleted, per hour",
-            description="Of scenes withdrawn `keep_withdrawn_days` ago. Without that setting none "
-            "is ever deleted, and the artifacts only grow.",
+            description="Of scenes withdrawn `keep_withdrawn_days` ago, or beyond "
+            "`artifacts_budget_bytes`. Without these settings the artifacts only grow.",
             unit="short",
             queries=(
                 Query(f"{per_second('counterpoint_overlays_deleted_total')} * 3600", "overlays"),
+            ),
+        ),
+        Panel(
+            title="Overlays and their budget",
+            description="Bytes of all overlays, and the setting `artifacts_budget_bytes`.",
+            unit="bytes",
+            queries=(
+                Query("max (counterpoint_artifacts_bytes)", "overlays"),
+                Query("max (counterpoint_artifacts_budget_bytes)", "budget"),
             ),
         ),
         Panel(
@@ -580,6 +615,15 @@ INSIDE: Final = Row(
             description="Of the disk with the state folder.",
             unit="bytes",
             queries=(Query("min (counterpoint_state_free_bytes)", "free"),),
+        ),
+        Panel(
+            title="Services: active and standby",
+            description="One service serves; standbys are counted where `standby` is set.",
+            unit="short",
+            queries=(
+                Query("sum (counterpoint_service_active)", "active"),
+                Query("max (counterpoint_service_standbys)", "standby"),
+            ),
         ),
         Panel(
             title="Version",

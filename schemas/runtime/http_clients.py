@@ -56,6 +56,13 @@ class Clients:
                 self._clients[connection] = _Client(address)
             return has_room
 
+    def replace(self, connection: socket.socket, by: socket.socket) -> None:
+        """Put the encrypted side of a connection in place of the plain one."""
+        with self._guard:
+            client = self._clients.pop(connection, None)
+            if client is not None:
+                self._clients[by] = client
+
     def is_answered(self, connection: socket.socket, answered: bool) -> None:
         """Note that a page is being made for a client, or no longer."""
         with self._guard:

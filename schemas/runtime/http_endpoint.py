@@ -2,6 +2,7 @@
 
 import json
 import socket
+import ssl
 import sys
 import threading
 import time
@@ -20,12 +21,14 @@ from prometheus_client.exposition import choose_encoder
 
 from schemas.errors import PermanentError, TransientError
 from schemas.runtime.http_clients import MOST_CONNECTIONS, Clients
+from schemas.runtime.http_guard import CHALLENGE, NEEDS_TOKEN, PageGuard
 from schemas.runtime.http_head import (
     HEAD_DEADLINE_S,
     METHODS,
     RefusedRequestError,
     RequestHead,
     parse_head,
+    read_body,
     read_head,
 )
 
@@ -39,6 +42,9 @@ MOST_ANSWERS: Final = 6
 stay below the connections of one address, so that a probe always gets one.
 """
 
+UNLOCKED: Final = PageGuard()
+"""Guard of pages on the loopback: plain HTTP, and no token."""
+
 TEXT: Final = "text/plain; charset=utf-8"
 JSON: Final = "application/json"
 
@@ -50,10 +56,12 @@ class HttpRequest:
     Attributes:
         query: Parameters of the URL, decoded; none is given twice.
         accept: The `Accept` header; empty when there is none.
+        body: The body, on a page that takes one.
     """
 
     query: Mapping[str, str] = field(default_factory=dict)
     accept: str = ""
+    body: bytes = b""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,16 +82,23 @@ Handler = Callable[[HttpRequest], HttpResponse]
 class HttpEndpoint:
     """Serves paths on one address, each request in a thread of its own, within a `with` block.
 
-    GET and HEAD only, one request per connection, no access log. The handlers may be called from
-    several threads at once. Slow and silent clients make room for newcomers (`Clients`).
+    GET and HEAD, POST where a page takes a body; one request per connection, no access log. The
+    handlers may be called from several threads at once. Slow and silent clients make room for
+    newcomers (`Clients`).
 
     Attributes:
         port: The port it listens on, also where the system chose it.
-        url: `http://host:port`.
+        url: `http://host:port`, or `https://host:port`.
     """
 
     def __init__(
-        self, listen: str, routes: Mapping[str, Handler], *, setting: str = "http_listen"
+        self,
+        listen: str,
+        routes: Mapping[str, Handler],
+        *,
+        setting: str = "http_listen",
+        guard: PageGuard = UNLOCKED,
+        posts: Mapping[str, Handler] | None = None,
     ) -> None:
         """Open the socket; nothing is answered before the block is entered.
 
@@ -92,6 +107,8 @@ class HttpEndpoint:
                 means every address of the machine.
             routes: Path to handler.
             setting: Name of the setting that gave the address, for errors.
+            guard: TLS and tokens of the pages.
+            posts: Path to handler of pages that are asked with POST and a body.
 
         Raises:
             PermanentError: If `listen` is no address.
@@ -100,14 +117,15 @@ class HttpEndpoint:
         """
         host, port = _address(listen, setting=setting)
         try:
-            self._server = _Server(host, port, routes)
+            self._server = _Server(host, port, routes, guard, posts or {})
         except OSError as error:
             raise TransientError(
                 f"cannot serve HTTP on {listen}: {error.strerror or error}; "
                 f"free that address, or name another with the setting {setting}"
             ) from error
         self.port: int = self._server.server_address[1]
-        self.url = f"http://{f'[{host}]' if ':' in host else host or '127.0.0.1'}:{self.port}"
+        scheme = "http" if guard.tls is None else "https"
+        self.url = f"{scheme}://{f'[{host}]' if ':' in host else host or '127.0.0.1'}:{self.port}"
         self._thread = threading.Thread(
             target=self._server.serve_forever, kwargs={"poll_interval": _POLL_S}, name="http"
         )
@@ -179,9 +197,17 @@ class _Server(ThreadingMixIn, TCPServer):
     block_on_close = True
     request_queue_size = 2 * MOST_CONNECTIONS
 
-    def __init__(self, host: str, port: int, routes: Mapping[str, Handler]) -> None:
-        self.routes = dict(routes)
-        self.places = {path: threading.BoundedSemaphore(MOST_ANSWERS) for path in routes}
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        routes: Mapping[str, Handler],
+        guard: PageGuard,
+        posts: Mapping[str, Handler],
+    ) -> None:
+        self.routes, self.guard = {**routes, **posts}, guard
+        self.posts = frozenset(posts)
+        self.places = {path: threading.BoundedSemaphore(MOST_ANSWERS) for path in self.routes}
         self.clients = Clients()
         family, _, _, _, address = socket.getaddrinfo(
             host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
@@ -212,19 +238,46 @@ class _Request(BaseRequestHandler):
 
     def handle(self) -> None:
         """Answer the single request of a connection."""
+        if self.server.guard.tls is None:
+            self._handle()
+            return
+        plain, tls = self.request, self.server.guard.tls
+        wrapped = tls.wrap_socket(plain, server_side=True, do_handshake_on_connect=False)
+        with wrapped as self.request:
+            self.server.clients.replace(plain, wrapped)
+            try:
+                wrapped.settimeout(HEAD_DEADLINE_S)
+                wrapped.do_handshake()
+                self._handle()
+            finally:
+                self.server.clients.forget(self.request)
+
+    def _handle(self) -> None:
         has_body = True
         try:
             deadline_s = time.monotonic() + HEAD_DEADLINE_S
-            head = read_head(self.request, deadline_s=deadline_s)
+            head, begun = read_head(self.request, deadline_s=deadline_s)
             if not head:
                 return
             has_body = not head.startswith(b"HEAD ")
-            answer = self._answered(parse_head(head))
+            asked = parse_head(head, takes_body=self.server.posts)
+            answer = self._refused(asked) or self._answered(asked, begun)
         except RefusedRequestError as refused:
             answer = text_response(str(refused), status=refused.status)
         self._send(answer, has_body=has_body)
 
-    def _answered(self, asked: RequestHead) -> HttpResponse:
+    def _refused(self, asked: RequestHead) -> HttpResponse | None:
+        if self.server.guard.admits(asked.path, asked.headers):
+            return None
+        return text_response(NEEDS_TOKEN, status=HTTPStatus.UNAUTHORIZED)
+
+    def _body(self, asked: RequestHead, begun: bytes) -> bytes:
+        if asked.body_bytes > len(begun) and "expect" in asked.headers:
+            self.request.sendall(b"HTTP/1.1 100 Continue\r\n\r\n")
+        deadline_s = time.monotonic() + HEAD_DEADLINE_S
+        return read_body(self.request, begun, body_bytes=asked.body_bytes, deadline_s=deadline_s)
+
+    def _answered(self, asked: RequestHead, begun: bytes) -> HttpResponse:
         handler = self.server.routes.get(asked.path)
         if handler is None:
             paths = ", ".join(sorted(self.server.routes))
@@ -235,9 +288,12 @@ class _Request(BaseRequestHandler):
                 f"{MOST_ANSWERS} others wait for this page already; ask again",
                 status=HTTPStatus.SERVICE_UNAVAILABLE,
             )
-        self.server.clients.is_answered(self.request, True)
         try:
-            return handler(HttpRequest(asked.query, asked.headers.get("accept", "")))
+            body = self._body(asked, begun) if asked.body_bytes else b""
+            self.server.clients.is_answered(self.request, True)
+            return handler(HttpRequest(asked.query, asked.headers.get("accept", ""), body))
+        except RefusedRequestError:
+            raise
         except PermanentError as error:
             return text_response(str(error), status=HTTPStatus.BAD_REQUEST)
         except TransientError as error:
@@ -254,6 +310,7 @@ class _Request(BaseRequestHandler):
 
     def _send(self, answer: HttpResponse, *, has_body: bool) -> None:
         allowed = answer.status == HTTPStatus.METHOD_NOT_ALLOWED
+        not_known = answer.status == HTTPStatus.UNAUTHORIZED
         lines = (
             f"HTTP/1.1 {answer.status} {HTTPStatus(answer.status).phrase}",
             "Server: counterpoint",
@@ -262,6 +319,7 @@ class _Request(BaseRequestHandler):
             f"Content-Length: {len(answer.body)}",
             "Cache-Control: no-store",
             *((f"Allow: {', '.join(METHODS)}",) if allowed else ()),
+            *((f"WWW-Authenticate: {CHALLENGE}",) if not_known else ()),
             "Connection: close",
         )
         head = "\r\n".join((*lines, "", "")).encode("ascii")
@@ -273,6 +331,9 @@ class _Request(BaseRequestHandler):
         """Read the rest of the request; if closed earlier, the client would not see the answer."""
         deadline_s = time.monotonic() + _HEAR_OUT_S
         with suppress(OSError):  # it has its answer, or has left
+            if isinstance(self.request, ssl.SSLSocket):
+                self.request.settimeout(_HEAR_OUT_S)
+                self.request = self.request.unwrap()  # so that the end of the answer is proven
             self.request.shutdown(socket.SHUT_WR)
             while (left_s := deadline_s - time.monotonic()) > 0:
                 self.request.settimeout(left_s)

@@ -3,7 +3,7 @@
 import re
 import socket
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from http import HTTPStatus
 from typing import Final
@@ -23,6 +23,9 @@ MAX_QUERY: Final = 2048
 
 MAX_PARAMETERS: Final = 16
 """Parameters of a query."""
+
+MAX_BODY: Final = 1 << 20
+"""Bytes of a body, on pages that take one; a notice of a store has a few KiB."""
 
 METHODS: Final = ("GET", "HEAD")
 
@@ -45,7 +48,7 @@ class RequestHead:
     """The head of a request that some page may answer.
 
     Attributes:
-        method: One of `METHODS`.
+        method: One of `METHODS`, or POST.
         path: Decoded, without the query.
         query: Parameters of the URL, decoded; none is given twice.
         headers: By name in lower case; of a repeated one the last.
@@ -55,9 +58,10 @@ class RequestHead:
     path: str
     query: Mapping[str, str]
     headers: Mapping[str, str]
+    body_bytes: int = 0
 
 
-def read_head(client: socket.socket, *, deadline_s: float) -> bytes:
+def read_head(client: socket.socket, *, deadline_s: float) -> tuple[bytes, bytes]:
     """Read up to and without the empty line that ends a head.
 
     A request line that is malformed is refused before the rest of the head arrives.
@@ -67,7 +71,8 @@ def read_head(client: socket.socket, *, deadline_s: float) -> bytes:
         deadline_s: When the head must be whole, on the monotonic clock, seconds.
 
     Returns:
-        The lines of the head; nothing if the client left, or never sent a byte.
+        The lines of the head, nothing if the client left or never sent a byte; and what has
+        arrived after it.
 
     Raises:
         RefusedRequestError: If the head is too long, comes too late, or does not begin as one.
@@ -84,17 +89,17 @@ def read_head(client: socket.socket, *, deadline_s: float) -> bytes:
             more = None
         if more is None:
             if not head:
-                return b""
+                return b"", b""
             raise RefusedRequestError(
                 "the request did not arrive in time; send its whole head at once",
                 status=HTTPStatus.REQUEST_TIMEOUT,
             )
         if not more:
-            return b""
+            return b"", b""
         head += more
         end = _END.search(head)
         if end is not None and end.start() <= MAX_HEAD:
-            return head[: end.start()]
+            return head[: end.start()], head[end.end() :]
         if not line_is_known and b"\n" in head:
             _request_line(head.partition(b"\n")[0].removesuffix(b"\r"))
             line_is_known = True
@@ -104,17 +109,49 @@ def read_head(client: socket.socket, *, deadline_s: float) -> bytes:
     )
 
 
-def parse_head(head: bytes) -> RequestHead:
-    """Parse the head of a request.
+def read_body(client: socket.socket, begun: bytes, *, body_bytes: int, deadline_s: float) -> bytes:
+    """Read the rest of a body.
 
     Raises:
-        RefusedRequestError: If it is malformed, has a body, or has another method.
+        RefusedRequestError: If it comes too late, or not whole.
+        OSError: If the connection breaks.
+    """
+    body = begun
+    while len(body) < body_bytes:
+        try:
+            client.settimeout(max(deadline_s - time.monotonic(), 1e-3))
+            more = client.recv(1 << 16)
+        except TimeoutError:
+            more = b""
+        if not more:
+            raise RefusedRequestError(
+                "the body did not arrive whole and in time", status=HTTPStatus.REQUEST_TIMEOUT
+            )
+        body += more
+    return body[:body_bytes]
+
+
+def parse_head(head: bytes, *, takes_body: Collection[str] = ()) -> RequestHead:
+    """Parse the head of a request.
+
+    Args:
+        head: Its lines.
+        takes_body: Paths that are asked with POST and a body.
+
+    Raises:
+        RefusedRequestError: If it is malformed, or has a body or a method that its path has not.
     """
     first, *lines = (line.removesuffix(b"\r") for line in head.split(b"\n"))
     method, target = _request_line(first)
     if len(lines) > MAX_HEADERS:
         raise RefusedRequestError(f"a request has at most {MAX_HEADERS} headers")
     headers = dict(map(_header, lines))
+    path, _, query = target.partition("?")
+    if len(query) > MAX_QUERY:
+        raise RefusedRequestError(f"a query has at most {MAX_QUERY} bytes")
+    if _decoded(path) in takes_body:
+        body_bytes = _body_bytes(method, headers)
+        return RequestHead(method, _decoded(path), _parameters(query), headers, body_bytes)
     if method not in METHODS:
         raise RefusedRequestError(
             f"pages are asked with {' or '.join(METHODS)}, not with {method}",
@@ -122,9 +159,6 @@ def parse_head(head: bytes) -> RequestHead:
         )
     if "transfer-encoding" in headers or headers.get("content-length", "0").strip("0"):
         raise RefusedRequestError("a question to this endpoint has no body; put it into the URL")
-    path, _, query = target.partition("?")
-    if len(query) > MAX_QUERY:
-        raise RefusedRequestError(f"a query has at most {MAX_QUERY} bytes")
     return RequestHead(method, _decoded(path), _parameters(query), headers)
 
 
@@ -133,6 +167,23 @@ _END: Final = re.compile(rb"\n\r?\n")
 _LINE: Final = re.compile(rb"([!#$%&'*+.^_`|~0-9A-Za-z-]{1,32}) ([!-~]+) HTTP/1\.[0-9]")
 
 _HEADER: Final = re.compile(rb"([!#$%&'*+.^_`|~0-9A-Za-z-]+):[ \t]*([\t -~\x80-\xff]*?)[ \t]*")
+
+
+def _body_bytes(method: str, headers: Mapping[str, str]) -> int:
+    if method != "POST":
+        raise RefusedRequestError(
+            "this page takes POST alone", status=HTTPStatus.METHOD_NOT_ALLOWED
+        )
+    length = headers.get("content-length", "")
+    if "transfer-encoding" in headers or not (length.isdecimal() and length.isascii()):
+        raise RefusedRequestError(
+            "a body needs its Content-Length", status=HTTPStatus.LENGTH_REQUIRED
+        )
+    if len(length) > 12 or int(length) > MAX_BODY:
+        raise RefusedRequestError(
+            f"a body has at most {MAX_BODY} bytes", status=HTTPStatus.REQUEST_ENTITY_TOO_LARGE
+        )
+    return int(length)
 
 
 def _request_line(line: bytes) -> tuple[str, str]:

@@ -26,8 +26,22 @@ class UnansweredError(TransientError):
     """No reply came: no service runs yet, it died while answering, or the time was up."""
 
 
-def ask(session: zenoh.Session, key: str, payload: bytes = b"", *, timeout_s: float = 10) -> bytes:
+def ask(
+    session: zenoh.Session,
+    key: str,
+    payload: bytes = b"",
+    *,
+    timeout_s: float = 10,
+    says: str = "",
+) -> bytes:
     """Send a request to a queryable once.
+
+    Args:
+        session: Session to send it on.
+        key: Key of the queryable.
+        payload: Encoded request.
+        timeout_s: Timeout, seconds.
+        says: Name of the asker, sent along for the audit log; empty: none.
 
     Raises:
         UnansweredError: If there was no reply, or none in time; a retry may help.
@@ -40,6 +54,7 @@ def ask(session: zenoh.Session, key: str, payload: bytes = b"", *, timeout_s: fl
         timeout=timeout_s,
         target=zenoh.QueryTarget.BEST_MATCHING,
         consolidation=zenoh.ConsolidationMode.NONE,
+        attachment=says or None,
     ):
         if reply.ok is not None:
             return reply.ok.payload.to_bytes()
@@ -57,6 +72,7 @@ def ask_until(
     stop: Event,
     patience_s: float = float("inf"),
     timeout_s: float = 10,
+    says: str = "",
 ) -> bytes:
     """Send a request until it is answered, as a worker does for every acknowledged step.
 
@@ -69,6 +85,7 @@ def ask_until(
         stop: Give up when this is set.
         patience_s: Give up after this time, seconds.
         timeout_s: Timeout of one attempt, seconds.
+        says: Name of the asker, sent along for the audit log; empty: none.
 
     Raises:
         UnansweredError: If patience ran out without a reply.
@@ -81,7 +98,7 @@ def ask_until(
     said = False
     while True:
         try:
-            return ask(session, key, payload, timeout_s=timeout_s)
+            return ask(session, key, payload, timeout_s=timeout_s, says=says)
         except TransientError as error:
             if time.monotonic() >= give_up_s:
                 raise

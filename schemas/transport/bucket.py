@@ -86,6 +86,11 @@ class Bucket:
         return f"Bucket({self.url!r})"
 
     @property
+    def folder(self) -> Path | None:
+        """Folder of a local store; None for any other."""
+        return self._folder
+
+    @property
     def reads(self) -> int:
         """Requests that have read objects so far."""
         return self._reads
@@ -207,6 +212,13 @@ class Bucket:
         """Write an object, replacing what was there. For artifacts only, never for logs."""
         try:
             obstore.put(self._store, key, data)
+        except (BaseError, OSError, ValueError) as error:
+            raise explain(error, url=self.url, key=key, writing=True) from None
+
+    def put_file(self, key: str, path: Path) -> None:
+        """Write an object from a file, in parts, so that memory does not grow with its size."""
+        try:
+            obstore.put(self._store, key, path)
         except (BaseError, OSError, ValueError) as error:
             raise explain(error, url=self.url, key=key, writing=True) from None
 

@@ -18,6 +18,8 @@ import zenoh.ext
 
 from schemas.errors import PermanentError, TransientError
 from schemas.runtime.retry import backoff_s, pause
+from schemas.transport.endpoints import is_own
+from schemas.transport.locks import OPEN, Locks, check_locks, lay_locks
 from schemas.transport.wire import (
     RANKED_SCENE_ENCODING,
     SCENE_SCORE_ENCODING,
@@ -33,6 +35,11 @@ DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 
 HEARTBEAT_S: Final = 0.2
 """Delay after the last put of a burst until a subscriber learns of missed samples, seconds."""
+
+SERVICE_LINK_S: Final = 4.0
+"""Silence after which a router drops a service that has a standby, seconds. Until then requests go
+to the frozen one; a busy machine must not be taken for a frozen one.
+"""
 
 CACHE_SAMPLES: Final = 128
 """Records that a publisher caches for a subscriber that missed some; a shard has about 12 to 24."""
@@ -65,21 +72,28 @@ def free_endpoint(host: str = "127.0.0.1") -> str:
         return f"tcp/{host}:{probe.getsockname()[1]}"
 
 
-def router_session(listen: Sequence[str], *, connect: Sequence[str] = ()) -> zenoh.Session:
+def router_session(
+    listen: Sequence[str], *, connect: Sequence[str] = (), locks: Locks = OPEN
+) -> zenoh.Session:
     """Open a Zenoh router in this process; the process ends only after it is closed.
 
     Args:
         listen: Endpoints to listen on, such as `tcp/127.0.0.1:7447`.
-        connect: Other routers to link to; they may start later.
+        connect: Other routers to link to; they may start later. This one is passed over.
+        locks: Certificates, and Zenoh's settings laid over ours.
 
     Raises:
         TransientError: If an endpoint is taken.
-        PermanentError: If an endpoint cannot be listened on here at all.
+        PermanentError: If an endpoint cannot be listened on here at all, or the locks cannot be
+            used.
     """
     check_endpoints(listen)
     check_endpoints(connect)
+    check_locks(locks, (*listen, *connect))
+    others = [each for each in connect if not is_own(each, listen, machine=socket.gethostname())]
+    config = _config("router", listen=listen, connect=others, locks=locks)
     try:
-        return zenoh.open(_config("router", listen=listen, connect=connect))
+        return zenoh.open(config)
     except zenoh.ZError as error:
         where = ", ".join(listen)
         if "in use" in str(error):
@@ -90,7 +104,13 @@ def router_session(listen: Sequence[str], *, connect: Sequence[str] = ()) -> zen
         raise PermanentError(f"cannot listen on {where}: {_reason(error)}") from None
 
 
-def client_session(connect: Sequence[str], *, stop: Event | None = None) -> zenoh.Session:
+def client_session(
+    connect: Sequence[str],
+    *,
+    stop: Event | None = None,
+    locks: Locks = OPEN,
+    link_s: float | None = None,
+) -> zenoh.Session:
     """Open a session through one of these routers; the process ends only after it is closed.
 
     A session outlives its router: Zenoh connects again and repeats every declaration.
@@ -98,22 +118,29 @@ def client_session(connect: Sequence[str], *, stop: Event | None = None) -> zeno
     Args:
         connect: Endpoints of routers, any of which will do.
         stop: Wait for a router until this is set, as daemons do. None: fail at once.
+        locks: Certificates, and Zenoh's settings laid over ours.
+        link_s: Silence after which a router drops this session, seconds; None: Zenoh's 10 s.
 
     Raises:
         TransientError: If no router answers and `stop` is None, or `stop` was set.
-        PermanentError: If an endpoint is malformed.
+        PermanentError: If an endpoint is malformed, or the locks cannot be used.
     """
     check_endpoints(connect)
+    check_locks(locks, tuple(connect))
+    config = _config("client", connect=connect, locks=locks)
+    if link_s is not None:
+        config.insert_json5("transport/link/tx/lease", str(round(1000 * link_s)))
     where = ", ".join(connect)
     waits = backoff_s(first_s=0.1, most_s=2.0)
     said = False
     while True:
         try:
-            return zenoh.open(_config("client", connect=connect))
+            return zenoh.open(config)
         except zenoh.ZError as error:
             if stop is None:
+                tls = ", and does it know this certificate" if locks.is_set else ""
                 raise TransientError(
-                    f"no router at {where}: is `counterpoint run` or `counterpoint router` up?"
+                    f"no router at {where}: is `counterpoint run` or `counterpoint router` up{tls}?"
                 ) from None
             if not said:
                 log.warning("waiting for a router", connect=where, problem=_reason(error))
@@ -168,7 +195,13 @@ def recoverable_subscriber(
     return subscriber
 
 
-def _config(mode: str, *, listen: Sequence[str] = (), connect: Sequence[str] = ()) -> zenoh.Config:
+def _config(
+    mode: str,
+    *,
+    listen: Sequence[str] = (),
+    connect: Sequence[str] = (),
+    locks: Locks = OPEN,
+) -> zenoh.Config:
     config = zenoh.Config()
     for key, value in {
         "mode": mode,
@@ -181,7 +214,8 @@ def _config(mode: str, *, listen: Sequence[str] = (), connect: Sequence[str] = (
         config.insert_json5(key, json.dumps(value))
     if mode == "router" and connect:
         config.insert_json5("connect/exit_on_failure", "false")
-        config.insert_json5("connect/timeout_ms", "0")
+        config.insert_json5("connect/timeout_ms", "-1")  # tried again in the background for ever
+    lay_locks(config, locks, listens=mode == "router")
     zenoh.init_log_from_env_or("error")
     return config
 

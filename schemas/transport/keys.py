@@ -8,6 +8,9 @@ from schemas.errors import PermanentError
 
 DEFAULT_ROOT: Final = "counterpoint"
 
+OWNER_END: Final = "~"
+"""End of the certificate's name in the id of a worker; no name of a certificate has one."""
+
 
 class KeyTooLongError(PermanentError):
     """No bus key can be made of names this long."""
@@ -79,6 +82,33 @@ def all_verdicts(*, root: str) -> str:
 def control(*, root: str, verb: str) -> str:
     """Key of a question to the service."""
     return f"{root}/v1/ctl/{verb}"
+
+
+def named_control(*, root: str, verb: str, name: str) -> str:
+    """Key of a question that names who asks, which rules of access control bind to a certificate.
+
+    Args:
+        root: First part of every key.
+        verb: The verb.
+        name: Id of a worker, or name of a person or program.
+    """
+    return f"{root}/v1/ctl/{verb}/{_part(name)}"
+
+
+def all_named_control(*, root: str, verb: str) -> str:
+    """Key expression of a verb's questions that name who asks."""
+    return f"{root}/v1/ctl/{verb}/*"
+
+
+def name_of_asker(key: str) -> str:
+    """Decode the name from a key that `named_control` made; empty if it names several."""
+    part = key.rpartition("/")[2]
+    return "" if "*" in part or "$" in part else unquote(part)
+
+
+def owned_by(name: str) -> str:
+    """Part of a key expression that matches the ids of the workers of one certificate."""
+    return f"{_part(name)}{OWNER_END}$*"
 
 
 def live(*, root: str, role: str, ident: str) -> str:

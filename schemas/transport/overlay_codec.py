@@ -1,5 +1,6 @@
 """Binary codec of overlays; equal overlays give equal bytes."""
 
+from collections.abc import Sequence
 from typing import Any, Final
 from zlib import crc32
 
@@ -47,10 +48,36 @@ def encode_overlay(overlay: Overlay) -> bytes:
     Raises:
         ValueError: If it would be larger than any overlay.
     """
-    views = [view_block(overlay, frame) for frame in range(len(overlay))]
-    rests = [rest_block(overlay, frame) for frame in range(len(overlay))]
-    pictures = [picture.image_bytes for picture in overlay.pictures]
-    inputs = compress(overlay.scoring_inputs) if overlay.scoring_inputs else b""
+    return laid_out(
+        facts_of(overlay),
+        views=[view_block(overlay, frame) for frame in range(len(overlay))],
+        rests=[rest_block(overlay, frame) for frame in range(len(overlay))],
+        pictures=[picture.image_bytes for picture in overlay.pictures],
+        scoring_inputs=overlay.scoring_inputs,
+    )
+
+
+def laid_out(
+    facts: dict[str, Any],
+    *,
+    views: Sequence[bytes],
+    rests: Sequence[bytes],
+    pictures: Sequence[bytes],
+    scoring_inputs: bytes,
+) -> bytes:
+    """Lay out an overlay.
+
+    Args:
+        facts: Its header without the places of the blocks.
+        views: View block of each frame.
+        rests: Rest block of each frame.
+        pictures: Image of each picture.
+        scoring_inputs: Inputs of its score, uncompressed; empty: none.
+
+    Raises:
+        ValueError: If it would be larger than any overlay.
+    """
+    inputs = compress(scoring_inputs) if scoring_inputs else b""
     blocks = [*views, *rests, *pictures, inputs]
     ends = np.cumsum([len(block) for block in blocks])
     starts = [0, *ends.tolist()]
@@ -58,15 +85,14 @@ def encode_overlay(overlay: Overlay) -> bytes:
         raise ValueError(f"overlay of {ends[-1]} bytes exceeds {MAX_OVERLAY_BYTES}")
     places = [[start, len(block)] for start, block in zip(starts, blocks, strict=False)]
     crcs = [crc32(block) for block in blocks]
-    facts = facts_of(overlay)
 
     def header_at(begin: int) -> dict[str, Any]:
         at = [[begin + start, length] for start, length in places]
         for number, entry in enumerate(facts["frames"]):
-            rest = number + len(overlay)
+            rest = number + len(views)
             entry |= {"view": at[number], "view_crc32": crcs[number]}
             entry |= {"rest": at[rest], "rest_crc32": crcs[rest]}
-        for number, entry in enumerate(facts["pictures"], start=2 * len(overlay)):
+        for number, entry in enumerate(facts["pictures"], start=2 * len(views)):
             entry |= {"block": at[number], "crc32": crcs[number]}
         return facts | {"inputs": at[-1], "inputs_crc32": crcs[-1]}
 

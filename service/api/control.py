@@ -11,6 +11,8 @@ from typing import Any, Final
 import structlog
 from pydantic import BaseModel, ValidationError
 
+from schemas.backlog import WorkBacklog
+from schemas.errors import PermanentError
 from schemas.mining import MiningSettings
 from schemas.transport import keys
 from schemas.transport.wire import decode, encode
@@ -21,8 +23,11 @@ from schemas.work import (
     ClaimRequest,
     CommitRequest,
     FailRequest,
+    NothingToDo,
     RenewRequest,
 )
+from service.api.expected_versions import UNEXPECTED_REST_S, ExpectedVersions
+from service.api.learned_top import learned_top
 from service.api.messages import (
     AboutReply,
     ProposeRequest,
@@ -43,9 +48,11 @@ from service.api.reader import no_such_scene, no_such_selection
 from service.api.request_queue import RequestQueue, malformed
 from service.api.staging import Staging
 from service.api.stored_overlays import read_overlay
-from service.api.verbs import VERBS
+from service.api.verbs import OF_PEOPLE, OF_WORKERS, VERBS
 from service.curation.activity import ActivityReply, ActivityRequest
+from service.curation.audit import AuditedReply, AuditReply, AuditRequest, ExportedRequest
 from service.curation.candidates import Proposal
+from service.curation.comparison import CompareRequest, Comparison
 from service.curation.listing import ScenesReply, ScenesRequest
 from service.curation.mode_rows import ModesReply
 from service.curation.rates import RatesRequest, rates, with_judged
@@ -61,6 +68,7 @@ from service.curation.verdicts import (
     VerdictsRequest,
     need_cause,
 )
+from service.store.audit import actor
 from service.store.ledger import Ledger, StoredScene
 
 log = structlog.get_logger(__name__)
@@ -84,14 +92,21 @@ class Control:
         on_scenes: Callable[[], None],
         on_selection: Callable[[Selection], None],
         on_commit_seconds: Callable[[float], None] = lambda _: None,
+        on_comparison: Callable[[Comparison], None] = lambda _: None,
         causes: Sequence[str] = (),
+        versions: ExpectedVersions | None = None,
     ) -> None:
         """Keep the parts, the user's own causes of verdicts, and the callbacks.
 
+        `versions` decides which pipeline versions get leases; None: any.
+
         `on_scenes` is called after each commit and each verdict, which are published then.
-        `on_commit_seconds` is called with the time that the ledger took for each commit.
+        `on_commit_seconds` is called with the time that the ledger took for each commit, and
+        `on_comparison` with the result of each comparison.
         """
         self._on_commit_seconds, self._causes = on_commit_seconds, tuple(causes)
+        self._versions = versions or ExpectedVersions(takes_any=True)
+        self._on_comparison = on_comparison
         self._settings, self._ledger, self._staging = settings, ledger, staging
         self._on_scenes, self._on_selection = on_scenes, on_selection
         self._about = AboutReply(package=version("counterpoint"))  # an upgrade changes the files
@@ -104,6 +119,10 @@ class Control:
         for verb in VERBS:
             requests.declare(
                 keys.control(root=root, verb=verb), partial(self.answer, verb), asked=verb
+            )
+        for verb in (*OF_WORKERS, *OF_PEOPLE):
+            requests.declare_named(
+                keys.all_named_control(root=root, verb=verb), partial(self.answer, verb), asked=verb
             )
 
     def answer(self, verb: str, payload: bytes) -> bytes:
@@ -120,6 +139,8 @@ class Control:
                 request = decode(kind, payload)
             except ValidationError as error:
                 raise malformed(verb, error) from None
+            if verb in OF_WORKERS:
+                _need_own_id(request)
         answer = self._answers[verb](request)
         return answer if isinstance(answer, bytes) else encode(answer)
 
@@ -132,7 +153,10 @@ class Control:
         return self._settings
 
     def answer_claim(self, request: ClaimRequest) -> ClaimReply:
-        """Give a lease, if there is work."""
+        """Give a lease, if there is work, and the worker's pipeline version is expected."""
+        if problem := self._versions.refusal(request.pipeline_version):
+            grant = NothingToDo(retry_after_s=UNEXPECTED_REST_S, problem=problem)
+            return ClaimReply(grant=grant)
         return self._ledger.claim(request)
 
     def answer_renew(self, request: RenewRequest) -> Answer:
@@ -142,6 +166,14 @@ class Control:
     def answer_fail(self, request: FailRequest) -> Answer:
         """Take back work that failed."""
         return self._ledger.fail(request)
+
+    def answer_backlog(self, _: None) -> WorkBacklog:
+        """Count the work that waits and the work that is leased."""
+        work = self._ledger.backlog().work
+        return WorkBacklog(
+            waiting=sum(count for (_kind, state), count in work.items() if state == "ready"),
+            leased=sum(count for (_kind, state), count in work.items() if state == "leased"),
+        )
 
     def answer_status(self, _: None) -> Status:
         """Say how far everything is."""
@@ -172,7 +204,9 @@ class Control:
         return answer
 
     def answer_top(self, request: TopRequest) -> TopReply:
-        """List the ranking."""
+        """List the ranking, by the score or by what verdicts teach."""
+        if request.learned:
+            return learned_top(self._ledger, most=request.most)
         rows = self._ledger.ranking(most=request.most)
         if request.verdicts:
             rows = self._ledger.verdicts.with_verdicts(rows)
@@ -181,6 +215,19 @@ class Control:
     def answer_modes(self, _: None) -> ModesReply:
         """Group strong tracks into failure modes."""
         return self._ledger.proposals.modes()
+
+    def answer_compare(self, request: CompareRequest) -> Comparison:
+        """Compare two versions, and count the result."""
+        found = self._ledger.comparisons.compare(request)
+        self._on_comparison(found)
+        if found.regressed:
+            log.warning(
+                "a version regressed",
+                a=found.a.name,
+                b=found.b.name,
+                groups=[row.group for row in found.groups if row.outcome == "regressed"][:10],
+            )
+        return found
 
     def answer_rates(self, request: RatesRequest) -> RatesReply:
         """Count contradictions by group."""
@@ -267,6 +314,14 @@ class Control:
             )
         return RetryReply(retried=tuple(retried))
 
+    def answer_exported(self, request: ExportedRequest) -> AuditedReply:
+        """Note an export in the audit log."""
+        return AuditedReply(ordinal=self._ledger.audit_log.exported(request))
+
+    def answer_audit(self, request: AuditRequest) -> AuditReply:
+        """Return a page of the audit log."""
+        return AuditReply(rows=tuple(self._ledger.audit_log.page(request)))
+
     def _scene(self, request: SceneRequest) -> StoredScene:
         stored = self._ledger.scene(request.scene_id, withdrawn=request.withdrawn)
         if stored is None:
@@ -276,3 +331,15 @@ class Control:
     def answer_overlay(self, request: SceneRequest) -> bytes:
         """Return the stored points of a current scene."""
         return read_overlay(self._settings.artifacts, self._scene(request))
+
+
+def _need_own_id(request: Any) -> None:
+    """Refuse a request under the id of another worker than the one that its key names.
+
+    Raises:
+        PermanentError: If the two differ. A key without a name proves nothing, and is accepted:
+            where rules of access control are in force, none of a worker reaches the service.
+    """
+    name = actor().name
+    if name and name != request.worker_id:
+        raise PermanentError(f"worker {name} asked in the name of {request.worker_id}")

@@ -5,6 +5,7 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from schemas.attribution import Chance
 from schemas.bounds import (
     MAX_LISTED,
     MAX_LOGS_NAMED,
@@ -18,6 +19,7 @@ from schemas.bounds import (
 )
 from schemas.transport.wire import first_problem
 from schemas.verdict import VerdictRow
+from service.curation.learned_effect import LearnedEffect
 from service.curation.ranking import RankedScene
 from service.curation.rates import RateRow
 from service.curation.selection import SelectionSummary, SelectionTerms
@@ -59,6 +61,23 @@ class TopRequest(BaseModel):
         description="Number of rows at most; None: all.",
     )
     verdicts: WithVerdicts = False
+    learned: bool = Field(
+        default=False,
+        exclude_if=lambda value: not value,
+        description="Rank by what verdicts teach, where this is better; absent: by the score.",
+    )
+
+
+class Learned(BaseModel):
+    """Effect of a learned ranking, and the chance of each row."""
+
+    model_config = _STRICT
+
+    effect: LearnedEffect
+    chances: tuple[Chance, ...] = Field(
+        max_length=MAX_LISTED,
+        description="By row: that the supervised stream is wrong; the score where this ranks.",
+    )
 
 
 class TopReply(BaseModel):
@@ -67,6 +86,11 @@ class TopReply(BaseModel):
     model_config = _STRICT
 
     scenes: tuple[RankedScene, ...] = Field(max_length=MAX_LISTED)
+    learned: Learned | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="Absent where it was not requested.",
+    )
 
 
 class RatesReply(BaseModel):

@@ -9,9 +9,11 @@ from schemas.score import SceneScore
 from schemas.transport.overlay_codec import decode_overlay
 from schemas.transport.overlay_file import OverlayFile
 from schemas.verdict import VerdictRow
-from service.api.messages import VerdictsReply
+from service.api.messages import TopReply, VerdictsReply
 from service.curation.activity import ActivityReply, ActivityRequest
+from service.curation.audit import AuditReply, AuditRequest, ExportedRequest
 from service.curation.candidates import Proposal
+from service.curation.comparison import CompareRequest, Comparison
 from service.curation.listing import ScenesReply, ScenesRequest
 from service.curation.mode_rows import ModesReply
 from service.curation.ranking import RankedScene
@@ -36,6 +38,15 @@ class Reader(Protocol):
 
     def top(self, most: int | None = None) -> list[RankedScene]:
         """Rank every current scene, best first."""
+        ...
+
+    def top_learned(self, most: int | None = None) -> TopReply:
+        """Rank every current scene by what verdicts teach, where this is better, with its effect.
+
+        Raises:
+            UsageError: If the verdicts are too few, or of a single log; a `PermanentError` over
+                the bus.
+        """
         ...
 
     def select(
@@ -87,6 +98,10 @@ class Reader(Protocol):
         """Group the strong tracks of the current scenes into failure modes."""
         ...
 
+    def compare(self, request: CompareRequest) -> Comparison:
+        """Compare two versions."""
+        ...
+
     def rates(self, request: RatesRequest) -> list[RateRow]:
         """Count contradictions by group."""
         ...
@@ -97,6 +112,14 @@ class Reader(Protocol):
 
     def retry(self, log_ids: Sequence[str] | None = None) -> list[ParkedWork]:
         """Retry parked work, of these logs or all; return what was parked."""
+        ...
+
+    def exported(self, request: ExportedRequest) -> int:
+        """Note an export in the audit log; return the number of its row."""
+        ...
+
+    def audit(self, request: AuditRequest) -> AuditReply:
+        """Return a page of the audit log, latest first."""
         ...
 
     def scenes(self, request: ScenesRequest) -> ScenesReply:

@@ -21,13 +21,15 @@ import structlog
 import zenoh
 from pydantic import ValidationError
 
-from schemas.bounds import MAX_COMMIT_BYTES, MAX_QUESTION_BYTES
+from schemas.bounds import MAX_COMMIT_BYTES, MAX_NAME, MAX_QUESTION_BYTES
 from schemas.errors import CounterpointError, PermanentError, TransientError
+from schemas.transport import keys
 from schemas.transport.ask import reply_problem
 from schemas.transport.wire import first_problem
 from service.api.bounded_queue import Waiting
 from service.api.verbs import HISTORY, VERBS
 from service.errors import StateUnusableError
+from service.store.audit import Actor, acting
 
 log = structlog.get_logger(__name__)
 
@@ -66,6 +68,7 @@ class _Request:
     asked: str
     query: zenoh.Query
     payload: bytes
+    actor: Actor
     answer: Answer | None = None
     replier: Replier | None = None
 
@@ -109,6 +112,25 @@ class RequestQueue:
             asked: The verb.
         """
         self._declare(key, lambda query: self._enqueue(asked, query, answer=answer))
+
+    def declare_named(self, key: str, answer: Answer, *, asked: str) -> None:
+        """Answer the requests of a verb that name who asks, in the last part of their key.
+
+        Args:
+            key: Key expression of the requests, which ends in `/*`.
+            answer: Handler of one payload; `service.store.audit.actor` is who asks.
+            asked: The verb.
+        """
+
+        def named(query: zenoh.Query) -> None:
+            name = keys.name_of_asker(str(query.key_expr))
+            if name:
+                self._enqueue(asked, query, answer=answer, name=name)
+            else:
+                problem = PermanentError("a request names one asker, not several")
+                self._send_back(asked, query, problem, "refused")
+
+        self._declare(key, named)
 
     def declare_history(self, key: str, replier: Replier) -> None:
         """Answer the history requests of a key as its only, complete queryable.
@@ -164,6 +186,7 @@ class RequestQueue:
         *,
         answer: Answer | None = None,
         replier: Replier | None = None,
+        name: str = "",
     ) -> None:
         verb = VERBS.get(asked)
         most_bytes = MAX_QUESTION_BYTES if verb is None else verb.most_bytes
@@ -174,7 +197,8 @@ class RequestQueue:
             return
         takes_payload = verb is not None and verb.request is not None and query.payload is not None
         payload = query.payload.to_bytes() if takes_payload and query.payload is not None else b""
-        request = _Request(asked, query, payload, answer, replier)
+        actor = Actor(name, _stated(query), "bus")
+        request = _Request(asked, query, payload, actor, answer, replier)
         waiting = self._writes if verb is not None and verb.writes else self._reads
         alike = verb is not None and not verb.writes
         kind = (asked, payload) if alike else object()
@@ -213,7 +237,8 @@ class RequestQueue:
             if first.replier is not None:
                 first.replier(first.query)
             elif first.answer is not None:
-                answer = self._made(first.answer, first.payload)
+                with acting(first.actor):
+                    answer = self._made(first.answer, first.payload)
                 sent = [self._reply(request.query, answer) for request in requests]
                 if not any(sent):
                     return "unsent"
@@ -276,6 +301,13 @@ class RequestQueue:
     def _refuse(self, query: zenoh.Query, error: CounterpointError) -> None:
         with suppress(zenoh.ZError):  # the asker is gone, or the session is closing
             reply_problem(query, error)
+
+
+def _stated(query: zenoh.Query) -> str:
+    """Return the name that an asker gives itself, cut; empty without one."""
+    if query.attachment is None:
+        return ""
+    return query.attachment.to_bytes()[: 4 * MAX_NAME].decode("utf-8", "replace")[:MAX_NAME]
 
 
 def _reads_all(asked: str) -> bool:

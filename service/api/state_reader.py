@@ -3,15 +3,18 @@
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 
+from schemas.runtime.stated_name import stated_name
 from schemas.score import SceneScore
 from schemas.transport.overlay_file import OverlayFile
 from schemas.verdict import VerdictRow
+from service.api.learned_top import learned_top
 from service.api.messages import (
     ProposeRequest,
     RetryRequest,
     SceneRequest,
     SelectionRequest,
     SelectRequest,
+    TopReply,
     TopRequest,
     VerdictsReply,
     checked_request,
@@ -20,7 +23,10 @@ from service.api.messages import (
 from service.api.reader import no_such_scene, no_such_selection
 from service.api.stored_overlays import key_of, open_stored_overlay, read_overlay
 from service.curation.activity import ActivityReply, ActivityRequest
+from service.curation.audit import AuditReply, AuditRequest, ExportedRequest
 from service.curation.candidates import Proposal
+from service.curation.compared_scenes import NamedSide
+from service.curation.comparison import ComparedSide, CompareRequest, Comparison
 from service.curation.listing import ScenesReply, ScenesRequest
 from service.curation.mode_rows import ModesReply
 from service.curation.ranking import RankedScene
@@ -40,6 +46,7 @@ from service.curation.verdicts import (
 from service.errors import StateInUseError, UsageError
 from service.settings.config import Settings
 from service.settings.messages import shown
+from service.store.audit import Actor, acting
 from service.store.ledger import Ledger, StoredScene
 from service.store.opening import open_ledger_store, open_ledger_store_to_read, sole_service
 from service.store.state import StateLock, endpoint_of_running
@@ -48,12 +55,27 @@ from service.store.state import StateLock, endpoint_of_running
 class StateReader:
     """Reads a state folder directly, with or without a running service."""
 
-    def __init__(self, settings: Settings, *, now_s: float) -> None:
-        """Keep the settings of the state, and the time for rates."""
-        self._settings, self._now_s = settings, now_s
+    def __init__(self, settings: Settings, *, now_s: float, opened: Ledger | None = None) -> None:
+        """Keep the settings of the state, and the time for rates.
+
+        Args:
+            settings: Settings of the state.
+            now_s: Time now, seconds since the Unix epoch.
+            opened: Ledger to read instead of one that is opened for each question.
+        """
+        self._settings, self._now_s, self._opened = settings, now_s, opened
+
+    @contextmanager
+    def opened(self) -> Iterator["StateReader"]:
+        """Yield a reader that opens the database once for all questions of a `with` block."""
+        with self._ledger() as ledger:
+            yield StateReader(self._settings, now_s=self._now_s, opened=ledger)
 
     @contextmanager
     def _ledger(self) -> Iterator[Ledger]:
+        if self._opened is not None:
+            yield self._opened
+            return
         with closing(open_ledger_store_to_read(self._settings)) as store:
             yield Ledger(store, now_s=lambda: self._now_s)
 
@@ -62,6 +84,16 @@ class StateReader:
         asked = checked_request(TopRequest, most=most)
         with self._ledger() as ledger:
             return ledger.verdicts.with_verdicts(ledger.ranking(most=asked.most))
+
+    def top_learned(self, most: int | None = None) -> TopReply:
+        """Rank every current scene by what verdicts teach, where this is better, with its effect.
+
+        Raises:
+            UsageError: If the verdicts are too few, or of a single log.
+        """
+        asked = checked_request(TopRequest, most=most, learned=True)
+        with self._ledger() as ledger:
+            return learned_top(ledger, most=asked.most)
 
     @contextmanager
     def _ledger_to_write(self, *, what: str) -> Iterator[Ledger]:
@@ -77,6 +109,7 @@ class StateReader:
                 StateLock(self._settings.state),
                 sole_service(self._settings),
                 closing(open_ledger_store(self._settings)) as store,
+                acting(Actor(says=stated_name())),
             ):
                 yield Ledger(store, now_s=lambda: self._now_s)
         except StateInUseError:
@@ -144,6 +177,20 @@ class StateReader:
         with self._ledger_to_write(what="retry") as ledger:
             return ledger.retry(asked.log_ids)
 
+    def exported(self, request: ExportedRequest) -> int:
+        """Note an export in the audit log; return the number of its row.
+
+        Raises:
+            UsageError: If a service runs on this state, since it is the only writer.
+        """
+        with self._ledger_to_write(what="note an export") as ledger:
+            return ledger.audit_log.exported(request)
+
+    def audit(self, request: AuditRequest) -> AuditReply:
+        """Return a page of the audit log, latest first."""
+        with self._ledger() as ledger:
+            return AuditReply(rows=tuple(ledger.audit_log.page(request)))
+
     def scene(self, scene_id: str) -> SceneScore:
         """Return the record of a current scene."""
         return self._scene(scene_id).decoded()
@@ -178,6 +225,16 @@ class StateReader:
         """Group the strong tracks of the current scenes into failure modes."""
         with self._ledger() as ledger:
             return ledger.proposals.modes()
+
+    def compare(self, request: CompareRequest) -> Comparison:
+        """Compare two versions."""
+        with self._ledger() as ledger:
+            return ledger.comparisons.compare(request)
+
+    def compared_side(self, side: ComparedSide, *, name: str) -> NamedSide:
+        """Read one side of a comparison, whose other side is of another state."""
+        with self._ledger() as ledger:
+            return ledger.comparisons.side(side, name=name)
 
     def rates(self, request: RatesRequest) -> list[RateRow]:
         """Count contradictions by group."""

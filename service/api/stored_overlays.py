@@ -49,6 +49,11 @@ def open_stored_overlay(artifacts_url: str, scene: StoredScene) -> OverlayFile:
 
 def no_overlay(scene: StoredScene, artifacts_url: str) -> NothingFoundError:
     """Return the error for a scene without an overlay."""
+    if scene.overlay_deleted:
+        return NothingFoundError(
+            f"the overlay of {scene.scene_id} was deleted, by artifacts_budget_bytes or "
+            f"keep_withdrawn_days; `counterpoint retry {scene.log_id}` has it mined again"
+        )
     return NothingFoundError(
         f"no overlay of {scene.scene_id} in {shown(artifacts_url)}; name its bucket with "
         "--artifacts"

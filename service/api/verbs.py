@@ -7,6 +7,7 @@ from typing import Final
 
 from pydantic import BaseModel
 
+from schemas.backlog import WorkBacklog
 from schemas.bounds import MAX_COMMIT_BYTES, MAX_QUESTION_BYTES
 from schemas.mining import MiningSettings
 from schemas.score import SceneScore
@@ -34,7 +35,9 @@ from service.api.messages import (
     VerdictsReply,
 )
 from service.curation.activity import ActivityReply, ActivityRequest
+from service.curation.audit import AuditedReply, AuditReply, AuditRequest, ExportedRequest
 from service.curation.candidates import Proposal
+from service.curation.comparison import CompareRequest, Comparison
 from service.curation.listing import ScenesReply, ScenesRequest
 from service.curation.mode_rows import ModesReply
 from service.curation.rates import RatesRequest
@@ -77,6 +80,7 @@ VERBS: Final[Mapping[str, VerbType]] = MappingProxyType(
         "claim": VerbType(ClaimRequest, ClaimReply, writes=True),
         "renew": VerbType(RenewRequest, Answer, writes=True),
         "commit": VerbType(CommitRequest, Answer, writes=True, most_bytes=MAX_COMMIT_BYTES),
+        "backlog": VerbType(None, WorkBacklog),
         "fail": VerbType(FailRequest, Answer, writes=True),
         "top": VerbType(TopRequest, TopReply, reads_all=True),
         "select": VerbType(SelectRequest, Selection, writes=True),
@@ -87,6 +91,7 @@ VERBS: Final[Mapping[str, VerbType]] = MappingProxyType(
         "status": VerbType(None, Status, reads_all=True),
         "scene": VerbType(SceneRequest, SceneScore),
         "modes": VerbType(None, ModesReply, reads_all=True),
+        "compare": VerbType(CompareRequest, Comparison, reads_all=True),
         "rates": VerbType(RatesRequest, RatesReply, reads_all=True),
         "scenes": VerbType(ScenesRequest, ScenesReply),
         "judge": VerbType(JudgeRequest, VerdictRow, writes=True),
@@ -96,9 +101,17 @@ VERBS: Final[Mapping[str, VerbType]] = MappingProxyType(
         "activity": VerbType(ActivityRequest, ActivityReply, reads_all=True),
         "choices": VerbType(None, ChoicesReply),
         "retry": VerbType(RetryRequest, RetryReply, writes=True),
+        "exported": VerbType(ExportedRequest, AuditedReply, writes=True),
+        "audit": VerbType(AuditRequest, AuditReply),
     }
 )
 """Every verb. `service.api.control.Control.answer_VERB` answers it."""
+
+OF_WORKERS: Final = ("claim", "renew", "commit", "fail")
+"""Verbs that a worker asks under its own id: another worker's leases are none of its."""
+
+OF_PEOPLE: Final = ("select", "judge", "undo", "retry", "exported")
+"""Verbs that the audit log reports, asked under the name of a certificate."""
 
 HISTORY: Final = "history"
 """The scenes and selections that there are: asked by their keys, so it is no verb of the table."""

@@ -1,9 +1,11 @@
 """Watch of the log bucket: lists its objects into the ledger, and opens none of them."""
 
+import math
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from threading import Lock
 from typing import Final
 
 import structlog
@@ -12,7 +14,8 @@ from schemas.bounds import MAX_LOG_ID
 from schemas.errors import BucketRefusedError, BucketUnreachableError
 from schemas.transport.bucket import Bucket, ObjectMeta
 from schemas.transport.folder import Skipped
-from schemas.transport.recordings import group_recordings, is_too_long
+from schemas.transport.recordings import EXTENSION, group_recordings, is_too_long
+from service.background.changed_objects import with_objects
 from service.background.skipped_entries import is_wanted, skipped_among
 from service.curation.status import SkippedEntries
 from service.store.ledger import Ledger
@@ -22,6 +25,9 @@ log = structlog.get_logger(__name__)
 
 RESUME_WITHIN_S: Final = 600.0
 """Age up to which an interrupted listing is resumed, seconds; its first keys become outdated."""
+
+MAX_AMONG: Final = 5000
+"""Logs that are passed to the ledger alone; of more, a database takes all as quickly."""
 
 MAX_SKIPPED_NAMED: Final = 100
 """Skipped entries that are logged by name; further ones are only counted."""
@@ -82,7 +88,7 @@ class BucketWatch:
                 seconds.
             elapsed_s: Monotonic clock for durations, seconds.
         """
-        self._bucket, self._ledger = bucket, ledger
+        self._bucket, self._ledger, self._busy = bucket, ledger, Lock()
         self._include, self._exclude, self._settle_s = include, exclude, settle_s
         self._elapsed_s = elapsed_s
         self._listed: list[ObjectMeta] = []
@@ -107,6 +113,11 @@ class BucketWatch:
         """Number of recordings in the last listing; None before the first."""
         return None if self.seen.last_success_s is None else self.seen.recordings
 
+    def age_s(self) -> float:
+        """Return the time since the last complete listing, seconds."""
+        listed_at_s = self.listed_at_s
+        return math.inf if listed_at_s is None else self._elapsed_s() - listed_at_s
+
     def list_once(self) -> SyncResult:
         """List the bucket, or resume an interrupted listing, and pass the result to the ledger.
 
@@ -115,6 +126,10 @@ class BucketWatch:
             BucketRefusedError: If the store refuses.
             OtherBucketError: If the ledger belongs to another bucket.
         """
+        with self._busy:
+            return self._list()
+
+    def _list(self) -> SyncResult:
         objects = self._with_hidden(self._objects())
         if objects == self._taken_over and not self._ledger.stale_logs():
             result = SyncResult()  # nothing has changed, as most of the time
@@ -132,6 +147,46 @@ class BucketWatch:
         )
         self.listed_at_s, self._took_s = self._elapsed_s(), 0.0
         return result
+
+    def look_at(self, keys: Collection[str]) -> SyncResult:
+        """Look up single keys in the bucket, and pass the logs that they belong to to the ledger.
+
+        Keys that a listing leaves out are ignored. Nothing is done before the first listing.
+
+        Raises:
+            BucketUnreachableError: If the store does not answer.
+            BucketRefusedError: If the store refuses.
+        """
+        with self._busy:
+            if self._taken_over is None:
+                return SyncResult()
+            wanted = sorted({key for key in keys if self._is_log(key)})
+            found = {key: self._bucket.head(key) for key in wanted}
+            change = with_objects(self._taken_over, found)
+            if change.objects == self._taken_over:
+                return SyncResult()
+            if not change.objects:
+                return self._list()  # which doubts that a bucket is suddenly empty
+            if len(change.log_ids) > MAX_AMONG:
+                return self._take_over(list(change.objects))
+            result = self._ledger.sync_recordings(change.recordings, among=change.log_ids)
+            self._taken_over = list(change.objects)
+        if result.new or result.replaced or result.deleted:
+            log.info(
+                "objects looked up",
+                keys=len(wanted),
+                new=len(result.new),
+                replaced=len(result.replaced),
+                deleted=len(result.deleted),
+            )
+        return result
+
+    def _is_log(self, key: str) -> bool:
+        return (
+            key.endswith(EXTENSION)
+            and not is_too_long(key)
+            and is_wanted(key, include=self._include, exclude=self._exclude)
+        )
 
     def _take_over(self, objects: list[ObjectMeta]) -> SyncResult:
         found = group_recordings(

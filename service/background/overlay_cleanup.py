@@ -1,8 +1,9 @@
 """Deletion of the overlays of scenes withdrawn long ago, where the settings ask for it.
 
-Only objects named in the ledger are deleted; the artifacts bucket is never listed.
+Only objects named in the ledger are deleted.
 """
 
+from collections.abc import Sequence
 from threading import Event
 from typing import Final
 
@@ -12,6 +13,7 @@ from schemas.overlay import overlay_key
 from schemas.transport.bucket import Bucket
 from service.errors import UsageError
 from service.store.ledger import Ledger
+from service.store.retirement import SceneOverlay
 
 log = structlog.get_logger(__name__)
 
@@ -23,6 +25,21 @@ LONGEST_INTERVAL_S: Final = 3600.0
 SHORTEST_INTERVAL_S: Final = 1.0
 
 
+def need_apart(artifacts: Bucket, log_bucket_url: str, *, setting: str) -> None:
+    """Check that overlays are deleted where no logs lie.
+
+    Raises:
+        UsageError: If one of the two places lies in the other.
+    """
+    places = sorted((f"{artifacts.url.rstrip('/')}/", f"{log_bucket_url.rstrip('/')}/"))
+    if places[1].startswith(places[0]):
+        raise UsageError(
+            f"{setting} deletes overlays, and nothing may be deleted where logs lie: "
+            f"artifacts ({artifacts.url}) and bucket ({log_bucket_url}) lie in each other; "
+            "name another place with --artifacts, or leave the setting out"
+        )
+
+
 class OverlaySweep:
     """Deletes overlays that have been unused for a given time; resumes after a kill.
 
@@ -32,7 +49,13 @@ class OverlaySweep:
     """
 
     def __init__(
-        self, artifacts: Bucket, ledger: Ledger, *, keep_s: float, log_bucket_url: str
+        self,
+        artifacts: Bucket,
+        ledger: Ledger,
+        *,
+        keep_s: float,
+        log_bucket_url: str,
+        keep_pipelines: Sequence[str] = (),
     ) -> None:
         """Keep the artifacts bucket and the ledger.
 
@@ -42,19 +65,15 @@ class OverlaySweep:
             keep_s: Time for which an overlay is kept after its scene was withdrawn, seconds;
                 counted from the first sweep that saw it.
             log_bucket_url: URL of the log bucket.
+            keep_pipelines: First characters of pipeline versions that lose no overlay.
 
         Raises:
             UsageError: If one of the two places lies in the other, since nothing is ever deleted in
                 the log bucket.
         """
-        places = sorted((f"{artifacts.url.rstrip('/')}/", f"{log_bucket_url.rstrip('/')}/"))
-        if places[1].startswith(places[0]):
-            raise UsageError(
-                f"keep_withdrawn_days deletes overlays, and nothing may be deleted where logs lie: "
-                f"artifacts ({artifacts.url}) and bucket ({log_bucket_url}) lie in each other; "
-                "name another place with --artifacts, or leave the setting out"
-            )
+        need_apart(artifacts, log_bucket_url, setting="keep_withdrawn_days")
         self._artifacts, self._ledger, self._keep_s = artifacts, ledger, keep_s
+        self._keep_pipelines = tuple(keep_pipelines)
         self.interval_s = min(LONGEST_INTERVAL_S, max(SHORTEST_INTERVAL_S, keep_s / 10))
         self.deleted = 0
 
@@ -79,16 +98,21 @@ class OverlaySweep:
                 )
 
     def _delete_some(self) -> int:
-        overlays = self._ledger.retired_overlays.to_delete(keep_s=self._keep_s, limit=BATCH)
+        overlays = self._ledger.retired_overlays.to_delete(
+            keep_s=self._keep_s, keep_pipelines=self._keep_pipelines, limit=BATCH
+        )
         for each in overlays:
-            self._artifacts.delete(
-                overlay_key(
-                    log_id=each.log_id,
-                    scene_id=each.scene_id,
-                    pipeline_version=each.pipeline_version,
-                    sha256=each.sha256,
-                )
-            )
+            self._artifacts.delete(key_of(each))
             self.deleted += 1
         self._ledger.retired_overlays.note_deleted(overlays)
         return len(overlays)
+
+
+def key_of(overlay: SceneOverlay) -> str:
+    """Return the key of an overlay in the artifacts bucket."""
+    return overlay_key(
+        log_id=overlay.log_id,
+        scene_id=overlay.scene_id,
+        pipeline_version=overlay.pipeline_version,
+        sha256=overlay.sha256,
+    )

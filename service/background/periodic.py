@@ -9,11 +9,10 @@ import structlog
 from schemas.errors import CounterpointError, TransientError
 from schemas.runtime.retry import backoff_s
 from service.errors import OtherBucketError, StateInUseError, StateUnusableError
-from service.store.single_writer_lock import DatabaseTakenError
 
 log = structlog.get_logger(__name__)
 
-ENDING: Final = (StateUnusableError, StateInUseError, OtherBucketError, DatabaseTakenError)
+ENDING: Final = (StateUnusableError, StateInUseError, OtherBucketError)
 """Errors that end the service: the state is unusable, in use, or of another bucket."""
 
 FIRST_RETRY_S: Final = 1.0

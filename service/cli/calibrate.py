@@ -1,10 +1,11 @@
-"""Verb `calibrate sensor`: fits the profile of a range image to logs of any lidar."""
+"""Verbs `calibrate`: fits the profile of a range image to logs of any lidar, or thresholds."""
 
 from pathlib import Path
 from typing import Annotated, Final
 
 import typer
 
+from service.cli.calibrate_motion import motion
 from service.cli.options import MOST, Config, Force, Json, settings_for
 from service.cli.output import json_line, progress, remark
 from service.output_files import need_writable, save_text
@@ -15,11 +16,13 @@ _FEW_FRAMES: Final = 5
 
 def add_to(app: typer.Typer) -> None:
     """Add the verbs of this file to the command."""
-    calibrate = typer.Typer(no_args_is_help=True, help="Calibrate a sensor from its own logs.")
+    calibrate = typer.Typer(no_args_is_help=True, help="Calibrate a sensor, or the two-stage rule.")
     calibrate.command(
         epilog="counterpoint calibrate sensor logs/car-7/*/*.mcap --out roof-lidar.json"
     )(sensor)
-    calibrate.callback()(lambda: None)  # one verb now, but it keeps its name
+    calibrate.command(
+        epilog="counterpoint calibrate motion logs --truth truth --frames 0:28 --out rule.json"
+    )(motion)
     app.add_typer(calibrate, name="calibrate")
 
 

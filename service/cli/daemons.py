@@ -26,9 +26,27 @@ from service.cli.output import command, progress, remark
 from service.cli.parked import EX_PARKED, parked_line
 from service.cli.report import say_what_was_found
 from service.errors import UsageError
+from service.security.listening import need_locked_bus
 from service.settings.config import DEFAULT_ENDPOINT, Settings
 
 Once = Annotated[bool, typer.Option("--once", help="Mine the logs now in the bucket, then stop.")]
+Remine = Annotated[
+    str | None,
+    typer.Option(
+        "--remine",
+        help="Logs mined again under a new pipeline version: newest (all), selected, none.",
+    ),
+]
+RemineHours = Annotated[
+    float | None,
+    typer.Option(
+        "--remine-core-hours-a-day", help="Core-hours a day for mining again; 0: no limit."
+    ),
+]
+RemineCanary = Annotated[
+    float | None,
+    typer.Option("--remine-canary-share", help="Share of these logs that is finished first."),
+]
 DryRun = Annotated[
     bool,
     typer.Option(
@@ -73,6 +91,9 @@ def run(
     listen: Listen = None,
     artifacts: Artifacts = None,
     database: Database = None,
+    remine: Remine = None,
+    remine_core_hours_a_day: RemineHours = None,
+    remine_canary_share: RemineCanary = None,
     mining: MiningOptions,
     config: Config = None,
     log_format: LogFormat = None,
@@ -94,6 +115,9 @@ def run(
         listen=listen,
         artifacts=artifacts,
         database=database,
+        remine=remine,
+        remine_core_hours_a_day=remine_core_hours_a_day,
+        remine_canary_share=remine_canary_share,
         **mining.flags(),
         log_format=log_format,
         log_level=log_level,
@@ -145,29 +169,43 @@ def service(
     bucket: BucketUrl = None,
     state: StateDir = None,
     connect: Connect = None,
+    standby: Annotated[
+        bool,
+        typer.Option("--standby", help="One of two on a PostgreSQL: wait, or have one wait."),
+    ] = False,
     shard_seconds: ShardSeconds = None,
     include: Include = None,
     exclude: Exclude = None,
     artifacts: Artifacts = None,
     database: Database = None,
+    remine: Remine = None,
+    remine_core_hours_a_day: RemineHours = None,
+    remine_canary_share: RemineCanary = None,
     mining: MiningOptions,
     config: Config = None,
     log_format: LogFormat = None,
     log_level: LogLevel = None,
 ) -> None:
-    """Run the service alone: bucket watch, ledger, ranking. It needs a router and workers."""
-    from service.embedded import run_service
+    """Run the service alone: bucket watch, ledger, ranking. It needs a router and workers.
+
+    With --standby a second one on the same --database takes over when the first one ends or hangs.
+    """
+    from service.alone import run_service
 
     settings = settings_for(
         config,
         bucket=bucket,
         state=state,
         connect=connect,
+        standby=standby or None,
         shard_seconds=shard_seconds,
         include=include,
         exclude=exclude,
         artifacts=artifacts,
         database=database,
+        remine=remine,
+        remine_core_hours_a_day=remine_core_hours_a_day,
+        remine_canary_share=remine_canary_share,
         **mining.flags(),
         log_format=log_format,
         log_level=log_level,
@@ -179,6 +217,15 @@ def service(
 def worker(
     connect: Connect = None,
     workers: Workers = None,
+    pool: Annotated[
+        str | None, typer.Option("--pool", help="local, or ray: actors of a Ray cluster.")
+    ] = None,
+    ray_address: Annotated[
+        str | None, typer.Option("--ray-address", help="Of the Ray cluster; default auto.")
+    ] = None,
+    ray_most_workers: Annotated[
+        int | None, typer.Option("--ray-most-workers", help="Most workers, by the work that waits.")
+    ] = None,
     bucket: BucketUrl = None,
     artifacts: Artifacts = None,
     model: Model = None,
@@ -200,6 +247,9 @@ def worker(
         config,
         connect=connect,
         workers=workers,
+        pool=pool,
+        ray_address=ray_address,
+        ray_most_workers=ray_most_workers,
         bucket=bucket,
         artifacts=artifacts,
         model=model,
@@ -223,8 +273,11 @@ def router(
     from service.router import run_router
 
     settings = settings_for(config, listen=listen, log_format=log_format, log_level=log_level)
+    listens = settings.listen or DEFAULT_ENDPOINT
+    need_locked_bus(settings, listens=listens.split(","))
     run_router(
-        settings.listen or DEFAULT_ENDPOINT,
+        listens,
+        locks=settings.locks,
         connect=connect or "",  # the setting, in a file that all processes share, may be ourselves
         remark=remark,
         heartbeat_s=settings.heartbeat_s,

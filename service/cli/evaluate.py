@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli import judges
 from service.cli.options import MOST, BucketOfLogs, Config, Force, Json, Weights, settings_for
 from service.cli.output import json_line, progress, remark, table
 from service.cli.shards import shards
+from service.cli.truth_options import Frames, Truth, parse_frames
 from service.errors import UsageError
 from service.output_files import need_folder, need_writable, save_picture
 
@@ -16,17 +18,6 @@ if TYPE_CHECKING:
     from workers.lab.evaluation.motion.table import LogEvaluation
 
 WORST_FRAMES = 10
-
-Truth = Annotated[
-    Path,
-    typer.Option(
-        "--truth",
-        help="Folder DIR with the truth of BUCKET/x/y.mcap in DIR/x/y; see deploy/TRUTH.md.",
-    ),
-]
-Frames = Annotated[
-    str, typer.Option("--frames", help="Frames A:B of each log, half open; earlier ones warm up.")
-]
 
 
 def add_to(app: typer.Typer) -> None:
@@ -39,6 +30,7 @@ def add_to(app: typer.Typer) -> None:
         semantics
     )
     evaluation.command(epilog="counterpoint eval shards logs --shard-seconds 2")(shards)
+    judges.add_to(evaluation)
     app.add_typer(evaluation, name="eval")
 
 
@@ -50,8 +42,8 @@ def motion(
         list[str] | None,
         typer.Option(
             "--stream",
-            help="Stream to evaluate: selfsupervised (default), supervised, or the name of a "
-            "part. Repeatable, for a row each.",
+            help="Stream to evaluate: selfsupervised (default), supervised, the name of a part, "
+            "or dufomap. Repeatable, for a row each.",
         ),
     ] = None,
     alone: Annotated[
@@ -154,11 +146,12 @@ def semantics(
         str, typer.Option("--stream", help="Stream to evaluate: supervised, or the name of a part.")
     ] = "supervised",
     json: Json = False,
+    weights: Weights = None,
     config: Config = None,
 ) -> None:
     """Evaluate the supervised stream's classes per point, in eleven coarse classes."""
     first, last = parse_frames(frames)
-    settings = settings_for(config, bucket=bucket)
+    settings = settings_for(config, bucket=bucket, weights=weights)
     from workers.lab.evaluation.semantics.semantics import evaluate_semantics
 
     with progress() as bar:
@@ -270,21 +263,3 @@ def parse_rows(text: str) -> slice | None:
     except ValueError:
         raise UsageError(f"--rows must be a slice, such as 0::2, got {text!r}") from None
     return slice(*bounds)
-
-
-def parse_frames(text: str) -> tuple[int, int | None]:
-    """Parse the half-open range `A:B`; either side may be empty.
-
-    Raises:
-        UsageError: If it is not two counts with a colon between them.
-    """
-    first, colon, last = text.partition(":")
-    try:
-        if not colon:
-            raise ValueError
-        bounds = (int(first or 0), int(last) if last else None)
-    except ValueError:
-        raise UsageError(f"--frames must be A:B, such as 10:56, got {text!r}") from None
-    if bounds[0] < 0 or (bounds[1] is not None and bounds[1] <= bounds[0]):
-        raise UsageError(f"--frames {text!r} holds no frame")
-    return bounds

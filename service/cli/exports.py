@@ -1,9 +1,12 @@
 """Verb `export`: a selection in the form that a labelling tool opens."""
 
+import tempfile
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
+from urllib.parse import unquote, urlsplit
 
 import typer
 
@@ -11,6 +14,8 @@ from schemas.canonical import sha256
 from schemas.transport.bucket import open_bucket
 from schemas.transport.wire import encode_scene_score
 from service.api.reader import Reader, overlay_of
+from service.api.state_reader import StateReader
+from service.cli.export_bucket import BucketSink
 from service.cli.options import (
     Artifacts,
     BucketUrl,
@@ -23,14 +28,21 @@ from service.cli.options import (
 )
 from service.cli.output import counted, json_line, progress, remark
 from service.cli.scenes import reader
+from service.client import ControlClient
+from service.curation.audit import ExportedRequest
 from service.curation.ranking import RankedScene
+from service.curation.selection import Selection
 from service.curation.verdicts import MAX_VERDICTS_ASKED, VerdictsRequest
 from service.errors import UsageError
 from service.export.format import Format
 from service.export.formats import FORMATS, format_named
 from service.export.running import ExportReport, run_export
 from service.export.scene import JudgedTrack, SceneToExport
+from service.export.sink import Sink
 from service.output_files import need_folder
+from service.settings.config import Settings
+from service.settings.messages import shown
+from service.store.state import endpoint_of_running
 
 if TYPE_CHECKING:
     from schemas.excerpt import ExcerptSource
@@ -57,7 +69,9 @@ def _formats_in_help() -> str:
 def export(
     selection: Annotated[str, typer.Argument(help="Name, as `selection list` prints it.")],
     form: Annotated[str, typer.Option("--format", help=_formats_in_help())],
-    out: Annotated[Path, typer.Option("--out", help="Folder to write, new or to be continued.")],
+    out: Annotated[
+        str, typer.Option("--out", help="Folder or bucket URL to write, new or to be continued.")
+    ],
     bucket: BucketUrl = None,
     connect: Connect = None,
     state: StateToRead = None,
@@ -73,20 +87,61 @@ def export(
     wanted = format_named(form)
     source = reader(config, connect=connect, state=state, artifacts=artifacts, database=database)
     chosen = source.selection(selection)
-    logs = _logs(wanted, settings_for(config, bucket=bucket).bucket)
-    need_folder(out, option="--out")
-    with progress() as bar:
+    settings = settings_for(config, bucket=bucket, state=state)
+    logs = _logs(wanted, settings.bucket)
+    with _output(out) as (folder, sink), progress() as bar:
+        note_export(source, settings, chosen, form=form, place=out)
         task = bar.add_task(f"exporting {chosen.name}", total=len(chosen.scenes))
+        told = _Told(json=json)
+
+        def on_scene(done: int, report: ExportReport) -> None:
+            bar.update(task, completed=done)
+            told.tell(report)
+
         report = run_export(
             chosen,
             wanted,
-            out,
+            folder,
             _opener(source, chosen.name, logs),
-            on_scene=lambda done: bar.update(task, completed=done),
+            sink=sink,
+            on_scene=on_scene,
         )
-    _say(report, out, wanted, json=json)
+    _say(report, out, wanted)
     if report.missing:
         raise typer.Exit(EX_INCOMPLETE)
+
+
+def note_export(
+    source: Reader, settings: Settings, chosen: Selection, *, form: str, place: str
+) -> None:
+    """Note an export in the audit log, before anything is written.
+
+    Raises:
+        CounterpointError: If it cannot be noted; then nothing is exported.
+    """
+    asked = ExportedRequest(
+        selection=chosen.name, form=form, scenes=len(chosen.scenes), place=shown(place)
+    )
+    endpoint = endpoint_of_running(settings.state) if isinstance(source, StateReader) else ""
+    if endpoint:  # the service on this state is the only writer
+        locks = settings.client_locks
+        ControlClient(endpoint.split(","), root=settings.root, locks=locks).exported(asked)
+    else:
+        source.exported(asked)
+
+
+@contextmanager
+def _output(out: str) -> Iterator[tuple[Path, Sink | None]]:
+    """Open the output of `--out`: its folder; or a folder to work in, and its bucket."""
+    parts = urlsplit(out)
+    if parts.scheme in ("", "file") or len(parts.scheme) == 1:  # one letter: a drive
+        folder = Path(unquote(parts.path) if parts.scheme == "file" else out)
+        need_folder(folder, option="--out")
+        yield folder, None
+        return
+    sink = BucketSink(open_bucket(out))
+    with tempfile.TemporaryDirectory(prefix="counterpoint-export-") as folder_name:
+        yield Path(folder_name), sink
 
 
 def _logs(wanted: Format, bucket: str) -> "ExcerptSource | None":
@@ -148,16 +203,31 @@ def _verdicts_on(source: Reader, row: RankedScene) -> tuple[JudgedTrack, ...]:
     )
 
 
-def _say(report: ExportReport, out: Path, wanted: Format, *, json: bool) -> None:
-    for scene_id, written in report.written.items():
-        if json:
-            about = {"scene_id": scene_id, "place": written.place, "bytes": written.size}
-            json_line({**about, "seconds": round(written.seconds, 3)})
-        else:
-            size, seconds = written.size / 1e6, written.seconds
-            remark(f"{written.place}: {size:.1f} MB in {seconds:.1f} s")
-    for scene_id, why in report.missing.items():
-        remark(f"missing: {scene_id}: {why}")
+class _Told:
+    """Prints each scene once, when it is done."""
+
+    def __init__(self, *, json: bool) -> None:
+        self._json = json
+        self._seen: set[str] = set()
+
+    def tell(self, report: ExportReport) -> None:
+        """Print a line for each scene that came since."""
+        for scene_id, written in report.written.items():
+            if scene_id in self._seen:
+                continue
+            if self._json:
+                about = {"scene_id": scene_id, "place": written.place, "bytes": written.size}
+                json_line({**about, "seconds": round(written.seconds, 3)})
+            else:
+                size, seconds = written.size / 1e6, written.seconds
+                remark(f"{written.place}: {size:.1f} MB in {seconds:.1f} s")
+        for scene_id, why in report.missing.items():
+            if scene_id not in self._seen:
+                remark(f"missing: {scene_id}: {why}")
+        self._seen |= report.written.keys() | report.missing.keys()
+
+
+def _say(report: ExportReport, out: str, wanted: Format) -> None:
     done = counted(len(report.written), "scene")
     kept = f"; {counted(len(report.kept), 'scene')} of an earlier run kept" if report.kept else ""
     missing = f"; {counted(len(report.missing), 'scene')} missing" if report.missing else ""

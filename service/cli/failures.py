@@ -15,12 +15,13 @@ from service.cli.options import (
     settings_for,
 )
 from service.cli.output import counted, json_line, progress, remark, table
-from service.cli.planting import planting_of, say_variants
+from service.cli.planting import BY_OBJECT, planting_of, say_variants
 from service.errors import UsageError
 from service.output_files import need_folder, need_writable, save_text
 from service.reports.failure_report import COLUMNS_MEAN, write_report
 
 if TYPE_CHECKING:
+    from workers.lab.evaluation.failures.attribution import AttributionAccuracy
     from workers.lab.evaluation.failures.bench import FailureBench
     from workers.lab.evaluation.failures.natural import NaturalTable
     from workers.lab.evaluation.failures.planted import PlantedTable
@@ -242,7 +243,11 @@ def _say_planted(found: "PlantedTable") -> None:
         ("disturbed by", "scenes", "above", "share"),
         ((name, row.scenes, row.above, row.share) for name, row in shares.items()),
     )
-    _say_who(found)
+    _say_who(found.attribution)
+    remark(
+        f"by object, where labels that lie on no object are no error: balanced accuracy "
+        f"{found.attribution_by_object.accuracy}; {BY_OBJECT}"
+    )
     shared = found.common_mode
     remark(
         f"gain over {found.best_baseline}: {found.gain} {found.gain_interval or ''}; "
@@ -264,11 +269,10 @@ def _say_natural(found: "NaturalTable") -> None:
         ("objects", "count", "failing", "failing and contradicting"),
         ((name, row.things, row.failing, row.found) for name, row in found.classes.items()),
     )
-    _say_who(found)
+    _say_who(found.attribution)
 
 
-def _say_who(found: "PlantedTable | NaturalTable") -> None:
-    said = found.attribution
+def _say_who(said: "AttributionAccuracy") -> None:
     table(
         f"attribution: balanced accuracy {said.accuracy}, of a constant answer {said.commonest}",
         ("true", "tracks", "recall", *(f"attributed: {name}" for name in said.cases)),

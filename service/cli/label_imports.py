@@ -1,18 +1,23 @@
 """Verb `import-labels`: finished labels of an export become truth, and judge the contradictions."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
+from hashlib import sha256
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from schemas.bounds import MAX_NAME
 from schemas.errors import PermanentError
+from schemas.score import SceneScore
+from schemas.transport.wire import decode
 from service.api.reader import Reader, overlay_of
 from service.cli.options import Artifacts, Config, Connect, Database, Json, StateToRead
 from service.cli.output import counted, json_line, remark
 from service.cli.scenes import reader
 from service.errors import UsageError
-from service.export.judging import JudgedContradiction, counted_verdicts, judge
+from service.export.judging import JudgedContradiction, counted_verdicts, judge, verdicts_of
 from service.export.label_files import LABEL_FORMATS, labels_in
 from service.export.label_import import ImportedScene, read_scenes, write_truth
 from service.output_files import need_folder
@@ -31,6 +36,13 @@ def import_labels(
     form: Annotated[
         str, typer.Option("--format", help=f"Form of the labels: {', '.join(LABEL_FORMATS)}.")
     ] = "semantickitti",
+    reviewer: Annotated[
+        str | None,
+        typer.Option(
+            "--reviewer",
+            help="Also store the judgements as verdicts on tracks, under this name; default: not.",
+        ),
+    ] = None,
     connect: Connect = None,
     state: StateToRead = None,
     artifacts: Artifacts = None,
@@ -45,16 +57,25 @@ def import_labels(
     read = labels_in(form)
     if truth.is_dir() and any(truth.iterdir()):
         raise UsageError(f"--truth must be an empty folder, or a new one ({truth})")
+    if reviewer is not None and not 0 < len(reviewer.strip()) <= MAX_NAME:
+        raise UsageError(f"--reviewer: give a name of 1 to {MAX_NAME} characters")
     source = reader(config, connect=connect, state=state, artifacts=artifacts, database=database)
     scenes = list(read_scenes(folder, read, form=form))
     need_folder(truth, option="--truth")
     frames = write_truth(scenes, truth)
-    judged = [each for scene in scenes for each in _judged(source, scene, json=json)]
+    judged, stored = list[JudgedContradiction](), 0
+    for scene in scenes:
+        found = _judged(source, scene, json=json)
+        judged += found
+        if reviewer is not None and found:
+            stored += _store(source, scene.scene_id, found, reviewer=reviewer)
     unlabelled = sum(scene.unlabelled for scene in scenes)
     without = f"; {counted(unlabelled, 'frame')} without labels" if unlabelled else ""
     remark(f"{truth}: {counted(frames, 'frame')} of {counted(len(scenes), 'scene')}{without}")
     told = ", ".join(f"{name} {count}" for name, count in counted_verdicts(judged).items())
     remark(f"{counted(len(judged), 'contradiction')} judged; which stream is wrong: {told or '-'}")
+    if reviewer is not None:
+        remark(f"{counted(stored, 'verdict')} of {reviewer} on tracks that are a reason")
 
 
 def _judged(source: Reader, scene: ImportedScene, *, json: bool) -> list[JudgedContradiction]:
@@ -68,3 +89,14 @@ def _judged(source: Reader, scene: ImportedScene, *, json: bool) -> list[JudgedC
         if json:
             json_line({"scene_id": scene.scene_id, **asdict(each)})
     return found
+
+
+def _store(
+    source: Reader, scene_id: str, judged: Sequence[JudgedContradiction], *, reviewer: str
+) -> int:
+    """Store the judgements of a scene that decide, as verdicts; return their number."""
+    record = source.record(scene_id)
+    requests = verdicts_of(judged, decode(SceneScore, record), sha256(record).hexdigest(), reviewer)
+    for request in requests:
+        source.judge(request)
+    return len(requests)

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from service.cli.bench_fleet import fleet
+from service.cli.bench_loop import loop
 from service.cli.bench_overlay import overlay
 from service.cli.bench_selection import selection
 from service.cli.bench_simulation import simulation
@@ -26,12 +28,14 @@ def add_to(app: typer.Typer) -> None:
     bench.command(epilog="counterpoint bench motion logs/car-7/2026-11-20/drive.mcap")(motion)
     bench.command(epilog="counterpoint bench networks logs/car-7/2026-11-20/drive.mcap")(networks)
     bench.command(epilog="counterpoint bench ledger --folder /var/lib/counterpoint")(ledger)
+    bench.command(epilog="counterpoint bench fleet --workers 64 --mine-s 20")(fleet)
     bench.command(epilog="counterpoint bench listing --scenes 1000000")(listing)
     bench.command(epilog="counterpoint bench failures fleet --report failures.html")(failures)
     bench.command(epilog="counterpoint bench simulation drive.mcap --sensor pandar64")(simulation)
     bench.command(epilog="counterpoint bench overlay logs/car-7/2026-11-20/drive.mcap")(overlay)
     bench.command(epilog="counterpoint bench viewer --state counterpoint-state")(viewer)
     bench.command(epilog="counterpoint bench selection counterpoint-state/bench")(selection)
+    bench.command(epilog="counterpoint bench loop fleet --plot loop.png")(loop)
     app.add_typer(bench, name="bench")
 
 
@@ -91,8 +95,8 @@ def motion(
     config: Config = None,
 ) -> None:
     """Profile the self-supervised stream, and time KISS-ICP and Patchwork++ for comparison."""
-    from service.cli.evaluate import parse_frames
     from service.cli.logs import locate
+    from service.cli.truth_options import parse_frames
     from workers.lab.evaluation.benchmarks.bench_motion import bench_motion
 
     bounds = (10, 10 + int(frames)) if frames.isdecimal() else parse_frames(frames)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from service.cli.output import counted, remark, table
 from service.errors import UsageError
@@ -14,6 +14,14 @@ if TYPE_CHECKING:
     from workers.lab.evaluation.failures.planted import PlantedTable
     from workers.lab.evaluation.failures.planting.variants import Planting
     from workers.lab.evaluation.failures.ranking import RankingRow
+
+
+BY_OBJECT: Final = (
+    "by points: a stream is wrong where most of the points are; by object: labels of the "
+    "supervised stream that lie on no object for half a second, as at the border of a mover, are "
+    "no error"
+)
+"""The two verdicts that an attribution is compared with."""
 
 
 def planting_of(*, variants: int, seed: int, frames: str, share: str) -> "Planting":
@@ -63,7 +71,8 @@ def say_variants(bench: "FailureBench", found: "PlantedTable") -> None:
         ),
     )
     parts = {
-        "all": found.attribution,
+        "all, by points": found.attribution,
+        "all, by object": found.attribution_by_object,
         "on planted failures": found.attribution_of_failures,
         "elsewhere": found.attribution_of_others,
     }
@@ -72,6 +81,7 @@ def say_variants(bench: "FailureBench", found: "PlantedTable") -> None:
         ("tracks", "accuracy", *(f"{verdict}" for verdict in found.attribution.cases)),
         ((name, part.accuracy, *_recalls(part)) for name, part in parts.items() if part),
     )
+    remark(BY_OBJECT)
     remark(
         "AP: average precision; AP at 5 %: the same with scenes without failure weighted so that "
         "5 % fail; precision: among as many scenes as fail, where it equals recall; attributed: "

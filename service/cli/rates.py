@@ -2,14 +2,17 @@
 
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated, Final
 
 import typer
 
-from service.cli.options import Config, Connect, Database, Json, StateToRead
+from service.cli.options import Config, Connect, Database, Force, Json, StateToRead
 from service.cli.output import json_line, remark, table
 from service.cli.scenes import reader
 from service.curation.rates import RateRow, RatesRequest, rates_request
+from service.errors import UsageError
+from service.output_files import need_writable, save_picture
 
 BAR_CHARACTERS: Final = 20
 """Length of the bar of the worst row, characters; the others in proportion."""
@@ -20,6 +23,7 @@ _HEADINGS: Final = {
     "kind": "kind",
     "hour": "recorded (UTC)",
     "log": "log",
+    "dataset": "data set",
 }
 
 
@@ -30,7 +34,7 @@ def add_to(app: typer.Typer) -> None:
 
 def rates(
     by: Annotated[
-        str, typer.Option("--by", help="Group by vehicle, version, kind, hour or log.")
+        str, typer.Option("--by", help="Group by vehicle, version, kind, hour, log or dataset.")
     ] = "vehicle",
     since: Annotated[
         str,
@@ -40,13 +44,25 @@ def rates(
         ),
     ] = "",
     until: Annotated[str, typer.Option("--until", help="Recorded before; as --since.")] = "",
+    plot: Annotated[
+        Path | None,
+        typer.Option("--plot", help="By dataset: picture of the outcomes of all points, a .png."),
+    ] = None,
     connect: Connect = None,
     state: StateToRead = None,
     database: Database = None,
     json: Json = False,
     config: Config = None,
+    force: Force = False,
 ) -> None:
-    """Show the rate of contradictions by group, over current scenes by time of recording."""
+    """Show the rate of contradictions by group, over current scenes by time of recording.
+
+    A data set is the first folder of a log's id: with `kitti/car/day/drive.mcap` it is `kitti`.
+    """
+    if plot is not None:
+        if by != "dataset":
+            raise UsageError("--plot draws the outcomes by data set: give --by dataset")
+        need_writable(plot, option="--plot", force=force, endings=(".png",))
     request = rates_request(
         by, since=since, until=until, now_s=time.clock_gettime(time.CLOCK_REALTIME)
     )
@@ -64,6 +80,12 @@ def rates(
         )
         return
     _say(rows, request)
+    if plot is not None:
+        from service.pictures.outcomes import draw_outcomes
+
+        shares = {row.group: row.outcomes for row in rows if row.outcomes is not None}
+        save_picture(draw_outcomes(shares), plot, option="--plot", force=force)
+        remark(f"{plot}")
 
 
 def _say(rows: Sequence[RateRow], request: RatesRequest) -> None:

@@ -154,6 +154,8 @@ def say_scenes(title: str, rows: Sequence[RankedScene], *, among: Sequence[Ranke
             for row in rows
         ),
     )
+    for log_id, names in {row.log_id: row.same_logs for row in rows if row.same_logs}.items():
+        remark(f"{log_id}: same bytes as {', '.join(names)}, mined once")
 
 
 def first_of(reasons: Sequence[str]) -> str:

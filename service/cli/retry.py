@@ -27,7 +27,10 @@ def retry(
     json: Json = False,
     config: Config = None,
 ) -> None:
-    """Try parked plans and shards again, with all their attempts; finished work stays done."""
+    """Try parked plans and shards again, with all their attempts; finished work stays done.
+
+    Of named logs, scenes whose overlays were deleted for the disk budget are mined again too.
+    """
     if bool(log_ids) is everything:
         raise UsageError("name the logs to retry, or give --all for all parked work")
     wanted = None if everything else log_ids

@@ -4,14 +4,16 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager, nullcontext
 from functools import partial
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
 from schemas.errors import TransientError
+from schemas.runtime.http_address import is_loopback_host
 from service.cli.options import (
     Artifacts,
     Config,
@@ -29,6 +31,8 @@ from service.settings.config import Settings
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
+
+    from service.export.jobs import ExportJobs
 
 OPEN: Final = "look at the scenes and judge them"
 
@@ -57,6 +61,14 @@ Hosts = Annotated[
     list[str] | None,
     typer.Option("--host", help="Further name under which browsers ask for the page. Repeatable."),
 ]
+Exports = Annotated[
+    str | None,
+    typer.Option(
+        "--exports",
+        help="Folder or bucket URL of the exports started on the page; default: exports in the "
+        "state folder.",
+    ),
+]
 
 
 def add_to(app: typer.Typer) -> None:
@@ -71,6 +83,7 @@ def review(
     artifacts: Artifacts = None,
     listen: ReviewListen = None,
     host: Hosts = None,
+    exports: Exports = None,
     config: Config = None,
     log_format: LogFormat = None,
     log_level: LogLevel = None,
@@ -80,8 +93,8 @@ def review(
 ) -> None:
     """Serve the review page: look at the ranked scenes, judge them, make selections.
 
-    A service that runs on the state stores the verdicts; without one, this command does. The page
-    has no password: on any other address than the loopback, who reaches it can judge.
+    A service that runs on the state stores the verdicts; without one, this command does. On any
+    other address than the loopback the page needs TLS, and tokens or a proxy that signs people in.
     """
     from service.client import ControlClient
 
@@ -97,6 +110,7 @@ def review(
         artifacts=artifacts,
         review_listen=listen,
         review_hosts=host,
+        review_exports=exports,
         log_format=log_format,
         log_level=log_level,
     )
@@ -107,7 +121,7 @@ def review(
     with stop_on_signals(partial(remark, STOPPING)) as stop:
         if end_with_stdin:
             threading.Thread(target=_wait_for_end, args=(stop,), daemon=True).start()
-        with page_of(settings, is_state=is_state) as thread:
+        with page_of(settings, is_state=is_state, config=config) as thread:
             while thread.is_alive() and not stop.wait(_LOOK_S):
                 pass
 
@@ -156,24 +170,43 @@ def review_process(flags: Mapping[str, object]) -> Iterator[None]:
 
 
 @contextmanager
-def page_of(settings: Settings, *, is_state: bool) -> Iterator[threading.Thread]:
-    """Serve the page of a state or a service within a `with` block, and print its address."""
-    from service.web.server import address_of, is_loopback, listening, serving, url_of
+def page_of(
+    settings: Settings, *, is_state: bool, config: Path | None = None
+) -> Iterator[threading.Thread]:
+    """Serve the page of a state or a service within a `with` block, and print its address.
+
+    Args:
+        settings: Settings of the page.
+        is_state: True for a state folder, with or without a service.
+        config: File of the settings, which exports read too.
+    """
+    from service.security.listening import need_locked_pages, page_guard
+    from service.web.server import address_of, listening, serving, url_of
 
     own, _ = address_of(settings.review_listen)
+    need_locked_pages(settings, settings.review_listen, setting="review_listen")
+    is_tls = page_guard(settings).tls is not None  # which checks the files
     hosts = frozenset(settings.review_hosts) | ({own} - _EVERYWHERE)
     if not hosts:
         raise UsageError(
             f"{settings.review_listen} is every address of this machine: give --host for each name "
             "under which browsers may ask for the page"
         )
-    app = _app_of(settings, hosts, is_state=is_state)
+    jobs = exports_of(settings, is_state=is_state, config=config)
+    app = _app_of(settings, hosts, jobs, is_state=is_state)
     with (
+        nullcontext() if jobs is None else closing(jobs),
         listening(settings.review_listen) as opened,
-        serving(app, opened, on_stop=app.state.closing.set) as thread,
+        serving(
+            app,
+            opened,
+            on_stop=app.state.closing.set,
+            certificate=settings.http_certificate,
+            key=settings.http_key,
+        ) as thread,
     ):
-        remark(f"review page: {url_of(opened)}")
-        if not is_loopback(own):
+        remark(f"review page: {url_of(opened, scheme='https' if is_tls else 'http')}")
+        if not is_loopback_host(own) and not app.state.settings.doors.are_locked:
             remark(
                 f"other machines reach the page as {', '.join(sorted(hosts))}: it has no password, "
                 "and all who reach it can judge",
@@ -182,21 +215,54 @@ def page_of(settings: Settings, *, is_state: bool) -> Iterator[threading.Thread]
         yield thread
 
 
-def _app_of(settings: Settings, hosts: frozenset[str], *, is_state: bool) -> "FastAPI":
+def exports_of(
+    settings: Settings, *, is_state: bool, config: Path | None = None
+) -> "ExportJobs | None":
+    """Return the exports that a page may start; None where it has no folder for them."""
+    from service.export.jobs import ExportJobs
+
+    if not (settings.review_exports or is_state):
+        return None
+    options = {"config": str(config)} if config is not None else {}
+    if is_state:
+        options["state"] = str(settings.state)
+    else:
+        options["connect"] = settings.connect
+    if settings.artifacts:
+        options["artifacts"] = settings.artifacts
+    return ExportJobs(
+        settings.review_exports or str(settings.state / "exports"),
+        program=(sys.executable, "-P", "-m", "service.cli"),
+        options=options,
+        hidden={"database": settings.database} if settings.database else {},
+    )
+
+
+def _app_of(
+    settings: Settings, hosts: frozenset[str], jobs: "ExportJobs | None", *, is_state: bool
+) -> "FastAPI":
     from service.client import ControlClient
     from service.web.app import make_app
+    from service.web.roles import doors_of
     from service.web.settings import WebSettings, key_of_state
     from service.web.source import source_of_state
 
+    web_settings = partial(
+        WebSettings,
+        hosts=hosts,
+        doors=doors_of(settings),
+        rate=settings.http_rate,
+        is_secure=bool(settings.http_certificate),
+    )
     if is_state:
         folder = settings.state if settings.state.is_dir() else None
         place = str(settings.state)
         key = key_of_state(folder, place=settings.database or place)
-        return make_app(source_of_state(settings), WebSettings(place, key, hosts))
+        return make_app(source_of_state(settings), web_settings(place, key), jobs)
     place = settings.connect
     key = key_of_state(None, place=f"{settings.root} {place}")
-    client = ControlClient(settings.connect.split(","), root=settings.root)
-    return make_app(client, WebSettings(place, key, hosts))
+    client = ControlClient(settings.connect.split(","), root=settings.root, locks=settings.locks)
+    return make_app(client, web_settings(place, key), jobs)
 
 
 def bring_up_to_date(settings: Settings) -> None:

@@ -11,6 +11,7 @@ from schemas.bounds import MAX_NEWEST, MAX_SCENES_ASKED
 from schemas.errors import PermanentError
 from service.api.reader import Reader, choose_endpoint, overlay_of
 from service.api.state_reader import StateReader
+from service.cli.learned_report import say_learned
 from service.cli.listing import ListingOptions, listed, say_listed
 from service.cli.option_groups import grouped
 from service.cli.options import (
@@ -93,6 +94,7 @@ def watch(
             min_score=min_score,
             stop=stop,
             wait=False,
+            locks=settings.locks,
             on_service=_say_service,
         ):
             if json:
@@ -115,6 +117,12 @@ def top(
         int | None,
         typer.Option("-n", min=1, max=MAX_SCENES_ASKED, help="Number of rows; default: all."),
     ] = None,
+    learned: Annotated[
+        bool,
+        typer.Option(
+            "--learned", help="Rank by what verdicts teach, where this is better; says its effect."
+        ),
+    ] = False,
     filters: ListingOptions,
     connect: Connect = None,
     state: StateToRead = None,
@@ -123,7 +131,12 @@ def top(
     config: Config = None,
 ) -> None:
     """List every current scene, the most contradicting first, or those that pass the filters."""
+    if learned and filters.any_given():
+        raise UsageError("--learned ranks every current scene: leave out the filters and --sort")
     source = reader(config, connect=connect, state=state, database=database)
+    if learned:
+        say_learned(source.top_learned(n), json=json)
+        return
     if filters.any_given():
         now_s = time.clock_gettime(time.CLOCK_REALTIME)
         say_listed(*listed(source, filters.request(now_s=now_s), most=n), json=json)
@@ -261,7 +274,7 @@ def reader(
 def _remote(settings: Settings) -> Reader:
     from service.client import ControlClient
 
-    return ControlClient(settings.connect.split(","), root=settings.root)
+    return ControlClient(settings.connect.split(","), root=settings.root, locks=settings.locks)
 
 
 def _watched(event: SceneEvent) -> dict[str, Any]:

@@ -10,10 +10,12 @@ from pydantic import BaseModel
 
 from schemas.errors import PermanentError
 from schemas.runtime.retry import StoppedError
+from schemas.runtime.stated_name import stated_name
 from schemas.score import SceneScore
 from schemas.transport import keys
-from schemas.transport.ask import ask_until
+from schemas.transport.ask import UnansweredError, ask_until
 from schemas.transport.bus import client_session
+from schemas.transport.locks import OPEN, Locks
 from schemas.transport.overlay_codec import overlay_file_of
 from schemas.transport.overlay_file import OverlayFile
 from schemas.transport.wire import decode, encode
@@ -32,10 +34,14 @@ from service.api.messages import (
     VerdictsReply,
     checked_request,
 )
+from service.api.verbs import OF_PEOPLE
+from service.client.earlier_service import refusal_to_learn
 from service.client.merge import Holding, SceneEvent, SceneMerge, Wanted
 from service.client.subscription import SceneSubscription
 from service.curation.activity import ActivityReply, ActivityRequest
+from service.curation.audit import AuditedReply, AuditReply, AuditRequest, ExportedRequest
 from service.curation.candidates import Proposal
+from service.curation.comparison import CompareRequest, Comparison
 from service.curation.listing import ScenesReply, ScenesRequest
 from service.curation.mode_rows import ModesReply
 from service.curation.ranking import RankedScene
@@ -86,13 +92,21 @@ class ControlClient:
     when the service refuses.
     """
 
-    def __init__(self, connect: Sequence[str], *, root: str) -> None:
-        """Keep the endpoints of routers, and the first part of every key."""
-        self._connect, self._root = tuple(connect), root
+    def __init__(self, connect: Sequence[str], *, root: str, locks: Locks = OPEN) -> None:
+        """Keep the endpoints of routers, the first part of every key, and the certificates."""
+        self._connect, self._root, self._locks = tuple(connect), root, locks
 
     def top(self, most: int | None = None) -> list[RankedScene]:
         """Rank every current scene, best first, and return at most `most`; None: all."""
         return list(decode(TopReply, self._ask_with_verdicts("top", TopRequest, most=most)).scenes)
+
+    def top_learned(self, most: int | None = None) -> TopReply:
+        """Rank every current scene by what verdicts teach, where this ranks better; its effect."""
+        asked = checked_request(TopRequest, most=most, learned=True)
+        try:
+            return decode(TopReply, self._ask("top", asked))
+        except PermanentError as error:
+            raise refusal_to_learn(error, self._connect) from None
 
     def select(
         self,
@@ -134,9 +148,21 @@ class ControlClient:
             ).retried
         )
 
+    def exported(self, request: ExportedRequest) -> int:
+        """Note an export in the audit log; return the number of its row."""
+        return decode(AuditedReply, self._ask("exported", request)).ordinal
+
+    def audit(self, request: AuditRequest) -> AuditReply:
+        """Return a page of the audit log, latest first."""
+        return decode(AuditReply, self._ask("audit", request))
+
     def modes(self) -> ModesReply:
         """Group the strong tracks of the current scenes into failure modes."""
         return decode(ModesReply, self._ask("modes"))
+
+    def compare(self, request: CompareRequest) -> Comparison:
+        """Compare two versions."""
+        return decode(Comparison, self._ask("compare", request))
 
     def rates(self, request: RatesRequest) -> list[RateRow]:
         """Return the rate of contradictions by group."""
@@ -205,14 +231,26 @@ class ControlClient:
             return self._ask(verb, checked_request(kind, **fields))
 
     def _ask(self, verb: str, request: BaseModel | None = None) -> bytes:
-        with client_session(self._connect) as session:
-            return ask_until(
-                session,
-                keys.control(root=self._root, verb=verb),
-                encode(request) if request is not None else b"",
-                stop=Event(),
-                patience_s=PATIENCE_S,
-            )
+        is_audited = verb in OF_PEOPLE
+        key = keys.control(root=self._root, verb=verb)
+        if is_audited and self._locks.name:
+            key = keys.named_control(root=self._root, verb=verb, name=self._locks.name)
+        with client_session(self._connect, locks=self._locks) as session:
+            try:
+                return ask_until(
+                    session,
+                    key,
+                    encode(request) if request is not None else b"",
+                    stop=Event(),
+                    patience_s=PATIENCE_S,
+                    says=stated_name() if is_audited else "",
+                )
+            except UnansweredError as error:
+                if not self._locks.is_set:
+                    raise
+                raise UnansweredError(
+                    f"{error} Or the certificate of {self._locks.name} may not ask it"
+                ) from None
 
 
 def watch_scenes(
@@ -228,6 +266,7 @@ def watch_scenes(
     wait: bool = True,
     on_service: Callable[[bool], None] | None = None,
     idle_s: float = IDLE_S,
+    locks: Locks = OPEN,
 ) -> Iterator[SceneEvent]:
     """Yield scored scenes in the order of their numbers: existing ones, then each new one.
 
@@ -257,6 +296,7 @@ def watch_scenes(
         on_service: Called with False when the service is gone and with True when it is back, once
             each; None: both are logged by structlog.
         idle_s: Silence after which the history is asked, seconds.
+        locks: Certificates, where the router is reached by TLS.
 
     Raises:
         ValueError: If the arguments contradict each other.
@@ -275,7 +315,7 @@ def watch_scenes(
 
     def events() -> Iterator[SceneEvent]:
         try:
-            session = client_session(connect, stop=stop if wait else None)
+            session = client_session(connect, stop=stop if wait else None, locks=locks)
         except StoppedError:
             return
         with session, SceneSubscription(session, root=root) as subscription:

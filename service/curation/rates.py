@@ -1,9 +1,9 @@
-"""Rate of contradictions, by vehicle, software version, kind, hour or log."""
+"""Rate of contradictions, by vehicle, software version, kind, hour, log or data set."""
 
 import re
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from typing import Final, Literal, get_args
 
@@ -14,8 +14,9 @@ from schemas.bounds import MAX_INTEGER, Count, Finite, Kept, Said, StampNs
 from schemas.contradiction import ContradictionKind
 from service.errors import UsageError
 
-RatesBy = Literal["vehicle", "version", "kind", "hour", "log"]
-"""Grouping of scenes; `version` is the software version that the car ran."""
+RatesBy = Literal["vehicle", "version", "kind", "hour", "log", "dataset"]
+"""Grouping of scenes: `version` is the software version that the car ran, `dataset` the first
+folder of the log's id, which names the data set in a bucket of several."""
 
 HOUR_NS: Final = 3600 * NS_PER_S
 
@@ -35,12 +36,25 @@ class RatesRequest(BaseModel):
     )
 
 
+class OutcomePoints(BaseModel):
+    """Compared points by outcome: the four categories of the paper, in its order."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    both_static: Count = Field(description="Category 1: both streams label them static.")
+    both_dynamic: Count = Field(description="Category 2: both label them dynamic.")
+    only_predictive_dynamic: Count = Field(description="Category 3.")
+    only_semantic_dynamic: Count = Field(description="Category 4.")
+
+
 class RateRow(BaseModel):
     """One group of current scenes. Rates are shares of the compared points, 0 to 1."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    group: Kept = Field(description="Vehicle, software version, kind, hour (RFC 3339) or log.")
+    group: Kept = Field(
+        description="Vehicle, software version, kind, hour (RFC 3339), log or data set."
+    )
     time: Said | None = Field(default=None, description="By hour: its start, RFC 3339, UTC.")
     time_ms: Count | None = Field(default=None, description="By hour: ms since the Unix epoch.")
     scenes: Count = Field(description="Current scenes.")
@@ -76,6 +90,11 @@ class RateRow(BaseModel):
         exclude_if=lambda value: value is None,
         description="Of these, with a verdict that the supervised stream is wrong.",
     )
+    outcomes: OutcomePoints | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="By data set: its compared points by outcome; absent in other groupings.",
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,10 +102,12 @@ class RateSums:
     """Sums over one group of current scenes, as the store makes them.
 
     Attributes:
-        group: Vehicle, version or log; by hour, hours since the Unix epoch; by kind, one for all.
+        group: Vehicle, version or log; by hour, hours since the Unix epoch; by kind, one for all;
+            by data set, the log.
         scenes: Current scenes.
         frames: Their frames.
         compared: Points that both streams labelled.
+        both_dynamic: Of these, points that both label dynamic.
         only_semantic: Points that only the supervised stream labels dynamic.
         only_predictive: Points that only the self-supervised stream labels dynamic.
         contradicting_scenes: Scenes with a score above 0.
@@ -101,6 +122,7 @@ class RateSums:
     scenes: int
     frames: int
     compared: int
+    both_dynamic: int
     only_semantic: int
     only_predictive: int
     contradicting_scenes: int
@@ -115,7 +137,10 @@ def rates(sums: Iterable[RateSums], by: RatesBy) -> list[RateRow]:
     """Make the rows of sums: hours in their order, all other groups worst first."""
     if by == "kind":
         return [row for one in sums for row in _rows_by_kind(one)]
-    rows = [_row(one, by_hour=by == "hour") for one in sums]
+    if by == "dataset":
+        rows = [_dataset_row(one) for one in _by_dataset(sums)]
+    else:
+        rows = [_row(one, by_hour=by == "hour") for one in sums]
     if by == "hour":
         return sorted(rows, key=lambda row: row.time_ms or 0)
     return sorted(rows, key=lambda row: (-row.disagreement_rate, row.group))
@@ -158,6 +183,7 @@ def with_judged(
             "kind": scene.kinds,
             "hour": (_rfc3339(scene.start_ns // HOUR_NS * 3600),),
             "log": (scene.log_id,),
+            "dataset": (dataset_of(scene.log_id),),
         }[request.by]
         count.update(groups)
         right.update(groups if scene.is_right else ())
@@ -165,6 +191,11 @@ def with_judged(
         row.model_copy(update={"judged_scenes": count[row.group], "right_scenes": right[row.group]})
         for row in rows
     ]
+
+
+def dataset_of(log_id: str) -> str:
+    """Return the first folder of a log's id."""
+    return log_id.partition("/")[0]
 
 
 def _rfc3339(instant_s: int) -> str:
@@ -202,6 +233,36 @@ def instants_ns(*, since: str, until: str, now_s: float) -> tuple[int, int | Non
     if until_ns is not None and until_ns <= since_ns:
         raise UsageError(f"until ({until}) must be later than since ({since or 'the first scene'})")
     return since_ns, until_ns
+
+
+def _by_dataset(sums: Iterable[RateSums]) -> list[RateSums]:
+    """Add up the sums of all logs of each data set."""
+    found: dict[str, RateSums] = {}
+    for one in sums:
+        name = dataset_of(str(one.group))
+        before = found.get(name)
+        if before is None:
+            found[name] = replace(one, group=name)
+            continue
+        added = {
+            field.name: getattr(before, field.name) + getattr(one, field.name)
+            for field in fields(RateSums)
+            if field.name not in ("group", "best_score")
+        }
+        best = max(before.best_score, one.best_score)
+        found[name] = RateSums(group=name, best_score=best, **added)
+    return list(found.values())
+
+
+def _dataset_row(sums: RateSums) -> RateRow:
+    dynamic = sums.both_dynamic, sums.only_predictive, sums.only_semantic
+    outcomes = OutcomePoints(
+        both_static=sums.compared - sum(dynamic),
+        both_dynamic=dynamic[0],
+        only_predictive_dynamic=dynamic[1],
+        only_semantic_dynamic=dynamic[2],
+    )
+    return _row(sums, by_hour=False).model_copy(update={"outcomes": outcomes})
 
 
 def _row(sums: RateSums, *, by_hour: bool) -> RateRow:

@@ -20,15 +20,19 @@ class LogStatus(BaseModel):
 
     log_id: Kept
     state: Kept = Field(
-        description="waiting, settling (it still grows or is truncated, and is planned once it "
-        "is unchanged for a while), planning, mining, done, refused, parked, or "
-        "stale (its object changed under a reader; the next listing decides)."
+        description="waiting, settling, planning, mining, done, refused, parked, stale, kept or "
+        "same. A settling log still grows or is truncated, and is planned once it is unchanged "
+        "for a while. The object of a stale log changed under a reader; the next listing decides. "
+        "A kept log was mined by an earlier pipeline version, and `remine` leaves it out. A log "
+        "is the same where another one has the same bytes, and is mined for both."
     )
     vehicle: Kept = "unknown"
     date: Kept = "unknown"
     software_version: Kept = "unknown"
     lidar_topics: tuple[Kept, ...] = Field(default=(), max_length=MAX_LISTED)
-    problem: Kept = Field(default="", description="Cause of a refused or parked log.")
+    problem: Kept = Field(
+        default="", description="Cause of a refused or parked log; or which log has its bytes."
+    )
     truncated_parts: Count = Field(
         default=0, description="Objects that were never closed, and are used up to their end."
     )

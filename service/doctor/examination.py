@@ -31,6 +31,7 @@ def examine(read: ReadSettings) -> Iterator[Finding]:
         ("database", doctor_stores.database),
         ("router", doctor_network.router),
         ("http", doctor_network.http),
+        ("locks", doctor_network.locks),
         ("camera", doctor_machine.camera),
         ("workers", doctor_machine.parts),
         ("model's answer", doctor_answers.answer),

@@ -3,20 +3,27 @@
 import socket
 from collections.abc import Iterator
 from importlib.metadata import version
+from pathlib import Path
+from typing import Final
 
 import zenoh
 
 from schemas.transport import keys
 from schemas.transport.ask import UnansweredError, ask
 from schemas.transport.bus import client_session
+from schemas.transport.locks import days_left, name_in
 from schemas.transport.wire import decode
 from service.api.messages import AboutReply
 from service.background.heartbeat import workers_alive
 from service.doctor.finding import Finding, ok, problem, warning
+from service.security.listening import has_rules, open_bus, open_pages
 from service.settings.config import Settings
 from service.store.state import endpoint_of_running
 
 PATIENCE_S = 3.0
+
+SOON_DAYS: Final = 30
+"""Rest of a certificate's validity from which it should be renewed, days."""
 
 
 def router(settings: Settings) -> Iterator[Finding]:
@@ -25,7 +32,7 @@ def router(settings: Settings) -> Iterator[Finding]:
     if not endpoint:
         yield ok("router", "none is named: `run` brings its own; else give --connect tcp/HOST:PORT")
         return
-    with client_session(endpoint.split(",")) as session:
+    with client_session(endpoint.split(","), locks=settings.client_locks) as session:
         yield ok("router", f"answers at {endpoint}")
         hello = keys.control(root=settings.root, verb="hello")
         try:
@@ -80,6 +87,41 @@ def http(settings: Settings) -> Iterator[Finding]:
         else:
             say = problem if name == "http_listen" else warning
             yield say("http", f"cannot listen on {listen}: {why}; choose another {name}")
+
+
+def locks(settings: Settings) -> Iterator[Finding]:
+    """Report what other machines reach without a lock, and certificates that end soon."""
+    connects = settings.connect.split(",") if settings.connect else []
+    listens = settings.listen.split(",") if settings.listen else []
+    found = [open_bus(settings, listens=listens, connects=connects)]
+    found += [
+        open_pages(settings, getattr(settings, name), setting=name)
+        for name in ("http_listen", "worker_http_listen", "review_listen")
+    ]
+    say = warning if settings.insecure else problem
+    for each in filter(None, found):
+        yield say("locks", f"insecure: {each}" if settings.insecure else each)
+    if settings.insecure and not any(found):
+        yield warning("locks", "insecure = true is written, and nothing needs it: take it out")
+    if not settings.locks.is_set:
+        if not any(found):
+            yield ok("locks", "none, and none are needed: the loopback alone is listened on")
+        return
+    if listens and not has_rules(settings):
+        yield warning(
+            "locks",
+            "no rules: every certificate of the authority may do everything; write rules by "
+            "`counterpoint acl` and name them as zenoh_config",
+        )
+    yield _validity(Path(settings.tls_certificate))
+
+
+def _validity(path: Path) -> Finding:
+    name, days = name_in(path), days_left(path)
+    if days < 0:
+        return problem("locks", f"the certificate of {name} has expired: renew it ({path})")
+    say = warning if days < SOON_DAYS else ok
+    return say("locks", f"the certificate of {name} is valid for {days} days ({path})")
 
 
 def _why_not(listen: str) -> str:

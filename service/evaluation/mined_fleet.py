@@ -1,10 +1,10 @@
 """Mined logs of a benchmark as candidates of a selection, with the failures that each shows.
 
-The rows are those that `bench failures --kept` writes. They contain no semantic class, no bearing,
-no software version and one place per track, so that descriptors of a fleet know less than those of
-a ledger.
+The rows are those that `bench failures --kept` writes. They contain no software version and one
+place per track, so that balance and twins of a fleet know less than those of a ledger.
 """
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -173,30 +173,36 @@ def _shown(log: MinedLog, row: SceneRow) -> ShownScene:
 def track_of(track: TrackRow, row: SceneRow, number: int) -> TrackRecord:
     """Return the record of a track as far as its row contains it: one place, at its middle frame.
 
-    The centre is the distance along the x axis, since the bearing is unknown.
+    In rows of earlier revisions the class is unknown, and the centre is the distance along the x
+    axis, since the bearing is unknown.
     """
     middle = max(track.first_frame, 0) + track.frames // 2
     stamp_ns = row.start_ns + middle * FRAME_NS
-    range_m = track.evidence.get("distance", 0.0) * _FAR_M
+    far_m = track.evidence.get("distance", 0.0) * _FAR_M
+    centre_m = track.strongest_m or (far_m, 0.0, 0.0)
+    speed_m_per_s = track.speed_m_per_s
+    if speed_m_per_s is None:
+        speed_m_per_s = track.evidence.get("speed", 0.0) * _FAST_M_PER_S
     return TrackRecord(
         track_id=number,
         kind=track.kind,
+        class_name=track.class_name,
         strength=track.strength,
         first_ns=stamp_ns,
         last_ns=stamp_ns,
         frames=max(track.frames, 1),
         points=max(track.points, 1),
-        speed_m_per_s=track.evidence.get("speed", 0.0) * _FAST_M_PER_S,
+        speed_m_per_s=speed_m_per_s,
         first_odom_m=track.place_m,
         last_odom_m=track.place_m,
         attribution=track.said,
         strongest=InstanceRecord(
             stamp_ns=stamp_ns,
             points=max(track.points, 1),
-            centre_m=(range_m, 0.0, 0.0),
+            centre_m=centre_m,
             size_m=track.size_m or (0.0, 0.0, 0.0),
             yaw_rad=0.0,
-            range_m=range_m,
+            range_m=math.hypot(centre_m[0], centre_m[1]),
             semantic_confidence=0.0,
             predictive_confidence=0.0,
         ),
@@ -221,9 +227,18 @@ def recurring(logs: Iterable[MinedLog], *, times: int, seed: int = 0) -> list[Mi
             for name, value in track.evidence.items()
         }
         size_m = track.size_m and tuple(off(each, 0.15, 100.0) for each in track.size_m)
+        far = off(1.0, 0.5, 3.0)
+        strongest_m = track.strongest_m and tuple(far * each for each in track.strongest_m)
+        speed = track.speed_m_per_s and off(track.speed_m_per_s, 0.5, 100.0)
         strength = off(track.strength, 0.2)
         return track.model_copy(
-            update={"evidence": evidence, "size_m": size_m, "strength": strength}
+            update={
+                "evidence": evidence,
+                "size_m": size_m,
+                "strength": strength,
+                "strongest_m": strongest_m,
+                "speed_m_per_s": speed,
+            }
         )
 
     found = []

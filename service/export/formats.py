@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from service.errors import UsageError
+from service.export.fiftyone_dataset import FIFTYONE
 from service.export.format import Format
 from service.export.json_lines import JSON
 from service.export.labelstudio import LABELSTUDIO
@@ -18,7 +19,7 @@ from service.export.semantickitti import SEMANTICKITTI
 
 _ROWS: Final = (
     *(MCAP, SEMANTICKITTI, OPENLABEL, SEGMENTS, CVAT, XTREME1, LABELSTUDIO),
-    *(NUSCENES, RERUN, PARQUET, JSON),
+    *(NUSCENES, FIFTYONE, RERUN, PARQUET, JSON),
 )
 
 FORMATS: Final[Mapping[str, Format]] = {each.name: each for each in _ROWS}

@@ -2,7 +2,8 @@
 
 The journal is a file of JSON lines. Its first line names what the folder is for, and each further
 one is appended after a scene has its final name. A last line that a kill cut short is ignored: that
-scene is written again.
+scene is written again. For an output that is no folder, the folder is a working folder: each scene
+is sent when it is whole and then removed, and the journal is sent after it.
 """
 
 import fcntl
@@ -18,6 +19,7 @@ from typing import Any, Final
 
 from service.curation.selection import Selection
 from service.errors import StateInUseError, UsageError
+from service.export.sink import Sink
 
 NAME: Final = "counterpoint-export.jsonl"
 """Name of the journal in the folder of an export."""
@@ -33,10 +35,12 @@ class Journal:
     Attributes:
         folder: The folder.
         written: Of each scene written whole: its line of the journal, by scene id.
+        sink: Output that is no folder; None: the folder is the output.
     """
 
     folder: Path
     written: dict[str, dict[str, Any]] = field(default_factory=dict)
+    sink: Sink | None = None
 
     @property
     def growing(self) -> Path:
@@ -46,8 +50,11 @@ class Journal:
     def is_written(self, scene_id: str, *, sha256: str) -> bool:
         """Return True if a scene was written from this record, and is still there."""
         line = self.written.get(scene_id)
-        found = line is not None and line["sha256"] == sha256
-        return found and line is not None and (self.folder / line["place"]).exists()
+        if line is None or str(line["sha256"]) != sha256:
+            return False
+        if self.sink is not None:
+            return self.sink.has(str(line["place"]))
+        return (self.folder / str(line["place"])).exists()
 
     def add(self, line: dict[str, Any]) -> None:
         """Append the line of a scene that has its final name."""
@@ -55,26 +62,37 @@ class Journal:
             file.write(json.dumps(line) + "\n")
             file.flush()
             os.fsync(file.fileno())
+        self.send_journal()
         self.written[line["scene_id"]] = line
 
-    def place(self, name: str) -> Path:
-        """Move what has grown under a name to its final path, and replace what is there."""
-        final, grown = self.folder / name, self.growing / Path(name).name
+    def place(self, grown: Path, name: str) -> None:
+        """Move what has grown to its final place, and replace what is there."""
+        if self.sink is not None:
+            self.sink.send(grown, name)
+            return
+        final = self.folder / name
         final.parent.mkdir(parents=True, exist_ok=True)
         if final.is_dir() and not final.is_symlink():
             shutil.rmtree(final)
         grown.replace(final)
-        return final
+
+    def send_journal(self) -> None:
+        """Bring the journal to an output that is no folder."""
+        if self.sink is not None:
+            self.sink.write_journal(NAME, (self.folder / NAME).read_bytes())
 
 
 @contextmanager
-def open_journal(folder: Path, selection: Selection, *, format_name: str) -> Iterator[Journal]:
+def open_journal(
+    folder: Path, selection: Selection, *, format_name: str, sink: Sink | None = None
+) -> Iterator[Journal]:
     """Open the folder of an export, new or to be continued; one process at a time.
 
     Args:
-        folder: The folder, which exists.
+        folder: The folder, which exists; with a sink an empty one to work in.
         selection: The selection.
         format_name: Name of the format.
+        sink: Output that is no folder; None: the folder is the output.
 
     Raises:
         UsageError: If the folder contains another export, or files of something else.
@@ -87,24 +105,33 @@ def open_journal(folder: Path, selection: Selection, *, format_name: str) -> Ite
         "scenes": len(selection.scenes),
         "digest": _digest(selection),
     }
-    path = folder / NAME
-    if not path.exists() and any(each.name != _GROWING for each in folder.iterdir()):
+    path, where = folder / NAME, str(folder) if sink is None else sink.url
+    if sink is not None and (sent := sink.read_journal(NAME)) is not None:
+        path.write_bytes(sent)
+    if not path.exists() and not _is_empty(folder, sink):
         raise UsageError(
-            f"--out has files that no export wrote: name an empty folder, or a new one ({folder})"
+            f"--out has files that no export wrote: name an empty folder, or a new one ({where})"
         )
     with _locked(folder):
-        journal = Journal(folder)
+        journal = Journal(folder, sink=sink)
         lines = _lines_of(path)
         if lines:
-            _need_same(lines[0], about, folder)
+            _need_same(lines[0], about, where)
             journal.written = {each["scene_id"]: each for each in lines[1:]}
         _rewrite(path, [about, *journal.written.values()])
+        journal.send_journal()
         shutil.rmtree(journal.growing, ignore_errors=True)
         journal.growing.mkdir()
         try:
             yield journal
         finally:
             shutil.rmtree(journal.growing, ignore_errors=True)
+
+
+def _is_empty(folder: Path, sink: Sink | None) -> bool:
+    if sink is not None:
+        return sink.is_empty()
+    return all(each.name == _GROWING for each in folder.iterdir())
 
 
 def scenes_of(folder: Path, *, format_name: str) -> list[str]:
@@ -182,9 +209,9 @@ def _rewrite(path: Path, lines: list[dict[str, Any]]) -> None:
     grown.replace(path)
 
 
-def _need_same(found: dict[str, Any], about: dict[str, Any], folder: Path) -> None:
+def _need_same(found: dict[str, Any], about: dict[str, Any], folder: str) -> None:
     if found.get("generator") != _GENERATOR:
-        raise _not_ours(folder / NAME)
+        raise _not_ours(f"{folder}/{NAME}")
     if found == about:
         return
     if (found.get("format"), found.get("selection")) == (about["format"], about["selection"]):
@@ -198,5 +225,5 @@ def _need_same(found: dict[str, Any], about: dict[str, Any], folder: Path) -> No
     )
 
 
-def _not_ours(path: Path) -> UsageError:
+def _not_ours(path: Path | str) -> UsageError:
     return UsageError(f"this is no journal of an export: name another folder ({path})")

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from hashlib import sha256
 from typing import Final
 
 import numpy as np
@@ -9,6 +10,9 @@ from numpy.typing import NDArray
 
 from schemas.errors import PermanentError
 from schemas.overlay import Overlay
+from schemas.score import MIN_REPORTED_STRENGTH, SceneScore
+from schemas.verdict import Verdict
+from service.curation.verdicts import JudgeRequest
 from service.export.label_import import DYNAMIC, UNKNOWN, LabelledFrame
 from service.export.points import moving_by_outcome
 
@@ -17,6 +21,10 @@ LEAST_JUDGED: Final = 0.5
 
 MOST_WRONG: Final = 0.5
 """Share of judged points that a stream labels otherwise than the truth, from which it is wrong."""
+
+
+NOTE: Final = "from imported labels"
+"""Note of the verdicts that imported labels give."""
 
 
 class OtherPointsError(PermanentError):
@@ -102,6 +110,41 @@ def _judged(track_id: int, counts: NDArray[np.int64]) -> JudgedContradiction:
         selfsupervised_wrong=shares["self_supervised"],
         verdict=verdict if judged >= LEAST_JUDGED * points else "unsure",
     )
+
+
+def verdicts_of(
+    judged: Sequence[JudgedContradiction], score: SceneScore, digest: str, reviewer: str
+) -> list[JudgeRequest]:
+    """Return the verdicts on those tracks that are strong in the record and that are decided.
+
+    Args:
+        judged: Judgements of the scene's tracks.
+        score: Record of the scene.
+        digest: Its SHA-256.
+        reviewer: Name under which they are stored.
+
+    Returns:
+        Requests whose keys follow from their content, so that a repeated import stores nothing.
+    """
+    strong = {track.track_id for track in score.tracks if track.strength >= MIN_REPORTED_STRENGTH}
+    return [
+        JudgeRequest(
+            key=_key(reviewer, digest, str(each.track_id), each.verdict),
+            scene_id=score.scene_id,
+            sha256=digest,
+            track_id=each.track_id,
+            reviewer=reviewer,
+            verdict=Verdict(each.verdict),
+            note=NOTE,
+        )
+        for each in judged
+        if each.track_id in strong and Verdict(each.verdict) is not Verdict.UNSURE
+    ]
+
+
+def _key(*parts: str) -> str:
+    digest = sha256("\n".join(parts).encode()).hexdigest()
+    return f"labels-{digest[:32]}"
 
 
 def counted_verdicts(judged: Sequence[JudgedContradiction]) -> Mapping[str, int]:

@@ -15,6 +15,7 @@ from service.curation.selection import Selection
 from service.export.format import Format
 from service.export.journal import Journal, open_journal
 from service.export.scene import SceneToExport
+from service.export.sink import Sink
 
 _FULL: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 
@@ -62,9 +63,10 @@ def run_export(
     folder: Path,
     open_scene: OpenScene,
     *,
-    on_scene: Callable[[int], None] = lambda done: None,
+    sink: Sink | None = None,
+    on_scene: Callable[[int, ExportReport], None] = lambda done, report: None,
 ) -> ExportReport:
-    """Export a selection into a folder.
+    """Export a selection into a folder, or through one into another output.
 
     A scene grows under another name and is renamed when it is whole. A scene that an earlier run
     wrote from the same record stays.
@@ -72,9 +74,10 @@ def run_export(
     Args:
         selection: The scenes.
         wanted: The format.
-        folder: Folder of the output, which exists.
+        folder: Folder of the output, which exists; with a sink an empty one to work in.
         open_scene: Reads a scene.
-        on_scene: Called with the number of scenes done.
+        sink: Output that is no folder; None: the folder is the output.
+        on_scene: Called with the number of scenes done, and the result so far.
 
     Raises:
         UsageError: If the folder contains another export or files of something else, or if a
@@ -85,7 +88,7 @@ def run_export(
     if wanted.check is not None:
         wanted.check()
     report = ExportReport()
-    with open_journal(folder, selection, format_name=wanted.name) as journal:
+    with open_journal(folder, selection, format_name=wanted.name, sink=sink) as journal:
         found: list[SceneToExport] = []
         try:
             for number, row in enumerate(selection.scenes):
@@ -96,7 +99,7 @@ def run_export(
                     found.append(scene)
                 except PermanentError as error:
                     report.missing[row.scene_id] = str(error)
-                on_scene(number + 1)
+                on_scene(number + 1, report)
             if wanted.write_all is not None:
                 _write_all(selection, found, wanted, journal)
         except OSError as error:
@@ -122,7 +125,7 @@ def _export(scene: SceneToExport, wanted: Format, journal: Journal, report: Expo
     try:
         wanted.write_scene(scene, growing)
         size = _settled(growing)
-        journal.place(place)
+        journal.place(growing, place)
     finally:
         _remove(growing)
     seconds = time.monotonic() - begun
@@ -140,9 +143,7 @@ def _write_all(
     wanted.write_all(selection, scenes, growing)
     for path in sorted(_files_of(growing)):
         _settled(path)
-        final = journal.folder / path.relative_to(growing)
-        final.parent.mkdir(parents=True, exist_ok=True)
-        path.replace(final)
+        journal.place(path, path.relative_to(growing).as_posix())
 
 
 def _files_of(path: Path) -> Iterable[Path]:

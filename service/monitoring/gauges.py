@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from threading import Lock
-from typing import Final, Literal, get_args
+from typing import Final, Literal, Protocol, get_args
 
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
@@ -38,7 +38,23 @@ RECORDING_STATES: Final = (
     "refused",
     "parked",
     "stale",
+    "kept",
+    "same",
 )
+
+
+class ArtifactsUse(Protocol):
+    """Bytes of the overlays, as last listed, and their budget."""
+
+    @property
+    def used_bytes(self) -> int | None:
+        """Bytes that they use; None before the first listing."""
+        ...
+
+    @property
+    def budget_bytes(self) -> int:
+        """Most bytes."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +71,11 @@ class Sources:
         state_free_bytes: Free bytes on the disk of the state; None: unknown.
         router_connected: True if a router is connected.
         clock_steps: Number of clock steps, by direction.
+        bucket_notices: Objects that notices of the bucket named; None: it takes none.
         overlays_deleted: Overlays deleted since the start.
+        artifacts: Bytes of the overlays and their budget; None without one.
+        webhooks_late_s: Time for which the worst receiver of webhooks has failed, seconds.
+        standbys: Services that stand by; None: none is expected.
         now_s: Seconds since the Unix epoch.
     """
 
@@ -68,7 +88,11 @@ class Sources:
     state_free_bytes: Callable[[], int | None] = lambda: None
     router_connected: Callable[[], bool] = lambda: False
     clock_steps: Callable[[], Mapping[str, int]] = lambda: {}
+    bucket_notices: Callable[[], int | None] = lambda: None
     overlays_deleted: Callable[[], int] = lambda: 0
+    artifacts: Callable[[], ArtifactsUse | None] = lambda: None
+    webhooks_late_s: Callable[[], float] = lambda: 0.0
+    standbys: Callable[[], int | None] = lambda: None
     now_s: Callable[[], float] = lambda: 0.0
 
 
@@ -164,6 +188,12 @@ def _of_ledger(backlog: Backlog, *, now_s: float) -> Iterator[Metric]:
         "are gone.",
         0.0 if oldest is None else max(0.0, now_s - oldest),
     )
+    yield _gauge(
+        "remined_core_seconds",
+        "Seconds of a core that mining logs again took within the last day, as far as committed. "
+        "Worry when it stays far below `remine_core_hours_a_day` while logs wait: too few workers.",
+        backlog.remined_s,
+    )
     yield _gauge("leases_held", "Leases held now.", backlog.leases_held)
     yield _gauge(
         "workers_seen",
@@ -184,6 +214,16 @@ def _of_ledger(backlog: Backlog, *, now_s: float) -> Iterator[Metric]:
         "Scene events on disk that the outbox has not published yet. Worry when it only grows: "
         "no router is connected.",
         backlog.unpublished,
+    )
+
+
+def active_gauge(*, is_active: bool) -> Metric:
+    """Make the gauge that is 1 for the active service."""
+    return _gauge(
+        "service_active",
+        "1 for the service that serves, 0 for one that stands by. Worry when no instance has 1: "
+        "nothing is leased, committed or published.",
+        int(is_active),
     )
 
 
@@ -259,18 +299,55 @@ def _of_parts(sources: Sources) -> Iterator[Metric]:
         labels=("direction",),
     )
     yield _counter(
+        "bucket_notices",
+        "Objects that notices named; absent without `bucket_notices`. Worry when it stands "
+        "still while listings find new logs: the store sends no notices.",
+        {} if (named := sources.bucket_notices()) is None else {(): named},
+    )
+    yield _counter(
         "overlays_deleted",
-        "Overlays deleted from the artifacts, of scenes withdrawn `keep_withdrawn_days` ago; 0 "
-        "without that setting. Worry when it stays 0 with it, and the artifacts only grow: the "
-        "log has the cause.",
+        "Overlays deleted from the artifacts, of scenes withdrawn `keep_withdrawn_days` ago, or "
+        "beyond `artifacts_budget_bytes`; 0 without these settings. Worry when it stays 0 with "
+        "one, and the artifacts only grow: the log has the cause.",
         {(): sources.overlays_deleted()},
     )
+    yield _gauge(
+        "webhooks_late_seconds",
+        "Time for which an event waits that a receiver of `webhooks` does not take, of the worst "
+        "receiver; 0: none waits. Worry above 600 s: the log has the host and the cause.",
+        {(): sources.webhooks_late_s()},
+    )
+    yield active_gauge(is_active=True)
+    standbys = sources.standbys()
+    yield _gauge(
+        "service_standbys",
+        "Services that stand by for this one; only where `standby` is set. Worry at 0 for minutes: "
+        "none takes over when this one ends.",
+        {} if standbys is None else {(): standbys},
+    )
+    yield from _artifacts(sources.artifacts())
     free = sources.state_free_bytes()
     yield _gauge(
         "state_free_bytes",
         "Free bytes on the disk of the state folder. Worry below 1 GB: a full disk accepts no "
         "commit.",
         {} if free is None else {(): free},
+    )
+
+
+def _artifacts(use: ArtifactsUse | None) -> Iterator[Metric]:
+    used = None if use is None else use.used_bytes
+    yield _gauge(
+        "artifacts_bytes",
+        "Bytes of the overlays at the last look for `artifacts_budget_bytes`; absent without that "
+        "setting. Worry when it exceeds the budget: what is left is selected, judged or kept.",
+        {} if used is None else {(): used},
+    )
+    yield _gauge(
+        "artifacts_budget_bytes",
+        "The setting `artifacts_budget_bytes`; absent without it. Worry when it is smaller than "
+        "the overlays that have to stay.",
+        {} if use is None else {(): use.budget_bytes},
     )
 
 

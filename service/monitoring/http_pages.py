@@ -1,9 +1,12 @@
 """HTTP pages of the service: metrics, liveness, readiness, and rates."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from http import HTTPStatus
+from typing import Protocol
 
 from prometheus_client import CollectorRegistry
+from prometheus_client.core import Metric
+from prometheus_client.registry import Collector
 
 from schemas.bounds import MAX_INTEGER
 from schemas.runtime.http_endpoint import (
@@ -16,6 +19,7 @@ from schemas.runtime.http_endpoint import (
 )
 from service.curation.rates import RatesRequest, rates, rates_request, with_judged
 from service.errors import UsageError
+from service.monitoring.gauges import active_gauge
 from service.monitoring.readiness import Watched
 from service.store.ledger import Ledger
 
@@ -38,14 +42,48 @@ def pages(
     }
 
 
+class StandingBy(Protocol):
+    """Interface of a service that stands by."""
+
+    @property
+    def problem(self) -> str:
+        """Cause for which it could not take over now; empty: it could."""
+        ...
+
+
+def standby_pages(standby: StandingBy) -> Mapping[str, Handler]:
+    """Make the handlers of a service that stands by; it is ready if it sees its database."""
+
+    def readiness(_: HttpRequest) -> HttpResponse:
+        problem = standby.problem
+        return _readiness({"database": problem} if problem else {}, role="standby")
+
+    registry = CollectorRegistry()
+    registry.register(_StandbyGauge())
+    return {
+        "/metrics": metrics_route(registry),
+        "/healthz": lambda _: text_response("alive"),
+        "/readyz": readiness,
+    }
+
+
+class _StandbyGauge(Collector):
+    """The only metric of a standby."""
+
+    def collect(self) -> Iterator[Metric]:
+        """Yield that it does not serve."""
+        yield active_gauge(is_active=False)
+
+
 def _health(check: Callable[[], None]) -> HttpResponse:
     check()  # a bug that ended a thread is answered by 500 and logged, an idle pool by 503
     return text_response("alive")
 
 
-def _readiness(problems: Mapping[str, str]) -> HttpResponse:
+def _readiness(problems: Mapping[str, str], *, role: str = "active") -> HttpResponse:
     status = HTTPStatus.SERVICE_UNAVAILABLE if problems else HTTPStatus.OK
-    return json_response({"ready": not problems, "problems": problems}, status=status)
+    answer = {"ready": not problems, "role": role, "problems": problems}
+    return json_response(answer, status=status)
 
 
 def _rates(ledger: Ledger, request: HttpRequest) -> HttpResponse:

@@ -18,18 +18,28 @@ from schemas.score import SceneScore
 from schemas.verdict import Verdict
 from service.api.request_queue import Outcome
 from service.api.verbs import ASKED
+from service.background.webhooks import Outcome as WebhookOutcome
 from service.monitoring.gauges import NAMESPACE, ServiceGauges, Sources
 from service.store.events import point_counts
 from service.store.transaction_effects import CommitOutcome, Effects, WorkKind
 
 LeaseEnd = Literal[
-    "committed", "failed", "expired", "worker_died", "given_back", "growing", "replaced", "freed"
+    "committed",
+    "failed",
+    "expired",
+    "worker_died",
+    "given_back",
+    "growing",
+    "replaced",
+    "freed",
+    "not_rescored",
 ]
 """Cause of the end of a lease.
 
 `committed`: finished. `failed`: the worker reported an error. `expired`: not renewed.
 `worker_died`: its process died. `given_back`: returned at a stop. `growing`: the log still grows.
 `replaced`: the recording was replaced or deleted. `freed`: its pool was ended.
+`not_rescored`: an overlay is gone, so that the shard is mined.
 """
 
 FaultyPart = Literal["request", "tick", "event"]
@@ -42,6 +52,7 @@ MOST_VEHICLES: Final = 50
 AGREEMENTS: Final = tuple(agreement.name.lower() for agreement in Agreement)
 
 SCORE_BUCKETS: Final = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
+COMPARED: Final = ("passed", "regressed")
 COMMIT_BUCKETS_S: Final = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0)
 """Bucket bounds around the few milliseconds of a durable commit on a dedicated disk, seconds."""
 
@@ -152,6 +163,13 @@ class ServiceMetrics:
             "`duplicate` takes over: the pictures or the choice of scenes do not help.",
             verdict=tuple(Verdict),
         )
+        self._comparisons = self._counter(
+            "comparisons",
+            "Comparisons of two versions by result; `regressed`: a kind, class or mode of tracks "
+            "occurs significantly more often in version B. Worry at any `regressed`: "
+            "`counterpoint compare` names the groups, and the scenes that show it.",
+            result=COMPARED,
+        )
         self._questions = self._counter(
             "questions",
             "Questions from the bus by verb and outcome. Worry when `try_again` grows: the service "
@@ -176,6 +194,17 @@ class ServiceMetrics:
             "work, `event` a scene that the bus cannot carry and that is skipped. The service "
             "goes on. Worry at any growth: the log has the trace.",
             part=get_args(FaultyPart),
+        )
+        self._webhooks = self._counter(
+            "webhook_attempts",
+            "Attempts to deliver an event to a receiver of `webhooks`, by outcome. Worry when "
+            "`failed` grows: the log has the host and the cause.",
+            outcome=get_args(WebhookOutcome),
+        )
+        self._new_modes = self._counter(
+            "new_modes",
+            "Failure modes that were not there before, while webhooks for `mode.new` are on. Worry "
+            "at any: `counterpoint modes` lists them.",
         )
         self._gauges: ServiceGauges | None = None
         build = Gauge(
@@ -214,9 +243,21 @@ class ServiceMetrics:
         """Record the time of one durable commit."""
         self._commit_seconds.observe(seconds)
 
+    def compared(self, regressed: bool) -> None:
+        """Count a comparison of two versions."""
+        self._comparisons.labels("regressed" if regressed else "passed").inc()
+
     def asked(self, verb: str, outcome: Outcome) -> None:
         """Count a question."""
         self._questions.labels(verb, outcome).inc()
+
+    def webhook(self, outcome: WebhookOutcome) -> None:
+        """Count an attempt to deliver a webhook."""
+        self._webhooks.labels(outcome).inc()
+
+    def new_modes(self, count: int) -> None:
+        """Count failure modes that were not there before."""
+        self._new_modes.inc(count)
 
     def faulted(self, part: FaultyPart) -> None:
         """Count an unexpected error."""

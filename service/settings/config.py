@@ -6,7 +6,6 @@ COUNTERPOINT_CONFIG names. `deploy/SETTINGS.md` has the same table.
 
 import os
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -21,18 +20,23 @@ from pydantic import (
     ValidationInfo,
     field_validator,
 )
-from pydantic_core import from_json
 
 from schemas.bounds import Url
 from schemas.camera import RECORDED, CameraCalibration
 from schemas.mining import MiningSettings
+from schemas.motion_rule import MotionRule
 from schemas.runtime.named_file import read_named_file
 from schemas.runtime.real_path import real_path
 from schemas.transport.keys import DEFAULT_ROOT
+from service.curation.event_types import EVENTS
 from service.errors import UsageError
+from service.settings.fleet_settings import FleetSettings
+from service.settings.lock_settings import LockSettings, Names, listed
 from service.settings.messages import allowed, impossible
 from service.settings.presets import PRESETS, Preset
+from service.settings.secrets import exposed_secrets
 from service.settings.sources import CONFIG_VARIABLE, Written, lay, leaves, nested
+from service.settings.webhook_fields import WebhookEvents, WebhookUrls
 
 DEFAULT_STATE = Path("counterpoint-state")
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
@@ -42,17 +46,8 @@ MAX_WAIT_S: Final = 1e9
 
 MAX_DAYS: Final = 1e6
 
-NOT_IN_VERSION: Final = frozenset({"bucket", "artifacts", "model", "weights", "pictures"})
+NOT_IN_VERSION: Final = frozenset({"bucket", "artifacts", "model", "weights", "device", "pictures"})
 """Settings shared by workers that no pipeline version depends on."""
-
-
-def _listed(value: object) -> object:
-    """Accept `a,b`, or JSON, for a list, since a variable has no other way to write one."""
-    if isinstance(value, str):
-        with suppress(ValueError):  # `[ab]*` is a pattern, no JSON
-            return from_json(value)
-        return tuple(part.strip() for part in value.split(",") if part.strip())
-    return value
 
 
 def _postgres(url: str) -> str:
@@ -68,9 +63,8 @@ def _postgres(url: str) -> str:
 
 _POSTGRES: Final = ("postgres", "postgresql", "postgresql+psycopg")
 
-Names = Annotated[tuple[str, ...], BeforeValidator(_listed)]
 OwnCauses = Annotated[
-    tuple[Annotated[str, Field(min_length=1, max_length=64)], ...], BeforeValidator(_listed)
+    tuple[Annotated[str, Field(min_length=1, max_length=64)], ...], BeforeValidator(listed)
 ]
 PostgresUrl = Annotated[str, AfterValidator(_postgres)]
 
@@ -89,7 +83,7 @@ def allowed_values() -> dict[str, str]:
     return allowed(Settings) | parts
 
 
-class Settings(MiningSettings):
+class Settings(LockSettings, FleetSettings, MiningSettings):
     """Settings of one command. Bucket credentials are not among them: obstore reads its own.
 
     The settings that workers share are inherited, and part of the pipeline version but for
@@ -116,14 +110,6 @@ class Settings(MiningSettings):
         pattern=r"^[A-Za-z0-9_-]+$",
         description="First part of every Zenoh key; two systems on one router need two.",
     )
-    connect: str = Field(
-        default="", description="Endpoint of a router, `tcp/host:port`; commas for several."
-    )
-    listen: str = Field(
-        default="",
-        description="Endpoint a router listens on; empty: a free one for `run`, "
-        f"{DEFAULT_ENDPOINT} for `router`.",
-    )
     workers: int = Field(
         default=2, ge=1, le=256, description="Worker processes of `run` and `worker`."
     )
@@ -148,6 +134,11 @@ class Settings(MiningSettings):
         le=MAX_DAYS,
         description="Days after which the overlays of withdrawn scenes are deleted from the "
         "artifacts; 0: never.",
+    )
+    keep_pipelines: Names = Field(
+        default=(),
+        description="Pipeline versions, or their first characters, whose overlays are never "
+        "deleted: versions that are being compared. Their scores are always kept.",
     )
     causes: OwnCauses = Field(
         default=(),
@@ -178,6 +169,29 @@ class Settings(MiningSettings):
         default=(),
         description="Names under which browsers may ask for the review page, in addition to those "
         "of the loopback and to its own address.",
+    )
+    webhooks: WebhookUrls = Field(
+        default=(),
+        repr=False,  # may hold a token
+        description="URLs that `run` and `service` send signed events to, `http` or `https`. Needs "
+        "`webhook_secret_file`.",
+    )
+    webhook_secret_file: str = Field(
+        default="",
+        description="File with the secret that signs webhooks: 24 to 64 bytes in base64, as "
+        "`openssl rand -base64 32` prints them.",
+    )
+    webhook_events: WebhookEvents = Field(
+        default=EVENTS,
+        description=f"Events that webhooks are sent: {', '.join(EVENTS)}.",
+    )
+    webhook_min_score: float = Field(
+        default=0.5, ge=0, le=1, description="Least score of a scene of the event `scene.new`."
+    )
+    review_exports: str = Field(
+        default="",
+        description="Folder or bucket URL of the exports that are started on the review page; "
+        "empty: `exports` in the state folder, none with `connect`.",
     )
     vehicles: Names = Field(
         default=(),
@@ -239,10 +253,30 @@ class Settings(MiningSettings):
         if self.predictions and "://" not in self.predictions:
             files["predictions"] = str(real_path(Path(self.predictions)))
         try:
-            return MiningSettings(**shared | files | {"camera": _camera(self.camera)})
+            return MiningSettings(**shared | files | _contents(self))
         except ValidationError as error:
             first = error.errors()[0]
             raise UsageError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+
+
+def _contents(settings: "Settings") -> dict[str, str]:
+    """Read the files whose content, not their path, goes to the workers."""
+    return {"camera": _camera(settings.camera), "motion_rule": _motion_rule(settings.motion_rule)}
+
+
+def _motion_rule(said: str) -> str:
+    if not said:
+        return said
+    try:
+        return MotionRule.model_validate_json(read_named_file(Path(said))).model_dump_json()
+    except OSError as error:
+        raise UsageError(
+            f"motion_rule: a JSON file of thresholds: {error.strerror} ({said})"
+        ) from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "the file"
+        raise UsageError(f"motion_rule: {where}: {first['msg']} ({said})") from error
 
 
 def _camera(said: str) -> str:
@@ -327,6 +361,7 @@ def read_settings(*, config: Path | None = None, **flags: Any) -> ReadSettings:
     file = config or (Path(named) if named else None)
     known = leaves(Settings)
     laid, problems = lay(known, file=file, environ=os.environ, flags=flags)
+    problems += exposed_secrets(laid)
     laid = _preset(laid) | laid
     try:
         settings = Settings.model_validate(nested(laid))

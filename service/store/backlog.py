@@ -7,6 +7,7 @@ from sqlalchemy import Connection, Table, and_, distinct, exists, func, or_, sel
 
 from service.store.events import counter
 from service.store.overview import newest_pipeline
+from service.store.remining import spent_s
 from service.store.tables import DAMAGE, LEASES, PLANS, RECORDINGS, SCENES, SHARDS
 from service.store.transaction_effects import WorkKind
 from service.store.verdict_rows import JudgedOutcome, judged_outcomes
@@ -35,6 +36,7 @@ class Backlog:
         judged_scenes: Records with a verdict that decides which stream is wrong, by the outcome.
         oldest_listed_s: First listing of the oldest recording with work left, seconds of the
             service's clock; None when no work is left.
+        remined_s: Seconds of a core that mining again took within the last day.
     """
 
     work: dict[tuple[WorkKind, str], int] = field(default_factory=dict)
@@ -47,6 +49,7 @@ class Backlog:
     unpublished: int = 0
     judged_scenes: dict[JudgedOutcome, int] = field(default_factory=dict)
     oldest_listed_s: float | None = None
+    remined_s: float = 0.0
 
 
 def backlog(connection: Connection, *, now_s: float) -> Backlog:
@@ -67,6 +70,7 @@ def backlog(connection: Connection, *, now_s: float) -> Backlog:
         unpublished=counter(connection, "seq") - counter(connection, "published"),
         judged_scenes=judged_outcomes(connection),
         oldest_listed_s=_oldest_listed_s(connection, version),
+        remined_s=spent_s(connection, version, now_s=now_s),
     )
 
 
@@ -93,14 +97,25 @@ def _by_state(connection: Connection, table: Table, version: str) -> dict[str, i
 
 def _recordings(connection: Connection, version: str, *, now_s: float) -> dict[str, int]:
     total: int = connection.execute(
-        select(func.count()).select_from(RECORDINGS).where(RECORDINGS.c.is_current)
+        select(func.count())
+        .select_from(RECORDINGS)
+        .where(RECORDINGS.c.is_current, RECORDINGS.c.same_as == "")
+    ).scalar_one()
+    same: int = connection.execute(
+        select(func.count())
+        .select_from(RECORDINGS)
+        .where(RECORDINGS.c.is_current, RECORDINGS.c.same_as != "")
     ).scalar_one()
     plans: dict[str, int] = {
         row.state: row.logs
         for row in connection.execute(
             select(PLANS.c.state, func.count().label("logs"))
             .join(RECORDINGS, _same_log(PLANS))
-            .where(PLANS.c.pipeline_version == version, RECORDINGS.c.is_current)
+            .where(
+                PLANS.c.pipeline_version == version,
+                RECORDINGS.c.is_current,
+                RECORDINGS.c.same_as == "",
+            )
             .group_by(PLANS.c.state)
         )
     }
@@ -126,6 +141,8 @@ def _recordings(connection: Connection, version: str, *, now_s: float) -> dict[s
         "refused": plans.get(WorkState.REFUSED, 0),
         "parked": plans.get(WorkState.PARKED, 0),
         "stale": plans.get(WorkState.STALE, 0) + len(stale),
+        "kept": plans.get(WorkState.KEPT, 0),
+        "same": same,
     }
 
 
@@ -173,6 +190,7 @@ def _oldest_listed_s(connection: Connection, version: str) -> float | None:
     oldest: float | None = connection.execute(
         select(func.min(RECORDINGS.c.listed_s)).where(
             RECORDINGS.c.is_current,
+            RECORDINGS.c.same_as == "",
             RECORDINGS.c.listed_s > 0,  # 0: listed before that was noted
             or_(RECORDINGS.c.log_id.in_(opened), RECORDINGS.c.log_id.not_in(planned)),
         )

@@ -171,7 +171,7 @@ class _Bench:
         first = len(self._recordings)
         for number in range(first, first - (-shards // SHARDS_PER_LOG)):
             log_id = f"car-{number % 10}/{number:05d}"
-            part = Part(key=f"{log_id}.mcap", size=1, etag="a")
+            part = Part(key=f"{log_id}.mcap", size=1, etag=log_id)
             self._recordings.append(Recording(log_id=log_id, parts=(part,)))
         self._ledger.sync_recordings(self._recordings)
         self._records.clear()
@@ -179,52 +179,17 @@ class _Bench:
             grant = self._ledger.claim(_CLAIM).grant
             if not isinstance(grant, PlanLease):
                 raise TypeError(f"expected a plan to be made, got {grant.kind}")
-            plan = self._plan(grant.recording.log_id, shards=min(SHARDS_PER_LOG, shards))
+            plan = made_up_plan(
+                grant.recording.log_id,
+                shards=min(SHARDS_PER_LOG, shards),
+                scenes_per_shard=self._scenes_per_shard,
+            )
             shards -= len(plan.shards)
             request = CommitRequest(worker_id=_WORKER, lease_id=grant.lease_id, plan=plan)
             self._commit(request, {})
             for shard in plan.shards:
-                self._records[f"{shard.log_id}/{shard.name}"] = tuple(self._mined(shard))
-
-    def _plan(self, log_id: str, *, shards: int) -> LogPlan:
-        length_ns = self._scenes_per_shard * _SCENE_NS
-        starts_ns = [_START_NS + index * length_ns for index in range(shards)]
-        return LogPlan(
-            log_id=log_id,
-            vehicle=log_id.partition("/")[0],
-            lidar_topics=(LIDAR.topic,),
-            shards=tuple(
-                Shard(
-                    log_id=log_id,
-                    index=index,
-                    lidar=LIDAR,
-                    anchor_ns=_START_NS,
-                    warmup_start_ns=start_ns,
-                    start_ns=start_ns,
-                    end_ns=start_ns + length_ns,
-                    lookahead_end_ns=start_ns + length_ns,
-                    first_of_log=index == 0,
-                    last_of_log=index == shards - 1,
-                    chunks=(),
-                    needed_bytes=1,
-                )
-                for index, start_ns in enumerate(starts_ns)
-            ),
-        )
-
-    def _mined(self, shard: Shard) -> Iterator[bytes]:
-        for start_ns in range(shard.start_ns, shard.end_ns, _SCENE_NS):
-            scene_id = f"{shard.log_id}/{shard.lidar_name}/{start_ns}"
-            yield encode_scene_score(
-                SCORE.model_copy(
-                    update={
-                        "scene_id": scene_id,
-                        "log_id": shard.log_id,
-                        "start_ns": start_ns,
-                        "end_ns": start_ns + _SCENE_NS - NS_PER_S // 10,
-                    }
-                )
-            )
+                records = tuple(record for _, record in made_up_records(shard))
+                self._records[f"{shard.log_id}/{shard.name}"] = records
 
     def _claim(self) -> MineLease:
         grant = self._ledger.claim(_CLAIM).grant
@@ -256,6 +221,49 @@ class _Bench:
         answer = self._ledger.commit(request, staged)
         if not answer.ok:
             raise RuntimeError(f"the ledger refused a commit: {answer.problem or answer.missing}")
+
+
+def made_up_plan(log_id: str, *, shards: int, scenes_per_shard: int) -> LogPlan:
+    """Return a plan of so many shards, which read nothing."""
+    length_ns = scenes_per_shard * _SCENE_NS
+    starts_ns = [_START_NS + index * length_ns for index in range(shards)]
+    return LogPlan(
+        log_id=log_id,
+        vehicle=log_id.partition("/")[0],
+        lidar_topics=(LIDAR.topic,),
+        shards=tuple(
+            Shard(
+                log_id=log_id,
+                index=index,
+                lidar=LIDAR,
+                anchor_ns=_START_NS,
+                warmup_start_ns=start_ns,
+                start_ns=start_ns,
+                end_ns=start_ns + length_ns,
+                lookahead_end_ns=start_ns + length_ns,
+                first_of_log=index == 0,
+                last_of_log=index == shards - 1,
+                chunks=(),
+                needed_bytes=1,
+            )
+            for index, start_ns in enumerate(starts_ns)
+        ),
+    )
+
+
+def made_up_records(shard: Shard) -> Iterator[tuple[str, bytes]]:
+    """Yield id and record of every scene of a shard, the same whenever it is mined."""
+    for start_ns in range(shard.start_ns, shard.end_ns, _SCENE_NS):
+        scene_id = f"{shard.log_id}/{shard.lidar_name}/{start_ns}"
+        score = SCORE.model_copy(
+            update={
+                "scene_id": scene_id,
+                "log_id": shard.log_id,
+                "start_ns": start_ns,
+                "end_ns": start_ns + _SCENE_NS - NS_PER_S // 10,
+            }
+        )
+        yield scene_id, encode_scene_score(score)
 
 
 def _fdatasync(path: Path, *, times: int) -> LedgerTiming:

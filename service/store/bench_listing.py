@@ -197,7 +197,7 @@ def _fill(ledger: Ledger, scenes: int) -> None:
     ]
     ledger.sync_recordings(
         [
-            Recording(log_id=name, parts=(Part(key=f"{name}.mcap", size=1, etag="1"),))
+            Recording(log_id=name, parts=(Part(key=f"{name}.mcap", size=1, etag=name),))
             for name in names
         ]
     )

@@ -10,13 +10,17 @@ from schemas.canonical import canonical_json
 from schemas.score import SceneScore
 from schemas.work import Answer, CommitRequest, Damage, LogPlan, Shard
 from service.store.events import insert_scenes
+from service.store.lanes import Lanes
 from service.store.leases import end_lease, lease_of, work_of
 from service.store.manifest import Verified
+from service.store.rescored_shards import mined_before
 from service.store.reused_shards import enter_plan
+from service.store.same_bytes import take_scenes
 from service.store.statements import Statement
 from service.store.supersede import give_way
 from service.store.tables import DAMAGE, SCENES, SHARDS
 from service.store.transaction_effects import effects_of, kind_of
+from service.store.turns import in_lane
 from service.store.work_items import TAKEN_AND_GIVEN, Work, WorkState, change, row_of
 
 _END_OF_TIME_NS: Final = 2**63 - 1
@@ -26,7 +30,12 @@ _SCENES_AT_ONCE: Final = 500
 
 
 def commit(
-    connection: Connection, request: CommitRequest, verified: Verified, *, now_s: float
+    connection: Connection,
+    request: CommitRequest,
+    verified: Verified,
+    *,
+    now_s: float,
+    lanes: Lanes | None = None,
 ) -> Answer:
     """Finish the work of a lease, in the caller's transaction.
 
@@ -35,13 +44,18 @@ def commit(
     """
     effects, kind = effects_of(connection), kind_of("" if request.plan else "shard")
     before = effects.stored[kind]
-    answer = _answer(connection, request, verified, now_s=now_s)
+    answer = _answer(connection, request, verified, now_s=now_s, lanes=lanes or Lanes())
     effects.note_commit(kind, answer, stored=effects.stored[kind] > before)
     return answer
 
 
 def _answer(
-    connection: Connection, request: CommitRequest, verified: Verified, *, now_s: float
+    connection: Connection,
+    request: CommitRequest,
+    verified: Verified,
+    *,
+    now_s: float,
+    lanes: Lanes,
 ) -> Answer:
     lease = lease_of(connection, request.lease_id, worker_id=request.worker_id)
     if isinstance(lease, str):
@@ -56,7 +70,9 @@ def _answer(
         )
     row = row_of(connection, work)
     if request.plan is not None:
-        answer = _commit_plan(connection, work, row, request.plan)
+        answer = _commit_plan(
+            connection, work, row, request.plan, lanes=lanes, content=lease.content
+        )
     else:
         answer = _commit_shard(connection, work, row, request, verified, now_s=now_s)
     if answer.ok and lease.is_held:
@@ -64,7 +80,9 @@ def _answer(
     return answer
 
 
-def _commit_plan(connection: Connection, work: Work, row: Row[Any], plan: LogPlan) -> Answer:
+def _commit_plan(
+    connection: Connection, work: Work, row: Row[Any], plan: LogPlan, *, lanes: Lanes, content: str
+) -> Answer:
     problem = _problem_of(plan, work)
     if problem:
         return Answer(ok=False, problem=problem)
@@ -89,9 +107,13 @@ def _commit_plan(connection: Connection, work: Work, row: Row[Any], plan: LogPla
         truncated_parts=plan.truncated_parts,
     )
     if plan.shards and not plan.refused:
-        _INSERT_SHARD.run_each(connection, [_shard_row(work, shard) for shard in plan.shards])
+        turn = in_lane(row.turn, lanes.lane(work.log_id, plan.vehicle))
+        _INSERT_SHARD.run_each(
+            connection, [_shard_row(work, shard, turn=turn) for shard in plan.shards]
+        )
     _store_damage(connection, work, plan.damage)
     enter_plan(connection, work)
+    take_scenes(connection, work, content=content)
     effects_of(connection).stored["plan"] += 1
     return Answer(ok=True)
 
@@ -114,11 +136,18 @@ def _commit_shard(
     missing = tuple(scene_id for scene_id, _ in entries if scene_id not in verified.scenes)
     if missing:
         return Answer(ok=False, missing=missing)
+    if row.digest:  # mined again for its overlays: its scenes are stored
+        if row.digest == digest:
+            change(connection, work, state=WorkState.DONE, error="", lease_id="", committed_s=now_s)
+        return _repeated(work, same=row.digest == digest)
     scenes = [verified.scenes[scene_id] for scene_id, _ in entries]
     problem = _problem_of_scenes(connection, work, row, [score for score, _, _ in scenes])
     if problem:
         return Answer(ok=False, problem=problem)
-    stats = request.stats
+    stats, mined_s = request.stats, sum(request.stats.stage_s.values())
+    amount: dict[str, Any] = {"frames": stats.frames, "points": stats.points}
+    if row.rescored_from:
+        amount, mined_s = mined_before(connection, work, row), 0.0
     _FINISH_SHARD.rows(
         connection,
         {
@@ -128,8 +157,8 @@ def _commit_shard(
             "at_shard": work.shard,
             "digest": digest,
             "committed_s": now_s,
-            "frames": stats.frames,
-            "points": stats.points,
+            **amount,
+            "mined_s": mined_s,
             "bytes_read": stats.bytes_read,
             "bytes_needed": stats.bytes_needed,
             "range_reads": stats.range_reads,
@@ -188,7 +217,7 @@ def _problem_of_scenes(
     return ""
 
 
-def _shard_row(work: Work, shard: Shard) -> dict[str, Any]:
+def _shard_row(work: Work, shard: Shard, *, turn: int) -> dict[str, Any]:
     return {
         "log_id": work.log_id,
         "revision": work.revision,
@@ -215,6 +244,11 @@ def _shard_row(work: Work, shard: Shard) -> dict[str, Any]:
         "peak_memory_bytes": 0,
         "stage_s": "{}",
         "adopted_from": "",
+        "turn": turn,
+        "rescored_from": "",
+        "mined_s": 0.0,
+        "taken_from_log": "",
+        "taken_from_revision": "",
     }
 
 
@@ -250,6 +284,7 @@ _FINISH_SHARD: Final = Statement(
         state=WorkState.DONE.value,
         error="",
         lease_id="",
+        mined_s=bindparam("mined_s"),
         **{name: bindparam(name) for name in TAKEN_AND_GIVEN},
     )
 )

@@ -1,22 +1,16 @@
 """Database engine and transactions; the only module that depends on the kind of server."""
 
-import os
-import sqlite3
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
-from functools import partial
 from pathlib import Path
-from typing import Any, Final
-from urllib.parse import quote
+from typing import Final
 
 import structlog
-from sqlalchemy import Connection, Engine, create_engine, event, inspect
-from sqlalchemy.pool import QueuePool
+from sqlalchemy import Connection, Engine, inspect
 
 from schemas.errors import CounterpointError
-from schemas.runtime.real_path import real_path
 from service.errors import StatementFailedError, StateUnusableError
 from service.store.faults import RAISED, StoreUnavailableError, fault_of, names_no_database
 from service.store.file_check import check_pages, require_whole, traces_of_loss
@@ -29,8 +23,11 @@ from service.store.lineage import (
     count_write,
     give_incarnation,
     read_lineage,
+    take_term,
 )
 from service.store.migrations import migrate, require_current
+from service.store.postgres import PATIENCE, OpenSockets, postgres_engine
+from service.store.sqlite import READS, sqlite_engine
 from service.store.tables import METADATA
 from service.store.transaction_effects import StoreObserver, begin_effects
 
@@ -47,18 +44,6 @@ __all__ = [
 log = structlog.get_logger(__name__)
 
 DATABASE_NAME: Final = "counterpoint.sqlite"
-BUSY_TIMEOUT_MS: Final = 10_000
-"""Longest wait of a writer for a reader that holds up a checkpoint, milliseconds."""
-
-CACHE_KIB: Final = 512
-"""Page cache of each of up to fifteen connections, KiB; the kernel caches the file as well."""
-
-_READS: Final = "counterpoint_reads"
-
-_text: Final = partial(str, encoding="utf-8", errors="replace")
-"""Decoder of text that accepts a damaged byte; the digest of the record detects it."""
-
-
 _GONE_PATIENCE_S: Final = 10.0
 """Time after which a server that reports a missing database is believed, seconds."""
 
@@ -81,6 +66,7 @@ class Store:
         name: str,
         reader: Mapping[str, object],
         watch: FileWatch | None = None,
+        sockets: OpenSockets | None = None,
     ) -> None:
         """Make a store from an engine.
 
@@ -89,6 +75,7 @@ class Store:
             name: Name of the database, for errors.
             reader: Execution options of transactions that only read.
             watch: Watch of its files; None: it has none here.
+            sockets: Sockets of its connections; None: it has none.
         """
         self._engine, self._reader = engine, engine.execution_options(**reader)
         self.name = name
@@ -98,8 +85,9 @@ class Store:
         self._groups = GroupedWrites(self.writing)
         self._cannot_write = ""
         self._lineage: Lineage | None = None
-        self._lost = ""
-        """Cause for which the database that was opened is lost; empty: it is not."""
+        self._lost: StateUnusableError | None = None
+        """Cause for which the database that was opened is lost; None: it is not."""
+        self._sockets = sockets
         self._missing_since_s: float | None = None
         self._damaged: set[str] = set()
 
@@ -107,6 +95,16 @@ class Store:
     def cannot_write(self) -> str:
         """Error of the last writing transaction; empty: writing works."""
         return self._cannot_write
+
+    @property
+    def term(self) -> int:
+        """Term of the database under which this store writes; 0 on SQLite, which needs none."""
+        return 0 if self._lineage is None else self._lineage.term
+
+    def shut(self) -> None:
+        """End every wait for a PostgreSQL server; further use connects again."""
+        if self._sockets is not None:
+            self._sockets.shut()
 
     def observe(self, observer: StoreObserver) -> None:
         """Add an observer of all further transactions."""
@@ -185,6 +183,8 @@ class Store:
         with self._writer, self._translated(), self._engine.begin() as connection:
             migrate(connection, name=self.name)
             give_incarnation(connection)
+            if connection.dialect.name != "sqlite":  # the lock of its folder suffices there
+                take_term(connection)
             if self._watch is not None:
                 self._watch.begin(connection)
             lineage = read_lineage(connection, self.name)
@@ -223,8 +223,8 @@ class Store:
     @contextmanager
     def _translated(self) -> Iterator[None]:
         """Translate errors of the database, and classify them as transient or permanent."""
-        if self._lost:
-            raise StateUnusableError(self._lost)
+        if self._lost is not None:
+            raise type(self._lost)(str(self._lost))
         driver = self._engine.dialect.loaded_dbapi
         try:
             yield
@@ -247,7 +247,7 @@ class Store:
     def _note(self, fault: CounterpointError) -> None:
         """Keep the error of a lost database, since it is never trusted again before a restart."""
         if isinstance(fault, StateUnusableError) and self._lineage is not None:
-            self._lost = str(fault)
+            self._lost = fault
 
     def _missing(self, fault: StoreUnavailableError) -> CounterpointError:
         now_s = time.monotonic()
@@ -319,36 +319,35 @@ def open_store_to_read(folder: Path) -> Store:
     return _opened(_sqlite(path, read_only=True), name=str(path), read_only=True)
 
 
-def open_store_at(url: str, *, read_only: bool = False) -> Store:
+def open_store_at(url: str, *, read_only: bool = False, session_name: str = "") -> Store:
     """Open a PostgreSQL database, migrated as needed, or for reading only.
+
+    Opening it for writing begins a new term: whatever was opened before may write no longer.
+
+    Args:
+        url: URL of the database, as SQLAlchemy takes it.
+        read_only: Open it for reading only.
+        session_name: Name of its sessions, by which a standby ends those of a frozen service.
 
     Raises:
         StateUnusableError: If a newer version wrote it, its driver is not installed, or it may only
             be read and is not of this version.
         StoreUnavailableError: If the server does not answer.
     """
-    engine = postgres_engine(url, pool_pre_ping=True)
+    named = {"application_name": session_name} if session_name else {}
+    engine = postgres_engine(url, pool_pre_ping=True, connect_args={**PATIENCE, **named})
     name = engine.url.render_as_string(hide_password=True)
     # Several queries of one view see one commit, as they do on SQLite.
     return _opened(
-        Store(engine, name=name, reader={"isolation_level": "REPEATABLE READ"}),
+        Store(
+            engine,
+            name=name,
+            reader={"isolation_level": "REPEATABLE READ"},
+            sockets=OpenSockets(engine),
+        ),
         name=name,
         read_only=read_only,
     )
-
-
-def postgres_engine(url: str, **options: Any) -> Engine:
-    """Make an engine on a PostgreSQL database; it connects on first use.
-
-    Raises:
-        StateUnusableError: If the driver is not installed.
-    """
-    try:
-        return create_engine(url, **options)
-    except ModuleNotFoundError as error:
-        raise StateUnusableError(
-            f"PostgreSQL needs the extra `postgres`: pip install 'counterpoint[postgres]' ({error})"
-        ) from None
 
 
 def _opened(store: Store, *, name: str, read_only: bool = False) -> Store:
@@ -365,36 +364,5 @@ def _opened(store: Store, *, name: str, read_only: bool = False) -> Store:
 
 
 def _sqlite(path: Path, *, read_only: bool = False, watch: FileWatch | None = None) -> Store:
-    # A URI, since only that can say read-only; percent-encoded, since a folder may hold `?` or `#`.
-    uri = f"file:{quote(str(real_path(path)))}?mode={'ro' if read_only else 'rwc'}"
-    journal = path.with_name(f"{path.name}-wal")
-    if read_only and not os.access(path.parent, os.W_OK) and not journal.exists():
-        uri += "&immutable=1"  # no process writes, and SQLite may not make the files of its WAL
-
-    def connect() -> sqlite3.Connection:
-        # The driver's own transactions begin late and never IMMEDIATE: switched off. The pool hands
-        # a connection to one thread at a time, whichever that is.
-        connection = sqlite3.connect(uri, uri=True, isolation_level=None, check_same_thread=False)
-        try:
-            connection.execute(f"PRAGMA busy_timeout={BUSY_TIMEOUT_MS}")
-            connection.execute("PRAGMA foreign_keys=ON")
-            connection.text_factory = _text
-            connection.execute(f"PRAGMA cache_size=-{CACHE_KIB}")
-            if not read_only:
-                connection.execute("PRAGMA journal_mode=WAL")
-                connection.execute("PRAGMA synchronous=FULL")
-        except sqlite3.Error:
-            connection.close()
-            raise
-        return connection
-
-    engine = create_engine("sqlite://", creator=connect, poolclass=QueuePool)
-
-    @event.listens_for(engine, "begin")
-    def _begin(connection: Connection) -> None:
-        # A transaction that reads first and writes later may find itself locked out: take the
-        # write lock at once where writing is meant.
-        reads = read_only or connection.get_execution_options().get(_READS, False)
-        connection.exec_driver_sql("BEGIN" if reads else "BEGIN IMMEDIATE")
-
-    return Store(engine, name=str(path), reader={_READS: True}, watch=watch)
+    engine = sqlite_engine(path, read_only=read_only)
+    return Store(engine, name=str(path), reader={READS: True}, watch=watch)

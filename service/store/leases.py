@@ -1,16 +1,20 @@
 """Leases: a worker's time-limited right to a plan or shard, and retries after failures."""
 
+import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Final
 
 from sqlalchemy import Connection, Row, and_, bindparam, delete, select, update
 
+from schemas.arrays import NS_PER_S
 from schemas.work import Answer, FailRequest, RenewRequest
+from service.store.remining import turn_of_log
 from service.store.revisions import take_over
 from service.store.statements import Statement
 from service.store.tables import LEASES, RECORDINGS
 from service.store.transaction_effects import effects_of, kind_of
+from service.store.turns import Kind, lane_of, turn_of
 from service.store.work_items import Work, WorkState, change, row_of
 from service.store.worker_deaths import History
 
@@ -89,6 +93,8 @@ def fail(
         return Answer(ok=False, problem=lease)
     if lease.is_held and request.given_back:
         _free(connection, lease, by="given back")
+    elif lease.is_held and request.not_rescored and lease.shard:
+        _mine_instead(connection, lease)
     elif lease.is_held and request.growing and not lease.shard:
         _let_settle(connection, lease, now_s=now_s, policy=policy)
     elif lease.is_held:
@@ -161,7 +167,8 @@ def lease_of(connection: Connection, lease_id: str, *, worker_id: str) -> Row[An
     """Find a lease, or return the sentence for which this worker cannot use it.
 
     Returns:
-        A row of `LEASES`, with `is_current` and `listed_s` of its recording; or the sentence.
+        A row of `LEASES`, with `is_current`, `listed_s` and `content` of its recording; or the
+        sentence.
     """
     lease: Row[Any] | None = _LEASE.first(connection, {"at_lease": lease_id})
     if lease is None:
@@ -186,7 +193,7 @@ _AT: Final = LEASES.c.lease_id == bindparam("at_lease")
 _RENEW: Final = Statement(update(LEASES).where(_AT).values(expires_s=bindparam("until_s")))
 _END: Final = Statement(update(LEASES).where(_AT).values(is_held=False, ended_by=bindparam("by")))
 _LEASE: Final = Statement(
-    select(LEASES, RECORDINGS.c.is_current, RECORDINGS.c.listed_s)
+    select(LEASES, RECORDINGS.c.is_current, RECORDINGS.c.listed_s, RECORDINGS.c.content)
     .join(
         RECORDINGS,
         and_(RECORDINGS.c.log_id == LEASES.c.log_id, RECORDINGS.c.revision == LEASES.c.revision),
@@ -202,6 +209,29 @@ def _free(connection: Connection, lease: Row[Any], *, by: str) -> None:
     work = work_of(lease)
     if row_of(connection, work).lease_id == lease.lease_id:
         change(connection, work, state=WorkState.READY, lease_id="")
+
+
+def _mine_instead(connection: Connection, lease: Row[Any]) -> None:
+    """Have a shard mined whose scores could not be computed again, in the turn of its log."""
+    end_lease(connection, lease.lease_id, by="not rescored")
+    work = work_of(lease)
+    row = row_of(connection, work)
+    if row.lease_id == lease.lease_id:
+        if row.taken_from_log:  # its own log was never mined
+            turn = turn_of(Kind.NEW, lane=lane_of(row.turn))
+        else:
+            newest_s = json.loads(row.shard)["start_ns"] / NS_PER_S
+            turn = turn_of_log(connection, work.log_id, newest_s=newest_s, turn=row.turn)
+        change(
+            connection,
+            work,
+            state=WorkState.READY,
+            lease_id="",
+            rescored_from="",
+            taken_from_log="",
+            taken_from_revision="",
+            turn=turn,
+        )
 
 
 def _let_settle(

@@ -2,7 +2,7 @@
 
 import math
 import uuid
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Final
 
 import structlog
@@ -28,6 +28,7 @@ from service.curation.status import ParkedWork, SkippedEntries, Status
 from service.curation.verdicts import ChoicesReply
 from service.store import (
     activity,
+    audit,
     backlog,
     claims,
     commits,
@@ -45,15 +46,19 @@ from service.store import (
     skipped_entries,
 )
 from service.store.backlog import Backlog
+from service.store.comparisons import Comparisons
 from service.store.engine import Store
 from service.store.leases import LeasePolicy
 from service.store.proposals import Proposals
 from service.store.recordings import SyncResult
+from service.store.remining import ReminingPolicy, Turns
 from service.store.retired_overlays import RetiredOverlays
 from service.store.scenes import StoredScene
 from service.store.selections import Selections
 from service.store.transaction_effects import StoreObserver
 from service.store.verdicts import Verdicts
+from service.store.versions import NewVersion, enter_version
+from service.store.webhooks import Webhooks
 
 __all__ = ["LeasePolicy", "Ledger", "StoredScene"]
 
@@ -76,7 +81,8 @@ class Ledger:
         retired_overlays: Overlays that are no longer needed, and since when.
         selections: Stored selections.
         proposals: Choices of scenes for new ones.
-        verdicts: Stored verdicts.
+        comparisons: Comparisons of two versions.
+        verdicts: Stored verdicts; `audit_log`: who did what, and when; `webhooks`: events.
 
     Raises (every method):
         StoreUnavailableError: Transient: disk full, database locked for too long.
@@ -90,6 +96,7 @@ class Ledger:
         *,
         now_s: Callable[[], float],
         policy: LeasePolicy | None = None,
+        remine: ReminingPolicy | None = None,
         new_lease_id: Callable[[], str] = lambda: uuid.uuid4().hex,
     ) -> None:
         """Keep the store, the clock and the terms of leases.
@@ -99,14 +106,19 @@ class Ledger:
             now_s: Clock in seconds, best the wall clock, since leases outlive the process. It may
                 step, by which leases at worst end early or last one term more.
             policy: Terms of leases and of parking.
+            remine: Order of logs, and which are mined again under a new pipeline version.
             new_lease_id: Returns a unique id for a lease.
         """
         self._store, self._now_s, self._policy = store, now_s, policy or LeasePolicy()
+        self._turns = Turns(remine or ReminingPolicy())
         self._new_lease_id = new_lease_id
         self.retired_overlays = RetiredOverlays(store, now_s=now_s)
         self.selections = Selections(store, now_s=now_s)
         self.proposals = Proposals(store)
+        self.comparisons = Comparisons(store)
         self.verdicts = Verdicts(store, now_s=now_s)
+        self.webhooks = Webhooks(store, now_s=now_s)
+        self.audit_log = audit.AuditLog(store, now_s=now_s)
         self._listing = 0
         """Number of listings received, from which claims know that plans may be missing."""
         self._seeded: dict[str, int] = {}
@@ -141,16 +153,18 @@ class Ledger:
             if not served_bucket.require_served(connection, url, listed, name=self._store.name):
                 served_bucket.note_served(connection, url)
 
-    def sync_recordings(self, listed: Sequence[Recording]) -> SyncResult:
-        """Apply a complete listing: new, replaced and deleted recordings.
+    def sync_recordings(
+        self, listed: Sequence[Recording], *, among: Collection[str] | None = None
+    ) -> SyncResult:
+        """Apply a complete listing, or one of the logs `among` alone: what is new or gone.
 
         Raises:
             ValueError: If two of them have one log id.
         """
-        by_log = recordings.by_log(listed)
-        with self._store.writing() as connection:
+        known = recordings.by_log(listed)
+        with self._store.writing() as within:
             self._listing += 1
-            return recordings.sync_recordings(connection, by_log, now_s=self._now_s())
+            return recordings.sync_recordings(within, known, now_s=self._now_s(), among=among)
 
     def note_skipped(self, skipped: SkippedEntries) -> None:
         """Note the entries of the bucket that the last listing skipped."""
@@ -185,42 +199,37 @@ class Ledger:
     def claim(self, request: ClaimRequest) -> ClaimReply:
         """Lease a recording to plan or a shard to mine.
 
-        Work under a pipeline version exists because one of its workers asks. `expires_s` of the
-        grant is the duration of the lease from the answer on, since clocks of machines differ.
+        Work of a pipeline version exists because one of its workers asks. `expires_s` of the grant
+        is the duration of the lease from the answer on, since clocks of machines differ.
         """
         version = request.pipeline_version
 
         def granted(
             connection: Connection,
-        ) -> tuple[int, str, PlanLease | MineLease | NothingToDo]:
-            listing, before = self._listing, ""
+        ) -> tuple[int, NewVersion | None, PlanLease | MineLease | NothingToDo]:
+            listing, new = self._listing, None
             if self._seeded.get(version) != listing:
-                before = recordings.register_pipeline(connection, version)
-                recordings.seed_plans(connection, version)
+                first = version not in self._seeded
+                new = enter_version(connection, version, request.layers, self._turns, first=first)
             grant = claims.claim(
                 connection,
                 request,
                 now_s=self._now_s(),
                 policy=self._policy,
                 lease_id=self._new_lease_id(),
+                turns=self._turns.open(connection, version, now_s=self._now_s()),
             )
-            return listing, before, grant
+            return listing, new, grant
 
-        self._seeded[version], before, grant = self._store.write(granted)
-        if before:
-            log.warning(
-                "new pipeline version: every log is mined again",
-                pipeline_version=version,
-                before=before,
-            )
+        self._seeded[version], new, grant = self._store.write(granted)
+        if new is not None:
+            new.tell(mode=self._turns.policy.mode)
         return ClaimReply(grant=grant)
 
     def renew(self, request: RenewRequest) -> Answer:
         """Extend a lease; not ok: it is over, and its worker must stop."""
         return self._store.write(
-            lambda connection: leases.renew(
-                connection, request, now_s=self._now_s(), policy=self._policy
-            )
+            lambda within: leases.renew(within, request, now_s=self._now_s(), policy=self._policy)
         )
 
     def commit(self, request: CommitRequest, staged: Mapping[str, bytes]) -> Answer:
@@ -236,15 +245,15 @@ class Ledger:
         """
         verified = manifest.verify(request, staged)
         return self._store.write(
-            lambda connection: commits.commit(connection, request, verified, now_s=self._now_s())
+            lambda within: commits.commit(
+                within, request, verified, now_s=self._now_s(), lanes=self._turns.lanes
+            )
         )
 
     def fail(self, request: FailRequest) -> Answer:
         """End a lease with its error; its work is retried later, or parked."""
         return self._store.write(
-            lambda connection: leases.fail(
-                connection, request, now_s=self._now_s(), policy=self._policy
-            )
+            lambda within: leases.fail(within, request, now_s=self._now_s(), policy=self._policy)
         )
 
     def expire(self) -> int:
@@ -280,19 +289,20 @@ class Ledger:
             )
 
     def retry(self, log_ids: Sequence[str] | None = None) -> list[ParkedWork]:
-        """Open parked work again, with all of its attempts; finished work stays done.
-
-        Args:
-            log_ids: Only work of these logs; None: all that `status` lists as parked.
-
-        Returns:
-            Work that was parked; a second call returns none.
+        """Open parked work again, with all attempts, and return it: of these logs, or all of it.
 
         Raises:
             NothingFoundError: If one of these logs is not in the bucket; then nothing is changed.
         """
         with self._store.writing() as connection:
-            return retrying.retry(connection, log_ids)
+            retried = retrying.retry(connection, log_ids)
+            audit.retried(connection, retried, now_s=self._now_s())
+            return retried
+
+    def pipeline_versions(self) -> list[str]:
+        """Return the registered pipeline versions, the oldest first."""
+        with self._store.reading() as connection:
+            return recordings.pipeline_versions(connection)
 
     # Scenes and outbox.
 

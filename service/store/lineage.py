@@ -1,7 +1,9 @@
-"""Lineage of a database: an id of its own and a count of its writes, which never goes back.
+"""Lineage of a database: its id, a count of its writes, and the term of the service that writes.
 
 A database that is dropped, replaced, or restored from an older copy under a running service would
-issue numbers a second time. One row, which every write increments, makes that visible.
+issue numbers a second time. One row, which every write increments, makes that visible. The row also
+fences writers: each opening for writing raises the term, and since both update the same row, no
+transaction of an earlier term can end after it.
 """
 
 import uuid
@@ -10,7 +12,7 @@ from typing import Any, Final
 
 from sqlalchemy import Connection, bindparam, select, text, update
 
-from service.errors import StateUnusableError
+from service.errors import DatabaseTakenError, StateUnusableError
 from service.store.statements import Statement
 from service.store.tables import WRITE_PROOF
 
@@ -28,10 +30,12 @@ class Lineage:
     Attributes:
         incarnation: Random id, assigned when its tables were made.
         writes: Transactions that changed something.
+        term: Number of openings for writing; the newest one may write.
     """
 
     incarnation: str
     writes: int
+    term: int = 0
 
     def require_not_before(self, known: "Lineage | None", *, name: str) -> "Lineage":
         """Check that this is a later state of the same database.
@@ -45,6 +49,7 @@ class Lineage:
 
         Raises:
             StateUnusableError: If it is another database, or an earlier state of it.
+            DatabaseTakenError: If another service has opened it for writing.
         """
         if known is None:
             return self
@@ -52,6 +57,12 @@ class Lineage:
             what = "another one has replaced it"
         elif self.writes < known.writes:
             what = f"it has gone back from write {known.writes} to write {self.writes}"
+        elif self.term > known.term:
+            raise DatabaseTakenError(
+                f"another service serves this database now, under term {self.term}; this one has "
+                f"term {known.term} and acknowledges nothing any more ({name}); stop one of the "
+                "two, or start both with --standby"
+            )
         else:
             return self
         raise StateUnusableError(RESTORED.format(name=name, what=what))
@@ -60,6 +71,11 @@ class Lineage:
 def give_incarnation(connection: Connection) -> None:
     """Assign an id to a database without one: a new one, or one of an earlier version."""
     _NAME.rows(connection, {"new": uuid.uuid4().hex})
+
+
+def take_term(connection: Connection) -> None:
+    """Begin a new term: transactions of every earlier one are refused from its commit on."""
+    _TAKE.rows(connection, {})
 
 
 def read_lineage(connection: Connection, name: str) -> Lineage:
@@ -75,7 +91,7 @@ def read_lineage(connection: Connection, name: str) -> Lineage:
     row = _READ.first(connection, {})
     if row is None:
         raise StateUnusableError(RESTORED.format(name=name, what="its tables were emptied"))
-    return Lineage(row.incarnation, row.writes)
+    return Lineage(row.incarnation, row.writes, row.term)
 
 
 def count_write(connection: Connection, *, changed_before: int, always: bool) -> Lineage | None:
@@ -94,7 +110,7 @@ def count_write(connection: Connection, *, changed_before: int, always: bool) ->
         row = _COUNT.one(connection, {}) if counts else None
     else:
         row = (_COUNT if always else _COUNT_IF_CHANGED).first(connection, {})
-    return None if row is None else Lineage(row.incarnation, row.writes)
+    return None if row is None else Lineage(row.incarnation, row.writes, row.term)
 
 
 def changes(connection: Connection) -> int:
@@ -104,12 +120,13 @@ def changes(connection: Connection) -> int:
 
 
 _C: Final = WRITE_PROOF.c
-_READ: Final = Statement(select(_C.incarnation, _C.writes))
+_READ: Final = Statement(select(_C.incarnation, _C.writes, _C.term))
+_TAKE: Final = Statement(update(WRITE_PROOF).values(term=_C.term + 1))
 _NAME: Final = Statement(
     update(WRITE_PROOF).where(_C.incarnation == "").values(incarnation=bindparam("new"))
 )
 _COUNTING: Final = (
-    update(WRITE_PROOF).values(writes=_C.writes + 1).returning(_C.incarnation, _C.writes)
+    update(WRITE_PROOF).values(writes=_C.writes + 1).returning(_C.incarnation, _C.writes, _C.term)
 )
 _COUNT: Final = Statement(_COUNTING)
 _COUNT_IF_CHANGED: Final = Statement(

@@ -40,10 +40,14 @@ class WhereStateLies(Protocol):
         ...
 
 
-def open_ledger_store(settings: WhereStateLies) -> Store:
+def open_ledger_store(settings: WhereStateLies, *, session_name: str = "") -> Store:
     """Open the database for writing; create or migrate it as needed.
 
     The caller holds the lock of the state folder, and `sole_service` for PostgreSQL.
+
+    Args:
+        settings: Locate it.
+        session_name: Name of the sessions of a PostgreSQL.
 
     Raises:
         StateUnusableError: If a newer version wrote it, it is no database, or refuses the login.
@@ -51,7 +55,7 @@ def open_ledger_store(settings: WhereStateLies) -> Store:
     """
     if settings.database:
         with _refusals_said(settings.database):
-            return open_store_at(settings.database)
+            return open_store_at(settings.database, session_name=session_name)
     return open_store(settings.state)
 
 

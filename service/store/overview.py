@@ -38,7 +38,7 @@ def settled(connection: Connection, pipeline_version: str) -> bool:
         _same_log(SHARDS), SHARDS.c.pipeline_version == pipeline_version, SHARDS.c.state.in_(OPEN)
     )
     unsettled = select(RECORDINGS.c.log_id).where(
-        RECORDINGS.c.is_current, or_(~is_planned, is_open)
+        RECORDINGS.c.is_current, RECORDINGS.c.same_as == "", or_(~is_planned, is_open)
     )
     return connection.execute(unsettled.limit(1)).one_or_none() is None
 
@@ -54,12 +54,18 @@ def status(connection: Connection, pipeline_version: str | None, *, now_s: float
     for row in connection.execute(_shard_sums(pipeline_version)):
         shards[row.log_id].append(row)
     damage = _damage(connection, pipeline_version)
-    log_ids = connection.execute(
-        select(RECORDINGS.c.log_id).where(RECORDINGS.c.is_current).order_by(RECORDINGS.c.log_id)
-    ).scalars()
+    listed = connection.execute(
+        select(RECORDINGS.c.log_id, RECORDINGS.c.same_as)
+        .where(RECORDINGS.c.is_current)
+        .order_by(RECORDINGS.c.log_id)
+    )
     logs = tuple(
-        _log_status(log_id, plans.get(log_id), shards[log_id], damage.get(log_id, []), now_s=now_s)
-        for log_id in log_ids
+        LogStatus(log_id=log_id, state="same", problem=f"same bytes as {same_as}")
+        if same_as
+        else _log_status(
+            *(log_id, plans.get(log_id), shards[log_id], damage.get(log_id, [])), now_s=now_s
+        )
+        for log_id, same_as in listed
     )
     counters = {row.name: row.value for row in connection.execute(select(COUNTERS))}
     return Status(
@@ -224,6 +230,7 @@ def _frames_per_s(connection: Connection, pipeline_version: str, *, now_s: float
     recent = and_(
         SHARDS.c.pipeline_version == pipeline_version,
         SHARDS.c.adopted_from == "",
+        SHARDS.c.rescored_from == "",
         SHARDS.c.committed_s > now_s - RATE_WINDOW_S,
         SHARDS.c.committed_s <= now_s,
     )

@@ -15,6 +15,7 @@ from service.curation.strategies import catalogue
 from service.curation.strategies.best_distinct import with_reason
 from service.curation.strategies.catalogue import Wanted, strategy_named, strategy_of
 from service.curation.strategies.covering import MOST_REMEMBERED
+from service.errors import NothingFoundError
 from service.store import listing, ranking
 from service.store.engine import Store
 from service.store.record_digests import OnDamaged
@@ -47,7 +48,8 @@ class Proposals:
 
         Raises:
             UsageError: If there is no such strategy.
-            NothingFoundError: If a filter names a selection that does not exist.
+            NothingFoundError: If a filter names a selection that does not exist, or a chosen scene
+                is not current.
         """
         with self._store.reading() as connection:
             return _propose(
@@ -105,6 +107,11 @@ def _propose(
             strategy=terms.strategy,
             wanted=wanted,
             taken=_candidates(connection, earlier[-MOST_REMEMBERED:]),
+        )
+    if wanted is not None and len(choices) < min(budget, len(set(wanted))):
+        missing = set(wanted) - {each.scene.scene_id for each in choices}
+        raise NothingFoundError(
+            f"no current scene {min(missing)!r}, which was chosen; `counterpoint top` lists them"
         )
     return Proposal(
         strategy=strategy_of(wanted, terms.strategy),

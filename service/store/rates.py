@@ -1,4 +1,4 @@
-"""Sums over the current scenes of each vehicle, software version, hour or log."""
+"""Sums over the current scenes of each vehicle, software version, hour, log or data set."""
 
 from typing import Any, Final
 
@@ -45,6 +45,7 @@ _GROUPS: Final[dict[RatesBy, ColumnElement[Any]]] = {
     "kind": literal("all"),
     "hour": _C.start_ns // HOUR_NS,
     "log": _C.log_id,
+    "dataset": _C.log_id,  # added up by `service.curation.rates`
 }
 
 _WHOLE: Final[dict[str, ColumnElement[Any]]] = {
@@ -53,6 +54,7 @@ _WHOLE: Final[dict[str, ColumnElement[Any]]] = {
     "compared": func.sum(
         _C.both_static + _C.both_dynamic + _C.only_semantic_dynamic + _C.only_predictive_dynamic
     ),
+    "both_dynamic": func.sum(_C.both_dynamic),
     "only_semantic": func.sum(_C.only_semantic_dynamic),
     "only_predictive": func.sum(_C.only_predictive_dynamic),
     "contradicting_scenes": _count_if(_C.score > 0),

@@ -1,6 +1,6 @@
 """Recordings in the ledger: applies listings of the bucket, and updates work and scenes."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -11,18 +11,17 @@ from sqlalchemy import (
     and_,
     bindparam,
     delete,
-    exists,
     insert,
-    literal,
     or_,
     select,
     update,
 )
 
-from schemas.work import Recording
+from schemas.work import Layers, Recording
 from service.store.events import withdraw
 from service.store.leases import end_lease
 from service.store.reused_shards import enter_again
+from service.store.same_bytes import content_digest, share_bytes
 from service.store.tables import LEASES, PIPELINES, PLANS, RECORDINGS, SCENES, SHARDS
 from service.store.work_items import OPEN, WorkState
 
@@ -57,7 +56,11 @@ def by_log(recordings: Sequence[Recording]) -> dict[str, Listed]:
 
 
 def sync_recordings(
-    connection: Connection, listed: Mapping[str, Listed], *, now_s: float
+    connection: Connection,
+    listed: Mapping[str, Listed],
+    *,
+    now_s: float,
+    among: Collection[str] | None = None,
 ) -> SyncResult:
     """Make the current recordings those of a complete listing.
 
@@ -67,15 +70,14 @@ def sync_recordings(
 
     Args:
         connection: In a transaction that writes.
-        listed: All recordings of the bucket.
+        listed: All recordings of the bucket, or those of `among`.
         now_s: Time of the listing by the service's clock, seconds.
+        among: Logs that are listed; None: all.
     """
-    known = {
-        row.log_id: row.revision
-        for row in connection.execute(
-            select(RECORDINGS.c.log_id, RECORDINGS.c.revision).where(RECORDINGS.c.is_current)
-        )
-    }
+    current = select(RECORDINGS.c.log_id, RECORDINGS.c.revision).where(RECORDINGS.c.is_current)
+    if among is not None:
+        current = current.where(RECORDINGS.c.log_id.in_(among))
+    known = {row.log_id: row.revision for row in connection.execute(current)}
     new = sorted(listed.keys() - known.keys())
     deleted = sorted(known.keys() - listed.keys())
     replaced = sorted(
@@ -85,9 +87,12 @@ def sync_recordings(
     )
     _retire(connection, {log_id: known[log_id] for log_id in (*deleted, *replaced)})
     _enter_all(connection, [listed[log_id] for log_id in (*new, *replaced)], now_s=now_s)
-    if deleted:
+    if deleted and among is not None:
+        withdraw(connection, SCENES.c.log_id.in_(deleted), by="revision")
+    elif deleted:
         existing = select(RECORDINGS.c.log_id).where(RECORDINGS.c.is_current)
         withdraw(connection, SCENES.c.log_id.not_in(existing), by="revision")
+    share_bytes(connection)
     _take_up_stale(connection)
     return SyncResult(tuple(new), tuple(replaced), tuple(deleted))
 
@@ -104,7 +109,9 @@ def stale_logs(connection: Connection) -> list[str]:
     return sorted(connection.execute(plans.union(shards)).scalars())
 
 
-def register_pipeline(connection: Connection, pipeline_version: str) -> str:
+def register_pipeline(
+    connection: Connection, pipeline_version: str, layers: Layers | None = None
+) -> str:
     """Register a pipeline version; of several, the one registered last is the newest.
 
     Returns:
@@ -116,39 +123,17 @@ def register_pipeline(connection: Connection, pipeline_version: str) -> str:
     newest = select(PIPELINES.c.pipeline_version, PIPELINES.c.ordinal)
     before = connection.execute(newest.order_by(PIPELINES.c.ordinal.desc()).limit(1)).one_or_none()
     ordinal = 1 if before is None else before.ordinal + 1
-    connection.execute(insert(PIPELINES).values(pipeline_version=pipeline_version, ordinal=ordinal))
+    digests = layers.model_dump() if layers else dict.fromkeys(Layers.model_fields, "")
+    connection.execute(
+        insert(PIPELINES).values(pipeline_version=pipeline_version, ordinal=ordinal, **digests)
+    )
     return "" if before is None else str(before.pipeline_version)
 
 
-def seed_plans(connection: Connection, pipeline_version: str) -> None:
-    """Create a plan to be made for every current recording under this pipeline version."""
-    has_plan = exists().where(
-        PLANS.c.log_id == RECORDINGS.c.log_id,
-        PLANS.c.revision == RECORDINGS.c.revision,
-        PLANS.c.pipeline_version == pipeline_version,
-    )
-    values = {
-        "log_id": RECORDINGS.c.log_id,
-        "revision": RECORDINGS.c.revision,
-        "pipeline_version": literal(pipeline_version),
-        "state": literal(WorkState.READY.value),
-        "attempts": literal(0),
-        "error": literal(""),
-        "ready_at_s": literal(0.0),
-        "lease_id": literal(""),
-        "vehicle": literal("unknown"),
-        "date": literal("unknown"),
-        "software_version": literal("unknown"),
-        "lidar_topics": literal("[]"),
-        "digest": literal(""),
-        "range_reads": literal(0),
-        "bytes_read": literal(0),
-    }
-    connection.execute(
-        insert(PLANS).from_select(
-            list(values), select(*values.values()).where(RECORDINGS.c.is_current, ~has_plan)
-        )
-    )
+def pipeline_versions(connection: Connection) -> list[str]:
+    """Return every registered pipeline version, the oldest first."""
+    query = select(PIPELINES.c.pipeline_version).order_by(PIPELINES.c.ordinal)
+    return list(connection.execute(query).scalars())
 
 
 def _retire(connection: Connection, going: Mapping[str, str]) -> None:
@@ -195,6 +180,8 @@ def _enter_all(connection: Connection, entering: Sequence[Listed], *, now_s: flo
                 "recording": each.recording.model_dump_json(),
                 "is_current": True,
                 "listed_s": now_s,
+                "content": content_digest(each.recording.parts),
+                "same_as": "",
             }
         )
     if unknown:  # in one statement: ten thousand logs may appear at once
@@ -226,10 +213,10 @@ def _at(table: Table) -> ColumnElement[bool]:
 
 # Built once: to build a statement costs more than to run it, and whole buckets come and go.
 _BEGIN: Final = update(RECORDINGS).where(_at(RECORDINGS)).values(is_current=True)
-_END: Final = update(RECORDINGS).where(_at(RECORDINGS)).values(is_current=False)
+_END: Final = update(RECORDINGS).where(_at(RECORDINGS)).values(is_current=False, same_as="")
 _CANCEL: Final = tuple(
     update(table)
-    .where(_at(table), or_(*(table.c.state == state.value for state in OPEN)))
+    .where(_at(table), or_(*(table.c.state == state.value for state in (*OPEN, WorkState.SAME))))
     .values(state=WorkState.CANCELLED, lease_id="")
     for table in (PLANS, SHARDS)
 )

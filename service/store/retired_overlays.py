@@ -1,4 +1,4 @@
-"""Record of overlays that no current scene needs; filled only where the settings ask for it."""
+"""Record of overlays that no current scene needs, or that were deleted; filled by settings."""
 
 from collections.abc import Callable, Sequence
 from typing import Final
@@ -32,13 +32,33 @@ class RetiredOverlays:
                 with self._store.writing() as connection:
                     retirement.forget(connection, overlays)
 
-    def to_delete(self, *, keep_s: float, limit: int) -> list[SceneOverlay]:
-        """Return overlays unused for this long that no pending work may need, oldest first."""
+    def to_delete(
+        self, *, keep_s: float, limit: int, keep_pipelines: Sequence[str] = ()
+    ) -> list[SceneOverlay]:
+        """Return overlays unused for this long that no pending work may need, oldest first.
+
+        Those of pipeline versions that begin with one of `keep_pipelines` are kept.
+        """
         with self._store.reading() as connection:
-            return retirement.to_delete(connection, before_s=self._now_s() - keep_s, limit=limit)
+            return retirement.to_delete(
+                connection,
+                before_s=self._now_s() - keep_s,
+                limit=limit,
+                keep_pipelines=keep_pipelines,
+            )
 
     def note_deleted(self, overlays: Sequence[SceneOverlay]) -> None:
         """Record the deletion of these overlays."""
         if overlays:
             with self._store.writing() as connection:
-                retirement.note_deleted(connection, overlays)
+                retirement.note_deleted(connection, overlays, now_s=self._now_s())
+
+    def low_ranked(self, *, limit: int, keep_pipelines: Sequence[str] = ()) -> list[SceneOverlay]:
+        """Return overlays of current scenes, the lowest score first; none selected or judged."""
+        with self._store.reading() as connection:
+            return retirement.low_ranked(connection, limit=limit, keep_pipelines=keep_pipelines)
+
+    def is_deleted(self, overlay: SceneOverlay) -> bool:
+        """Return true if the service has deleted this overlay."""
+        with self._store.reading() as connection:
+            return retirement.is_deleted(connection, overlay)

@@ -8,10 +8,13 @@ from sqlalchemy import Connection, Table, and_, select
 from service.curation.status import ParkedWork
 from service.errors import NothingFoundError
 from service.store.overview import newest_pipeline
+from service.store.retirement import without_overlays
 from service.store.tables import PLANS, RECORDINGS, SHARDS
 from service.store.transaction_effects import effects_of, kind_of
 from service.store.work_items import Work, WorkState, change
 from service.store.worker_deaths import pardon
+
+OVERLAYS_DELETED = "its overlays were deleted to keep the disk budget"
 
 MOST_NAMED = 5
 """Unknown logs named in one sentence."""
@@ -20,7 +23,8 @@ MOST_NAMED = 5
 def retry(connection: Connection, log_ids: Sequence[str] | None) -> list[ParkedWork]:
     """Make parked work ready again without earlier attempts; its error is kept.
 
-    It applies to current recordings under the newest pipeline version, as listed by `status`.
+    It applies to current recordings under the newest pipeline version, as listed by `status`. Of
+    named logs, shards whose overlays were deleted are mined again too.
 
     Args:
         connection: In a transaction that writes.
@@ -48,6 +52,12 @@ def retry(connection: Connection, log_ids: Sequence[str] | None) -> list[ParkedW
             retried.append(
                 ParkedWork(log_id=row.log_id, shard=shard, attempts=row.attempts, error=row.error)
             )
+    for work in without_overlays(connection, log_ids or ()):
+        change(connection, work, state=WorkState.READY, attempts=0, ready_at_s=0.0, error="")
+        effects_of(connection).retried[kind_of(work.shard)] += 1
+        retried.append(
+            ParkedWork(log_id=work.log_id, shard=work.shard, attempts=0, error=OVERLAYS_DELETED)
+        )
     return sorted(retried, key=lambda work: (work.log_id, work.shard))
 
 

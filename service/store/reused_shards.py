@@ -2,7 +2,7 @@
 
 import json
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 from sqlalchemy import Connection, Row, and_, insert, literal, select
@@ -96,14 +96,14 @@ def _same_shards(connection: Connection, work: Work) -> Iterator[tuple[Row[Any],
         .order_by(SHARDS.c.lidar_topic, SHARDS.c.shard_index)
     ).all()
     for shard in waiting:
-        content = _content(shard.shard, parts[work.revision])
+        content = content_of(shard.shard, parts[work.revision])
         for mined in done[shard.name]:
-            if content is not None and content == _content(mined.shard, parts[mined.revision]):
+            if content is not None and content == content_of(mined.shard, parts[mined.revision]):
                 yield shard, mined
                 break
 
 
-def _content(shard: str, parts: tuple[Part, ...]) -> dict[str, Any] | None:
+def content_of(shard: str, parts: Sequence[Part]) -> dict[str, Any] | None:
     """Return all that mining a shard depends on, independent of other parts of the recording.
 
     Parts are named by key, size and etag instead of counted. Of a channel's ids only those in parts

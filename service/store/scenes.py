@@ -5,7 +5,7 @@ reported.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from sqlalchemy import ColumnElement, Connection, LargeBinary, Row, Select, and_, literal, select
@@ -15,6 +15,8 @@ from schemas.transport.wire import decode
 from service.errors import RecordDamagedError
 from service.store.events import counter
 from service.store.record_digests import OnDamaged, problem_of
+from service.store.retirement import SceneOverlay, is_deleted
+from service.store.same_bytes import refuse_copy
 from service.store.tables import SCENES
 
 _LAST: Final = 2**63 - 1
@@ -34,6 +36,7 @@ class StoredScene:
         sha256: Digest of the record as published.
         withdrawn: True for the event of a withdrawal: the key is deleted instead of putting the
             record.
+        overlay_deleted: True if the service has deleted its overlay.
     """
 
     seq: int
@@ -44,6 +47,7 @@ class StoredScene:
     record: bytes
     sha256: str
     withdrawn: bool = False
+    overlay_deleted: bool = False
 
     def decoded(self) -> SceneScore:
         """Decode the record."""
@@ -147,11 +151,13 @@ def current_scene(
 
     Raises:
         RecordDamagedError: If its record is damaged.
+        NothingFoundError: If another log with the same bytes is mined in place of its own.
     """
     row = connection.execute(
         _stored().where(SCENES.c.is_current, SCENES.c.scene_id == scene_id)
     ).one_or_none()
     if row is None:
+        refuse_copy(connection, scene_id)
         return None
     if problem := problem_of(row):
         on_damaged(scene_id, problem)
@@ -159,7 +165,13 @@ def current_scene(
             f"the stored record of {scene_id} is damaged: {problem}; it is not shown, restore the "
             "database from a copy, or mine its log again into another --state"
         )
-    return _scene(row)
+    return _with_overlay(connection, _scene(row))
+
+
+def _with_overlay(connection: Connection, scene: StoredScene) -> StoredScene:
+    """Note whether the overlay of a scene was deleted."""
+    overlay = SceneOverlay(scene.log_id, scene.scene_id, scene.pipeline_version, scene.sha256)
+    return replace(scene, overlay_deleted=is_deleted(connection, overlay))
 
 
 def last_scene(
@@ -184,7 +196,7 @@ def last_scene(
     ).one_or_none()
     if row is None or not _is_sound(row, on_damaged):
         return None
-    return _scene(row)
+    return _with_overlay(connection, _scene(row))
 
 
 def _is_sound(row: Row[Any], on_damaged: OnDamaged) -> bool:

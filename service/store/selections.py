@@ -9,6 +9,7 @@ from service.curation.ranking import RankedScene
 from service.curation.selection import Selection, SelectionSummary
 from service.curation.strategies.catalogue import DEFAULT
 from service.errors import NothingFoundError, UsageError
+from service.store import audit
 from service.store.engine import Store
 from service.store.tables import COUNTERS, SELECTION_SCENES, SELECTIONS
 
@@ -39,15 +40,15 @@ class Selections:
         Raises:
             SelectionExistsError: If a different selection has this name.
         """
+        now_s, who = self._now_s(), audit.actor()
         with self._store.writing() as connection:
-            return _save(
-                connection,
-                name,
-                strategy=strategy,
-                budget=budget,
-                scenes=scenes,
-                now_s=self._now_s(),
+            stored = _save(
+                connection, name, strategy=strategy, budget=budget, scenes=scenes, now_s=now_s
             )
+            chosen = audit.few([scene.scene_id for scene in stored.scenes])
+            detail = {"selection": stored.name, "strategy": stored.strategy, "scenes": chosen}
+            audit.record(connection, who, "select", detail, now_s=now_s)
+            return stored
 
     def one(self, name: str) -> Selection | None:
         """Return the selection of this name."""

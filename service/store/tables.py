@@ -33,10 +33,20 @@ COUNTERS: Final = Table("counters", METADATA, _text("name", key=True), _number("
 
 SERVED_BUCKET: Final = Table("served_bucket", METADATA, _text("url"))
 
-WRITE_PROOF: Final = Table("write_proof", METADATA, _number("writes"), _text("incarnation"))
+WRITE_PROOF: Final = Table(
+    "write_proof", METADATA, _number("writes"), _text("incarnation"), _number("term")
+)
+
+SERVICE_LEASE: Final = Table("service_lease", METADATA, _number("beats"), _real("lease_s"))
 
 PIPELINES: Final = Table(
-    "pipelines", METADATA, _text("pipeline_version", key=True), _number("ordinal")
+    "pipelines",
+    METADATA,
+    _text("pipeline_version", key=True),
+    _number("ordinal"),
+    _text("labels"),
+    _text("contradictions"),
+    _text("score"),
 )
 
 RECORDINGS: Final = Table(
@@ -47,6 +57,8 @@ RECORDINGS: Final = Table(
     _text("recording"),
     _flag("is_current"),
     _real("listed_s"),
+    _text("content"),
+    _text("same_as"),
 )
 
 PLANS: Final = Table(
@@ -68,6 +80,8 @@ PLANS: Final = Table(
     _number("range_reads"),
     _number("bytes_read"),
     _number("truncated_parts"),
+    _number("turn"),
+    _text("inherited_from"),
 )
 
 SHARDS: Final = Table(
@@ -97,6 +111,11 @@ SHARDS: Final = Table(
     _number("peak_memory_bytes"),
     _text("stage_s"),
     _text("adopted_from"),
+    _number("turn"),
+    _text("rescored_from"),
+    _real("mined_s"),
+    _text("taken_from_log"),
+    _text("taken_from_revision"),
 )
 
 LEASES: Final = Table(
@@ -111,6 +130,7 @@ LEASES: Final = Table(
     _real("expires_s"),
     _flag("is_held"),
     _text("ended_by"),
+    _number("lane"),
 )
 
 DAMAGE: Final = Table(
@@ -217,6 +237,19 @@ VERDICTS: Final = Table(
     _text("kinds"),
 )
 
+AUDIT: Final = Table(
+    "audit",
+    METADATA,
+    _number("ordinal", key=True),
+    _real("at_s"),
+    _text("name"),
+    _text("says"),
+    _text("via"),
+    _text("what"),
+    _text("detail"),
+    _text("digest"),
+)
+
 LISTING_SOURCES: Final = Table(
     "listing_sources",
     METADATA,
@@ -253,3 +286,21 @@ LISTED_SCENES: Final = Table(
 )
 
 LISTED_WORDS: Final = Table("listed_words", METADATA, _number("seq", key=True), _text("words"))
+
+WEBHOOK_CURSORS: Final = Table(
+    "webhook_cursors",
+    METADATA,
+    _text("receiver", key=True),
+    _text("source", key=True),
+    _number("value"),
+)
+
+NOTICES: Final = Table(
+    "notices",
+    METADATA,
+    _number("ordinal", key=True),
+    _text("kind"),
+    _text("name"),
+    _text("body"),
+    _real("noted_s"),
+)

@@ -26,9 +26,11 @@ from service.curation.verdicts import (
     standing_of,
 )
 from service.errors import NothingFoundError, RecordDamagedError, UsageError
+from service.store import audit
 from service.store.engine import Store
 from service.store.listed_scenes import judge_again, kinds_of
 from service.store.record_digests import problem_of
+from service.store.same_bytes import copies
 from service.store.selections import scene_ids_of
 from service.store.tables import COUNTERS, SCENES, VERDICTS
 from service.store.transaction_effects import effects_of
@@ -56,7 +58,16 @@ class Verdicts:
             NothingFoundError: If there was never such a scene, record or track.
             UsageError: If the key is that of another write, or the request contradicts itself.
         """
-        return self._store.write(lambda connection: _judge(connection, request, self._now_s()))
+        now_s, who = self._now_s(), audit.actor()
+
+        def judged(connection: Connection) -> VerdictRow:
+            is_new = _of_key(connection, request.key) is None
+            row = _judge(connection, request, now_s)
+            if is_new:
+                _audit(connection, who, "judge", row, now_s=now_s)
+            return row
+
+        return self._store.write(judged)
 
     def undo(self, request: UndoRequest) -> VerdictRow:
         """Undo the reviewer's last verdict; the one before it on the same item counts again.
@@ -65,7 +76,16 @@ class Verdicts:
             NothingFoundError: If there is no verdict to undo.
             UsageError: If the key is that of another write.
         """
-        return self._store.write(lambda connection: _undo(connection, request, self._now_s()))
+        now_s, who = self._now_s(), audit.actor()
+
+        def undone(connection: Connection) -> VerdictRow:
+            is_new = _of_key(connection, request.key) is None
+            row = _undo(connection, request, now_s)
+            if is_new:
+                _audit(connection, who, "undo", row, now_s=now_s)
+            return row
+
+        return self._store.write(undone)
 
     def page(self, request: VerdictsRequest) -> list[VerdictRow]:
         """Return verdicts, latest first, one more than requested where there are more."""
@@ -113,13 +133,18 @@ class Verdicts:
             return summaries(connection, scenes, reviewer=reviewer)
 
     def with_verdicts(self, rows: Sequence[RankedScene]) -> list[RankedScene]:
-        """Return rows of the ranking with the verdicts on them."""
+        """Return rows of the ranking with the verdicts on them, and other names of their logs."""
         found = self.summaries((row.scene_id, row.sha256) for row in rows)
-        return [
-            row.model_copy(update={"verdicts": found[row.scene_id]})
-            if row.scene_id in found
-            else row
+        with self._store.reading() as connection:
+            names = copies(connection)
+        more = [
+            ({"verdicts": found[row.scene_id]} if row.scene_id in found else {})
+            | ({"same_logs": names[row.log_id]} if row.log_id in names else {})
             for row in rows
+        ]
+        return [
+            row.model_copy(update=facts) if facts else row
+            for row, facts in zip(rows, more, strict=True)
         ]
 
     def in_selection(self, selection: Selection) -> Selection:
@@ -156,6 +181,14 @@ class Verdicts:
                 .where(COUNTERS.c.name == "verdict_published", COUNTERS.c.value < ordinal)
                 .values(value=ordinal)
             )
+
+
+def _audit(
+    connection: Connection, who: audit.Actor, what: str, row: VerdictRow, *, now_s: float
+) -> None:
+    detail = {"ordinal": row.ordinal, "scene_id": row.scene_id, "reviewer": row.reviewer}
+    detail |= {"verdict": row.verdict.value, "cause": row.cause, "track_id": row.track_id}
+    audit.record(connection, who, what, detail, now_s=now_s)
 
 
 def _judge(connection: Connection, request: JudgeRequest, now_s: float) -> VerdictRow:

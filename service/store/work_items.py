@@ -15,8 +15,10 @@ class WorkState(StrEnum):
     """State of a plan or a shard.
 
     The normal order is ready -> leased -> done (a plan may end refused instead). A lease that ends
-    badly leads back to ready, and finally to parked. stale waits for the next listing of the
-    bucket, cancelled for its revision to return.
+    badly leads back to ready, and finally to parked. Work that is stale waits for the next listing
+    of the bucket, cancelled work for its revision to return. Kept work is left out by `remine`: the
+    scenes of an earlier pipeline version stay. Another log is mined in place of the same work, of
+    the same bytes.
     """
 
     READY = "ready"
@@ -26,6 +28,8 @@ class WorkState(StrEnum):
     PARKED = "parked"
     STALE = "stale"
     CANCELLED = "cancelled"
+    KEPT = "kept"
+    SAME = "same"
 
 
 TAKEN_AND_GIVEN: Final = (

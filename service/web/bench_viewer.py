@@ -149,7 +149,7 @@ def _size(path: Path) -> int:
 
 def _served(source: Reader, url: str, scene_id: str) -> Iterator[Figure]:
     """Time view blocks over one connection, the first of each with an open overlay."""
-    from service.web.overlay_cache import seen_scene
+    from service.api.overlay_cache import seen_scene
 
     digest = seen_scene(source, scene_id).digest
     frames = len(source.overlay_file(scene_id).header.frames)

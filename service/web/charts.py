@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from math import ceil, floor, log10
 from typing import Final
 
+from service.web.phrases import grouped
+
 WIDTH: Final = 640
 HEIGHT: Final = 190
 LEFT: Final = 46
@@ -17,6 +19,12 @@ _LABELS: Final = 6
 """Labels of the time axis at most."""
 
 _MOST_BAR: Final = 34.0
+
+_MEASURED: Final = (1, 2, 2.5, 5, 10)
+_COUNTED: Final = (2, 4, 6, 10, 20)
+"""Upper edges of a chart, times a power of ten; the half of a count's edge is an integer."""
+
+_GROUPED: Final = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,8 +112,8 @@ def line_chart(
 
 
 def bar_chart(samples: Sequence[Sample]) -> Chart:
-    """Draw a bar for each value."""
-    peak = _ceiling(max((each.value or 0.0 for each in samples), default=0.0))
+    """Draw a bar for each count."""
+    peak = _ceiling(max((each.value or 0.0 for each in samples), default=0.0), _COUNTED)
     x_of = _places(samples)
     step = (WIDTH - LEFT - RIGHT) / max(1, len(x_of))
     width = min(_MOST_BAR, max(1.5, 0.7 * step))
@@ -129,12 +137,12 @@ def _y(value: float, peak: float) -> float:
     return HEIGHT - BOTTOM - (HEIGHT - BOTTOM - TOP) * min(1.0, value / peak)
 
 
-def _ceiling(value: float) -> float:
-    """Round up to 1, 2, 2.5 or 5 times a power of ten."""
+def _ceiling(value: float, steps: Sequence[float] = _MEASURED) -> float:
+    """Round up to one of the steps times a power of ten."""
     if value <= 0:
-        return 1.0
+        return float(steps[0])
     power = 10.0 ** floor(log10(value))
-    return float(next(s * power for s in (1, 2, 2.5, 5, 10) if s * power >= value * (1 - 1e-9)))
+    return float(next(s * power for s in steps if s * power >= value * (1 - 1e-9)))
 
 
 def _ticks(peak: float, *, percent: bool) -> list[tuple[float, str]]:
@@ -142,7 +150,9 @@ def _ticks(peak: float, *, percent: bool) -> list[tuple[float, str]]:
 
 
 def _tick(value: float, *, percent: bool) -> str:
-    return f"{100 * value:.3g} %" if percent else f"{value:.3g}"
+    if percent:
+        return f"{100 * value:.3g} %"
+    return grouped(round(value)) if value >= _GROUPED else f"{value:.3g}"
 
 
 def _labels(samples: Sequence[Sample], x_of: dict[int, float]) -> list[tuple[float, str]]:

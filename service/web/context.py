@@ -1,5 +1,6 @@
 """Common parts of every page: templates, the visitor, the token, and the form of an answer."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -10,6 +11,7 @@ from starlette.responses import HTMLResponse, Response
 
 from schemas.visible import visible
 from service.api.reader import Reader
+from service.http.signed_in import person_of
 from service.web import phrases
 from service.web.progress import progress_text
 from service.web.settings import WebSettings
@@ -70,9 +72,15 @@ def visitor_of(request: Request) -> Visitor:
     if not hasattr(request.state, "visitor"):
         visitors = visitors_of(request)
         known = visitors.of(request)
-        request.state.visitor = known or visitors.new()
+        request.state.visitor = signed_in(request, known or visitors.new())
         request.state.is_new = known is None
     return cast(Visitor, request.state.visitor)
+
+
+def signed_in(request: Request, visitor: Visitor) -> Visitor:
+    """Return the visitor under the name of who is signed in, which no form can change."""
+    person = person_of(request)
+    return visitor if person is None else replace(visitor, reviewer=person.name)
 
 
 def page_context(request: Request, *, has_progress: bool = True) -> dict[str, Any]:

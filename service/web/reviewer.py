@@ -8,6 +8,7 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
 from service.errors import UsageError
+from service.http.signed_in import person_of
 from service.web.context import visitor_of, visitors_of
 from service.web.visitor import OTHER_STATE, THEMES, introduced
 
@@ -51,7 +52,9 @@ def set_reviewer(
     """Store the name of the reviewer, and the budget, in the cookie."""
     need_token(request, token)
     response = RedirectResponse(way_back(back), status_code=303)
-    known = introduced(visitor_of(request), name=name, budget=budget)
+    visitor = visitor_of(request)
+    name = visitor.reviewer if person_of(request) else name
+    known = introduced(visitor, name=name, budget=budget)
     visitors_of(request).keep(response, known)
     return response
 

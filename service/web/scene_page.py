@@ -17,20 +17,22 @@ from schemas.arrays import NS_PER_S
 from schemas.errors import PermanentError, TransientError
 from schemas.score import SceneScore
 from schemas.transport.overlay_file import OverlayFile
+from service.api.overlay_cache import OpenOverlays, SeenScene, seen_scene
 from service.api.reader import Reader, overlay_of
 from service.curation.listing import ListedScene, ScenesRequest
-from service.curation.verdicts import CAUSES, VerdictsRequest
+from service.curation.verdicts import CAUSES, ChoicesReply, VerdictsRequest
 from service.pictures.scene import draw_scene
 from service.pictures.title import title_of
 from service.web.context import render, source_of, visitor_of
 from service.web.filters import Filters
-from service.web.overlay_cache import OpenOverlays, SeenScene, seen_scene
+from service.web.kept import Kept
 from service.web.phrases import VERDICT_NAMES
 from service.web.ranking import kind_class
 from service.web.scene_facts import viewer_facts
 from service.web.scene_links import links_of
 from service.web.scene_order import href_of, order_of
 from service.web.scene_story import around, blind_spots, is_strong, same_things, stories_of
+from service.web.source import opened_once
 
 router = APIRouter()
 
@@ -60,49 +62,53 @@ _DRAWING: Final = threading.BoundedSemaphore(2)
 @router.get("/scene")
 def scene_page(request: Request, scene_id: SceneId = "") -> Response:
     """Answer with the page of a scene; without its overlay the page names the problem."""
-    source, reviewer = source_of(request), visitor_of(request).reviewer
+    with opened_once(source_of(request)) as source:
+        return render(request, "scene.html", **_context_of(request, source, scene_id))
+
+
+def _context_of(request: Request, source: Reader, scene_id: str) -> dict[str, Any]:
+    """Return what the template of a scene shows."""
+    reviewer = visitor_of(request).reviewer
     seen = seen_scene(source, scene_id)
     score, filters = seen.score, Filters.of(request.query_params)
     rows = rows_around(source, seen, reviewer)
     row = next((each for each in rows if each.scene_id == scene_id), None)
-    facts, problem = facts_of(request, seen, is_current=row is not None)
+    facts, problem = facts_of(request, source, seen, is_current=row is not None)
     neighbours = around(rows, score)
     verdicts = source.verdicts(VerdictsRequest(scene_id=scene_id, most=MOST_VERDICTS)).rows
     stories = stories_of(score)
-    choices = source.choices()
+    choices = cast(Kept[ChoicesReply], request.app.state.choices).of("", source.choices)
     moment_ns = score.tracks[0].strongest.stamp_ns if score.tracks else score.start_ns
-    return render(
-        request,
-        "scene.html",
-        seen=seen,
-        score=score,
-        name=row.name if row else title_of(score).name,
-        headline=headline_of(seen),
-        remarks=[reason for reason in score.reasons if reason.track_id is None],
-        kind_class=kind_class(score.tracks[0].kind) if score.tracks else "",
-        kind_classes={track.track_id: kind_class(track.kind) for track in score.tracks},
-        stories=stories,
-        blind=blind_spots(score),
-        facts=facts,
-        first_frame=_first_frame(request, facts),
-        problem=problem or ("" if row else WITHDRAWN),
-        neighbours=[(each, href_of(each.scene_id)) for each in neighbours],
-        shared=same_things(score, _records(source, score, neighbours)),
-        mine=[each for each in verdicts if each.reviewer == reviewer],
-        others=[each for each in verdicts if each.reviewer != reviewer],
-        given=GIVEN,
-        causes=[(name, CAUSES.get(name, name)) for name in choices.causes],
-        links=links_of(choices.bucket, score.log_id, moment_ns),
-        order=order_of(
+    return {
+        "seen": seen,
+        "score": score,
+        "name": row.name if row else title_of(score).name,
+        "headline": headline_of(seen),
+        "remarks": [reason for reason in score.reasons if reason.track_id is None],
+        "kind_class": kind_class(score.tracks[0].kind) if score.tracks else "",
+        "kind_classes": {track.track_id: kind_class(track.kind) for track in score.tracks},
+        "stories": stories,
+        "blind": blind_spots(score),
+        "facts": facts,
+        "first_frame": _first_frame(request, facts),
+        "problem": problem or ("" if row else WITHDRAWN),
+        "neighbours": [(each, href_of(each.scene_id)) for each in neighbours],
+        "shared": same_things(score, _records(source, score, neighbours)),
+        "mine": [each for each in verdicts if each.reviewer == reviewer],
+        "others": [each for each in verdicts if each.reviewer != reviewer],
+        "given": GIVEN,
+        "causes": [(name, CAUSES.get(name, name)) for name in choices.causes],
+        "links": links_of(choices.bucket, score.log_id, moment_ns),
+        "order": order_of(
             source,
             score,
             filters,
             reviewer=reviewer,
             now_s=time.clock_gettime(time.CLOCK_REALTIME),
         ),
-        selection=filters.given.get("selection", ""),
-        list_query=filters.query(after=None),
-    )
+        "selection": filters.given.get("selection", ""),
+        "list_query": filters.query(after=None),
+    }
 
 
 @router.get("/data/scene")
@@ -189,13 +195,13 @@ def rows_around(source: Reader, seen: SeenScene, reviewer: str) -> tuple[ListedS
 
 
 def facts_of(
-    request: Request, seen: SeenScene, *, is_current: bool
+    request: Request, source: Reader, seen: SeenScene, *, is_current: bool
 ) -> tuple[dict[str, Any] | None, str]:
     """Return the facts for the viewer; or None and a sentence where there is nothing to view."""
     if not is_current:
         return None, ""
     try:
-        opened = overlays_of(request).of(source_of(request), seen.score.scene_id, seen.digest)
+        opened = overlays_of(request).of(source, seen.score.scene_id, seen.digest)
     except (PermanentError, TransientError) as error:
         return None, f"The points of this scene cannot be shown: {error}"
     return viewer_facts(seen.score, opened.header) | _addresses(seen, opened), ""

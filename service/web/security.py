@@ -6,8 +6,12 @@ from urllib.parse import urlsplit
 
 import structlog
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.responses import PlainTextResponse
+from starlette.responses import PlainTextResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from schemas.bounds import MAX_QUESTION_BYTES
+from service.api.routes import PREFIX
+from service.http.problems import problem
 
 log = structlog.get_logger(__name__)
 
@@ -72,22 +76,20 @@ class Guard:
                 headers.setdefault("cache-control", "no-cache" if is_static else "no-store")
             await send(message)
 
-        problem = self._problem(scope["method"], Headers(scope=scope))
-        if problem:
-            status, sentence = problem
-            refused = PlainTextResponse(f"{sentence}\n", status_code=status)
-            await refused(scope, receive, send_with_headers)
+        most_bytes = MAX_QUESTION_BYTES if _is_api(scope) else MAX_FORM_BYTES
+        found = self._problem(scope["method"], Headers(scope=scope), most_bytes=most_bytes)
+        if found:
+            await _refusal(scope, *found)(scope, receive, send_with_headers)
             return
         try:
-            await self._app(scope, _bounded(receive), send_with_headers)
+            await self._app(scope, _bounded(receive, most_bytes), send_with_headers)
         except Exception:
             if has_begun:
                 raise
             log.exception("a page failed", path=scope["path"])
-            failed = PlainTextResponse(f"{FAILED}\n", status_code=500)
-            await failed(scope, receive, send_with_headers)
+            await _refusal(scope, 500, FAILED)(scope, receive, send_with_headers)
 
-    def _problem(self, method: str, headers: Headers) -> tuple[int, str] | None:
+    def _problem(self, method: str, headers: Headers, *, most_bytes: int) -> tuple[int, str] | None:
         """Return the status and sentence with which a request is refused; None: it is not."""
         asked = headers.get("host", "")
         name = name_of(asked)
@@ -103,9 +105,21 @@ class Guard:
         if not _is_of_this_host(headers, asked):
             return 403, "this form was sent by a page of another site, and is refused"
         length = headers.get("content-length", "0")
-        if not length.isdecimal() or int(length[:12]) > MAX_FORM_BYTES:
-            return 413, f"a form has at most {MAX_FORM_BYTES} bytes"
+        if not length.isdecimal() or int(length[:12]) > most_bytes:
+            return 413, f"a form has at most {most_bytes} bytes"
         return None
+
+
+def _is_api(scope: Scope) -> bool:
+    """Return true for a request to the REST API."""
+    return str(scope["path"]).startswith(f"{PREFIX}/")
+
+
+def _refusal(scope: Scope, status: int, sentence: str) -> Response:
+    """Make the answer to a refused request: problem details from the REST API, text otherwise."""
+    if _is_api(scope):
+        return problem(sentence, status=status)
+    return PlainTextResponse(f"{sentence}\n", status_code=status)
 
 
 def name_of(host: str) -> str:
@@ -127,7 +141,7 @@ def _is_of_this_host(headers: Headers, host: str) -> bool:
     return scheme in ("http", "https") and netloc.lower() == host.lower()
 
 
-def _bounded(receive: Receive) -> Receive:
+def _bounded(receive: Receive, most_bytes: int) -> Receive:
     """Cut off a body that is longer than its header states."""
     seen = 0
 
@@ -135,7 +149,7 @@ def _bounded(receive: Receive) -> Receive:
         nonlocal seen
         message = await receive()
         seen += len(message.get("body", b""))
-        if seen > MAX_FORM_BYTES:
+        if seen > most_bytes:
             return {"type": "http.disconnect"}
         return message
 

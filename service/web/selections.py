@@ -12,11 +12,13 @@ from starlette.responses import JSONResponse, RedirectResponse, Response
 
 from schemas.bounds import MAX_SCENES_CHOSEN
 from service.api.reader import Reader
+from service.curation.audit import ExportedRequest
 from service.curation.listing import MAX_PAGE
 from service.curation.selection import Selection
 from service.errors import UsageError
 from service.export.json_lines import json_lines
 from service.web.context import render, source_of, visitor_of, wants_json
+from service.web.exports import export_context
 from service.web.filters import Filters
 from service.web.progress import progress_of, summary
 from service.web.reviewer import need_token
@@ -127,13 +129,17 @@ def selection(request: Request) -> Response:
         scenes_judged=agreement.scenes,
         mine=summary(agreement, reviewer=visitor.reviewer, budget=0),
         progress=summary(agreement, reviewer=visitor.reviewer, budget=0)["text"],
+        **export_context(request, found.name),
     )
 
 
 @router.get("/data/selection")
 def selection_lines(request: Request) -> Response:
     """Answer with the JSON lines of a selection, as `selection show --json` prints them."""
-    lines = "".join(json_lines(_named(request)))
+    found = _named(request)
+    asked = ExportedRequest(selection=found.name, form="json-lines", scenes=len(found.scenes))
+    source_of(request).exported(asked)
+    lines = "".join(json_lines(found))
     return Response(
         lines,
         media_type="application/x-ndjson",

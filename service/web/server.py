@@ -1,6 +1,5 @@
 """Server of the page: its address, and its life until it is stopped."""
 
-import ipaddress
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -36,14 +35,6 @@ def address_of(listen: str) -> tuple[str, int]:
     return host.removeprefix("[").removesuffix("]"), int(port)
 
 
-def is_loopback(host: str) -> bool:
-    """Return true for an address that only this machine reaches."""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host.lower() == "localhost"
-
-
 def listening(listen: str) -> socket.socket:
     """Open the socket of an address.
 
@@ -68,16 +59,21 @@ def listening(listen: str) -> socket.socket:
     return made
 
 
-def url_of(opened: socket.socket) -> str:
+def url_of(opened: socket.socket, *, scheme: str = "http") -> str:
     """Return the URL of a socket; one that listens everywhere is named by the loopback."""
     host, port = opened.getsockname()[:2]
     host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)  # noqa: S104
-    return f"http://{f'[{host}]' if ':' in host else host}:{port}/"
+    return f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}/"
 
 
 @contextmanager
 def serving(
-    app: FastAPI, opened: socket.socket, *, on_stop: Callable[[], None]
+    app: FastAPI,
+    opened: socket.socket,
+    *,
+    on_stop: Callable[[], None],
+    certificate: str = "",
+    key: str = "",
 ) -> Iterator[threading.Thread]:
     """Serve a page within a `with` block; the thread that serves ends early only if it fails.
 
@@ -85,6 +81,8 @@ def serving(
         app: The application.
         opened: Its socket; it is closed at the end.
         on_stop: Called before the server waits for open requests, to end those that are endless.
+        certificate: File of the certificate and its chain; empty: plain HTTP.
+        key: File of its private key.
 
     Raises:
         TransientError: If the server does not start.
@@ -98,6 +96,8 @@ def serving(
         ws="none",
         limit_concurrency=MOST_CONNECTIONS,
         timeout_graceful_shutdown=_STOP_S,
+        ssl_certfile=certificate or None,
+        ssl_keyfile=key or None,
     )
     server = uvicorn.Server(config)
     thread = threading.Thread(

@@ -3,7 +3,7 @@
 import os
 import secrets
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
 from typing import Final
@@ -12,6 +12,7 @@ import structlog
 
 from service.errors import UsageError
 from service.settings.config import cache_folder
+from service.web.roles import Doors
 from service.web.visitor import KEY_BYTES
 
 KEY_NAME: Final = "review.key"
@@ -28,12 +29,18 @@ class WebSettings:
         key: Secret that signs the cookies of this state.
         hosts: Names under which the page may be asked, in addition to those of the loopback.
         causes: The user's own causes of failures, in addition to those of the paper.
+        doors: Ways to sign in.
+        rate: Requests a second of one client; 0: no limit.
+        is_secure: True if the page is served by TLS, and its cookies go no other way.
     """
 
     place: str
     key: bytes
     hosts: frozenset[str] = frozenset()
     causes: tuple[str, ...] = ()
+    doors: Doors = field(default_factory=Doors)
+    rate: float = 0.0
+    is_secure: bool = False
 
 
 def key_of_state(folder: Path | None, *, place: str) -> bytes:

@@ -1,6 +1,8 @@
 """Data source of a page that runs for days: a state whose service may come and go."""
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, Final, cast
 
 from service.api.reader import Reader, choose_endpoint
@@ -28,6 +30,16 @@ class SourceOfState:
         """Return a method of the source that is right now."""
         return getattr(self._now(), method)
 
+    @contextmanager
+    def opened(self) -> Iterator[Reader]:
+        """Yield the source that is right now, for all questions of one page."""
+        source = self._now()
+        if isinstance(source, StateReader):
+            with source.opened() as opened:
+                yield opened
+        else:
+            yield source
+
     def _now(self) -> Reader:
         if time.monotonic() - self._looked_s >= LOOK_EVERY_S:
             self._looked_s = time.monotonic()
@@ -36,8 +48,22 @@ class SourceOfState:
             except NothingFoundError:
                 self._endpoint = ""
         if self._endpoint:
-            return ControlClient(self._endpoint.split(","), root=self._settings.root)
+            return ControlClient(
+                self._endpoint.split(","),
+                root=self._settings.root,
+                locks=self._settings.client_locks,
+            )
         return StateReader(self._settings, now_s=time.clock_gettime(time.CLOCK_REALTIME))
+
+
+@contextmanager
+def opened_once(source: Reader) -> Iterator[Reader]:
+    """Yield a source for all questions of one page, so that a database is opened once for them."""
+    if isinstance(source, SourceOfState):
+        with source.opened() as opened:
+            yield opened
+    else:
+        yield source
 
 
 def source_of_state(settings: Settings) -> Reader:

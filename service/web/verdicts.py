@@ -12,6 +12,7 @@ from schemas.transport.wire import first_problem
 from schemas.verdict import VerdictRow
 from service.curation.verdicts import JudgeRequest, UndoRequest
 from service.errors import UsageError
+from service.http.signed_in import person_of
 from service.web.context import source_of, visitor_of, visitors_of, wants_json
 from service.web.progress import progress_of, summary
 from service.web.reviewer import HOME, Back, Token, need_token, way_back
@@ -43,7 +44,7 @@ def judge(
 ) -> Response:
     """Store a verdict; a form that is sent twice with one `key` is stored once."""
     need_token(request, token)
-    visitor = _named(visitor_of(request), reviewer)
+    visitor = _named(visitor_of(request), "" if person_of(request) else reviewer)
     asked = _checked(
         JudgeRequest,
         key=key or secrets.token_urlsafe(18),

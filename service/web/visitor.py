@@ -47,9 +47,14 @@ class Visitor:
 class Visitors:
     """Reads and writes the cookie of one state, which the key of that state signs."""
 
-    def __init__(self, key: bytes) -> None:
-        """Keep the key of the state; a cookie that another key signed is not accepted."""
-        self._key = key
+    def __init__(self, key: bytes, *, is_secure: bool = False) -> None:
+        """Keep the key of the state; a cookie that another key signed is not accepted.
+
+        Args:
+            key: The key.
+            is_secure: True if browsers are to send the cookie by TLS only.
+        """
+        self._key, self._is_secure = key, is_secure
         self.cookie_name: Final = f"counterpoint-{self._digest('name')[:12]}"
 
     def of(self, request: Request) -> Visitor | None:
@@ -75,6 +80,7 @@ class Visitors:
             f"{body}.{self._digest('cookie', body)}",
             max_age=_A_YEAR_S,
             httponly=True,
+            secure=self._is_secure,
             samesite="strict",
         )
 

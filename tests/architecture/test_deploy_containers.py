@@ -11,11 +11,12 @@ import pytest
 import typer
 import yaml
 
+from schemas.transport.endpoints import is_loopback
 from service.cli.main import EX_TEMPFAIL, app
-from service.embedded import accepted_by
 from service.settings.config import Settings
+from service.worker_pools import accepted_by
 from workers.pool.slot import KILL_MARGIN_S
-from workers.worker.acceptance import is_loopback, refusal
+from workers.worker.acceptance import refusal
 from workers.worker.config import DRAIN_S, WorkerConfig
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -154,6 +155,9 @@ def test_every_service_waits_for_others_that_can_be_healthy() -> None:
     images_with_health = {"service", "worker"}
     for service in COMPOSE["services"].values():
         for other, how in service.get("depends_on", {}).items():
+            if other == "authority":  # it ends, and is not healthy
+                assert how == {"condition": "service_completed_successfully"}
+                continue
             assert how == {"condition": "service_healthy"}
             waited = COMPOSE["services"][other]
             built = waited.get("build", {}).get("target")
@@ -206,6 +210,18 @@ def test_every_setting_that_is_named_exists(path: str) -> None:
     text = text.replace("COUNTERPOINT_URL:", "")  # Grafana's, for its data source
     known = set(all_settings()) | {"config"}
     assert settings_named(text) <= known
+
+
+def test_compose_makes_an_authority_with_a_certificate_for_each_process() -> None:
+    (script,) = COMPOSE["services"]["authority"]["command"]
+    certs, acl = (shlex.split(each)[1:] for each in script.split(";"))
+    check_command(certs)
+    check_command(acl)
+    for name in OURS:
+        environment = COMPOSE["services"][name]["environment"]
+        assert environment["COUNTERPOINT_TLS_CERTIFICATE"] == f"{certs[1]}/{name}.pem"
+        assert name in certs
+    assert COMPOSE["services"]["router"]["environment"]["COUNTERPOINT_ZENOH_CONFIG"] == acl[-1]
 
 
 def test_prometheus_scrapes_what_compose_starts() -> None:

@@ -16,7 +16,7 @@ PAGES: Final = sorted(
 )
 README: Final = ROOT / "README.md"
 
-GENERATED: Final = frozenset({"GLOSSARY.md", "METRICS.md", "PARTS.md", "SETTINGS.md"})
+GENERATED: Final = frozenset({"API.md", "GLOSSARY.md", "METRICS.md", "PARTS.md", "SETTINGS.md"})
 
 MAX_README_LINES: Final = 112
 MAX_COLUMNS: Final = 120

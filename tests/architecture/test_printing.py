@@ -9,8 +9,6 @@ ROOT: Final = Path(__file__).resolve().parents[2]
 PLACES: Final = {
     "service/cli/output.py": "the one place of the command",
     "schemas/runtime/process.py": "the log of every process",
-    "workers/lab/datasets/dataset.py": "a bar with words of its own alone, in a script",
-    "workers/lab/training/fit.py": "a bar with words of its own alone, in a script",
 }
 """Files that may write to the terminal, each with the reason."""
 

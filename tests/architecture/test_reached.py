@@ -21,7 +21,7 @@ def test_every_module_is_reached_from_a_command_or_the_client() -> None:
     graph = grimp.build_graph("schemas", "service", "workers")
     reached = set[str]()
     waiting = ENTRIES | {module for module in graph.modules if is_run_by_itself(module)}
-    assert "workers.lab.training.train" in waiting
+    assert "workers.lab.training.attribution" in waiting
     while waiting:
         module = waiting.pop()
         reached.add(module)

@@ -8,7 +8,8 @@ import grimp
 import pytest
 
 from workers import sources
-from workers.version import LIBRARIES, ROOTS
+from workers.layers import ROOTS
+from workers.version import LIBRARIES
 
 NO_NUMBERS: Final = {
     "google": "generated classes of protobuf messages, read by mcap-protobuf-support",

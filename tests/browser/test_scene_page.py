@@ -99,6 +99,31 @@ def test_the_view_turns_zooms_and_changes_by_key(browser: Browser, review: Revie
         assert pixels(page) != before
 
 
+def test_safe_colours_are_those_of_boxes_and_cards_and_stay_chosen(
+    browser: Browser, review: Review
+) -> None:
+    def colour(page: Page) -> str:
+        number = page.locator(".track .number").first
+        return str(number.evaluate("each => getComputedStyle(each).backgroundColor"))
+
+    scenes = ids(review)
+    with opened(browser, review, at(scenes[0])) as page:
+        drawn(page)
+        usual = colour(page)
+        page.keyboard.press("c")
+        safe = page.get_by_role("button", name="Safe colours")
+        expect(safe).to_have_attribute("aria-pressed", "true")
+        assert colour(page) != usual
+        page.goto(at(scenes[1]))
+        drawn(page)
+        expect(safe).to_have_attribute("aria-pressed", "true")
+        page.keyboard.press("c")
+        page.goto(at(scenes[0]))
+        drawn(page)
+        expect(safe).to_have_attribute("aria-pressed", "false")
+        assert colour(page) == usual
+
+
 def test_two_runs_draw_the_same_pixels(browser: Browser, review: Review) -> None:
     runs = []
     for _ in range(2):
@@ -138,6 +163,27 @@ def test_every_scene_is_judged_by_keyboard_and_a_verdict_undone(
         expect(page.locator(".given.mine")).to_have_count(0)
     rows = review.client("ana").scenes()
     assert sum(row["verdicts"]["mine"] is None for row in rows) == 1  # type: ignore[index]
+
+
+@pytest.fixture
+def own_causes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COUNTERPOINT_CAUSES", "tram,steam")
+
+
+@pytest.mark.usefixtures("own_causes", "review")
+def test_a_cause_of_the_users_own_list_has_a_key(browser: Browser, review: Review) -> None:
+    with opened(browser, review, at(ids(review)[0])) as page:
+        named(page)
+        drawn(page)
+        for key, cause in (("1", None), ("m", "tram"), ("m", "steam"), ("m", "tram")):
+            page.keyboard.press(key)
+            if cause:
+                expect(page.locator("input[name=cause]:checked")).to_have_value(cause)
+        page.keyboard.press("Enter")
+        expect(page.locator("#progress")).to_contain_text("1 judged")
+        drawn(page)  # the next scene, whose keys work from now on
+        page.keyboard.press("Control+z")
+        expect(page.locator("#status")).to_contain_text("is undone")
 
 
 def test_enter_goes_to_the_next_scene_that_this_reviewer_has_not_judged(

@@ -47,7 +47,9 @@ class Clock:
 
 
 def recording(log_id: str, *, etag: str = "a") -> Recording:
-    return Recording(log_id=log_id, parts=(Part(key=f"{log_id}.mcap", size=100, etag=etag),))
+    return Recording(
+        log_id=log_id, parts=(Part(key=f"{log_id}.mcap", size=100, etag=f"{log_id}-{etag}"),)
+    )
 
 
 def split(log_id: str, *etags: str) -> Recording:

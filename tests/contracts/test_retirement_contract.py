@@ -83,9 +83,7 @@ class RetirementContract(StoreContract):
         world.clock.now_s += 1
         assert len(due(world)) == 9
 
-    def test_what_was_deleted_counts_again_when_it_was_current_in_between(
-        self, world: World
-    ) -> None:
+    def test_what_was_deleted_counts_again_when_it_was_mined_in_between(self, world: World) -> None:
         world.listed("a", "b")
         world.mine_all()
         for _ in range(2):
@@ -96,6 +94,10 @@ class RetirementContract(StoreContract):
             assert len(gone) == 9
             world.ledger.retired_overlays.note_deleted(gone)
             world.listed("a", "b")
+            assert due(world) == []
+            world.clock.now_s += 1.0
+            assert len(world.ledger.retry(["a"])) == 3
+            assert len(world.mine_all()) == 3
             assert due(world) == []
 
     def test_of_an_older_pipeline_version_all_may_go_when_the_newer_one_has_mined_the_log(
@@ -114,6 +116,10 @@ class RetirementContract(StoreContract):
         may_go = due(world)
         assert {(each.log_id, each.pipeline_version) for each in may_go} == {("a", "p1")}
         assert len(may_go) == 9
+        retired = world.ledger.retired_overlays
+        assert retired.to_delete(keep_s=KEEP_S, limit=100, keep_pipelines=["p1"]) == []
+        others = retired.to_delete(keep_s=KEEP_S, limit=100, keep_pipelines=["p1_", "p2"])
+        assert sorted(others) == may_go
         assert world.commit_shard(left, version="p2").ok
         world.mine_all("p2")
         world.ledger.retired_overlays.note()

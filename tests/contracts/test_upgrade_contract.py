@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from sqlalchemy import Engine, insert, select
 
+from schemas.work import Part, Recording
 from service.errors import StateUnusableError
 from service.store import migrations
 from service.store.engine import Store, open_store_to_read
@@ -19,6 +20,11 @@ from tests.contracts.ledger_world import Clock, World
 FIRST = json.loads(Path(__file__).with_name("state_v1.json").read_text(encoding="utf-8"))
 """Rows by table as the first schema's program wrote them: logs and shards in every state that one
 service can leave, two pipeline versions, a replaced and a deleted log, selections."""
+
+
+def of_old(log_id: str, etag: str) -> Recording:
+    """A recording as the first program's bucket had it."""
+    return Recording(log_id=log_id, parts=(Part(key=f"{log_id}.mcap", size=100, etag=etag),))
 
 
 def stored(row: dict[str, Any]) -> dict[str, Any]:
@@ -115,9 +121,13 @@ class UpgradeContract(ABC):
         world.mine_all("p2")
         done = {"a-done", "b-replaced", "f-waiting", "g-leased", "i-resting"}
         assert {scene_id.split("/")[0] for scene_id in world.ids()} == done
-        world.listed("a-done", "b-replaced", "c-deleted", etag="1")
+        changed = of_old(
+            "a-done", "9"
+        )  # else the logs have the same bytes, and one is mined for all
+        world.ledger.sync_recordings([changed, of_old("c-deleted", "1")])
         of_c = [scene_id for scene_id in world.ids() if scene_id.startswith("c-deleted")]
         assert len(of_c) == 6
+        world.ledger.sync_recordings([changed, of_old("b-replaced", "1")])
         b_scenes = [s for s in world.ledger.current_scenes() if s.log_id == "b-replaced"]
         assert {scene.pipeline_version for scene in b_scenes} == {"p1"}
         world.mine_all("p2")

@@ -12,7 +12,7 @@ from typing import Final
 from hypothesis import HealthCheck, Phase, given, seed, settings
 
 from tests.fuzz.asked_service import AskedService, Report, asked_service
-from tests.fuzz.questions import RIGHT, WRONG, Question, questions
+from tests.fuzz.questions import EACH, RIGHT, WRONG, Question, questions
 
 MOST_MB = 300
 """Memory of a service, whatever is asked of it."""
@@ -42,7 +42,7 @@ def ask_many(folder: Path, *, examples: int) -> Report:
     """
     with asked_service(folder) as service:
         _ask(service, examples)
-        for question in (*WRONG, *RIGHT):
+        for question in (*WRONG, *EACH, *RIGHT):
             service.ask(question)
         return service.report
 

@@ -131,6 +131,10 @@ WRONG: Final = (
 """Questions that are wrong, so that each verb of `RIGHT` is asked a wrong one in every run."""
 
 
+EACH: Final = tuple(Question(verb, {}) for verb in VERBS)
+"""Empty questions, so that each verb is asked in every run, however many verbs there are."""
+
+
 def questions() -> SearchStrategy[Question]:
     """Make questions of every kind."""
     verbs = [_of_verb(verb, kind.request) for verb, kind in VERBS.items()]

@@ -7,7 +7,16 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Final
 
-from tests.golden import contradiction, fusion, geometry, losses, metrics, motion, networks
+from tests.golden import (
+    contradiction,
+    fusion,
+    geometry,
+    lidarcoda,
+    losses,
+    metrics,
+    motion,
+    networks,
+)
 from tests.golden.difference import Difference
 from tests.golden.files import AbsentError, UnknownNameError
 
@@ -16,6 +25,7 @@ Check = Callable[[Path, Path], list[Difference]]
 
 CHECKS: Final[Mapping[str, Check]] = {
     **geometry.CHECKS,
+    **lidarcoda.CHECKS,
     **motion.CHECKS,
     **contradiction.CHECKS,
     **fusion.CHECKS,
@@ -24,9 +34,6 @@ CHECKS: Final[Mapping[str, Check]] = {
     **networks.CHECKS,
 }
 """By pattern of the file's name in the folder."""
-
-LATER: Final = ("lidarcoda/*",)
-"""Reference outputs of parts that are not built yet."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,14 +9,14 @@ import torch
 from numpy.typing import NDArray
 
 from tests.golden.difference import Difference, relative, same, to_scale
-from tests.golden.elevation_loss import (
+from tests.golden.files import arrays, document
+from workers.lab.training.elevation_loss import (
     DATA_WEIGHT,
     SMOOTHNESS_WEIGHT,
     elevation_loss,
     second_order_smoothness,
 )
-from tests.golden.files import arrays, document
-from tests.golden.flow_loss import (
+from workers.lab.training.flow_loss import (
     FINE_TUNING,
     PRE_TRAINING,
     FlowLossSettings,

@@ -8,13 +8,13 @@ import numpy as np
 
 from tests.golden.difference import Difference, near, same
 from tests.golden.files import arrays, document
-from tests.golden.paper_measures import (
+from workers.lab.lidarcoda.matching import COLUMNS, match_points, sums_of
+from workers.lab.lidarcoda.measures import (
     Averaging,
     Measures,
     PointSet,
     paper_measures,
 )
-from tests.golden.point_matching import COLUMNS, match_points, sums_of
 from workers.lidar.fidelity import Form
 
 TOLERANCE: Final = 1e-12

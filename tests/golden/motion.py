@@ -7,13 +7,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.motion_rule import KMH, PAPER
 from tests.golden.contradiction import compare_streams
 from tests.golden.difference import Difference, near, relative, same
 from tests.golden.files import Arrays, arrays, number_of
 from tests.golden.geometry import calibration_of
 from workers.paper.camera_filter import is_ahead_within
 from workers.paper.object_flow import flow_ends
-from workers.paper.two_stage_clustering import KMH, PAPER, ClusterSpeed, TwoStageResult, two_stage
+from workers.paper.two_stage_clustering import ClusterSpeed, TwoStageResult, two_stage
 
 
 def check_synthetic(folder: Path, file: Path) -> list[Difference]:

@@ -149,8 +149,8 @@ class FaultyProxy:
                     for name, value in self.headers.items():  # as signed, the host among them
                         upstream.putheader(name, value)
                     upstream.endheaders(body or None)
-                    reply = upstream.getresponse()
-                    return reply, reply.read()
+                    with upstream.getresponse() as reply:  # it owns the socket once it is there
+                        return reply, reply.read()
                 finally:
                     upstream.close()
 

@@ -5,6 +5,7 @@ import hmac
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import socket
@@ -16,6 +17,7 @@ from email.utils import formatdate
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
 from typing import Final
+from urllib.parse import urlencode
 
 import obstore.store
 
@@ -136,6 +138,33 @@ class Ceph:
         policy = {"Version": "2012-10-17", "Statement": statements}
         self._ask("PUT", f"/{bucket}?policy", json.dumps(policy).encode())
 
+    def notify(self, bucket: str, url: str) -> None:
+        """Have every change in a bucket posted to a URL, in the form of S3 events."""
+        wanted = {
+            "Action": "CreateTopic",
+            "Name": f"topic-{bucket}",
+            "Attributes.entry.1.key": "push-endpoint",
+            "Attributes.entry.1.value": url,
+            "Attributes.entry.2.key": "persistent",
+            "Attributes.entry.2.value": "false",
+        }
+        form = "application/x-www-form-urlencoded; charset=utf-8"
+        said = self._ask("POST", "/", urlencode(wanted).encode(), content_type=form)
+        found = re.search(r"<TopicArn>(.*)</TopicArn>", said)
+        assert found is not None, said
+        events = ("s3:ObjectCreated:*", "s3:ObjectRemoved:*")
+        named = "".join(f"<Event>{event}</Event>" for event in events)
+        configured = (
+            '<NotificationConfiguration xmlns="http://s3.amazonaws.com/doc/2006-03-01/">'
+            f"<TopicConfiguration><Id>counterpoint</Id><Topic>{found[1]}</Topic>{named}"
+            "</TopicConfiguration></NotificationConfiguration>"
+        )
+        self._ask("PUT", f"/{bucket}?notification", configured.encode())
+
+    def delete(self, bucket: str, key: str) -> None:
+        """Delete one object by a request of its own."""
+        self._ask("DELETE", f"/{bucket}/{key}")
+
     def remove_key(self, user: Identity) -> None:
         """Take a user's keys away: they are refused from now on."""
         key = (f"--uid={user.name}", f"--access-key={user.key_id}")
@@ -212,16 +241,18 @@ class Ceph:
         if done.returncode:
             raise RuntimeError(f"radosgw-admin {' '.join(command)}: {done.stderr[-2000:]}")
 
-    def _ask(self, method: str, path: str, body: bytes = b"") -> None:
+    def _ask(self, method: str, path: str, body: bytes = b"", *, content_type: str = "") -> str:
         """Send a request that obstore has no word for, signed as S3 took it first (version 2)."""
         date = formatdate(usegmt=True)
         signed = hmac.digest(
-            ADMIN.secret.encode(), f"{method}\n\n\n{date}\n{path}".encode(), "sha1"
+            ADMIN.secret.encode(), f"{method}\n\n{content_type}\n{date}\n{path}".encode(), "sha1"
         )
         signature = base64.b64encode(signed).decode()
         connection = HTTPConnection("127.0.0.1", self._port, timeout=_DEADLINE_S)
         try:
             headers = {"Date": date, "Authorization": f"AWS {ADMIN.key_id}:{signature}"}
+            if content_type:
+                headers["Content-Type"] = content_type
             connection.request(method, path, body=body, headers=headers)
             reply = connection.getresponse()
             said = reply.read()
@@ -229,6 +260,7 @@ class Ceph:
             connection.close()
         if reply.status >= 300:
             raise HTTPException(f"{method} {path}: {reply.status} {said.decode(errors='replace')}")
+        return said.decode()
 
 
 def missing_programs() -> list[str]:

@@ -25,12 +25,12 @@ def main(endpoint: str, worker_id: str, dies_of: str = "", record_s: str = "0.02
     """Work until told to stop.
 
     Args:
-        endpoint: Of a router.
+        endpoint: Of a router; commas for several.
         worker_id: Of this miner.
         dies_of: Kills itself in the lease of a shard `LOG:INDEX`, or in `each` lease.
         record_s: How long each record takes, seconds.
     """
-    with stop_on_signals() as stop, client_session([endpoint], stop=stop) as session:
+    with stop_on_signals() as stop, client_session(endpoint.split(","), stop=stop) as session:
         leases = Leases(session, root=keys.DEFAULT_ROOT, worker_id=worker_id)
         while not stop.is_set():
             try:

@@ -46,7 +46,8 @@ def _is_answered(address: str) -> bool:
     connection = HTTPConnection(address, timeout=5)
     try:
         connection.request("GET", "/healthz")
-        return connection.getresponse().status == 200
+        with connection.getresponse() as reply:
+            return reply.status == 200
     except (OSError, HTTPException):
         return False
     finally:

@@ -25,8 +25,8 @@ from service.curation.status import Status
 from tests.contracts.ledger_world import mined, plan_of, shard_commit
 from tests.free_ports import free_endpoint
 from tests.integration.daemons import Daemon
+from tests.integration.postgres_server import Postgres
 from tests.integration.running import until
-from tests.integration.test_postgres_service import Postgres
 
 pytestmark = pytest.mark.integration
 

@@ -56,6 +56,25 @@ def test_without_a_router_a_command_fails_at_once_and_says_what_to_start() -> No
     assert time.monotonic() - began_s < 2
 
 
+def test_a_router_links_to_one_that_starts_later() -> None:
+    early, late = free_endpoint(), free_endpoint()
+    began_s = time.monotonic()
+    with router_session([early], connect=[late]) as first:
+        assert time.monotonic() - began_s < 5, "it waits for the other in the background"
+        with router_session([late]):
+            until(lambda: is_connected(first), "a link to the later one")
+            with (
+                client_session([early]) as near,
+                client_session([late]) as far,
+                near.declare_queryable("asked", lambda query: query.reply("asked", b"far")),
+            ):
+
+                def is_answered() -> bool:
+                    return any(reply.ok for reply in far.get("asked", timeout=2))
+
+                until(is_answered, "an answer across both routers")
+
+
 def test_a_taken_port_is_named() -> None:
     endpoint = free_endpoint()
     with router_session([endpoint]), pytest.raises(TransientError, match=endpoint):

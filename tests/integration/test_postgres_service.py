@@ -1,108 +1,41 @@
 """A real PostgreSQL has one service at a time, wherever it runs and whatever happens to either."""
 
 import json
-import os
 import re
-import shutil
-import socket
-import subprocess
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 
 import pytest
-from sqlalchemy import create_engine, text
 
 from schemas.transport.bus import router_session
 from service.api.state_reader import StateReader
 from service.cli.main import main
-from service.errors import StateInUseError, StateUnusableError, UsageError
+from service.errors import (
+    DatabaseTakenError,
+    StateInUseError,
+    StateUnusableError,
+    UsageError,
+)
 from service.settings.config import load_settings
 from service.store.engine import StoreUnavailableError
 from service.store.opening import open_ledger_store, open_ledger_store_to_read, sole_service
-from service.store.single_writer_lock import DatabaseTakenError, SoleService
+from service.store.single_writer_lock import SoleService
 from tests.contracts.ledger_world import World
 from tests.free_ports import free_endpoint
 from tests.integration.daemons import Daemon
+from tests.integration.postgres_server import Postgres, postgres_server
 
 pytestmark = pytest.mark.integration
 
 DEADLINE_S = 60.0
 
 
-class Postgres:
-    """A server of the test's own, which can be restarted."""
-
-    def __init__(self, folder: Path) -> None:
-        pytest.importorskip("psycopg", reason="needs the extra `postgres`")
-        programs = sorted(Path("/usr/lib/postgresql").glob("*/bin"))
-        if not programs:
-            pytest.skip("needs Debian's package `postgresql`")
-        self._bin, self._folder = programs[-1], folder
-        self._as: tuple[str, ...] = ()
-        if os.geteuid() == 0:  # PostgreSQL refuses to run as root
-            shutil.chown(folder, "postgres", "postgres")
-            self._as = ("setpriv", "--reuid=postgres", "--regid=postgres", "--clear-groups")
-        with socket.create_server(("127.0.0.1", 0)) as probe:
-            self.port = probe.getsockname()[1]
-        self.url = f"postgresql+psycopg://app@127.0.0.1:{self.port}/postgres"
-        self._do("initdb", "-D", self._data, "-U", "app", "--auth=trust", "-E", "UTF8", "--no-sync")
-
-    @property
-    def _data(self) -> str:
-        return str(self._folder / "data")
-
-    def start(self) -> None:
-        options = f"-h 127.0.0.1 -p {self.port} -k {self._folder}"
-        log = str(self._folder / "log")
-        self._do("pg_ctl", "-D", self._data, "-w", "-l", log, "-o", options, "start")
-
-    def stop(self) -> None:
-        self._do("pg_ctl", "-D", self._data, "-w", "-m", "immediate", "stop")
-
-    def ask_for_passwords(self) -> None:
-        """Trust nobody any more who logs in from now on."""
-        hba = Path(self._data) / "pg_hba.conf"
-        hba.write_text("host all all 127.0.0.1/32 scram-sha-256\n")
-        self._do("pg_ctl", "-D", self._data, "reload")
-
-    def set(self, name: str, value: str) -> None:
-        """Change a setting for every session, from its next transaction on."""
-        with (Path(self._data) / "postgresql.auto.conf").open("a") as file:
-            file.write(f"{name} = {value}\n")
-        self._do("pg_ctl", "-D", self._data, "reload")
-        engine = create_engine(self.url)
-        shown = text(f"SHOW {name}")
-
-        def is_known() -> bool:
-            with engine.connect() as connection:
-                return bool(connection.execute(shown).scalar_one() == value)
-
-        until(is_known, lambda: f"{name} is not {value}")
-        engine.dispose()
-
-    def _do(self, program: str, *arguments: str) -> None:
-        subprocess.run(
-            [*self._as, str(self._bin / program), *arguments],
-            check=True,
-            timeout=60,
-            cwd=self._folder,
-            stdout=subprocess.DEVNULL,
-        )
-
-
 @pytest.fixture
 def postgres() -> Iterator[Postgres]:
-    folder = Path(tempfile.mkdtemp(prefix="postgres-"))
-    try:
-        server = Postgres(folder)
-        server.start()
+    with postgres_server() as server:
         yield server
-        server.stop()
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 @pytest.fixture
@@ -177,6 +110,16 @@ def test_a_service_outlives_a_restart_of_its_database(
         daemon.end()
 
 
+def test_a_lock_whose_session_ends_unnoticed_is_taken_again(postgres: Postgres) -> None:
+    with SoleService(postgres.url) as sole:
+        postgres.stop()
+        postgres.start()
+        sole.announce("tcp/here:7447")
+        sole.check()
+        with pytest.raises(StateInUseError, match="tcp/here:7447"):
+            SoleService(postgres.url)
+
+
 def test_who_loses_the_database_to_another_ends(postgres: Postgres) -> None:
     with SoleService(postgres.url) as sole:
         sole.check()
@@ -193,7 +136,10 @@ def test_who_loses_the_database_to_another_ends(postgres: Postgres) -> None:
 
 
 def test_a_wrong_password_is_a_mistake_at_the_start_and_waited_out_in_mid_run(
-    postgres: Postgres, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    postgres: Postgres,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     settings = load_settings(database=postgres.url, state=tmp_path)
     with closing(open_ledger_store(settings)) as store, SoleService(postgres.url):
@@ -206,12 +152,13 @@ def test_a_wrong_password_is_a_mistake_at_the_start_and_waited_out_in_mid_run(
             (postgres.url.replace("app@", "nobody:wrong@"), 'failed for user "nobody"'),
             (postgres.url.replace("app@", "app:old@") + "x", 'database "postgresx" does not exist'),
         ):
-            wrong = load_settings(database=url, state=tmp_path)
+            monkeypatch.setenv("COUNTERPOINT_DATABASE", url)  # a flag may not have a password
+            wrong = load_settings(state=tmp_path)
             for opening in (open_ledger_store, open_ledger_store_to_read, sole_service):
                 with pytest.raises(StateUnusableError, match="refuses the login") as refused:
                     opening(wrong)
                 assert said in str(refused.value)
-            assert main(["top", "--database", url]) == 1
+            assert main(["top"]) == 1
             told = capsys.readouterr().err
             assert said in told
             assert "wrong@" not in told

@@ -13,6 +13,7 @@ import pytest
 
 from service.cli.review import review_process
 from tests.free_ports import free_port
+from tests.integration.judged_through_kills import judge_through_kills
 from tests.integration.running import until
 from tests.unit.service.mined_state import mined_state
 
@@ -88,3 +89,8 @@ def test_the_page_of_a_run_ends_with_it(state: Path, monkeypatch: pytest.MonkeyP
     with review_process({"state": state, "config": None}):
         until(lambda: answers(f"http://127.0.0.1:{port}/"), "the page answers")
     assert not answers(f"http://127.0.0.1:{port}/")
+
+
+def test_two_reviewers_lose_and_double_nothing_while_every_part_is_killed(tmp_path: Path) -> None:
+    counts = judge_through_kills(tmp_path, verdicts=200, kills=3)
+    assert counts["sent again"] > 0, "no kill hit a verdict"

@@ -35,7 +35,7 @@ def many(ceph: Ceph) -> str:
     name = ceph.make_bucket()
     bucket = ceph.open(name)
     with ThreadPoolExecutor(16) as pool:
-        list(pool.map(lambda key: bucket.put(key, b"not a log"), KEYS))
+        list(pool.map(lambda n: bucket.put(KEYS[n], f"log {n:05d}".encode()), range(OBJECTS)))
     return name
 
 

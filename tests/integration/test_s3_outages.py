@@ -14,7 +14,8 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from service.curation.status import LogStatus
-from tests.integration.conftest import SHARD_S, SHARDS, Undisturbed, key_of
+from tests.factories import street_log
+from tests.integration.conftest import SECONDS, SHARD_S, SHARDS, Undisturbed, key_of
 from tests.integration.credential_server import CredentialServer
 from tests.integration.daemons import Daemon, System
 from tests.integration.faulty_proxy import Fault, FaultyProxy
@@ -54,10 +55,18 @@ class Outpost:
         """What a daemon has said in this test."""
         return daemon.said()[self.heard[daemon.name] :]
 
-    def upload(self, vehicle: str, *, to: str = "") -> None:
-        """Put the log of a vehicle into the bucket, or in the place of another's."""
-        data = (self.fleet / key_of(vehicle)).read_bytes()
-        self.ceph.open(self.logs).put(key_of(to or vehicle), data)
+    def upload(self, vehicle: str) -> None:
+        """Put the log of a vehicle into the bucket."""
+        self._put(vehicle, self.fleet / key_of(vehicle))
+
+    def upload_another(self, vehicle: str, folder: Path) -> None:
+        """Put a log that is like no other in the place of a vehicle's."""
+        log = folder / "another.mcap"
+        street_log(log, frames=10 * SECONDS, seed=90, style="stands", vehicle=vehicle)
+        self._put(vehicle, log)
+
+    def _put(self, vehicle: str, log: Path) -> None:
+        self.ceph.open(self.logs).put(key_of(vehicle), log.read_bytes())
 
     def log(self, vehicle: str) -> LogStatus | None:
         """What the service says of a vehicle's log."""
@@ -253,16 +262,16 @@ def test_keys_that_expire_are_waited_for_and_new_ones_work_without_a_restart(
 
 
 def test_an_object_replaced_while_it_is_read_is_never_mixed_with_its_successor(
-    outpost: Outpost, undisturbed: dict[str, Undisturbed]
+    outpost: Outpost, undisturbed: dict[str, Undisturbed], tmp_path: Path
 ) -> None:
     outpost.proxy.in_next_body(key_of("car-4"), lambda: outpost.upload("car-4"))
-    outpost.upload("car-0", to="car-4")
+    outpost.upload_another("car-4", tmp_path)
     outpost.is_as_if_undisturbed("car-4", undisturbed["car-4"])
     outpost.until_said(outpost.system.pool, "was replaced or deleted while it was read (car-4/")
 
 
 def test_an_object_deleted_while_it_is_read_is_gone_with_the_next_listing(
-    outpost: Outpost,
+    outpost: Outpost, tmp_path: Path
 ) -> None:
     deleted: list[bool] = []
 
@@ -271,7 +280,7 @@ def test_an_object_deleted_while_it_is_read_is_gone_with_the_next_listing(
         deleted.append(True)
 
     outpost.proxy.in_next_body(key_of("car-9"), happens)
-    outpost.upload("car-1", to="car-9")
+    outpost.upload_another("car-9", tmp_path)
     outpost.system.until(lambda: bool(deleted), "a read of it")
     outpost.until_said(outpost.system.pool, "was replaced or deleted while it was read (car-9/")
     outpost.system.until(lambda: "car-9/2026-03-02/drive" not in known_logs(outpost), "it is gone")

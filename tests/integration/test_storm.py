@@ -13,11 +13,11 @@ import pytest
 
 from schemas.errors import TransientError
 from schemas.transport.keys import DEFAULT_ROOT
-from service.client import ControlClient, watch_scenes
-from service.client.merge import SceneEvent
+from service.client import ControlClient
 from tests.contracts.ledger_world import expected_scenes
 from tests.free_ports import free_endpoint
 from tests.integration.quick_miner import SHARDS_PER_LOG
+from tests.integration.witness import Witness
 
 pytestmark = pytest.mark.integration
 
@@ -78,28 +78,6 @@ class Storm:
         return "\n".join(self._written.read_text(errors="replace").splitlines()[-60:])
 
 
-class Witness:
-    """Watches from the first scene to the last, through every restart."""
-
-    def __init__(self, endpoint: str) -> None:
-        self.events: list[SceneEvent] = []
-        self._endpoint, self._stop = endpoint, threading.Event()
-        self._thread = threading.Thread(target=self._watch)
-
-    def __enter__(self) -> "Witness":
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        self._thread.join()
-
-    def _watch(self) -> None:
-        scenes = watch_scenes([self._endpoint], root=DEFAULT_ROOT, stop=self._stop, idle_s=0.5)
-        for event in scenes:
-            self.events.append(event)
-
-
 @pytest.fixture
 def storm(tmp_path: Path) -> Iterator[Storm]:
     raging = Storm(tmp_path)
@@ -128,7 +106,7 @@ def test_a_storm_of_kills_loses_no_scene_and_a_watcher_sees_each_exactly_once(
         storm.start(name)
     while done() == 0:
         pass
-    with Witness(storm.endpoint) as witness:
+    with Witness([storm.endpoint]) as witness:
         while not witness.events:
             done()
         while done() < SHARDS:

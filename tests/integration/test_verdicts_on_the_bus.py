@@ -14,12 +14,13 @@ from typing import Any
 import pytest
 import zenoh
 
-from schemas.errors import TransientError
+from schemas.errors import PermanentError, TransientError
 from schemas.transport.bus import client_session
 from schemas.transport.keys import DEFAULT_ROOT
 from schemas.verdict import Verdict
 from service.api.reader import Reader
 from service.client import ControlClient
+from service.curation import learned
 from service.curation.listing import ScenesRequest
 from service.curation.verdicts import (
     AgreementRequest,
@@ -86,6 +87,28 @@ def test_verdicts_are_published_and_found_again(tmp_path: Path) -> None:
         assert client.verdicts(VerdictsRequest()).rows == ()
         assert client.agreement(AgreementRequest()).scenes == 0
         assert "ground" in client.choices().causes
+
+
+def test_a_ranking_is_learned_over_the_bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with two_logs(tmp_path) as parts:
+        parts.world.mine_all()
+        client = ControlClient([parts.endpoint], root=DEFAULT_ROOT)
+        scenes = client.top()
+        for number, scene in enumerate(scenes):
+            value = Verdict.NEITHER if number % 2 else Verdict.SUPERVISED
+            client.judge(
+                JudgeRequest(
+                    key=f"k{number}", scene_id=scene.scene_id, reviewer="ann", verdict=value
+                )
+            )
+        with pytest.raises(PermanentError, match=f"{len(scenes)} scenes have .* 30 are needed"):
+            client.top_learned()
+        monkeypatch.setattr(learned, "MIN_VERDICTS", len(scenes))
+        found = client.top_learned(3)
+        assert found.learned is not None
+        assert found.learned.effect.verdicts == len(scenes)
+        assert [row.rank for row in found.scenes] == [1, 2, 3]
+        assert len(found.learned.chances) == 3
 
 
 def persistent(judge: Any, request: Any, *, end_s: float) -> Any:

@@ -81,7 +81,8 @@ def save(path: Path, tensors: Mapping[str, Tensor], card: Card) -> None:
         _write(path.with_suffix(".json"), said.encode())
     except OSError as error:
         raise WeightsUnusableError(
-            f"cannot write weights: {error.strerror or error} ({error.filename or path})"
+            f"cannot write weights: {error.strerror or error}; free space or name another folder "
+            f"({error.filename or path})"
         ) from error
 
 

@@ -105,16 +105,21 @@ def weight_of(
 
 
 def attribute_tracks(
-    described: Sequence[DescribedTrack],
+    described: Sequence[DescribedTrack], *, taught: bool = False
 ) -> tuple[Attribution | None, ...]:
     """Attribute the contradiction of each track to a stream.
 
     Args:
         described: The tracks of a scene with their features.
+        taught: The supervised stream was taught by the self-supervised one. Both then share errors
+            that the tables, fitted on independent streams, do not know.
 
     Returns:
-        One attribution per track; None for a kind of contradiction that no table was fitted for.
+        One attribution per track; None for a kind of contradiction that no table was fitted for,
+        and for all where the streams are not independent.
     """
+    if taught:
+        return (None,) * len(described)
     return tuple(_attribution_of(each) for each in described)
 
 

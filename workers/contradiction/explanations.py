@@ -53,6 +53,8 @@ EXPLANATION_TEXTS: Final[Mapping[str, str]] = {
     "blind self-supervised stream": "the self-supervised stream is blind in most of its frames: "
     "start of a log, gap, lost pose; the witness labels alone, by fewer looks",
     "motion in bulk": "more than 1,250 points per frame move by confirmed and measured motion",
+    "flash of the label": "the supervised stream alone labels it dynamic, for less than about 0.4 "
+    "s: too short for a failure",
     "unhealthy odometry": "poses were doubted in some of its frames",
     "rising ground around it": "the ground around it rises where no object is: spray, vibration",
     "clutter of like contradictions": "six or more others contradict in the same way in its frames",
@@ -161,6 +163,7 @@ def explanations_of(
         ("occlusion before and after", unlabelled > HALF, {}),
         ("blind self-supervised stream", features.blind_share > HALF, {"blind_share": 0.0}),
         ("motion in bulk", features.bulk_motion > HALF, {"bulk_motion": 0.0}),
+        ("flash of the label", features.label_time < HALF, {}),
         ("unhealthy odometry", features.pose_doubted > 0.0, {"pose_doubted": 0.0}),
         ("rising ground around it", features.rising_ground > HALF, {"rising_ground": 0.0}),
         ("clutter of like contradictions", features.clutter > HALF, {"clutter": 0.0}),

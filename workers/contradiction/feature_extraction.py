@@ -14,10 +14,11 @@ from workers.contradiction.bled_labels import bled_share
 from workers.contradiction.blind_moments import blind_share, witness_votes
 from workers.contradiction.bulk_motion import bulk_motion_of
 from workers.contradiction.clamp import clamp01
+from workers.contradiction.flashes import label_time
 from workers.contradiction.rims import rim_likeness
 from workers.contradiction.rising_ground import RisingGround, rising_share
 from workers.contradiction.scene_context import SceneContext, scene_context_of
-from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
+from workers.contradiction.settings import DEFAULT_FEATURES, FeatureSettings
 from workers.contradiction.shape_persistence import ShapePersistence, shape_persistence_of
 from workers.contradiction.size_priors import box_plausibility
 from workers.contradiction.standing_ghosts import path_share, standing_share
@@ -56,7 +57,7 @@ def extract_features(
     instances: Sequence[Instance],
     tracks: Sequence[Track],
     *,
-    settings: ScoreSettings = DEFAULT_SCORE,
+    settings: FeatureSettings = DEFAULT_FEATURES,
 ) -> tuple[DescribedTrack, ...]:
     """Extract the features of every track of a scene.
 
@@ -80,7 +81,7 @@ def _describe(
     track: Track,
     instances: Sequence[Instance],
     context: SceneContext,
-    settings: ScoreSettings,
+    settings: FeatureSettings,
 ) -> DescribedTrack:
     members = tuple(instances[i] for i in track.members)
     size_m = np.median([member.size_m for member in members], axis=0)
@@ -94,7 +95,7 @@ def _features_of(
     members: Sequence[Instance],
     size_m: NDArray[np.float64],
     context: SceneContext,
-    settings: ScoreSettings,
+    settings: FeatureSettings,
 ) -> TrackFeatures:
     points = np.array([len(member.point_index) for member in members], dtype=np.float64)
     at = np.array([member.frame_index for member in members])
@@ -198,6 +199,9 @@ def _features_of(
         blind_share=blind_share(scene, members),
         witness_votes=witness_votes(scene, members),
         bulk_motion=bulk_motion,
+        label_time=label_time(
+            *(track.kind, scene.task), frames=temporal.frames_alone, period_s=context.period_s
+        ),
     )
 
 

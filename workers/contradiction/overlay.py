@@ -49,9 +49,6 @@ def overlay_of(
     index = np.full(offsets[-1], -1, dtype=np.int32)
     for i, instance in enumerate(instances):
         index[offsets[instance.frame_index] + instance.point_index] = i
-    track = np.full(len(instances), -1, dtype=np.int32)
-    for track_id, each in enumerate(ranked):
-        track[list(each.track.members)] = track_id
     boxes = [np.concatenate([i.centre_m, i.size_m, [i.yaw_rad]]) for i in instances]
     return Overlay(
         scene_id=scene.scene_id,
@@ -70,12 +67,20 @@ def overlay_of(
         odom_from_sensor=np.stack([frame.posed.odom_from_sensor for frame in frames]),
         instance_frame=np.array([i.frame_index for i in instances], dtype=np.int32),
         instance_kind=np.array([i.kind.code for i in instances], dtype=np.uint8),
-        instance_track=track,
+        instance_track=tracks_of(len(instances), ranked),
         instance_boxes=np.round(boxes, _BOX_DIGITS).astype(np.float32).reshape(-1, 7),
         task=scene.task,
         pictures=tuple(pictures),
         scoring_inputs=scoring_inputs,
     )
+
+
+def tracks_of(instances: int, ranked: Sequence[RankedTrack]) -> NDArray[np.int32]:
+    """Return the number of the track of each instance, in the order of the record; -1: none."""
+    track = np.full(instances, -1, dtype=np.int32)
+    for track_id, each in enumerate(ranked):
+        track[list(each.track.members)] = track_id
+    return track
 
 
 def _kept_classes(

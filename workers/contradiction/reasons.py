@@ -28,6 +28,12 @@ SUPERVISED: Final = "supervised"
 SELFSUPERVISED: Final = "self-supervised"
 WITNESS: Final = "witness"
 
+TAUGHT_REMARK: Final = (
+    "the supervised stream was taught by the self-supervised stream: it is no independent critic "
+    "of motion, and no contradiction is attributed"
+)
+"""Remark of every scored scene that weights of `counterpoint adapt` labelled."""
+
 _MIN_SPEED_M_PER_S: Final = 0.5
 """Speed below which a headline gives no number."""
 
@@ -51,6 +57,7 @@ def reasons_of(
     state: SceneState,
     statistics: SceneStatistics,
     own_model: str = "",
+    taught: bool = False,
 ) -> tuple[Reason, ...]:
     """Return the reasons of a score, strongest first.
 
@@ -64,6 +71,8 @@ def reasons_of(
         state: State of its score.
         statistics: Statistics of the scene.
         own_model: Name of the user's own model; empty: the supervised stream is a shipped one.
+        taught: The supervised stream was taught by the self-supervised one, which the last reason
+            says.
     """
     health, stream = statistics.odometry, statistics.stream
     span_s = (scene.end_ns - scene.start_ns) / NS_PER_S
@@ -91,6 +100,8 @@ def reasons_of(
     lowered += open_questions(statistics.supervised)
     if stream.blind_share < 1.0:
         lowered.append(_nothing_compared(statistics))
+    if taught:
+        lowered.append(TAUGHT_REMARK)
     return (*reasons, *(Reason(headline=each) for each in lowered if each))
 
 

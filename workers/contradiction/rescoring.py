@@ -4,7 +4,7 @@ from schemas.score import SceneScore
 from workers.contradiction.attribution import attribute_tracks
 from workers.contradiction.score import record_of
 from workers.contradiction.scoring_inputs import ScoringInputs
-from workers.contradiction.track_score import rank_tracks
+from workers.contradiction.track_score import RankedTrack, rank_tracks
 
 
 def rescored(inputs: ScoringInputs) -> SceneScore:
@@ -13,10 +13,16 @@ def rescored(inputs: ScoringInputs) -> SceneScore:
     The same program gives the same record. Another table of attributions, or another formula of the
     strength, gives the record that mining would give, without the log.
     """
-    attributions = attribute_tracks(inputs.tracks)
+    return rescored_tracks(inputs)[0]
+
+
+def rescored_tracks(inputs: ScoringInputs) -> tuple[SceneScore, tuple[RankedTrack, ...]]:
+    """Compute the record of a scene again, with its ranked tracks."""
+    attributions = attribute_tracks(inputs.tracks, taught=inputs.producers.taught)
     ranked = rank_tracks(inputs.scene, inputs.tracks, attributions)
-    return record_of(
+    record = record_of(
         *(inputs.origin, inputs.scene, inputs.statistics, inputs.instances, ranked),
         producers=inputs.producers,
         own_model=inputs.own_model,
     )
+    return record, ranked

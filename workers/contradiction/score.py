@@ -17,7 +17,6 @@ and their tracks have strength 0. They are listed last and never ranked.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 from schemas.attribution import Attribution
@@ -40,9 +39,10 @@ from schemas.score import (
 from schemas.task import Outcome
 from schemas.transport.wire import encode
 from schemas.work import Shard
+from workers.contradiction.origin import Origin
 from workers.contradiction.reasons import class_word, reasons_of
 from workers.contradiction.scene_statistics import SceneStatistics, statistics_of
-from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
+from workers.contradiction.score_settings import DEFAULT_SCORE, ScoreSettings
 from workers.contradiction.track_score import RankedTrack, pose_weights
 
 
@@ -72,28 +72,6 @@ class Streams(Protocol):
     def own_model(self) -> str:
         """Name of the user's own model; empty where the supervised stream is a shipped one."""
         ...
-
-
-@dataclass(frozen=True, slots=True)
-class Origin:
-    """Log, lidar, vehicle and software of a scene, as its record names them."""
-
-    log_id: str
-    lidar_topic: str
-    vehicle: str
-    date: str
-    software_version: str
-
-    @classmethod
-    def of(cls, shard: Shard) -> "Origin":
-        """Return the origin of the scenes of a shard."""
-        return cls(
-            log_id=shard.log_id,
-            lidar_topic=shard.lidar.topic,
-            vehicle=shard.vehicle,
-            date=shard.date,
-            software_version=shard.software_version,
-        )
 
 
 def score_scene(
@@ -178,6 +156,7 @@ def record_of(
             state=state,
             statistics=statistics,
             own_model=own_model,
+            taught=producers.taught,
         ),
         points=shares.points,
         compared_share=shares.compared_share,

@@ -19,8 +19,8 @@ from schemas.labels import FrameLabels
 from schemas.score import Producers, SceneScore
 from schemas.task import UnknownTaskError, task_named
 from schemas.transport.array_pack import PackUnreadableError, joined, parted
+from workers.contradiction.origin import Origin
 from workers.contradiction.scene_statistics import SceneStatistics
-from workers.contradiction.score import Origin
 from workers.contradiction.track_features import NAMES, DescribedTrack, TrackFeatures
 from workers.contradiction.tracks import Track, centres_in_odom
 

@@ -69,8 +69,8 @@ class TrackSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class ScoreSettings:
-    """Settings of a track's strength and a scene's score; `track_score.py` has the formula.
+class FeatureSettings:
+    """Settings of the features of a track and of its size and motion, which overlays keep.
 
     Attributes:
         persistence_s: Time for a persistence of 0.63; a flicker of two frames at 10 Hz has 0.26.
@@ -98,9 +98,6 @@ class ScoreSettings:
         path_error_m_per_s: Tolerance between the velocity of the box and the measured one.
         path_error_share: Growth of this tolerance per m/s of speed.
         implausible: Lower bound of the agreement, for a path that contradicts the measured speed.
-        decay: Weight of each track relative to the stronger one before it.
-        degraded_weight: Weight of a frame with a degraded pose; a lost pose has weight 0.
-        lost_below: Mean weight of the frames below which a scene is `odometry_lost`.
     """
 
     persistence_s: float = 0.5
@@ -121,9 +118,6 @@ class ScoreSettings:
     path_error_m_per_s: float = 1.0
     path_error_share: float = 0.3
     implausible: float = 0.1
-    decay: float = 0.5
-    degraded_weight: float = 0.5
-    lost_below: float = 0.5
 
 
 DEFAULT_INSTANCES: Final = InstanceSettings()
@@ -131,4 +125,4 @@ PAPER_INSTANCES: Final = InstanceSettings(min_points=25, voxel_m=0.0)
 """The published numbers, without voxels; a cluster that lost border points to another is kept."""
 
 DEFAULT_TRACKS: Final = TrackSettings()
-DEFAULT_SCORE: Final = ScoreSettings()
+DEFAULT_FEATURES: Final = FeatureSettings()

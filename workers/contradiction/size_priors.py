@@ -4,10 +4,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.contradiction.clamp import clamp01
-from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
+from workers.contradiction.settings import DEFAULT_FEATURES, FeatureSettings
 
 
-def box_plausibility(size_m: NDArray[np.float64], settings: ScoreSettings = DEFAULT_SCORE) -> float:
+def box_plausibility(
+    size_m: NDArray[np.float64], settings: FeatureSettings = DEFAULT_FEATURES
+) -> float:
     """Return the plausibility of a box, 0 to 1, from its length, width and height, metres."""
     length_m, _, height_m = (float(side) for side in size_m)
 
@@ -18,14 +20,16 @@ def box_plausibility(size_m: NDArray[np.float64], settings: ScoreSettings = DEFA
     return rise(length_m) * rise(height_m) * clamp01(long)
 
 
-def not_too_long(size_m: NDArray[np.float64], settings: ScoreSettings = DEFAULT_SCORE) -> float:
+def not_too_long(
+    size_m: NDArray[np.float64], settings: FeatureSettings = DEFAULT_FEATURES
+) -> float:
     """Return 1 up to the length of a lorry with its trailer, 0 from that of a tram or facade on."""
     span_m = settings.tram_m - settings.lorry_m
     return clamp01((settings.tram_m - float(size_m[0])) / span_m)
 
 
 def not_flat(
-    size_m: NDArray[np.float64], range_m: float, settings: ScoreSettings = DEFAULT_SCORE
+    size_m: NDArray[np.float64], range_m: float, settings: FeatureSettings = DEFAULT_FEATURES
 ) -> float:
     """Return 1 for a box as high for its length as road users, 0 for a flat one.
 

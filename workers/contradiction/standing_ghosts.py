@@ -17,6 +17,7 @@ from typing import Final
 
 from schemas.task import Outcome, Task
 from workers.contradiction.clamp import clamp01
+from workers.contradiction.flashes import has_no_motion_source
 
 _OCCUPIED: Final = 0.75
 """Share of static points by the witness above which no place was free: the rest is its noise."""
@@ -36,7 +37,7 @@ def standing_share(
     Returns:
         0 to 1; 0 for kinds whose box follows a motion source.
     """
-    return shape_static * witness_static if _has_no_motion_source(kind, task) else 0.0
+    return shape_static * witness_static if has_no_motion_source(kind, task) else 0.0
 
 
 def path_share(kind: Outcome, task: Task, *, witness_static: float) -> float:
@@ -51,10 +52,6 @@ def path_share(kind: Outcome, task: Task, *, witness_static: float) -> float:
         0 where the witness found all of its places occupied, 1 up to three quarters of them; 1 for
         kinds whose box follows a motion source.
     """
-    if not _has_no_motion_source(kind, task):
+    if not has_no_motion_source(kind, task):
         return 1.0
     return clamp01((1.0 - witness_static) / (1.0 - _OCCUPIED))
-
-
-def _has_no_motion_source(kind: Outcome, task: Task) -> bool:
-    return not (kind.of_witness or kind.measured) and kind.semantic == task.moving

@@ -61,12 +61,15 @@ class TemporalContext:
         dynamic_before: Share that the supervised stream labels dynamic earlier, whatever the other
             stream labels.
         dynamic_after: Share that the supervised stream labels dynamic later.
+        frames_alone: Frames of the track, and others up to a second away in which the supervised
+            stream alone labels at least half of it dynamic.
     """
 
     agreed_before: float
     not_refuted_after: float
     dynamic_before: float
     dynamic_after: float
+    frames_alone: int
 
 
 def frames_with_context(scene: Scene) -> tuple[LabelledFrame, ...]:
@@ -157,11 +160,15 @@ def temporal_context_of(
         return float(np.sort(shares)[-best:].sum()) / best
 
     agreed, not_refuted, every = counts
+    alone = set(within[every - agreed >= whole_thing].tolist())
+    own_ns = [scene.frames[member.frame_index].stamp_ns for member in members]
+    alone |= set(np.searchsorted(dynamic_points.stamps_ns, own_ns).tolist())
     return TemporalContext(
         agreed_before=share(agreed, before),
         not_refuted_after=share(not_refuted, ~before),
         dynamic_before=share(every, before),
         dynamic_after=share(every, ~before),
+        frames_alone=len(alone),
     )
 
 

@@ -79,6 +79,9 @@ class TrackFeatures:
             those of a full second before and after; 0 without such points.
         bulk_motion: Thousands of points whose motion is confirmed and measured (`bulk_motion.py`);
             0 up to 500 points per frame, 1 from 2,000 on.
+        label_time: Time for which the supervised stream alone labels it dynamic, also up to a
+            second before and after its track; 0 up to a quarter of a second, 1 from half a second
+            on, and 1 for other kinds (`flashes.py`).
     """
 
     witness_dynamic: float
@@ -121,6 +124,7 @@ class TrackFeatures:
     blind_share: float
     witness_votes: float
     bulk_motion: float
+    label_time: float
 
     def named(self) -> dict[str, float]:
         """Return all of them by name, rounded to 4 digits."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.contradiction.clamp import clamp01
-from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
+from workers.contradiction.settings import DEFAULT_FEATURES, FeatureSettings
 
 _PATH_M: Final = 1.0
 _STEADY_M: Final = 0.2
@@ -92,7 +92,7 @@ def motion_plausibility(
     centres_m: NDArray[np.float64],
     stamps_s: NDArray[np.float64],
     velocities_m_per_s: NDArray[np.float64],
-    settings: ScoreSettings = DEFAULT_SCORE,
+    settings: FeatureSettings = DEFAULT_FEATURES,
 ) -> float:
     """Return the agreement of a track's path with the measured velocity, 0 to 1.
 

@@ -5,7 +5,8 @@
 - persistence  1 - exp(-seen x continuity / 0.5 s). `seen` is the number of frames of the track less
   a half, times the frame period; `continuity` is the share of the frames of its span in which it
   contradicts. Errors flicker. Sightings by the other motion source add frames, by their points and
-  less in clutter (`cross_stream_sightings.py`).
+  less in clutter (`cross_stream_sightings.py`). Where the supervised stream alone labels dynamic,
+  the time of its label counts too: half a second makes a failure (`flashes.py`).
 - points       1 - exp(-points / 25), for the median points per frame.
 - size         0 above 30 m of length, since a facade is no road user. It is also 0 for a near and
   flat box: a stretch of road, a kerb, a rail.
@@ -41,7 +42,7 @@ from workers.contradiction.cross_stream_sightings import (
     frames_seen,
     sightings_of,
 )
-from workers.contradiction.settings import DEFAULT_SCORE, ScoreSettings
+from workers.contradiction.score_settings import DEFAULT_SCORE, ScoreSettings
 from workers.contradiction.size_priors import box_plausibility, not_flat, not_too_long
 from workers.contradiction.track_features import DescribedTrack, TrackFeatures
 from workers.contradiction.tracks import Track, frame_period_s
@@ -149,7 +150,7 @@ def _rank(
     lasting = _lasting(dict.fromkeys(frames, 1.0), period_s, settings)
     seen = _lasting(frames_seen(track, members, sightings), period_s, settings)
     lasting += lone * max(0.0, seen - lasting)
-    presence = lasting * features.point_count * size
+    presence = lasting * features.label_time * features.point_count * size
     gate = _gate(weights[frames], lone, static=track.kind.semantic == scene.task.moving)
     gate *= 1.0 - features.blind_share * (1.0 - features.witness_votes)
     speeds = np.linalg.norm(np.stack([member.velocity_m_per_s for member in members]), axis=1)

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from schemas.arrays import Mask, Points
 from schemas.frame import LidarFrame, PosedFrame
 from workers.checkpoints.stored_weights import Stored
 from workers.lidar.range_image import SensorProfile, project
@@ -68,12 +69,24 @@ class DeLORAOdometry:
 
     def image(self, frame: LidarFrame) -> NDArray[np.float32]:
         """Project a frame to the network's input: (4, H, W) x, y, z and range, zero where empty."""
-        image = project(frame.points_m, self._profile, valid_mask=frame.valid_mask)
-        shown = image.index[image.seen_mask]
-        channels = np.zeros((4, *image.index.shape), np.float32)
-        channels[:3, image.seen_mask] = frame.points_m[shown].T
-        channels[3, image.seen_mask] = image.point_range_m[shown]
-        return channels
+        return image_of(frame.points_m, self._profile, valid_mask=frame.valid_mask)[0]
+
+
+def image_of(
+    points_m: Points, profile: SensorProfile, *, valid_mask: Mask | None = None
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Project points to the network's input.
+
+    Returns:
+        (4, H, W) x, y, z and range, metres, zero where empty; and (H, W) point of each pixel, -1
+        where empty.
+    """
+    image = project(points_m, profile, valid_mask=valid_mask)
+    shown = image.index[image.seen_mask]
+    channels = np.zeros((4, *image.index.shape), np.float32)
+    channels[:3, image.seen_mask] = points_m[shown].T
+    channels[3, image.seen_mask] = image.point_range_m[shown]
+    return channels, image.index
 
 
 def _rigid(matrix: NDArray[np.float64]) -> NDArray[np.float64]:

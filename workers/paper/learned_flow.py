@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from schemas.arrays import Flow, Mask, Points, Transform
 from workers.checkpoints.stored_weights import Stored
 from workers.paper.flowstep3d import FlowStep3D
+from workers.paper.point_sets import interpolate, interpolation
 from workers.paper.weights import FlowStep3DCard, load_flowstep3d
 from workers.points.se3 import transform
 
 REACH_M: Final = 35.0
 """Reach to each side and ahead, metres, as in training; farther points get no flow."""
 
-_FLOW_AXES: Final = (1, 2, 0)
+FLOW_AXES: Final = (1, 2, 0)
 """Axes of the network (x left, y up, z ahead) from those of a sensor (x ahead, y left, z up)."""
 
 _SENSOR_AXES: Final = (2, 0, 1)
@@ -27,7 +28,8 @@ class FlowStep3DFlow:
 
     The published chain gives both clouds to the network as measured, so that it has to estimate
     ego-motion again, which odometry knows to a centimetre. Here the first cloud is first moved by
-    ego-motion, and the network estimates the rest.
+    ego-motion, and the network estimates the rest. A cloud of more points than those of the
+    training is thinned to as many, since the sizes of neighbourhoods follow from their density.
 
     Args:
         stored: The network and its card.
@@ -59,16 +61,25 @@ class FlowStep3DFlow:
         near, other_near = _is_near(expected), _is_near(other_points_m)
         beyond_m = np.zeros_like(expected)
         if near.any() and other_near.any():
-            with torch.inference_mode():
-                answers = self._stored.net(
-                    _cloud(expected[near]),
-                    _cloud(other_points_m[other_near]),
-                    iterates=self._stored.card.iterates,
-                )
-            flow_m: NDArray[np.float32] = answers[-1][0].numpy()
+            flow_m = self._beyond(_cloud(expected[near]), _cloud(other_points_m[other_near]))
             beyond_m[near] = flow_m[:, _SENSOR_AXES]
         flow: Flow = expected + beyond_m - points_m
         return flow
+
+    @torch.inference_mode()
+    def _beyond(self, cloud: torch.Tensor, other: torch.Tensor) -> NDArray[np.float32]:
+        """Estimate (N, 3) flow at the density of the training, interpolated to the other points."""
+        most = self._stored.card.points
+        sample = _thinned(cloud, most)
+        answers = self._stored.net(
+            sample, _thinned(other, most), iterates=self._stored.card.iterates
+        )
+        flow = answers[-1]
+        if sample.shape[1] < cloud.shape[1]:
+            upsampling = interpolation(cloud, sample)
+            flow = interpolate(flow.transpose(1, 2), *upsampling).transpose(1, 2)
+        estimated: NDArray[np.float32] = flow[0].numpy()
+        return estimated
 
 
 def _is_near(points_m: Points) -> Mask:
@@ -76,4 +87,12 @@ def _is_near(points_m: Points) -> Mask:
 
 
 def _cloud(points_m: Points) -> torch.Tensor:
-    return torch.from_numpy(np.ascontiguousarray(points_m[:, _FLOW_AXES], dtype=np.float32))[None]
+    return torch.from_numpy(np.ascontiguousarray(points_m[:, FLOW_AXES], dtype=np.float32))[None]
+
+
+def _thinned(cloud: torch.Tensor, most: int) -> torch.Tensor:
+    """Return at most so many points of (1, N, 3), evenly spaced in their order."""
+    number = cloud.shape[1]
+    if number <= most:
+        return cloud
+    return cloud[:, (torch.arange(most, dtype=torch.int64) * number) // most]

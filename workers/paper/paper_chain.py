@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S, Mask
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.labels import Blindness, FrameHealth, FrameLabels, MotionLabel
+from schemas.motion_rule import PAPER
 from schemas.task import MOTION, Task
 from workers.checkpoints.stored_weights import Stored
 from workers.lidar.fidelity import Form
@@ -21,7 +22,7 @@ from workers.paper.gndnet import GndNet
 from workers.paper.ground_rule import GROUND
 from workers.paper.object_flow import flow_ends
 from workers.paper.paper_view import Compared, PaperView
-from workers.paper.two_stage_clustering import PAPER, TwoStageResult, two_stage
+from workers.paper.two_stage_clustering import TwoStageResult, two_stage
 from workers.paper.weights import FlowStep3DCard, GndNetCard, load_flowstep3d, load_gndnet
 from workers.part_version import release, version_of
 from workers.points.se3 import inverse

@@ -5,15 +5,17 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from schemas.arrays import NS_PER_S
+from schemas.arrays import NS_PER_S, Flow, Points
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.labels import Blindness, FrameHealth, FrameLabels, MotionLabel
+from schemas.motion_rule import PER_SECOND, MotionRule
 from schemas.task import MOTION, Task
 from workers.lidar.preprocessing import PreprocessedFrame, Preprocessor
 from workers.paper.object_flow import object_flow
 from workers.paper.scene_flow import SceneFlowSource
-from workers.paper.two_stage_clustering import PER_SECOND, TwoStageRule, two_stage
+from workers.paper.two_stage_clustering import two_stage
 from workers.part_version import version_of
 from workers.points.se3 import transform
 from workers.selfsupervised.history import MAX_GAP_NS
@@ -36,7 +38,7 @@ class TwoStage:
 
     flow: str
     source: SceneFlowSource
-    rule: TwoStageRule = PER_SECOND
+    rule: MotionRule = PER_SECOND
     weights: str = ""
     task: ClassVar[Task] = MOTION
 
@@ -70,18 +72,41 @@ class TwoStage:
                 first = FrameHealth(Blindness.NO_PAST, "no frame before it to compare with")
                 yield unknown_labels(frame, prepared, health=first)
             else:
-                places = _in_beams(prepared)
-                other_from_this = before[1].beams_from_odom @ prepared.odom_from_beams
-                flow = self.source(places, _in_beams(before[1]), other_from_this)
+                moved = flow_between(prepared, before[1], self.source)
                 found = two_stage(
-                    places,
-                    object_flow(flow, places, other_from_this),
+                    moved.places_m,
+                    moved.flow_m,
                     dt_s=(frame.stamp_ns - before[0]) / NS_PER_S,
                     rule=self.rule,
-                    weights=np.bincount(prepared.voxels.of_point, minlength=len(places)),
+                    weights=moved.weights,
                 )
                 yield _labels(frame, prepared, found.dynamic[prepared.voxels.of_point])
             before = (frame.stamp_ns, prepared)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameFlow:
+    """Object flow of the voxels of one frame.
+
+    Attributes:
+        places_m: (V, 3) voxels off the ground, about the beams' origin, metres.
+        flow_m: (V, 3) displacement to the other frame without ego-motion, metres.
+        weights: (V,) points of each voxel.
+    """
+
+    places_m: Points
+    flow_m: Flow
+    weights: NDArray[np.int64]
+
+
+def flow_between(
+    this: PreprocessedFrame, other: PreprocessedFrame, source: SceneFlowSource
+) -> FrameFlow:
+    """Compute the flow of a frame's voxels to another frame, and remove ego-motion from it."""
+    places = _in_beams(this)
+    other_from_this = other.beams_from_odom @ this.odom_from_beams
+    flow = object_flow(source(places, _in_beams(other), other_from_this), places, other_from_this)
+    return FrameFlow(places, flow, np.bincount(this.voxels.of_point, minlength=len(places)))
 
 
 def _in_beams(prepared: PreprocessedFrame) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:

@@ -1,44 +1,12 @@
 """Two-stage clustering of object flow into moving objects: the rule of the paper."""
 
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
-
-KMH: Final = 1 / 3.6
-
-
-@dataclass(frozen=True, slots=True)
-class TwoStageRule:
-    """Thresholds of the rule, as published (arXiv 2407.14306, its code), per second.
-
-    Attributes:
-        reach_m: Neighbour distance of stage 1.
-        min_points: Neighbours, itself included, that make a core point of stage 1.
-        max_spread: Standard deviation of speed over its mean, above which a cluster is not rigid.
-        max_speed_m_per_s: Faster points are left out of stage 1's statistics.
-        flow_reach_m_per_s: Neighbour distance of velocities in stage 2.
-        flow_reach_m: The same per frame interval of any length; None to use the value per second.
-            The published code has 0.015 m per frame, which is 0.15 m/s at 10 Hz only.
-        min_flow_points: Neighbours, itself included, that make a core point of stage 2.
-        min_speed_m_per_s: Slower clusters are static.
-    """
-
-    reach_m: float = 0.6
-    min_points: int = 30
-    max_spread: float = 0.12
-    max_speed_m_per_s: float = 80 * KMH
-    flow_reach_m_per_s: float = 0.15
-    flow_reach_m: float | None = None
-    min_flow_points: int = 25
-    min_speed_m_per_s: float = 4 * KMH
-
-
-PER_SECOND: Final = TwoStageRule()
-PAPER: Final = TwoStageRule(flow_reach_m=0.015)
+from schemas.motion_rule import PER_SECOND, MotionRule
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +57,9 @@ def two_stage(
     flow_m: NDArray[np.floating],
     *,
     dt_s: float,
-    rule: TwoStageRule = PER_SECOND,
+    rule: MotionRule = PER_SECOND,
     weights: NDArray[np.integer] | None = None,
+    first_cluster: NDArray[np.int64] | None = None,
 ) -> TwoStageResult:
     """Cluster points of one speed, then cluster their velocities.
 
@@ -105,6 +74,7 @@ def two_stage(
         dt_s: Length of the interval.
         rule: The thresholds.
         weights: (N,) number of points that each of them represents; one by default.
+        first_cluster: (N,) clusters of stage 1 by the same reach and points, if they are known.
     """
     n = len(points_m)
     first = np.full(n, -1, np.int64)
@@ -115,7 +85,11 @@ def two_stage(
     weight = np.ones(n) if weights is None else np.asarray(weights, np.float64)
     speed = np.linalg.norm(np.asarray(flow_m, np.float64), axis=1) / dt_s
 
-    first = _dbscan(points_m, rule.reach_m, rule.min_points, weight)
+    first = (
+        _dbscan(points_m, rule.reach_m, rule.min_points, weight)
+        if first_cluster is None
+        else first_cluster
+    )
     usual = speed <= rule.max_speed_m_per_s
     first_speeds = []
     for cluster in np.unique(first):

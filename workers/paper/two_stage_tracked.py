@@ -10,8 +10,9 @@ import numpy as np
 from schemas.arrays import NS_PER_S
 from schemas.frame import PosedFrame
 from schemas.labels import FrameLabels, MotionLabel
+from schemas.motion_rule import PER_SECOND, MotionRule
 from schemas.task import MOTION, Task
-from workers.paper.two_stage_clustering import PER_SECOND, TwoStageRule, two_stage
+from workers.paper.two_stage_clustering import two_stage
 from workers.part_version import version_of
 from workers.points.se3 import transform
 from workers.points.voxels import voxelize
@@ -30,7 +31,7 @@ class TrackedTwoStage:
         rule: Thresholds of the clustering.
     """
 
-    rule: TwoStageRule = PER_SECOND
+    rule: MotionRule = PER_SECOND
     task: ClassVar[Task] = MOTION
 
     @property
@@ -56,7 +57,7 @@ class TrackedTwoStage:
             before_ns = now_ns
 
 
-def _by_rule(posed: PosedFrame, said: FrameLabels, dt_s: float, rule: TwoStageRule) -> FrameLabels:
+def _by_rule(posed: PosedFrame, said: FrameLabels, dt_s: float, rule: MotionRule) -> FrameLabels:
     cluster, velocities = said.cluster, said.cluster_velocity_m_per_s
     if cluster is None or velocities is None or said.ground_mask is None:
         raise ValueError("the default stream tells clusters, velocities and ground")

@@ -121,7 +121,7 @@ PARTS: Final[tuple[Part, ...]] = (
         text="GndNet, the camera's view, FlowStep3D, two-stage clustering as published.",
         source="arXiv 2407.14306, section III-B; GndNet (Paigwar et al., 2020), FlowStep3D "
         "(Kittenplon et al., 2021)",
-        weights="gndnet and flowstep3d, imported; none ship; a camera's calibration",
+        weights="gndnet and flowstep3d, trained or imported; none ship; a camera's calibration",
         paper=True,
     ),
     Part(
@@ -262,7 +262,7 @@ PARTS: Final[tuple[Part, ...]] = (
         factory=factories.gndnet_card,
         text="Height of the ground in cells of a metre.",
         source="Paigwar et al., IROS 2020",
-        weights="none ship; published ones by weights import, config gndnet-semantickitti",
+        weights="none ship; train gndnet, or weights import, config gndnet-semantickitti",
         paper=True,
     ),
     Part(
@@ -271,7 +271,7 @@ PARTS: Final[tuple[Part, ...]] = (
         factory=factories.flowstep3d_card,
         text="Scene flow between two clouds.",
         source="Kittenplon, Eldar, Raviv, CVPR 2021",
-        weights="none ship; published ones by weights import, config flowstep3d",
+        weights="none ship; train flowstep3d, or weights import, config flowstep3d",
         paper=True,
     ),
     Part(
@@ -280,7 +280,7 @@ PARTS: Final[tuple[Part, ...]] = (
         factory=factories.delora_card,
         text="Motion of the sensor between two frames.",
         source="Nubert, Khattak, Hutter, ICRA 2021",
-        weights="none ship; published ones by weights import, config delora-kitti",
+        weights="none ship; train delora, or weights import, config delora-kitti",
         paper=True,
     ),
 )

@@ -12,6 +12,7 @@ from workers.errors import UnknownPartError
 from workers.parts.files import PartFiles
 
 if TYPE_CHECKING:
+    from schemas.motion_rule import MotionRule
     from workers.checkpoints.stored_weights import Card
     from workers.contradiction.settings import InstanceSettings
     from workers.parts.protocols import Odometry, Stream, Witness
@@ -33,20 +34,22 @@ def delora(files: PartFiles) -> "Odometry":
 
 def salsanext_lmnet(files: PartFiles, *, published: bool = False) -> "Stream":
     """Load the two networks over range images, from the named folder or those that ship."""
+    from workers.checkpoints.devices import device_of
     from workers.lidar.fidelity import Form
     from workers.supervised.stream import SHIPPED, RangeImageStream
 
     folder = Path(files.weights) if files.weights else SHIPPED
     form = Form.PAPER if published else Form.CORRECTED
-    return RangeImageStream.salsanext_lmnet(folder, form=form)
+    return RangeImageStream.salsanext_lmnet(folder, form=form, device=device_of(files.device))
 
 
 def salsanext_ground(files: PartFiles) -> "Stream":
     """Load the semantic network for the task ground."""
+    from workers.checkpoints.devices import device_of
     from workers.supervised.stream import SHIPPED, RangeImageStream
 
     folder = Path(files.weights) if files.weights else SHIPPED
-    return RangeImageStream.salsanext_ground(folder)
+    return RangeImageStream.salsanext_ground(folder, device=device_of(files.device))
 
 
 def own(files: PartFiles) -> "Stream":
@@ -78,41 +81,47 @@ def registration(_: PartFiles, *, lookahead_s: float = 0.0) -> "Stream":
     return Registration(lookahead_s)
 
 
-def nearest_neighbour(_: PartFiles, *, published: bool = False) -> "Stream":
+def nearest_neighbour(files: PartFiles, *, published: bool = False) -> "Stream":
     """Build the two-stage rule on the flow to the nearest point."""
     from workers.paper.scene_flow import nearest_neighbour_flow
     from workers.paper.two_stage import TwoStage
-    from workers.paper.two_stage_clustering import PAPER, PER_SECOND
 
-    rule = PAPER if published else PER_SECOND
+    rule = _motion_rule(files, published=published)
     return TwoStage("nearest-neighbour", nearest_neighbour_flow, rule)
 
 
-def registered_clusters(_: PartFiles, *, published: bool = False) -> "Stream":
+def registered_clusters(files: PartFiles, *, published: bool = False) -> "Stream":
     """Build the two-stage rule on the flow of registered clusters."""
     from workers.paper.rigid_flow import rigid_flow
     from workers.paper.two_stage import TwoStage
-    from workers.paper.two_stage_clustering import PAPER, PER_SECOND
 
-    return TwoStage("registered-clusters", rigid_flow, PAPER if published else PER_SECOND)
+    return TwoStage("registered-clusters", rigid_flow, _motion_rule(files, published=published))
 
 
 def flowstep3d(files: PartFiles, *, published: bool = False) -> "Stream":
     """Load FlowStep3D and build the two-stage rule on its flow."""
     from workers.paper.learned_flow import FlowStep3DFlow
     from workers.paper.two_stage import TwoStage
-    from workers.paper.two_stage_clustering import PAPER, PER_SECOND
 
     flow = FlowStep3DFlow.load(Path(files.weights))
-    return TwoStage("flowstep3d", flow, PAPER if published else PER_SECOND, flow.version)
+    rule = _motion_rule(files, published=published)
+    return TwoStage("flowstep3d", flow, rule, flow.version)
 
 
-def tracked(_: PartFiles, *, published: bool = False) -> "Stream":
+def _motion_rule(files: PartFiles, *, published: bool) -> "MotionRule":
+    """Return the thresholds of the setting `motion_rule`, else the published ones."""
+    from schemas.motion_rule import PAPER, PER_SECOND, MotionRule
+
+    if files.motion_rule:
+        return MotionRule.model_validate_json(files.motion_rule)
+    return PAPER if published else PER_SECOND
+
+
+def tracked(files: PartFiles, *, published: bool = False) -> "Stream":
     """Build the two-stage rule on velocities that the default stream proved."""
-    from workers.paper.two_stage_clustering import PAPER, PER_SECOND
     from workers.paper.two_stage_tracked import TrackedTwoStage
 
-    return TrackedTwoStage(PAPER if published else PER_SECOND)
+    return TrackedTwoStage(_motion_rule(files, published=published))
 
 
 def paper(files: PartFiles) -> "Stream":

@@ -10,7 +10,11 @@ class PartFiles:
     Attributes:
         model: Adapter of the user's own model; empty: none.
         weights: Folder of imported weights; empty: those that ship.
+        motion_rule: Thresholds of the two-stage rule, as JSON; empty: the published ones.
+        device: Device of the networks over range images: auto, cpu or cuda.
     """
 
     model: str = ""
     weights: str = ""
+    motion_rule: str = ""
+    device: str = "auto"

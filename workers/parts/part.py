@@ -65,4 +65,4 @@ class Part:
         """Describe the weights it needs; `none`: nothing."""
         if self.weights or not self.networks:
             return self.weights or "none"
-        return f"{' and '.join(self.networks)}, imported; none ship"
+        return f"{' and '.join(self.networks)}, trained or imported; none ship"

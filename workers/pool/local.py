@@ -14,6 +14,7 @@ import structlog
 from prometheus_client import CollectorRegistry
 
 from schemas.errors import PermanentError, TransientError
+from schemas.transport.locks import OPEN, Locks
 from workers.pool.process import LogStyle, Place
 from workers.pool.shared_metrics import SharedMetrics
 from workers.pool.slot import KILL_MARGIN_S, Slot
@@ -54,6 +55,7 @@ class LocalPool:
         style: LogStyle | None = None,
         on_death: Callable[[str], None] = lambda _: None,
         accepts: Accepted | None = None,
+        locks: Locks = OPEN,
     ) -> None:
         """Prepare the pool; `start` starts the workers.
 
@@ -70,6 +72,7 @@ class LocalPool:
             on_death: Called with the id of every worker that died, so that its lease need not
                 expire.
             accepts: Locations that a service may name, where a router is on another machine.
+            locks: Certificates of the workers' sessions.
 
         Raises:
             TransientError: If there is no room for the metrics files.
@@ -86,6 +89,7 @@ class LocalPool:
                     root,
                     drain_s,
                     accepts or Accepted(),
+                    locks,
                 ),
                 style or LogStyle(),
                 Place(number, self._metrics.folder),

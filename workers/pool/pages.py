@@ -1,6 +1,9 @@
 """HTTP pages of a pool for monitoring: metrics, liveness, readiness."""
 
 from collections.abc import Callable, Mapping
+from typing import Protocol
+
+from prometheus_client import CollectorRegistry
 
 from schemas.runtime.http_endpoint import (
     Handler,
@@ -9,10 +12,26 @@ from schemas.runtime.http_endpoint import (
     metrics_route,
     text_response,
 )
-from workers.pool.local import LocalPool
 
 
-def pool_pages(pool: LocalPool) -> Mapping[str, Handler]:
+class WatchedPool(Protocol):
+    """A pool that says what it lacks."""
+
+    @property
+    def registry(self) -> CollectorRegistry:
+        """Metrics of the pool."""
+        ...
+
+    def check_alive(self) -> None:
+        """Raise the reason if the pool no longer monitors its workers."""
+        ...
+
+    def check_ready(self) -> None:
+        """Raise the reason if no worker could take a lease now."""
+        ...
+
+
+def pool_pages(pool: WatchedPool) -> Mapping[str, Handler]:
     """Return `/metrics`, `/healthz` (it lives) and `/readyz` (a worker could take a lease)."""
     return {
         "/metrics": metrics_route(pool.registry),

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import astuple
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Final, Self
 
@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from schemas.frame import OdometryState, PosedFrame
 from schemas.labels import FrameLabels
+from schemas.score import TAUGHT
 from schemas.task import GROUND, MOTION, Task
+from workers.checkpoints.devices import Device
 from workers.checkpoints.errors import WeightsUnusableError
 from workers.lidar.fidelity import Form
 from workers.lidar.range_image import CHANNELS, RangeImage, SensorProfile, image_channels, project
@@ -20,7 +22,7 @@ from workers.lidar.sensor_rows import lay_out
 from workers.supervised.classes import ClassSet
 from workers.supervised.fusion import Fusion, MotionFusion
 from workers.supervised.ground_classes import GroundFusion
-from workers.supervised.networks import RangeImageNetwork
+from workers.supervised.networks import FRAMES_TOGETHER, RangeImageNetwork, answers_of
 from workers.supervised.paper_residuals import PaperResiduals
 from workers.supervised.postprocess import KnnSettings, find_voters
 from workers.supervised.residual_image import Past, ResidualHistory, with_residuals
@@ -31,6 +33,21 @@ SHIPPED: Final = Path(__file__).parent / "weights"
 
 _REVISION: Final = "2"
 """Revision of the code; increases when the same weights and settings give other labels."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Projected:
+    """A frame as the input of the networks.
+
+    Attributes:
+        image: Its projection.
+        inputs: (C, H, W) input of each network.
+        has_past: Whether residuals compare it with an earlier frame.
+    """
+
+    image: RangeImage
+    inputs: tuple[NDArray[np.float32], ...]
+    has_past: bool
 
 
 class RangeImageStream:
@@ -46,6 +63,7 @@ class RangeImageStream:
         name: Name of the stream in versions.
         form: Form of image, residuals and votes; see `project`, `PaperResiduals` and `KnnSettings`.
         task: Motion, or ground, which needs the semantic network alone.
+        together: Frames that the networks run over at once; the labels of a frame wait for them.
 
     Raises:
         WeightsUnusableError: If there is no network, or the two do not fit together.
@@ -59,7 +77,9 @@ class RangeImageStream:
         name: str,
         form: Form = Form.CORRECTED,
         task: Task = MOTION,
+        together: int = 1,
     ) -> None:
+        self._together = together
         self._networks = [network for network in (semantic, motion) if network is not None]
         if not self._networks:
             raise WeightsUnusableError("the supervised stream needs a semantic or a motion network")
@@ -80,36 +100,43 @@ class RangeImageStream:
         self._name, self._form, self._knn = name, form, KnnSettings(form=form)
 
     @classmethod
-    def salsanext_lmnet(cls, folder: Path, *, form: Form = Form.CORRECTED) -> Self:
+    def salsanext_lmnet(
+        cls, folder: Path, *, form: Form = Form.CORRECTED, device: Device = "cpu"
+    ) -> Self:
         """Build the stream from `salsanext.safetensors` and `lmnet.safetensors` of a folder.
 
         Args:
             folder: Folder of weights, imported or trained.
             form: Form of image, residuals and votes; the paper's form also runs networks layer by
                 layer.
+            device: Device of the networks.
 
         Raises:
             WeightsUnusableError: If one is missing, damaged, or belongs to another network.
         """
         folded = form is Form.CORRECTED
-        semantic = load_weights(folder / "salsanext.safetensors", folded=folded)
-        motion = load_weights(folder / "lmnet.safetensors", folded=folded)
+        semantic = load_weights(folder / "salsanext.safetensors", folded=folded, device=device)
+        motion = load_weights(folder / "lmnet.safetensors", folded=folded, device=device)
         if semantic.card.network != "salsanext" or motion.card.network != "lmnet":
             raise WeightsUnusableError(
                 "the supervised stream needs weights of salsanext and of lmnet, "
                 f"got {semantic.card.network} and {motion.card.network} ({folder})"
             )
-        return cls(semantic, motion, name="salsanext-lmnet", form=form)
+        taught = TAUGHT if semantic.card.teacher or motion.card.teacher else ""
+        name = f"salsanext-lmnet{taught}"
+        return cls(semantic, motion, name=name, form=form, together=FRAMES_TOGETHER[device])
 
     @classmethod
-    def salsanext_ground(cls, folder: Path) -> Self:
+    def salsanext_ground(cls, folder: Path, *, device: Device = "cpu") -> Self:
         """Build the ground stream from `salsanext.safetensors` of a folder.
 
         Raises:
             WeightsUnusableError: If it is missing, damaged, or no class of it is ground.
         """
-        semantic = load_weights(folder / "salsanext.safetensors", folded=True)
-        return cls(semantic, None, name="salsanext:ground", task=GROUND)
+        semantic = load_weights(folder / "salsanext.safetensors", folded=True, device=device)
+        taught = TAUGHT if semantic.card.teacher else ""
+        name = f"salsanext:ground{taught}"
+        return cls(semantic, None, name=name, task=GROUND, together=FRAMES_TOGETHER[device])
 
     @property
     def task(self) -> Task:
@@ -138,13 +165,20 @@ class RangeImageStream:
         torch.set_num_threads(1)  # a worker owns one core, and sums keep their order
         layout = self._profile
         pasts = self._pasts(layout)
+        waiting: list[_Projected] = []
         for posed in frames:
             if layout.fitted:
+                yield from self._labels(waiting)  # images of one layout run together
+                waiting = []
                 layout = lay_out(layout, posed.frame)
                 pasts = self._pasts(layout)
             if posed.odometry is OdometryState.LOST:
                 pasts = self._pasts(layout)
-            yield self._label(posed, layout, pasts)
+            waiting.append(self._project(posed, layout, pasts))
+            if len(waiting) == self._together:
+                yield from self._labels(waiting)
+                waiting = []
+        yield from self._labels(waiting)
 
     def _pasts(self, layout: SensorProfile) -> list[Past | None]:
         history = PaperResiduals if self._form is Form.PAPER else ResidualHistory
@@ -153,23 +187,34 @@ class RangeImageStream:
             for network in self._networks
         ]
 
-    def _label(
+    def _project(
         self, posed: PosedFrame, layout: SensorProfile, pasts: Sequence[Past | None]
-    ) -> FrameLabels:
+    ) -> _Projected:
         frame = posed.frame
         image = project(frame.points_m, layout, valid_mask=frame.valid_mask, form=self._form)
         measured = {
             profile: image_channels(image, frame.points_m, frame.intensity, profile)
             for profile in {network.profile: None for network in self._networks}
         }
-        answers, ages = [], 1
+        inputs, ages = [], 1
         for network, past in zip(self._networks, pasts, strict=True):
             channels = _chosen(measured[network.profile], network.channels)
             if past is not None:
                 residuals, ages = past.compare(posed, image)
                 channels = with_residuals(image, channels, residuals)
-            answers.append(network.probabilities(channels))
-        return self._fused(image, answers, has_past=ages > 0)
+            inputs.append(channels)
+        return _Projected(image, tuple(inputs), has_past=ages > 0)
+
+    def _labels(self, frames: Sequence[_Projected]) -> Iterator[FrameLabels]:
+        """Run each network over all the frames at once, then fuse the answers of each frame."""
+        if not frames:
+            return
+        answers = [
+            answers_of(network, [frame.inputs[number] for frame in frames])
+            for number, network in enumerate(self._networks)
+        ]
+        for frame, *answered in zip(frames, *answers, strict=True):
+            yield self._fused(frame.image, answered, has_past=frame.has_past)
 
     def _fused(
         self, image: RangeImage, answers: Sequence[NDArray[np.float32]], *, has_past: bool

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from workers.checkpoints import stored_weights
+from workers.checkpoints.devices import Device
 from workers.checkpoints.errors import WeightsUnusableError
 from workers.checkpoints.stored_weights import Card
 from workers.lidar.range_image import CHANNELS, Channel, SensorProfile
@@ -16,7 +17,7 @@ from workers.supervised.adapter import MAX_CHANNELS
 from workers.supervised.classes import ClassMeaning
 from workers.supervised.folded import FoldedSalsaNext
 from workers.supervised.lmnet import MOVING, LMNet
-from workers.supervised.networks import run_eagerly
+from workers.supervised.networks import FRAMES_TOGETHER, run_network
 from workers.supervised.residual_image import ResidualSettings
 from workers.supervised.salsanext import SalsaNext
 
@@ -42,6 +43,11 @@ class WeightsCard(Card):
         description="Which measurements the network sees, in this order.",
     )
     residual: ResidualSettings | None = Field(default=None, description="LMNet's past frames.")
+    teacher: Literal["", "selfsupervised"] = Field(
+        default="",
+        exclude_if=lambda value: not value,
+        description="Stream whose labels the network was taught; empty: truth.",
+    )
 
     def build(self) -> SalsaNext:
         """Build the network of these weights, with random parameters.
@@ -77,10 +83,20 @@ class LoadedWeights:
     """
 
     def __init__(
-        self, net: SalsaNext, card: WeightsCard, digest: str, *, folded: bool = False
+        self,
+        net: SalsaNext,
+        card: WeightsCard,
+        digest: str,
+        *,
+        folded: bool = False,
+        device: Device = "cpu",
     ) -> None:
         self.net, self.card = net, card
         self.digest = f"{digest} folded" if folded else digest
+        if device == "cuda":  # its sums have another order, which follows the size of a batch too
+            self.digest = f"{self.digest} cuda x{FRAMES_TOGETHER[device]}"
+            net.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]  # missing in the stub
+        self._device = device
         self._run = FoldedSalsaNext(net) if folded else net
 
     @property
@@ -111,7 +127,12 @@ class LoadedWeights:
 
     def probabilities(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
         """Map an image (C, H, W) to the probabilities of its classes (K, H, W)."""
-        return run_eagerly(self._run, image)
+        answer: NDArray[np.float32] = run_network(self._run, image[None], self._device)[0]
+        return answer
+
+    def probabilities_together(self, images: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Map images (B, C, H, W) to the probabilities of their classes (B, K, H, W)."""
+        return run_network(self._run, images, self._device)
 
 
 def save_weights(path: Path, net: SalsaNext, card: WeightsCard) -> None:
@@ -131,13 +152,15 @@ def save_weights(path: Path, net: SalsaNext, card: WeightsCard) -> None:
     stored_weights.save(path, tensors, card)
 
 
-def load_weights(path: Path, *, folded: bool = False) -> LoadedWeights:
+def load_weights(path: Path, *, folded: bool = False, device: Device = "cpu") -> LoadedWeights:
     """Load weights after checking that every parameter is there and fits; no partial load.
 
     Args:
         path: The `.safetensors` file; its sidecar is in the same folder.
         folded: Run it folded, faster on a CPU; the outputs differ by rounding, the digest too. A
-            torch without oneDNN runs it layer by layer, with the digest of that form.
+            torch without oneDNN runs it layer by layer, with the digest of that form, and so does a
+            GPU.
+        device: Device to run it on; a GPU is part of the digest.
 
     Returns:
         The network in evaluation mode.
@@ -147,5 +170,5 @@ def load_weights(path: Path, *, folded: bool = False) -> LoadedWeights:
             names the file and what differs.
     """
     read = stored_weights.load(path, WeightsCard, WeightsCard.build)
-    folds = folded and bool(torch.backends.mkldnn.is_available())  # type: ignore[no-untyped-call]
-    return LoadedWeights(read.net, read.card, read.digest, folded=folds)
+    folds = folded and device == "cpu" and bool(torch.backends.mkldnn.is_available())  # type: ignore[no-untyped-call]
+    return LoadedWeights(read.net, read.card, read.digest, folded=folds, device=device)

@@ -5,13 +5,13 @@ From another machine a worker reads, writes and loads only the places of its own
 inside them.
 """
 
-from ipaddress import ip_address
 from pathlib import Path, PurePosixPath
 from typing import Final
 from urllib.parse import unquote, urlsplit
 
 from schemas.mining import MiningSettings
 from schemas.runtime.real_path import real_path
+from schemas.transport.endpoints import is_loopback
 from workers.worker.config import WorkerConfig
 
 _ASKED: Final = {
@@ -21,7 +21,6 @@ _ASKED: Final = {
     "weights": "load weights from",
     "predictions": "read predictions from",
 }
-_LOCAL_PROTOCOLS: Final = ("unixsock-stream", "unixpipe")
 
 
 def refusal(asked: MiningSettings, config: WorkerConfig) -> str:
@@ -43,24 +42,6 @@ def refusal(asked: MiningSettings, config: WorkerConfig) -> str:
                 f"(COUNTERPOINT_{setting.upper()}) for the worker as for the service"
             )
     return ""
-
-
-def is_loopback(endpoint: str) -> bool:
-    """Return True if an endpoint can only be on this machine.
-
-    Args:
-        endpoint: Of a router, such as `tcp/127.0.0.1:7447`.
-    """
-    protocol, _, rest = endpoint.partition("/")
-    if protocol in _LOCAL_PROTOCOLS:
-        return True
-    address = rest.split("#")[0].split("?")[0].rpartition(":")[0].strip("[]")
-    if address == "localhost":
-        return True
-    try:
-        return ip_address(address).is_loopback
-    except ValueError:
-        return False
 
 
 def is_inside(named: str, own: str) -> bool:

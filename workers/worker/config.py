@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from schemas.transport import keys
+from schemas.transport.locks import OPEN, Locks
 
 DRAIN_S: Final = 20.0
 """Time to finish a shard after a stop, seconds; systems kill a process after 30 s."""
@@ -38,6 +39,7 @@ class WorkerConfig:
         root: First part of every key.
         drain_s: Time to work on a lease after a stop, seconds.
         accepts: Places that the service may name, where a router is on another machine.
+        locks: Certificates of the session.
     """
 
     worker_id: str
@@ -45,6 +47,14 @@ class WorkerConfig:
     root: str = keys.DEFAULT_ROOT
     drain_s: float = DRAIN_S
     accepts: Accepted = Accepted()
+    locks: Locks = OPEN
+
+    @property
+    def is_named(self) -> bool:
+        """True if the id begins with the name of the certificate, to which rules bind it."""
+        return bool(self.locks.name) and self.worker_id.startswith(
+            f"{self.locks.name}{keys.OWNER_END}"
+        )
 
 
 class WorkerObserver:

@@ -23,6 +23,7 @@ from schemas.work import (
     ClaimRequest,
     CommitRequest,
     FailRequest,
+    Layers,
     MineLease,
     PlanLease,
     RenewRequest,
@@ -51,16 +52,31 @@ class LeaseLostError(CounterpointError):
 class Leases:
     """Requests to the service, repeated until it answers, since it may be restarting."""
 
-    def __init__(self, session: zenoh.Session, *, root: str, worker_id: str) -> None:
+    def __init__(
+        self, session: zenoh.Session, *, root: str, worker_id: str, is_named: bool = False
+    ) -> None:
+        """Keep the session and the worker's id.
+
+        Args:
+            session: On the bus.
+            root: First part of every key.
+            worker_id: Id of the worker.
+            is_named: True if the keys of its requests name it, as rules of access control want.
+        """
         self._session, self._root, self.worker_id = session, root, worker_id
+        self._is_named = is_named
 
     def hello(self, *, stop: Event) -> MiningSettings:
         """Request the settings that all workers share."""
         return self._ask("hello", b"", MiningSettings, stop=stop)
 
-    def claim(self, pipeline_version: str, *, stop: Event) -> ClaimReply:
+    def claim(
+        self, pipeline_version: str, *, layers: Layers | None = None, stop: Event
+    ) -> ClaimReply:
         """Request a lease."""
-        request = ClaimRequest(worker_id=self.worker_id, pipeline_version=pipeline_version)
+        request = ClaimRequest(
+            worker_id=self.worker_id, pipeline_version=pipeline_version, layers=layers
+        )
         return self._ask("claim", encode(request), ClaimReply, stop=stop)
 
     def commit(self, request: CommitRequest, *, stop: Event) -> Answer:
@@ -110,6 +126,8 @@ class Leases:
             ) from None
 
     def _key(self, verb: Verb) -> str:
+        if self._is_named and verb != "hello":
+            return keys.named_control(root=self._root, verb=verb, name=self.worker_id)
         return keys.control(root=self._root, verb=verb)
 
 

@@ -7,14 +7,25 @@ from dataclasses import dataclass
 import structlog
 import zenoh
 
-from schemas.work import CommitRequest, ManifestEntry, MineLease, PlanLease
+from schemas.work import (
+    CommitRequest,
+    ManifestEntry,
+    MineLease,
+    MiningStats,
+    PlanLease,
+    RescoredShard,
+)
+from workers.contradiction.origin import Origin
 from workers.ingest.footer import TruncatedPart
 from workers.ingest.plan import plan_recording
+from workers.memory import peak_memory_bytes
 from workers.mine import MiningReport, mine_records
+from workers.rescore import rescore_scene
+from workers.stage_timing import StageClock
 from workers.worker.lease import LeaseKeeper, LeaseLostError, Leases
 from workers.worker.logging import log_mined, log_planned, log_truncated, log_unread_labels
 from workers.worker.metrics import WorkerMetrics
-from workers.worker.store_health import put_artifact
+from workers.worker.store_health import put_artifact, reading_artifacts
 from workers.worker.worker_context import WorkerContext
 
 log = structlog.get_logger(__name__)
@@ -117,6 +128,50 @@ class LeaseExecution:
         self.metrics.shard_committed(report.clock.seconds, seconds=seconds)
         self.metrics.shard_ended("committed")
         log_mined(report, seconds=seconds)
+
+    def rescore(
+        self,
+        lease: MineLease,
+        before: RescoredShard,
+        context: WorkerContext,
+        keeper: LeaseKeeper,
+    ) -> None:
+        """Score the scenes of a shard again, from the overlays of an earlier version.
+
+        Raises:
+            NotRescoredError: If an overlay is gone, or has no inputs of the score.
+            StoreTroubleError: If the artifacts cannot be read or written.
+            LeaseLostError: If the lease belongs to another worker.
+            StoppedError: If the worker was stopped, and scoring did not end in time.
+        """
+        began_s = time.monotonic()
+        clock = StageClock()
+        records: dict[str, bytes] = {}
+        manifest: list[ManifestEntry] = []
+        for entry in before.scenes:
+            keeper.check()
+            with clock.stage("rescoring"), reading_artifacts(context.artifacts):
+                again = rescore_scene(
+                    *(context.artifacts, Origin.of(lease.shard), entry),
+                    before=before.pipeline_version,
+                    pipeline_version=context.version,
+                    before_log_id=before.log_id,
+                )
+            with clock.stage("publishing"):
+                put_artifact(context.artifacts, again.overlay_key, again.overlay)
+                self.publisher.put(again.record)
+            self.metrics.scene_mined(again.score)
+            records[again.score.scene_id] = again.record
+            manifest.append(ManifestEntry(scene_id=again.score.scene_id, sha256=again.sha256))
+        stage_s = {name: round(s, 3) for name, s in sorted(clock.seconds.items())}
+        stats = MiningStats(stage_s=stage_s, peak_memory_bytes=peak_memory_bytes())
+        request = self._request(lease, manifest=tuple(manifest), stats=stats)
+        with clock.stage("committing"):
+            self._commit(request, records, keeper)
+        seconds = time.monotonic() - began_s
+        self.metrics.shard_committed(clock.seconds, seconds=seconds)
+        self.metrics.shard_ended("rescored")
+        log.debug("shard scored again", scenes=len(manifest), seconds=round(seconds, 2))
 
     def _count(self, report: MiningReport) -> None:
         self.metrics.mined(

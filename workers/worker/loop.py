@@ -8,6 +8,7 @@ without that answer is repeated, with the same bytes.
 import sys
 import traceback
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from threading import Event
 from typing import Final, Literal
@@ -27,17 +28,21 @@ from schemas.runtime.retry import StoppedError, backoff_s, pause
 from schemas.transport import keys
 from schemas.transport.bus import client_session, recoverable_publisher
 from schemas.transport.router_watch import RouterWatch
-from schemas.work import FailRequest, MineLease, NothingToDo, PlanLease
+from schemas.work import FailRequest, Layers, MineLease, NothingToDo, PlanLease
 from workers.ingest.footer import StillGrowingError
+from workers.rescore import NotRescoredError
 from workers.worker.acceptance import refusal
 from workers.worker.config import WorkerConfig, WorkerObserver
 from workers.worker.lease import LeaseKeeper, LeaseLostError, Leases
 from workers.worker.lease_execution import Lease, LeaseExecution
-from workers.worker.metrics import ShardOutcome, WorkerMetrics
+from workers.worker.metrics import WorkerMetrics
 from workers.worker.store_health import StoreTroubleError, cause_of, wait_until_over
 from workers.worker.worker_context import WorkerContext, build_context
 
 log = structlog.get_logger(__name__)
+
+SharedOutcome = Literal["failed", "lost", "given_back", "replaced", "store_away"]
+"""Ends of a lease that a plan and a shard have in common."""
 
 FAIL_PATIENCE_S: Final = 20.0
 LAST_PATIENCE_S: Final = 3.0
@@ -72,7 +77,7 @@ def run_worker(
     observer, metrics = observer or WorkerObserver(), metrics or WorkerMetrics()
     with (
         structlog.contextvars.bound_contextvars(worker_id=config.worker_id),
-        client_session(config.connect, stop=stop) as session,
+        client_session(config.connect, stop=stop, locks=config.locks) as session,
     ):
         alive = keys.live(root=config.root, role="worker", ident=config.worker_id)
 
@@ -102,10 +107,12 @@ class Worker:
         self._session, self._config, self._stop = session, config, stop
         self._observer = observer or WorkerObserver()
         self._metrics = metrics or WorkerMetrics()
-        self._leases = Leases(session, root=config.root, worker_id=config.worker_id)
+        self._leases = Leases(
+            session, root=config.root, worker_id=config.worker_id, is_named=config.is_named
+        )
         self._context: WorkerContext | None = None
         self._suspect: tuple[str, str] | None = None
-        self._refused = ""
+        self._refused = self._no_work = ""
 
     def run(self) -> None:
         """Claim and work until stopped."""
@@ -122,8 +129,12 @@ class Worker:
 
     def _claim_and_work(self, execution: LeaseExecution) -> None:
         context = self._current_context()
-        grant = self._leases.claim(context.version, stop=self._stop).grant
+        layers = Layers.model_validate(asdict(context.layers))
+        grant = self._leases.claim(context.version, layers=layers, stop=self._stop).grant
         if isinstance(grant, NothingToDo):
+            if grant.problem and grant.problem != self._no_work:
+                log.warning("no work for this worker", problem=grant.problem)
+            self._no_work = grant.problem
             self._stop.wait(grant.retry_after_s)
             return
         self._observer.working(True)
@@ -188,6 +199,8 @@ class Worker:
             try:
                 if isinstance(lease, PlanLease):
                     execution.plan(lease, context, keeper)
+                elif lease.rescore is not None:
+                    execution.rescore(lease, lease.rescore, context, keeper)
                 else:
                     execution.mine(lease, context, keeper)
             except LeaseLostError as error:
@@ -229,6 +242,8 @@ class Worker:
         say(f"{'plan' if is_plan else 'shard'} {outcome.replace('_', ' ')}", problem=problem)
         if outcome == "growing":
             self._metrics.plan_ended("growing")
+        elif outcome == "not_rescored":
+            self._metrics.shard_ended("not_rescored")
         else:
             self._count(lease, outcome)
         self._leases.fail(
@@ -240,6 +255,7 @@ class Worker:
                 replaced=outcome == "replaced",
                 growing=outcome == "growing",
                 given_back=outcome in ("given_back", "store_away"),
+                not_rescored=outcome == "not_rescored",
             ),
             patience_s=LAST_PATIENCE_S if self._stop.is_set() else FAIL_PATIENCE_S,
         )
@@ -248,7 +264,7 @@ class Worker:
             return error
         return None
 
-    def _count(self, lease: Lease, outcome: ShardOutcome) -> None:
+    def _count(self, lease: Lease, outcome: SharedOutcome) -> None:
         if isinstance(lease, PlanLease):
             self._metrics.plan_ended(outcome)
         else:
@@ -259,7 +275,7 @@ def _target(lease: Lease) -> tuple[str, str]:
     return lease.recording.log_id, lease.shard.name if isinstance(lease, MineLease) else ""
 
 
-def _outcome(error: Exception) -> ShardOutcome | Literal["growing"]:
+def _outcome(error: Exception) -> SharedOutcome | Literal["growing", "not_rescored"]:
     match error:
         case StoppedError():
             return "given_back"
@@ -269,6 +285,8 @@ def _outcome(error: Exception) -> ShardOutcome | Literal["growing"]:
             return "replaced"
         case StillGrowingError():
             return "growing"
+        case NotRescoredError():
+            return "not_rescored"
         case _:
             return "failed"
 

@@ -22,13 +22,13 @@ from workers.stage_timing import Stage
 NAMESPACE: Final = "counterpoint"
 SUBSYSTEM: Final = "worker"
 
-ShardOutcome = Literal["committed", "failed", "lost", "given_back", "replaced", "store_away"]
+CommonOutcome = Literal["committed", "failed", "lost", "given_back", "replaced", "store_away"]
+ShardOutcome = Literal[CommonOutcome, "rescored", "not_rescored"]
 """Ends of a shard's lease: committed; failed attempt; lease lost to another worker; given back at a
-stop; object replaced; store unreachable, or refusing everything."""
+stop; object replaced; store unreachable, or refusing everything; committed with scores computed
+again; an overlay is gone, so that the shard is mined."""
 
-PlanOutcome = Literal[
-    "committed", "refused", "growing", "failed", "lost", "given_back", "replaced", "store_away"
-]
+PlanOutcome = Literal[CommonOutcome, "refused", "growing"]
 """Ends of a plan's lease, as those of shards; refused: committed as a log that cannot be mined;
 growing: not yet complete."""
 
@@ -69,7 +69,9 @@ class WorkerMetrics:
         self._shards = self._counter(
             "shards",
             "Shards whose lease ended here, by outcome. Worry when `failed` grows: the ledger "
-            "names log and error. `store_away` costs no attempt.",
+            "names log and error. `store_away` costs no attempt. `rescored`: scores computed again "
+            "without the log. Worry when `not_rescored` grows: overlays are gone, or cannot be "
+            "read, and their shards are mined.",
             outcome=get_args(ShardOutcome),
         )
         self._plans = self._counter(

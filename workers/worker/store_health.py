@@ -5,8 +5,8 @@ therefore costs no attempt, and a worker claims nothing until it works again.
 """
 
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from threading import Event
 from typing import Final
 
@@ -114,6 +114,19 @@ def put_artifact(artifacts: Bucket, key: str, data: bytes) -> None:
         raise TransientError(str(error)) from None
     except BucketRefusedError as error:
         raise PermanentError(str(error)) from None
+
+
+@contextmanager
+def reading_artifacts(artifacts: Bucket) -> Iterator[None]:
+    """Turn artifacts that do not answer into a trouble of the store.
+
+    Raises:
+        StoreTroubleError: If they cannot be read now.
+    """
+    try:
+        yield
+    except BucketUnreachableError as error:
+        raise StoreTroubleError(error, store="artifacts", again=lambda: _list(artifacts)) from None
 
 
 def _delete_probe(artifacts: Bucket) -> None:

@@ -6,8 +6,9 @@ from schemas.mining import MiningSettings
 from schemas.task import MOTION
 from schemas.transport.bucket import Bucket, open_bucket
 from workers.errors import UnknownPartError
+from workers.layers import LayerDigests
 from workers.parts.protocols import Parts
-from workers.version import parts_of, pipeline_version
+from workers.version import layers_of, parts_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +19,7 @@ class WorkerContext:
         settings: Settings that all workers share.
         parts: Odometry and streams.
         version: Pipeline version of both.
+        layers: Digests that make the version.
         bucket: The logs.
         artifacts: Bucket of the overlays.
     """
@@ -25,6 +27,7 @@ class WorkerContext:
     settings: MiningSettings
     parts: Parts
     version: str
+    layers: LayerDigests
     bucket: Bucket
     artifacts: Bucket
 
@@ -43,10 +46,12 @@ def build_context(settings: MiningSettings) -> WorkerContext:
             f"the chosen streams answer the task {parts.task.name}, but a service ranks and counts "
             "motion alone: mine such logs with `counterpoint score`"
         )
+    layers = layers_of(settings, parts)
     return WorkerContext(
         settings=settings,
         parts=parts,
-        version=pipeline_version(settings, parts),
+        version=layers.pipeline_version,
+        layers=layers,
         bucket=open_bucket(settings.bucket),
         artifacts=open_bucket(settings.artifacts, create=True),
     )

@@ -8,6 +8,7 @@ from sqlalchemy import Connection, inspect, text
 
 from service.errors import StateOutdatedError, StateUnusableError
 from service.store.listed_scenes import list_stored_scenes
+from service.store.same_bytes import fill_contents
 
 STEPS: Final[tuple[str, ...]] = (
     "0001_ledger.sql",
@@ -20,12 +21,21 @@ STEPS: Final[tuple[str, ...]] = (
     "0008_incarnation.sql",
     "0009_reading.sql",
     "0010_review.sql",
+    "0011_layers.sql",
+    "0012_audit.sql",
+    "0013_webhooks.sql",
+    "0014_service_lease.sql",
+    "0015_lanes.sql",
+    "0016_same_bytes.sql",
 )
 """Step i migrates version i to i + 1. A step that has been released is never edited."""
 
 SCHEMA_VERSION: Final = len(STEPS)
 
-_FILLED: Final[Mapping[str, Callable[[Connection], None]]] = {"0010_review.sql": list_stored_scenes}
+_FILLED: Final[Mapping[str, Callable[[Connection], None]]] = {
+    "0010_review.sql": list_stored_scenes,
+    "0016_same_bytes.sql": fill_contents,
+}
 """Steps that fill new tables from records, which SQL alone cannot read."""
 
 _SPELLINGS: Final = {

@@ -100,3 +100,5 @@ window.addEventListener("pagehide", () => {
   events = null;
 });
 window.addEventListener("pageshow", listen);
+
+document.documentElement.dataset.keys = "ready";

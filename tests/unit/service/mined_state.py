@@ -11,7 +11,7 @@ from schemas.score import SceneScore
 from schemas.transport.overlay_codec import encode_overlay
 from schemas.transport.wire import encode_scene_score
 from schemas.work import NothingToDo, PlanLease
-from service.store.engine import open_store
+from service.store.engine import Store, open_store
 from service.store.ledger import StoredScene
 from tests.contracts.ledger_world import World, mined, shard_commit
 from tests.overlays import labels_of_points
@@ -39,16 +39,19 @@ def small_overlay(scene_id: str) -> Overlay:
     )
 
 
-def mined_state(folder: Path, *, log_id: str = "car-7/a", **changes: Any) -> list[Path]:
+def mined_state(
+    folder: Path, *, log_id: str = "car-7/a", store: Store | None = None, **changes: Any
+) -> list[Path]:
     """Make a state folder; return the files of its overlays, best scene first.
 
     Args:
         folder: Of the state.
         log_id: The log.
+        store: Database; None: a file in the folder.
         changes: Fields that all its records have otherwise than usual.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    store = open_store(folder)
+    store = store or open_store(folder)
     world = World.on(store)
     world.listed(log_id)
     while not isinstance(grant := world.claim(), NothingToDo):

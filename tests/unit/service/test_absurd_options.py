@@ -40,6 +40,7 @@ WORKING: Final[dict[tuple[str, ...], list[str]]] = {
     ("verdict", "list"): ["--state", "state"],
     ("agreement",): ["--state", "state"],
     ("modes",): ["--state", "state"],
+    ("compare",): ["--a", "software=1", "--b", "software=2", "--state", "state"],
     ("review",): ["--state", "state", "--listen", "nowhere"],
     ("export",): ["week", "--format", "json", "--out", "written", "--state", "state"],
     ("import-labels",): ["folder", "--truth", "written", "--state", "state"],
@@ -54,16 +55,34 @@ WORKING: Final[dict[tuple[str, ...], list[str]]] = {
     ("bench", "motion"): ["file"],
     ("bench", "networks"): ["file", "--only", "images"],
     ("bench", "ledger"): ["--folder", "missing"],
+    ("bench", "fleet"): ["--folder", "missing"],
     ("bench", "failures"): ["file", "--truth", "folder"],
     ("bench", "selection"): ["folder", "--rows", "0"],
     ("bench", "overlay"): ["file"],
+    ("bench", "loop"): ["folder", "--budgets", "x"],
     ("calibrate", "sensor"): ["file", "--out", "profile.json"],
+    ("calibrate", "motion"): ["file", "--truth", "folder", "--out", "rule.json"],
+    ("adapt",): ["folder", "--out", "written"],
+    ("train",): ["lmnet", "--logs", "folder", "--truth", "folder", "--out", "written"],
+    ("convert",): ["pandaset", "folder", "--to", "written", "--truth", "truth"],
+    ("eval", "flow"): ["file", "--truth", "folder"],
+    ("eval", "ground"): ["file", "--truth", "folder"],
+    ("eval", "odometry"): ["file", "--truth", "folder"],
+    ("plan",): ["--cars", "1", "--hours", "1"],
+    ("lidarcoda", "build"): ["folder", "--out", "written"],
+    ("lidarcoda", "grade"): ["folder", "--out", "written"],
+    ("lidarcoda", "evaluate"): ["folder", "--out", "written", "--method", "folder"],
     ("weights", "import"): [
         *("file", "--network", "salsanext", "--config", "salsanext-semantickitti"),
         *("--out", "weights"),
     ],
     ("weights", "configs"): [],
     ("config",): [],
+    ("certs",): ["authority", "--reader", "a-reader"],
+    ("acl",): ["authority"],
+    ("token",): ["tokens", "--name", "a-name"],
+    ("audit",): ["--state", "state"],
+    ("sbom",): [],
     ("parts",): [],
 }
 """Arguments under which a verb ends at once, with a result or a refusal."""
@@ -78,6 +97,7 @@ STARTS: Final = {
     *(("router", option) for option in ("--listen",)),
     *(("service", option) for option in ("--bucket",)),
     *((verb, "--out") for verb in ("demo", "simulate")),
+    *((verb, "--folder") for verb in ("bench fleet", "bench ledger")),
 }
 """Options with which a verb may begin what takes long: they are given what it refuses."""
 
@@ -100,7 +120,7 @@ VERBS: Final = dict(commands(typer.main.get_command(app)))
 def values(verb: tuple[str, ...], parameter: Any) -> Sequence[str]:
     """Say what a parameter is given."""
     kind = str(parameter.display_type)
-    if (verb[0], parameter.opts[0]) in STARTS:
+    if {(verb[0], parameter.opts[0]), (" ".join(verb), parameter.opts[0])} & STARTS:
         return NO_START if parameter.opts[0] == "--out" else (*NO_START, "tcp/127.0.0.1:99999")
     return WHOLE if "int" in kind else NUMBERS if "float" in kind else TEXTS
 

@@ -8,7 +8,7 @@ import pytest
 from schemas.arrays import NS_PER_S
 from schemas.attribution import Attribution, Wrong
 from service.cli.main import main
-from service.evaluation.mined_fleet import fleet_of, read_fleets, recurring
+from service.evaluation.mined_fleet import fleet_of, read_fleets, recurring, track_of
 from service.evaluation.scenes_to_look_at import BY_SCORE, FEWEST, looks_rows
 from service.evaluation.synthetic_rows import speed_rows
 from workers.lab.evaluation.failures.rows import MinedLog, ObjectRow, SceneRow, TrackRow
@@ -100,6 +100,18 @@ def test_vehicles_of_two_fleets_are_told_apart(kept: Path) -> None:
     fleet = fleet_of(read_fleets([kept, kept]))
     assert len({each.candidate.scene.scene_id for each in fleet}) == 32
     assert len({each.candidate.vehicle for each in fleet}) == 8
+
+
+def test_a_track_has_class_bearing_and_speed_of_its_row_and_rows_without_are_read() -> None:
+    scene = mined(0, [0.9], failing=[0]).scenes[0]
+    known = {"class_name": "bus", "strongest_m": (3.0, 4.0, 0.5), "speed_m_per_s": 7.0}
+    record = track_of(scene.tracks[0].model_copy(update=known), scene, 0)
+    assert (record.class_name, record.speed_m_per_s) == ("bus", 7.0)
+    assert record.strongest.centre_m == (3.0, 4.0, 0.5)
+    assert record.strongest.range_m == 5.0
+    without = track_of(scene.tracks[0], scene, 0)
+    assert (without.class_name, without.speed_m_per_s) == ("", 5.0)
+    assert without.strongest.centre_m == (8.0, 0.0, 0.0)
 
 
 def test_the_command_prints_rows(kept: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -50,6 +50,42 @@ from workers.parts.part import PartSetting
         ),
         pytest.param(["run", "--bucket", ".", "--json"], "--log-format json", id="json of a run"),
         pytest.param(["run", "--bucket", ".", "--dry-run"], "no .mcap log", id="nothing to mine"),
+        pytest.param(
+            ["train", "pointnet", "--out", "w"], "none of the networks", id="no such network"
+        ),
+        pytest.param(
+            ["train", "lmnet", "--out", "w", "--logs", "."], "belong together", id="truth forgotten"
+        ),
+        pytest.param(
+            ["train", "lmnet", "--out", "w", "--streets", "0"], "nothing to learn", id="no data"
+        ),
+        pytest.param(
+            ["train", "gndnet", "--out", "w", "--truth", "t"], "takes no --truth", id="no truth"
+        ),
+        pytest.param(
+            ["train", "delora", "--out", "w", "--truth", "t"], "delora takes no", id="no truth here"
+        ),
+        pytest.param(
+            ["train", "flowstep3d", "--out", "w", "--bfloat16"],
+            "takes no --bf",
+            id="full precision",
+        ),
+        pytest.param(
+            ["train", "delora", "--out", "w", "--preset", "published-finetune"],
+            "none of default, published",
+            id="no such preset",
+        ),
+        pytest.param(
+            ["train", "gndnet", "--out", "w", "--points", "128"], "of flowstep3d", id="no points"
+        ),
+        pytest.param(
+            ["train", "salsanext", "--out", "w", "--classes", "mine"],
+            "coarse",
+            id="no such classes",
+        ),
+        pytest.param(
+            ["adapt", ".", "--out", "w", "--device", "gpu"], "cpu or cuda", id="no device"
+        ),
     ],
 )
 def test_a_usage_error_is_one_sentence_and_exit_code_one(

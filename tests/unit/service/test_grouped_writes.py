@@ -11,7 +11,7 @@ import pytest
 from sqlalchemy import Connection
 
 from service.errors import StateUnusableError
-from service.store import engine
+from service.store import sqlite
 from service.store.engine import DATABASE_NAME, Store, StoreUnavailableError, open_store
 
 WRITERS = 8
@@ -26,7 +26,10 @@ def store(tmp_path: Path) -> Iterator[Store]:
 
 def enter(name: str, *, transactions: set[int] | None = None) -> Callable[[Connection], str]:
     def work(connection: Connection) -> str:
-        text = "INSERT INTO pipelines SELECT ?, coalesce(max(ordinal), 0) + 1 FROM pipelines"
+        text = (
+            "INSERT INTO pipelines SELECT ?, coalesce(max(ordinal), 0) + 1, '', '', '' "
+            "FROM pipelines"
+        )
         connection.exec_driver_sql(text, (name,))
         if transactions is not None:
             transactions.add(id(connection))
@@ -97,7 +100,7 @@ def test_one_alone_fails_alone_and_the_next_goes_on(store: Store) -> None:
 def test_a_refused_transaction_refuses_everyone_of_its_group_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(engine, "BUSY_TIMEOUT_MS", 200)
+    monkeypatch.setattr(sqlite, "BUSY_TIMEOUT_MS", 200)
     store = open_store(tmp_path)
     other = sqlite3.connect(tmp_path / DATABASE_NAME, isolation_level=None)
     with closing(store), closing(other), ThreadPoolExecutor(WRITERS) as pool:
@@ -114,7 +117,7 @@ def test_a_refused_transaction_refuses_everyone_of_its_group_once(
 def test_a_disk_that_is_full_or_read_only_may_pass(store: Store) -> None:
     def fill(connection: Connection) -> None:
         connection.exec_driver_sql("PRAGMA max_page_count=1")
-        blob = "INSERT INTO pipelines SELECT hex(randomblob(200000)), 1"
+        blob = "INSERT INTO pipelines SELECT hex(randomblob(200000)), 1, '', '', ''"
         connection.exec_driver_sql(blob)
 
     def write_where_one_may_only_read(connection: Connection) -> None:

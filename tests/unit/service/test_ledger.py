@@ -13,7 +13,7 @@ import pytest
 from sqlalchemy import event
 
 from service.errors import NothingFoundError, StateUnusableError
-from service.store import engine, migrations
+from service.store import migrations, sqlite
 from service.store.engine import DATABASE_NAME, open_store, open_store_to_read
 from service.store.faults import StoreUnavailableError
 from service.store.ledger import Ledger
@@ -123,7 +123,7 @@ def test_a_file_that_is_no_database_is_refused(tmp_path: Path) -> None:
 def test_a_database_that_stays_locked_is_worth_another_try(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(engine, "BUSY_TIMEOUT_MS", 50)
+    monkeypatch.setattr(sqlite, "BUSY_TIMEOUT_MS", 50)
     store = open_store(tmp_path)
     world = World.on(store)
     intruder = sqlite3.connect(tmp_path / DATABASE_NAME, isolation_level=None)
@@ -164,7 +164,7 @@ def test_a_full_disk_loses_nothing_that_was_acknowledged(tmp_path: Path) -> None
 def test_a_failed_write_stands_until_a_write_works_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(engine, "BUSY_TIMEOUT_MS", 50)
+    monkeypatch.setattr(sqlite, "BUSY_TIMEOUT_MS", 50)
     store = open_store(tmp_path)
     world = World.on(store)
     assert world.ledger.cannot_write == ""

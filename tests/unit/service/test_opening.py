@@ -26,7 +26,7 @@ def test_without_a_url_it_is_a_file_in_the_state_folder(tmp_path: Path) -> None:
 
 
 def test_a_server_that_does_not_answer_means_try_again(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("psycopg", reason="needs the extra `postgres`")
     settings = Settings(state=tmp_path, database=NOBODY)
@@ -34,7 +34,8 @@ def test_a_server_that_does_not_answer_means_try_again(
         with pytest.raises(StoreUnavailableError, match="cannot use the database") as refused:
             opening(settings)
         assert "geheim" not in str(refused.value)
-    assert main(["top", "--database", NOBODY]) == 75
+    monkeypatch.setenv("COUNTERPOINT_DATABASE", NOBODY)
+    assert main(["top"]) == 75
     assert "geheim" not in capsys.readouterr().err
 
 

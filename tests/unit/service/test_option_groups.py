@@ -14,6 +14,8 @@ from service.settings.config import Settings
 from service.settings.sources import flag_of, leaves
 
 OF_TWO_MEANINGS = {
+    "--odometry": "what a run uses, and those that one verb compares",
+    "--preset": "settings of mining, and a schedule of training",
     "--bucket": "what is mined, and what the id of one log is relative to",
     "--listen": "the endpoint of a router, and the address of the review page",
     "--state": "what a daemon writes, and what is read without one",
@@ -48,8 +50,11 @@ def test_no_verb_lists_options_of_mining_by_hand() -> None:
     assert partly == {
         "inspect": {"--predictions"},
         "worker": {"--model", "--predictions", "--weights"},
-        "eval motion": {"--weights"},
+        **{verb: {"--weights"} for verb in ("adapt", "calibrate motion", "eval motion")},
+        **{verb: {"--weights"} for verb in ("eval flow", "eval ground", "eval semantics")},
+        "eval odometry": {"--odometry", "--weights"},
         "eval shards": {"--selfsupervised"},
+        "train": {"--preset"},
     }
 
 

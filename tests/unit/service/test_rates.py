@@ -1,11 +1,20 @@
 from datetime import UTC, datetime
+from pathlib import Path
 
 import pytest
 
 from schemas.arrays import NS_PER_S
 from service.cli import rates as verb
-from service.curation.rates import RateRow, RatesRequest, RateSums, rates, rates_request
+from service.curation.rates import (
+    OutcomePoints,
+    RateRow,
+    RatesRequest,
+    RateSums,
+    rates,
+    rates_request,
+)
 from service.errors import UsageError
+from service.pictures.outcomes import draw_outcomes
 
 NOW_S = datetime(2026, 11, 21, 12, tzinfo=UTC).timestamp()
 
@@ -20,6 +29,7 @@ def sums(group: str | int, **changed: int | float) -> RateSums:
             "scenes",
             "frames",
             "compared",
+            "both_dynamic",
             "only_semantic",
             "only_predictive",
             "contradicting_scenes",
@@ -109,3 +119,37 @@ def test_a_time_beyond_the_range_of_nanoseconds_is_refused_in_a_sentence(
 ) -> None:
     with pytest.raises(UsageError, match=f"{side} is too late: '{late}'; times end in April 2262"):
         rates_request("hour", now_s=1e9, **{side: late})
+
+
+def test_data_sets_are_the_first_folders_and_have_outcomes() -> None:
+    logs = [
+        sums("kitti/car/day/a", scenes=1, compared=100, both_dynamic=5, only_semantic=10),
+        sums("kitti/car/day/b", scenes=2, compared=50, only_predictive=20, best_score=0.5),
+        sums("pandaset/x/y/c", scenes=1, compared=10, both_dynamic=1, best_score=0.2),
+    ]
+    first, second = rates(logs, "dataset")
+    assert (first.group, first.scenes, first.best_score) == ("kitti", 3, 0.5)
+    assert first.disagreement_rate == pytest.approx(30 / 150)
+    assert first.outcomes is not None
+    assert first.outcomes.model_dump() == {
+        **{"both_static": 115, "both_dynamic": 5},
+        **{"only_predictive_dynamic": 20, "only_semantic_dynamic": 10},
+    }
+    assert second.group == "pandaset"
+    assert rates(logs, "log")[0].outcomes is None
+
+
+def test_the_picture_of_outcomes_has_a_bar_for_each_category() -> None:
+    found = OutcomePoints(
+        **{"both_static": 10_000, "both_dynamic": 800},
+        **{"only_predictive_dynamic": 90, "only_semantic_dynamic": 0},
+    )
+    image = draw_outcomes({"kitti": found, "a very long name of a data set <b>": found})
+    colours = {colour for _, colour in image.getcolors(maxcolors=1 << 20) or ()}
+    assert {(34, 139, 34), (65, 105, 225), (178, 34, 34), (225, 225, 0)} <= colours
+    assert draw_outcomes({}).size == (640, image.size[1])
+
+
+def test_a_plot_needs_the_grouping_by_data_set(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="give --by dataset"):
+        verb.rates(by="vehicle", plot=tmp_path / "a.png")

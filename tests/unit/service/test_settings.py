@@ -134,6 +134,7 @@ def test_variables_of_others_are_passed_over(name: str, monkeypatch: pytest.Monk
 )
 def test_a_password_is_never_shown(url: str, capsys: pytest.CaptureFixture[str]) -> None:
     file = settings_file(f'database = "{url}"\n')
+    file.chmod(0o600)
     for argv in (["config"], ["config", "--json"], ["top"], ["run", "--bucket", ".", "--dry-run"]):
         main([*argv, "--config", str(file)])
     told = capsys.readouterr()
@@ -141,8 +142,19 @@ def test_a_password_is_never_shown(url: str, capsys: pytest.CaptureFixture[str])
     assert SECRET not in told.out + told.err
 
 
-def test_settings_that_are_printed_hide_the_password() -> None:
-    settings = load_settings(database=f"postgresql://me:{SECRET}@db/x")
+def test_a_password_that_others_can_read_is_refused() -> None:
+    with pytest.raises(UsageError, match="in the list of processes"):
+        load_settings(database=f"postgresql://me:{SECRET}@db/x")
+    file = settings_file(f'database = "postgresql://me:{SECRET}@db/x"\n')
+    file.chmod(0o644)
+    with pytest.raises(UsageError, match=r"chmod o-r it") as refused:
+        load_settings(config=file)
+    assert SECRET not in str(refused.value)
+
+
+def test_settings_that_are_printed_hide_the_password(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COUNTERPOINT_DATABASE", f"postgresql://me:{SECRET}@db/x")
+    settings = load_settings()
     assert SECRET in settings.database
     assert SECRET not in repr(settings)
 

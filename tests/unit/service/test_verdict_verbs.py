@@ -16,7 +16,9 @@ from service.api.request_queue import MalformedError
 from service.api.staging import Staging
 from service.cli.main import main
 from service.client.client import ControlClient
+from service.curation import learned
 from service.curation.rates import RatesRequest
+from service.errors import UsageError
 from service.store.engine import open_store
 from service.store.state import StateLock
 from tests.contracts.ledger_world import World
@@ -175,6 +177,7 @@ def test_an_earlier_client_gets_rows_that_it_knows(
         "selection": SelectionRequest(name="w"),
         "rates": RatesRequest(by="log"),
     }
+    assert b"learned" not in encode(TopRequest()) + control.answer("top", encode(TopRequest()))
     for verb, request in asked.items():
         old, new = encode(request), encode(request.model_copy(update={"verdicts": True}))
         assert b"verdicts" not in old
@@ -212,3 +215,45 @@ def test_the_verbs_answer_over_the_bus_what_the_state_answers(state: list[str]) 
     assert json.loads(control.answer("activity", b"{}"))["recorded"][0]["scenes"] == 18
     assert json.loads(control.answer("agreement", b"{}"))["scenes"] == 0
     assert json.loads(control.answer("verdicts", b"{}")) == {"next": None, "rows": []}
+
+
+def test_a_learned_ranking_is_refused_without_enough_verdicts(
+    state: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    run(capsys, "verdict", "add", "1", "both", *state)
+    assert main(["top", "--learned", *state]) == 1
+    assert "1 scenes have a verdict that decides, and 30 are needed" in capsys.readouterr().err
+    with pytest.raises(UsageError, match="30 are needed"):
+        control_of(Path(state[1])).answer("top", b'{"learned":true}')
+    assert main(["top", "--learned", "--vehicle", "bus-7", *state]) == 1
+    assert "leave out the filters" in capsys.readouterr().err
+
+
+def test_a_learned_ranking_says_its_source_and_effect(
+    state: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(learned, "MIN_VERDICTS", 6)
+    for rank in range(1, 7):
+        verdict = "supervised" if rank % 2 else "neither"
+        run(capsys, "verdict", "add", str(rank), verdict, *state)
+    found, *rows = run(capsys, "top", "--learned", "-n", "4", *state)
+    assert found["effect"]["verdicts"] == 6
+    assert (found["effect"]["right"], found["effect"]["is_used"]) == (3, False)
+    assert [row["rank"] for row in rows] == [1, 2, 3, 4]
+    assert [row.keys() >= {"learned", "verdicts"} for row in rows] == [True] * 4
+    answered = json.loads(control_of(Path(state[1])).answer("top", b'{"learned":true,"most":4}'))
+    assert answered["learned"]["effect"] == found["effect"]
+    assert main(["top", "--learned", *state]) == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert "learned from 6 judged scenes of" in said
+    assert "no gain on verdicts that were not seen: ranked by the score" in said
+    assert "average precision" in said
+
+
+def test_an_earlier_service_that_cannot_learn_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def answer(_: ControlClient, verb: str, request: Any = None) -> bytes:
+        raise PermanentError("malformed top: learned: Extra inputs are not permitted")
+
+    monkeypatch.setattr(ControlClient, "_ask", answer)
+    with pytest.raises(PermanentError, match="earlier version, which does not learn"):
+        ControlClient(["tcp/127.0.0.1:9"], root="r").top_learned(3)

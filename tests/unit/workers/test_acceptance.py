@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from schemas.mining import MiningSettings
-from workers.worker.acceptance import is_inside, is_loopback, refusal
+from schemas.transport.endpoints import is_loopback
+from workers.worker.acceptance import is_inside, refusal
 from workers.worker.config import Accepted, WorkerConfig
 
 ELSEWHERE = "tcp/router:7447"

@@ -17,7 +17,7 @@ from workers.contradiction.attribution import (
 from workers.contradiction.instances import find_instances
 from workers.contradiction.score import score_scene
 from workers.contradiction.track_features import NAMES
-from workers.contradiction.version import contradiction_version
+from workers.lab.evaluation.failures.attribution import by_object
 from workers.lab.evaluation.failures.rows import MinedLog, ObjectRow, SceneRow, TrackRow
 from workers.lab.training.attribution import (
     MIN_VERDICTS,
@@ -26,7 +26,7 @@ from workers.lab.training.attribution import (
     main,
 )
 from workers.lab.training.attribution_prior import PRIOR
-from workers.lab.training.attribution_scores import borders_as_neither, leave_one_log_out
+from workers.lab.training.attribution_scores import leave_one_log_out
 from workers.lab.training.attribution_tables import digest_of
 
 STATIC, DYNAMIC, UNKNOWN = MotionLabel.STATIC, MotionLabel.DYNAMIC, MotionLabel.UNKNOWN
@@ -176,9 +176,8 @@ def test_a_table_may_use_known_features_only() -> None:
         table_of({"supervised": {"intercept": 0.0, "weights": {"colour": 1.0}}})
 
 
-def test_every_kind_of_motion_has_a_table_that_ships_and_counts_in_the_version() -> None:
+def test_every_kind_of_motion_has_a_table_that_ships() -> None:
     assert set(tables()) == {kind.value for kind in ContradictionKind}
-    assert contradiction_version().startswith("contradiction@")
 
 
 def _row(wrong: Wrong, **evidence: float) -> TrackRow:
@@ -341,9 +340,9 @@ def test_bled_labels_on_no_object_are_fitted_as_nobodys_error() -> None:
     nowhere = {"thing": "", "true_track": -1}
     bled = _row(Wrong.SUPERVISED, agreed_share=1.0).model_copy(update=nowhere)
     ghost = _row(Wrong.SUPERVISED).model_copy(update={**nowhere, "thing": "phantom 0"})
-    assert borders_as_neither(bled).verdict is Wrong.NEITHER
-    assert borders_as_neither(ghost) == ghost
-    assert borders_as_neither(bled.model_copy(update={"true_track": 3})).verdict is Wrong.SUPERVISED
+    assert by_object(bled).verdict is Wrong.NEITHER
+    assert by_object(ghost) == ghost
+    assert by_object(bled.model_copy(update={"true_track": 3})).verdict is Wrong.SUPERVISED
     judged = leave_one_log_out([_log(name, [bled, ghost] * 30) for name in ("a", "b")], fit)
     assert judged["all"]["recall"] == {"supervised": 0.5}
     assert judged["all_with_borders_as_neither"]["balanced_accuracy"] == 1.0

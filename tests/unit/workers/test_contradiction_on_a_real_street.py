@@ -14,7 +14,6 @@ from tests.labelled_worlds import ranked_tracks, shard_of
 from workers.contradiction.agreement import compare
 from workers.contradiction.instances import find_instances
 from workers.contradiction.score import score_scene
-from workers.contradiction.version import contradiction_version
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard
 from workers.parts.protocols import Parts
@@ -97,9 +96,3 @@ def test_the_missed_mover_and_the_phantom_are_the_only_tracks_of_a_real_street(
                     reference / "data" / "truth" / LOG / f"{instance.frame_index:06d}.npz"
                 )
                 assert (known["track"][instance.point_index] == track_id).all()
-
-
-def test_the_version_names_this_stage_and_stays_the_same() -> None:
-    assert contradiction_version() == contradiction_version()
-    assert contradiction_version().startswith("contradiction@")
-    assert len(contradiction_version()) == len("contradiction@") + 12

@@ -30,7 +30,13 @@ KIND = ContradictionKind.ONLY_SEMANTIC_DYNAMIC.value
 
 def _evidence(**known: float) -> TrackFeatures:
     return TrackFeatures(
-        **{**dict.fromkeys(NAMES, 0.0), "continuity": 1.0, "point_count": 1.0, **known}
+        **{
+            **dict.fromkeys(NAMES, 0.0),
+            "continuity": 1.0,
+            "point_count": 1.0,
+            "label_time": 1.0,
+            **known,
+        }
     )
 
 

@@ -182,6 +182,20 @@ def test_what_no_record_says_has_no_accuracy() -> None:
     assert found.cases["supervised"] == 20
 
 
+def test_labels_that_lie_on_no_object_are_an_error_by_points_alone() -> None:
+    alone = {"kind": "only_semantic_dynamic", "true_track": -1}
+    bled = track(Wrong.SUPERVISED, Wrong.NEITHER, thing="", **alone)
+    ghost = track(Wrong.SUPERVISED, Wrong.SUPERVISED, thing="phantom 0", **alone)
+    moved = track(Wrong.SELFSUPERVISED, Wrong.SELFSUPERVISED, thing="", true_track=-1)
+    tracks = [*[bled] * 30, *[ghost] * 10, *[moved] * 10]
+    table = planted_table([log(0, row(0, 0.5, tracks=tuple(tracks)))], draws=0)
+    assert table.attribution.cases["supervised"] == 40
+    assert table.attribution.accuracy == pytest.approx((0.25 + 1.0) / 2)
+    by_object = table.attribution_by_object
+    assert by_object.cases == {"supervised": 10, "selfsupervised": 10, "both": 0, "neither": 30}
+    assert by_object.accuracy == 1.0
+
+
 def test_disturbed_scenes_are_held_against_the_undisturbed_budget() -> None:
     quiet = [row(cell, cell / 100) for cell in range(100)]
     assert budget_threshold(quiet) == pytest.approx(0.95)

@@ -43,7 +43,7 @@ VERSION_2_OF = {
 }
 """Name of each feature in version 1, to its name in version 2; in the order of both."""
 
-ADDED = ("blind_share", "witness_votes", "bulk_motion")
+ADDED = ("blind_share", "witness_votes", "bulk_motion", "label_time")
 """Features that version 1 did not have."""
 
 

@@ -14,10 +14,10 @@ from torch import nn
 from schemas.frame import PosedFrame
 from schemas.labels import FrameLabels, MotionLabel
 from tests.factories import scattered
+from tests.pandaset_clouds import read_clouds
 from workers.checkpoints.errors import WeightsUnusableError
 from workers.errors import UnknownPartError
 from workers.lab.calibration.sensor_profile import profile_text
-from workers.lab.datasets.pandaset import read_clouds
 from workers.lidar.range_image import SensorProfile, project
 from workers.lidar.sensor_rows import lay_out
 from workers.parts.files import PartFiles

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.golden.paper_measures import Averaging, PointSet, paper_measures
-from tests.golden.point_matching import COLUMNS, match_points, sums_of
+from workers.lab.lidarcoda.matching import COLUMNS, match_points, sums_of
+from workers.lab.lidarcoda.measures import Averaging, PointSet, paper_measures
 from workers.lidar.fidelity import Form
 
 PAPER = Form.PAPER

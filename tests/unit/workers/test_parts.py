@@ -58,7 +58,7 @@ def test_what_needs_weights_that_do_not_ship_says_so() -> None:
     assert named["salsanext-lmnet"].weights.startswith("ships")
     assert "adapter" in named["own"].weights
     assert named["registration"].weights == "none"
-    assert named["two-stage:flowstep3d"].weights == "flowstep3d, imported; none ship"
+    assert named["two-stage:flowstep3d"].weights == "flowstep3d, trained or imported; none ship"
     assert all(card.licence and card.source and card.what.endswith(".") for card in cards())
 
 

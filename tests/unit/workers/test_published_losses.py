@@ -3,8 +3,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from tests.golden.elevation_loss import elevation_loss, second_order_smoothness
-from tests.golden.flow_loss import (
+from workers.lab.training.elevation_loss import elevation_loss, second_order_smoothness
+from workers.lab.training.flow_loss import (
     FINE_TUNING,
     PRE_TRAINING,
     ball_neighbours,

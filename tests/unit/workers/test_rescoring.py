@@ -96,7 +96,7 @@ def test_inputs_of_other_features_are_refused() -> None:
     _, inputs = _scored(labelled_scene([MISSED], frames=5))
     meta, arrays = parted(memoryview(encode_inputs(inputs)))
     for change in ({"version": 2}, {"features": ["speed"]}):
-        with pytest.raises(ScoringInputsUnreadableError, match="scores version 1 with 40"):
+        with pytest.raises(ScoringInputsUnreadableError, match="scores version 1 with 41"):
             decode_inputs(joined(meta | change, arrays))
 
 

@@ -9,7 +9,7 @@ from schemas.labels import MotionLabel
 from workers.lidar.range_image import SensorProfile, project
 from workers.lidar.sensor_rows import lay_out
 from workers.supervised.classes import ClassMeaning
-from workers.supervised.networks import run_eagerly
+from workers.supervised.networks import run_network
 from workers.supervised.salsanext import SalsaNext
 from workers.supervised.stream import RangeImageStream
 
@@ -81,7 +81,8 @@ class _Untrained:
 
     def probabilities(self, image: np.ndarray) -> np.ndarray:
         self.shapes.append(image.shape)
-        return run_eagerly(self.net, image)
+        answer: np.ndarray = run_network(self.net, image[None], "cpu")[0]
+        return answer
 
 
 def test_one_network_reads_sensors_of_any_rows_and_waits_for_a_whole_frame_to_tell_them() -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from schemas.labels import MotionLabel
 from schemas.mining import MiningSettings
+from schemas.motion_rule import PAPER, PER_SECOND
 from tests.factories import SMALL_LIDAR, street_log
 from workers.errors import UnknownPartError
 from workers.lab.evaluation.motion.counts import LogCounts, StreamCounts, total_of
@@ -16,7 +17,6 @@ from workers.lab.simulation.sensor.lidar import Lidar
 from workers.paper.rigid_flow import rigid_flow
 from workers.paper.scene_flow import nearest_neighbour_flow
 from workers.paper.two_stage import TwoStage
-from workers.paper.two_stage_clustering import PAPER, PER_SECOND
 from workers.paper.two_stage_tracked import TrackedTwoStage
 from workers.parts.catalogue import parts_of_kind
 from workers.parts.registry import build_selfsupervised

@@ -7,9 +7,9 @@ import torch
 from schemas.frame import PosedFrame
 from schemas.labels import FrameLabels, MotionLabel
 from tests.factories import scattered
+from tests.pandaset_clouds import read_clouds
 from workers.checkpoints.errors import WeightsUnusableError
 from workers.lab.datasets.classes import CLASSES
-from workers.lab.datasets.pandaset import read_clouds
 from workers.lidar.range_image import SensorProfile
 from workers.supervised.classes import ClassMeaning
 from workers.supervised.lmnet import MOTION_CLASSES

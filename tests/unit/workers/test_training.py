@@ -6,16 +6,15 @@ import torch
 
 from tests.factories import frame
 from workers.lab.datasets.classes import CLASSES
-from workers.lab.datasets.dataset import main as make_images
 from workers.lab.datasets.images import Cloud, TrainingImages, build_images
-from workers.lab.datasets.pandaset import read_clouds
 from workers.lab.datasets.simulated import clouds_of
 from workers.lab.datasets.stored_images import join, read_images, write_images
 from workers.lab.simulation.output.samples import street_samples
 from workers.lab.training.augment import Sample, augment, network_input
-from workers.lab.training.fit import TrainingSet, TrainingSettings, train
+from workers.lab.training.batches import TrainingSet
 from workers.lab.training.loss import class_weights, lovasz_softmax, segmentation_loss
-from workers.lab.training.train import main
+from workers.lab.training.segmentation import train
+from workers.lab.training.settings import TrainingSettings
 from workers.lidar.range_image import SensorProfile
 from workers.supervised.classes import ClassMeaning
 from workers.supervised.lmnet import MOTION_CLASSES
@@ -147,6 +146,12 @@ def test_nothing_is_lost_where_everything_is_ignored() -> None:
     assert float(lovasz_softmax(shares, torch.zeros(1, 2, 2, dtype=torch.int64))) == 0
 
 
+def test_windows_without_a_label_teach_nothing_and_are_no_error() -> None:
+    logits = torch.zeros(1, 3, 2, 2, requires_grad=True)
+    loss = segmentation_loss(logits, torch.zeros(1, 2, 2, dtype=torch.int64), torch.ones(3))
+    assert float(loss.detach()) == 0
+
+
 def _trained(path: Path, seed: int) -> bytes:
     torch.set_num_threads(1)
     settings = TrainingSettings(steps=3, columns=32, seed=seed)
@@ -154,7 +159,8 @@ def _trained(path: Path, seed: int) -> bytes:
         TrainingSet(images_of_a_wall(), 1.0),
         TrainingSet(images_of_a_wall(frames=5), 3.0),
     ]
-    train(training_sets, {"held out": images_of_a_wall(variants=(1,))}, CARD, settings, out=path)
+    held_out = {"held out": TrainingSet(images_of_a_wall(variants=(1,)), 1.0)}
+    train(training_sets, held_out, CARD, settings, out=path)
     return path.read_bytes()
 
 
@@ -235,51 +241,3 @@ def test_simulated_streets_are_clouds_with_truth() -> None:
     assert len(first.semantic) == len(first.motion) == len(first.frame)
     assert set(np.unique(first.frame.ring)) <= set(range(32))
     assert {"road"} < {CLASSES[each][0] for each in np.unique(first.semantic)}
-
-
-def test_images_are_made_by_command_and_a_network_learns_from_them(tmp_path: Path) -> None:
-    arguments = ["--streets", "1", "--sensors", "vlp32c", "--columns", "256"]
-    assert make_images(["--out", str(tmp_path), *arguments]) == 0
-    folder = tmp_path / "vlp32c"
-    out = tmp_path / "lmnet.safetensors"
-    arguments = ["--model", "lmnet", "--width", "4", "--steps", "2", "--out", str(out)]
-    assert main([*arguments, "--learn", f"{folder}=2", "--judge", str(folder)]) == 0
-    weights = load_weights(out)
-    assert weights.card.profile.fitted
-    assert weights.channels == ("range", "x", "y", "z")
-    assert weights.card.training["learnt"] == "simulated vlp32c seed 1 streets 1 x2"
-    assert weights.card.scores["vlp32c static"] >= 0
-
-
-def test_a_log_that_is_not_there_is_one_sentence(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    (tmp_path / "truth").mkdir()
-    np.savez(tmp_path / "truth" / "poses.npz", reference_time_ns=0, world_from_lidar_at_reference=0)
-    arguments = ["--out", str(tmp_path / "x"), "--log", str(tmp_path / "no.mcap")]
-    assert make_images([*arguments, "--truth", str(tmp_path / "truth")]) == 1
-    assert "no.mcap" in caplog.text
-    assert make_images([*arguments, "--truth", str(tmp_path / "nowhere")]) == 1
-    assert "nowhere" in caplog.text
-
-
-def test_unusable_arguments_are_refused(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    with pytest.raises(SystemExit) as stopped:
-        main(["--model", "pointnet", "--learn", "x", "--out", "z"])
-    assert stopped.value.code == 2
-    arguments = ["--model", "lmnet", "--out", str(tmp_path / "z")]
-    assert main([*arguments, "--learn", str(tmp_path / "none")]) == 1
-    assert "no training images" in caplog.text
-
-
-@pytest.mark.reference
-def test_real_frames_come_with_their_truth(reference: Path) -> None:
-    name = Path("pandaset", "panda-01", "2019-05-11", "pandaset-002")
-    log = reference / "data" / "logs" / name.with_suffix(".mcap")
-    (cloud,) = read_clouds(log, reference / "data" / "truth" / name, range(1, 2))
-    assert len(cloud.frame.points_m) == len(cloud.semantic) == len(cloud.motion) == 106_183
-    assert 0 < cloud.frame.intensity.mean() < 0.2
-    assert cloud.frame.intensity.max() <= 1
-    assert cloud.semantic.max() < len(CLASSES)
-    assert 4000 < (cloud.motion == 2).sum() < 6000
-    np.testing.assert_allclose(np.linalg.det(cloud.world_from_sensor[:3, :3]), 1, atol=1e-9)

@@ -7,12 +7,13 @@ from numpy.typing import NDArray
 from schemas.camera import CameraCalibration
 from schemas.frame import OdometryState, PosedFrame
 from schemas.labels import MotionLabel
+from schemas.motion_rule import PAPER, PER_SECOND, MotionRule
 from tests.factories import frame, posed
 from workers.paper.camera_filter import to_flow_space
 from workers.paper.object_flow import flow_ends
 from workers.paper.scene_flow import nearest_neighbour_flow
 from workers.paper.two_stage import TwoStage
-from workers.paper.two_stage_clustering import PAPER, PER_SECOND, TwoStageRule, two_stage
+from workers.paper.two_stage_clustering import two_stage
 
 DT_S = 0.1
 NEAREST = TwoStage("nearest-neighbour", nearest_neighbour_flow)
@@ -49,7 +50,7 @@ def test_points_that_disagree_about_their_speed_are_no_body() -> None:
 
 def test_a_car_over_eighty_is_static_as_published() -> None:
     assert not two_stage(blob((10, 0, 0)), flow((30, 0, 0)), dt_s=DT_S).dynamic.any()
-    faster = TwoStageRule(max_speed_m_per_s=60.0)
+    faster = MotionRule(max_speed_m_per_s=60.0)
     assert two_stage(blob((10, 0, 0)), flow((30, 0, 0)), dt_s=DT_S, rule=faster).dynamic.all()
 
 
@@ -59,8 +60,8 @@ def test_the_rule_goes_by_the_second_and_the_published_one_by_the_frame() -> Non
     velocities = np.stack([np.linspace(5.0, 5.6, 60), np.zeros(60), np.zeros(60)], axis=-1)
     points = blob((10, 0, 0), 60)
     rule = {"min_points": 10, "min_flow_points": 40}
-    by_second = TwoStageRule(**rule)
-    by_frame = TwoStageRule(**rule, flow_reach_m=PAPER.flow_reach_m)
+    by_second = MotionRule(**rule)
+    by_frame = MotionRule(**rule, flow_reach_m=PAPER.flow_reach_m)
     for dt_s in (0.2, 0.1, 0.05):
         found = two_stage(points, velocities * dt_s, dt_s=dt_s, rule=by_second)
         assert not found.dynamic.any()

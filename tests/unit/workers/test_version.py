@@ -38,6 +38,7 @@ CHANGED = {
     "grid": Grid(shard_s=2.0),
     "supervised": "recorded",
     "selfsupervised": "two-stage",
+    "motion_rule": "{}",
     "odometry": "other",
     "lidar_topic": "/lidar/left",
     "odometry_topic": "/odom",

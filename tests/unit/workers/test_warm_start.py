@@ -5,11 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.unit.workers.test_training import images_of_a_wall
 from workers.checkpoints.errors import WeightsUnusableError
-from workers.lab.datasets.dataset import RESIDUAL
-from workers.lab.datasets.stored_images import write_images
-from workers.lab.training.train import main
 from workers.lab.training.warm_start import warm_start_parameters
 from workers.lidar.range_image import CHANNELS, Channel, SensorProfile
 from workers.supervised.classes import ClassMeaning
@@ -66,21 +62,3 @@ def test_a_channel_that_was_never_seen_is_refused(tmp_path: Path) -> None:
     initial = _initial(tmp_path, CARD.model_copy(update={"channels": FEWER}))
     with pytest.raises(WeightsUnusableError, match="intensity"):
         warm_start_parameters(initial, CARD)
-
-
-def test_whoever_goes_on_keeps_means_and_deviations(tmp_path: Path) -> None:
-    _initial(tmp_path)
-    write_images(tmp_path / "wall", images_of_a_wall(), source={})
-    out = tmp_path / "out.safetensors"
-    arguments = ["--initial", str(tmp_path / "w.safetensors"), "--width", "4", "--steps", "1"]
-    arguments += ["--model", "lmnet", "--learn", str(tmp_path / "wall"), "--out", str(out)]
-    assert main(arguments) == 1  # the residuals that are trained reach further back
-    longer = CARD.model_copy(update={"residual": RESIDUAL})
-    _initial(tmp_path, longer)
-    images = images_of_a_wall()
-    deeper = replace(images, residuals=np.repeat(images.residuals[:, :, :1], 5, axis=2))
-    write_images(tmp_path / "wall", deeper, source={})
-    assert main(arguments) == 0
-    trained = load_weights(out)
-    assert trained.profile.means == CARD.profile.means
-    assert trained.card.training["initial"] == load_weights(tmp_path / "w.safetensors").digest

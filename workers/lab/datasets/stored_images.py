@@ -4,8 +4,10 @@ import json
 from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from schemas.errors import PermanentError
 from workers.lab.datasets.images import TrainingImages
@@ -35,8 +37,28 @@ def write_images(folder: Path, images: TrainingImages, *, source: dict[str, str 
     folder.mkdir(parents=True, exist_ok=True)
     for name in _ARRAYS:
         array = getattr(images, name)
-        np.save(folder / f"{name}.npy", array.astype(np.float16) if name == "channels" else array)
+        _save(folder / f"{name}.npy", array.astype(np.float16) if name == "channels" else array)
     (folder / "source.json").write_text(json.dumps(source, indent=1) + "\n")
+
+
+class _Writer:
+    """A file without a descriptor: numpy then writes it by `write`, whose errors have an errno.
+
+    `np.save` into a file with a descriptor is `ndarray.tofile`, which on a full disk raises an
+    OSError that says neither errno nor file.
+    """
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+
+    def write(self, content: bytes, /) -> int:
+        """Write bytes, all of them or with an error."""
+        return self._file.write(content)
+
+
+def _save(path: Path, array: NDArray[Any]) -> None:
+    with path.open("wb") as file:
+        np.save(_Writer(file), array, allow_pickle=False)
 
 
 def read_images(folder: Path) -> tuple[TrainingImages, dict[str, str | int]]:
@@ -53,7 +75,6 @@ def read_images(folder: Path) -> tuple[TrainingImages, dict[str, str | int]]:
         source = json.loads((folder / "source.json").read_text())
     except FileNotFoundError as error:
         raise ImagesUnusableError(
-            "no training images: make them with `python -m workers.lab.datasets.dataset` "
-            f"({error.filename})"
+            f"no training images: begin the training again with --restart ({error.filename})"
         ) from error
     return TrainingImages(**arrays), source

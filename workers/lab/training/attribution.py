@@ -43,8 +43,8 @@ BALANCE: Final = 0.5
 _FEW: Final = 10
 """Count added to each verdict's frequency, so that a few rare tracks do not dominate."""
 
-USED: Final = tuple(name for name in NAMES if name not in ("duration", "point_count"))
-"""Evidence of the fit: `duration` and `point_count` are already terms of a track's strength."""
+USED: Final = tuple(n for n in NAMES if n not in ("duration", "point_count", "label_time"))
+"""Evidence of the fit: the features left out are already terms of a track's strength."""
 
 MIN_VERDICTS: Final = 20
 """Long and large tracks of a second verdict below which the table of a kind stays the prior.

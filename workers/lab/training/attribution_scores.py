@@ -6,20 +6,17 @@ from typing import Any, Final
 import numpy as np
 
 from schemas.attribution import Wrong
-from schemas.contradiction import ContradictionKind
 from workers.contradiction.attribution import Table, chances, table_of
 from workers.contradiction.score import combine
-from workers.contradiction.settings import DEFAULT_SCORE
+from workers.contradiction.score_settings import DEFAULT_SCORE
 from workers.contradiction.track_features import NAMES
-from workers.lab.evaluation.failures.attribution import MIN_CASES, is_evaluated
+from workers.lab.evaluation.failures.attribution import MIN_CASES, by_object, is_evaluated
 from workers.lab.evaluation.failures.calibration import calibrate
 from workers.lab.evaluation.failures.retrieval import retrieve
 from workers.lab.evaluation.failures.rows import MinedLog, SceneRow, TrackRow
 
 MIN_FRAMES: Final = 3
 """Frames of a track for use in the fit."""
-
-_OF_SUPERVISED: Final = frozenset({ContradictionKind.ONLY_SEMANTIC_DYNAMIC.value})
 
 Prediction = tuple[TrackRow, Wrong, float]
 """A track, the verdict on it and the chance of that verdict."""
@@ -29,27 +26,14 @@ Fit = Callable[[Sequence[MinedLog]], Mapping[str, Mapping[str, Any]]]
 
 
 def usable_tracks(logs: Sequence[MinedLog]) -> list[TrackRow]:
-    """List the tracks that are long enough and have a true verdict, for use in the fit."""
+    """List the tracks for the fit: long enough, with the true verdict on their object."""
     return [
-        borders_as_neither(track)
+        by_object(track)
         for log in logs
         for scene in log.scenes
         for track in scene.tracks
         if track.frames >= MIN_FRAMES and track.verdict is not None
     ]
-
-
-def borders_as_neither(track: TrackRow) -> TrackRow:
-    """Return a track with the verdict that the fit draws it to.
-
-    Labels of the supervised stream that bled over the border of a mover, or flash on structure for
-    less than half a second, lie on no object. Truth has the verdict that this stream is wrong. But
-    no failure is there, and a table that calls it wrong there ranks borders above failures.
-    """
-    on_object = track.thing or track.true_track >= 0
-    if on_object or track.kind not in _OF_SUPERVISED or track.verdict is not Wrong.SUPERVISED:
-        return track
-    return track.model_copy(update={"verdict": Wrong.NEITHER})
 
 
 def leave_one_log_out(logs: Sequence[MinedLog], fit: Fit) -> dict[str, Any]:
@@ -58,7 +42,7 @@ def leave_one_log_out(logs: Sequence[MinedLog], fit: Fit) -> dict[str, Any]:
     Returns:
         By kind, and for all: tracks by true verdict, the recall of each verdict, their mean, the
         mean of those that occur ten times, and the calibration error of the verdicts' chances; for
-        all also with the verdicts of `borders_as_neither`.
+        all also with the verdicts of `by_object`.
         `scenes` contains the retrieval figures of the rescored scenes.
     """
     predictions: list[Prediction] = []
@@ -81,7 +65,7 @@ def leave_one_log_out(logs: Sequence[MinedLog], fit: Fit) -> dict[str, Any]:
         **{kind: _recalls(each for each in predictions if each[0].kind == kind) for kind in kinds},
         "all": _recalls(predictions),
         "all_with_borders_as_neither": _recalls(
-            (borders_as_neither(track), answer, chance) for track, answer, chance in predictions
+            (by_object(track), answer, chance) for track, answer, chance in predictions
         ),
         "scenes": {
             "scenes": len(scores),

@@ -41,8 +41,10 @@ def segmentation_loss(
             than the network's forward pass.
 
     Returns:
-        Scalar.
+        Scalar; zero when every pixel is ignored.
     """
+    if not bool((labels != IGNORED).any()):
+        return logits.sum() * 0
     shares = functional.softmax(logits, dim=1)
     log_loss = functional.nll_loss(torch.log(shares.clamp(min=1e-8)), labels, weight=weights)
     return log_loss + lovasz_softmax(shares, labels, every=lovasz_every)

@@ -1,5 +1,6 @@
 """Warm start: continues from weights of a network with more input channels."""
 
+from pathlib import Path
 from typing import Final
 
 from torch import Tensor
@@ -42,3 +43,8 @@ def warm_start_parameters(initial: LoadedWeights, card: WeightsCard) -> dict[str
     kept += [len(before.channels) + age for age in range(residuals)]
     parameters: dict[str, Tensor] = initial.net.state_dict()
     return parameters | {_FIRST: parameters[_FIRST][:, kept]}
+
+
+def file_of(initial: Path, network: str) -> Path:
+    """Return the weights of a network in a folder, or the file itself."""
+    return initial / f"{network}.safetensors" if initial.is_dir() else initial

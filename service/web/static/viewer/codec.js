@@ -13,6 +13,13 @@ export const OF_TRACK = 1 << 13;
 export const SELECTED = 1 << 14;
 export const CODES = 1 << 15;
 
+const ZSTD_MAGIC = [0x28, 0xb5, 0x2f, 0xfd];
+
+/** True for a block that the browser did not decompress. @param {Uint8Array} bytes */
+export function isCompressed(bytes) {
+  return ZSTD_MAGIC.every((value, i) => bytes[i] === value);
+}
+
 /**
  * A decoded frame.
  * @typedef {object} Frame

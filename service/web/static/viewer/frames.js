@@ -1,6 +1,8 @@
 // @ts-check
 /** Loader of frames: the strongest first, then its neighbours, a few requests at a time. */
 
+import { decodeView, isCompressed } from "./codec.js";
+
 /** @typedef {import("./codec.js").Frame} Frame */
 
 const AT_ONCE = 3;
@@ -19,8 +21,9 @@ export function order(count, first) {
   );
 }
 
-/** Started with the module, so that it is ready when the first block is there. */
+/** Started with the module. The first block does not wait for it: the page decodes that itself. */
 const worker = new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
+let isReady = false;
 
 export class Frames {
   /**
@@ -33,16 +36,19 @@ export class Frames {
   constructor(list, url, onFrame, onProblem, onDrop) {
     this.list = list;
     this.url = url;
+    this.onFrame = onFrame;
     this.onProblem = onProblem;
     this.onDrop = onDrop;
     /** @type {number[]} */
     this.waiting = [];
     this.running = 0;
+    this.hasFirst = false;
     /** @type {Set<number>} */
     this.asked = new Set();
     this.worker = worker;
     this.worker.addEventListener("message", ({ data }) => {
-      if (data.problem) onProblem(data.index, data.problem);
+      if (data.ready) isReady = true;
+      else if (data.problem) onProblem(data.index, data.problem);
       else onFrame(data.index, data.frame);
     });
     this.worker.addEventListener("error", () => onProblem(-1, "The decoder did not start."));
@@ -66,7 +72,13 @@ export class Frames {
       }
     }
     this.waiting = [...near].filter((i) => !this.asked.has(i));
-    while (this.running < AT_ONCE && this.waiting.length) this.#next();
+    this.#fill();
+  }
+
+  /** Ask for frames; for the first one alone, so that nothing delays it. */
+  #fill() {
+    const most = this.hasFirst ? AT_ONCE : 1;
+    while (this.running < most && this.waiting.length) this.#next();
   }
 
   async #next() {
@@ -76,12 +88,18 @@ export class Frames {
     try {
       const answer = await fetch(this.url(index));
       if (!answer.ok) throw new Error((await answer.json()).problem);
-      const buffer = await answer.arrayBuffer();
-      this.worker.postMessage({ index, buffer, count: this.list[index].points }, [buffer]);
+      const [buffer, { points }] = [await answer.arrayBuffer(), this.list[index]];
+      const bytes = new Uint8Array(buffer);
+      if (!isReady && !this.hasFirst && !isCompressed(bytes)) {
+        this.onFrame(index, decodeView(bytes, points));
+      } else {
+        this.worker.postMessage({ index, buffer, count: points }, [buffer]);
+      }
     } catch (error) {
       this.onProblem(index, error instanceof Error ? error.message : String(error));
     }
     this.running--;
-    if (this.waiting.length) this.#next();
+    this.hasFirst = true;
+    this.#fill();
   }
 }

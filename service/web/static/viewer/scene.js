@@ -18,6 +18,7 @@ const all = (selector) => [...document.querySelectorAll(selector)];
 const read = (id) => JSON.parse(one(`#${id}`)?.textContent || "null");
 
 const TURN = Math.PI / 24;
+const SAFE = "counterpoint-safe"; // the choice of colours outlives the page
 const facts = read("facts");
 const order = read("order");
 const place = new URL(location.href);
@@ -136,7 +137,7 @@ class Page {
         this.visit(Number(each.dataset.track));
       });
     }
-    this.restyle({});
+    this.restyle({ safe: localStorage.getItem(SAFE) === "yes" });
     this.arrange("both");
   }
 
@@ -161,6 +162,7 @@ class Page {
     for (const each of all("[data-by]")) {
       each.setAttribute("aria-pressed", String(each.dataset.by === style.by));
     }
+    document.documentElement.classList.toggle("safe-colours", style.safe);
     const on = { safe: style.safe, alone: !this.viewer.everyTrack, ground: style.ground !== "dim" };
     for (const [name, value] of Object.entries(on)) {
       one(`[data-toggle="${name}"]`).setAttribute("aria-pressed", String(value));
@@ -196,7 +198,10 @@ class Page {
   /** @param {string} name */
   toggle(name) {
     const { style } = this.viewer;
-    if (name === "safe") this.restyle({ safe: !style.safe });
+    if (name === "safe") {
+      this.restyle({ safe: !style.safe });
+      localStorage.setItem(SAFE, style.safe ? "yes" : "no");
+    }
     if (name === "ground") {
       const turn = /** @type {const} */ ({ dim: "full", full: "hidden", hidden: "dim" });
       this.restyle({ ground: turn[style.ground] });
@@ -268,6 +273,7 @@ function act(event) {
   else if (key === "j" || key === "J") follow(order.next);
   else if (key === "k" || key === "K") follow(order.previous);
   else if (key === "n" || key === "N") judge.note.focus();
+  else if (key === "m" || key === "M") judge.ownCause();
   else if (key === "Escape") judge.clear() || page?.back() || location.assign(order.list);
   else return page?.key(key) ?? false;
   return true;
@@ -320,3 +326,5 @@ for (const each of all("[data-copy]")) {
     }
   });
 }
+
+document.documentElement.dataset.keys = "ready";

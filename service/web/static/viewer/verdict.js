@@ -7,6 +7,15 @@ export function newKey() {
   return btoa(String.fromCharCode(...bytes)).replaceAll("+", "-").replaceAll("/", "_");
 }
 
+/** Return the fields of a JSON answer; null for any other text. @param {string} text */
+function parsed(text) {
+  try {
+    return JSON.parse(text);
+  } catch {
+    return null;
+  }
+}
+
 /**
  * Send a form and return the answer.
  * @param {string} path
@@ -18,8 +27,12 @@ export async function post(path, fields) {
     headers: { accept: "application/json" },
     body: new URLSearchParams(fields),
   });
-  const facts = await answer.json().catch(() => ({ problem: `the page answered ${answer.status}` }));
-  if (!answer.ok) throw new Error(facts.problem ?? `the page answered ${answer.status}`);
+  const text = await answer.text();
+  const facts = parsed(text);
+  if (!answer.ok || !facts) {
+    const sentence = facts?.problem ?? (text.length < 200 ? text.trim() : "");
+    throw new Error(sentence || `the page answered ${answer.status}`);
+  }
   return facts;
 }
 
@@ -41,6 +54,7 @@ export class Judge {
     this.verdicts = this.#radios("verdict");
     this.causes = this.#radios("cause");
     this.key = newKey();
+    this.undoKey = newKey(); // kept until it is answered: what is sent again is undone once
     this.saving = false;
     this.since = performance.now();
     form.addEventListener("submit", (event) => {
@@ -86,6 +100,15 @@ export class Judge {
     if (!choice) return;
     choice.checked = choice.name === "verdict" || !choice.checked;
     this.tell(`${choice.parentElement?.textContent?.trim().replace(/^\d+\s*/, "")} chosen`);
+  }
+
+  /** Choose the next of the causes that no digit reaches: those of the user's own list. */
+  ownCause() {
+    const own = this.causes.slice(9);
+    if (!own.length) return;
+    const choice = own[(own.findIndex((each) => each.checked) + 1) % own.length];
+    choice.checked = true;
+    this.tell(`${choice.value} chosen`);
   }
 
   /** Clear what is chosen; false where nothing was. */
@@ -136,7 +159,8 @@ export class Judge {
     this.tell("undoing");
     const token = String(new FormData(this.form).get("token"));
     try {
-      const { stored } = await post("/undo", { token, key: newKey() });
+      const { stored } = await post("/undo", { token, key: this.undoKey });
+      this.undoKey = newKey();
       sessionStorage.setItem(TOLD, "your last verdict, on this scene, is undone");
       const here = new URL(location.href);
       here.searchParams.delete("frame");

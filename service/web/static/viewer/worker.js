@@ -1,18 +1,17 @@
 // @ts-check
 /** Worker that decompresses and decodes view blocks, so that the page never waits for it. */
 
-import { decodeView } from "./codec.js";
+import { decodeView, isCompressed } from "./codec.js";
 
 /** Loaded only where the browser did not decompress; a constant, which type checkers pass over. */
 const DECOMPRESSOR = "../vendor/fzstd.mjs";
-const ZSTD_MAGIC = [0x28, 0xb5, 0x2f, 0xfd];
 
 /**
  * Decompress bytes that the browser did not decompress itself.
  * @param {Uint8Array} bytes
  */
 async function plain(bytes) {
-  if (!ZSTD_MAGIC.every((value, i) => bytes[i] === value)) return bytes;
+  if (!isCompressed(bytes)) return bytes;
   const { decompress } = await import(DECOMPRESSOR);
   return decompress(bytes);
 }
@@ -27,3 +26,5 @@ addEventListener("message", async (event) => {
     /** @type {any} */ (self).postMessage({ index, problem: String(error) });
   }
 });
+
+/** @type {any} */ (self).postMessage({ ready: true });

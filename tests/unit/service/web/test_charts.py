@@ -68,6 +68,20 @@ def test_bars_stand_on_the_axis() -> None:
     assert {round(mark.y + mark.height, 6) for mark in chart.marks} == {HEIGHT - BOTTOM}
 
 
+@pytest.mark.parametrize(
+    ("most", "labels"),
+    [
+        (1, ["0", "1", "2"]),
+        (3, ["0", "2", "4"]),
+        (5, ["0", "3", "6"]),
+        (17, ["0", "10", "20"]),
+        (1_234, ["0", "1\u202f000", "2\u202f000"]),
+    ],
+)
+def test_counts_have_a_grid_of_integers(most: int, labels: list[str]) -> None:
+    assert [label for _, label in bar_chart(samples(most)).ticks] == labels
+
+
 def test_phrases() -> None:
     assert score(0.9999) == "1.000"
     assert score(0.996) == "0.996"

@@ -9,12 +9,13 @@ import httpx
 import pytest
 
 from schemas.errors import TransientError
+from schemas.runtime.http_address import is_loopback_host
 from service.cli import review
 from service.cli.main import main
 from service.errors import StateInUseError, StateOutdatedError, UsageError
 from service.settings.config import Settings, load_settings
 from service.store.state import StateLock
-from service.web.server import address_of, is_loopback, listening
+from service.web.server import address_of, listening
 from service.web.settings import key_of_state
 
 
@@ -60,17 +61,23 @@ def test_an_address_is_a_host_and_a_port(listen: str) -> None:
     ],
 )
 def test_the_loopback_is_known(host: str, own: bool) -> None:
-    assert is_loopback(host) is own
+    assert is_loopback_host(host) is own
 
 
 def test_every_address_needs_the_names_of_hosts(state: Path) -> None:
-    everywhere = settings_of(state, review_listen="0.0.0.0:0")
+    everywhere = settings_of(state, review_listen="0.0.0.0:0", insecure=True)
     with pytest.raises(UsageError, match="--host"), review.page_of(everywhere, is_state=True):
         pytest.fail("it was served")
 
 
 def test_other_machines_are_warned_of(state: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    settings = settings_of(state, review_listen="0.0.0.0:0", review_hosts=["review.lan"])
+    at = {"review_listen": "0.0.0.0:0", "review_hosts": ["review.lan"]}
+    with (
+        pytest.raises(UsageError, match=r"lacks TLS .* and credentials"),
+        review.page_of(settings_of(state, **at), is_state=True),
+    ):
+        pytest.fail("it was served")
+    settings = settings_of(state, **at, insecure=True)
     with review.page_of(settings, is_state=True):
         said = capsys.readouterr().err
     assert "other machines reach the page as review.lan: it has no password" in said

@@ -1,5 +1,6 @@
 """Routes of the scene page: blocks as stored, records without overlay, withdrawn scenes, links."""
 
+import tracemalloc
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, quote, urlsplit
@@ -45,6 +46,24 @@ def test_blocks_are_passed_on_as_stored_and_kept_by_browsers(page: Page, state: 
             headers={"accept-encoding": "gzip", "if-none-match": answer.headers["etag"]},
         )
         assert (again.status_code, again.content) == (304, b"")
+
+
+def test_of_an_overlay_of_300_megabytes_only_the_asked_block_is_read(
+    page: Page, state: Path
+) -> None:
+    scene_id, digest = first(page)
+    path = overlay_path(state, scene_id)
+    block = overlay_file_of(path.read_bytes()).view(1)
+    with path.open("r+b") as file:
+        file.truncate(300_000_000)
+    tracemalloc.start()
+    try:
+        assert page.get(data("frame", scene_id, digest, 1)).status_code == 200
+        assert page.get(f"/scene?id={quote(scene_id, safe='')}").status_code == 200
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 30_000_000 + len(block)
 
 
 def test_browsers_that_ask_undo_zstd_themselves(page: Page) -> None:

@@ -24,7 +24,7 @@ from workers.lidar.range_image import SensorProfile
 from workers.parts.registry import build_odometry
 from workers.supervised.classes import ClassMeaning
 from workers.supervised.folded import FoldedSalsaNext
-from workers.supervised.networks import run_eagerly
+from workers.supervised.networks import run_network
 from workers.supervised.residual_image import ResidualSettings
 from workers.supervised.stream import SHIPPED, RangeImageStream
 from workers.supervised.weights import LoadedWeights, load_weights
@@ -127,7 +127,7 @@ def _timed_images(
     half = _in_bfloat16(watched.weights)
     ways: dict[str, Callable[[NDArray[np.float32]], Any]] = {
         "plain": lambda image: published_forward.salsanext(net, torch.from_numpy(image)[None]),
-        "eager": lambda image: run_eagerly(net, image),
+        "eager": lambda image: run_network(net, image[None], "cpu")[0],
         "folded": lambda image: folded(torch.from_numpy(image)[None]),
         BATCHED: lambda image: folded(torch.from_numpy(np.stack([image] * BATCH))),
         THREADED: lambda image: folded(torch.from_numpy(image)[None]),

@@ -8,12 +8,15 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.attribution import Wrong
+from schemas.contradiction import ContradictionKind
 from workers.lab.evaluation.failures.calibration import Calibration, calibrate
 from workers.lab.evaluation.failures.rows import TrackRow
 
 MIN_CASES: Final = 10
 MIN_FRAMES: Final = 5
 MIN_POINTS: Final = 25
+
+_OF_SUPERVISED: Final = frozenset({ContradictionKind.ONLY_SEMANTIC_DYNAMIC.value})
 
 
 class AttributionAccuracy(BaseModel):
@@ -36,6 +39,19 @@ def is_evaluated(track: TrackRow) -> bool:
     """Test that a track is long and large enough, and that truth has a verdict on it."""
     enough = track.frames >= MIN_FRAMES and track.points >= MIN_POINTS * track.frames
     return enough and track.verdict is not None
+
+
+def by_object(track: TrackRow) -> TrackRow:
+    """Return a track with the verdict on objects, which a reviewer gives.
+
+    Labels of the supervised stream that bled over the border of a mover, or flash on structure for
+    less than half a second, lie on no object. By its points this stream is wrong there. But no
+    object failed, so that a reviewer calls it a false alarm: the verdict is *neither*.
+    """
+    on_object = track.thing or track.true_track >= 0
+    if on_object or track.kind not in _OF_SUPERVISED or track.verdict is not Wrong.SUPERVISED:
+        return track
+    return track.model_copy(update={"verdict": Wrong.NEITHER})
 
 
 def evaluate_attribution(tracks: Iterable[TrackRow]) -> AttributionAccuracy:

@@ -8,7 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
-from workers.lab.evaluation.failures.attribution import AttributionAccuracy, evaluate_attribution
+from workers.lab.evaluation.failures.attribution import (
+    AttributionAccuracy,
+    by_object,
+    evaluate_attribution,
+)
 from workers.lab.evaluation.failures.calibration import Calibration, calibrate
 from workers.lab.evaluation.failures.common_mode import CommonMode, common_mode
 from workers.lab.evaluation.failures.false_alarms import (
@@ -52,7 +56,10 @@ class PlantedTable(RankingRow):
         description="Mean recall over {supervised, selfsupervised, both, neither} that "
         "occur ten times; null: records without attribution."
     )
-    attribution: AttributionAccuracy
+    attribution: AttributionAccuracy = Field(description="Over all tracks, by their points.")
+    attribution_by_object: AttributionAccuracy = Field(
+        description="The same, where labels that lie on no object are no error."
+    )
     attribution_of_failures: AttributionAccuracy | None = Field(
         default=None, description="Of the tracks on planted failures alone."
     )
@@ -98,7 +105,8 @@ def planted_table(
     baselines |= {name: row_of(view, items, draws=draws) for name, view in others.items()}
     mine = row_of(scores, items, draws=draws)
     best = best_of(baselines)
-    attribution = evaluate_attribution(track for scene in scenes for track in scene.tracks)
+    tracks = [track for scene in scenes for track in scene.tracks]
+    attribution = evaluate_attribution(tracks)
     on_failures, elsewhere = _tracks_by_failure(scenes)
     shared = common_mode(scenes)
     return PlantedTable(
@@ -112,6 +120,7 @@ def planted_table(
         gain_interval=_gain_interval(scores, others.get(best), items, draws),
         attribution_accuracy=attribution.accuracy,
         attribution=attribution,
+        attribution_by_object=evaluate_attribution(map(by_object, tracks)),
         attribution_of_failures=evaluate_attribution(on_failures),
         attribution_of_others=evaluate_attribution(elsewhere),
         common_mode_recall=shared.recall,

@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from schemas.attribution import Attribution, Wrong
 from workers.lab.simulation.faults.fault_truth import FailureRow
 
-REVISION: Final = "4"
+REVISION: Final = "5"
 """Version of the rows; increases when the same log gives other rows."""
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
@@ -63,6 +63,13 @@ class TrackRow(BaseModel):
     )
     size_m: tuple[float, float, float] | None = Field(
         default=None, description="Length, width and height of that box, metres."
+    )
+    class_name: str = Field(default="", description="Its semantic class, as recorded.")
+    strongest_m: tuple[float, float, float] | None = Field(
+        default=None, description="Centre of its strongest instance, sensor space, metres."
+    )
+    speed_m_per_s: float | None = Field(
+        default=None, description="As recorded; null: rows of earlier revisions."
     )
 
 

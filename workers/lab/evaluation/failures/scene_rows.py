@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S, Mask, Transform
 from schemas.attribution import Wrong
 from schemas.contradiction import Instance, Scene, SceneState
+from workers.contradiction.reasons import class_word
 from workers.lab.evaluation.failures.baseline_scores import scene_baselines
 from workers.lab.evaluation.failures.frame_truth import FrameWithTruth
 from workers.lab.evaluation.failures.nearest_points import NearestPoints
@@ -157,6 +158,9 @@ def _track_rows(
                 first_frame=members[0].frame_index,
                 place_m=_place(middle, seen[middle.frame_index].labelled.posed.odom_from_sensor),
                 size_m=_three(middle.size_m),
+                class_name=class_word(each.class_name),
+                strongest_m=_three(mined.instances[each.strongest].centre_m),
+                speed_m_per_s=each.speed_m_per_s,
             )
         )
     return rows, strays

@@ -7,6 +7,8 @@ from schemas.mining import MiningSettings
 from schemas.task import MOTION
 from workers.errors import UnknownPartError
 from workers.lab.evaluation.motion.counts import StreamName
+from workers.lab.evaluation.motion.dufomap import NAME as DUFOMAP
+from workers.lab.evaluation.motion.dufomap import Dufomap
 from workers.parts.catalogue import names_of
 from workers.parts.protocols import Stream
 from workers.parts.registry import build_selfsupervised, build_supervised
@@ -27,7 +29,7 @@ def build_streams(
     """Build streams by name, each once, in the order given.
 
     Args:
-        names: `selfsupervised`, `supervised`, or a part of either kind.
+        names: `selfsupervised`, `supervised`, a part of either kind, or `dufomap`.
         settings: Settings that choose the parts of the first two.
 
     Raises:
@@ -48,10 +50,12 @@ def _build(name: StreamName, settings: MiningSettings) -> Stream:
         if is_supervised(name):
             return build_supervised(settings.supervised, files_of(settings))
         return build_selfsupervised(settings.selfsupervised, files_of(settings))
+    if name == DUFOMAP:
+        return Dufomap()
     if name in names_of("supervised"):
         return build_supervised(name, files_of(settings))
     if name in names_of("selfsupervised"):
         return build_selfsupervised(name, files_of(settings))
     parts = [*sorted(names_of("selfsupervised")), *sorted(names_of("supervised"))]
-    known = ", ".join([*OF_SETTINGS, *parts])
+    known = ", ".join([*OF_SETTINGS, *parts, DUFOMAP])
     raise UnknownPartError(f"no stream {name!r}; known: {known}")

@@ -15,12 +15,22 @@ from schemas.frame import LidarFrame
 from schemas.transport.bucket import Bucket
 from schemas.transport.recordings import EXTENSION, group_recordings
 from schemas.work import Recording
-from workers.lab.evaluation.truth.class_table import SEMANTIC_KITTI, coarse_of_ids, coarse_of_names
+from workers.lab.evaluation.truth.class_table import (
+    COARSE,
+    SEMANTIC_KITTI,
+    coarse_of_ids,
+    coarse_of_names,
+)
 from workers.lab.evaluation.truth.objects import Objects, TrueObject, objects_in, rotations_in
 
 TRUTH_UNKNOWN: Final = 0
 TRUTH_STATIC: Final = 1
 TRUTH_DYNAMIC: Final = 2
+
+TRUTH_NO_GROUND_LABEL: Final = 255
+"""Code of a point in the array `ground` that is not judged."""
+
+GROUND_CLASSES: Final = ("road", "sidewalk", "other_ground")
 
 
 class TruthUnusableError(PermanentError):
@@ -78,12 +88,13 @@ class LogTruth:
     _partial: bool = False
 
     @classmethod
-    def beside(cls, recording: Recording, truth: Path) -> Self | None:
+    def beside(cls, recording: Recording, truth: Path, *, needs_labels: bool = True) -> Self | None:
         """Find the truth of a log; None where there is none.
 
         Args:
             recording: The log; truth of its part `x/y.mcap` is in `truth/x/y`.
             truth: Folder of the truth of the whole bucket.
+            needs_labels: False to find truth of poses alone too.
         """
         entries: list[_Entry] = []
         topics: list[str] = []
@@ -94,7 +105,7 @@ class LogTruth:
             for entry, topic in _entries_of(folder):
                 entries.append(entry)
                 topics.append(topic)
-        if not any(entry.path.is_file() for entry in entries):
+        if not entries or (needs_labels and not any(each.path.is_file() for each in entries)):
             return None
         stamps: dict[int, int] = {}
         for number, entry in enumerate(entries):
@@ -181,6 +192,55 @@ class LogTruth:
         classes: NDArray[np.uint8] = table[ids]
         return classes
 
+    def ground_of(self, frame: LidarFrame, *, number: int) -> NDArray[np.uint8] | None:
+        """Read which points are ground: 1, 0 not, 255 not judged; by class where not stated.
+
+        Returns:
+            (N,) codes; None where the truth of this frame has neither.
+
+        Raises:
+            TruthUnusableError: If it labels a different number of points.
+        """
+        _, arrays = self._arrays_of(frame, number, ("ground",))
+        if "ground" in arrays:
+            stated: NDArray[np.uint8] = np.asarray(arrays["ground"], dtype=np.uint8)
+            return stated
+        classes = self.classes_of(frame, number=number)
+        if classes is None:
+            return None
+        ground = np.isin(classes, [COARSE.index(name) for name in GROUND_CLASSES])
+        codes = ground.astype(np.uint8)
+        codes[classes == 0] = TRUTH_NO_GROUND_LABEL
+        return codes if ground.any() else None
+
+    def flow_of(self, frame: LidarFrame, *, number: int) -> NDArray[np.float32] | None:
+        """Read the scene flow of each point to the next frame, (N, 3) metres; None without it.
+
+        Raises:
+            TruthUnusableError: If it labels a different number of points.
+        """
+        _, arrays = self._arrays_of(frame, number, ("flow",))
+        if "flow" not in arrays:
+            return None
+        return np.asarray(arrays["flow"], dtype=np.float32)
+
+    def folder_of(self, number: int) -> Path:
+        """Return the folder of the truth of a frame."""
+        return self._entries[number].path.parent
+
+    def index_of(self, number: int) -> int:
+        """Return the number of a frame in its folder, the `NNNNNN` of its file."""
+        return int(self._entries[number].path.stem)
+
+    def ids_of(self, frame: LidarFrame, *, number: int, name: str) -> NDArray[np.uint8] | None:
+        """Read the ids in `semantic` or `semantic19` of a frame; None where truth lacks the array.
+
+        Raises:
+            TruthUnusableError: If it labels a different number of points.
+        """
+        _, arrays = self._arrays_of(frame, number, (name,))
+        return None if name not in arrays else np.asarray(arrays[name], dtype=np.uint8)
+
     def _arrays_of(
         self, frame: LidarFrame, number: int, names: Sequence[str]
     ) -> tuple[Path, dict[str, NDArray[Any]]]:
@@ -201,8 +261,10 @@ class LogTruth:
         return path, arrays
 
 
-def logs_with_truth(bucket: Bucket, truth: Path) -> list[tuple[Recording, LogTruth]]:
-    """List the logs of a bucket that have truth, with it.
+def logs_with_truth(
+    bucket: Bucket, truth: Path, *, needs_labels: bool = True
+) -> list[tuple[Recording, LogTruth]]:
+    """List the logs of a bucket that have truth, with it; of points, unless poses are enough.
 
     Raises:
         TruthUnusableError: If there is none.
@@ -210,7 +272,7 @@ def logs_with_truth(bucket: Bucket, truth: Path) -> list[tuple[Recording, LogTru
     found = [
         (recording, known)
         for recording in group_recordings(bucket.list())
-        if (known := LogTruth.beside(recording, truth)) is not None
+        if (known := LogTruth.beside(recording, truth, needs_labels=needs_labels)) is not None
     ]
     if not found:
         raise TruthUnusableError(

@@ -47,7 +47,7 @@ builtin_interfaces/Time stamp
 string frame_id{STAMP_DEFINITION}"""
 """The message as ROS 2 defines it (common_interfaces, sensor_msgs/msg/PointCloud2.msg)."""
 
-_DATATYPES: Final = {"u1": 2, "u2": 4, "u4": 6, "f4": 7}
+_DATATYPES: Final = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 
 _PLACE: Final = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")]
 _FIRING: Final = [("t", "<u4"), ("ring", "<u2")]

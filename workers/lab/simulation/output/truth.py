@@ -46,7 +46,7 @@ class TruthWriter:
     def add(self, frame: SimulatedFrame, *, stamp_ns: int, data_crc32: int) -> None:
         """Write the arrays of one frame, and store its row for the tables."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        _write_arrays(
+        write_arrays(
             self.folder / f"{frame.index:06d}.npz",
             semantic=frame.class_id,
             motion=frame.motion,
@@ -130,7 +130,7 @@ class TruthWriter:
         (self.folder / name).write_text(json.dumps(content, indent=1) + "\n")
 
 
-def _write_arrays(path: Path, **arrays: NDArray[Any]) -> None:
+def write_arrays(path: Path, **arrays: NDArray[Any]) -> None:
     """Write an archive as `numpy.savez_compressed` does, at level 1: a third of the time."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, array in arrays.items():

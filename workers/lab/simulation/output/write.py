@@ -82,7 +82,7 @@ def write_log(
     lidar, identity = lidar or Lidar(), identity or Identity()
     count = int(street.seconds / lidar.period_s + 1e-9) if frames is None else frames
     truth_writer = TruthWriter(truth, street, lidar, log_key, LIDAR_TOPIC) if truth else None
-    with _growing(output) as stream:
+    with growing_file(output) as stream:
         writer = Writer(stream, chunk_size=chunk_bytes)
         schema = writer.register_msgdef(POINT_CLOUD2, POINT_CLOUD2_DEFINITION)
         writer.add_metadata(
@@ -132,7 +132,7 @@ def write_log(
 
 
 @contextmanager
-def _growing(output: Path | IO[bytes]) -> Iterator[IO[bytes]]:
+def growing_file(output: Path | IO[bytes]) -> Iterator[IO[bytes]]:
     """Write a file under a temporary name, then rename it: watchers see it whole or not at all."""
     if not isinstance(output, Path):
         yield output

@@ -84,6 +84,7 @@ def build_street(
         seconds=seconds,
         dense=2.2 if "dense traffic" in plan.hard else 1.0,
         rng=rng,
+        without=plan.without,
     )
     for leader in leaders:
         traffic.offer_companion(leader)

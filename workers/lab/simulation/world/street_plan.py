@@ -5,6 +5,7 @@ from typing import Final, Literal
 
 import numpy as np
 
+from workers.lab.simulation.models.kinds import StreetClass
 from workers.lab.simulation.world.street_kinds import PlaceName
 
 EgoStyle = Literal["stands", "drives", "stops_and_goes", "turns"]
@@ -27,6 +28,7 @@ class StreetPlan:
         dust: Whether vehicles and wind raise dust.
         unsettling: Whether it contains many movers that are easily mistaken for standing.
         slow_lorries: Whether lorries and buses pass the ego at 2 to 4 m/s, or set off next to it.
+        without: Classes of road users that it lacks.
     """
 
     place: PlaceName = "town"
@@ -37,6 +39,7 @@ class StreetPlan:
     dust: bool = False
     unsettling: bool = False
     slow_lorries: bool = False
+    without: tuple[StreetClass, ...] = ()
 
 
 def draw_plan(rng: np.random.Generator, *, hard: bool) -> StreetPlan:

@@ -1,6 +1,6 @@
 """Traffic of a street: lanes with queues and turns, pedestrians, pets, parked cars."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -41,6 +41,7 @@ class Traffic:
         seconds: Duration.
         dense: Factor of traffic density; 1 is usual.
         rng: Random generator of the street.
+        without: Classes that are left out.
     """
 
     main: Road
@@ -50,6 +51,7 @@ class Traffic:
     seconds: float
     dense: float
     rng: np.random.Generator
+    without: Collection[StreetClass] = ()
     actors: list[Actor] = field(default_factory=list)
     _taken: Occupancy = field(init=False)
     _ego_way: Floats = field(init=False)
@@ -161,7 +163,7 @@ class Traffic:
         way = drive.pose(np.arange(0.0, self.seconds, 0.5))
         if np.hypot(*(way - self._ego_way)[:, :2].T).min() > _SEEN_M:
             return False
-        if not self._taken.take(drive, actor.size_m):
+        if what in self.without or not self._taken.take(drive, actor.size_m):
             return False
         self.actors.append(actor)
         return True

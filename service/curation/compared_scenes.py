@@ -1,0 +1,125 @@
+"""Scenes of the two sides of a comparison, and which of them are compared. Pure."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import NS_PER_S
+from schemas.contradiction import TrackRecord
+from service.curation.comparison import Match
+
+SPEEDS_M_PER_S: Final = (3.0, 10.0)
+"""Speeds of the car between kinds of road: standing or creeping, a street, a main road."""
+
+DENSITIES: Final = 3
+"""Kinds of traffic: thirds of the scenes by the share of points that the streams find moving."""
+
+MOSTLY_SAME: Final = 0.5
+"""Share of the logs of the smaller side that are on both, from which `auto` compares the same."""
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedScene:
+    """A scored scene of one side.
+
+    Attributes:
+        scene_id: `<log_id>/<lidar>/<start_ns>`.
+        log_id: Its recording.
+        start_ns: First frame, nanoseconds since the Unix epoch.
+        end_ns: Last frame.
+        vehicle: Vehicle that recorded it.
+        software_version: Software that the vehicle ran.
+        seq: Number of its event; 0 for a scene that is no longer current.
+        score: Its score.
+        speed_m_per_s: Mean speed of the car.
+        moving_share: Share of the compared points that the self-supervised stream labels dynamic.
+            It does not depend on the software under test.
+        tracks: Its strong tracks on which the supervised stream errs, strongest first.
+    """
+
+    scene_id: str
+    log_id: str
+    start_ns: int
+    end_ns: int
+    vehicle: str
+    software_version: str
+    seq: int
+    score: float
+    speed_m_per_s: float
+    moving_share: float
+    tracks: tuple[TrackRecord, ...]
+
+    @property
+    def hours(self) -> float:
+        """Its duration, hours."""
+        return max(0, self.end_ns - self.start_ns) / NS_PER_S / 3600.0
+
+
+@dataclass(frozen=True, slots=True)
+class NamedSide:
+    """One side of a comparison.
+
+    Attributes:
+        name: Its terms, as a user gave them.
+        scenes: Its scored scenes.
+    """
+
+    name: str
+    scenes: Sequence[ComparedScene]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matched:
+    """Scenes that are compared.
+
+    Attributes:
+        a: Scenes of A.
+        b: Scenes of B.
+        road_a: (len(a),) number of the kind of road of each.
+        road_b: (len(b),) the same of B.
+        roads: Number of kinds of road; 0 where the same logs are compared.
+    """
+
+    a: Sequence[ComparedScene]
+    b: Sequence[ComparedScene]
+    road_a: NDArray[np.int64]
+    road_b: NDArray[np.int64]
+    roads: int
+
+
+def match_scenes(a: NamedSide, b: NamedSide, match: Match) -> Matched:
+    """Return the scenes of the logs, or of the kinds of road, that both sides have."""
+    logs_a, logs_b = ({scene.log_id for scene in side.scenes} for side in (a, b))
+    common = logs_a & logs_b
+    if match == "auto":
+        mostly = len(common) >= MOSTLY_SAME * max(1, min(len(logs_a), len(logs_b)))
+        match = "logs" if mostly else "roads"
+    if match == "logs":
+        kept_a, kept_b = (
+            [scene for scene in side.scenes if scene.log_id in common] for side in (a, b)
+        )
+        none = np.zeros(0, np.int64)
+        return Matched(kept_a, kept_b, none, none, roads=0)
+    return _same_roads(a.scenes, b.scenes)
+
+
+def _same_roads(a: Sequence[ComparedScene], b: Sequence[ComparedScene]) -> Matched:
+    both = [*a, *b]
+    shares = np.array([scene.moving_share for scene in both], np.float64)
+    edges = np.quantile(shares, np.arange(1, DENSITIES) / DENSITIES)
+    speeds = np.array([scene.speed_m_per_s for scene in both], np.float64)
+    fast = np.searchsorted(SPEEDS_M_PER_S, speeds, side="right")
+    road = fast * DENSITIES + np.searchsorted(edges, shares, side="right")
+    road_a, road_b = road[: len(a)], road[len(a) :]
+    common = np.intersect1d(road_a, road_b)
+    in_a, in_b = np.isin(road_a, common), np.isin(road_b, common)
+    return Matched(
+        [scene for scene, is_in in zip(a, in_a.tolist(), strict=True) if is_in],
+        [scene for scene, is_in in zip(b, in_b.tolist(), strict=True) if is_in],
+        np.searchsorted(common, road_a[in_a]),
+        np.searchsorted(common, road_b[in_b]),
+        roads=len(common),
+    )

@@ -1,0 +1,16 @@
+"""Chaos of one seed for less than a minute: killed, frozen, cut off, and equal byte for byte."""
+
+import pytest
+
+from tests.chaos.run import run_chaos
+
+pytestmark = [pytest.mark.integration, pytest.mark.timeout(1200)]
+
+
+def test_a_system_of_two_services_comes_out_of_chaos_as_from_an_undisturbed_run() -> None:
+    report = run_chaos(seed=7, seconds=40.0)
+    words = "\n".join(report.lines())
+    assert report.problems == [], words
+    assert report.killed.total() >= 25, words
+    assert report.terms >= 3, words
+    assert report.scenes > 100, words

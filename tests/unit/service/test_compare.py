@@ -1,0 +1,227 @@
+"""Release gate: rates by log, matched roads, the same logs, Holm, outcomes and reports."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from schemas.arrays import NS_PER_S
+from schemas.contradiction import ContradictionKind, TrackRecord
+from service.cli.compare import side_of
+from service.curation.compared_scenes import ComparedScene, NamedSide, match_scenes
+from service.curation.comparing import compare
+from service.curation.comparison import Comparison, ComparisonTerms
+from service.curation.comparison_report import gate_sentence, markdown
+from service.curation.comparison_statistics import Road, holm, over_logs, over_roads
+from service.errors import NothingFoundError, UsageError
+from tests.factories import track_record
+
+SCENES = 4
+"""Scenes of a log."""
+
+
+def version(
+    logs: Sequence[int],
+    rates: dict[str, float],
+    *,
+    name: str,
+    seed: int,
+    folder: str = "",
+    speed_m_per_s: float = 6.0,
+) -> NamedSide:
+    """Draw scenes of logs, with Poisson numbers of tracks of each class, more on some logs."""
+    rng = np.random.default_rng(seed)
+    scenes = []
+    for log in logs:
+        often = rng.gamma(2.0, 0.5)
+        for number in range(SCENES):
+            start_ns = (log * 100 + 2 * number) * NS_PER_S
+            tracks = [
+                _track(class_name, start_ns, place_m=float(rng.uniform(5, 60)))
+                for class_name, rate in rates.items()
+                for _ in range(rng.poisson(rate * often))
+            ]
+            scenes.append(
+                ComparedScene(
+                    scene_id=f"{folder}{log}/lidar/{start_ns}",
+                    log_id=f"{folder}{log}",
+                    start_ns=start_ns,
+                    end_ns=start_ns + 2 * NS_PER_S,
+                    vehicle="car-1",
+                    software_version=name,
+                    seq=0,
+                    score=0.5,
+                    speed_m_per_s=speed_m_per_s,
+                    moving_share=float(rng.uniform(0, 0.1)),
+                    tracks=tuple(tracks),
+                )
+            )
+    return NamedSide(name, scenes)
+
+
+def _track(class_name: str, start_ns: int, *, place_m: float) -> TrackRecord:
+    record = track_record(
+        kind=ContradictionKind.ONLY_PREDICTIVE_DYNAMIC, class_name=class_name, strength=0.5
+    )
+    strongest = record.strongest.model_copy(
+        update={"stamp_ns": start_ns, "centre_m": (place_m, 0.0, 0.0), "range_m": place_m}
+    )
+    return record.model_copy(
+        update={"first_ns": start_ns, "last_ns": start_ns + NS_PER_S, "strongest": strongest}
+    )
+
+
+USUAL = {"car": 0.5, "pedestrian": 0.3, "truck": 0.2}
+WORSE = USUAL | {"pedestrian": 1.5}
+
+
+def test_a_class_that_regressed_is_found_and_no_other() -> None:
+    found = compare(
+        version(range(30), USUAL, name="1", seed=1, folder="a"),
+        version(range(30, 60), WORSE, name="2", seed=2, folder="b"),
+        ComparisonTerms(),
+    )
+    assert found.matched == "roads"
+    row = next(row for row in found.groups if row.group == "pedestrian")
+    assert row.outcome == "regressed"
+    assert row.low > 0
+    assert row.corrected_low < row.low
+    assert row.examples[0].side == "b"
+    outcomes = {row.group: row.outcome for row in found.groups if row.by == "class"}
+    assert outcomes == {"pedestrian": "regressed", "car": "same", "truck": "same"}
+    assert found.groups[0].outcome == "regressed", "the worst is first"
+
+
+def test_the_way_back_is_an_improvement() -> None:
+    found = compare(
+        version(range(30), WORSE, name="1", seed=1, folder="a"),
+        version(range(30, 60), USUAL, name="2", seed=2, folder="b"),
+        ComparisonTerms(),
+    )
+    assert found.regressed == 0
+    assert found.improved >= 1
+    assert "improved" in gate_sentence(found)
+
+
+def test_equal_versions_raise_few_alarms() -> None:
+    alarms = 0
+    for seed in range(20):
+        alarms += (
+            compare(
+                version(range(20), USUAL, name="1", seed=2 * seed, folder="a"),
+                version(range(20, 40), USUAL, name="2", seed=2 * seed + 1, folder="b"),
+                ComparisonTerms(),
+            ).regressed
+            > 0
+        )
+    assert alarms <= 1
+
+
+def test_the_same_logs_show_what_is_gone_and_what_is_new() -> None:
+    before = version(range(12), USUAL, name="1", seed=1)
+    worse = [
+        ComparedScene(
+            **{name: getattr(scene, name) for name in ComparedScene.__slots__}
+            | {"tracks": (*scene.tracks, _track("bus", scene.start_ns, place_m=90.0))}
+        )
+        for scene in before.scenes
+    ]
+    found = compare(before, NamedSide("2", worse), ComparisonTerms())
+    assert (found.matched, found.roads) == ("logs", 0)
+    bus = next(row for row in found.groups if row.group == "bus")
+    assert (bus.outcome, bus.gone, bus.new) == ("regressed", 0, 12 * SCENES)
+    car = next(row for row in found.groups if row.group == "car")
+    assert (car.outcome, car.gone, car.new, car.p) == ("same", 0, 0, 1.0)
+    assert compare(before, before, ComparisonTerms()).regressed == 0
+
+
+def test_a_tolerated_rise_is_no_regression() -> None:
+    sides = (
+        version(range(40), {"car": 1.0}, name="1", seed=1, folder="a"),
+        version(range(40), {"car": 2.0}, name="2", seed=2, folder="b"),
+    )
+    assert compare(*sides, ComparisonTerms()).regressed > 0
+    assert compare(*sides, ComparisonTerms(tolerance=2.0)).regressed == 0
+
+
+def test_scenes_of_a_road_that_one_side_lacks_are_left_out() -> None:
+    slow = version(range(10), USUAL, name="1", seed=1, folder="a", speed_m_per_s=1.0)
+    fast = version(range(10), USUAL, name="1", seed=2, folder="c", speed_m_per_s=20.0)
+    other = version(range(10), USUAL, name="2", seed=3, folder="b", speed_m_per_s=20.0)
+    both = NamedSide("1", [*slow.scenes, *fast.scenes])
+    matched = match_scenes(both, other, "roads")
+    assert {scene.speed_m_per_s for scene in matched.a} == {20.0}
+    assert compare(both, other, ComparisonTerms(match="roads")).a.left_out == 40
+    with pytest.raises(NothingFoundError, match="no kind of road in common"):
+        compare(slow, other, ComparisonTerms(match="roads"))
+
+
+def test_too_little_to_compare_is_one_sentence() -> None:
+    some = version(range(10), USUAL, name="1", seed=1)
+    with pytest.raises(NothingFoundError, match="no scored scene of 2: there is nothing"):
+        compare(some, NamedSide("2", []), ComparisonTerms())
+    with pytest.raises(UsageError, match="1 has 2 logs that both have"):
+        compare(some, version(range(2), USUAL, name="3", seed=1), ComparisonTerms())
+
+
+def test_holm_corrects_the_smallest_for_all() -> None:
+    corrected, levels = holm(np.array([0.04, 0.001, 0.03]))
+    assert corrected.tolist() == pytest.approx([0.06, 0.003, 0.06])
+    assert levels.tolist() == pytest.approx([0.05, 0.05 / 3, 0.025])
+
+
+def test_an_exchange_of_logs_is_exact_for_few() -> None:
+    counts = np.array([[0.0], [0.0], [0.0], [0.0], [1.0], [1.0], [1.0], [1.0]])
+    is_b = np.arange(8) >= 4
+    tested = over_roads([Road(np.ones(8), counts)], is_b, tolerance=0.0)
+    assert tested.p[0] == pytest.approx(2 / 70, abs=0.005)
+    assert (tested.rate_a[0], tested.rate_b[0]) == (0.0, 1.0)
+    paired = over_logs(np.ones(8), counts * 0, np.ones((8, 1)), tolerance=0.0)
+    assert paired.p[0] == pytest.approx(2 / 256, abs=0.003)
+
+
+def test_many_logs_are_tested_by_the_normal_limit() -> None:
+    rng = np.random.default_rng(1)
+    is_b = np.arange(3000) % 2 == 0
+    same = rng.poisson(1.0, (3000, 1)).astype(np.float64)
+    more = same + is_b[:, None] * rng.poisson(0.3, (3000, 1))
+    road = np.ones(3000)
+    assert over_roads([Road(road, same)], is_b, tolerance=0.0).p[0] > 0.01
+    assert over_roads([Road(road, more)], is_b, tolerance=0.0).p[0] < 1e-6
+    assert over_roads([Road(road, more)], is_b, tolerance=0.3).p[0] > 0.01
+
+
+def test_a_report_names_groups_and_scenes() -> None:
+    found = compare(
+        version(range(30), USUAL, name="1|x", seed=1, folder="a"),
+        version(range(30, 60), WORSE, name="2", seed=2, folder="b"),
+        ComparisonTerms(),
+    )
+    text = markdown(found)
+    assert text.startswith("# Regression: B against A\n")
+    assert "| class pedestrian |" in text
+    assert "1\\|x" in text
+    assert found.groups[0].examples[0].scene_id in text
+    assert Comparison.model_validate_json(found.model_dump_json()) == found
+
+
+@pytest.mark.parametrize(
+    ("said", "problem"),
+    [
+        ("2026.1", "'2026.1' is no term of a version"),
+        ("software=1,software=2", "each once"),
+        ("software=", "is no term"),
+        ("since=yesterday", "since is no time"),
+        ("colour=red", "of software, pipeline, state"),
+    ],
+)
+def test_a_side_that_says_nothing_known_is_refused(said: str, problem: str) -> None:
+    with pytest.raises(UsageError, match=problem):
+        side_of(said, "--a", now_s=0.0)
+
+
+def test_a_side_has_terms_and_a_state() -> None:
+    folder, side = side_of("state=old, software=2026.1,since=2026-03-02", "--a", now_s=0.0)
+    assert str(folder) == "old"
+    assert side.software_version == "2026.1"
+    assert side.since_ns > 0

@@ -1,0 +1,1 @@
+"""Scene flow evaluation: end-point errors of flows against truth, with floors."""

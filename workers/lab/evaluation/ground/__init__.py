@@ -1,0 +1,1 @@
+"""Ground evaluation: ground points and heights against truth, with floors."""

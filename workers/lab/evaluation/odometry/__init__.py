@@ -1,0 +1,1 @@
+"""Odometry evaluation: relative pose errors against truth, with floors."""
