@@ -15,7 +15,7 @@ from schemas.overlay import Overlay
 from schemas.score import SceneScore
 from service.export.points import LabelledCloud
 from service.export.rotation import quaternion_wxyz
-from service.pictures.style import colours_of
+from service.pictures.style import colours_of, inks_of
 
 POINTS: Final = "/counterpoint/points"
 BOXES: Final = "/counterpoint/boxes"
@@ -135,7 +135,7 @@ def boxes(
     tracks = {track.track_id: track for track in score.tracks}
     kinds = {kind.code: kind.name for kind in overlay.task.kinds if not kind.of_witness}
     witness = next((kind.name for kind in overlay.task.kinds if kind.of_witness), "")
-    colours = colours_of(overlay.task)
+    inks = inks_of(overlay.task)
     update = _classes()["SceneUpdate"]()
     for instance in overlay.instances_of(cloud.number).tolist():
         number, code = int(overlay.instance_track[instance]), int(overlay.instance_kind[instance])
@@ -154,7 +154,7 @@ def boxes(
             }
         for key, value in about.items():
             entity.metadata.add(key=key, value=value)
-        red, green, blue = (part / 255 for part in colours.get(code, (255, 255, 255)))
+        red, green, blue = (part / 255 for part in inks[code])
         cube = entity.cubes.add()
         _set_pose(cube.pose, (x, y, z), yaw)
         cube.size.x, cube.size.y, cube.size.z = length, width, height

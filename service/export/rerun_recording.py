@@ -10,13 +10,18 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from schemas.overlay import Overlay
+from schemas.score import SceneScore
 from service.errors import UsageError
 from service.export.format import Format
 from service.export.points import LabelledCloud
 from service.export.rotation import quaternion_wxyz
 from service.export.scene import SceneToExport
-from service.pictures.style import colours_of, meaning
+from service.pictures.style import colours_of, inks_of, meaning
+
+Place = NDArray[np.float64]
 
 APPLICATION: Final = "counterpoint"
 TIMELINE: Final = "stamp"
@@ -28,6 +33,13 @@ RECORD: Final = "record"
 
 _POINT_PX: Final = 1.2
 """Radius of a point on the screen, in points of the user interface."""
+
+_NIGHT: Final = (16, 18, 22)
+"""Colour of space: the four colours have more contrast on it than on white."""
+
+_AWAY_M: Final = 11.0
+_ABOVE_M: Final = 5.0
+"""Distance of the first view from the strongest track, towards the car and up: a street's width."""
 
 
 def need_rerun() -> None:
@@ -82,6 +94,7 @@ def _log_frame(rr: Any, recording: Any, scene: SceneToExport, cloud: LabelledClo
     found = overlay.instances_of(cloud.number)
     boxes = overlay.instance_boxes[found]
     numbers = overlay.instance_track[found].tolist()
+    inks = inks_of(overlay.task)
     turned = [_xyzw(float(yaw)) for yaw in boxes[:, 6]]
     labels = [
         f"{number + 1} {tracks[number].class_name or 'object'}" if number in tracks else ""
@@ -94,7 +107,7 @@ def _log_frame(rr: Any, recording: Any, scene: SceneToExport, cloud: LabelledClo
             sizes=boxes[:, 3:6],
             quaternions=turned,
             labels=labels,
-            class_ids=overlay.instance_kind[found],
+            colors=[inks[int(kind)] for kind in overlay.instance_kind[found]],
             show_labels=False,
         ),
     )
@@ -104,11 +117,52 @@ def _blueprint(scene: SceneToExport) -> Any:
     """Return the layout of the viewer: the space, the record next to it, the reasons below."""
     import rerun.blueprint as rrb
 
-    space = rrb.Spatial3DView(origin="odom", name=scene.stem)
+    view = first_view(scene.score, scene.overlay)
+    space = rrb.Spatial3DView(
+        origin="odom",
+        name=scene.stem,
+        background=_NIGHT,
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(position=view[0], look_target=view[1]) if view else None,
+    )
     record = rrb.TextDocumentView(origin=RECORD, name="record")
     reasons = rrb.TextLogView(origin=REASONS, name="reasons")
-    texts = rrb.Vertical(record, reasons)
-    return rrb.Blueprint(rrb.Horizontal(space, texts, column_shares=[3, 1]), collapse_panels=True)
+    texts = rrb.Vertical(record, reasons, row_shares=[3, 1])
+    return rrb.Blueprint(
+        rrb.Horizontal(space, texts, column_shares=[3, 1]),
+        rrb.TimePanel(
+            state="collapsed",
+            timeline=TIMELINE,
+            play_state="playing",
+            loop_mode="all",
+            playback_speed=0.5,
+        ),
+        collapse_panels=True,
+    )
+
+
+def first_view(score: SceneScore, overlay: Overlay) -> tuple[Place, Place] | None:
+    """Return where the eye begins and what it looks at: the strongest track, from the car's side.
+
+    Args:
+        score: Record of the scene.
+        overlay: Its overlay.
+
+    Returns:
+        Two places of odom space, (3,), metres; None in a scene without contradictions.
+    """
+    if not score.tracks:
+        return None
+    members = np.flatnonzero(overlay.instance_track == score.tracks[0].track_id)
+    if not len(members):
+        return None
+    stamps_ns = overlay.stamps_ns[overlay.instance_frame[members]]
+    best = members[int(np.argmin(np.abs(stamps_ns - score.tracks[0].strongest.stamp_ns)))]
+    pose = overlay.odom_from_sensor[overlay.instance_frame[best]]
+    seen_m = pose[:3, :3] @ overlay.instance_boxes[best, :3] + pose[:3, 3]
+    towards = pose[:2, 3] - seen_m[:2]
+    towards /= max(float(np.linalg.norm(towards)), 1.0)
+    return seen_m + np.array([*(_AWAY_M * towards), _ABOVE_M]), seen_m
 
 
 def _document(scene: SceneToExport) -> str:

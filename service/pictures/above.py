@@ -221,6 +221,7 @@ def draw_scale(draw: ImageDraw.ImageDraw, view: View, *, ring_names: bool) -> No
     bar_m = next(m for m in (20, 10, 5, 2, 1, 0) if m * view.px_per_m <= view.size_px / 3)
     right, bottom = view.size_px - 14, view.size_px - 14
     left = right - bar_m * view.px_per_m
+    draw.rectangle((left - 5, bottom - 20, right + 5, bottom + 5), fill=BACKGROUND)
     draw.line([(left, bottom), (right, bottom)], fill=TEXT, width=3)
     draw.text(((left + right) / 2, bottom - 4), f"{bar_m} m", fill=TEXT, font=font(13), anchor="ms")
     if not ring_names:
@@ -230,5 +231,11 @@ def draw_scale(draw: ImageDraw.ImageDraw, view: View, *, ring_names: bool) -> No
         at = float(origin[1]) + range_m * view.px_per_m
         if 0 < at < view.size_px - 30:
             draw.text(
-                (origin[0] + 4, at), f"{range_m} m", fill=SOFT_TEXT, font=font(13), anchor="lb"
+                (origin[0] + 4, at),
+                f"{range_m} m",
+                fill=SOFT_TEXT,
+                font=font(13),
+                anchor="lb",
+                stroke_width=3,
+                stroke_fill=BACKGROUND,
             )

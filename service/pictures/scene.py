@@ -1,16 +1,16 @@
 """Pictures of a scored scene: from above in the colours of the method, and on the camera image."""
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from schemas.arrays import NS_PER_S
 from schemas.contradiction import SceneState, TrackRecord
 from schemas.overlay import Overlay
-from schemas.score import MOST_LABELS, SceneScore, shown_tracks
+from schemas.score import SceneScore, shown_tracks
 from schemas.task import Outcome, task_named
 from service.pictures.above import draw_above
 from service.pictures.camera import draw_camera
@@ -28,6 +28,7 @@ from service.pictures.style import (
     meaning,
     shorten,
 )
+from service.pictures.tiles import draw_track
 from service.pictures.title import Title, labels_of, title_of
 from service.pictures.view import View
 
@@ -38,7 +39,6 @@ HEIGHT_PX: Final = 1250
 _ABOVE_PX: Final = 1140
 _MARGIN_PX: Final = 18
 _TOP_PX: Final = 92
-_TILE_PX: Final = 168
 _ROWS: Final = 3
 _LEGEND_ROWS: Final = 10
 _LEGEND_PX: Final = 24
@@ -74,7 +74,7 @@ def draw_scene(
     image.paste(draw_above(overlay, view, labels=labels_of(score)), (_MARGIN_PX, _TOP_PX))
     right, bottom = _MARGIN_PX + _ABOVE_PX, _TOP_PX + _ABOVE_PX
     draw.rectangle((_MARGIN_PX, _TOP_PX, right, bottom), outline=GRID)
-    _draw_side(image, score, overlay)
+    _draw_side(image, score, overlay, frame)
     return image
 
 
@@ -117,76 +117,35 @@ def _draw_header(
     draw.text((left, 62), shorten(facts, width, 17), fill=SOFT_TEXT, font=font(17))
 
 
-def _draw_side(image: Image.Image, score: SceneScore, overlay: Overlay) -> None:
+def _draw_side(image: Image.Image, score: SceneScore, overlay: Overlay, frame: int) -> None:
     draw = ImageDraw.Draw(image)
     left = 2 * _MARGIN_PX + _ABOVE_PX
     width = WIDTH_PX - left - _MARGIN_PX
     y = _TOP_PX
     for track in shown_tracks(score, most=_ROWS):
-        y = _draw_track(image, overlay, track, left=left, top=y, width=width)
+        y = draw_track(image, overlay, track, left=left, top=y, width=width)
     if not score.tracks:
         draw.text((left, y), "no contradiction in this scene", fill=SOFT_TEXT, font=font(18))
         y += 40
-    legend = len(_named(score)) + len(_witnessed(score)) + 1
+    witnessed = _witnessed(score, overlay, frame)
+    legend = len(_named(score)) + len(witnessed) + 1
     bottom = HEIGHT_PX - _MARGIN_PX - _LEGEND_PX * legend
     draw_reasons(draw, score, left=left, top=y, width=width, bottom=bottom)
-    _draw_legend(draw, score, left=left, width=width)
+    _draw_legend(draw, score, witnessed, left=left, width=width)
 
 
-def _draw_track(
-    image: Image.Image, overlay: Overlay, track: TrackRecord, *, left: int, top: int, width: int
-) -> int:
-    """Draw one track at its begin, its strongest moment and its end."""
-    draw = ImageDraw.Draw(image)
-    ink = inks_of(overlay.task)[overlay.task.kind(track.kind).code]
-    best = track.strongest
-    what = f"{track.track_id + 1} {track.class_name or 'object'}, strength {track.strength:.2f}"
-    sure = (
-        f"supervised {best.semantic_confidence:.0%} sure, "
-        f"self-supervised {best.predictive_confidence:.0%}"
-    )
-    room = width - draw.textlength(sure, font(14)) - 12
-    draw.text((left, top), shorten(what, room, 16), fill=ink, font=font(16))
-    draw.text((left + width, top + 2), sure, fill=SOFT_TEXT, font=font(14), anchor="ra")
-    top += 22
-    members = np.flatnonzero(overlay.instance_track == track.track_id)
-    if not len(members):
-        return top
-    stamps_ns = overlay.stamps_ns[overlay.instance_frame[members]]
-    strongest = members[int(np.argmin(np.abs(stamps_ns - track.strongest.stamp_ns)))]
-    half_m = float(np.clip(1.6 * track.strongest.size_m[0], 4.0, 16.0))
-    gap = (width - 3 * _TILE_PX) // 2
-    for column, instance in enumerate(_moments(members, strongest)):
-        frame = int(overlay.instance_frame[instance])
-        x, y = (float(value) for value in overlay.instance_boxes[instance, :2])
-        tile = draw_above(
-            overlay,
-            View(frame, (x, y), half_m, _TILE_PX),
-            dot_px=2,
-            background=False,
-            rings=False,
-        )
-        at = (left + column * (_TILE_PX + gap), top)
-        image.paste(tile, at)
-        draw.rectangle((*at, at[0] + _TILE_PX, at[1] + _TILE_PX), outline=GRID)
-        seconds = (int(overlay.stamps_ns[frame]) - int(overlay.stamps_ns[0])) / NS_PER_S
-        draw.rectangle((at[0] + 1, at[1] + 1, at[0] + 42, at[1] + 20), fill=PANEL)
-        draw.text((at[0] + 5, at[1] + 3), f"{seconds:.1f} s", fill=TEXT, font=font(14))
-    return top + _TILE_PX + 12
-
-
-def _moments(members: NDArray[np.intp], strongest: int) -> list[int]:
-    """Return indices of begin, strongest moment and end, distinct in a track of three frames."""
-    first, last = int(members[0]), int(members[-1])
-    between = strongest if strongest not in (first, last) else int(members[len(members) // 2])
-    return sorted({first, between, last})
-
-
-def _draw_legend(draw: ImageDraw.ImageDraw, score: SceneScore, *, left: int, width: int) -> None:
+def _draw_legend(
+    draw: ImageDraw.ImageDraw,
+    score: SceneScore,
+    witnessed: Sequence[Outcome],
+    *,
+    left: int,
+    width: int,
+) -> None:
     """Draw the legend: each colour with its share of the compared points above the ground."""
     task = task_named(score.task)
     colours = colours_of(task)
-    named, witnessed = _named(score), _witnessed(score)
+    named = _named(score)
     top = HEIGHT_PX - _MARGIN_PX - (len(named) + len(witnessed)) * _LEGEND_PX - 14
     draw.rectangle((left, top, left + width, HEIGHT_PX - _MARGIN_PX), fill=PANEL)
     of_which = "off ground" if task.of_things else "of compared"
@@ -206,10 +165,12 @@ def _draw_legend(draw: ImageDraw.ImageDraw, score: SceneScore, *, left: int, wid
         draw.text((left + 36, y), WITNESS_BOXES, fill=TEXT, font=font(15))
 
 
-def _witnessed(score: SceneScore) -> list[Outcome]:
-    """Return the outcome of the witness alone, if a track is of that kind."""
-    kinds = {track.kind for track in score.tracks[:MOST_LABELS]}
-    return [kind for kind in task_named(score.task).kinds if kind.of_witness and kind.name in kinds]
+def _witnessed(score: SceneScore, overlay: Overlay, frame: int) -> list[Outcome]:
+    """Return the outcome of the witness alone, if a box in the picture is of that kind."""
+    codes = set(overlay.instance_kind[overlay.instances_of(frame)].tolist())
+    named = {track.kind for track in shown_tracks(score, most=_ROWS)}
+    kinds = (kind for kind in task_named(score.task).kinds if kind.of_witness)
+    return [kind for kind in kinds if kind.code in codes or kind.name in named]
 
 
 def _named(score: SceneScore) -> list[Outcome]:

@@ -19,7 +19,7 @@ from workers.ingest.chunk import messages_in, open_chunk
 from workers.ingest.decoding import ros_type
 from workers.ingest.fetch import OpenedChunk, fetch_chunks
 from workers.ingest.frames import frame_from_cloud, intensity_scale_of
-from workers.ingest.index import read_summary
+from workers.ingest.index import IndexedChunk, read_summary
 from workers.ingest.log_index import LogIndex, index_recording
 from workers.ingest.messages import RawMessage
 from workers.ingest.part_reader import PartReader
@@ -241,7 +241,10 @@ class CutExcerpt:
     def _latched(
         self, topics: Sequence[Topic], start_ns: int, end_ns: int
     ) -> Iterator[ExcerptMessage]:
-        """Yield what was recorded before the excerpt and is valid in it."""
+        """Yield what was recorded outside the excerpt and is valid in it.
+
+        A static transform holds before it was recorded, too: a recorder may hear of it late.
+        """
         for topic in topics:
             channel, ids = topic.channel, _ids_of([topic])
             if ros_type(channel) not in SPACES | CALIBRATIONS:
@@ -257,7 +260,23 @@ class CutExcerpt:
                 for message in self._copied(self._open(ref), ids)
                 if message.log_time_ns < start_ns
             ]
-            yield from before if is_static(channel) else before[-1:]
+            if is_static(channel):
+                late = [] if before else self._first(channel, chunks, ids)
+                yield from before or (m for m in late if m.log_time_ns > start_ns + MARGIN_NS)
+            else:
+                yield from before[-1:]
+
+    def _first(
+        self,
+        channel: Channel,
+        chunks: Sequence[IndexedChunk],
+        ids: Mapping[tuple[int, int], Channel],
+    ) -> list[ExcerptMessage]:
+        """Return the messages of a topic in the first chunk that has any."""
+        for chunk in chunks:
+            if count_in(chunk, channel) and (found := [*self._copied(self._open(chunk.ref), ids)]):
+                return found
+        return []
 
     def _open(self, ref: ChunkRef) -> OpenedChunk:
         reader = self._log.index.readers[ref.part]

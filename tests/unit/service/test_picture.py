@@ -15,7 +15,7 @@ from schemas.task import MOTION
 from service.pictures.above import draw_above
 from service.pictures.camera import ImageUnreadableError
 from service.pictures.scene import draw_camera, draw_scene, strongest_frame
-from service.pictures.style import colours_of, font, inks_of, shorten, wrap
+from service.pictures.style import WITNESS_INK, colours_of, font, inks_of, shorten, wrap
 from service.pictures.title import title_of
 from service.pictures.view import View
 from tests.labelled_worlds import CLASS_NAMES, Thing, labelled_scene, ranked_tracks, shard_of
@@ -107,6 +107,21 @@ def test_all_four_colours_and_the_legend_are_in_the_picture(
         legend = _where(pixels[-150:, 1050:], agreement)
         assert len(legend) >= 15 * 15, agreement
     assert len(_where(pixels[:, :1040], Agreement.ONLY_PREDICTIVE_DYNAMIC)) > 100
+
+
+def test_the_legend_explains_every_box_of_the_witness_that_is_drawn(
+    mined: tuple[SceneScore, Overlay],
+) -> None:
+    score, overlay = mined
+    ink = np.array(WITNESS_INK, dtype=np.uint8)
+    corner = slice(-260, None), slice(1180, None)
+
+    def entries(shown: Overlay) -> int:
+        return int((_pixels(draw_scene(score, shown))[corner] == ink).all(axis=2).sum())
+
+    kinds = np.full_like(overlay.instance_kind, Agreement.BOTH_STATIC)
+    assert entries(overlay) == 0
+    assert entries(replace(overlay, instance_kind=kinds)) > 40
 
 
 def test_the_frame_with_the_strongest_evidence_is_shown_unless_another_is_asked_for(
