@@ -2,7 +2,8 @@
 
 A network over range images labels some pixels beyond the border of a mover. They lie on whatever is
 behind it, metres away, and slide along the structure as fast as the mover passes. No object there
-is labelled wrong: unlike a ghost, they are in the direction of an agreed mover.
+is labelled wrong: unlike a ghost, they are in the direction of an agreed mover. Features count them
+as the rim of that mover.
 """
 
 import math
