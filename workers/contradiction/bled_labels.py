@@ -2,7 +2,8 @@
 
 A network over range images labels some pixels beyond the border of a mover. They lie on whatever is
 behind it, metres away, and slide along the structure as fast as the mover passes. No object there
-is labelled wrong: unlike a ghost, they are in the direction of an agreed mover.
+is labelled wrong: unlike a ghost, they are in the direction of an agreed mover. Features count them
+as the rim of that mover.
 """
 
 import math
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Points
-from schemas.contradiction import Instance, LabelledFrame, Scene
+from schemas.contradiction import Instance, LabelledFrame
 from schemas.labels import MotionLabel
 
 _BIN_RAD: Final = math.radians(1.5)
@@ -24,15 +25,25 @@ _COLUMNS: Final = round(2.0 * math.pi / _BIN_RAD)
 _ROWS: Final = round(math.pi / _BIN_RAD)
 
 
-def bled_share(scene: Scene, members: Sequence[Instance]) -> float:
-    """Return the share of a track's points in the direction of movers that both streams label."""
-    bled = points = 0
-    for member in members:
-        frame = scene.frames[member.frame_index]
-        rows, columns = _bins(frame.posed.frame.points_m[member.point_index])
-        bled += int(_agreed_directions(frame)[rows, columns].sum())
-        points += len(member.point_index)
-    return bled / points
+class AgreedDirections:
+    """Directions of the movers that both streams label, frame by frame of a scene."""
+
+    def __init__(self, frames: Sequence[LabelledFrame]) -> None:
+        """Keep the frames of the scene; directions are marked when a frame is first asked for."""
+        self._frames = frames
+        self._marked: dict[int, NDArray[np.bool_]] = {}
+
+    def share(self, members: Sequence[Instance]) -> float:
+        """Return the share of a track's points in the direction of movers both streams label."""
+        bled = points = 0
+        for member in members:
+            frame = self._frames[member.frame_index]
+            if member.frame_index not in self._marked:
+                self._marked[member.frame_index] = _agreed_directions(frame)
+            rows, columns = _bins(frame.posed.frame.points_m[member.point_index])
+            bled += int(self._marked[member.frame_index][rows, columns].sum())
+            points += len(member.point_index)
+        return bled / points
 
 
 def _agreed_directions(frame: LabelledFrame) -> NDArray[np.bool_]:

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S
 from schemas.contradiction import Instance, Scene
 from schemas.labels import MotionLabel
-from workers.contradiction.bled_labels import bled_share
 from workers.contradiction.blind_moments import blind_share, witness_votes
 from workers.contradiction.bulk_motion import bulk_motion_of
 from workers.contradiction.clamp import clamp01
-from workers.contradiction.flashes import label_time
+from workers.contradiction.flashes import has_no_motion_source, label_time
 from workers.contradiction.rims import rim_likeness
 from workers.contradiction.rising_ground import RisingGround, rising_share
 from workers.contradiction.scene_context import SceneContext, scene_context_of
@@ -47,6 +46,10 @@ _DEPARTURE_SEEN_S: Final = 1.0
 
 An object that sets off at 1.5 m/s2 covers 0.2 m and 0.75 m in them: too little and enough to show.
 """
+
+_BLED_FROM: Final = 0.5
+_BLED_ALL: Final = 0.9
+"""Shares of a track in the direction of agreed movers at which none and all of it is bled label."""
 
 _MIN_EVIDENCE: Final = 0.1
 """Product of `duration` and `point_count` from which on shape persistence is tested."""
@@ -132,8 +135,10 @@ def _features_of(
     standing = standing_share(
         track.kind, scene.task, shape_static=shape_static, witness_static=witness_static
     )
-    if standing > 0.0 and path.displacement > 0.0:
-        standing *= 1.0 - bled_share(scene, members)
+    bled = 0.0
+    if has_no_motion_source(track.kind, scene.task):
+        bled = context.agreed_directions.share(members)
+    standing *= 1.0 - bled
     travels = 1.0 - standing
     free = path_share(track.kind, scene.task, witness_static=witness_static)
     arrived, departed = persistence.elsewhere_before * free, persistence.elsewhere_after * free
@@ -147,6 +152,13 @@ def _features_of(
     )
     rim = rim_likeness(members)
     agreed_share = clamp01(mean([member.agreed_share for member in members]))
+    denied_share = clamp01(
+        mean([member.denied_share for member in members]) + agreed_share * (1.0 - rim)
+    )
+    agreed_share *= rim
+    shadow = clamp01((bled - _BLED_FROM) / (_BLED_ALL - _BLED_FROM))
+    agreed_share += denied_share * shadow
+    denied_share *= 1.0 - shadow
     range_m = mean([float(np.hypot(*m.centre_m[:2])) for m in members])
     return TrackFeatures(
         witness_dynamic=witness_dynamic,
@@ -186,10 +198,8 @@ def _features_of(
         pose_doubted=pose_doubted,
         turn_rate=clamp01(float(context.turn_rad_per_s[at].max()) / _TURN_RAD_PER_S),
         unobserved=clamp01(float(context.unobserved[at].mean())),
-        denied_share=clamp01(
-            mean([member.denied_share for member in members]) + agreed_share * (1.0 - rim)
-        ),
-        agreed_share=agreed_share * rim,
+        denied_share=denied_share,
+        agreed_share=agreed_share,
         unlabelled_share=_unlabelled_share(scene, members),
         clutter=1.0
         - math.exp(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S
 from schemas.contradiction import Instance, Scene
 from schemas.frame import OdometryState
+from workers.contradiction.bled_labels import AgreedDirections
 from workers.contradiction.keyframes import Keyframes
 from workers.contradiction.rising_ground import RisingGround
 from workers.contradiction.temporal_context import DynamicPoints, dynamic_points_of
@@ -30,6 +31,7 @@ class SceneContext:
         keyframes: Points off the ground every half second.
         period_s: Median time between its frames.
         ground: Its rising ground.
+        agreed_directions: Directions of the movers that both streams label.
     """
 
     turn_rad_per_s: NDArray[np.float64]
@@ -40,6 +42,7 @@ class SceneContext:
     keyframes: Keyframes
     period_s: float
     ground: RisingGround
+    agreed_directions: AgreedDirections
 
 
 def scene_context_of(scene: Scene, instances: Sequence[Instance]) -> SceneContext:
@@ -68,4 +71,5 @@ def scene_context_of(scene: Scene, instances: Sequence[Instance]) -> SceneContex
         keyframes=Keyframes(scene),
         period_s=frame_period_s(scene),
         ground=RisingGround([frame.posed for frame in frames]),
+        agreed_directions=AgreedDirections(frames),
     )

@@ -68,7 +68,8 @@ class TrackFeatures:
         denied_share: Share of all points labelled dynamic around it that the other stream labels
             static.
         agreed_share: Share of these that the other stream labels dynamic too: high at the rim of an
-            agreed mover, and 0 where it is too wide or has too many points for a rim (`rims.py`).
+            agreed mover, and 0 where it is too wide or has too many points for a rim (`rims.py`);
+            high too for labels bled onto what is behind a mover (`bled_labels.py`).
         unlabelled_share: Share of its points without a label of the self-supervised stream.
         clutter: Count of other contradictions of its kind in its frames; 0.63 at eight.
         rising_ground: Share of the ground around it that rises where no object is

@@ -73,6 +73,36 @@ def test_labels_that_bleed_from_a_mover_onto_the_wall_behind_it_keep_their_path(
     assert bled.strength < 0.5 * alone.strength
 
 
+def test_labels_that_bleed_onto_the_wall_behind_a_slow_mover_are_no_error_on_an_object() -> None:
+    behind = Thing((4.0, 6.0, 0.0), DYNAMIC, STATIC, (2.0, 0.1, 1.5), class_id=0)
+    mover = Thing((2.0, 3.0, 0.0), DYNAMIC, DYNAMIC, (1.5, 0.5, 1.5), velocity_m_per_s=(0.3, 0, 0))
+    (bled,), (alone,) = _wall_tracks([behind, mover]), _wall_tracks([behind])
+    assert (alone.features.denied_share, alone.features.agreed_share) == (1.0, 0.0)
+    assert bled.features.agreed_share > 0.75
+    assert bled.attribution is not None and bled.attribution.wrong is Wrong.NEITHER
+    assert bled.strength < 0.3 * alone.strength
+
+
+def test_a_parked_car_next_to_a_mover_is_no_bled_label() -> None:
+    parked = Thing((8.0, 6.0, 0.0), DYNAMIC, STATIC, (4.5, 1.8, 1.5))
+    mover = Thing((4.0, 3.0, 0.0), DYNAMIC, DYNAMIC, (1.5, 0.5, 1.5), velocity_m_per_s=(1.5, 0, 0))
+    (beside,), (alone,) = _wall_tracks([parked, mover]), _wall_tracks([parked])
+    assert beside.features.agreed_share < 0.1
+    assert beside.strength > 0.8 * alone.strength
+
+
+def _wall_tracks(things: Sequence[Thing]) -> Sequence[RankedTrack]:
+    """Return the tracks of a scene with a wall and these things, which the witness sees stand."""
+    made = [_frame(n, ghost=False, witness=STATIC, others=things) for n in range(32)]
+    scene = Scene(
+        scene_id=f"fleet/car-1/drive/lidar/{START_NS}",
+        frames=tuple(made[10:22]),
+        before=tuple(made[:10]),
+        after=tuple(made[22:]),
+    )
+    return ranked_tracks(scene, find_instances(scene, class_names=CLASS_NAMES))
+
+
 @pytest.mark.parametrize(
     ("kind", "witness_static", "share"),
     [

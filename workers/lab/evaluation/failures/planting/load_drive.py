@@ -20,6 +20,7 @@ from workers.lab.evaluation.failures.planting.right_labels import (
     OF_COARSE,
     actors_of,
     right_motion,
+    whole_objects,
 )
 from workers.lab.evaluation.truth.truth import FrameTruth, LogTruth, TruthUnusableError
 from workers.lab.evaluation.truth.whole_log import shards_of_log
@@ -143,6 +144,10 @@ def _frame(
     ground = np.isin(class_id, GROUND)
     if predictive.ground_mask is not None and coarse is None:
         ground = predictive.ground_mask
+    if coarse is not None:
+        track = whole_objects(
+            true, track, points_m=frame.points_m, class_id=class_id, ground=ground
+        )
     return DriveFrame(
         index=number,
         time_s=time_s,

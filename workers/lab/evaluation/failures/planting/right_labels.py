@@ -5,8 +5,9 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from schemas.arrays import Mask
+from schemas.arrays import Mask, Points
 from workers.lab.evaluation.failures.planting.drive import DriveActor, DriveFrame
 from workers.lab.evaluation.truth.class_table import COARSE, coarse_of_name
 from workers.lab.evaluation.truth.truth import (
@@ -15,7 +16,12 @@ from workers.lab.evaluation.truth.truth import (
     TRUTH_UNKNOWN,
     FrameTruth,
 )
-from workers.lab.simulation.models.kinds import StreetClass
+from workers.lab.simulation.models.kinds import MOVABLE, StreetClass
+
+_NEAR_OBJECT_M: Final = 1.5
+"""Distance from an object's points up to which a point without an object may belong to it, metres:
+boxes of data sets lag behind fast objects by up to a metre.
+"""
 
 _STREET_CLASS: Final[dict[str, StreetClass]] = {
     "none": StreetClass.OBJECT,
@@ -33,6 +39,41 @@ _STREET_CLASS: Final[dict[str, StreetClass]] = {
 }
 OF_COARSE: Final = np.array([_STREET_CLASS[name] for name in COARSE], dtype=np.uint8)
 """`StreetClass` of each coarse class of truth."""
+
+
+def whole_objects(
+    true: FrameTruth,
+    track: NDArray[np.int16],
+    *,
+    points_m: Points,
+    class_id: NDArray[np.uint8],
+    ground: Mask,
+) -> NDArray[np.int16]:
+    """Return the object of each point, with points that its box misses.
+
+    A box that lags behind its object leaves a part of it outside, where truth does not judge. Such
+    a point of a movable class belongs to the object of the nearest point of the same class.
+
+    Args:
+        true: Truth of the frame.
+        track: (N,) object of each point by truth, -1 none.
+        points_m: (N, 3) points in sensor space.
+        class_id: (N,) right class, a `StreetClass`.
+        ground: (N,) True on the ground.
+    """
+    track = track.copy()
+    outside = (true.motion == TRUTH_UNKNOWN) & (track < 0) & ~ground
+    for street_class in MOVABLE:
+        loose = np.flatnonzero(outside & (class_id == street_class))
+        inside = np.flatnonzero((track >= 0) & ~ground & (class_id == street_class))
+        if not len(loose) or not len(inside):
+            continue
+        away_m, nearest = cKDTree(points_m[inside]).query(
+            points_m[loose], distance_upper_bound=_NEAR_OBJECT_M
+        )
+        found = np.isfinite(away_m)
+        track[loose[found]] = track[inside[nearest[found]]]
+    return track
 
 
 def right_motion(true: FrameTruth, track: NDArray[np.int16], ground: Mask) -> NDArray[np.uint8]:
