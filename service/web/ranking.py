@@ -11,7 +11,8 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from schemas.errors import PermanentError
-from service.curation.listing import ListedScene, ScenesRequest
+from schemas.events import TrackSummary
+from service.curation.listing import ListedScene, ScenesRequest, passes
 from service.curation.verdicts import ChoicesReply
 from service.errors import UsageError
 from service.web.context import render, source_of, visitor_of
@@ -36,11 +37,13 @@ class Card:
         scene: Its row.
         href: Address of its page, with the filters of the list.
         thumbnail: Address of its picture.
+        passing: Its first listed track that passes the filters, where that is not the first one.
     """
 
     scene: ListedScene
     href: str
     thumbnail: str
+    passing: TrackSummary | None = None
 
     @property
     def kind_class(self) -> str:
@@ -59,12 +62,16 @@ def kind_class(kind: str) -> str:
     return next((f"kind-{each}" for each in known if each in kind), "kind-other")
 
 
-def card_of(scene: ListedScene, filters: Filters) -> Card:
+def card_of(scene: ListedScene, filters: Filters, request: ScenesRequest) -> Card:
     """Return the card of a scene."""
+    first = next((at for at, track in enumerate(scene.tracks) if passes(track, request)), 0)
     name = quote(scene.scene_id, safe="")
     rest = filters.query(after=None).replace("?", "&", 1)
     return Card(
-        scene, f"/scene?id={name}{rest}", f"/thumb.png?id={name}&digest={quote(scene.sha256)}"
+        scene,
+        f"/scene?id={name}{rest}",
+        f"/thumb.png?id={name}&digest={quote(scene.sha256)}",
+        scene.tracks[first] if first else None,
     )
 
 
@@ -88,17 +95,19 @@ def ranking(request: Request) -> Response:
     problem, filters = "", given
     seq, _ = newest_of(request)  # before the list: what comes later is new
     try:
-        found = source.scenes(asked(request, filters))
+        listed = asked(request, filters)
+        found = source.scenes(listed)
     except PermanentError as error:
         problem, filters = str(error), Filters({})
-        found = source.scenes(asked(request, filters))
+        listed = asked(request, filters)
+        found = source.scenes(listed)
     return render(
         request,
         "ranking.html",
         status=400 if problem else 200,
         section="ranking",
         problem=problem,
-        cards=[card_of(scene, filters) for scene in found.rows],
+        cards=[card_of(scene, filters, listed) for scene in found.rows],
         total=found.total,
         is_least=found.is_least,
         next_page=filters.query(after=found.next) if found.next else "",

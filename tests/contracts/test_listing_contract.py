@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import pytest
-from sqlalchemy import update
+from sqlalchemy import select, update
 
 from schemas.arrays import NS_PER_S
 from schemas.attribution import Attribution, Wrong
@@ -18,7 +18,7 @@ from service.curation.activity import ActivityRequest
 from service.curation.listing import ListedScene, ScenesReply, ScenesRequest
 from service.curation.verdicts import JudgeRequest, UndoRequest
 from service.errors import NothingFoundError, RecordDamagedError, UsageError
-from service.store.tables import SCENES
+from service.store.tables import LISTED_TRACKS, SCENES
 from tests.contracts.databases import OnPostgres, OnSqlite
 from tests.contracts.ledger_world import (
     START_NS,
@@ -29,7 +29,7 @@ from tests.contracts.ledger_world import (
     shard_of,
 )
 from tests.contracts.store_contract import StoreContract
-from tests.factories import track_record
+from tests.factories import track_at, track_record
 
 
 def attributed(wrong: Wrong) -> Attribution:
@@ -170,6 +170,83 @@ class ListingContract(StoreContract):
         assert found(world, min_score=0.3) == [0, 1, 3]
         assert found(world, max_score=0.3) == [1, 2]
         assert found(world, min_score=0.35, vehicle="car-1", class_name="bus") == [0]
+
+    def test_a_filter_by_range_is_passed_by_one_strong_track(self, world: World) -> None:
+        near, far, weak = track_at(12.4), track_at(79.99), track_at(40.0, strength=0.01)
+        commit(
+            world,
+            scene(0, 0.9, tracks=(near, far, weak)),
+            scene(1, 0.8, tracks=(track_at(30.0, class_name="bus"),)),
+            scene(2, 0.7, tracks=(track_at(30.01),)),
+            scene(3, 0.6, tracks=(weak,)),
+            scene(4, 0.5, tracks=()),
+            scene(5, 0.4, tracks=(track_at(300.0),)),
+            scene(6, 0.3, tracks=(track_at(0.0),)),
+            scene(7, 0.2, tracks=(track_at(63.0),)),
+            scene(8, 0.1, tracks=(track_at(63.01),)),
+        )
+        assert found(world, within_m=30) == [0, 1, 6]
+        assert found(world, beyond_m=30) == [0, 2, 5, 7, 8]
+        assert found(world, beyond_m=12, within_m=13) == [0]
+        assert found(world, beyond_m=30, within_m=79) == [2, 7, 8], "one track is between both"
+        assert found(world, beyond_m=30, within_m=80) == [0, 2, 7, 8]
+        assert found(world, within_m=63, beyond_m=62) == [7]
+        assert found(world, within_m=64, beyond_m=63) == [8]
+        assert found(world, beyond_m=125) == [5]
+        assert found(world, within_m=1) == [6]
+        assert found(world, beyond_m=0) == [0, 1, 2, 5, 6, 7, 8], "some strong track"
+        assert found(world, within_m=125) == [0, 1, 2, 6, 7, 8]
+        assert found(world, within_m=30, class_name="bus") == [1]
+        assert found(world, within_m=30, min_score=0.5) == [0, 1]
+
+    def test_filters_of_tracks_are_passed_by_one_track(self, world: World) -> None:
+        kinds = ("only_semantic_dynamic", "only_predictive_dynamic")
+        both, neither = attributed(Wrong.BOTH), attributed(Wrong.NEITHER)
+        near = track_at(10.0, kind=kinds[0], class_name="bus", attribution=both)
+        far = track_at(60.0, kind=kinds[1], class_name="a|b", attribution=neither)
+        far_bus = track_at(70.0, kind=kinds[1], class_name="bus")
+        commit(
+            world,
+            scene(0, tracks=(near, far)),
+            scene(1, tracks=(far,)),
+            scene(2, tracks=(near, far, far_bus)),
+            scene(3, tracks=()),
+        )
+        assert found(world, kind=kinds[0]) == [0, 2]
+        assert found(world, kind=kinds[0], within_m=30) == [0, 2]
+        assert found(world, kind=kinds[0], beyond_m=30) == []
+        assert found(world, kind=kinds[1], beyond_m=30) == [0, 1, 2]
+        assert found(world, class_name="bus", beyond_m=30) == [2]
+        assert found(world, class_name="a/b", within_m=60) == [0, 1, 2], "as choices name it"
+        assert found(world, class_name="a/b", within_m=59) == []
+        assert found(world, wrong="both", within_m=10) == [0, 2]
+        assert found(world, wrong="neither", within_m=10) == []
+        assert found(world, wrong="supervised", within_m=10) == []
+        assert found(world, kind=kinds[1], class_name="bus") == [2]
+        assert found(world, kind=kinds[0], wrong="neither") == []
+        assert found(world, kind=kinds[1], text="/lidar", beyond_m=65) == [2]
+        world.listed("b")
+        assert found(world) == found(world, kind=kinds[1], beyond_m=30) == []
+        with world.store.reading() as connection:
+            assert connection.execute(select(LISTED_TRACKS.c.seq)).all() == []
+        world.listed("a", "b")
+        assert found(world, kind=kinds[1], beyond_m=30) == [0, 1, 2], "as the scenes return"
+
+    def test_pages_of_a_filter_by_range_follow_each_other(self, world: World) -> None:
+        commit(world, *(scene(n, n / 50, tracks=(track_at(float(n)),)) for n in range(50)))
+        for order in ("score", "newest", "earliest"):
+            whole = ask(world, sort=order, within_m=37, beyond_m=6, most=200)
+            assert sorted(numbers(whole.rows)) == list(range(7, 38))
+            seen: list[str] = []
+            after = ""
+            while True:
+                part = ask(world, sort=order, within_m=37, beyond_m=6, most=4, after=after)
+                assert part.total == whole.total == 31
+                seen += [row.scene_id for row in part.rows]
+                if not part.next:
+                    break
+                after = part.next
+            assert seen == [row.scene_id for row in whole.rows]
 
     def test_search_finds_parts_of_names_and_headlines_in_any_case(self, world: World) -> None:
         commit(
