@@ -142,12 +142,11 @@ class ScenesReply(BaseModel):
 
 def passes(track: TrackSummary, request: ScenesRequest) -> bool:
     """Return true if a strong track passes all filters of tracks: kind, class, who errs, range."""
-    beyond_m = 0 if request.beyond_m is None else request.beyond_m
     return (
         request.kind in (None, track.kind)
-        and request.class_name in (None, track.class_name)
+        and request.class_name in (None, track.class_name.replace("|", "/"))
         and request.wrong in (None, track.wrong)
-        and (not beyond_m or track.range_m > beyond_m)
+        and (not request.beyond_m or track.range_m > request.beyond_m)
         and (request.within_m is None or track.range_m <= request.within_m)
     )
 

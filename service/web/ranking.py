@@ -11,7 +11,6 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from schemas.errors import PermanentError
-from schemas.events import TrackSummary
 from service.curation.listing import ListedScene, ScenesRequest, passes
 from service.curation.verdicts import ChoicesReply
 from service.errors import UsageError
@@ -37,13 +36,13 @@ class Card:
         scene: Its row.
         href: Address of its page, with the filters of the list.
         thumbnail: Address of its picture.
-        passing: Its first listed track that passes the filters, where that is not the first one.
+        passing: Which track passes the filters, where it is not the one of the headline.
     """
 
     scene: ListedScene
     href: str
     thumbnail: str
-    passing: TrackSummary | None = None
+    passing: str
 
     @property
     def kind_class(self) -> str:
@@ -64,15 +63,24 @@ def kind_class(kind: str) -> str:
 
 def card_of(scene: ListedScene, filters: Filters, request: ScenesRequest) -> Card:
     """Return the card of a scene."""
-    first = next((at for at, track in enumerate(scene.tracks) if passes(track, request)), 0)
     name = quote(scene.scene_id, safe="")
     rest = filters.query(after=None).replace("?", "&", 1)
     return Card(
         scene,
         f"/scene?id={name}{rest}",
         f"/thumb.png?id={name}&digest={quote(scene.sha256)}",
-        scene.tracks[first] if first else None,
+        _passing(scene, request),
     )
+
+
+def _passing(scene: ListedScene, request: ScenesRequest) -> str:
+    """Name the strongest track that passes the filters; empty for the first one, or without any."""
+    found = next((track for track in scene.tracks if passes(track, request)), None)
+    if not scene.tracks or found is scene.tracks[0]:
+        return ""
+    if found is None:
+        return "a weaker track passes"
+    return f"track {found.track_id + 1}: {found.class_name or 'object'}, {found.range_m:.0f} m"
 
 
 def asked(request: Request, filters: Filters, **changes: object) -> ScenesRequest:

@@ -11,11 +11,12 @@ from schemas.arrays import NS_PER_S
 from schemas.attribution import Attribution, Wrong
 from schemas.canonical import sha256
 from schemas.contradiction import SceneState
+from schemas.events import TrackSummary
 from schemas.score import Producers, SceneScore
 from schemas.transport.wire import encode_scene_score
 from schemas.verdict import Verdict
 from service.curation.activity import ActivityRequest
-from service.curation.listing import ListedScene, ScenesReply, ScenesRequest
+from service.curation.listing import ListedScene, ScenesReply, ScenesRequest, passes
 from service.curation.verdicts import JudgeRequest, UndoRequest
 from service.errors import NothingFoundError, RecordDamagedError, UsageError
 from service.store.tables import LISTED_TRACKS, SCENES
@@ -231,6 +232,44 @@ class ListingContract(StoreContract):
             assert connection.execute(select(LISTED_TRACKS.c.seq)).all() == []
         world.listed("a", "b")
         assert found(world, kind=kinds[1], beyond_m=30) == [0, 1, 2], "as the scenes return"
+
+    def test_any_filters_of_tracks_pass_what_one_of_the_tracks_passes(self, world: World) -> None:
+        dice = random.Random(7)  # noqa: S311 (a test's dice)
+        kinds = ("only_semantic_dynamic", "only_predictive_dynamic", "only_witness_dynamic")
+        classes, ranges_m = ("car", "bus", ""), (0.0, 4.0, 4.01, 62.9, 63.0, 63.5, 80.2, 130.0)
+        scenes = [
+            scene(
+                number,
+                tracks=tuple(
+                    track_at(
+                        dice.choice(ranges_m),
+                        kind=dice.choice(kinds),
+                        class_name=dice.choice(classes),
+                        attribution=dice.choice([None, attributed(dice.choice(tuple(Wrong)))]),
+                        strength=dice.choice([0.5, 0.05, 0.049]),
+                    )
+                    for _ in range(dice.randint(0, 4))
+                ),
+            )
+            for number in range(60)
+        ]
+        commit(world, *scenes)
+        for _ in range(80):
+            asked: dict[str, Any] = {
+                "kind": dice.choice([None, *kinds]),
+                "class_name": dice.choice([None, "car", "bus"]),
+                "wrong": dice.choice([None, *Wrong]),
+                "beyond_m": dice.choice([None, 0, 4, 62]),
+                "within_m": dice.choice([None, 63, 64, 81, 125]),
+            }
+            request = ScenesRequest(**asked)
+            strong = [[t for t in each.tracks if t.strength >= 0.05] for each in scenes]
+            is_filter = any(value is not None for value in asked.values())
+            assert found(world, **asked, most=200) == [
+                number
+                for number, tracks in enumerate(strong)
+                if not is_filter or any(passes(TrackSummary.of(t), request) for t in tracks)
+            ], asked
 
     def test_pages_of_a_filter_by_range_follow_each_other(self, world: World) -> None:
         commit(world, *(scene(n, n / 50, tracks=(track_at(float(n)),)) for n in range(50)))

@@ -133,6 +133,11 @@ class RestContract:
             following = answer.links.get("next")
             path = following["url"].removeprefix("/api/v1") if following else ""
         assert len(seen) == len(set(seen)) == api.get("/scenes").json()["total"]
+        near = api.client.scenes(within_m=13, beyond_m=12)
+        assert [row.scene_id for row in near] == [
+            row.scene_id for row in api.client.scenes(kind="only_predictive_dynamic")
+        ]
+        assert list(api.client.scenes(within_m=12)) == []
         rows = api.client.scenes(most=4)
         assert [row.scene_id for row in rows] == seen
         assert rows[2:4] == list(rows)[2:4]

@@ -4,6 +4,8 @@ import random
 
 import pytest
 
+from schemas.transport.wire import encode
+from service.curation.listing import ScenesRequest
 from service.curation.ranges import MAX_BOUND_M, bits_between, bits_of
 
 
@@ -41,3 +43,8 @@ def test_each_metre_has_a_bit_of_its_own_up_to_the_greatest_bound() -> None:
     assert len(set(seen)) == MAX_BOUND_M + 1
     assert bits_of([1e9]) == seen[-1]
     assert bits_between(None, None) == (2**63 - 1, 2**63 - 1)
+
+
+def test_a_request_without_a_range_is_one_that_an_earlier_service_knows() -> None:
+    assert b"_m" not in encode(ScenesRequest(vehicle="a"))
+    assert b'"within_m":30' in encode(ScenesRequest(within_m=30))

@@ -10,6 +10,10 @@ import pytest
 from PIL import Image
 
 from service.pictures.thumbnail import HEIGHT_PX, WIDTH_PX
+from service.store.engine import open_store
+from tests.contracts.ledger_world import World
+from tests.contracts.test_listing_contract import commit, scene
+from tests.factories import track_at
 from tests.unit.service.mined_state import scenes_at
 from tests.unit.service.web.page import Page
 
@@ -93,6 +97,20 @@ def test_scenes_are_filtered_by_range(page: Page, state: Path) -> None:
     assert "range within: 50 m" in text
     made = page.post("/selections", {"how": "filters", "budget": "9", "name": "n", "within": "20"})
     assert "1 of at most 9 scenes" in page.get(made.headers["location"]).text
+
+
+def test_a_card_names_the_track_that_passes_where_it_is_not_the_first(
+    page: Page, state: Path
+) -> None:
+    tracks = [track_at(10.0 * n, track_id=n, class_name=f"c{n}") for n in range(1, 8)]
+    store = open_store(state)
+    commit(World.on(store), scene(0, log_id="car-9/b", tracks=tuple(tracks)))
+    store.close()
+    named = re.compile(r'title="The strongest track that passes the filters">([^<]*)<')
+    assert named.findall(page.get("/").text) == []
+    assert named.findall(page.get("/?within=10").text) == []
+    assert named.findall(page.get("/?beyond=10&class=c3").text) == ["track 4: c3, 30 m"]
+    assert named.findall(page.get("/?beyond=60").text) == ["a weaker track passes"]
 
 
 @pytest.mark.parametrize(
