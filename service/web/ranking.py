@@ -34,7 +34,7 @@ class Card:
 
     Attributes:
         scene: Its row.
-        href: Address of its page, with the filters of the list.
+        href: Address of its page, with the filters of the list and the track that passes them.
         thumbnail: Address of its picture.
         passing: Which track passes the filters, where it is not the one of the headline.
     """
@@ -62,25 +62,19 @@ def kind_class(kind: str) -> str:
 
 
 def card_of(scene: ListedScene, filters: Filters, request: ScenesRequest) -> Card:
-    """Return the card of a scene."""
+    """Return the card of a scene; its page opens at the track that passes the filters."""
     name = quote(scene.scene_id, safe="")
     rest = filters.query(after=None).replace("?", "&", 1)
-    return Card(
-        scene,
-        f"/scene?id={name}{rest}",
-        f"/thumb.png?id={name}&digest={quote(scene.sha256)}",
-        _passing(scene, request),
-    )
-
-
-def _passing(scene: ListedScene, request: ScenesRequest) -> str:
-    """Name the strongest track that passes the filters; empty for the first one, or without any."""
     found = next((track for track in scene.tracks if passes(track, request)), None)
-    if not scene.tracks or found is scene.tracks[0]:
-        return ""
-    if found is None:
-        return "a weaker track passes"
-    return f"track {found.track_id + 1}: {found.class_name or 'object'}, {found.range_m:.0f} m"
+    passing = ""
+    if found is None and scene.tracks:
+        passing = "a weaker track passes"
+    elif found is not None and found is not scene.tracks[0]:
+        passing = f"track {found.track_id + 1}: {found.class_name or 'object'}, "
+        passing += f"{found.range_m:.0f} m"
+        rest += f"&track={found.track_id}"
+    thumbnail = f"/thumb.png?id={name}&digest={quote(scene.sha256)}"
+    return Card(scene, f"/scene?id={name}{rest}", thumbnail, passing)
 
 
 def asked(request: Request, filters: Filters, **changes: object) -> ScenesRequest:
