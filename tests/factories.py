@@ -160,6 +160,13 @@ def track_record(**changes: Any) -> TrackRecord:
     return TrackRecord(**(fields | changes))
 
 
+def track_at(range_m: float, **changes: Any) -> TrackRecord:
+    """Make such a track at a range, metres, ahead."""
+    record = track_record(**changes)
+    where = {"centre_m": (range_m, 0.0, 0.0), "range_m": range_m}
+    return record.model_copy(update={"strongest": record.strongest.model_copy(update=where)})
+
+
 def scene_score(*, number: int = 0, score: float = 0.5, **changes: Any) -> SceneScore:
     """Make the record of the `number`-th scene of two seconds of a log."""
     log_id = changes.get("log_id", LOG_ID)

@@ -10,6 +10,7 @@ from service.api.messages import checked_request
 from service.api.reader import Reader
 from service.cli.output import counted, json_line, listing
 from service.curation.listing import MAX_PAGE, ListedScene, ScenesRequest
+from service.curation.ranges import MAX_BOUND_M
 from service.curation.rates import instants_ns
 
 _FILTER: Final = "Filters"
@@ -38,6 +39,24 @@ class ListingOptions:
     ] = None
     mode: Annotated[
         str | None, _option("--mode", help_="Only this supervised stream, name or name@version.")
+    ] = None
+    beyond_m: Annotated[
+        int | None,
+        _option(
+            "--beyond",
+            help_="Only scenes with a strong track beyond this range, metres.",
+            min=0,
+            max=MAX_BOUND_M,
+        ),
+    ] = None
+    within_m: Annotated[
+        int | None,
+        _option(
+            "--within",
+            help_="Only scenes with a strong track within this range, metres.",
+            min=1,
+            max=MAX_BOUND_M,
+        ),
     ] = None
     since: Annotated[
         str, _option("--since", help_="Recorded at or after: a date, a time, or 24h, 7d.")

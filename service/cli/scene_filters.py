@@ -7,6 +7,7 @@ import typer
 
 from service.api.messages import checked_request
 from service.curation.listing import ScenesRequest
+from service.curation.ranges import MAX_BOUND_M
 from service.curation.rates import rates_request
 
 
@@ -37,6 +38,24 @@ class SceneFilters:
             "--wrong",
             help="Only with a strong track on which this stream errs: supervised, selfsupervised, "
             "both or neither.",
+        ),
+    ] = None
+    beyond_m: Annotated[
+        int | None,
+        typer.Option(
+            "--beyond",
+            min=0,
+            max=MAX_BOUND_M,
+            help="Only with a strong track beyond this range, metres.",
+        ),
+    ] = None
+    within_m: Annotated[
+        int | None,
+        typer.Option(
+            "--within",
+            min=1,
+            max=MAX_BOUND_M,
+            help="Only with a strong track within this range, metres.",
         ),
     ] = None
     judged: Annotated[

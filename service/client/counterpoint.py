@@ -94,7 +94,8 @@ class Counterpoint:
             since: Recorded at or after: `2026-11-20`, `2026-11-20T08:00:00Z`, or an age (`7d`).
             until: Recorded before, as `since`.
             filters: Fields of `ScenesRequest`: `min_score`, `vehicle`, `kind`, `class_name`,
-                `wrong`, `judged`, `log`, `text`, `selection`, `sort` and more.
+                `wrong`, `beyond_m`, `within_m`, `judged`, `log`, `text`, `selection`, `sort` and
+                more.
 
         Raises:
             UsageError: If there is no such filter, or a value is impossible.

@@ -5,7 +5,8 @@ import binascii
 import json
 from typing import Annotated, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic_core import PydanticCustomError
 
 from schemas.attribution import Wrong
 from schemas.bounds import (
@@ -22,6 +23,7 @@ from schemas.contradiction import KindName
 from schemas.events import MAX_LISTED_TRACKS, TrackSummary
 from schemas.score import Share
 from schemas.verdict import VerdictSummary
+from service.curation.ranges import Beyond, Within
 from service.errors import UsageError
 
 MAX_PAGE: Final = 200
@@ -49,11 +51,22 @@ class ScenesRequest(BaseModel):
 
     vehicle: Said | None = None
     software_version: Said | None = None
-    kind: KindName | None = Field(default=None, description="Of any strong track.")
-    class_name: Said | None = Field(default=None, description="Of any strong track.")
-    wrong: Wrong | None = Field(default=None, description="Attribution of any strong track.")
+    kind: KindName | None = Field(default=None, description="Of a strong track.")
+    class_name: Said | None = Field(default=None, description="Of a strong track.")
+    wrong: Wrong | None = Field(default=None, description="Attribution of a strong track.")
     mode: Said | None = Field(
         default=None, description="Supervised stream, `name` or `name@version`."
+    )
+    beyond_m: Beyond | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="Range of a strong track, whole metres: greater than this.",
+    )
+    within_m: Within | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="Range of a strong track, whole metres: at most this. Filters of kind, class, "
+        "attribution and range are passed by one track.",
     )
     since_ns: StampNs | None = Field(default=None, description="Begins at or after.")
     until_ns: StampNs | None = Field(default=None, description="Begins before.")
@@ -75,6 +88,16 @@ class ScenesRequest(BaseModel):
         default="", description="`next` of the page before; empty: the first page."
     )
     most: int = Field(default=50, ge=1, le=MAX_PAGE)
+
+    @field_validator("within_m")
+    @classmethod
+    def _is_beyond_the_other_bound(cls, within_m: int | None, info: ValidationInfo) -> int | None:
+        beyond_m = info.data.get("beyond_m")
+        if within_m is not None and beyond_m is not None and within_m <= beyond_m:
+            raise PydanticCustomError(
+                "no_range", "Input should be greater than beyond, which is {m} m", {"m": beyond_m}
+            )
+        return within_m
 
 
 class ListedScene(BaseModel):
@@ -114,6 +137,17 @@ class ScenesReply(BaseModel):
     is_least: bool = Field(
         default=False,
         description="There are more than `total`: matches of a search are counted up to 10,000.",
+    )
+
+
+def passes(track: TrackSummary, request: ScenesRequest) -> bool:
+    """Return true if a strong track passes all filters of tracks: kind, class, who errs, range."""
+    return (
+        request.kind in (None, track.kind)
+        and request.class_name in (None, track.class_name.replace("|", "/"))
+        and request.wrong in (None, track.wrong)
+        and (not request.beyond_m or track.range_m > request.beyond_m)
+        and (request.within_m is None or track.range_m <= request.within_m)
     )
 
 

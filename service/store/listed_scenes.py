@@ -10,13 +10,16 @@ from sqlalchemy import Connection, Table, bindparam, delete, func, insert, selec
 from schemas.canonical import canonical_json, sha256
 from schemas.contradiction import SceneState, TrackRecord
 from schemas.score import MIN_REPORTED_STRENGTH, SceneScore
+from service.curation.ranges import bits_of
 from service.store.record_digests import problem_of
 from service.store.statements import Statement
 from service.store.tables import (
     LISTED_SCENES,
+    LISTED_TRACKS,
     LISTED_WORDS,
     LISTING_FINDINGS,
     LISTING_SOURCES,
+    LISTING_THINGS,
     SCENES,
     VERDICTS,
 )
@@ -59,6 +62,7 @@ def unlist(connection: Connection, numbers: Collection[int]) -> None:
     going = [{"at_seq": seq} for seq in numbers]
     if going:
         _UNLIST.run_each(connection, going)
+        _UNLIST_TRACKS.run_each(connection, going)
         _UNLIST_WORDS.run_each(connection, going)
 
 
@@ -107,8 +111,12 @@ def judge_again(connection: Connection, scene_id: str, digest: str) -> None:
 
 def set_of(values: Iterable[str]) -> str:
     """Write a set of names as one text, `|a|b|`; empty for none."""
-    names = sorted({value.replace("|", "/") for value in values if value})
+    names = sorted({_without_bars(value) for value in values if value})
     return f"|{'|'.join(names)}|" if names else ""
+
+
+def _without_bars(name: str) -> str:
+    return name.replace("|", "/")
 
 
 def _read(row: Any) -> ListedNow:
@@ -121,9 +129,17 @@ def _read(row: Any) -> ListedNow:
 def _list(connection: Connection, rows: Sequence[ListedNow]) -> None:
     known: dict[tuple[str, ...], int] = {}
     any_verdict = bool(_ANY_VERDICT.rows(connection, {}))
-    listed, words = [], []
+    listed, tracks, words = [], [], []
     for seq, score, digest, counts in rows:
         judged = _last_verdict(connection, score.scene_id, digest) if any_verdict else 0
+        near, far = bits_of(track.strongest.range_m for track in _strong(score))
+        for thing, of_thing in _things_of(score).items():
+            values = dict(zip(("kind", "class_name", "wrong"), thing, strict=True))
+            number = _number_of(connection, _THINGS, values, known)
+            near_ones, far_ones = bits_of(track.strongest.range_m for track in of_thing)
+            tracks.append(
+                {"thing": number, "seq": seq, "near_ranges": near_ones, "far_ranges": far_ones}
+            )
         listed.append(
             {
                 "seq": seq,
@@ -134,11 +150,14 @@ def _list(connection: Connection, rows: Sequence[ListedNow]) -> None:
                 "judged": judged,
                 "compared": sum(counts[name] for name in _COMPARED),
                 "contradicting": sum(counts[name] for name in _CONTRADICTING),
+                "near_ranges": near,
+                "far_ranges": far,
             }
         )
         words.append({"seq": seq, "words": words_of(score)})
     if listed:
         _INSERT.run_each(connection, listed)
+        _INSERT_TRACKS.run_each(connection, tracks)
         _INSERT_WORDS.run_each(connection, words)
 
 
@@ -186,10 +205,21 @@ def _finding_of(score: SceneScore) -> dict[str, str]:
     }
 
 
+def _things_of(score: SceneScore) -> dict[tuple[str, str, str], list[TrackRecord]]:
+    """Return the strong tracks of a scene by kind, class and attribution."""
+    found: dict[tuple[str, str, str], list[TrackRecord]] = {}
+    for track in _strong(score):
+        wrong = track.attribution.wrong.value if track.attribution else ""
+        thing = (track.kind, _without_bars(track.class_name), wrong)
+        found.setdefault(thing, []).append(track)
+    return found
+
+
 @dataclass(frozen=True, slots=True)
 class _Named:
     """A table of repeating values, which are named by a number."""
 
+    name: str
     find: Statement
     add: Statement
 
@@ -197,6 +227,7 @@ class _Named:
 def _named(table: Table) -> _Named:
     number = table.primary_key.columns.values()[0]
     return _Named(
+        name=table.name,
         find=Statement(
             select(number.label("number")).where(table.c.digest == bindparam("at_digest"))
         ),
@@ -222,7 +253,7 @@ def _number_of(
     known: dict[tuple[str, ...], int],
 ) -> int:
     """Return the number of these values; they get the next one when they are new."""
-    found = tuple(values.values())  # five of a source, three of a finding: never equal
+    found = (named.name, *values.values())
     number = known.get(found)
     if number is None:
         digest = sha256(canonical_json(values))
@@ -238,9 +269,14 @@ def _last_verdict(connection: Connection, scene_id: str, digest: str) -> int:
 
 _SOURCES: Final = _named(LISTING_SOURCES)
 _FINDINGS: Final = _named(LISTING_FINDINGS)
+_THINGS: Final = _named(LISTING_THINGS)
 _INSERT: Final = Statement(insert(LISTED_SCENES))
+_INSERT_TRACKS: Final = Statement(insert(LISTED_TRACKS))
 _INSERT_WORDS: Final = Statement(insert(LISTED_WORDS))
 _UNLIST: Final = Statement(delete(LISTED_SCENES).where(LISTED_SCENES.c.seq == bindparam("at_seq")))
+_UNLIST_TRACKS: Final = Statement(
+    delete(LISTED_TRACKS).where(LISTED_TRACKS.c.seq == bindparam("at_seq"))
+)
 _UNLIST_WORDS: Final = Statement(
     delete(LISTED_WORDS).where(LISTED_WORDS.c.seq == bindparam("at_seq"))
 )

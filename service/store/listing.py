@@ -11,7 +11,6 @@ from sqlalchemy import (
     FromClause,
     and_,
     bindparam,
-    false,
     func,
     or_,
     select,
@@ -38,11 +37,11 @@ from service.store.selections import scene_ids_of
 from service.store.tables import (
     LISTED_SCENES,
     LISTED_WORDS,
-    LISTING_FINDINGS,
     LISTING_SOURCES,
     SCENES,
     VERDICTS,
 )
+from service.store.track_filters import contains, in_numbers, of_tracks
 from service.store.verdict_rows import summaries
 
 _C: Final = LISTED_SCENES.c
@@ -141,7 +140,7 @@ def _found(connection: Connection, source: FromClause, wanted: ColumnElement[boo
     numbers = connection.execute(matches).scalars().all()
     if len(numbers) > MOST_COUNTED:
         return _Found(source, wanted, MOST_COUNTED, is_least=True)
-    return _Found(LISTED_SCENES, _in(_C.seq, numbers), len(numbers), is_least=False)
+    return _Found(LISTED_SCENES, in_numbers(_C.seq, numbers), len(numbers), is_least=False)
 
 
 def numbers_that_pass(connection: Connection, request: ScenesRequest) -> set[int]:
@@ -162,7 +161,7 @@ def _searched(
     if not request.text or parse_short_name(request.text) is not None:
         return LISTED_SCENES, wanted
     source = LISTED_WORDS.join(LISTED_SCENES, _C.seq == LISTED_WORDS.c.seq + 0)
-    words = _contains(connection, LISTED_WORDS.c.words, request.text.casefold())
+    words = contains(connection, LISTED_WORDS.c.words, request.text.casefold())
     return source, and_(wanted, words)
 
 
@@ -180,7 +179,7 @@ def _filters(connection: Connection, request: ScenesRequest) -> list[ColumnEleme
     """Return the conditions on the narrow rows."""
     found: list[ColumnElement[bool]] = []
     found += _of_sources(connection, request)
-    found += _of_findings(connection, request)
+    found += of_tracks(connection, request)
     if request.since_ns is not None:
         found.append(_C.start_ns >= request.since_ns)
     if request.until_ns is not None:
@@ -191,7 +190,7 @@ def _filters(connection: Connection, request: ScenesRequest) -> list[ColumnEleme
         found.append(_C.place >= -request.max_score)
     if request.selection is not None:
         ids = sorted(scene_ids_of(connection, request.selection))
-        found.append(_in(_C.seq, _numbers_of(connection, ids)))
+        found.append(in_numbers(_C.seq, _numbers_of(connection, ids)))
     found += _of_verdicts(request)
     return found
 
@@ -244,40 +243,10 @@ def _of_sources(connection: Connection, request: ScenesRequest) -> list[ColumnEl
             if (log is None or fnmatchcase(row.log_id, log))
             and (short is None or f"/{row.log_id}".endswith(f"/{short[0]}"))
         ]
-        found.append(_in(_C.source, numbers))
+        found.append(in_numbers(_C.source, numbers))
     if short is not None:
         found += [_C.start_ns >= short[1], _C.start_ns < short[1] + NS_PER_S // 10]
     return found
-
-
-def _of_findings(connection: Connection, request: ScenesRequest) -> list[ColumnElement[bool]]:
-    """Return the condition on the strong tracks of a scene."""
-    c = LISTING_FINDINGS.c
-    wanted = [
-        _contains(connection, column, f"|{value}|")
-        for column, value in (
-            (c.kinds, request.kind),
-            (c.class_names, request.class_name),
-            (c.wrongs, request.wrong.value if request.wrong else None),
-        )
-        if value is not None
-    ]
-    if not wanted:
-        return []
-    return [_in(_C.finding, connection.execute(select(c.finding).where(*wanted)).scalars().all())]
-
-
-def _in(column: ColumnElement[Any], numbers: Sequence[int]) -> ColumnElement[bool]:
-    """Return a condition with the numbers in its text, of which a database bounds no count."""
-    if not numbers:
-        return false()
-    return column.in_(bindparam(None, list(numbers), expanding=True, literal_execute=True))
-
-
-def _contains(connection: Connection, column: ColumnElement[Any], part: str) -> ColumnElement[bool]:
-    if connection.dialect.name == "sqlite":
-        return func.instr(column, part) > 0
-    return func.strpos(column, part) > 0
 
 
 def _numbers_of(connection: Connection, scene_ids: Sequence[str]) -> list[int]:

@@ -283,6 +283,27 @@ LISTED_SCENES: Final = Table(
     _number("judged"),
     _number("compared"),
     _number("contradicting"),
+    _number("near_ranges"),
+    _number("far_ranges"),
+)
+
+LISTING_THINGS: Final = Table(
+    "listing_things",
+    METADATA,
+    _number("thing", key=True),
+    _text("digest"),
+    _text("kind"),
+    _text("class_name"),
+    _text("wrong"),
+)
+
+LISTED_TRACKS: Final = Table(
+    "listed_tracks",
+    METADATA,
+    _number("thing", key=True),
+    _number("seq", key=True),
+    _number("near_ranges"),
+    _number("far_ranges"),
 )
 
 LISTED_WORDS: Final = Table("listed_words", METADATA, _number("seq", key=True), _text("words"))

@@ -21,6 +21,8 @@ FIELDS: Final[Mapping[str, str]] = {
     "class": "class_name",
     "wrong": "wrong",
     "mode": "mode",
+    "beyond": "beyond_m",
+    "within": "within_m",
     "min": "min_score",
     "max": "max_score",
     "judged": "judged",
@@ -45,6 +47,8 @@ TITLES: Final[Mapping[str, str]] = {
     "class": "class",
     "wrong": "attribution",
     "mode": "stream",
+    "beyond": "range beyond",
+    "within": "range within",
     "since": "since",
     "until": "until",
     "min": "score at least",
@@ -150,6 +154,8 @@ def _shown(name: str, value: str) -> str:
         return wrong_name(value)
     if name == "judged":
         return next((title for given, title in JUDGED.items() if given == value), value).lower()
+    if name in ("beyond", "within"):
+        return f"{value} m"
     return value
 
 

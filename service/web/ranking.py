@@ -11,7 +11,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from schemas.errors import PermanentError
-from service.curation.listing import ListedScene, ScenesRequest
+from service.curation.listing import ListedScene, ScenesRequest, passes
 from service.curation.verdicts import ChoicesReply
 from service.errors import UsageError
 from service.web.context import render, source_of, visitor_of
@@ -34,13 +34,15 @@ class Card:
 
     Attributes:
         scene: Its row.
-        href: Address of its page, with the filters of the list.
+        href: Address of its page, with the filters of the list and the track that passes them.
         thumbnail: Address of its picture.
+        passing: Which track passes the filters, where it is not the one of the headline.
     """
 
     scene: ListedScene
     href: str
     thumbnail: str
+    passing: str
 
     @property
     def kind_class(self) -> str:
@@ -59,13 +61,20 @@ def kind_class(kind: str) -> str:
     return next((f"kind-{each}" for each in known if each in kind), "kind-other")
 
 
-def card_of(scene: ListedScene, filters: Filters) -> Card:
-    """Return the card of a scene."""
+def card_of(scene: ListedScene, filters: Filters, request: ScenesRequest) -> Card:
+    """Return the card of a scene; its page opens at the track that passes the filters."""
     name = quote(scene.scene_id, safe="")
     rest = filters.query(after=None).replace("?", "&", 1)
-    return Card(
-        scene, f"/scene?id={name}{rest}", f"/thumb.png?id={name}&digest={quote(scene.sha256)}"
-    )
+    found = next((track for track in scene.tracks if passes(track, request)), None)
+    passing = ""
+    if found is None and scene.tracks:
+        passing = "a weaker track passes"
+    elif found is not None and found is not scene.tracks[0]:
+        passing = f"track {found.track_id + 1}: {found.class_name or 'object'}, "
+        passing += f"{found.range_m:.0f} m"
+        rest += f"&track={found.track_id}"
+    thumbnail = f"/thumb.png?id={name}&digest={quote(scene.sha256)}"
+    return Card(scene, f"/scene?id={name}{rest}", thumbnail, passing)
 
 
 def asked(request: Request, filters: Filters, **changes: object) -> ScenesRequest:
@@ -88,17 +97,19 @@ def ranking(request: Request) -> Response:
     problem, filters = "", given
     seq, _ = newest_of(request)  # before the list: what comes later is new
     try:
-        found = source.scenes(asked(request, filters))
+        listed = asked(request, filters)
+        found = source.scenes(listed)
     except PermanentError as error:
         problem, filters = str(error), Filters({})
-        found = source.scenes(asked(request, filters))
+        listed = asked(request, filters)
+        found = source.scenes(listed)
     return render(
         request,
         "ranking.html",
         status=400 if problem else 200,
         section="ranking",
         problem=problem,
-        cards=[card_of(scene, filters) for scene in found.rows],
+        cards=[card_of(scene, filters, listed) for scene in found.rows],
         total=found.total,
         is_least=found.is_least,
         next_page=filters.query(after=found.next) if found.next else "",

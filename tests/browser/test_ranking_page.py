@@ -6,6 +6,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from tests.browser.conftest import DESK, PHONE, Review, opened
+from tests.unit.service.mined_state import scenes_at
 
 pytestmark = pytest.mark.browser
 
@@ -63,6 +64,30 @@ def test_a_filter_applies_at_once_and_its_chip_removes_it(browser: Browser, revi
         page.locator(".chip").first.click()
         page.locator(".chip").first.click()
         expect(page.locator(".scene")).to_have_count(every)
+
+
+@pytest.mark.parametrize("script", [True, False], ids=["script", "no-script"])
+def test_scenes_are_filtered_by_range(browser: Browser, review: Review, script: bool) -> None:
+    scenes_at(review.state, 8.2, 24.0, 30.0, 41.5, 77.0)
+    with opened(browser, review, script=script) as page:
+        cards, chips = page.locator(".scene .headline"), page.locator(".chip")
+        expect(cards).to_have_count(5)
+        page.get_by_label("within, m").fill("30")
+        page.keyboard.press("Enter")
+        expect(page.locator("h1")).to_have_text("3 scenes")
+        expect(cards).to_contain_text(["8 m ahead", "24 m ahead", "30 m ahead"])
+        expect(chips).to_have_text([re.compile("^range within: 30 m")])
+        page.get_by_label("Range beyond").fill("10")
+        page.get_by_role("button", name="Apply").click()
+        expect(cards).to_contain_text(["24 m ahead", "30 m ahead"])
+        expect(page.get_by_label("within, m")).to_have_value("30")
+        cards.first.click()
+        page.get_by_role("link", name="List", exact=True).click()
+        expect(cards).to_have_count(2)
+        chips.last.click()
+        expect(cards).to_contain_text(["24 m", "30 m", "42 m", "77 m"])
+        page.get_by_role("link", name="Clear").click()
+        expect(cards).to_have_count(5)
 
 
 def test_new_scenes_appear_while_the_page_is_open(browser: Browser, review: Review) -> None:

@@ -10,8 +10,9 @@ from tests.contracts.databases import OnPostgres, OnSqlite
 from tests.contracts.ledger_world import START_NS, World
 from tests.contracts.store_contract import StoreContract
 from tests.contracts.test_listing_contract import commit, scene
-from tests.factories import track_record
+from tests.factories import track_at, track_record
 
+NEAR_THE_MIDDLE = ScenesRequest(beyond_m=20, within_m=50)
 STRATEGIES = ("best-distinct", "determinantal", "k-centre", "one-pass")
 
 
@@ -75,6 +76,14 @@ class ProposalsContract(StoreContract):
         until = ScenesRequest(until_ns=START_NS + 9 * NS_PER_S)
         early = SelectionTerms(strategy=strategy, filters=until)
         assert len(world.ledger.proposals.select(budget=9, terms=early)) == 2
+
+    def test_a_selection_is_of_scenes_with_a_track_within_a_range(self, world: World) -> None:
+        ranges_m = (10.0, 45.0, 30.0, 70.0)
+        tracks = [(track_at(range_m),) for range_m in ranges_m]
+        commit(world, *(scene(4 * n, 0.9 - n / 10, tracks=tracks[n]) for n in range(4)))
+        for within, ranks in ((ScenesRequest(within_m=30), [1, 3]), (NEAR_THE_MIDDLE, [2, 3])):
+            chosen = world.ledger.proposals.select(budget=9, terms=SelectionTerms(filters=within))
+            assert [each.rank for each in chosen] == ranks
 
     def test_what_cannot_be_chosen_by_is_refused(self, world: World) -> None:
         mined(world, 2)

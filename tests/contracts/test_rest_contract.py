@@ -37,6 +37,10 @@ ASKED = (
     ("/scenes?most=100000", 422, "most: "),
     ("/scenes?most=seven", 422, "most: "),
     ("/scenes?min_score=nan", 422, "min_score: "),
+    ("/scenes?within_m=nan", 422, "within_m: "),
+    ("/scenes?within_m=1e9", 422, "within_m: "),
+    ("/scenes?beyond_m=-1", 422, "beyond_m: "),
+    ("/scenes?beyond_m=50&within_m=30", 422, "within_m: Input should be greater than beyond"),
     ("/scenes?after=AAAA", 400, "no cursor of a listing by score"),
     (f"/scenes?after={'x' * 5000}", 422, "after: "),
     ("/scenes?after=WyJzY29yZSIsIDFlNDAwLCAxLCAxXQ==", 400, "no cursor"),
@@ -63,6 +67,7 @@ SENT = (
     ("/selections", b'{"budget":' + b"9" * 6000 + b"}", 400, "one JSON object"),
     ("/selections", b'{"budget": 1e400}', 422, "budget: "),
     ("/selections", b'{"budget": NaN}', 422, "budget: "),
+    ("/selections", b'{"budget": 1, "terms": {"filters": {"within_m": 0}}}', 422, "within_m: "),
     ("/selections", b'{"budget": 1, "name": "\\ud800"}', 422, "name: "),
     ("/selections", b'{"budget": 0}', 422, "budget: "),
     ("/selections", b'{"budget": 1, "terms": {"strategy": "luck"}}', 400, "luck"),
@@ -101,6 +106,7 @@ class RestContract:
         api.client.select(2, name="week 47")
         replies: dict[str, BaseModel] = {
             "/scenes?min_score=0.1&most=3": source.scenes(ScenesRequest(min_score=0.1, most=3)),
+            "/scenes?within_m=30&beyond_m=3": source.scenes(ScenesRequest(within_m=30, beyond_m=3)),
             "/ranking?most=4": TopReply(scenes=tuple(source.top(4))),
             f"/scenes/{id_of(best)}": source.scene(best),
             "/selections": SelectionsReply(selections=tuple(source.selections())),
@@ -127,6 +133,11 @@ class RestContract:
             following = answer.links.get("next")
             path = following["url"].removeprefix("/api/v1") if following else ""
         assert len(seen) == len(set(seen)) == api.get("/scenes").json()["total"]
+        near = api.client.scenes(within_m=13, beyond_m=12)
+        assert [row.scene_id for row in near] == [
+            row.scene_id for row in api.client.scenes(kind="only_predictive_dynamic")
+        ]
+        assert list(api.client.scenes(within_m=12)) == []
         rows = api.client.scenes(most=4)
         assert [row.scene_id for row in rows] == seen
         assert rows[2:4] == list(rows)[2:4]

@@ -2,7 +2,7 @@
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,16 +10,37 @@ import pytest
 from sqlalchemy import Engine, insert, select
 
 from schemas.work import Part, Recording
+from service.curation.listing import ScenesRequest
 from service.errors import StateUnusableError
 from service.store import migrations
 from service.store.engine import Store, open_store_to_read
-from service.store.tables import LISTED_SCENES, METADATA, SCHEMA_VERSIONS
+from service.store.tables import (
+    LISTED_SCENES,
+    LISTED_TRACKS,
+    LISTED_WORDS,
+    LISTING_THINGS,
+    METADATA,
+    SCHEMA_VERSIONS,
+)
 from tests.contracts.databases import OnPostgres, OnSqlite
 from tests.contracts.ledger_world import Clock, World
+from tests.contracts.test_listing_contract import commit, judge, scene
+from tests.factories import track_at
 
 FIRST = json.loads(Path(__file__).with_name("state_v1.json").read_text(encoding="utf-8"))
 """Rows by table as the first schema's program wrote them: logs and shards in every state that one
 service can leave, two pipeline versions, a replaced and a deleted log, selections."""
+
+
+TO_VERSION_16 = (
+    "DROP INDEX listed_by_score",
+    "DROP INDEX listed_by_time",
+    "ALTER TABLE listed_scenes DROP COLUMN near_ranges",
+    "ALTER TABLE listed_scenes DROP COLUMN far_ranges",
+    "DROP TABLE listed_tracks",
+    "DROP TABLE listing_things",
+    "DELETE FROM schema_version WHERE version > 16",
+)
 
 
 def of_old(log_id: str, etag: str) -> Recording:
@@ -103,6 +124,36 @@ class UpgradeContract(ABC):
             listed = select(LISTED_SCENES.c.seq).order_by(LISTED_SCENES.c.seq)
             assert list(connection.execute(listed).scalars()) == sorted(row["seq"] for row in kept)
         assert {each.strategy for each in world.ledger.selections.listed()} == {""}
+
+    def test_a_listing_without_ranges_is_filled_again(self, world: World) -> None:
+        tracks = (track_at(12.4), track_at(70.0))
+        commit(world, *(scene(n, n / 10, tracks=tracks[: 1 + n % 2]) for n in range(6)))
+        judged = world.ledger.listing(ScenesRequest(most=1)).rows[0].scene_id
+        judge(world, judged)
+        before = self._listing(world.store)
+        assert [len(rows) for rows in before] == [6, 6, 6, 1]
+        assert {row.far_ranges for row in before[0]} == {0, 1 << 69 - 63}
+        world.store.close()
+        engine = self.make_engine()
+        with engine.begin() as connection:  # as the program of version 16 left it
+            for step in TO_VERSION_16:
+                connection.exec_driver_sql(step)
+        engine.dispose()
+        store = self.make_store()
+        assert self._listing(store) == before
+        again = World.on(store)
+        for asked in (ScenesRequest(beyond_m=60), ScenesRequest(beyond_m=60, class_name="car")):
+            assert again.ledger.listing(asked).total == 3
+        assert again.ledger.listing(ScenesRequest(judged="yes")).rows[0].scene_id == judged
+        store.close()
+
+    @staticmethod
+    def _listing(store: Store) -> list[Sequence[Any]]:
+        with store.reading() as connection:
+            return [
+                connection.execute(select(table).order_by(*table.primary_key.columns)).all()
+                for table in (LISTED_SCENES, LISTED_WORDS, LISTED_TRACKS, LISTING_THINGS)
+            ]
 
     def test_work_goes_on_and_old_revisions_come_back(self, world: World) -> None:
         world.ledger.resume()

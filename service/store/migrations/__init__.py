@@ -27,14 +27,15 @@ STEPS: Final[tuple[str, ...]] = (
     "0014_service_lease.sql",
     "0015_lanes.sql",
     "0016_same_bytes.sql",
+    "0017_ranges.sql",
 )
 """Step i migrates version i to i + 1. A step that has been released is never edited."""
 
 SCHEMA_VERSION: Final = len(STEPS)
 
 _FILLED: Final[Mapping[str, Callable[[Connection], None]]] = {
-    "0010_review.sql": list_stored_scenes,
     "0016_same_bytes.sql": fill_contents,
+    "0017_ranges.sql": list_stored_scenes,
 }
 """Steps that fill new tables from records, which SQL alone cannot read."""
 
@@ -45,6 +46,7 @@ _SPELLINGS: Final = {
         "{false}": "0",
         "{bytewise}": "",
         "{rowid}": "INTEGER",
+        "{without_rowid}": "WITHOUT ROWID",
     },
     "postgresql": {
         "{blob}": "BYTEA",
@@ -52,6 +54,7 @@ _SPELLINGS: Final = {
         "{false}": "FALSE",
         "{bytewise}": 'COLLATE "C"',
         "{rowid}": "BIGINT",
+        "{without_rowid}": "",
     },
 }
 """SQL fragments that differ between the two servers; the steps are otherwise plain SQL. SQLite uses

@@ -14,6 +14,8 @@ from schemas.work import NothingToDo, PlanLease
 from service.store.engine import Store, open_store
 from service.store.ledger import StoredScene
 from tests.contracts.ledger_world import World, mined, shard_commit
+from tests.contracts.test_listing_contract import commit, scene
+from tests.factories import track_at
 from tests.overlays import labels_of_points
 
 
@@ -80,3 +82,22 @@ def _written(artifacts: Path, scene: StoredScene) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(encode_overlay(small_overlay(scene.scene_id)))
     return path
+
+
+def scenes_at(folder: Path, *ranges_m: float) -> None:
+    """Leave a state with scenes of one strong track each, at these ranges, metres, best first."""
+    store = open_store(folder)
+    commit(
+        World.on(store),
+        *(
+            scene(
+                4 * number,
+                0.9 - number / 20,
+                log_id="car-9/b",
+                tracks=(track_at(range_m),),
+                reasons=(f"supervised labels car static, {range_m:.0f} m ahead",),
+            )
+            for number, range_m in enumerate(ranges_m)
+        ),
+    )
+    store.close()

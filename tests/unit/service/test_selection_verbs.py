@@ -9,7 +9,7 @@ import pytest
 from service.cli.main import main
 from service.store.engine import open_store
 from tests.contracts.ledger_world import World
-from tests.unit.service.mined_state import mined_state
+from tests.unit.service.mined_state import mined_state, scenes_at
 
 
 @pytest.fixture
@@ -38,6 +38,30 @@ def test_each_scene_that_is_left_out_has_a_line_with_its_cause(
     assert "16 of at most 50 scenes" in printed.out, "twins fill the budget"
     assert printed.err.count("left out: rank ") == 2
     assert printed.err.count(": no reason, ") == 2
+
+
+def test_scenes_are_selected_by_the_range_of_a_track(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenes_at(tmp_path, 12.4, 45.0, 70.0)
+    state = ["--state", str(tmp_path)]
+    for dry_run in (["--dry-run"], []):
+        asked = ["select", "--budget", "5", "--beyond", "40", "--within", "60", *dry_run, *state]
+        assert main([*asked, "--json"]) == 0
+        (row,) = map(json.loads, capsys.readouterr().out.splitlines())
+        assert "45 m ahead" in str(row)
+    for bounds, said in (
+        (["--within", "nan"], "'--within': Input should be a valid integer"),
+        (["--within", "0"], "--within"),
+        (["--beyond", "-1"], "--beyond"),
+        (["--beyond", "50", "--within", "30"], "greater than beyond, which is 50 m"),
+    ):
+        for verb in (["select", "--budget", "5"], ["top"]):
+            assert main([*verb, *bounds, *state]) != 0
+            printed = capsys.readouterr()
+            assert printed.out == ""
+            assert said in printed.err
+            assert len(printed.err.splitlines()) == 1
 
 
 def test_scenes_without_a_reason_are_left_out_with_a_line(

@@ -135,6 +135,9 @@ def test_top_filters_through_the_listing(
     assert len(run(capsys, "top", *every_filter, "--since", "2020-01-01", *state)) == 16
     assert len(run(capsys, "top", "-n", "2", "--judged", "no", *state)) == 2
     assert run(capsys, "top", "--judged", "yes", *state) == []
+    assert run(capsys, "top", "--within", "30", *state) == run(
+        capsys, "top", "--beyond", "0", *state
+    )
     assert main(["top", "--judged", "perhaps", *state]) == 1
     assert "judged: Input should be" in capsys.readouterr().err
     assert main(["top", "-n", "1", "--text", "PEDESTRIAN", *state]) == 0

@@ -10,6 +10,11 @@ import pytest
 from PIL import Image
 
 from service.pictures.thumbnail import HEIGHT_PX, WIDTH_PX
+from service.store.engine import open_store
+from tests.contracts.ledger_world import World
+from tests.contracts.test_listing_contract import commit, scene
+from tests.factories import track_at
+from tests.unit.service.mined_state import scenes_at
 from tests.unit.service.web.page import Page
 
 
@@ -49,6 +54,12 @@ def test_filters_are_kept_in_the_form_and_can_be_removed(page: Page) -> None:
     [
         "min=seven",
         "max=2",
+        "within=-1",
+        "within=nan",
+        "within=30.5",
+        "beyond=1e400",
+        "beyond=" + "9" * 4000,
+        "beyond=50&within=30",
         "kind=%00",
         "wrong=everybody",
         "since=yesterday",
@@ -69,6 +80,54 @@ def test_an_absurd_filter_is_named_and_the_list_is_shown(page: Page, query: str)
     if answer.status_code == 400 and "most" not in query:
         assert 'role="alert"' in answer.text or "problem" in answer.text
     assert page.get(f"/data/scenes?{query}").status_code in (200, 400)
+
+
+def test_scenes_are_filtered_by_range(page: Page, state: Path) -> None:
+    scenes_at(state, 12.4, 30.0, 45.0, 90.0)
+    assert [row["tracks"][0]["range_m"] for row in page.scenes("?within=30")] == [12.4, 30.0]
+    assert [row["tracks"][0]["range_m"] for row in page.scenes("?beyond=30")] == [45.0, 90.0]
+    text = page.get("/?beyond=20&within=50&q=at").text
+    assert "<h1>2 scenes</h1>" in text
+    assert re.findall(r'name="(beyond|within)" value="(\d+)"', text) == [
+        ("beyond", "20"),
+        ("within", "50"),
+    ]
+    assert '<a class="chip" href="/?within=50&amp;q=at" title="Remove this filter">' in text
+    assert "range beyond: 20 m" in text
+    assert "range within: 50 m" in text
+    made = page.post("/selections", {"how": "filters", "budget": "9", "name": "n", "within": "20"})
+    assert "1 of at most 9 scenes" in page.get(made.headers["location"]).text
+
+
+def test_a_card_names_the_track_that_passes_where_it_is_not_the_first(
+    page: Page, state: Path
+) -> None:
+    tracks = [track_at(10.0 * n, track_id=n, class_name=f"c{n}") for n in range(1, 8)]
+    store = open_store(state)
+    commit(World.on(store), scene(0, log_id="car-9/b", tracks=tuple(tracks)))
+    store.close()
+    named = re.compile(r'title="The strongest track that passes the filters">([^<]*)<')
+    assert named.findall(page.get("/").text) == []
+    assert named.findall(page.get("/?within=10").text) == []
+    assert named.findall(page.get("/?beyond=10&class=c3").text) == ["track 4: c3, 30 m"]
+    assert "&amp;class=c3&amp;beyond=10&amp;track=3" in page.get("/?beyond=10&class=c3").text
+    assert named.findall(page.get("/?beyond=60").text) == ["a weaker track passes"]
+
+
+@pytest.mark.parametrize(
+    ("query", "problem"),
+    [
+        ("within=-1", "range within: Input should be greater than or equal to 1"),
+        ("within=nan", "range within: Input should be a valid integer"),
+        ("within=200", "range within: Input should be less than or equal to 125"),
+        ("beyond=far", "range beyond: Input should be a valid integer"),
+        ("beyond=50&within=30", "range within: Input should be greater than beyond, which is 50 m"),
+    ],
+)
+def test_a_range_that_is_not_possible_is_named(page: Page, query: str, problem: str) -> None:
+    answer = page.get(f"/?{query}")
+    assert answer.status_code == 400
+    assert f"this filter is not possible: {problem}" in answer.text
 
 
 def test_a_thumbnail_is_drawn_once_and_kept(page: Page) -> None:
