@@ -79,7 +79,8 @@ def test_labels_that_bleed_onto_the_wall_behind_a_slow_mover_are_no_error_on_an_
     (bled,), (alone,) = _wall_tracks([behind, mover]), _wall_tracks([behind])
     assert (alone.features.denied_share, alone.features.agreed_share) == (1.0, 0.0)
     assert bled.features.agreed_share > 0.75
-    assert bled.attribution is not None and bled.attribution.wrong is Wrong.NEITHER
+    assert bled.attribution is not None
+    assert bled.attribution.wrong is Wrong.NEITHER
     assert bled.strength < 0.3 * alone.strength
 
 
