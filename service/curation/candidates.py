@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.bounds import MAX_INTEGER, MAX_LISTED, Count, Finite, Kept, Said
-from service.curation.descriptors import Descriptors, describe, describing
+from schemas.surroundings import CloudStatistics
+from service.curation.descriptors import Descriptors, describe, describing, with_weather
 from service.curation.ranking import RankedScene
 
 BALANCED: Final = ("vehicle", "software version", "kind")
@@ -26,12 +27,14 @@ class Candidate:
         vehicle: Vehicle that recorded it; empty unknown.
         software_version: Software that the vehicle ran; empty unknown.
         seq: Number of its event, in the order in which scenes became current.
+        cloud: Statistics of its clouds; None where they are not known.
     """
 
     scene: RankedScene
     vehicle: str = ""
     software_version: str = ""
     seq: int = 0
+    cloud: CloudStatistics | None = None
 
     @property
     def kind(self) -> str:
@@ -103,6 +106,6 @@ def rows_of(candidates: Sequence[Candidate]) -> Rows:
     groups = [[crc32(value.encode()) for value in each.groups] for each in candidates]
     return Rows(
         quality=np.array([scene.score for scene in scenes], np.float64),
-        descriptors=describe(scenes),
+        descriptors=with_weather(describe(scenes), [each.cloud for each in candidates]),
         groups=np.array(groups, np.int64).reshape(len(scenes), len(BALANCED)),
     )

@@ -3,6 +3,7 @@
 import pytest
 
 from schemas.arrays import NS_PER_S
+from schemas.surroundings import CloudStatistics
 from service.curation.listing import ScenesRequest
 from service.curation.selection import SelectionTerms
 from service.errors import NothingFoundError, UsageError
@@ -91,6 +92,21 @@ class ProposalsContract(StoreContract):
         )
         assert "first of vehicle car-0" in proposal.choices[0].why
         assert any("first of vehicle car-1" in each.why for each in proposal.choices)
+
+    def test_weather_in_the_records_takes_part_in_the_likeness(self, world: World) -> None:
+        dry = CloudStatistics(returns=90_000, range_m=12.0, airborne_share=0.0)
+        rain = dry.model_copy(update={"airborne_share": 0.004})
+        weather = [dry, dry, dry, rain]
+        scenes = [
+            scene(4 * at, 0.9 - 0.01 * at, cloud=each, tracks=(track_record(strength=0.5),))
+            for at, each in enumerate(weather)
+        ]
+        commit(world, *scenes)
+        terms = SelectionTerms(strategy="k-centre")
+        chosen = world.ledger.proposals.select(budget=2, terms=terms)
+        assert [each.rank for each in chosen] == [1, 4]
+        world.ledger.selections.save("first", budget=1, scenes=chosen[:1])
+        assert world.ledger.proposals.select(budget=1, terms=terms)[0].rank == 4
 
     def test_few_tracks_form_no_mode(self, world: World) -> None:
         mined(world)

@@ -170,6 +170,7 @@ def record_of(
         odometry=statistics.odometry,
         health=statistics.stream,
         supervised=statistics.supervised,
+        cloud=statistics.cloud,
         producers=producers,
     )
     return _fit(record)

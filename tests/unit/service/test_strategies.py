@@ -1,6 +1,7 @@
 """Strategies that cover: unlike scenes first, balance, earlier selections, one pass, bounds."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -8,8 +9,9 @@ import pytest
 
 from schemas.arrays import NS_PER_S
 from schemas.events import TrackSummary
+from schemas.surroundings import CloudStatistics
 from service.curation.candidates import Candidate, Rows, rows_of
-from service.curation.descriptors import WIDTH, describe
+from service.curation.descriptors import WEATHER_WEIGHT, WIDTH, describe
 from service.curation.greedy import ReadPool, pick, pick_from, value_of
 from service.curation.objectives import DETERMINANTAL, K_CENTRE, ObjectiveKind
 from service.curation.one_pass import OnePass
@@ -107,6 +109,34 @@ def test_descriptors_are_unit_vectors_and_likeness_is_a_share() -> None:
     assert likeness.min() >= 0.0
     assert likeness[0, 1] == pytest.approx(1.0, abs=1e-3)
     assert likeness[0, 8] < 0.8
+
+
+DRY = CloudStatistics(returns=100_000, range_m=12.0, airborne_share=0.0, intensity=0.1)
+RAIN = DRY.model_copy(update={"airborne_share": 0.004})
+
+
+def test_scenes_without_weather_are_as_alike_as_their_tracks() -> None:
+    tracks = describe([each.scene for each in SAME + OTHERS])
+    whole = rows_of(SAME + OTHERS).descriptors
+    np.testing.assert_allclose(whole @ whole.T, tracks @ tracks.T, atol=1e-6)
+
+
+def test_the_weather_is_a_small_part_of_the_likeness() -> None:
+    dry, also_dry, rain = (replace(SAME[0], cloud=each) for each in (DRY, DRY, RAIN))
+    found = rows_of([dry, also_dry, rain, SAME[0]]).descriptors
+    likeness = found @ found.T
+    np.testing.assert_allclose(np.diag(likeness), 1.0, atol=1e-5)
+    assert likeness[0, 1] == pytest.approx(1.0, abs=1e-5)
+    assert 1 - WEATHER_WEIGHT <= likeness[0, 2] < 1 - 0.4 * WEATHER_WEIGHT
+    assert likeness[0, 3] == pytest.approx(np.sqrt(1 - WEATHER_WEIGHT), abs=1e-5)
+
+
+@pytest.mark.parametrize("strategy", ["determinantal", "k-centre"])
+def test_of_scenes_that_show_the_same_one_in_other_weather_comes_first(strategy: str) -> None:
+    dry = [replace(each, cloud=DRY) for each in SAME[:5]]
+    wet = replace(SAME[5], cloud=RAIN)
+    assert ranks([*dry, wet], budget=2, strategy=strategy) == [1, 6]
+    assert ranks(SAME[:6], budget=2, strategy=strategy) == [1, 2]
 
 
 @BOTH

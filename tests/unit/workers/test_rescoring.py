@@ -95,8 +95,8 @@ def test_the_score_follows_the_stored_features() -> None:
 def test_inputs_of_other_features_are_refused() -> None:
     _, inputs = _scored(labelled_scene([MISSED], frames=5))
     meta, arrays = parted(memoryview(encode_inputs(inputs)))
-    for change in ({"version": 2}, {"features": ["speed"]}):
-        with pytest.raises(ScoringInputsUnreadableError, match="scores version 1 with 41"):
+    for change in ({"version": 1}, {"features": ["speed"]}):
+        with pytest.raises(ScoringInputsUnreadableError, match="scores version 2 with 41"):
             decode_inputs(joined(meta | change, arrays))
 
 
