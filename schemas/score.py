@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from schemas.bounds import Finite, LogId, Name, Positive, Said, SceneId, StampNs, Tally, Text, Topic
 from schemas.contradiction import KindName, SceneState, TrackRecord
 from schemas.frame import OdometryState
-from schemas.surroundings import CloudStatistics
+from schemas.surroundings import CloudStatistics, ScenePlace
 from schemas.task import MAX_CLASSES, MOTION, UnknownTaskError, task_named
 
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -235,6 +235,12 @@ class SceneScore(BaseModel):
         exclude_if=lambda value: value is None,
         description="Statistics of its clouds, which depend on the weather; absent where it has no "
         "return, and from records of earlier services.",
+    )
+    place: ScenePlace | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="Where it was recorded; absent where its log records no global place near it, "
+        "and from records of earlier services.",
     )
     producers: Producers
 

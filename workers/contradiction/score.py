@@ -171,6 +171,7 @@ def record_of(
         health=statistics.stream,
         supervised=statistics.supervised,
         cloud=statistics.cloud,
+        place=statistics.place,
         producers=producers,
     )
     return _fit(record)
