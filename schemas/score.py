@@ -17,7 +17,8 @@ Share = Annotated[float, Field(ge=0, le=1)]
 MAX_TRACKS: Final = 32
 """Tracks of a record at most, strongest first: more would exceed MAX_RECORD_BYTES on the bus."""
 
-MAX_RECORD_BYTES: Final = 16_384
+MAX_RECORD_BYTES: Final = 16_896
+"""Bytes of a record on the bus: 16 KiB with its tracks, and 512 bytes of its surroundings."""
 
 MAX_SUPPORTING: Final = 3
 """Phrases of evidence for an attribution that a reason carries."""

@@ -155,7 +155,8 @@ def _candidates(connection: Connection, stored: Sequence[str]) -> list[Candidate
     return [
         Candidate(
             *(scene, found.vehicle, found.software_version),
-            cloud=ranking.cloud_in(json.loads(found.record)),
+            cloud=ranking.cloud_in(record := json.loads(found.record)),
+            place=ranking.place_in(record),
         )
         if (found := sources.get(scene.scene_id))
         else Candidate(scene)

@@ -10,7 +10,7 @@ from sqlalchemy import ColumnElement, Connection, bindparam, literal_column, sel
 from schemas.contradiction import TrackRecord
 from schemas.events import MAX_LISTED_TRACKS, TrackSummary
 from schemas.score import MIN_REPORTED_STRENGTH, from_version_1
-from schemas.surroundings import CloudStatistics
+from schemas.surroundings import CloudStatistics, ScenePlace
 from service.curation.candidates import Candidate
 from service.curation.ranking import Neighbour, RankedScene
 from service.curation.twins import ShownScene, Twins
@@ -25,9 +25,10 @@ _AT_ONCE: Final = 500
 def ranked(
     connection: Connection, *, most: int | None = None, on_damaged: OnDamaged
 ) -> Generator[RankedScene, None, None]:
-    """Rank current scenes, as `candidates` does."""
+    """Rank current scenes, as `candidates` does, with their places."""
     for each in candidates(connection, most=most, on_damaged=on_damaged):
-        yield each.scene
+        placed = each.place is not None
+        yield each.scene.model_copy(update={"place": each.place}) if placed else each.scene
 
 
 def candidates(
@@ -79,7 +80,9 @@ def candidates(
                 sha256=row.sha256,
             )
             yield Candidate(
-                *(scene, row.vehicle, row.software_version, row.seq), cloud=cloud_in(record)
+                *(scene, row.vehicle, row.software_version, row.seq),
+                cloud=cloud_in(record),
+                place=shown.place,
             )
 
 
@@ -87,6 +90,12 @@ def cloud_in(record: Mapping[str, Any]) -> CloudStatistics | None:
     """Read the statistics of the clouds in a record; None where it has none."""
     found = record.get("cloud")
     return None if found is None else CloudStatistics.model_validate(found)
+
+
+def place_in(record: Mapping[str, Any]) -> ScenePlace | None:
+    """Read where a scene was recorded; None where its record does not state it."""
+    found = record.get("place")
+    return None if found is None else ScenePlace.model_validate(found)
 
 
 def _record_of(row: Any) -> Mapping[str, Any]:
@@ -109,6 +118,7 @@ def _shown(row: Any, record: Mapping[str, Any]) -> ShownScene:
         odom,
         driven_m=record["odometry"]["distance_m"],
         tracks=tuple(TrackRecord.model_validate(each) for each in tracks),
+        place=place_in(record),
     )
 
 

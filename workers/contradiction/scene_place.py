@@ -21,7 +21,7 @@ frames around the usual scene reach.
 """
 
 LEAST_WAY_M: Final = 5.0
-"""Way from which on the fixes tell a direction, metres: twice the error of a common receiver."""
+"""Least way for which fixes give a direction, metres: twice the error of a common receiver."""
 
 MOST_OFF_M: Final = 3.0
 """Mean distance of the fixes from the path that is laid onto them, metres; beyond it one is wrong.
@@ -125,7 +125,7 @@ def _placed(
     turn_rad: float | None,
     heading_rad: float | None,
 ) -> ScenePlace:
-    """Build the record: degrees to a decimetre, metres and radians likewise."""
+    """Build the record: coordinates to a decimetre, angles to a milliradian."""
     east_m, north_m = (float(each) for each in shift_m)
     x_m, y_m = (round(float(each), 1) + 0.0 for each in here_m)
     yaw_rad, heading_rad = _wrapped(turn_rad), _wrapped(heading_rad)
