@@ -131,9 +131,6 @@ def count_cloud(
     sums[0] += returns
     sums[1] += near
     sums[2] += airborne
-    answering, fullest = 0, 0
-    for count in beams:
-        answering += count > 0
-        fullest = max(fullest, count)
+    answering = np.sum(beams > 0)
     if answering > 1 and ringed == returns:
-        sums[3] += answering * fullest
+        sums[3] += answering * np.max(beams)

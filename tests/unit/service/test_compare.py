@@ -170,16 +170,17 @@ def test_scenes_of_a_place_that_both_passed_are_compared_with_each_other() -> No
         crossing = version(range(shares[0]), busy, name=name, seed=seed, folder=f"{name}-x")
         lane = version(range(shares[1]), calm, name=name, seed=seed + 1, folder=f"{name}-y")
         sides.append(NamedSide(name, [*at(48.0, crossing), *at(48.1, lane)]))
-    matched = match_scenes(*sides, "roads")
+    one, other = sides
+    matched = match_scenes(one, other, "roads")
     assert (matched.roads, matched.places) == (2, 2)
     assert np.bincount(matched.road_a).tolist() == [30 * SCENES, 5 * SCENES]
-    found = compare(*sides, ComparisonTerms(match="roads"))
+    found = compare(one, other, ComparisonTerms(match="roads"))
     assert (found.regressed, found.improved) == (0, 0), "both are as good at the same places"
     assert "over 2 places, corrected" in gate_sentence(found)
-    without = [
+    bare_one, bare_other = (
         NamedSide(each.name, [replace(s, place=None) for s in each.scenes]) for each in sides
-    ]
-    unmatched = compare(*without, ComparisonTerms(match="roads"))
+    )
+    unmatched = compare(bare_one, bare_other, ComparisonTerms(match="roads"))
     assert unmatched.improved > 0, "B drove in calmer streets"
     assert "places" not in unmatched.model_dump()
 

@@ -61,7 +61,7 @@ def drove_past(
     day: int,
     *tracks: TrackRecord,
     east_m: float = 0.0,
-    heading_rad: float = 0.1,
+    heading_rad: float | None = 0.1,
     log_id: str = "",
     **changes: Any,
 ) -> ShownScene:

@@ -42,7 +42,7 @@ def drive(
     for number in range(20):
         way_m = m_per_s * number / 10
         pose = factories.pose(way_m * math.cos(-yaw_rad), way_m * math.sin(-yaw_rad), 0.0)
-        fixes = ()
+        fixes: tuple[RecordedFix, ...] = ()
         if number % every == 0:
             off = rng.normal(0.0, noise_m, 2) if noise_m else np.zeros(2)
             place = at(

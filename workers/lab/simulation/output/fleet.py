@@ -67,6 +67,7 @@ class FleetOptions:
         recorded: Destination of the on-board model's labels.
         chunk_bytes: Uncompressed size at which a chunk is closed.
         odometry: Whether the cars record wheel speed and yaw rate.
+        fixes: Whether they record their place on Earth.
         slow_lorries: Whether lorries and buses pass each car at 2 to 4 m/s.
     """
 
@@ -75,7 +76,20 @@ class FleetOptions:
     recorded: RecordedAs = "fields"
     chunk_bytes: int = 4 << 20
     odometry: bool = False
+    fixes: bool = False
     slow_lorries: bool = False
+
+
+def on_days(plans: Sequence[LogPlan], days: int) -> tuple[LogPlan, ...]:
+    """Plan each street on so many days, each day by the next car of the fleet.
+
+    A street has the same traffic and planned failures each day; lidar and receiver differ.
+    """
+    cars = len(VEHICLES)
+    step = cars * -(-len(plans) // cars) + 1
+    return tuple(
+        replace(plan, number=plan.number + day * step) for day in range(days) for plan in plans
+    )
 
 
 def simulate_to(
@@ -168,6 +182,7 @@ def write_planned(
         ),
         recorded=options.recorded,
         odometry=options.odometry,
+        fixes=options.fixes,
         planted=planted,
         truth=truth,
         log_key=f"logs/{key}.mcap",
