@@ -78,7 +78,8 @@ class ScenePlace(BaseModel):
     heading_rad: _Turn | None = Field(
         default=None,
         exclude_if=_is_none,
-        description="Direction of the drive at that instant, counted alike; absent likewise.",
+        description="Direction of the drive at that instant, counted in the same way; absent "
+        "where `odom_yaw_rad` is.",
     )
 
     @model_validator(mode="after")
