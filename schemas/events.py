@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from schemas.attribution import Chance, Wrong
 from schemas.bounds import MAX_LISTED, Count, Finite, Kept, Said, StampNs
 from schemas.contradiction import KindName, Place, TrackRecord
+from schemas.surroundings import ScenePlace
 from schemas.verdict import VerdictSummary
 
 MAX_LISTED_TRACKS: Final = 5
@@ -90,9 +91,16 @@ class RankedScene(BaseModel):
     )
     twin_of: Kept | None = Field(
         default=None,
-        description="A better scene next to it that shows the same things, and is no twin itself.",
+        description="A better scene that shows the same things and is no twin itself: next to it "
+        "in time, or of another drive past the same place.",
     )
     sha256: Kept = Field(description="Digest of the record as published.")
+    place: ScenePlace | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="Where it was recorded, as in the record; absent where that is not known, in "
+        "published selections, and where verdicts were not requested.",
+    )
     same_logs: tuple[Kept, ...] = Field(
         default=(),
         max_length=MAX_LISTED,

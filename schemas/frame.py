@@ -63,6 +63,21 @@ class RecordedMotion:
     turn_rad_per_s: float
 
 
+@dataclass(frozen=True, slots=True)
+class RecordedFix:
+    """Place of the car that its log records, in a frame that drives share.
+
+    Attributes:
+        time_ns: By the clock of the lidar, nanoseconds since the Unix epoch.
+        frame: `wgs84`, or the name of a frame in metres.
+        at: Latitude and longitude, degrees; in another frame x and y, metres.
+    """
+
+    time_ns: int
+    frame: str
+    at: tuple[float, float]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LidarFrame:
     """The returns of one lidar revolution, in the sensor's space.
@@ -85,6 +100,7 @@ class LidarFrame:
         boxes: Boxes of that model, where it answers in boxes and this frame has an answer.
         camera: Camera whose field of view limits the comparison; None compares all points.
         moved: Recorded motion since the frame before; None where the log has none.
+        fixes: Places of the car that were recorded since the frame before, at any time near it.
 
     Raises:
         ValueError: If an array has the wrong shape or dtype, or lengths differ.
@@ -104,6 +120,7 @@ class LidarFrame:
     boxes: RecordedBoxes | None = None
     camera: CameraCalibration | None = None
     moved: RecordedMotion | None = None
+    fixes: tuple[RecordedFix, ...] = ()
 
     def __post_init__(self) -> None:
         """Check every array once, and make it read-only."""

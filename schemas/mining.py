@@ -108,6 +108,12 @@ class MiningSettings(BaseModel):
         description="Topic of the recorded motion of the car, compared with the odometry in logs "
         "that have it; empty: detected; none: not used.",
     )
+    place_topic: Url = Field(
+        default="",
+        description="Topic of the car's place on Earth, which records then state: NavSatFix, "
+        "LocationFix, or odometry in metres of a frame that the whole fleet shares; empty: the "
+        "first NavSatFix or LocationFix; none: records state no place.",
+    )
     camera: Blob = Field(
         default="",
         description="Camera calibration for streams that compare only a camera's view: "

@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from schemas.bounds import Finite, LogId, Name, Positive, Said, SceneId, StampNs, Tally, Text, Topic
 from schemas.contradiction import KindName, SceneState, TrackRecord
 from schemas.frame import OdometryState
+from schemas.surroundings import CloudStatistics, ScenePlace
 from schemas.task import MAX_CLASSES, MOTION, UnknownTaskError, task_named
 
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -16,7 +17,8 @@ Share = Annotated[float, Field(ge=0, le=1)]
 MAX_TRACKS: Final = 32
 """Tracks of a record at most, strongest first: more would exceed MAX_RECORD_BYTES on the bus."""
 
-MAX_RECORD_BYTES: Final = 16_384
+MAX_RECORD_BYTES: Final = 16_896
+"""Bytes of a record on the bus: 16 KiB with its tracks, and 512 bytes of its surroundings."""
 
 MAX_SUPPORTING: Final = 3
 """Phrases of evidence for an attribution that a reason carries."""
@@ -228,6 +230,18 @@ class SceneScore(BaseModel):
         exclude_if=lambda value: value is None,
         description="Of the supervised stream, where it is recorded and some frames have no answer "
         "or no motion; absent otherwise, and from records of earlier services.",
+    )
+    cloud: CloudStatistics | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="Statistics of its clouds, which depend on the weather; absent where it has no "
+        "return, and from records of earlier services.",
+    )
+    place: ScenePlace | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="Where it was recorded; absent where its log records no global place near it, "
+        "and from records of earlier services.",
     )
     producers: Producers
 

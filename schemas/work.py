@@ -170,6 +170,11 @@ class Shard(BaseModel):
     motion: Channel | None = Field(
         default=None, description="Recorded motion of the car, if there is any."
     )
+    fixes: Channel | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="Recorded global places of the car, if there are any.",
+    )
     camera: CameraCalibration | None = None
     has_cameras: bool = Field(
         default=False,

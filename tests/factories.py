@@ -221,6 +221,7 @@ def street_log(
     failures: Sequence[PlantedFailure] = (),
     truth: Path | None = None,
     odometry: bool = False,
+    fixes: bool = False,
     chunk_bytes: int = 200_000,
     **identity: Any,
 ) -> Path:
@@ -233,6 +234,7 @@ def street_log(
         identity=Identity(**identity),
         recorded=recorded_as,
         odometry=odometry,
+        fixes=fixes,
         planted=PlantedFaults(failures=tuple(failures)),
         truth=truth,
         chunk_bytes=chunk_bytes,

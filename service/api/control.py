@@ -210,6 +210,8 @@ class Control:
         rows = self._ledger.ranking(most=request.most)
         if request.verdicts:
             rows = self._ledger.verdicts.with_verdicts(rows)
+        else:  # earlier clients refuse what they do not know
+            rows = [row.model_copy(update={"place": None}) for row in rows]
         return TopReply(scenes=tuple(rows))
 
     def answer_modes(self, _: None) -> ModesReply:

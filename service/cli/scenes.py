@@ -29,6 +29,7 @@ from service.cli.options import (
 from service.cli.output import json_line, remark, result_line
 from service.cli.report import said_of, say_judged, say_ranking, say_what_was_found
 from service.client.merge import SceneEvent
+from service.curation.places import text_of
 from service.curation.scene_names import is_short_name, named, short_names
 from service.errors import NothingFoundError, UsageError
 from service.output_files import need_writable, save_picture
@@ -196,7 +197,8 @@ def show(
     else:
         picture = draw_scene(score, overlay, title=title)
     save_picture(picture, out, option="--out", force=force)
-    remark(f"{out}: {score.scene_id}, score {score.score:.3f}")
+    where = "" if score.place is None else f", at {text_of(score.place)}"
+    remark(f"{out}: {score.scene_id}, score {score.score:.3f}{where}")
     say_judged([score])
 
 

@@ -19,6 +19,7 @@ from service.curation.ranking import RankedScene, has_reason
 from service.curation.scene_names import short_names
 from service.curation.selection import Selection, SelectionTerms, left_out, why_no_reason
 from service.curation.strategies.catalogue import DEFAULT, STRATEGIES, strategy_named
+from service.curation.twins import is_in_place
 from service.errors import UsageError
 from service.export.json_lines import json_lines
 
@@ -174,6 +175,8 @@ def say_left_out(selection: Selection, ranking: Sequence[RankedScene]) -> None:
             return f"no reason, {why_no_reason(row)}"
         if row.twin_of is None:
             return "selected earlier, filtered, or like a chosen scene"
+        if is_in_place(row.scene_id, row.twin_of):
+            return f"same place as rank {rank_of.get(row.twin_of)}, which shows the same"
         return f"twin of rank {rank_of.get(row.twin_of)}, which shows the same"
 
     kinds = (

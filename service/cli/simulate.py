@@ -50,6 +50,18 @@ def simulate(
         bool,
         typer.Option("--odometry", help="Record wheel speed and yaw rate of the cars too."),
     ] = False,
+    fixes: Annotated[
+        bool, typer.Option("--fixes", help="Record the places of the cars on Earth (NavSatFix).")
+    ] = False,
+    days: Annotated[
+        int,
+        typer.Option(
+            "--days",
+            min=1,
+            max=365,
+            help="Drive each street again, with the same traffic, by another car each day.",
+        ),
+    ] = 1,
     lifelike: Annotated[
         bool,
         typer.Option(
@@ -92,7 +104,7 @@ def simulate(
     if not force:
         _need_no_other_logs(out)
     from workers.lab.simulation.faults.plan import plan_fleet
-    from workers.lab.simulation.output.fleet import FleetOptions, simulate_to
+    from workers.lab.simulation.output.fleet import FleetOptions, on_days, simulate_to
     from workers.lab.simulation.sensor.sensors import SENSORS, mounted, usual_mounting
 
     chosen = next((name for name in SENSORS if name == sensor), None)
@@ -106,6 +118,7 @@ def simulate(
         lifelike=lifelike,
         log_s=None if log_seconds is None else _log_seconds(log_seconds),
     )
+    plans, scenes = on_days(plans, days), scenes * days
     began_s, frames, planted, disturbed = time.monotonic(), 0, 0, 0
     with progress() as bar:
         task = bar.add_task("simulating", total=scenes * 20)
@@ -116,6 +129,7 @@ def simulate(
                 lidar=lidar,
                 columns=columns,
                 odometry=odometry,
+                fixes=fixes,
                 recorded="boxes" if boxes else "fields",
                 slow_lorries=slow_lorries,
             ),

@@ -10,11 +10,16 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.bounds import MAX_INTEGER, MAX_LISTED, Count, Finite, Kept, Said
-from service.curation.descriptors import Descriptors, describe, describing
+from schemas.surroundings import CloudStatistics, ScenePlace
+from service.curation.descriptors import Descriptors, describe, describing, with_weather
+from service.curation.places import name_of_cell
 from service.curation.ranking import RankedScene
 
-BALANCED: Final = ("vehicle", "software version", "kind")
-"""Groups over which a selection is balanced. Places are none: no record has a global pose."""
+BALANCED: Final = ("vehicle", "software version", "kind", "place")
+"""Groups over which a selection is balanced; a place is a cell of 100 m."""
+
+PLACE: Final = BALANCED.index("place")
+"""Number of the group that an unknown value leaves out: logs without places are no one place."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,12 +31,16 @@ class Candidate:
         vehicle: Vehicle that recorded it; empty unknown.
         software_version: Software that the vehicle ran; empty unknown.
         seq: Number of its event, in the order in which scenes became current.
+        cloud: Statistics of its clouds; None where they are not known.
+        place: Where it was recorded; None where that is not known.
     """
 
     scene: RankedScene
     vehicle: str = ""
     software_version: str = ""
     seq: int = 0
+    cloud: CloudStatistics | None = None
+    place: ScenePlace | None = None
 
     @property
     def kind(self) -> str:
@@ -40,9 +49,9 @@ class Candidate:
         return tracks[0].kind if tracks else ""
 
     @property
-    def groups(self) -> tuple[str, str, str]:
+    def groups(self) -> tuple[str, str, str, str]:
         """Its value in each of the groups `BALANCED`."""
-        return self.vehicle, self.software_version, self.kind
+        return self.vehicle, self.software_version, self.kind, name_of_cell(self.place)
 
 
 class Choice(BaseModel):
@@ -103,6 +112,6 @@ def rows_of(candidates: Sequence[Candidate]) -> Rows:
     groups = [[crc32(value.encode()) for value in each.groups] for each in candidates]
     return Rows(
         quality=np.array([scene.score for scene in scenes], np.float64),
-        descriptors=describe(scenes),
+        descriptors=with_weather(describe(scenes), [each.cloud for each in candidates]),
         groups=np.array(groups, np.int64).reshape(len(scenes), len(BALANCED)),
     )

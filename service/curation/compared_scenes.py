@@ -1,5 +1,6 @@
 """Scenes of the two sides of a comparison, and which of them are compared. Pure."""
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -9,13 +10,21 @@ from numpy.typing import NDArray
 
 from schemas.arrays import NS_PER_S
 from schemas.contradiction import TrackRecord
+from schemas.surroundings import ScenePlace
 from service.curation.comparison import Match
+from service.curation.places import name_of_cell
 
 SPEEDS_M_PER_S: Final = (3.0, 10.0)
 """Speeds of the car between kinds of road: standing or creeping, a street, a main road."""
 
 DENSITIES: Final = 3
 """Kinds of traffic: thirds of the scenes by the share of points that the streams find moving."""
+
+LOGS_AT_A_PLACE: Final = 4
+"""Logs of each side in a cell of 100 m, from which on its scenes are compared by themselves.
+
+With fewer, the spread between logs at the place is not known; their scenes go by kind of road.
+"""
 
 MOSTLY_SAME: Final = 0.5
 """Share of the logs of the smaller side that are on both, from which `auto` compares the same."""
@@ -38,6 +47,7 @@ class ComparedScene:
         moving_share: Share of the compared points that the self-supervised stream labels dynamic.
             It does not depend on the software under test.
         tracks: Its strong tracks on which the supervised stream errs, strongest first.
+        place: Where it was recorded; None where that is not known.
     """
 
     scene_id: str
@@ -51,6 +61,7 @@ class ComparedScene:
     speed_m_per_s: float
     moving_share: float
     tracks: tuple[TrackRecord, ...]
+    place: ScenePlace | None = None
 
     @property
     def hours(self) -> float:
@@ -81,6 +92,7 @@ class Matched:
         road_a: (len(a),) number of the kind of road of each.
         road_b: (len(b),) the same of B.
         roads: Number of kinds of road; 0 where the same logs are compared.
+        places: Number of those that are one place, which both sides know.
     """
 
     a: Sequence[ComparedScene]
@@ -88,10 +100,14 @@ class Matched:
     road_a: NDArray[np.int64]
     road_b: NDArray[np.int64]
     roads: int
+    places: int = 0
 
 
 def match_scenes(a: NamedSide, b: NamedSide, match: Match) -> Matched:
-    """Return the scenes of the logs, or of the kinds of road, that both sides have."""
+    """Return the scenes of the logs, or of the kinds of road, that both sides have.
+
+    A place that enough logs of both sides passed is a kind of road by itself.
+    """
     logs_a, logs_b = ({scene.log_id for scene in side.scenes} for side in (a, b))
     common = logs_a & logs_b
     if match == "auto":
@@ -113,6 +129,12 @@ def _same_roads(a: Sequence[ComparedScene], b: Sequence[ComparedScene]) -> Match
     speeds = np.array([scene.speed_m_per_s for scene in both], np.float64)
     fast = np.searchsorted(SPEEDS_M_PER_S, speeds, side="right")
     road = fast * DENSITIES + np.searchsorted(edges, shares, side="right")
+    kinds = (len(SPEEDS_M_PER_S) + 1) * DENSITIES
+    cells = {cell: kinds + number for number, cell in enumerate(_shared_cells(a, b))}
+    cell_of = [name_of_cell(scene.place) for scene in both]
+    road = np.array(
+        [cells.get(cell, kind) for cell, kind in zip(cell_of, road.tolist(), strict=True)], np.int64
+    )
     road_a, road_b = road[: len(a)], road[len(a) :]
     common = np.intersect1d(road_a, road_b)
     in_a, in_b = np.isin(road_a, common), np.isin(road_b, common)
@@ -122,4 +144,19 @@ def _same_roads(a: Sequence[ComparedScene], b: Sequence[ComparedScene]) -> Match
         np.searchsorted(common, road_a[in_a]),
         np.searchsorted(common, road_b[in_b]),
         roads=len(common),
+        places=len(cells),
+    )
+
+
+def _shared_cells(a: Sequence[ComparedScene], b: Sequence[ComparedScene]) -> list[str]:
+    """Return the cells of places that `LOGS_AT_A_PLACE` logs of each side passed, by name."""
+    passed: tuple[defaultdict[str, set[str]], ...] = (defaultdict(set), defaultdict(set))
+    for logs, scenes in zip(passed, (a, b), strict=True):
+        for scene in scenes:
+            if scene.place is not None:
+                logs[name_of_cell(scene.place)].add(scene.log_id)
+    return sorted(
+        cell
+        for cell in passed[0].keys() & passed[1].keys()
+        if min(len(logs[cell]) for logs in passed) >= LOGS_AT_A_PLACE
     )

@@ -73,6 +73,7 @@ def compare(a: NamedSide, b: NamedSide, terms: ComparisonTerms) -> Comparison:
         b=_summary(b, matched.b),
         matched="roads" if matched.roads else "logs",
         roads=matched.roads,
+        places=matched.places,
         tolerance=terms.tolerance,
         comparisons=len(rows),
         too_few=len(known) - len(rows),

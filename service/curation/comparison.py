@@ -148,6 +148,11 @@ class Comparison(BaseModel):
     b: SideSummary
     matched: Literal["logs", "roads"] = Field(description="Design that was used.")
     roads: Count = Field(description="Kinds of road that both sides drove; 0: the same logs.")
+    places: Count = Field(
+        default=0,
+        exclude_if=lambda value: value == 0,
+        description="Those of them that are one place, of 100 m; absent without one.",
+    )
     tolerance: Finite
     comparisons: Count = Field(description="Groups that were tested, for which Holm corrects.")
     too_few: Count = Field(description="Groups with too few tracks or logs, which are not tested.")

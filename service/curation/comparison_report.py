@@ -10,7 +10,12 @@ _WORDS: Final = {"regressed": "**regressed**", "improved": "improved", "same": "
 
 def gate_sentence(found: Comparison) -> str:
     """Return the result in one sentence."""
-    how = "the same logs" if found.matched == "logs" else f"{found.roads} kinds of road"
+    kinds = found.roads - found.places
+    roads = f"{kinds} kinds of road" if kinds or not found.places else ""
+    places = f"{found.places} place{'s' * (found.places > 1)}" if found.places else ""
+    how = (
+        "the same logs" if found.matched == "logs" else " and ".join(filter(None, (places, roads)))
+    )
     tests = f"{found.comparisons} comparisons over {how}, corrected by Holm"
     if found.regressed:
         worst = found.groups[0]

@@ -2,8 +2,8 @@
 
 The inner product of two descriptors is their likeness, 0 to 1. A track is described by its kind,
 its class, who errs, its length, height and speed, its distance, and its bearing in the sensor's
-view. A scene is described by its listed tracks that are a reason, weighted by their strengths.
-Records contain no statistics of the weather, so that descriptors contain none.
+view. A scene is described by its listed tracks that are a reason, weighted by their strengths. The
+statistics of its clouds describe its weather, where its record has them.
 """
 
 import math
@@ -18,10 +18,15 @@ from numpy.typing import NDArray
 from schemas.attribution import Wrong
 from schemas.contradiction import ContradictionKind
 from schemas.events import TrackSummary
+from schemas.surroundings import CloudStatistics
 from service.curation.ranking import RankedScene, is_reason
 
 Descriptors = NDArray[np.float32]
-"""(N, `WIDTH`) unit vectors, none negative; zeros for a scene without a listed track."""
+"""(N, `WIDTH`) unit vectors, none negative; zeros for a scene without a listed track. With weather
+they have `WEATHER_WIDTH` more numbers.
+"""
+
+_UNKNOWN: Final = CloudStatistics(returns=0, range_m=0.0, airborne_share=0.0)
 
 _KINDS: Final = {kind.value: number for number, kind in enumerate(ContradictionKind)}
 _WRONGS: Final = {wrong: number for number, wrong in enumerate(Wrong)}
@@ -103,6 +108,21 @@ WIDTH: Final = (
 """Numbers of a descriptor."""
 
 
+WEATHER_WEIGHT: Final = 0.05
+"""Share of the weather in the likeness of two scenes that both have it; as much as the bearing."""
+
+_AIRBORNE: Final = _Scale(0.55, 1e-4, 2e-2, 5)
+_INTENSITY: Final = _Scale(0.15, 0.01, 0.6, 4)
+_MISSING: Final = _Scale(0.15, 0.02, 0.6, 4)
+_NEAR: Final = _Scale(0.15, 4.0, 40.0, 4)
+"""Weights within the weather. Only returns from the air separate rain from dry streets in measured
+scenes; the others follow surfaces and sensors more than the weather.
+"""
+
+WEATHER_WIDTH: Final = sum(scale.bins for scale in (_AIRBORNE, _INTENSITY, _MISSING, _NEAR))
+"""Numbers of the weather in a descriptor."""
+
+
 def kind_bin(kind: str) -> int:
     """Return the bin of a kind of contradiction."""
     known = len(_KINDS)
@@ -180,6 +200,42 @@ def describing(scene: RankedScene) -> tuple[TrackSummary, ...]:
     """Return the listed tracks that describe a scene: its reasons, else all."""
     reasons = tuple(each for each in scene.tracks if is_reason(each.strength, each.wrong))
     return reasons or scene.tracks
+
+
+def with_weather(descriptors: Descriptors, clouds: Sequence[CloudStatistics | None]) -> Descriptors:
+    """Add the weather to the descriptors of scenes.
+
+    The likeness of two scenes without weather stays the same.
+
+    Args:
+        descriptors: (N, `WIDTH`) of the scenes.
+        clouds: (N,) statistics of their clouds; None where a record has none.
+
+    Returns:
+        (N, `WIDTH` + `WEATHER_WIDTH`) vectors of the same length as before.
+    """
+    known = np.array([each is not None for each in clouds], np.bool_).reshape(-1, 1)
+    share = np.where(known, np.float32(WEATHER_WEIGHT), np.float32(0.0))
+    length = np.linalg.norm(descriptors, axis=1, keepdims=True)
+    weather = _weather([each or _UNKNOWN for each in clouds])
+    return np.hstack([np.sqrt(1 - share) * descriptors, np.sqrt(share) * length * weather])
+
+
+def _weather(clouds: Sequence[CloudStatistics]) -> NDArray[np.float32]:
+    """Describe the weather: (N, `WEATHER_WIDTH`) unit vectors."""
+    columns = (
+        (_AIRBORNE, [each.airborne_share for each in clouds]),
+        (_INTENSITY, [each.intensity for each in clouds]),
+        (_MISSING, [each.missing_share for each in clouds]),
+        (_NEAR, [each.range_m for each in clouds]),
+    )
+    blocks = []
+    for scale, values in columns:
+        unknown = np.array([value is None for value in values], np.bool_)
+        block = scale.of(np.array([value or 0.0 for value in values], np.float64))
+        block[unknown] = math.sqrt(1.0 / scale.bins)
+        blocks.append(np.float32(math.sqrt(scale.weight)) * block)
+    return np.hstack(blocks)
 
 
 def _unit(rows: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -5,6 +5,8 @@ from typing import Final
 
 from service.curation.candidates import BALANCED, Candidate, rows_of
 from service.curation.descriptors import describing
+from service.curation.places import CELL_M, apart_m, spot_of
+from service.curation.twins import is_in_place
 
 LIKE: Final = 0.8
 """Likeness from which a choice is named as like an earlier one."""
@@ -19,7 +21,11 @@ def why_best(candidate: Candidate) -> str:
 
 def why_twin(candidate: Candidate) -> str:
     """Explain a twin that fills the budget."""
-    return f"score {candidate.scene.score:.3f}: a twin, which fills the budget"
+    scene = candidate.scene
+    what = "a twin"
+    if scene.twin_of is not None and is_in_place(scene.scene_id, scene.twin_of):
+        what = f"same place as {scene.twin_of}"
+    return f"score {scene.score:.3f}: {what}, which fills the budget"
 
 
 def whys(chosen: Sequence[Candidate], *, before: Sequence[Candidate]) -> list[str]:
@@ -47,6 +53,13 @@ def whys(chosen: Sequence[Candidate], *, before: Sequence[Candidate]) -> list[st
                 f"{'like' if degree >= LIKE else 'unlike all; nearest is'} "
                 f"{where} (likeness {degree:.2f})"
             )
+        if (again := _same_place(candidate, everything[:number])) is not None:
+            known = (
+                "selected earlier"
+                if again < len(before)
+                else f"rank {everything[again].scene.rank}"
+            )
+            parts.append(f"same place as {known}")
         new = []
         for group, (name, value) in enumerate(zip(BALANCED, candidate.groups, strict=True)):
             if value and value not in seen[group]:
@@ -54,6 +67,17 @@ def whys(chosen: Sequence[Candidate], *, before: Sequence[Candidate]) -> list[st
             seen[group].add(value)
         found.append("; ".join(parts + new))
     return found
+
+
+def _same_place(candidate: Candidate, earlier: Sequence[Candidate]) -> int | None:
+    """Return the number of the first scene within `CELL_M` of a candidate."""
+    if candidate.place is None:
+        return None
+    here = spot_of(candidate.place)
+    for number, each in enumerate(earlier):
+        if each.place is not None and apart_m(here, spot_of(each.place)) <= CELL_M:
+            return number
+    return None
 
 
 def shown(candidate: Candidate) -> str:

@@ -1,8 +1,8 @@
 """Objectives of a selection: what each candidate adds to the scenes that are already chosen. Pure.
 
 Both join the score with the likeness of descriptors, and both add the same term for balance: the
-sum over vehicles, software versions and kinds of log(1 + chosen scores of the group). What a
-candidate adds never grows as others are chosen, and is bounded by its score alone.
+sum over vehicles, software versions, kinds and places of log(1 + chosen scores of the group). What
+a candidate adds never grows as others are chosen, and is bounded by its score alone.
 """
 
 import math
@@ -13,7 +13,7 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from service.curation.candidates import BALANCED, Rows
+from service.curation.candidates import BALANCED, PLACE, Rows
 
 Gains = NDArray[np.float64]
 
@@ -58,19 +58,24 @@ class ObjectiveKind:
 
 
 class Balance:
-    """Sum over the groups of log(1 + chosen scores of the group), times `BALANCE`."""
+    """Sum over the groups of log(1 + chosen scores of the group), times `BALANCE`.
+
+    A candidate without a place has no term for it.
+    """
 
     def __init__(self, rows: Rows) -> None:
         """Begin with nothing taken."""
         self._quality = rows.quality
         self._codes = [np.unique(each, return_inverse=True)[1] for each in rows.groups.T]
         self._sums = [np.zeros(int(codes.max(initial=-1)) + 1) for codes in self._codes]
+        self._is_placed = rows.groups[:, PLACE] != 0
 
     def gains(self) -> Gains:
         """Return what each candidate adds to those taken."""
         found = np.zeros(len(self._quality))
-        for codes, sums in zip(self._codes, self._sums, strict=True):
-            found += np.log1p(self._quality / (1.0 + sums)[codes])
+        for group, (codes, sums) in enumerate(zip(self._codes, self._sums, strict=True)):
+            more = np.log1p(self._quality / (1.0 + sums)[codes])
+            found += more * self._is_placed if group == PLACE else more
         return BALANCE * found
 
     def take(self, number: int) -> None:

@@ -71,7 +71,7 @@ class LeftOut:
     """Scenes that a selection left out, by cause, best first.
 
     Attributes:
-        twins: Scenes that show what a better neighbour shows, ranked before the last one selected.
+        twins: Scenes that show what a better scene shows, ranked before the last one selected.
         others: Further scenes with a reason, ranked before it: of earlier selections, excluded by a
             filter, or like scenes that were chosen.
         without: Scenes without a reason, ranked before the last one selected, or anywhere if the

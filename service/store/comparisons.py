@@ -16,6 +16,7 @@ from service.curation.comparison import ComparedSide, CompareRequest, Comparison
 from service.curation.ranking import is_reason
 from service.errors import NothingFoundError
 from service.store.engine import Store
+from service.store.ranking import place_in
 from service.store.record_digests import OnDamaged, problem_of
 from service.store.tables import PIPELINES, RECORDINGS, SCENES
 
@@ -170,6 +171,7 @@ def _scene(row: Any) -> ComparedScene:
         speed_m_per_s=record["odometry"]["distance_m"] / seconds,
         moving_share=moving / compared if compared else 0.0,
         tracks=_reasons(record["tracks"]),
+        place=place_in(record),
     )
 
 

@@ -18,7 +18,7 @@ from service.curation.strategies.covering import MOST_REMEMBERED
 from service.errors import NothingFoundError
 from service.store import listing, ranking
 from service.store.engine import Store
-from service.store.record_digests import OnDamaged
+from service.store.record_digests import OnDamaged, problem_of
 from service.store.tables import SCENES, SELECTION_SCENES, SELECTIONS
 
 
@@ -145,14 +145,19 @@ def _earlier(connection: Connection, name: str | None) -> list[str]:
 
 
 def _candidates(connection: Connection, stored: Sequence[str]) -> list[Candidate]:
-    """Read stored scenes; of one that is no longer current, vehicle and version are unknown."""
+    """Read stored scenes; of one that is no longer current, nothing else is known."""
     scenes = [RankedScene.model_validate_json(scene) for scene in stored]
-    query = select(SCENES.c.scene_id, SCENES.c.vehicle, SCENES.c.software_version).where(
-        SCENES.c.is_current, SCENES.c.scene_id.in_([scene.scene_id for scene in scenes])
+    c = SCENES.c
+    query = select(c.scene_id, c.vehicle, c.software_version, c.record, c.sha256).where(
+        c.is_current, c.scene_id.in_([scene.scene_id for scene in scenes])
     )
-    sources = {row.scene_id: row for row in connection.execute(query)}
+    sources = {row.scene_id: row for row in connection.execute(query) if not problem_of(row)}
     return [
-        Candidate(scene, found.vehicle, found.software_version)
+        Candidate(
+            *(scene, found.vehicle, found.software_version),
+            cloud=ranking.cloud_in(record := json.loads(found.record)),
+            place=ranking.place_in(record),
+        )
         if (found := sources.get(scene.scene_id))
         else Candidate(scene)
         for scene in scenes

@@ -1,7 +1,7 @@
 """Ranking of current scenes, read lazily in its order."""
 
 import json
-from collections.abc import Container, Generator
+from collections.abc import Container, Generator, Mapping
 from itertools import takewhile
 from typing import Any, Final
 
@@ -10,6 +10,7 @@ from sqlalchemy import ColumnElement, Connection, bindparam, literal_column, sel
 from schemas.contradiction import TrackRecord
 from schemas.events import MAX_LISTED_TRACKS, TrackSummary
 from schemas.score import MIN_REPORTED_STRENGTH, from_version_1
+from schemas.surroundings import CloudStatistics, ScenePlace
 from service.curation.candidates import Candidate
 from service.curation.ranking import Neighbour, RankedScene
 from service.curation.twins import ShownScene, Twins
@@ -24,9 +25,10 @@ _AT_ONCE: Final = 500
 def ranked(
     connection: Connection, *, most: int | None = None, on_damaged: OnDamaged
 ) -> Generator[RankedScene, None, None]:
-    """Rank current scenes, as `candidates` does."""
+    """Rank current scenes, as `candidates` does, with their places."""
     for each in candidates(connection, most=most, on_damaged=on_damaged):
-        yield each.scene
+        placed = each.place is not None
+        yield each.scene.model_copy(update={"place": each.place}) if placed else each.scene
 
 
 def candidates(
@@ -60,7 +62,8 @@ def candidates(
                 on_damaged(row.scene_id, problem)
                 continue
             rank += 1
-            shown = _shown(row)
+            record = _record_of(row)
+            shown = _shown(row, record)
             twin_of = twins.twin_of(shown, _around(connection, row)) if shown.tracks else None
             if only is not None and row.seq not in only:
                 continue
@@ -76,24 +79,46 @@ def candidates(
                 twin_of=twin_of,
                 sha256=row.sha256,
             )
-            yield Candidate(scene, row.vehicle, row.software_version, row.seq)
+            yield Candidate(
+                *(scene, row.vehicle, row.software_version, row.seq),
+                cloud=cloud_in(record),
+                place=shown.place,
+            )
 
 
-def _shown(row: Any) -> ShownScene:
+def cloud_in(record: Mapping[str, Any]) -> CloudStatistics | None:
+    """Read the statistics of the clouds in a record; None where it has none."""
+    found = record.get("cloud")
+    return None if found is None else CloudStatistics.model_validate(found)
+
+
+def place_in(record: Mapping[str, Any]) -> ScenePlace | None:
+    """Read where a scene was recorded; None where its record does not state it."""
+    found = record.get("place")
+    return None if found is None else ScenePlace.model_validate(found)
+
+
+def _record_of(row: Any) -> Mapping[str, Any]:
+    """Decode a record; that of a scene that no track can make worth a review is not decoded."""
+    if row.score < MIN_REPORTED_STRENGTH:
+        return {}
+    record: Mapping[str, Any] = json.loads(row.record)
+    return from_version_1(record) if record["schema_version"] == 1 else record
+
+
+def _shown(row: Any, record: Mapping[str, Any]) -> ShownScene:
     """Read the strong tracks of a scene; a scene scores at least as much as its strongest one."""
     at = Neighbour(row.scene_id, row.start_ns, row.end_ns)
     odom = tuple(getattr(row, each.name) for each in (_C.log_id, _C.lidar_topic, *_ODOM))
-    if row.score < MIN_REPORTED_STRENGTH:
+    if not record:
         return ShownScene(at, odom, 0.0, ())
-    record = json.loads(row.record)
-    if record["schema_version"] == 1:
-        record = from_version_1(record)
     tracks = takewhile(lambda each: each["strength"] >= MIN_REPORTED_STRENGTH, record["tracks"])
     return ShownScene(
         at,
         odom,
         driven_m=record["odometry"]["distance_m"],
         tracks=tuple(TrackRecord.model_validate(each) for each in tracks),
+        place=place_in(record),
     )
 
 

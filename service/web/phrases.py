@@ -7,6 +7,7 @@ from typing import Final
 
 from schemas.arrays import NS_PER_S
 from schemas.bounds import MAX_INTEGER
+from service.curation.places import text_of
 from service.curation.scene_names import begins
 
 _UNIT: Final = re.compile(r"(\d) (m/s|m|s|%)(?![\w/])")
@@ -123,6 +124,7 @@ FILTERS: Final[Mapping[str, Callable[..., str]]] = {
     "score": score,
     "grouped": grouped,
     "counted": counted,
+    "coordinates": text_of,
     "with_units": with_units,
     "scene_name": scene_name,
     "strategy_name": strategy_name,

@@ -156,5 +156,5 @@ def test_the_largest_honest_commit_is_within_the_bounds() -> None:
     )
     assert len(encode(commit)) < MAX_COMMIT_BYTES == VERBS["commit"].most_bytes
     assert scenes < MAX_SCENES_OF_A_SHARD
-    with pytest.raises(ValidationError, match="at most 16384"):
+    with pytest.raises(ValidationError, match="at most 16896"):
         commit.model_validate({**commit.model_dump(), "records": ("é" * MAX_RECORD_BYTES,)})

@@ -1,8 +1,11 @@
 """Sides of a comparison on any database: versions, filters, and what is no longer current."""
 
+from typing import Any
+
 import pytest
 
 from schemas.contradiction import SceneState
+from schemas.surroundings import ScenePlace
 from service.curation.comparison import ComparedSide, CompareRequest, ComparisonTerms
 from service.errors import NothingFoundError
 from tests.contracts.databases import OnPostgres, OnSqlite
@@ -14,7 +17,7 @@ from tests.factories import track_record
 LOGS = tuple("abcdefgh")
 
 
-def two_versions(world: World) -> None:
+def two_versions(world: World, **changes: Any) -> None:
     """Commit three scenes of each log; the second version misses a pedestrian in each."""
     commit(
         world,
@@ -28,6 +31,7 @@ def two_versions(world: World) -> None:
                     track_record(track_id=one, strength=0.5, class_name=name)
                     for one, name in enumerate(("car", "pedestrian")[: 2 if at >= 4 else 1])
                 ),
+                **changes,
             )
             for at, log_id in enumerate(LOGS)
             for number in range(3)
@@ -48,6 +52,16 @@ class ComparisonsContract(StoreContract):
         rows = {row.group: row for row in found.groups if row.by == "class"}
         assert (rows["pedestrian"].a.tracks, rows["pedestrian"].b.tracks) == (0, 12)
         assert (rows["car"].difference, rows["car"].outcome) == (0.0, "same")
+
+    def test_a_place_in_the_records_of_both_sides_is_a_road_by_itself(self, world: World) -> None:
+        street = ScenePlace(latitude_deg=48.137, longitude_deg=11.575, odom_m=(0.0, 0.0))
+        two_versions(world, place=street)
+        found = world.ledger.comparisons.compare(
+            CompareRequest(
+                a=ComparedSide(software_version="2.4"), b=ComparedSide(software_version="2.5")
+            )
+        )
+        assert (found.roads, found.places, found.a.left_out) == (1, 1, 0)
 
     def test_a_side_has_filters(self, world: World) -> None:
         two_versions(world)

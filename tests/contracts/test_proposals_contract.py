@@ -3,6 +3,8 @@
 import pytest
 
 from schemas.arrays import NS_PER_S
+from schemas.score import SceneScore
+from schemas.surroundings import CloudStatistics, ScenePlace
 from service.curation.listing import ScenesRequest
 from service.curation.selection import SelectionTerms
 from service.errors import NothingFoundError, UsageError
@@ -31,6 +33,26 @@ def mined(world: World, count: int = 12) -> None:
             for number in range(count)
         ),
     )
+
+
+def two_days_in_a_street() -> list[SceneScore]:
+    """A false alarm that stands, passed by two cars on two days, and elsewhere by a third."""
+    street = ScenePlace(
+        latitude_deg=48.137,
+        longitude_deg=11.575,
+        odom_m=(0.0, 0.0),
+        odom_yaw_rad=0.2,
+        heading_rad=0.2,
+    )
+    places = [street, street, street.model_copy(update={"latitude_deg": 48.2})]
+    there = (15.0, 4.0, 0.0)
+    alarm = track_record(
+        strength=0.5, speed_m_per_s=0.0, first_odom_m=there, last_odom_m=there, class_name="car"
+    )
+    return [
+        scene(500 * day, 0.8 - 0.1 * day, log_id="abc"[day], place=place, tracks=(alarm,))
+        for day, place in enumerate(places)
+    ]
 
 
 def save(world: World, name: str | None, terms: SelectionTerms, budget: int = 4) -> list[str]:
@@ -100,6 +122,36 @@ class ProposalsContract(StoreContract):
         )
         assert "first of vehicle car-0" in proposal.choices[0].why
         assert any("first of vehicle car-1" in each.why for each in proposal.choices)
+
+    def test_weather_in_the_records_takes_part_in_the_likeness(self, world: World) -> None:
+        dry = CloudStatistics(returns=90_000, range_m=12.0, airborne_share=0.0)
+        rain = dry.model_copy(update={"airborne_share": 0.004})
+        weather = [dry, dry, dry, rain]
+        scenes = [
+            scene(4 * at, 0.9 - 0.01 * at, cloud=each, tracks=(track_record(strength=0.5),))
+            for at, each in enumerate(weather)
+        ]
+        commit(world, *scenes)
+        terms = SelectionTerms(strategy="k-centre")
+        chosen = world.ledger.proposals.select(budget=2, terms=terms)
+        assert [each.rank for each in chosen] == [1, 4]
+        world.ledger.selections.save("first", budget=1, scenes=chosen[:1])
+        assert world.ledger.proposals.select(budget=1, terms=terms)[0].rank == 4
+
+    def test_what_stands_at_a_place_on_another_day_is_selected_last(self, world: World) -> None:
+        commit(world, *two_days_in_a_street())
+        ranking = world.ledger.ranking()
+        assert [each.log_id for each in ranking] == ["a", "b", "c"]
+        assert [each.twin_of for each in ranking] == [None, ranking[0].scene_id, None]
+        assert ranking[0].place is not None
+        assert ranking[0].place.latitude_deg == 48.137
+        chosen = world.ledger.proposals.select(budget=2)
+        assert [each.log_id for each in chosen] == ["a", "c"]
+        assert [each.place for each in chosen] == [None, None], "selections are published"
+        terms = SelectionTerms(strategy="k-centre")
+        proposal = world.ledger.proposals.propose(budget=3, terms=terms)
+        assert "first of place 48.1369 11.5746" in proposal.choices[0].why
+        assert f"same place as {ranking[0].scene_id}, which fills" in proposal.choices[2].why
 
     def test_few_tracks_form_no_mode(self, world: World) -> None:
         mined(world)

@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 from schemas.contradiction import LabelledFrame, Scene
 from schemas.frame import OdometryState
 from schemas.score import AgreementShares, OdometryHealth, StreamHealth, SupervisedHealth
+from schemas.surroundings import CloudStatistics, ScenePlace
 from schemas.task import Task
+from workers.contradiction.cloud_statistics import cloud_statistics
+from workers.contradiction.scene_place import scene_place
 
 SHARE_DIGITS: Final = 4
 MAX_REASON_LENGTH: Final = 200
@@ -49,6 +52,8 @@ class SceneStatistics:
         compared: True if any point was labelled by both streams.
         supervised_silent: True if the supervised stream labelled no point.
         selfsupervised_silent: True if the self-supervised stream labelled no point.
+        cloud: Statistics of its clouds; None without a return.
+        place: Where it was recorded; None where its log does not record it.
     """
 
     shares: PointShares
@@ -59,6 +64,8 @@ class SceneStatistics:
     compared: bool
     supervised_silent: bool
     selfsupervised_silent: bool
+    cloud: CloudStatistics | None
+    place: ScenePlace | None
 
 
 def statistics_of(scene: Scene) -> SceneStatistics:
@@ -76,6 +83,8 @@ def statistics_of(scene: Scene) -> SceneStatistics:
         and all((frame.semantic.labels == unknown).all() for frame in frames),
         selfsupervised_silent=not compared
         and all((frame.predictive.labels == unknown).all() for frame in frames),
+        cloud=cloud_statistics(frames),
+        place=scene_place(scene),
     )
 
 

@@ -17,7 +17,7 @@ and their tracks have strength 0. They are listed last and never ranked.
 
 import math
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Final, Protocol
 
 from schemas.attribution import Attribution
 from schemas.contradiction import (
@@ -44,6 +44,9 @@ from workers.contradiction.reasons import class_word, reasons_of
 from workers.contradiction.scene_statistics import SceneStatistics, statistics_of
 from workers.contradiction.score_settings import DEFAULT_SCORE, ScoreSettings
 from workers.contradiction.track_score import RankedTrack, pose_weights
+
+TRACKS_BYTES: Final = 16_384
+"""Bytes of a record with its tracks and without its surroundings."""
 
 
 class Versioned(Protocol):
@@ -170,6 +173,8 @@ def record_of(
         odometry=statistics.odometry,
         health=statistics.stream,
         supervised=statistics.supervised,
+        cloud=statistics.cloud,
+        place=statistics.place,
         producers=producers,
     )
     return _fit(record)
@@ -278,15 +283,23 @@ def _round(value: float, digits: int) -> float:
 def _fit(record: SceneScore) -> SceneScore:
     """Fit the record to the bus: drop the evidence of weak tracks, then the weakest tracks.
 
-    `totals` count every track in any case.
+    `totals` count every track in any case. Surroundings have room of their own, so that a record
+    has the same tracks with them and without.
     """
+    bare = record.model_copy(update={"cloud": None, "place": None})
+    room = min(MAX_RECORD_BYTES - len(encode(record)) + len(encode(bare)), TRACKS_BYTES)
+    fitted = _fit_tracks(bare, room)
+    return record.model_copy(update={"tracks": fitted.tracks})
+
+
+def _fit_tracks(record: SceneScore, most_bytes: int) -> SceneScore:
     for index in reversed(range(len(record.tracks))):
-        if len(encode(record)) <= MAX_RECORD_BYTES:
+        if len(encode(record)) <= most_bytes:
             return record
         tracks = list(record.tracks)
         attribution = _without_evidence(tracks[index].attribution)
         tracks[index] = tracks[index].model_copy(update={"attribution": attribution})
         record = record.model_copy(update={"tracks": tuple(tracks)})
-    while record.tracks and len(encode(record)) > MAX_RECORD_BYTES:
+    while record.tracks and len(encode(record)) > most_bytes:
         record = record.model_copy(update={"tracks": record.tracks[:-1]})
     return record

@@ -24,8 +24,8 @@ from workers.contradiction.scene_statistics import SceneStatistics
 from workers.contradiction.track_features import NAMES, DescribedTrack, TrackFeatures
 from workers.contradiction.tracks import Track, centres_in_odom
 
-VERSION: Final = 1
-"""Version of the inputs; another set of features is another version."""
+VERSION: Final = 2
+"""Version of the inputs; another set of features or statistics is another version."""
 
 _STATES: Final = tuple(OdometryState)
 _STATISTICS: Final = TypeAdapter(SceneStatistics)

@@ -91,6 +91,9 @@ class LogReport(BaseModel):
     odometry_topic: str | None = Field(
         description="Topic of recorded motion, compared with the odometry; None without."
     )
+    place_topic: str | None = Field(
+        default=None, description="Topic of global places of the car; None without."
+    )
     frames: int | None = Field(
         description="Well-formed clouds of the lidars; by the index alone, those it counts."
     )
@@ -163,6 +166,7 @@ def inspect_recording(
         lidar_topic=plan.lidar_topics[0] if plan.lidar_topics else None,
         lidar_topics=plan.lidar_topics,
         odometry_topic=next((each.motion.topic for each in plan.shards if each.motion), None),
+        place_topic=next((each.fixes.topic for each in plan.shards if each.fixes), None),
         frames=frames,
         verified=verify,
         damage=tuple(damage),

@@ -16,6 +16,7 @@ from workers.ingest.camera_messages import has_images
 from workers.ingest.damage import DamageList, damaged
 from workers.ingest.footer import TruncatedPart
 from workers.ingest.frames import intensity_scale_of
+from workers.ingest.global_fixes import find_fixes
 from workers.ingest.identity import METADATA_RECORD, Identity, identify
 from workers.ingest.lidar import choose_lidars, lidar_properties
 from workers.ingest.limits import MAX_CLOUD_TOPICS
@@ -39,7 +40,7 @@ MAX_INDEX_READS: Final = 3
 MAX_NAMED_TOPICS: Final = 20
 
 MOST_FOR_MOTION: Final = 0.1
-"""Share of a shard's bytes up to which it also reads chunks of recorded motion without clouds.
+"""Share of a shard's bytes up to which it also reads chunks of motion and fixes without clouds.
 
 Mostly those messages are between the clouds. Stored together with cameras they would cost reading
 the log's images."""
@@ -125,8 +126,11 @@ def plan_index(
             channel = _without_schema(sample.topic.channel)
             camera = _camera(index, topics, sample, settings)
             motion = find_motion(topics, settings.odometry_topic)
+            fixes = find_fixes(topics, settings.place_topic)
             has_cameras = _has_cameras(index, topics)
-            lidar = _Lidar(channel, anchor_ns, recorded, motion, camera, has_cameras, identity)
+            lidar = _Lidar(
+                *(channel, anchor_ns, recorded, motion, fixes, camera, has_cameras, identity)
+            )
             for shard in _shards(index, lidar, sample, settings, damage):
                 plan_bytes += len(shard.model_dump_json())
                 if plan_bytes > MAX_PLAN_BYTES:
@@ -160,6 +164,7 @@ class _Lidar:
     anchor_ns: int
     recorded: FoundSource | None
     motion: Channel | None
+    fixes: Channel | None
     camera: CameraCalibration | None
     has_cameras: bool
     identity: Identity
@@ -268,7 +273,9 @@ def _shards(
     source = None if lidar.recorded is None else lidar.recorded.source
     scale = settings.intensity_scale or intensity_scale_of([*sample.clouds, *sample.later_clouds])
     chunks = Spans([*spans, *labels])
-    wider = Spans([*spans, *labels, *motion_spans(index, lidar.motion, sample, spans)])
+    moved = motion_spans(index, lidar.motion, sample, spans)
+    placed = motion_spans(index, lidar.fixes, sample, [*spans, *moved])
+    wider = [Spans([*spans, *labels, *more]) for more in (placed, moved, [*placed, *moved]) if more]
     for window in cut_windows(
         spans,
         grid=settings.grid,
@@ -276,9 +283,9 @@ def _shards(
         least_step_ns=sample.least_step_ns,
         ahead_ns=settings.ahead_ns,
     ):
-        reads = chunks
-        if _length(window.reads(wider)) <= (1.0 + MOST_FOR_MOTION) * _length(window.reads(chunks)):
-            reads = wider
+        reads, most = chunks, (1.0 + MOST_FOR_MOTION) * _length(window.reads(chunks))
+        for more in wider:
+            reads = more if _length(window.reads(more)) <= most else reads
         read = tuple(window.reads(reads))
         yield Shard(
             log_id=index.recording.log_id,
@@ -286,6 +293,7 @@ def _shards(
             lidar=lidar.channel,
             recorded=source and source_of_shard(source, index, lidar.channel, read),
             motion=None if lidar.motion is None else _without_schema(lidar.motion),
+            fixes=None if lidar.fixes is None else _without_schema(lidar.fixes),
             camera=lidar.camera,
             has_cameras=lidar.has_cameras,
             anchor_ns=anchor_ns,

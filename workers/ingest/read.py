@@ -20,6 +20,7 @@ from workers.ingest.damage import DamageList, damaged
 from workers.ingest.decoding import MessageUnreadableError
 from workers.ingest.fetch import OpenedChunk, fetch_chunks
 from workers.ingest.frames import frame_from_cloud
+from workers.ingest.global_fixes import FixLog
 from workers.ingest.limits import MAX_WAITING, MAX_WAITING_BYTES
 from workers.ingest.message_rate import MessageRate
 from workers.ingest.messages import MAX_TIME_NS, RawMessage
@@ -73,6 +74,7 @@ class ShardReader:
     damage: DamageList = field(default_factory=DamageList)
     _motion: MotionLog = field(default_factory=MotionLog)
     _motion_damaged: bool = False
+    _fixes: FixLog = field(default_factory=FixLog)
     _sourced: SourcedMessage | None = None
 
     @property
@@ -96,6 +98,8 @@ class ShardReader:
         for frame, _ in timed if self.shard.motion is None else self._with_motion(timed):
             if self._wants(frame.stamp_ns):
                 yield frame
+        if self.shard.fixes is not None and (what := self._fixes.sentence(self.shard.fixes.topic)):
+            self._record(self.shard.chunks[0], what, length=0)
 
     def _timed_frames(self) -> Iterator[tuple[LidarFrame, int]]:
         """Yield all frames with their log times, those too early and too late included."""
@@ -118,6 +122,9 @@ class ShardReader:
                 later_ns = frame.stamp_ns - (cloud.stamp_ns or log_time_ns)
                 boxes = replace(answer, stamp_ns=answer.stamp_ns + later_ns)
                 frame = replace(frame, boxes=boxes)
+            if self.shard.fixes is not None:
+                fixes = self._fixes.taken(delay_ns=log_time_ns - frame.stamp_ns)
+                frame = replace(frame, fixes=fixes) if fixes else frame
             yield frame, log_time_ns
 
     def _with_motion(
@@ -278,6 +285,23 @@ class ShardReader:
             self._motion_damaged = True
 
     def _in_order(self) -> Iterator[SourcedMessage]:
+        """Yield messages by log time; fixes of a topic of their own are taken out."""
+        fixes = self.shard.fixes
+        for sourced in self._by_time():
+            channel = sourced.message.channel
+            if fixes is not None and channel.ids == fixes.ids:
+                self._add_fix(sourced)
+            if channel is not fixes:
+                yield sourced
+
+    def _add_fix(self, sourced: SourcedMessage) -> None:
+        """Add a global fix; one that cannot be read is counted."""
+        try:
+            self._fixes.add(sourced.message)
+        except MessageUnreadableError:
+            self._fixes.ignored["unreadable"] += 1
+
+    def _by_time(self) -> Iterator[SourcedMessage]:
         """Yield messages by log time: a chunk may have earlier ones than the chunk before it."""
         refs = self.shard.chunks
         waiting: list[tuple[int, int, SourcedMessage]] = []
@@ -317,10 +341,11 @@ class ShardReader:
             self._record(opened.ref, error.problem)
 
     def _channels(self, part: int) -> dict[int, Channel]:
-        """Return the channels of lidar, recorded labels and motion by their ids in one part."""
+        """Return the channels of lidar, labels, motion and fixes by their ids in one part."""
         source = self.shard.recorded
         labels = source.channel if source is not None else None
-        wanted = (*spaces_of(source), self.shard.lidar, labels, self.shard.motion)
+        others = (*spaces_of(source), self.shard.lidar, labels, self.shard.motion)
+        wanted = (self.shard.fixes, *others)  # of one topic for both, the other reads it too
         channels = [channel for channel in wanted if channel is not None]
         return {each: channel for channel in channels for each in ids_in(channel, part)}
 

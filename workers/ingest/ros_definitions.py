@@ -53,6 +53,13 @@ uint32 height
 uint32 width
 bool do_rectify"""
 
+_NAV_SAT_FIX: Final = (
+    "std_msgs/Header header\nsensor_msgs/NavSatStatus status\n"
+    "float64 latitude\nfloat64 longitude\nfloat64 altitude\n"
+    "float64[9] position_covariance\nuint8 position_covariance_type"
+)
+_NAV_SAT_STATUS: Final = "MSG: sensor_msgs/NavSatStatus\nint8 status\nuint16 service"
+
 _TF_MESSAGE: Final = "geometry_msgs/TransformStamped[] transforms"
 _TRANSFORM_PARTS: Final = (
     "MSG: geometry_msgs/TransformStamped\n"
@@ -90,6 +97,7 @@ def _definitions(header: str, *, camera: dict[str, str]) -> dict[str, str]:
         "sensor_msgs/PointCloud2": _SEPARATOR.join((_POINT_CLOUD2, header, _POINT_FIELD)),
         "sensor_msgs/CompressedImage": _SEPARATOR.join((_COMPRESSED_IMAGE, header)),
         "sensor_msgs/CameraInfo": _SEPARATOR.join((camera_info, header, _REGION_OF_INTEREST)),
+        "sensor_msgs/NavSatFix": _SEPARATOR.join((_NAV_SAT_FIX, header, _NAV_SAT_STATUS)),
         "nav_msgs/Odometry": _SEPARATOR.join((_ODOMETRY, header, *_POSE_PARTS, *_TWIST_PARTS)),
         "geometry_msgs/TwistStamped": _SEPARATOR.join((_stamped("Twist"), header, *_TWIST_PARTS)),
         "geometry_msgs/TwistWithCovarianceStamped": _SEPARATOR.join(

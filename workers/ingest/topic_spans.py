@@ -76,7 +76,10 @@ def spans_of(
 def motion_spans(
     index: LogIndex, motion: Channel | None, sample: Sample, lidar: Iterable[Span]
 ) -> list[Span]:
-    """Build the spans of recorded motion alone, with the lidar's delays; its own are unknown."""
+    """Build the spans of recorded motion, or of fixes, that are in no chunk of the lidar.
+
+    They have the lidar's delays, since their own are unknown.
+    """
     if motion is None:
         return []
     known = {(span.ref.part, span.ref.offset) for span in lidar}

@@ -68,6 +68,7 @@ def mine_warmup_scene() -> None:
     Networks take no part; their loops are called separately. The supervised stream is replaced by
     one that labels every point dynamic, so that there are contradictions.
     """
+    from workers.contradiction.cloud_statistics import cloud_statistics
     from workers.contradiction.feature_extraction import extract_features
     from workers.contradiction.instances import find_instances
     from workers.contradiction.tracks import associate_instances
@@ -81,6 +82,7 @@ def mine_warmup_scene() -> None:
         posed = list(KissOdometry()(warmup_frames(with_beams=with_beams)))
         labelled = map(_labelled_dynamic, posed, Registration()(iter(posed)))
         scene = Scene("rehearsal/0", tuple(TwoSidedFreeSpace()(labelled)))
+        cloud_statistics(scene.frames)
         instances = find_instances(scene, class_names=())
         extract_features(scene, instances, associate_instances(scene, instances))
     call_loops(next(warmup_frames(with_beams=True)))

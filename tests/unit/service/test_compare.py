@@ -1,12 +1,14 @@
 """Release gate: rates by log, matched roads, the same logs, Holm, outcomes and reports."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from schemas.arrays import NS_PER_S
 from schemas.contradiction import ContradictionKind, TrackRecord
+from schemas.surroundings import ScenePlace
 from service.cli.compare import side_of
 from service.curation.compared_scenes import ComparedScene, NamedSide, match_scenes
 from service.curation.comparing import compare
@@ -154,6 +156,44 @@ def test_scenes_of_a_road_that_one_side_lacks_are_left_out() -> None:
     assert compare(both, other, ComparisonTerms(match="roads")).a.left_out == 40
     with pytest.raises(NothingFoundError, match="no kind of road in common"):
         compare(slow, other, ComparisonTerms(match="roads"))
+
+
+def at(latitude_deg: float, side: NamedSide) -> list[ComparedScene]:
+    place = ScenePlace(latitude_deg=latitude_deg, longitude_deg=11.0, odom_m=(0.0, 0.0))
+    return [replace(scene, place=place) for scene in side.scenes]
+
+
+def test_scenes_of_a_place_that_both_passed_are_compared_with_each_other() -> None:
+    busy, calm = {"car": 4.0}, {"car": 0.3}
+    sides = []
+    for name, seed, shares in (("1", 1, (30, 5)), ("2", 5, (5, 30))):
+        crossing = version(range(shares[0]), busy, name=name, seed=seed, folder=f"{name}-x")
+        lane = version(range(shares[1]), calm, name=name, seed=seed + 1, folder=f"{name}-y")
+        sides.append(NamedSide(name, [*at(48.0, crossing), *at(48.1, lane)]))
+    one, other = sides
+    matched = match_scenes(one, other, "roads")
+    assert (matched.roads, matched.places) == (2, 2)
+    assert np.bincount(matched.road_a).tolist() == [30 * SCENES, 5 * SCENES]
+    found = compare(one, other, ComparisonTerms(match="roads"))
+    assert (found.regressed, found.improved) == (0, 0), "both are as good at the same places"
+    assert "over 2 places, corrected" in gate_sentence(found)
+    bare_one, bare_other = (
+        NamedSide(each.name, [replace(s, place=None) for s in each.scenes]) for each in sides
+    )
+    unmatched = compare(bare_one, bare_other, ComparisonTerms(match="roads"))
+    assert unmatched.improved > 0, "B drove in calmer streets"
+    assert "places" not in unmatched.model_dump()
+
+
+def test_a_place_that_few_logs_of_a_side_passed_goes_by_its_kind_of_road() -> None:
+    a = NamedSide("1", at(48.0, version(range(10), USUAL, name="1", seed=1, folder="a")))
+    few = at(48.0, version(range(3), USUAL, name="2", seed=2, folder="b"))
+    others = version(range(10), USUAL, name="2", seed=3, folder="c").scenes
+    matched = match_scenes(a, NamedSide("2", [*few, *others]), "roads")
+    assert (matched.places, len(matched.a)) == (0, 10 * SCENES)
+    many = at(48.0, version(range(5), USUAL, name="2", seed=2, folder="b"))
+    mixed = match_scenes(a, NamedSide("2", [*many, *others]), "roads")
+    assert (mixed.roads, mixed.places, len(mixed.b)) == (1, 1, 5 * SCENES)
 
 
 def test_too_little_to_compare_is_one_sentence() -> None:

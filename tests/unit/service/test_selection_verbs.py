@@ -9,6 +9,8 @@ import pytest
 from service.cli.main import main
 from service.store.engine import open_store
 from tests.contracts.ledger_world import World
+from tests.contracts.test_listing_contract import commit
+from tests.contracts.test_proposals_contract import two_days_in_a_street
 from tests.unit.service.mined_state import mined_state, scenes_at
 
 
@@ -62,6 +64,23 @@ def test_scenes_are_selected_by_the_range_of_a_track(
             assert printed.out == ""
             assert said in printed.err
             assert len(printed.err.splitlines()) == 1
+
+
+def test_a_twin_in_place_is_named_and_rows_have_places(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with closing(open_store(tmp_path)) as store:
+        commit(World.on(store), *two_days_in_a_street())
+    state = ["--state", str(tmp_path)]
+    assert main(["top", "--json", *state]) == 0
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert rows[0]["place"]["latitude_deg"] == 48.137
+    assert rows[1]["twin_of"] == rows[0]["scene_id"]
+    assert main(["select", "--budget", "2", "--strategy", "k-centre", "--dry-run", *state]) == 0
+    assert "first of place 48.1369 11.5746" in capsys.readouterr().out
+    assert main(["select", "--budget", "2", *state]) == 0
+    printed = capsys.readouterr()
+    assert ": same place as rank 1, which shows the same" in printed.err
 
 
 def test_scenes_without_a_reason_are_left_out_with_a_line(

@@ -1,6 +1,7 @@
 """Strategies that cover: unlike scenes first, balance, earlier selections, one pass, bounds."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -8,10 +9,11 @@ import pytest
 
 from schemas.arrays import NS_PER_S
 from schemas.events import TrackSummary
-from service.curation.candidates import Candidate, Rows, rows_of
-from service.curation.descriptors import WIDTH, describe
+from schemas.surroundings import CloudStatistics, ScenePlace
+from service.curation.candidates import PLACE, Candidate, Rows, rows_of
+from service.curation.descriptors import WEATHER_WEIGHT, WIDTH, describe
 from service.curation.greedy import ReadPool, pick, pick_from, value_of
-from service.curation.objectives import DETERMINANTAL, K_CENTRE, ObjectiveKind
+from service.curation.objectives import BALANCE, DETERMINANTAL, K_CENTRE, ObjectiveKind
 from service.curation.one_pass import OnePass
 from service.curation.ranking import RankedScene
 from service.curation.strategies.catalogue import select
@@ -109,6 +111,66 @@ def test_descriptors_are_unit_vectors_and_likeness_is_a_share() -> None:
     assert likeness[0, 8] < 0.8
 
 
+DRY = CloudStatistics(returns=100_000, range_m=12.0, airborne_share=0.0, intensity=0.1)
+RAIN = DRY.model_copy(update={"airborne_share": 0.004})
+
+
+def test_scenes_without_weather_are_as_alike_as_their_tracks() -> None:
+    tracks = describe([each.scene for each in SAME + OTHERS])
+    whole = rows_of(SAME + OTHERS).descriptors
+    np.testing.assert_allclose(whole @ whole.T, tracks @ tracks.T, atol=1e-6)
+
+
+def test_the_weather_is_a_small_part_of_the_likeness() -> None:
+    dry, also_dry, rain = (replace(SAME[0], cloud=each) for each in (DRY, DRY, RAIN))
+    found = rows_of([dry, also_dry, rain, SAME[0]]).descriptors
+    likeness = found @ found.T
+    np.testing.assert_allclose(np.diag(likeness), 1.0, atol=1e-5)
+    assert likeness[0, 1] == pytest.approx(1.0, abs=1e-5)
+    assert 1 - WEATHER_WEIGHT <= likeness[0, 2] < 1 - 0.4 * WEATHER_WEIGHT
+    assert likeness[0, 3] == pytest.approx(np.sqrt(1 - WEATHER_WEIGHT), abs=1e-5)
+
+
+@pytest.mark.parametrize("strategy", ["determinantal", "k-centre"])
+def test_of_scenes_that_show_the_same_one_in_other_weather_comes_first(strategy: str) -> None:
+    dry = [replace(each, cloud=DRY) for each in SAME[:5]]
+    wet = replace(SAME[5], cloud=RAIN)
+    assert ranks([*dry, wet], budget=2, strategy=strategy) == [1, 6]
+    assert ranks(SAME[:6], budget=2, strategy=strategy) == [1, 2]
+
+
+HERE = ScenePlace(latitude_deg=48.137, longitude_deg=11.575, odom_m=(0.0, 0.0))
+THERE = HERE.model_copy(update={"latitude_deg": 48.3})
+
+
+@pytest.mark.parametrize("strategy", ["determinantal", "k-centre"])
+def test_of_equal_scenes_that_of_another_place_is_next(strategy: str) -> None:
+    equal = [replace(scene(rank, 0.8), place=HERE) for rank in range(1, 5)]
+    elsewhere = replace(scene(5, 0.8), place=THERE)
+    assert ranks([*equal, elsewhere], budget=2, strategy=strategy) == [1, 5]
+    why = [each.why for each in select([*equal, elsewhere], budget=3, strategy=strategy)]
+    assert "first of place 48.2995 11.5750" in why[1]
+    assert "same place as rank 1" in why[2]
+
+
+@BOTH
+def test_an_unknown_place_is_no_place_that_scenes_share(objective: ObjectiveKind) -> None:
+    rows = rows_of(SAME + OTHERS)
+    placed = rows_of([replace(each, place=HERE) for each in SAME + OTHERS])
+    more = BALANCE * np.log1p(rows.quality)
+    np.testing.assert_allclose(
+        objective.begin(placed).gains() - objective.begin(rows).gains(), more, atol=1e-9
+    )
+    assert (rows.groups[:, PLACE] == 0).all()
+    assert (placed.groups[:, PLACE] != 0).all()
+
+
+def test_a_twin_in_place_says_so() -> None:
+    twin = scene(2, 0.8, twin_of="another-day/lidar/9")
+    why = [each.why for each in select([scene(1, 0.9), twin], budget=2, strategy="k-centre")]
+    assert why[1] == "score 0.800: same place as another-day/lidar/9, which fills the budget"
+
+
 @BOTH
 def test_no_candidate_adds_more_than_its_score_allows(objective: ObjectiveKind) -> None:
     rows = SyntheticPool(400, even=True).first(400)
@@ -145,7 +207,7 @@ def test_the_log_determinant_is_the_sum_of_the_gains() -> None:
     rows = SyntheticPool(200, even=True).first(200)
     one_group = Rows(rows.quality, rows.descriptors, np.zeros_like(rows.groups))
     numbers, gains = pick_from(one_group, DETERMINANTAL, budget=12)
-    from service.curation.objectives import BALANCE, SHARPNESS, SPREAD
+    from service.curation.objectives import SHARPNESS, SPREAD
 
     quality, found = rows.quality[numbers], rows.descriptors[numbers].astype(np.float64)
     matrix = np.eye(12) + SPREAD * np.outer(quality, quality) * (found @ found.T) ** SHARPNESS

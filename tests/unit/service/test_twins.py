@@ -1,6 +1,8 @@
 """Twins: neighbours that show the same thing as a better scene which is no twin itself."""
 
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -8,8 +10,9 @@ import pytest
 from schemas.arrays import NS_PER_S
 from schemas.attribution import Attribution, Wrong
 from schemas.contradiction import ContradictionKind, Place, TrackRecord
+from schemas.surroundings import ScenePlace
 from service.curation.ranking import Neighbour
-from service.curation.twins import ShownScene, Twins
+from service.curation.twins import ShownScene, Twins, is_in_place
 from tests.factories import track_record
 
 STEP_NS = 2 * NS_PER_S
@@ -49,6 +52,112 @@ def shown(
     number: int, *tracks: TrackRecord, odom: str = "shard 0", driven_m: float = 0.0
 ) -> ShownScene:
     return ShownScene(at(number), odom, driven_m, tracks)
+
+
+MUNICH = (48.137, 11.575)
+
+
+def drove_past(
+    day: int,
+    *tracks: TrackRecord,
+    east_m: float = 0.0,
+    heading_rad: float | None = 0.1,
+    log_id: str = "",
+    **changes: Any,
+) -> ShownScene:
+    """A scene of a drive past a place, on another day each; its odom space is turned by the day."""
+    start_ns = day * 86_400 * NS_PER_S
+    longitude = MUNICH[1] + east_m / 111_320.0 / math.cos(math.radians(MUNICH[0]))
+    fields: dict[str, Any] = {
+        "latitude_deg": MUNICH[0],
+        "longitude_deg": longitude,
+        "odom_m": (0.0, 0.0),
+        "odom_yaw_rad": float(day),
+        "heading_rad": heading_rad,
+    }
+    place = ScenePlace(**(fields | changes))
+    at = Neighbour(f"{log_id or f'day-{day}'}/lidar/{start_ns}", start_ns, start_ns + 2 * NS_PER_S)
+    return ShownScene(at, f"day {day}", 20.0, tracks, place)
+
+
+def standing(east_m: float, north_m: float = 0.0, *, day: int, **changes: Any) -> TrackRecord:
+    """A thing that stands some metres from the car, in the odom space of that day."""
+    cos, sin = math.cos(-day), math.sin(-day)
+    at: Place = (cos * east_m - sin * north_m, sin * east_m + cos * north_m, 0.0)
+    return thing(at, **changes)
+
+
+def twins_by_place(*scenes: ShownScene) -> dict[str, str | None]:
+    finder = Twins()
+    found = {each.at.scene_id: finder.twin_of(each, ()) for each in scenes}
+    return {name.partition("/")[0]: twin and twin.partition("/")[0] for name, twin in found.items()}
+
+
+def test_what_stands_at_the_same_place_on_another_day_is_a_twin() -> None:
+    first = drove_past(1, standing(20.0, 5.0, day=1))
+    again = drove_past(3, standing(15.0, 5.0, day=3), east_m=7.0)
+    assert twins_by_place(first, again) == {"day-1": None, "day-3": "day-1"}
+    assert is_in_place(again.at.scene_id, first.at.scene_id)
+
+
+@pytest.mark.parametrize(
+    "again",
+    [
+        pytest.param(drove_past(3, standing(40.0, day=3)), id="elsewhere"),
+        pytest.param(drove_past(3, standing(20.0, day=3), east_m=300.0), id="another street"),
+        pytest.param(drove_past(3, standing(20.0, day=3, class_name="bus")), id="another class"),
+        pytest.param(
+            drove_past(3, standing(20.0, day=3, kind=ContradictionKind.ONLY_SEMANTIC_DYNAMIC)),
+            id="another kind",
+        ),
+        pytest.param(drove_past(3, standing(20.0, day=3, speed_m_per_s=3.0)), id="it drives"),
+        pytest.param(
+            drove_past(3, standing(20.0, day=3, last_odom_m=(3.0, 3.0, 0.0))), id="it went"
+        ),
+        pytest.param(drove_past(3, standing(20.0, day=3), heading_rad=3.0), id="other direction"),
+        pytest.param(drove_past(3, standing(20.0, day=3), heading_rad=None), id="no direction"),
+        pytest.param(drove_past(3, standing(20.0, day=3), odom_yaw_rad=None), id="not turned"),
+        pytest.param(
+            drove_past(
+                *(3, standing(20.0, day=3)),
+                frame="map",
+                x_m=1.0,
+                y_m=2.0,
+                latitude_deg=None,
+                longitude_deg=None,
+            ),
+            id="another frame",
+        ),
+        pytest.param(
+            drove_past(3, standing(20.0, day=3), thing((90.0, 0.0, 0.0), strength=0.4)),
+            id="shows more",
+        ),
+        pytest.param(replace(drove_past(3, standing(20.0, day=3)), place=None), id="no place"),
+    ],
+)
+def test_of_another_drive_only_the_same_standing_thing_is_a_twin(again: ShownScene) -> None:
+    first = drove_past(1, standing(20.0, day=1))
+    assert set(twins_by_place(first, again).values()) == {None}
+
+
+def test_a_drive_is_no_twin_of_itself_in_place_until_it_comes_back() -> None:
+    first, soon, later = (
+        replace(
+            drove_past(1, standing(20.0, day=1)),
+            at=Neighbour(
+                f"log/lidar/{begins_s * NS_PER_S}", begins_s * NS_PER_S, begins_s * NS_PER_S
+            ),
+        )
+        for begins_s in (0, 60, 400)
+    )
+    finder = Twins()
+    found = [finder.twin_of(each, ()) for each in (first, soon, later)]
+    assert found == [None, None, "log/lidar/0"]
+
+
+def test_a_twin_in_place_is_nobodys_original() -> None:
+    chain = [drove_past(day, standing(20.0 + 5 * day, day=day)) for day in range(1, 4)]
+    assert twins_by_place(*chain) == {"day-1": None, "day-2": "day-1", "day-3": None}
 
 
 def twins(scenes: Sequence[ShownScene]) -> dict[str, str | None]:

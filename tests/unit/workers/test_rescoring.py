@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from schemas.contradiction import Scene
-from schemas.frame import OdometryState
+from schemas.frame import OdometryState, RecordedFix
 from schemas.labels import MotionLabel
+from schemas.surroundings import EARTH
 from schemas.task import GROUND
 from schemas.transport.array_pack import joined, parted
 from schemas.transport.wire import encode_scene_score
@@ -49,10 +50,23 @@ def _scored(scene: Scene) -> tuple[bytes, ScoringInputs]:
     return encode_scene_score(score), inputs
 
 
+def _on_earth(scene: Scene) -> Scene:
+    """Return the scene with a fix in each frame."""
+    frames = []
+    for number, frame in enumerate(scene.frames):
+        fix = RecordedFix(frame.stamp_ns, EARTH, (48.1, 11.5 + 1e-5 * number))
+        cloud = replace(frame.posed.frame, fixes=(fix,))
+        frames.append(replace(frame, posed=replace(frame.posed, frame=cloud)))
+    return replace(scene, frames=tuple(frames))
+
+
 @pytest.mark.parametrize(
     "scene",
     [
         pytest.param(labelled_scene([WALL, MISSED, PHANTOM], frames=12), id="a scene"),
+        pytest.param(
+            _on_earth(labelled_scene([WALL, MISSED], frames=12, ego_m_per_s=7.3)), id="a place"
+        ),
         pytest.param(
             labelled_scene([MISSED, PHANTOM], frames=9, ego_m_per_s=7.3, odometry=LATE),
             id="doubted poses",
@@ -72,6 +86,8 @@ def test_the_record_is_computed_again_byte_for_byte(scene: Scene) -> None:
     again = decode_inputs(payload)
     assert encode_scene_score(rescored(again)) == record
     assert encode_inputs(again) == payload
+    has_fix = any(frame.posed.frame.fixes for frame in scene.frames)
+    assert (b'"place":{' in record) == has_fix
 
 
 def test_floats_keep_all_their_bits() -> None:
@@ -95,8 +111,8 @@ def test_the_score_follows_the_stored_features() -> None:
 def test_inputs_of_other_features_are_refused() -> None:
     _, inputs = _scored(labelled_scene([MISSED], frames=5))
     meta, arrays = parted(memoryview(encode_inputs(inputs)))
-    for change in ({"version": 2}, {"features": ["speed"]}):
-        with pytest.raises(ScoringInputsUnreadableError, match="scores version 1 with 41"):
+    for change in ({"version": 1}, {"features": ["speed"]}):
+        with pytest.raises(ScoringInputsUnreadableError, match="scores version 2 with 41"):
             decode_inputs(joined(meta | change, arrays))
 
 

@@ -7,9 +7,10 @@ import pytest
 
 from schemas.attribution import Attribution, Wrong
 from schemas.contradiction import ContradictionKind, LabelledFrame, Scene, SceneState
-from schemas.frame import OdometryState
+from schemas.frame import OdometryState, RecordedFix
 from schemas.labels import Blindness, FrameHealth, MotionLabel
 from schemas.score import MAX_RECORD_BYTES, MAX_TRACKS, MIN_REPORTED_STRENGTH, SceneScore
+from schemas.surroundings import EARTH
 from schemas.transport.wire import decode, encode_scene_score
 from tests.labelled_worlds import (
     CLASS_NAMES,
@@ -387,6 +388,15 @@ def test_a_record_fits_the_bus_whatever_the_names(log_id: str, tracks: int) -> N
     assert decode(SceneScore, payload) == record
     assert record.totals[1].tracks == 48
     assert tracks <= len(record.tracks) <= MAX_TRACKS
+    placed = []
+    for number, frame in enumerate(frames):
+        fix = RecordedFix(frame.stamp_ns, EARTH, (48.1, 11.5 + 1e-4 * number))
+        cloud = replace(frame.posed.frame, fixes=(fix,))
+        placed.append(replace(frame, posed=replace(frame.posed, frame=cloud)))
+    there = _score(replace(scene, frames=tuple(placed)), log_id, names)
+    assert there.place is not None
+    assert there.tracks == record.tracks, "a place takes no track's room"
+    assert len(encode_scene_score(there)) <= MAX_RECORD_BYTES
 
 
 def test_factors_of_the_strength_rise_with_their_evidence() -> None:

@@ -42,6 +42,7 @@ CHANGED = {
     "odometry": "other",
     "lidar_topic": "/lidar/left",
     "odometry_topic": "/odom",
+    "place_topic": "/gps/fix",
     "recorded_topic": "/objects",
     "predictions": "s3://answers/run-2",
     "path_template": "{date}/{name}",

@@ -19,10 +19,12 @@ from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard
 from workers.lab.simulation.faults.fault_truth import PlantedFaults
 from workers.lab.simulation.faults.faults import PlantedFailure
-from workers.lab.simulation.faults.plan import FailureKind
+from workers.lab.simulation.faults.plan import FailureKind, plan_fleet
 from workers.lab.simulation.faults.recorded import record
 from workers.lab.simulation.models.kinds import StreetClass
 from workers.lab.simulation.output.cloud import cloud_of
+from workers.lab.simulation.output.fixes import FIX_TOPIC, origin_of
+from workers.lab.simulation.output.fleet import VEHICLES, on_days
 from workers.lab.simulation.output.odometry import ODOMETRY_TOPIC, RATE_HZ
 from workers.lab.simulation.output.write import LABEL_TOPIC, LIDAR_TOPIC, RecordedAs, write_log
 from workers.lab.simulation.sensor.lidar import sweep
@@ -195,3 +197,38 @@ def test_a_car_that_records_its_motion_says_how_it_drove(tmp_path: Path) -> None
         assert frame.moved is not None
         assert frame.moved.speed_m_per_s == pytest.approx(true, rel=0.08, abs=0.05)
         assert frame.moved.turn_rad_per_s < 0.1
+
+
+def test_a_car_that_records_its_place_says_where_it_is(tmp_path: Path) -> None:
+    plain = street_log(tmp_path / "plain" / f"{KEY}.mcap", frames=FRAMES)
+    path = street_log(tmp_path / "placed" / f"{KEY}.mcap", frames=FRAMES, fixes=True)
+    messages, without = (read_by_library(each)[0] for each in (path, plain))
+    assert [each.data for each, _ in messages[LIDAR_TOPIC]] == [
+        each.data for each, _ in without[LIDAR_TOPIC]
+    ]
+    street = build_street(1, seconds=FRAMES * SMALL_LIDAR.period_s, style="drives")
+    south, west = origin_of(street)
+    frames = read_by_ingest(tmp_path / "placed")
+    fixes = [fix for frame in frames for fix in frame.fixes]
+    assert len(fixes) >= FRAMES // 2
+    off_m = []
+    for fix in fixes:
+        (at,) = street.ego.pose(np.array([(fix.time_ns - frames[0].stamp_ns) / 1e9]))
+        east_m = (fix.at[1] - west) * 111_320.0 * np.cos(np.radians(south))
+        off_m.append((east_m - at[0], (fix.at[0] - south) * 111_320.0 - at[1]))
+    assert np.abs(np.mean(off_m, axis=0)).max() < 3.5
+    assert np.std(off_m, axis=0).max() < 0.9
+    again = street_log(tmp_path / "b" / f"{KEY}.mcap", frames=FRAMES, fixes=True, date="2026-03-09")
+    assert read_by_library(again)[0][FIX_TOPIC] != messages[FIX_TOPIC], "each day has its error"
+
+
+@pytest.mark.parametrize("logs", [1, 2, 5, 7])
+def test_a_street_is_driven_again_on_another_day_by_another_car(logs: int) -> None:
+    plans = plan_fleet(scenes=10 * logs, seed=3, share=0.2)
+    drives = on_days(plans, 3)
+    assert [each.seed for each in drives] == [plan.seed for plan in plans] * 3
+    numbers = [each.number for each in drives]
+    assert len(set(numbers)) == 3 * logs
+    for first, again in zip(numbers[:logs], numbers[logs : 2 * logs], strict=True):
+        assert first % len(VEHICLES) != again % len(VEHICLES)
+        assert first // len(VEHICLES) < again // len(VEHICLES)

@@ -8,11 +8,13 @@ from urllib.parse import parse_qs, quote, urlsplit
 import pytest
 import zstandard
 
+from schemas.surroundings import ScenePlace
 from schemas.transport.overlay_codec import overlay_file_of
 from service.store.engine import open_store
 from service.web.scene_links import links_of, rfc3339
 from tests.browser.scene_overlay import overlay_path, state_with_points
 from tests.contracts.ledger_world import World
+from tests.unit.service.mined_state import mined_state
 from tests.unit.service.web.page import Page
 
 
@@ -155,3 +157,18 @@ def test_other_logs_have_a_command_whose_names_are_quoted() -> None:
 
 def test_an_instant_keeps_its_nanoseconds() -> None:
     assert rfc3339(1_700_000_000_000_000_001).endswith(".000000001Z")
+
+
+def test_a_scene_page_states_the_place_as_text(tmp_path: Path) -> None:
+    frame = "<b>map</b>"
+    place = ScenePlace(frame=frame, x_m=690_000.04, y_m=5.0, odom_m=(0.0, 0.0))
+    mined_state(tmp_path / "metres", place=place)
+    on_earth = ScenePlace(latitude_deg=48.137123, longitude_deg=11.5, odom_m=(0.0, 0.0))
+    mined_state(tmp_path / "earth", place=on_earth)
+    for folder, shown in (
+        ("metres", "&lt;b&gt;map&lt;/b&gt; 690000.0, 5.0"),
+        ("earth", "48.137123, 11.500000"),
+    ):
+        page = Page(tmp_path / folder)
+        scene_id, _ = first(page)
+        assert shown in page.get(f"/scene?id={quote(scene_id, safe='')}").text

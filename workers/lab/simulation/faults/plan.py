@@ -147,6 +147,8 @@ class LogPlan:
         lifelike: Whether the labels have the noise of a real model, ghosts stick to structure, and
             the model may be wrong from the first frame on.
         begin_s: Part of the drive before the first frame, seconds.
+        first_drive: Number of the first log of the same street, whose car decides where failures
+            are planted; None: this log.
     """
 
     number: int
@@ -158,6 +160,7 @@ class LogPlan:
     disturbances: tuple[PlannedDisturbance, ...] = ()
     lifelike: bool = False
     begin_s: float = 0.0
+    first_drive: int | None = None
 
     @property
     def kinds(self) -> tuple[FailureKind, ...]:

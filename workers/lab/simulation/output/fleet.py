@@ -67,6 +67,7 @@ class FleetOptions:
         recorded: Destination of the on-board model's labels.
         chunk_bytes: Uncompressed size at which a chunk is closed.
         odometry: Whether the cars record wheel speed and yaw rate.
+        fixes: Whether they record their place on Earth.
         slow_lorries: Whether lorries and buses pass each car at 2 to 4 m/s.
     """
 
@@ -75,7 +76,23 @@ class FleetOptions:
     recorded: RecordedAs = "fields"
     chunk_bytes: int = 4 << 20
     odometry: bool = False
+    fixes: bool = False
     slow_lorries: bool = False
+
+
+def on_days(plans: Sequence[LogPlan], days: int) -> tuple[LogPlan, ...]:
+    """Plan each street on so many days, each day by the next car of the fleet.
+
+    A street has the same traffic and the same failures each day, as a model fails at the same
+    places again; lidar and receiver differ.
+    """
+    cars = len(VEHICLES)
+    step = cars * -(-len(plans) // cars) + 1
+    return tuple(
+        replace(plan, number=plan.number + day * step, first_drive=plan.number)
+        for day in range(days)
+        for plan in plans
+    )
 
 
 def simulate_to(
@@ -149,7 +166,9 @@ def write_planned(
     car = plan.number % len(VEHICLES)
     lidar = options.lidar or mounted(*VEHICLES[car], columns=options.columns)
     street = planned_street(plan, slow_lorries=options.slow_lorries)
-    planted = draw_faults(street, plan, lidar=lidar)
+    first = car if plan.first_drive is None else plan.first_drive % len(VEHICLES)
+    first_lidar = options.lidar or mounted(*VEHICLES[first], columns=options.columns)
+    planted = draw_faults(street, plan, lidar=first_lidar)
     day = _FIRST_DAY + timedelta(days=plan.number // len(VEHICLES))
     vehicle = f"sim-{car + 1:02d}"
     key = f"{vehicle}/{day.isoformat()}/street-{plan.number:03d}"
@@ -168,6 +187,7 @@ def write_planned(
         ),
         recorded=options.recorded,
         odometry=options.odometry,
+        fixes=options.fixes,
         planted=planted,
         truth=truth,
         log_key=f"logs/{key}.mcap",

@@ -20,6 +20,7 @@ from workers.lab.simulation.output.cloud import (
     labels_of,
     message_of,
 )
+from workers.lab.simulation.output.fixes import FixWriter
 from workers.lab.simulation.output.odometry import OdometryWriter
 from workers.lab.simulation.output.truth import TruthWriter
 from workers.lab.simulation.sensor.compensation import compensate
@@ -53,6 +54,7 @@ def write_log(
     identity: Identity | None = None,
     recorded: RecordedAs = "fields",
     odometry: bool = False,
+    fixes: bool = False,
     planted: PlantedFaults = NOTHING_PLANTED,
     truth: Path | None = None,
     log_key: str = "",
@@ -69,6 +71,7 @@ def write_log(
         identity: Vehicle, date, software version and time of the first frame.
         recorded: Form of the on-board model's answer.
         odometry: Whether the car records wheel speed and yaw rate.
+        fixes: Whether it records its place on Earth.
         planted: Failures of that model, and disturbances of the sensor.
         truth: Folder for the truth of this log; None writes none.
         log_key: Key of the log in the truth.
@@ -96,6 +99,10 @@ def write_log(
         if recorded != "nothing":
             writer.add_metadata("counterpoint.classes", recorded_classes())
         moved = OdometryWriter(writer, street, start_ns=identity.start_ns) if odometry else None
+        drive = f"{identity.vehicle} {identity.date}"
+        placed = (
+            FixWriter(writer, street, start_ns=identity.start_ns, drive=drive) if fixes else None
+        )
         noise = noise_of(street) if planted.lifelike else None
         detector = DetectorWriter(writer, street) if recorded == "boxes" else None
         for index in range(count):
@@ -108,8 +115,9 @@ def write_log(
             if recorded in ("fields", "topic"):
                 onboard = record(street, frame, planted.failures, noise=noise)
             stamp_ns = identity.start_ns + index * lidar.period_ns + late_ns
-            if moved is not None:
-                moved.write_until(stamp_ns)
+            for each in (moved, placed):
+                if each is not None:
+                    each.write_until(stamp_ns)
             labels_in_cloud = onboard if recorded == "fields" else None
             rows = cloud_of(frame, labels_in_cloud, firing=not lidar.compensated)
             message = message_of(rows, stamp_ns=stamp_ns, space=LIDAR_SPACE)
@@ -123,8 +131,9 @@ def write_log(
                 truth_writer.add(frame, stamp_ns=stamp_ns, data_crc32=zlib.crc32(message["data"]))
             if progress is not None:
                 progress()
-        if moved is not None:
-            moved.write_until(identity.start_ns + count * lidar.period_ns)
+        for each in (moved, placed):
+            if each is not None:
+                each.write_until(identity.start_ns + count * lidar.period_ns)
         writer.finish()  # type: ignore[no-untyped-call]  # upstream lacks the return type
     if truth_writer is not None:
         truth_writer.finish(planted.truth(identity.start_ns))
