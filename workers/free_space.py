@@ -12,6 +12,7 @@ from workers.lidar.beam_table import BeamTable
 from workers.lidar.spherical import (
     BLOCK,
     column_of,
+    columns_of_block,
     fill_block,
     new_block,
     project_block,
@@ -177,6 +178,7 @@ def _visibility(
     for first in range(0, len(points), BLOCK):
         n = fill_block(block, points, first, pose)
         project_block(block, n, tangents, steps)
+        columns_of_block(block, n, columns)
         for k in range(n):
             above = row_above(tangents, block.row[k], block.tangent[k])
             if above == 0 or above == rows:
@@ -185,7 +187,7 @@ def _visibility(
             wide = gap > max_gap
             if wide and gap * block.across[k] > WIDE_GAP_M:
                 continue
-            column = column_of(block.angle[k], block.x[k], block.y[k], columns)
+            column = column_of(block.column[k], block.x[k], block.y[k], columns)
             answer[first + k] = _seen(image, above, column, block.distance[k], wide)
     return answer
 

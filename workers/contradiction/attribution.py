@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
+from operator import mul
 from typing import Any, Final
 
 from schemas.attribution import MAX_EVIDENCE, Attribution, Wrong
@@ -51,9 +52,8 @@ class Odds:
 
     def of(self, features: Mapping[str, float]) -> float:
         """Return the log-odds for given features, against the other attributions."""
-        odds = self.intercept + sum(
-            weight * features[name] for name, weight in self.weights.items()
-        )
+        weighed = map(mul, self.weights.values(), map(features.__getitem__, self.weights))
+        odds = self.intercept + float(sum(weighed))
         return max(-_MOST_ODDS, min(_MOST_ODDS, odds))
 
 
@@ -99,7 +99,17 @@ def weight_of(
     It states that this stream is wrong, or that it is not, which decides the strength of the track.
     The weight is the difference to the same track with the counterfactual features.
     """
-    there = _log_odds(table, features)
+    return _weight_of(counterfactual, table, features, wrong, _log_odds(table, features))
+
+
+def _weight_of(
+    counterfactual: Mapping[str, float],
+    table: Table,
+    features: Mapping[str, float],
+    wrong: Wrong,
+    there: float,
+) -> float:
+    """Return `weight_of`, given the log-odds of the features themselves."""
     added = there - _log_odds(table, {**features, **counterfactual})
     return added if wrong in _SUPERVISED else -added
 
@@ -147,9 +157,10 @@ def attribute(
     known = chances(table, named)
     rounded = {wrong: round(chance, _DIGITS) for wrong, chance in known.items()}
     answer = max(Wrong, key=lambda wrong: rounded[wrong])
+    there = _log_odds(table, named)
     weighed = sorted(
         (
-            (round(weight_of(each.counterfactual, table, named, answer), _DIGITS), each)
+            (round(_weight_of(each.counterfactual, table, named, answer, there), _DIGITS), each)
             for each in explanations
         ),
         key=lambda each: -abs(each[0]),

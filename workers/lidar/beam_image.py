@@ -8,6 +8,7 @@ from workers.lidar.beam_table import BeamTable
 from workers.lidar.spherical import (
     BLOCK,
     column_of,
+    columns_of_block,
     new_block,
     project_block,
     row_above,
@@ -54,6 +55,7 @@ def _project(
             block.y[k] = points[first + k, 1]
             block.z[k] = points[first + k, 2]
         project_block(block, n, tangents, steps)
+        columns_of_block(block, n, COLUMNS)
         for k in range(n):
             distance, tangent = block.distance[k], block.tangent[k]
             if distance < NEAREST_RETURN_M:
@@ -63,7 +65,7 @@ def _project(
                 row -= 1
             if abs(tangents[row] - tangent) > max_gap:
                 continue
-            column = column_of(block.angle[k], block.x[k], block.y[k], COLUMNS)
+            column = column_of(block.column[k], block.x[k], block.y[k], COLUMNS)
             if image[row, column] == 0.0 or distance < image[row, column]:
                 image[row, column] = distance
     return image

@@ -41,6 +41,7 @@ class Block(NamedTuple):
         tangent: Of the elevation.
         angle: Azimuth to 3e-5 rad, counter-clockwise from -pi.
         row: (BLOCK,) int32, for `row_above`: a row of the table not above the right one.
+        column: (BLOCK,) int32, filled by `columns_of_block`; -1 too close to the edge of a column.
     """
 
     x: NDArray[np.float32]
@@ -51,15 +52,14 @@ class Block(NamedTuple):
     tangent: NDArray[np.float32]
     angle: NDArray[np.float32]
     row: NDArray[np.int32]
+    column: NDArray[np.int32]
 
 
 @compiled
 def new_block() -> Block:
     """Allocate a block."""
-    room = np.zeros((7, BLOCK), np.float32)
-    return Block(
-        room[0], room[1], room[2], room[3], room[4], room[5], room[6], np.zeros(BLOCK, np.int32)
-    )
+    room, whole = np.zeros((7, BLOCK), np.float32), np.zeros((2, BLOCK), np.int32)
+    return Block(room[0], room[1], room[2], room[3], room[4], room[5], room[6], whole[0], whole[1])
 
 
 @compiled
@@ -149,19 +149,30 @@ def row_above(tangents: NDArray[np.float32], guess: int, tangent: np.float32) ->
 
 
 @compiled
-def column_of(angle: np.float32, x: np.float32, y: np.float32, columns: int) -> int:
-    """Compute the column of a direction, from -pi counter-clockwise.
-
-    The angle is that of `project_block`. The library function decides where it is too close to the
-    edge of a column, so the columns are the same in a quarter of the time.
-    """
+def columns_of_block(block: Block, n: int, columns: int) -> None:
+    """Compute the columns of the first n places of a block, from -pi counter-clockwise."""
     scale = columns / (2.0 * np.pi)
-    place = (np.float64(angle) + np.pi) * scale
-    column = int(place)
     close = ANGLE_ERROR * scale
-    if place - column < close or place - column > 1.0 - close:
+    for k in range(n):  # without a branch, for vector instructions
+        place = (np.float64(block.angle[k]) + np.pi) * scale
+        column = np.int32(place)
+        apart = place - column
+        sure = (apart >= close) & (apart <= 1.0 - close) & (column < columns)
+        block.column[k] = column if sure else np.int32(-1)
+
+
+@compiled
+def column_of(column: int, x: np.float32, y: np.float32, columns: int) -> int:
+    """Return the column of a direction, given that of `columns_of_block`.
+
+    The library function decides where the angle is too close to the edge of a column, so the
+    columns are the same in a quarter of the time.
+    """
+    if column < 0:
+        scale = columns / (2.0 * np.pi)
         column = int((np.arctan2(y, x) + np.pi) * scale)
-    return min(max(column, 0), columns - 1)
+        column = min(max(column, 0), columns - 1)
+    return int(column)
 
 
 @compiled

@@ -64,8 +64,8 @@ def sorted_cells(
         first_point[c + 1] += first_point[c]
     fill = first_point[:-1].copy()
     order = np.empty(m, np.int32)
-    for i in range(m):
-        # columns are short, so insertion into the sorted order is quick
+    for i in _by_height(height_of):
+        # already behind all lower points of its column: only other groups of one cell are passed
         at = fill[column_of[i]]
         fill[column_of[i]] += 1
         while at > first_point[column_of[i]]:
@@ -102,6 +102,29 @@ def sorted_cells(
         place,
         slots,
     )
+
+
+@compiled
+def _by_height(height_of: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Order points by rising height, equals in the given order; all so where heights span far."""
+    m = len(height_of)
+    order = np.arange(m).astype(np.int32)
+    if m == 0:
+        return order
+    low, high = np.int64(height_of[0]), np.int64(height_of[0])
+    for i in range(m):
+        low, high = min(low, np.int64(height_of[i])), max(high, np.int64(height_of[i]))
+    if high - low > m:
+        return order
+    place = np.zeros(high - low + 2, np.int32)
+    for i in range(m):
+        place[height_of[i] - low + 1] += 1
+    for h in range(high - low + 1):
+        place[h + 1] += place[h]
+    for i in range(m):
+        order[place[height_of[i] - low]] = i
+        place[height_of[i] - low] += 1
+    return order
 
 
 @compiled

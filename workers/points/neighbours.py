@@ -10,6 +10,7 @@ from workers.points.point_grid import CELL_M, LAYERS, PointGrid, build_grid, cel
 __all__ = [
     "PointGrid",
     "build_grid",
+    "is_alone",
     "nearer",
     "nearest_distances",
     "nearest_few",
@@ -108,6 +109,47 @@ def nearest_distances(grid: PointGrid, points: Points, reach: float) -> NDArray[
         squared, _ = nearer(grid, points[i, 0], points[i, 1], points[i, 2], reach * reach, -1)
         distance[i] = np.sqrt(squared)
     return distance
+
+
+@compiled
+def is_alone(grid: PointGrid, points: Points, reach: np.float32) -> Mask:
+    """Mark the points without a neighbour in the grid within reach, inclusive; (N,).
+
+    It is `nearest_distances(...) > reach`, but a search ends at the first neighbour within reach.
+    """
+    alone = np.empty(len(points), np.bool_)
+    for i in range(len(points)):
+        alone[i] = _is_alone(grid, points[i, 0], points[i, 1], points[i, 2], reach)
+    return alone
+
+
+@inlined
+def _is_alone(grid: PointGrid, x: float, y: float, z: float, reach: np.float32) -> bool:
+    points, column, start, origin = grid.points_m, grid.column, grid.start, grid.origin_m
+    count_x, count_y = column.shape
+    wide = 1.01 * float(reach)  # cells are passed over by more than the rounding of distances
+    own_x, own_y = cell_along(x, origin[0], count_x), cell_along(y, origin[1], count_y)
+    low, high = cell_along(z - wide, origin[2], LAYERS), cell_along(z + wide, origin[2], LAYERS)
+    first = column[own_x, own_y] * LAYERS
+    if first >= 0:
+        for j in range(start[first + low], start[first + high + 1]):
+            dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
+            if np.float32(np.sqrt(dx * dx + dy * dy + dz * dz)) <= reach:
+                return False
+    for cx in range(
+        cell_along(x - wide, origin[0], count_x), cell_along(x + wide, origin[0], count_x) + 1
+    ):
+        for cy in range(
+            cell_along(y - wide, origin[1], count_y), cell_along(y + wide, origin[1], count_y) + 1
+        ):
+            first = column[cx, cy] * LAYERS
+            if first < 0 or (cx == own_x and cy == own_y):
+                continue
+            for j in range(start[first + low], start[first + high + 1]):
+                dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
+                if np.float32(np.sqrt(dx * dx + dy * dy + dz * dz)) <= reach:
+                    return False
+    return True
 
 
 @compiled

@@ -6,7 +6,7 @@ import numpy as np
 
 from schemas.arrays import Mask, Points
 from workers.points.clusters import Clusters, connected, from_labels
-from workers.points.neighbours import nearest_distances
+from workers.points.neighbours import is_alone
 from workers.points.step_names import step
 from workers.selfsupervised.evidence import FreeSpaceEvidence
 from workers.selfsupervised.registration import Reference, RegistrationResiduals
@@ -64,7 +64,7 @@ def find_parts(
     """
     whole = ~decided & (clusters.sizes >= _SPLIT_VOXELS) & (fit.extent_m > _SPLIT_EXTENT_M)
     asked = np.flatnonzero(clusters.member_mask(whole))
-    is_new = nearest_distances(far.grid, points_m[asked], 1.05 * _NEW_M) > _NEW_M
+    is_new = is_alone(far.grid, points_m[asked], np.float32(_NEW_M))
     among = np.zeros(len(points_m), np.bool_)
     among[asked] = is_new | evidence.seen_through[asked]
     parts = connected(

@@ -21,6 +21,9 @@ from workers.supervised.salsanext import SLOPE, ResBlock, ResContextBlock, Salsa
 _SMALL: Final = 4096
 """Pixels of an image up to which one more pass is cheaper than recomputing its edges."""
 
+_MERGED: Final = ([0, 0], [1, 1], [1, 1], 1)
+"""Padding, stride, dilation and groups of a convolution that merges images."""
+
 
 @dataclass(frozen=True, slots=True)
 class Pending:
@@ -64,13 +67,14 @@ class _Convolution:
         weight = conv.weight.double()
         inner = (weight * before.offset[:, None, None]).sum(dim=(1, 2, 3))
         self._bias = (conv.bias.double() + inner).float()
-        self._weight = _packed(weight * before.scale[:, None, None])
-        self._plain, self._plain_bias = _packed(weight), conv.bias.float()
         self._padding, self._dilation = conv.padding[0], conv.dilation[0]
+        self._geometry = ([self._padding] * 2, [1, 1], [self._dilation] * 2, 1)
+        self._weight = _packed(weight * before.scale[:, None, None], *self._geometry)
+        self._plain, self._plain_bias = _packed(weight, *self._geometry), conv.bias.float()
         self._reach = (conv.kernel_size[0] - 1) * self._dilation
         self._scale, self._offset = _row(before.scale), _row(before.offset)
         self._has_edge = self._padding > 0 and bool((before.offset != 0).any())
-        self._act = act
+        self._activation = ("leaky_relu", [SLOPE]) if act else ("none", [])
 
     def __call__(self, x: Tensor) -> Tensor:
         """Map (B, C, H, W) to (B, O, H, W)."""
@@ -96,17 +100,8 @@ class _Convolution:
         return torch.addcmul(self._offset, x, self._scale)
 
     def _run(self, x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-        ran: Tensor = torch.ops.mkldnn._convolution_pointwise(
-            x,
-            weight,
-            bias,
-            [self._padding] * 2,
-            [1, 1],
-            [self._dilation] * 2,
-            1,
-            "leaky_relu" if self._act else "none",
-            [SLOPE] if self._act else [],
-            "",
+        ran: Tensor = torch.ops.mkldnn._convolution_pointwise.default(
+            x, weight, bias, *self._geometry, *self._activation, ""
         )
         return ran
 
@@ -122,24 +117,30 @@ class _Merge:
         self._bias = (conv.bias.double() + weight[:, :, 0, 0] @ joined.offset).float()
         scaled = weight * joined.scale[:, None, None]
         sizes = [len(part.scale) for part in before]
-        self._weights = [_packed(part) for part in torch.split(scaled, sizes, dim=1)]
+        self._weights = [_packed(part, *_MERGED) for part in torch.split(scaled, sizes, dim=1)]
 
     def __call__(self, images: Sequence[Tensor]) -> Tensor:
         """Map images (B, C_i, H, W) to (B, O, H, W)."""
         first, *others = zip(images, self._weights, strict=True)
-        here = ([0, 0], [1, 1], [1, 1], 1)
-        out: Tensor = torch.ops.mkldnn._convolution_pointwise(
-            *first, self._bias, *here, "none", [], ""
+        out: Tensor = torch.ops.mkldnn._convolution_pointwise.default(
+            *first, self._bias, *_MERGED, "none", [], ""
         )
         for image, weight in others:
             torch.ops.mkldnn._convolution_pointwise_.binary(
-                out, image, weight, None, *here, "add", None, None, [], None
+                out, image, weight, None, *_MERGED, "add", None, None, [], None
             )
         return functional.leaky_relu_(out, SLOPE)
 
 
-def _packed(weight: Tensor) -> Tensor:
-    return weight.float().contiguous(memory_format=torch.channels_last)
+def _packed(
+    weight: Tensor, padding: list[int], stride: list[int], dilation: list[int], groups: int
+) -> Tensor:
+    """Bring the weights of a convolution into oneDNN's own order, which each call would else do."""
+    rows = weight.float().contiguous(memory_format=torch.channels_last)
+    packed: Tensor = torch.ops.mkldnn._reorder_convolution_weight(
+        rows, padding, stride, dilation, groups
+    )
+    return packed
 
 
 class _Context:

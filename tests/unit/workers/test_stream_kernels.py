@@ -13,15 +13,24 @@ from scipy.spatial import cKDTree
 from workers.lidar.spherical import (
     BLOCK,
     column_of,
+    columns_of_block,
     fill_block,
     new_block,
     project_block,
     row_above,
     rows_of_steps,
 )
+from workers.points.cells import sorted_cells
 from workers.points.clusters import connected, from_labels
 from workers.points.compiled import compiled
-from workers.points.neighbours import build_grid, nearest_few, nearest_indices, nearest_rows
+from workers.points.neighbours import (
+    build_grid,
+    is_alone,
+    nearest_distances,
+    nearest_few,
+    nearest_indices,
+    nearest_rows,
+)
 from workers.points.step_names import step, watched
 from workers.selfsupervised.ground_artefacts import are_ground_artefacts
 from workers.selfsupervised.occupancy import CELL_M, build_occupancy, cells_of, scores_around
@@ -68,6 +77,39 @@ def test_clusters_are_the_components_of_all_pairs_within_reach(
     named = np.append(found.members[found.start[:-1]], -1)
     assert np.array_equal(named[found.of_point], expected)
     assert len(found) > 20
+
+
+@pytest.mark.parametrize("highest_m", [3.0, 1e5])  # few heights are counted, many are inserted
+def test_cells_of_a_column_rise_and_keep_the_order_of_their_points(highest_m: float) -> None:
+    points = street(2000, seed=11)
+    points[:, :2] *= 0.1  # tall columns
+    points[7, 2] = highest_m
+    index = np.flatnonzero(np.random.default_rng(12).random(len(points)) < 0.7).astype(np.int32)
+    groups = np.random.default_rng(13).integers(0, 3, len(index)).astype(np.int32)
+    edge_m = np.float32(0.3)
+    x, y, z = np.floor(points[index] / edge_m).astype(np.int64).T
+    _, column = np.unique(np.stack([x, y]), axis=1, return_inverse=True)
+    first = np.full(column.max() + 1, len(index))
+    np.minimum.at(first, column, np.arange(len(index)))
+    expected = np.lexsort((np.arange(len(index)), groups, z, first[column]))
+
+    cells = sorted_cells(points, index, groups, edge_m)
+    assert np.array_equal(cells.order, expected)
+    assert np.array_equal(cells.points_m, points[index[expected]])
+
+
+@pytest.mark.parametrize("reach_m", [0.2, 0.7])
+def test_alone_is_what_has_no_neighbour_within_reach(reach_m: float) -> None:
+    points, asked = street(3000, seed=14), street(2000, seed=15)
+    grid = build_grid(points, np.zeros(3))
+    alone = is_alone(grid, asked, np.float32(reach_m))
+    far = nearest_distances(grid, asked, 2.0 * reach_m) > np.float32(reach_m)
+    assert np.array_equal(alone, far)
+    assert np.array_equal(alone, cKDTree(points).query(asked)[0] > reach_m)
+    assert 0 < alone.sum() < len(asked)
+    here = is_alone(grid, points[:50] + np.array([reach_m, 0, 0], np.float32), np.float32(reach_m))
+    assert not here[:20].all()
+    assert is_alone(build_grid(points[:0], np.zeros(3)), asked, np.float32(reach_m)).all()
 
 
 def test_labels_are_collected_in_their_order() -> None:
@@ -157,10 +199,17 @@ def test_columns_are_those_of_the_exact_angle() -> None:
     # the compiler's library: numpy's own may be off by more than a rounding where it uses AVX-512
     angles = [of_library(*each) for each in zip(y, x, strict=True)]
     exact = [min(max(int((each + np.pi) * scale), 0), columns - 1) for each in angles]
-    seen = looked_at(np.stack([x, y, np.zeros_like(x)], axis=1), TWO_BEAMS)
-    looked = seen[3].astype(np.float32)
-    found = [column_of(*each, columns) for each in zip(looked, x, y, strict=True)]
+    places = np.stack([x, y, np.zeros_like(x)], axis=1)
+    block, steps, found, vectorised = new_block(), rows_of_steps(TWO_BEAMS), [], 0
+    for first in range(0, len(places), BLOCK):
+        n = fill_block(block, places, first, HERE)
+        project_block(block, n, TWO_BEAMS, steps)
+        columns_of_block(block, n, columns)
+        vectorised += int((block.column[:n] >= 0).sum())
+        guesses = zip(block.column[:n].tolist(), block.x[:n], block.y[:n], strict=True)
+        found += [column_of(*each, columns) for each in guesses]
     assert np.array_equal(found, exact)
+    assert 4000 < vectorised < len(places) - 2 * columns  # those at an edge are looked up
 
 
 @pytest.mark.parametrize("rows", [1, 2, 16, 64, 3000])
