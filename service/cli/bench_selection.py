@@ -86,7 +86,10 @@ def _say_modes(kept: list[Path], *, json: bool) -> None:
         return
     table(
         "failure modes against planted kinds",
-        ("tracks", "in a mode", "modes", "planted", "kinds", "mutual information", "ids kept"),
+        (
+            *("tracks", "in a mode", "modes", "planted", "kinds"),
+            *("mutual information", "with classes", "ids kept"),
+        ),
         (
             (
                 row.tracks,
@@ -95,6 +98,7 @@ def _say_modes(kept: list[Path], *, json: bool) -> None:
                 row.planted,
                 row.kinds,
                 "" if row.ami is None else f"{row.ami:.2f}",
+                "" if row.ami_by_class is None else f"{row.ami_by_class:.2f}",
                 "" if row.kept is None else f"{100 * row.kept:.0f} %",
             ),
         ),

@@ -1,12 +1,12 @@
 """Failure modes: strong contradicting tracks of a fleet, grouped by what is alike. Pure.
 
-Modes need no memory of their own. The growth of the fleet is repeated at 128, 256, 512, ... tracks.
-Tracks within the reach of a mode join it, and HDBSCAN (scikit-learn, extra `curation`) groups the
-others of each kind of contradiction into new modes. A mode therefore keeps its id, its name and its
-members as the fleet grows.
+A mode has one kind of contradiction and one class. Modes need no memory of their own. The growth of
+the fleet is repeated at 128, 256, 512, ... tracks. Tracks within the reach of a mode join the
+nearest one. HDBSCAN (scikit-learn, extra `curation`) splits the others of each kind and class where
+they are apart, and they form new modes. A mode therefore keeps its id, its name and its members as
+the fleet grows.
 """
 
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
@@ -25,7 +25,7 @@ FIRST_GROUPED: Final = 128
 """Tracks from which on modes are formed; new ones are sought each time that they have doubled."""
 
 MOST_GROUPED: Final = 4096
-"""Tracks of one kind that are grouped at most, the first of those that are of no mode."""
+"""Tracks of one kind and class that are grouped at most, the first of those that are of no mode."""
 
 FEWEST_MEMBERS: Final = 8
 """Tracks of a new mode at least."""
@@ -33,8 +33,8 @@ FEWEST_MEMBERS: Final = 8
 NEIGHBOURS: Final = 3
 """Tracks that must be near for a track to be in the middle of a mode."""
 
-REACH: Final = 0.9
-"""Share of the first members that are within the reach of a mode."""
+REACH: Final = 1.5
+"""Reach of a mode, in distances of its farthest first member from its centre."""
 
 SPEED_WEIGHT: Final = 0.5
 FAR_M: Final = 20.0
@@ -99,16 +99,16 @@ class _Formed:
     """Lasting facts of a mode, from its first members.
 
     Attributes:
-        mode_id: Digest of its first member.
+        mode_id: Digest of its kind, class and first member.
         name: Of its first members.
-        kind: Kind of contradiction.
+        sort: Its kind of contradiction and its class.
         centre: Mean of its first members.
         reach: Distance from the centre within which tracks join it.
     """
 
     mode_id: str
     name: str
-    kind: str
+    sort: str
     centre: Features
     reach: float
 
@@ -126,18 +126,18 @@ def modes_of(tracks: Sequence[ModeTrack]) -> list[Mode]:
         UsageError: If scikit-learn is not installed.
     """
     features = _features([each.track for each in tracks])
-    kinds = np.array([each.track.kind for each in tracks], object)
+    sorts = np.array([_sort_of(each.track) for each in tracks], object)
     labels, formed = np.full(len(tracks), NONE, np.int64), list[_Formed]()
     size = FIRST_GROUPED
     while size <= len(tracks):
-        _join(labels[:size], features, kinds, formed)
-        for kind in sorted(set(kinds[:size].tolist())):
-            rest = np.flatnonzero((kinds[:size] == kind) & (labels[:size] == NONE))[:MOST_GROUPED]
+        _join(labels[:size], features, sorts, formed)
+        for sort in sorted(set(sorts[:size].tolist())):
+            rest = np.flatnonzero((sorts[:size] == sort) & (labels[:size] == NONE))[:MOST_GROUPED]
             for members in _grouped(features, rest):
                 labels[members] = len(formed)
                 formed.append(_formed(members, features, tracks))
         size *= 2
-    _join(labels, features, kinds, formed)
+    _join(labels, features, sorts, formed)
     labelled = list(zip(tracks, labels.tolist(), strict=True))
     found = [
         Mode(mode.mode_id, mode.name, tuple(each for each, of in labelled if of == number))
@@ -146,8 +146,12 @@ def modes_of(tracks: Sequence[ModeTrack]) -> list[Mode]:
     return sorted(found, key=lambda mode: (-len(mode.members), mode.mode_id))
 
 
+def _sort_of(track: TrackSummary) -> str:
+    return f"{track.kind} {track.class_name}"
+
+
 def _features(tracks: Sequence[TrackSummary]) -> Features:
-    """Return (M, F) features; a unit is a factor of e of a size, 20 m of distance, or a class."""
+    """Return (M, 6) features; a unit is a factor of e of a size, or 20 m of distance."""
     numbers = [
         (
             np.log(max(track.size_m[0], 0.2)),
@@ -159,59 +163,70 @@ def _features(tracks: Sequence[TrackSummary]) -> Features:
         )
         for track in tracks
     ]
-    names, classes = np.unique([track.class_name for track in tracks], return_inverse=True)
-    apart = np.eye(len(names))[classes] / np.sqrt(2.0)
-    return np.hstack([np.array(numbers, np.float64).reshape(len(tracks), 6), apart])
+    return np.array(numbers, np.float64).reshape(len(tracks), 6)
 
 
 def _join(
-    labels: Labels, features: Features, kinds: NDArray[np.object_], formed: Sequence[_Formed]
+    labels: Labels, features: Features, sorts: NDArray[np.object_], formed: Sequence[_Formed]
 ) -> None:
-    """Give the tracks without a mode the one whose reach they are deepest in."""
+    """Give the tracks without a mode the nearest one of their sort within whose reach they are."""
     free = np.flatnonzero(labels == NONE)
-    best = np.ones(len(free))
+    nearest_away = np.full(len(free), np.inf)
     for number, mode in enumerate(formed):
-        depth = np.linalg.norm(features[free] - mode.centre, axis=1) / mode.reach
-        inside = (depth <= best) & (kinds[free] == mode.kind)
+        away = np.linalg.norm(features[free] - mode.centre, axis=1)
+        inside = (away < nearest_away) & (away <= mode.reach) & (sorts[free] == mode.sort)
         labels[free[inside]] = number
-        best[inside] = depth[inside]
+        nearest_away[inside] = away[inside]
 
 
 def _grouped(features: Features, rest: Labels) -> list[Labels]:
-    """Group some tracks of one kind; return the numbers of the tracks of each group."""
+    """Group tracks of one kind and class; return the numbers of the tracks of each group.
+
+    What HDBSCAN leaves between groups goes to the nearest one. Without groups that are apart, all
+    tracks are one group.
+    """
     try:
         from sklearn.cluster import HDBSCAN
     except ImportError:
         raise UsageError("modes need scikit-learn: pip install 'counterpoint[curation]'") from None
-    if len(rest) < 2 * FEWEST_MEMBERS:
+    if len(rest) < FEWEST_MEMBERS:
         return []
-    found = HDBSCAN(
-        min_cluster_size=FEWEST_MEMBERS,
-        min_samples=NEIGHBOURS,
-        allow_single_cluster=True,
-        copy=True,
-    ).fit_predict(features[rest])
-    return [rest[found == number] for number in range(int(found.max()) + 1)]
+    found = np.full(len(rest), NONE)
+    if len(rest) >= 2 * FEWEST_MEMBERS:
+        found = HDBSCAN(
+            min_cluster_size=FEWEST_MEMBERS,
+            min_samples=NEIGHBOURS,
+            allow_single_cluster=True,
+            copy=True,
+        ).fit_predict(features[rest])
+    groups = int(found.max()) + 1
+    if groups == 0:
+        return [rest]
+    centres = np.stack([features[rest[found == each]].mean(axis=0) for each in range(groups)])
+    between = np.flatnonzero(found == NONE)
+    away = np.linalg.norm(features[rest[between], None] - centres[None], axis=2)
+    found[between] = away.argmin(axis=1)
+    return [rest[found == each] for each in range(groups)]
 
 
 def _formed(members: Labels, features: Features, tracks: Sequence[ModeTrack]) -> _Formed:
     centre = features[members].mean(axis=0)
     away = np.linalg.norm(features[members] - centre, axis=1)
     first = tracks[int(members[0])]
-    digest = sha256(first.key.encode()).hexdigest()[:8]
+    sort = _sort_of(first.track)
+    digest = sha256(f"{sort} {first.key}".encode()).hexdigest()[:8]
     return _Formed(
         mode_id=f"mode-{digest}",
         name=_name_of([tracks[at].track for at in members.tolist()]),
-        kind=first.track.kind,
+        sort=sort,
         centre=centre,
-        reach=float(np.quantile(away, REACH)) + 1e-6,
+        reach=REACH * float(away.max()) + 1e-6,
     )
 
 
 def _name_of(tracks: Sequence[TrackSummary]) -> str:
-    """Name a mode by its commonest kind and class and its middle size, distance and speed."""
-    kind, _ = Counter(track.kind for track in tracks).most_common(1)[0]
-    class_name, _ = Counter(track.class_name for track in tracks).most_common(1)[0]
+    """Name a mode by its kind and class and its middle size, distance and speed."""
+    kind, class_name = tracks[0].kind, tracks[0].class_name
     length_m, range_m, speed = (
         float(np.median(values))
         for values in (

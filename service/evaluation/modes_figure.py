@@ -26,6 +26,9 @@ class ModesFigure(BaseModel):
     ami: float | None = Field(
         description="Adjusted mutual information of modes and planted kinds over these."
     )
+    ami_by_class: float | None = Field(
+        description="The same of modes and planted kinds together with the labelled class."
+    )
     kept: float | None = Field(
         description="Share of the members of modes of the first half of the logs that have the "
         "same id in the whole fleet; null: the half has no mode."
@@ -38,7 +41,9 @@ def modes_figure(logs: Sequence[MinedLog]) -> ModesFigure:
     modes = modes_of(tracks)
     of = _ids(modes)
     planted = [each for each in tracks if kinds[each.key] and each.key in of]
+    found = [of[each.key] for each in planted]
     truth = [kinds[each.key] for each in planted]
+    of_classes = [f"{kinds[each.key]} {each.track.class_name}" for each in planted]
     _, earlier = _tracks(logs[: len(logs) // 2])
     members = _ids(modes_of(earlier))
     return ModesFigure(
@@ -47,9 +52,8 @@ def modes_figure(logs: Sequence[MinedLog]) -> ModesFigure:
         modes=len(modes),
         planted=len(planted),
         kinds=len(set(truth)),
-        ami=_rounded(adjusted_mutual_info_score(truth, [of[each.key] for each in planted]))
-        if planted
-        else None,
+        ami=_rounded(adjusted_mutual_info_score(truth, found)) if planted else None,
+        ami_by_class=_rounded(adjusted_mutual_info_score(of_classes, found)) if planted else None,
         kept=_rounded(sum(of.get(key) == mode for key, mode in members.items()) / len(members))
         if members
         else None,

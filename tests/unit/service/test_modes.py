@@ -60,6 +60,19 @@ def test_ways_to_fail_become_modes_with_names() -> None:
     assert sum(len(mode.members) for mode in modes) >= 270
 
 
+def test_a_mode_has_one_class_even_where_sizes_and_places_are_alike() -> None:
+    tracks = fleet(384)[::3]
+    vans = [
+        ModeTrack(each.candidate, each.track.model_copy(update={"class_name": "van"}))
+        if number % 2
+        else each
+        for number, each in enumerate(tracks)
+    ]
+    modes = modes_of(vans)
+    assert sorted(mode.name.split(",")[0] for mode in modes) == ["car", "van"]
+    assert [len(mode.members) for mode in modes] == [64, 64]
+
+
 def test_members_keep_their_mode_as_the_fleet_grows() -> None:
     tracks = fleet(700)
     later = {each.key: mode.mode_id for mode in modes_of(tracks) for each in mode.members}
