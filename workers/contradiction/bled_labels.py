@@ -3,7 +3,8 @@
 A network over range images labels some pixels beyond the border of a mover. They lie on whatever is
 behind it, metres away, and slide along the structure as fast as the mover passes. No object there
 is labelled wrong: unlike a ghost, they are in the direction of an agreed mover. Features count them
-as the rim of that mover.
+as the rim of that mover where the structure continues around them: a parked car next to traffic is
+labelled as a whole, and nothing static of it is left.
 """
 
 import math
@@ -16,13 +17,35 @@ from numpy.typing import NDArray
 from schemas.arrays import Points
 from schemas.contradiction import Instance, LabelledFrame
 from schemas.labels import MotionLabel
+from workers.contradiction.clamp import clamp01
 
 _BIN_RAD: Final = math.radians(1.5)
 """Side of a bin of direction, radians. With its neighbours it reaches 1.5 to 3 degrees: half a
 metre at 10 to 20 m."""
 
+_BLED_FROM: Final = 0.5
+_BLED_ALL: Final = 0.9
+"""Shares of a track in the direction of agreed movers at which none and all of it is bled label."""
+
+_PATCH: Final = 0.3
+_OBJECT: Final = 0.6
+"""Values of the feature `isolation` up to which a track is a patch of a larger structure, and from
+which on it is an object of its own: labels bled onto a wall have 0.1 to 0.3, parked cars 0.8 to 1.
+"""
+
 _COLUMNS: Final = round(2.0 * math.pi / _BIN_RAD)
 _ROWS: Final = round(math.pi / _BIN_RAD)
+
+
+def bled_likeness(bled: float, *, isolation: float) -> float:
+    """Return how much a track resembles a bled label, 0 to 1.
+
+    Args:
+        bled: Share of its points in the direction of agreed movers.
+        isolation: Share of the points around it that contradict in the same way.
+    """
+    directed = clamp01((bled - _BLED_FROM) / (_BLED_ALL - _BLED_FROM))
+    return directed * clamp01((_OBJECT - isolation) / (_OBJECT - _PATCH))
 
 
 class AgreedDirections:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S
 from schemas.contradiction import Instance, Scene
 from schemas.labels import MotionLabel
+from workers.contradiction.bled_labels import bled_likeness
 from workers.contradiction.blind_moments import blind_share, witness_votes
 from workers.contradiction.bulk_motion import bulk_motion_of
 from workers.contradiction.clamp import clamp01
@@ -47,9 +48,6 @@ _DEPARTURE_SEEN_S: Final = 1.0
 An object that sets off at 1.5 m/s2 covers 0.2 m and 0.75 m in them: too little and enough to show.
 """
 
-_BLED_FROM: Final = 0.5
-_BLED_ALL: Final = 0.9
-"""Shares of a track in the direction of agreed movers at which none and all of it is bled label."""
 
 _MIN_EVIDENCE: Final = 0.1
 """Product of `duration` and `point_count` from which on shape persistence is tested."""
@@ -138,6 +136,7 @@ def _features_of(
     bled = 0.0
     if has_no_motion_source(track.kind, scene.task):
         bled = context.agreed_directions.share(members)
+    isolation = clamp01(mean([member.own_share for member in members]))
     standing *= 1.0 - bled
     travels = 1.0 - standing
     free = path_share(track.kind, scene.task, witness_static=witness_static)
@@ -156,9 +155,9 @@ def _features_of(
         mean([member.denied_share for member in members]) + agreed_share * (1.0 - rim)
     )
     agreed_share *= rim
-    shadow = clamp01((bled - _BLED_FROM) / (_BLED_ALL - _BLED_FROM))
-    agreed_share += denied_share * shadow
-    denied_share *= 1.0 - shadow
+    bleeding = bled_likeness(bled, isolation=isolation)
+    agreed_share += denied_share * bleeding
+    denied_share *= 1.0 - bleeding
     range_m = mean([float(np.hypot(*m.centre_m[:2])) for m in members])
     return TrackFeatures(
         witness_dynamic=witness_dynamic,
@@ -187,7 +186,7 @@ def _features_of(
         log_end=clamp01(
             (_DEPARTURE_SEEN_S - observed_s) / (_DEPARTURE_SEEN_S - _DEPARTURE_UNSEEN_S)
         ),
-        isolation=clamp01(mean([member.own_share for member in members])),
+        isolation=isolation,
         supervised_confidence=clamp01(mean([member.semantic_confidence for member in members])),
         selfsupervised_confidence=clamp01(
             mean([member.predictive_confidence for member in members])

@@ -12,6 +12,7 @@ from schemas.labels import FrameLabels, MotionLabel
 from schemas.task import MOTION
 from tests.labelled_worlds import CLASS_NAMES, START_NS, Thing, labelled_frame, ranked_tracks
 from workers.contradiction.agreement import compare
+from workers.contradiction.bled_labels import bled_likeness
 from workers.contradiction.instances import find_instances
 from workers.contradiction.standing_ghosts import path_share
 from workers.contradiction.track_score import RankedTrack
@@ -74,14 +75,24 @@ def test_labels_that_bleed_from_a_mover_onto_the_wall_behind_it_keep_their_path(
 
 
 def test_labels_that_bleed_onto_the_wall_behind_a_slow_mover_are_no_error_on_an_object() -> None:
-    behind = Thing((4.0, 6.0, 0.0), DYNAMIC, STATIC, (2.0, 0.1, 1.5), class_id=0)
-    mover = Thing((2.0, 3.0, 0.0), DYNAMIC, DYNAMIC, (1.5, 0.5, 1.5), velocity_m_per_s=(0.3, 0, 0))
-    (bled,), (alone,) = _wall_tracks([behind, mover]), _wall_tracks([behind])
+    mover = Thing((4.0, 3.0, 0.0), DYNAMIC, DYNAMIC, (1.5, 0.5, 1.5), velocity_m_per_s=(0.2, 0, 0))
+    (bled,), (alone,) = _wall_tracks([mover], patch=True), _wall_tracks([], patch=True)
+    assert alone.features.isolation < 0.3
     assert (alone.features.denied_share, alone.features.agreed_share) == (1.0, 0.0)
     assert bled.features.agreed_share > 0.75
     assert bled.attribution is not None
     assert bled.attribution.wrong is Wrong.NEITHER
     assert bled.strength < 0.3 * alone.strength
+
+
+@pytest.mark.parametrize(
+    ("bled", "isolation", "likeness"),
+    [(1.0, 0.2, 1.0), (1.0, 0.45, 0.5), (1.0, 0.8, 0.0), (0.7, 0.2, 0.5), (0.4, 0.2, 0.0)],
+)
+def test_a_bled_label_is_a_patch_in_the_direction_of_a_mover(
+    bled: float, isolation: float, likeness: float
+) -> None:
+    assert bled_likeness(bled, isolation=isolation) == pytest.approx(likeness)
 
 
 def test_a_parked_car_next_to_a_mover_is_no_bled_label() -> None:
@@ -92,9 +103,26 @@ def test_a_parked_car_next_to_a_mover_is_no_bled_label() -> None:
     assert beside.strength > 0.8 * alone.strength
 
 
-def _wall_tracks(things: Sequence[Thing]) -> Sequence[RankedTrack]:
-    """Return the tracks of a scene with a wall and these things, which the witness sees stand."""
+def _striped(frame: LabelledFrame) -> LabelledFrame:
+    """Label thin stripes of the wall dynamic, between x = 7 and 9 m."""
+    x_m = frame.posed.frame.points_m[: WALL.points, 0]
+    labels = frame.semantic.labels.copy()
+    labels[: WALL.points][(np.abs(x_m - 8.0) < 1.0) & (x_m % 0.4 < 0.08)] = DYNAMIC
+    return replace(
+        frame,
+        semantic=replace(frame.semantic, labels=labels),
+        agreements=compare(labels, frame.predictive.labels),
+    )
+
+
+def _wall_tracks(things: Sequence[Thing], *, patch: bool = False) -> Sequence[RankedTrack]:
+    """Return the tracks of a scene with a wall and these things, which the witness sees stand.
+
+    With `patch` stripes of the wall, 8 cm wide, are labelled dynamic.
+    """
     made = [_frame(n, ghost=False, witness=STATIC, others=things) for n in range(32)]
+    if patch:
+        made = [_striped(frame) for frame in made]
     scene = Scene(
         scene_id=f"fleet/car-1/drive/lidar/{START_NS}",
         frames=tuple(made[10:22]),
