@@ -3,6 +3,7 @@
 They describe a scene for selections and comparisons. No score, track or label depends on them.
 """
 
+import math
 from typing import Annotated, Any, Final, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -12,8 +13,16 @@ from schemas.bounds import Finite, Name, Tally
 EARTH: Final = "wgs84"
 """Frame of latitude and longitude."""
 
+METRES_PER_DEGREE: Final = 111_320.0
+"""Metres of a degree of latitude, and of longitude at the equator."""
+
 _Share = Annotated[float, Field(ge=0, le=1)]
 _Turn = Annotated[float, Field(ge=-3.1416, le=3.1416)]
+
+
+def metres_per_degree_east(latitude_deg: float) -> float:
+    """Return the metres of a degree of longitude; never 0, also at a pole."""
+    return METRES_PER_DEGREE * max(math.cos(math.radians(latitude_deg)), 1e-3)
 
 
 def _is_none(value: Any) -> bool:

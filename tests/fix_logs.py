@@ -52,7 +52,7 @@ uint16 service
 
 @dataclass(frozen=True)
 class Fix:
-    """What one message of a receiver says."""
+    """Content of one message of a receiver."""
 
     stamp_ns: int
     latitude_deg: float

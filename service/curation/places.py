@@ -5,13 +5,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from schemas.surroundings import EARTH, ScenePlace
+from schemas.surroundings import (
+    EARTH,
+    METRES_PER_DEGREE,
+    ScenePlace,
+    metres_per_degree_east,
+)
 
 CELL_M: Final = 100.0
 """Edge of a cell of places, metres: a stretch of a street with its crossing, as people mean it."""
-
-METRES_PER_DEGREE: Final = 111_320.0
-"""Metres of a degree of latitude, and of longitude at the equator."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +37,7 @@ class Spot:
         return Spot(
             EARTH,
             self.first + first_m / METRES_PER_DEGREE,
-            self.second + second_m / _east_metres(self.first),
+            self.second + second_m / metres_per_degree_east(self.first),
         )
 
     def cell(self, edge_m: float) -> tuple[str, int, int]:
@@ -44,7 +46,7 @@ class Spot:
             return self.frame, math.floor(self.first / edge_m), math.floor(self.second / edge_m)
         row = math.floor(self.first * METRES_PER_DEGREE / edge_m)
         turned = (self.second + 180.0) % 360.0
-        east_m = _east_metres((row + 0.5) * edge_m / METRES_PER_DEGREE)
+        east_m = metres_per_degree_east((row + 0.5) * edge_m / METRES_PER_DEGREE)
         return EARTH, row, math.floor(turned * east_m / edge_m)
 
     def cells_around(self, edge_m: float) -> Iterator[tuple[str, int, int]]:
@@ -81,7 +83,7 @@ def apart_m(one: Spot, other: Spot) -> float:
     if one.frame != EARTH:
         return math.hypot(first, second)
     second = (second + 180.0) % 360.0 - 180.0
-    east_m = second * _east_metres((one.first + other.first) / 2)
+    east_m = second * metres_per_degree_east((one.first + other.first) / 2)
     return math.hypot(first * METRES_PER_DEGREE, east_m)
 
 
@@ -93,7 +95,7 @@ def name_of_cell(place: ScenePlace | None) -> str:
     if frame != EARTH:
         return f"{frame} {row * CELL_M:.0f} {column * CELL_M:.0f}"
     south = row * CELL_M / METRES_PER_DEGREE
-    east_m = _east_metres((row + 0.5) * CELL_M / METRES_PER_DEGREE)
+    east_m = metres_per_degree_east((row + 0.5) * CELL_M / METRES_PER_DEGREE)
     return f"{south:.4f} {column * CELL_M / east_m - 180.0:.4f}"
 
 
@@ -108,8 +110,3 @@ def text_of(place: ScenePlace) -> str:
 def turn_between_rad(one: float, other: float) -> float:
     """Return the angle between two directions, 0 to pi."""
     return abs((one - other + math.pi) % (2.0 * math.pi) - math.pi)
-
-
-def _east_metres(latitude_deg: float) -> float:
-    """Return the metres of a degree of longitude; near a pole those of a tenth of a degree off."""
-    return METRES_PER_DEGREE * max(math.cos(math.radians(latitude_deg)), 1e-3)

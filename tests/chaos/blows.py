@@ -1,4 +1,4 @@
-"""What befalls the system, drawn from a seed: kills, freezes, cut networks, a full disk."""
+"""Blows to the system, drawn from a seed: kills, freezes, cut networks, a full disk."""
 
 import heapq
 import random
@@ -45,7 +45,7 @@ class Blows:
         self.dealt: Counter[Blow] = Counter()
         self.killed: Counter[str] = Counter()
         self._hit: dict[str, Callable[[], None]] = {}
-        """What heals each part that is hit now."""
+        """Healing function of each part that is hit now, by name."""
         self._due: list[tuple[float, str]] = []
 
     @property

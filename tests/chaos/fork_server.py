@@ -1,6 +1,6 @@
 """A process that has loaded the program, and forks one that runs it: a start costs little.
 
-Chaos kills hundreds of processes. Loading the program anew for each would take most of the time.
+Chaos kills hundreds of processes. Loading the program again for each would take most of the time.
 The server opens no bus and starts no thread; each child is a process of its own, which a signal
 ends as any other.
 """

@@ -25,7 +25,7 @@ FAULTS: Final = ("Traceback (most recent", "fault of the program", "panicked at"
 
 @dataclass(slots=True)
 class ChaosReport:
-    """What a run of chaos did, and what was left of it.
+    """Blows of a run of chaos, and the state after it.
 
     Attributes:
         seed: Of the run.

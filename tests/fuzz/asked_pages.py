@@ -27,7 +27,7 @@ BUSY: Final = 503
 
 @dataclass(slots=True)
 class HttpReport:
-    """How requests ended.
+    """Counts of requests by their end.
 
     Attributes:
         statuses: Number of answers by target and status.

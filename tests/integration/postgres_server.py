@@ -50,7 +50,7 @@ class Postgres:
         self._do("pg_ctl", "-D", self._data, "-w", "-m", "immediate", "stop")
 
     def ask_for_passwords(self) -> None:
-        """Trust nobody any more who logs in from now on."""
+        """Require a password of every later login."""
         hba = Path(self._data) / "pg_hba.conf"
         hba.write_text("host all all 127.0.0.1/32 scram-sha-256\n")
         self._do("pg_ctl", "-D", self._data, "reload")

@@ -172,7 +172,7 @@ class Pair:
         return found
 
     def done(self) -> int:
-        """Return the number of shards that are done; -1 while nobody answers."""
+        """Return the number of shards that are done; -1 while no service answers."""
         try:
             return self.client.status().shards_by_state.get("done", 0)
         except TransientError:

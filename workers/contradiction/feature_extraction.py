@@ -48,7 +48,6 @@ _DEPARTURE_SEEN_S: Final = 1.0
 An object that sets off at 1.5 m/s2 covers 0.2 m and 0.75 m in them: too little and enough to show.
 """
 
-
 _MIN_EVIDENCE: Final = 0.1
 """Product of `duration` and `point_count` from which on shape persistence is tested."""
 
@@ -136,7 +135,6 @@ def _features_of(
     bled = 0.0
     if has_no_motion_source(track.kind, scene.task):
         bled = context.agreed_directions.share(members)
-    isolation = clamp01(mean([member.own_share for member in members]))
     standing *= 1.0 - bled
     travels = 1.0 - standing
     free = path_share(track.kind, scene.task, witness_static=witness_static)
@@ -149,6 +147,7 @@ def _features_of(
         speed_m_per_s=float(np.median(speeds)),
         pose_doubted=pose_doubted,
     )
+    isolation = clamp01(mean([member.own_share for member in members]))
     rim = rim_likeness(members)
     agreed_share = clamp01(mean([member.agreed_share for member in members]))
     denied_share = clamp01(

@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S
 from schemas.contradiction import LabelledFrame, Scene
 from schemas.frame import RecordedFix
-from schemas.surroundings import EARTH, ScenePlace
+from schemas.surroundings import (
+    EARTH,
+    METRES_PER_DEGREE,
+    ScenePlace,
+    metres_per_degree_east,
+)
 
 REACH_NS: Final = 2 * NS_PER_S
 """Time around the middle of a scene in which fixes count, and one at least must lie: as far as the
@@ -26,9 +31,6 @@ LEAST_WAY_M: Final = 5.0
 MOST_OFF_M: Final = 3.0
 """Mean distance of the fixes from the path that is laid onto them, metres; beyond it one is wrong.
 """
-
-METRES_PER_DEGREE: Final = 111_320.0
-"""Metres of a degree of latitude, and of longitude at the equator."""
 
 Positions = NDArray[np.float64]
 
@@ -90,12 +92,9 @@ def _metres(places: list[tuple[float, float]], origin: RecordedFix) -> Positions
     if origin.frame != EARTH:
         return away
     east = (away[:, 1] + 180.0) % 360.0 - 180.0
-    return np.stack([east * _east_metres(origin), away[:, 0] * METRES_PER_DEGREE], axis=1)
-
-
-def _east_metres(origin: RecordedFix) -> float:
-    """Return the metres of a degree of longitude; at the poles of a degree next to them."""
-    return METRES_PER_DEGREE * max(math.cos(math.radians(origin.at[0])), 1e-3)
+    return np.stack(
+        [east * metres_per_degree_east(origin.at[0]), away[:, 0] * METRES_PER_DEGREE], axis=1
+    )
 
 
 def _turn(in_odom: Positions, in_frame: Positions) -> float | None:
@@ -139,7 +138,7 @@ def _placed(
             heading_rad=heading_rad,
         )
     latitude = origin.at[0] + north_m / METRES_PER_DEGREE
-    longitude = origin.at[1] + east_m / _east_metres(origin)
+    longitude = origin.at[1] + east_m / metres_per_degree_east(origin.at[0])
     return ScenePlace(
         latitude_deg=round(min(max(latitude, -90.0), 90.0), 6) + 0.0,
         longitude_deg=round((longitude + 180.0) % 360.0 - 180.0, 6) + 0.0,

@@ -8,7 +8,7 @@ from typing import Any, Final
 from schemas.arrays import NS_PER_S
 from schemas.bounds import MAX_NAME
 from schemas.frame import RecordedFix
-from schemas.surroundings import EARTH
+from schemas.surroundings import EARTH, METRES_PER_DEGREE
 from schemas.visible import visible
 from schemas.work import Channel
 from workers.ingest.camera_messages import frame_and_stamp
@@ -47,7 +47,6 @@ OUTSIDE: Final = "beyond the Earth"
 JUMPING: Final = "that jump"
 """Causes for which fixes are not used."""
 
-_METRES_PER_DEGREE: Final = 111_320.0
 _MAX_CLOCK_NS: Final = NS_PER_S // 2
 
 
@@ -195,8 +194,8 @@ def _jumps(before: _Logged, now: _Logged) -> bool:
     first, second = end.at[0] - start.at[0], end.at[1] - start.at[1]
     if end.frame == EARTH:
         second = (second + 180.0) % 360.0 - 180.0
-        first *= _METRES_PER_DEGREE
-        second *= _METRES_PER_DEGREE * math.cos(math.radians(end.at[0]))
+        first *= METRES_PER_DEGREE
+        second *= METRES_PER_DEGREE * math.cos(math.radians(end.at[0]))
     passed_ns = max(log_time_ns - logged_ns, end.time_ns - start.time_ns, 0)
     return math.hypot(first, second) > SLACK_M + MAX_SPEED_M_PER_S * passed_ns / NS_PER_S
 

@@ -4,10 +4,9 @@ import math
 
 import pytest
 
-from schemas.surroundings import EARTH, ScenePlace
+from schemas.surroundings import EARTH, METRES_PER_DEGREE, ScenePlace
 from service.curation.places import (
     CELL_M,
-    METRES_PER_DEGREE,
     Spot,
     apart_m,
     name_of_cell,

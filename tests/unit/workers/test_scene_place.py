@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from schemas.contradiction import LabelledFrame, Scene
 from schemas.frame import PosedFrame, RecordedFix
-from schemas.surroundings import EARTH, ScenePlace
+from schemas.surroundings import EARTH, METRES_PER_DEGREE, ScenePlace
 from tests import factories
-from workers.contradiction.scene_place import METRES_PER_DEGREE, scene_place
+from workers.contradiction.scene_place import scene_place
 
 MUNICH = (48.137, 11.575)
 HEADING_RAD = 2.2

@@ -3,7 +3,6 @@
 Streets lie kilometres apart on Earth, each where its seed says, with x to the east.
 """
 
-import math
 from collections.abc import Iterator
 from typing import Any, Final
 from zlib import crc32
@@ -12,6 +11,7 @@ import numpy as np
 from mcap_ros2.writer import Writer
 
 from schemas.arrays import NS_PER_S
+from schemas.surroundings import METRES_PER_DEGREE, metres_per_degree_east
 from workers.ingest.ros_definitions import ROS2_DEFINITIONS
 from workers.lab.simulation.output.cloud import STAMP_DEFINITION
 from workers.lab.simulation.world.street import Street
@@ -31,8 +31,6 @@ _SOUTH_WEST: Final = (47.0, 8.0)
 _STREETS_A_SIDE: Final = 200
 _APART_DEG: Final = 0.02
 """Streets lie on a square of 4 degrees, 2 km apart in latitude; two may share a place by chance."""
-
-_METRES_PER_DEGREE: Final = 111_320.0
 
 
 class FixWriter:
@@ -76,7 +74,7 @@ def fix_messages(
     at_m = street.ego.pose(np.arange(count) / RATE_HZ)[:, :2]
     at_m = at_m + rng.normal(0.0, _DAILY_M, 2) + rng.normal(0.0, _NOISE_M, (count, 2))
     south, west = origin_of(street)
-    east_metres = _METRES_PER_DEGREE * math.cos(math.radians(south))
+    east_metres = metres_per_degree_east(south)
     for number, (east_m, north_m) in enumerate(at_m.tolist()):
         stamp_ns = start_ns + number * NS_PER_S // RATE_HZ
         seconds, nanoseconds = divmod(stamp_ns, NS_PER_S)
@@ -85,7 +83,7 @@ def fix_messages(
             {
                 "header": {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": "gps"},
                 "status": {"status": 0, "service": 1},
-                "latitude": south + north_m / _METRES_PER_DEGREE,
+                "latitude": south + north_m / METRES_PER_DEGREE,
                 "longitude": west + east_m / east_metres,
                 "altitude": 0.0,
                 "position_covariance": [

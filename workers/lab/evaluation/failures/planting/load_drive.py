@@ -144,10 +144,7 @@ def _frame(
     ground = np.isin(class_id, GROUND)
     if predictive.ground_mask is not None and coarse is None:
         ground = predictive.ground_mask
-    if coarse is not None:
-        track = whole_objects(
-            true, track, points_m=frame.points_m, class_id=class_id, ground=ground
-        )
+    track = whole_objects(true, track, points_m=frame.points_m, class_id=class_id, ground=ground)
     return DriveFrame(
         index=number,
         time_s=time_s,
