@@ -19,34 +19,8 @@ from typer.exceptions import Abort, Exit, TyperException
 
 from schemas.errors import PermanentError, TransientError
 from schemas.runtime.process import log_to_stderr
-from service.cli import (
-    calibrate,
-    compare,
-    convert,
-    daemons,
-    demo,
-    evaluate,
-    exports,
-    label_imports,
-    lidarcoda,
-    logs,
-    measure,
-    modes,
-    parts,
-    plan,
-    rates,
-    retry,
-    review,
-    scenes,
-    security,
-    selections,
-    settings,
-    simulate,
-    teach,
-    verdicts,
-    weights,
-)
 from service.cli.output import page, remark, remark_as_events, usage
+from service.cli.verbs import files_of
 from service.errors import UsageError
 
 EX_SOFTWARE = 70
@@ -60,24 +34,6 @@ _OF_THE_MACHINE: Final = _MAY_PASS | {
 """Error numbers of disks and permissions, reported here if no verb has reported them better."""
 
 log = structlog.get_logger(__name__)
-
-app = typer.Typer(
-    name="counterpoint",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    help="Find the scenes of a fleet's lidar logs in which two independent streams contradict "
-    "each other. No label is needed.",
-    epilog="Try it: counterpoint demo --out demo-output",
-)
-for mining in (daemons, logs, scenes, selections, verdicts, exports, label_imports):
-    mining.add_to(app)
-for looking in (compare, modes, plan, rates, retry, review, security):
-    looking.add_to(app)
-judges = (evaluate, measure, calibrate, lidarcoda)
-for measuring in (demo, simulate, convert, *judges, parts, settings, weights, teach):
-    measuring.add_to(app)
 
 
 class _Terminated(BaseException):
@@ -108,7 +64,6 @@ def _say_version(wanted: bool) -> None:
         raise Exit
 
 
-@app.callback()
 def _of_every_verb(
     _version: Annotated[
         bool,
@@ -118,10 +73,31 @@ def _of_every_verb(
     """Accept the options in front of any verb."""
 
 
+def app_of(verb: str | None = None) -> typer.Typer:
+    """Return the command with this verb alone; without one, or for an unknown one, with all.
+
+    To load all verbs takes a second, most of them a third of that.
+    """
+    app = typer.Typer(
+        name="counterpoint",
+        no_args_is_help=True,
+        add_completion=False,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+        help="Find the scenes of a fleet's lidar logs in which two independent streams contradict "
+        "each other. No label is needed.",
+        epilog="Try it: counterpoint demo --out demo-output",
+        callback=_of_every_verb,
+    )
+    for file in files_of(verb):
+        file.add_to(app)
+    return app
+
+
 @cache
-def _command() -> TyperGroup:
-    """Build the commands of all verbs once in a process: a tenth of a second."""
-    return typer.main.get_group(app)
+def _command(verb: str | None) -> TyperGroup:
+    """Build the command once in a process."""
+    return typer.main.get_group(app_of(verb))
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -136,7 +112,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         arguments = _need_text(sys.argv[1:] if argv is None else argv)
         with _unwound_by_sigterm():
-            ended = _command().main(
+            ended = _command(next(iter(arguments), None)).main(
                 args=arguments,
                 prog_name="counterpoint",
                 standalone_mode=False,

@@ -2,14 +2,16 @@
 
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from schemas.score import SceneScore
 from service.cli.output import counted, listing, remark, table
 from service.curation.ranking import RankedScene
 from service.curation.scene_names import short_names
 from service.curation.status import SkippedEntries, Status, skipped_phrases
-from service.dry_run import DryLog, DryRun
+
+if TYPE_CHECKING:
+    from service.dry_run import DryLog, DryRun
 
 
 def say_what_was_found(status: Status) -> None:
@@ -198,7 +200,7 @@ def say_inspected(report: dict[str, Any]) -> None:
         table("damage", report["damage"][0].keys(), (row.values() for row in report["damage"]))
 
 
-def say_dry_run(found: DryRun) -> None:
+def say_dry_run(found: "DryRun") -> None:
     """Print the work that a run would do, and the estimate with its basis."""
     table(
         f"logs in {found.bucket}",
@@ -244,7 +246,7 @@ def say_dry_run(found: DryRun) -> None:
     remark("nothing was mined or written")
 
 
-def _say_compared(found: DryRun) -> None:
+def _say_compared(found: "DryRun") -> None:
     counts = ", ".join(f"{count} {what}" for what, count in sorted(found.by_standing.items()))
     remark(f"under pipeline version {found.pipeline_version} the state has: {counts}")
     if found.pipeline_version != found.state_version:
@@ -258,7 +260,7 @@ def _say_compared(found: DryRun) -> None:
         remark(f"{parked} plans and shards are parked, and not counted: `counterpoint retry`")
 
 
-def _standing(log: DryLog) -> str:
+def _standing(log: "DryLog") -> str:
     return f"{log.standing}, {log.parked} parked" if log.parked else log.standing
 
 

@@ -12,7 +12,7 @@ import typer
 import yaml
 
 from schemas.transport.endpoints import is_loopback
-from service.cli.main import EX_TEMPFAIL, app
+from service.cli.main import EX_TEMPFAIL, app_of
 from service.settings.config import Settings
 from service.worker_pools import accepted_by
 from workers.pool.slot import KILL_MARGIN_S
@@ -51,7 +51,7 @@ def environment_of(instructions: list[tuple[str, str]]) -> dict[str, str]:
 
 def check_command(words: list[str]) -> None:
     """Assert that the command has this verb, and the verb these options."""
-    verbs: dict[str, Any] = vars(typer.main.get_command(app))["commands"]
+    verbs: dict[str, Any] = vars(typer.main.get_command(app_of()))["commands"]
     verb = verbs[words[0]]
     known = {option for param in verb.params for option in (*param.opts, *param.secondary_opts)}
     given = {word for word in words[1:] if word.startswith("--")}

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from service.cli.main import app
+from service.cli.main import app_of
 from tests.architecture.sentences import (
     CODE,
     ROOT,
@@ -74,7 +74,7 @@ def _room_of(path: Path) -> str:
 
 
 def _texts_of_the_command_line() -> Iterator[tuple[str, str]]:
-    waiting = [("counterpoint", typer.main.get_command(app))]
+    waiting = [("counterpoint", typer.main.get_command(app_of()))]
     while waiting:
         name, command = waiting.pop()
         verbs = getattr(command, "commands", {})

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import typer
 
-from service.cli.main import app
+from service.cli.main import app_of
 from service.cli.settings import flags_of
 from service.settings.config import NOT_IN_VERSION, ReadSettings, Settings
 from service.settings.table import setting_rows, settings_page
@@ -14,7 +14,7 @@ PAGE = Path(__file__).resolve().parents[2] / "deploy" / "SETTINGS.md"
 
 
 def test_the_page_of_settings_is_up_to_date() -> None:
-    page = settings_page(flags_of(typer.main.get_command(app)))
+    page = settings_page(flags_of(typer.main.get_command(app_of())))
     assert PAGE.read_text(encoding="utf-8") == page, (
         "a setting or a flag changed: run `counterpoint config --markdown > deploy/SETTINGS.md`"
     )
@@ -33,7 +33,7 @@ def test_what_is_said_to_be_mined_anew_is_what_the_pipeline_version_digests() ->
 
 def test_every_option_of_every_verb_has_a_help_and_every_verb_an_example() -> None:
     silent = []
-    waiting = [("counterpoint", typer.main.get_command(app))]
+    waiting = [("counterpoint", typer.main.get_command(app_of()))]
     while waiting:
         name, command = waiting.pop()
         verbs = getattr(command, "commands", {})

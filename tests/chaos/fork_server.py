@@ -22,6 +22,7 @@ from tests.integration.standby_pair import Process
 LOADED: Final = (
     "service.alone",
     "service.router",
+    "service.cli.daemons",
     "service.cli.main",
     "tests.integration.quick_miner",
 )

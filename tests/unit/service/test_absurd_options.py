@@ -10,7 +10,7 @@ from typing import Any, Final
 import pytest
 import typer
 
-from service.cli.main import app, main
+from service.cli.main import app_of, main
 from tests.unit.service.mined_state import mined_state
 
 TEXTS: Final = (
@@ -114,7 +114,7 @@ def commands(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[s
         yield from commands(each, (*path, name))
 
 
-VERBS: Final = dict(commands(typer.main.get_command(app)))
+VERBS: Final = dict(commands(typer.main.get_command(app_of())))
 
 
 def values(verb: tuple[str, ...], parameter: Any) -> Sequence[str]:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from service.cli.main import app
+from service.cli.main import app_of
 from service.fleet_costs import Fleet, FrameRates, Prices, costs_of
 
 
@@ -34,9 +34,9 @@ def test_twice_the_cars_cost_twice_as_much_but_an_hour_costs_the_same() -> None:
 
 def test_the_command_states_its_basis_and_prints_numbers_for_programs(tmp_path: Path) -> None:
     asked = ["plan", "--cars", "100", "--hours", "8", "--state", str(tmp_path / "none")]
-    told = CliRunner().invoke(app, asked)
+    told = CliRunner().invoke(app_of("plan"), asked)
     assert told.exit_code == 0, told.output
     assert "as measured elsewhere" in told.output
-    found = json.loads(CliRunner().invoke(app, [*asked, "--json"]).stdout)
+    found = json.loads(CliRunner().invoke(app_of("plan"), [*asked, "--json"]).stdout)
     assert found["frames_a_day"] == 28_800_000
     assert found["measured_frames"] == 0

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import pytest
 import typer
 
-from service.cli.main import app
+from service.cli.main import app_of
 from service.cli.option_groups import MiningOptions, grouped
 from service.settings.config import Settings
 from service.settings.sources import flag_of, leaves
@@ -32,7 +32,7 @@ def verbs(command: Any, name: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
         yield from verbs(each, f"{name} {verb}".strip())
 
 
-VERBS = dict(verbs(typer.main.get_command(app)))
+VERBS = dict(verbs(typer.main.get_command(app_of())))
 del VERBS["simulate"]["--odometry"]  # what a simulated car records
 
 
