@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 from schemas.score import SceneScore
-from service.cli.output import counted, listing, remark, table
+from service.cli.output import counted, listing, remark, result_line, table
 from service.curation.ranking import RankedScene
 from service.curation.scene_names import short_names
 from service.curation.status import SkippedEntries, Status, skipped_phrases
@@ -99,6 +99,18 @@ def say_judged(scores: Iterable[SceneScore]) -> None:
     pairs = {(each.producers.supervised, each.producers.selfsupervised): None for each in scores}
     if pairs:
         remark("streams: " + "; ".join(said_of(*pair) for pair in pairs))
+
+
+def say_reasons(score: SceneScore) -> None:
+    """Print the reasons of a scene: the number of the box in the picture, headline, evidence.
+
+    A reason without a number is about the whole scene.
+    """
+    for reason in score.reasons:
+        mark = "-" if reason.track_id is None else str(reason.track_id + 1)
+        result_line(f"{mark:<3}{reason.headline}")
+        if reason.evidence:
+            result_line(f"   {reason.evidence}")
 
 
 def say_open(scores: Sequence[SceneScore]) -> None:

@@ -27,7 +27,13 @@ from service.cli.options import (
     settings_for,
 )
 from service.cli.output import json_line, remark, result_line
-from service.cli.report import said_of, say_judged, say_ranking, say_what_was_found
+from service.cli.report import (
+    said_of,
+    say_judged,
+    say_ranking,
+    say_reasons,
+    say_what_was_found,
+)
 from service.client.merge import SceneEvent
 from service.curation.places import text_of
 from service.curation.scene_names import is_short_name, named, short_names
@@ -200,6 +206,7 @@ def show(
     where = "" if score.place is None else f", at {text_of(score.place)}"
     remark(f"{out}: {score.scene_id}, score {score.score:.3f}{where}")
     say_judged([score])
+    say_reasons(score)
 
 
 def find_scene(source: Reader, said: str) -> tuple[str, int | None, str]:

@@ -1,5 +1,6 @@
 """What `show` says when an overlay is not what it should be: which file, and what to do."""
 
+import json
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -61,3 +62,13 @@ def test_an_overlay_where_it_belongs_is_drawn(overlays: list[Path]) -> None:
     assert show() == 0
     with Image.open("scene.png") as picture:
         assert picture.size == (1720, 1250)
+
+
+@pytest.mark.usefixtures("overlays")
+def test_the_reasons_of_the_picture_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["top", "-n", "1", "--state", "state", "--json"]) == 0
+    listed = json.loads(capsys.readouterr().out)["reasons"]
+    assert listed
+    assert show() == 0
+    printed = capsys.readouterr().out.splitlines()
+    assert [line[3:] for line in printed if not line.startswith(" ")] == listed
