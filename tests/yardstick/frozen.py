@@ -2,13 +2,16 @@
 
 import hashlib
 import json
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from schemas.overlay import Overlay
+from schemas.score import Producers
 from schemas.transport.overlay_codec import decode_overlay
+from workers.contradiction.scoring_inputs import decode_inputs, encode_inputs
 from workers.mine import MinedRecord
 
 TEXTS: Final = frozenset(
@@ -17,6 +20,9 @@ TEXTS: Final = frozenset(
 """Fields of a record, at any depth, that hold words for people."""
 
 PRODUCERS: Final = "producers"
+
+_NO_PRODUCERS: Final = Producers(supervised="", selfsupervised="", pipeline_version="none")
+"""In place of those that the inputs of a score repeat."""
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
 
@@ -91,6 +97,8 @@ def _digests(overlay: Overlay) -> dict[str, str]:
     digests = {}
     for name in overlay.__slots__:
         part = getattr(overlay, name)
+        if name == "scoring_inputs" and part:
+            part = encode_inputs(replace(decode_inputs(part), producers=_NO_PRODUCERS))
         if isinstance(part, np.ndarray):
             part = f"{part.dtype.str} {part.shape} {digest_of(part.tobytes())}"
         digests[name] = digest_of(str(part).encode())

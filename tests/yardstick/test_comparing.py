@@ -1,9 +1,20 @@
 """What the yardstick calls a difference."""
 
+from dataclasses import replace
 from typing import Any
 
+from schemas.canonical import sha256
+from schemas.score import SceneScore
+from schemas.transport.overlay_codec import decode_overlay, encode_overlay
+from tests.unit.workers.test_rescored_scene import mine
 from tests.yardstick.comparing import differences, other_texts
-from tests.yardstick.frozen import FrozenScene, Yardstick
+from tests.yardstick.frozen import FrozenScene, Yardstick, frozen_scene
+from workers.contradiction.scoring_inputs import decode_inputs, encode_inputs
+from workers.mine import MinedRecord
+
+
+def mined(score: SceneScore, record: bytes, overlay: bytes) -> MinedRecord:
+    return MinedRecord(score, record, sha256(record), overlay, overlay_key="")
 
 
 def state(log: str = "0", **changed: Any) -> Yardstick:
@@ -23,6 +34,21 @@ def test_other_producers_are_no_difference() -> None:
     other = state(producers={"pipeline_version": "p2"})
     assert list(differences(state(), other)) == []
     assert list(other_texts(state(), other)) == []
+
+
+def test_inputs_of_a_score_by_other_producers_are_no_difference() -> None:
+    one, other = (frozen_scene(mined(*mine(version))) for version in ("p1", "p2"))
+    assert one.producers != other.producers
+    assert (one.values, one.overlay) == (other.values, other.overlay)
+    score, record, overlay = mine("p1")
+    file = decode_overlay(overlay)
+    inputs = decode_inputs(file.scoring_inputs)
+    inputs = replace(inputs, statistics=replace(inputs.statistics, remark="another"))
+    file = replace(file, scoring_inputs=encode_inputs(inputs))
+    changed = frozen_scene(mined(score, record, encode_overlay(file)))
+    assert {name for name in one.overlay if one.overlay[name] != changed.overlay[name]} == {
+        "scoring_inputs"
+    }
 
 
 def test_other_words_are_named_apart() -> None:
