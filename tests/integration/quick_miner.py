@@ -6,6 +6,7 @@ Leases, publishing and commits are the product's; plans and records are made up,
 import os
 import signal
 import sys
+from pathlib import Path
 from threading import Event
 
 import zenoh
@@ -14,6 +15,7 @@ from schemas.runtime.process import stop_on_signals
 from schemas.runtime.retry import StoppedError
 from schemas.transport import keys
 from schemas.transport.bus import client_session, recoverable_publisher
+from schemas.transport.locks import OPEN, Locks
 from schemas.work import CommitRequest, MineLease, NothingToDo, PlanLease
 from tests.contracts.ledger_world import manifest_of, mined, plan_of, shard_commit
 from workers.worker.lease import LeaseKeeper, Leases
@@ -21,7 +23,9 @@ from workers.worker.lease import LeaseKeeper, Leases
 SHARDS_PER_LOG = 8
 
 
-def main(endpoint: str, worker_id: str, dies_of: str = "", record_s: str = "0.02") -> None:
+def main(
+    endpoint: str, worker_id: str, dies_of: str = "", record_s: str = "0.02", authority: str = ""
+) -> None:
     """Work until told to stop.
 
     Args:
@@ -29,14 +33,24 @@ def main(endpoint: str, worker_id: str, dies_of: str = "", record_s: str = "0.02
         worker_id: Of this miner.
         dies_of: Kills itself in the lease of a shard `LOG:INDEX`, or in `each` lease.
         record_s: How long each record takes, seconds.
+        authority: Folder of an authority, with a certificate of the miner's name; empty: no locks.
     """
-    with stop_on_signals() as stop, client_session(endpoint.split(","), stop=stop) as session:
-        leases = Leases(session, root=keys.DEFAULT_ROOT, worker_id=worker_id)
+    locks = locks_of(Path(authority), worker_id.partition(keys.OWNER_END)[0]) if authority else OPEN
+    at = endpoint.split(",")
+    with stop_on_signals() as stop, client_session(at, stop=stop, locks=locks) as session:
+        leases = Leases(
+            session, root=keys.DEFAULT_ROOT, worker_id=worker_id, is_named=bool(authority)
+        )
         while not stop.is_set():
             try:
                 _next(session, leases, stop, dies_of, float(record_s))
             except StoppedError:
                 return
+
+
+def locks_of(authority: Path, name: str) -> Locks:
+    """Return the locks of a process by the name in its certificate."""
+    return Locks(*(str(authority / each) for each in ("ca.pem", f"{name}.pem", f"{name}.key")))
 
 
 def _next(
