@@ -42,4 +42,4 @@ def read_by(script: str, path: Path, *, environment: str = "labelling") -> Any:
         timeout=200,
     )
     assert run.returncode == 0, f"{script} rejects {path}:\n{run.stderr[-4000:]}"
-    return json.loads(run.stdout)
+    return json.loads(run.stdout.splitlines()[-1])  # readers write progress, too
