@@ -108,13 +108,13 @@ def _need_logs(name: str, scenes: Sequence[ComparedScene], match: Match, matched
 
 
 def _places(matched: Matched) -> tuple[ComparedPlace, ...]:
-    """Return the places that are compared by themselves, those with most scenes first."""
+    """Return the places that are compared by themselves, the greatest rise of tracks first."""
     sides = ((matched.a, matched.at_a), (matched.b, matched.at_b))
     found = [
         ComparedPlace(place=place, a=_at(place, *sides[0]), b=_at(place, *sides[1]))
         for place in matched.places
     ]
-    found.sort(key=lambda row: (-row.a.scenes - row.b.scenes, row.place))
+    found.sort(key=lambda row: (row.a.tracks - row.b.tracks, row.place))
     return tuple(found[:MOST_PLACES])
 
 

@@ -189,7 +189,7 @@ class Comparison(BaseModel):
         default=(),
         max_length=MOST_PLACES,
         exclude_if=lambda value: value == (),
-        description="The places, those with most scenes first; absent without one.",
+        description="The places, the greatest rise of tracks first; absent without one.",
     )
     tolerance: Finite
     comparisons: Count = Field(description="Groups that were tested, for which Holm corrects.")

@@ -63,7 +63,8 @@ def markdown(found: Comparison) -> str:
 def _lines(found: Comparison) -> Iterator[str]:
     yield f"# {'Regression' if found.regressed else 'No regression'}: B against A"
     yield ""
-    yield f"{gate_sentence(found).capitalize()}. Tolerance: {100 * found.tolerance:.0f} %."
+    sentence = gate_sentence(found)
+    yield f"{sentence[:1].upper()}{sentence[1:]}. Tolerance: {100 * found.tolerance:.0f} %."
     yield ""
     yield "| side | version | logs | scenes | hours | left out |"
     yield "|---|---|---|---|---|---|"

@@ -179,14 +179,15 @@ def test_scenes_of_a_place_that_both_passed_are_compared_with_each_other() -> No
     found = compare(one, other, ComparisonTerms(match="roads"))
     assert (found.regressed, found.improved) == (0, 0), "both are as good at the same places"
     assert "over 2 places, corrected" in gate_sentence(found)
-    crossing, lane = found.at_places
-    assert (crossing.place, lane.place) == tuple(matched.places)
-    assert [(row.a.logs, row.b.logs) for row in found.at_places] == [(30, 5), (5, 30)]
-    assert crossing.a.tracks == sum(len(s.tracks) for s in one.scenes if s.log_id[2] == "x")
+    rose, fell = found.at_places
+    assert (fell.place, rose.place) == tuple(matched.places)
+    assert [(row.a.logs, row.b.logs) for row in found.at_places] == [(5, 30), (30, 5)]
+    assert fell.a.tracks == sum(len(s.tracks) for s in one.scenes if s.log_id[2] == "x")
     first, more = place_lines(found, most=1)
-    assert first.startswith("place 47.9995 10.9992: logs 30 of A and 5 of B, scenes 120 and 20, ")
+    assert first.startswith("place 48.0992 10.9995: logs 5 of A and 30 of B, scenes 20 and 120, ")
     assert more == "and 1 more place"
-    assert "* place 48.0992 10.9995: " in markdown(found)
+    assert "* place 47.9995 10.9992: " in markdown(found)
+    assert "corrected by Holm" in markdown(found).splitlines()[2]
     bare_one, bare_other = (
         NamedSide(each.name, [replace(s, place=None) for s in each.scenes]) for each in sides
     )
