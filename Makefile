@@ -17,7 +17,7 @@ install: .venv/.installed  ## Make .venv with the command counterpoint in it
 .readers/labelling/.installed: tests/readers/requirements.txt
 	@echo "installing programs that read exports into .readers/labelling: 0.6 GB"
 	$(PYTHON) -m venv --clear .readers/labelling
-	.readers/labelling/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -r $<
+	.readers/labelling/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --no-deps -r $<
 	@touch $@
 
 .readers/fiftyone/.installed:
@@ -26,7 +26,7 @@ install: .venv/.installed  ## Make .venv with the command counterpoint in it
 	@touch $@
 
 readers: .readers/labelling/.installed  ## Programs of others that read exports in tests
-readers-fiftyone: .readers/fiftyone/.installed  ## FiftyOne, for its test; with a MongoDB, 1.6 GB
+readers-fiftyone: .readers/fiftyone/.installed  ## FiftyOne, for its test; with a MongoDB, 1.2 GB
 
 check: .venv/.installed    ## Format, lint, types, imports: what needs no server
 	$(BIN)/ruff format --check .

@@ -143,7 +143,7 @@ class SideSummary(BaseModel):
 
 
 class PlaceExtent(BaseModel):
-    """What one side has at a place."""
+    """Extent of one side at a place."""
 
     model_config = _STRICT
 
