@@ -26,7 +26,7 @@ install: .venv/.installed  ## Make .venv with the command counterpoint in it
 	@touch $@
 
 readers: .readers/labelling/.installed  ## Programs of others that read exports in tests
-readers-fiftyone: .readers/fiftyone/.installed  ## FiftyOne, for its test; with a MongoDB, 1.2 GB
+fiftyone: .readers/fiftyone/.installed  ## FiftyOne, for its test; with a MongoDB, 1.2 GB
 
 check: .venv/.installed    ## Format, lint, types, imports: what needs no server
 	$(BIN)/ruff format --check .
@@ -61,4 +61,4 @@ demo: .venv/.installed     ## Simulated street logs, the whole system, a ranked 
 bench: .venv/.installed    ## Where the time goes, beside floors measured in the same run
 	$(BIN)/counterpoint bench pipeline
 
-.PHONY: help install readers readers-fiftyone check check-js test integration browser golden fix demo bench
+.PHONY: help install readers fiftyone check check-js test integration browser golden fix demo bench

@@ -12,7 +12,7 @@ HERE: Final = Path(__file__).resolve().parent
 ENVIRONMENTS: Final = HERE.parents[1] / ".readers"
 HOW: Final = {
     "labelling": "make readers",
-    "fiftyone": "make readers-fiftyone (1.2 GB with its MongoDB, so no part of CI)",
+    "fiftyone": "make fiftyone (1.2 GB with its MongoDB, so no part of CI)",
 }
 """Environments by name: the command that makes each."""
 OUTSIDE_CI: Final = ("fiftyone",)
