@@ -14,6 +14,20 @@ help:         ## Show this list
 install: .venv/.installed  ## Make .venv with the command counterpoint in it
 	@echo "installed: $(BIN)/counterpoint; see it work: make demo"
 
+.readers/labelling/.installed: tests/readers/requirements.txt
+	@echo "installing programs that read exports into .readers/labelling: 0.6 GB"
+	$(PYTHON) -m venv --clear .readers/labelling
+	.readers/labelling/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --no-deps -r $<
+	@touch $@
+
+.readers/fiftyone/.installed:
+	$(PYTHON) -m venv --clear .readers/fiftyone
+	.readers/fiftyone/bin/python -m pip install --quiet --disable-pip-version-check fiftyone==1.22.1
+	@touch $@
+
+readers: .readers/labelling/.installed  ## Programs of others that read exports in tests
+fiftyone: .readers/fiftyone/.installed  ## FiftyOne, for its test; with a MongoDB, 1.2 GB
+
 check: .venv/.installed    ## Format, lint, types, imports: what needs no server
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
@@ -47,4 +61,4 @@ demo: .venv/.installed     ## Simulated street logs, the whole system, a ranked 
 bench: .venv/.installed    ## Where the time goes, beside floors measured in the same run
 	$(BIN)/counterpoint bench pipeline
 
-.PHONY: help install check check-js test integration browser golden fix demo bench
+.PHONY: help install readers fiftyone check check-js test integration browser golden fix demo bench

@@ -1,11 +1,11 @@
 """Rendering of the Helm chart by Helm's own engine, without a cluster and without a binary."""
 
-import os
 from pathlib import Path
 from typing import Any, Final
 
-import pytest
 import yaml
+
+from tests.needed import needed
 
 CHART: Final = Path(__file__).parents[1] / "deploy" / "helm" / "counterpoint"
 NEEDED: Final[dict[str, Any]] = {
@@ -50,11 +50,7 @@ SETS: Final[dict[str, dict[str, Any]]] = {
 
 def helm() -> Any:
     """Return Helm's engine; in CI its absence is a failure, elsewhere the test is skipped."""
-    if os.environ.get("CI"):
-        import helm_python
-
-        return helm_python
-    return pytest.importorskip("helm_python", reason="needs the extra `chart`")
+    return needed("helm_python", "the extra `chart`")
 
 
 def rendered(values: dict[str, Any]) -> list[dict[str, Any]]:

@@ -25,7 +25,7 @@ from service.curation.comparison import (
     Match,
     Rate,
 )
-from service.curation.comparison_report import gate_sentence, group_name, markdown
+from service.curation.comparison_report import gate_sentence, group_name, markdown, place_lines
 from service.curation.rates import instants_ns
 from service.errors import UsageError
 from service.output_files import need_writable, save_text
@@ -34,6 +34,9 @@ EX_REGRESSED: Final = 3
 """Exit code of a comparison in which a group regressed."""
 
 FIELDS: Final = ("software", "pipeline", "state", "vehicle", "since", "until")
+
+_MOST_PLACES: Final = 5
+"""Compared places that are printed; `--json` and `--markdown` have more."""
 
 _SIDE_HELP: Final = (
     "{what}: software=2026.1, pipeline=NAME or state=DIR; further terms after commas: "
@@ -180,12 +183,15 @@ def _say(found: Comparison) -> None:
     for row in found.groups:
         _say_examples(row)
     result_line(gate_sentence(found))
-    for name, side in (("A", found.a), ("B", found.b)):
-        out = f", {counted(side.left_out, 'scene')} left out" if side.left_out else ""
+    for name, side, other in (("A", found.a, "B"), ("B", found.b, "A")):
+        what = "of a log" if same else "on a kind of road"
+        out = f"; {counted(side.left_out, 'scene')} {what} that {other} lacks, left out"
         remark(
             f"{name}: {counted(side.logs, 'log')}, {counted(side.scenes, 'scene')}, "
-            f"{side.hours:.3f} h{out}"
+            f"{side.hours:.3f} h{out if side.left_out else ''}"
         )
+    for line in place_lines(found, most=_MOST_PLACES):
+        remark(line)
     if found.too_few:
         remark(f"{counted(found.too_few, 'group')} with too few tracks or logs, not compared")
     if not found.modes:

@@ -72,6 +72,11 @@ def import_labels(
     unlabelled = sum(scene.unlabelled for scene in scenes)
     without = f"; {counted(unlabelled, 'frame')} without labels" if unlabelled else ""
     remark(f"{truth}: {counted(frames, 'frame')} of {counted(len(scenes), 'scene')}{without}")
+    if same := sum(frame.is_unchanged for scene in scenes for frame in scene.frames):
+        remark(
+            f"{same} of {counted(frames, 'frame')} still have the pre-labels of the export: if "
+            "nobody finished them, these judgements are the streams' own"
+        )
     told = ", ".join(f"{name} {count}" for name, count in counted_verdicts(judged).items())
     remark(f"{counted(len(judged), 'contradiction')} judged; which stream is wrong: {told or '-'}")
     if reviewer is not None:

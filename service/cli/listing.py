@@ -8,7 +8,7 @@ import typer
 from schemas.attribution import Wrong
 from service.api.messages import checked_request
 from service.api.reader import Reader
-from service.cli.output import counted, json_line, listing
+from service.cli.output import counted, json_line, listing, remark
 from service.curation.listing import MAX_PAGE, ListedScene, ScenesRequest
 from service.curation.ranges import MAX_BOUND_M
 from service.curation.rates import instants_ns
@@ -29,10 +29,15 @@ class ListingOptions:
         str | None, _option("--software-version", help_="Only this software version of the car.")
     ] = None
     kind: Annotated[
-        str | None, _option("--kind", help_="Only scenes with a strong track of this kind.")
+        str | None,
+        _option(
+            "--kind",
+            help_="Only scenes with a strong track of this kind: `rates --by kind` lists them.",
+        ),
     ] = None
     class_name: Annotated[
-        str | None, _option("--class", help_="Only scenes with a strong track of this class.")
+        str | None,
+        _option("--class", help_="Only scenes with a strong track of this class, such as car."),
     ] = None
     wrong: Annotated[
         Wrong | None, _option("--wrong", help_="Only scenes with this attribution of a track.")
@@ -147,3 +152,5 @@ def say_listed(rows: list[ListedScene], total: str, *, json: bool) -> None:
             for row in rows
         ),
     )
+    if not rows:
+        remark("no scene passes; `rates --by kind`, `vehicle` or `version` lists what there is")

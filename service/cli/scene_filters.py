@@ -27,10 +27,14 @@ class SceneFilters:
     ] = ""
     until: Annotated[str, typer.Option("--until", help="Only recorded before: as --since.")] = ""
     kind: Annotated[
-        str | None, typer.Option("--kind", help="Only with a strong track of this kind.")
+        str | None,
+        typer.Option(
+            "--kind", help="Only with a strong track of this kind: `rates --by kind` lists them."
+        ),
     ] = None
     class_name: Annotated[
-        str | None, typer.Option("--class", help="Only with a strong track of this class.")
+        str | None,
+        typer.Option("--class", help="Only with a strong track of this class, such as car."),
     ] = None
     wrong: Annotated[
         str | None,

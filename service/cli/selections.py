@@ -84,7 +84,7 @@ def select(
         return
     ranking = source.top(selection.last_rank)
     say_selection(selection, among=ranking)
-    say_left_out(selection, ranking)
+    say_left_out(selection, ranking, terms)
     remark("ids for a labelling tool: --json, or the published selection")
 
 
@@ -165,16 +165,24 @@ def say_selection(selection: Selection, *, among: Sequence[RankedScene]) -> None
     )
 
 
-def say_left_out(selection: Selection, ranking: Sequence[RankedScene]) -> None:
+def say_left_out(
+    selection: Selection, ranking: Sequence[RankedScene], terms: SelectionTerms
+) -> None:
     """Print a line for each of the first scenes that a selection left out, with the cause."""
     names, rank_of = short_names(ranking), {row.scene_id: row.rank for row in ranking}
     passed = left_out(ranking, selection)
+    causes = (
+        "selected earlier" if not terms.again else "",
+        "filtered" if terms.filters is not None else "",
+        "like a chosen scene" if terms.strategy != DEFAULT else "",
+    )
+    cause = " or ".join(filter(None, causes)) or "new since the choice"
 
     def why(row: RankedScene) -> str:
         if not has_reason(row):
             return f"no reason, {why_no_reason(row)}"
         if row.twin_of is None:
-            return "selected earlier, filtered, or like a chosen scene"
+            return cause
         if is_in_place(row.scene_id, row.twin_of):
             return f"same place as rank {rank_of.get(row.twin_of)}, which shows the same"
         return f"twin of rank {rank_of.get(row.twin_of)}, which shows the same"

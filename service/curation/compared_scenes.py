@@ -92,7 +92,11 @@ class Matched:
         road_a: (len(a),) number of the kind of road of each.
         road_b: (len(b),) the same of B.
         roads: Number of kinds of road; 0 where the same logs are compared.
-        places: Number of those that are one place, which both sides know.
+        places: Names of the places that are a kind of road by themselves; those of scenes are in
+            `at_a` and `at_b`.
+        places_too_few: Number of places that both sides passed, one of them with too few logs.
+        at_a: Place of each scene of A, empty where it goes by kind of road.
+        at_b: The same of B.
     """
 
     a: Sequence[ComparedScene]
@@ -100,7 +104,10 @@ class Matched:
     road_a: NDArray[np.int64]
     road_b: NDArray[np.int64]
     roads: int
-    places: int = 0
+    places: Sequence[str] = ()
+    places_too_few: int = 0
+    at_a: Sequence[str] = ()
+    at_b: Sequence[str] = ()
 
 
 def match_scenes(a: NamedSide, b: NamedSide, match: Match) -> Matched:
@@ -130,33 +137,41 @@ def _same_roads(a: Sequence[ComparedScene], b: Sequence[ComparedScene]) -> Match
     fast = np.searchsorted(SPEEDS_M_PER_S, speeds, side="right")
     road = fast * DENSITIES + np.searchsorted(edges, shares, side="right")
     kinds = (len(SPEEDS_M_PER_S) + 1) * DENSITIES
-    cells = {cell: kinds + number for number, cell in enumerate(_shared_cells(a, b))}
+    shared, too_few = _shared_cells(a, b)
+    cells = {cell: kinds + number for number, cell in enumerate(shared)}
     cell_of = [name_of_cell(scene.place) for scene in both]
+    at = [cell if cell in cells else "" for cell in cell_of]
     road = np.array(
         [cells.get(cell, kind) for cell, kind in zip(cell_of, road.tolist(), strict=True)], np.int64
     )
     road_a, road_b = road[: len(a)], road[len(a) :]
     common = np.intersect1d(road_a, road_b)
-    in_a, in_b = np.isin(road_a, common), np.isin(road_b, common)
+    in_a, in_b = np.flatnonzero(np.isin(road_a, common)), np.flatnonzero(np.isin(road_b, common))
     return Matched(
-        [scene for scene, is_in in zip(a, in_a.tolist(), strict=True) if is_in],
-        [scene for scene, is_in in zip(b, in_b.tolist(), strict=True) if is_in],
+        [a[number] for number in in_a.tolist()],
+        [b[number] for number in in_b.tolist()],
         np.searchsorted(common, road_a[in_a]),
         np.searchsorted(common, road_b[in_b]),
         roads=len(common),
-        places=len(cells),
+        places=shared,
+        places_too_few=too_few,
+        at_a=[at[number] for number in in_a.tolist()],
+        at_b=[at[len(a) + number] for number in in_b.tolist()],
     )
 
 
-def _shared_cells(a: Sequence[ComparedScene], b: Sequence[ComparedScene]) -> list[str]:
-    """Return the cells of places that `LOGS_AT_A_PLACE` logs of each side passed, by name."""
+def _shared_cells(a: Sequence[ComparedScene], b: Sequence[ComparedScene]) -> tuple[list[str], int]:
+    """Return the cells of places that `LOGS_AT_A_PLACE` logs of each side passed, by name.
+
+    The number is that of the cells that both passed, one of them with fewer logs.
+    """
     passed: tuple[defaultdict[str, set[str]], ...] = (defaultdict(set), defaultdict(set))
     for logs, scenes in zip(passed, (a, b), strict=True):
         for scene in scenes:
             if scene.place is not None:
                 logs[name_of_cell(scene.place)].add(scene.log_id)
-    return sorted(
-        cell
-        for cell in passed[0].keys() & passed[1].keys()
-        if min(len(logs[cell]) for logs in passed) >= LOGS_AT_A_PLACE
+    both = passed[0].keys() & passed[1].keys()
+    enough = sorted(
+        cell for cell in both if min(len(logs[cell]) for logs in passed) >= LOGS_AT_A_PLACE
     )
+    return enough, len(both) - len(enough)

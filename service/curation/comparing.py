@@ -20,11 +20,15 @@ from service.curation.compared_scenes import (
 from service.curation.compared_tracks import ComparedTrack, Group, grouped_tracks, unmatched
 from service.curation.comparison import (
     EXAMPLES,
+    MOST_PLACES,
     ComparedExample,
     ComparedGroup,
+    ComparedPlace,
     Comparison,
     ComparisonTerms,
+    Match,
     Outcome,
+    PlaceExtent,
     Rate,
     SideSummary,
 )
@@ -61,8 +65,8 @@ def compare(a: NamedSide, b: NamedSide, terms: ComparisonTerms) -> Comparison:
         if not side.scenes:
             raise NothingFoundError(f"no scored scene of {side.name}: there is nothing to compare")
     matched = match_scenes(a, b, terms.match)
-    _need_logs(a.name, matched.a, matched)
-    _need_logs(b.name, matched.b, matched)
+    _need_logs(a.name, matched.a, terms.match, matched)
+    _need_logs(b.name, matched.b, terms.match, matched)
     tracks, has_modes = grouped_tracks(matched.a, matched.b)
     known = sorted({group for each in tracks for group in each.groups})
     kept = [group for group in known if _is_enough(group, tracks)]
@@ -73,7 +77,9 @@ def compare(a: NamedSide, b: NamedSide, terms: ComparisonTerms) -> Comparison:
         b=_summary(b, matched.b),
         matched="roads" if matched.roads else "logs",
         roads=matched.roads,
-        places=matched.places,
+        places=len(matched.places),
+        places_too_few=matched.places_too_few,
+        at_places=_places(matched),
         tolerance=terms.tolerance,
         comparisons=len(rows),
         too_few=len(known) - len(rows),
@@ -84,19 +90,41 @@ def compare(a: NamedSide, b: NamedSide, terms: ComparisonTerms) -> Comparison:
     )
 
 
-def _need_logs(name: str, scenes: Sequence[ComparedScene], matched: Matched) -> None:
+def _need_logs(name: str, scenes: Sequence[ComparedScene], match: Match, matched: Matched) -> None:
     logs = len({scene.log_id for scene in scenes})
-    if logs == 0:
+    if logs == 0 and match == "logs":
         raise NothingFoundError(
-            "both sides have no log and no kind of road in common: compare others, or name "
-            "--match roads"
+            "the sides have no log in common: compare the same kinds of road with --match roads"
         )
+    if logs == 0:
+        raise NothingFoundError("the sides have no log and no kind of road in common")
     if logs < FEWEST_LOGS:
-        what = "of a road that both drove" if matched.roads else "that both have"
+        what = "on kinds of road that both sides drove" if matched.roads else "that both sides have"
+        few = f"{logs} log{'s' * (logs != 1)}"
         raise UsageError(
-            f"{name} has {logs} logs {what}, too few for an interval; a comparison needs "
+            f"too few logs for an interval: {name} has {few} {what}, and a comparison needs "
             f"{FEWEST_LOGS} of each side"
         )
+
+
+def _places(matched: Matched) -> tuple[ComparedPlace, ...]:
+    """Return the places that are compared by themselves, the greatest rise of tracks first."""
+    sides = ((matched.a, matched.at_a), (matched.b, matched.at_b))
+    found = [
+        ComparedPlace(place=place, a=_at(place, *sides[0]), b=_at(place, *sides[1]))
+        for place in matched.places
+    ]
+    found.sort(key=lambda row: (row.a.tracks - row.b.tracks, row.place))
+    return tuple(found[:MOST_PLACES])
+
+
+def _at(place: str, scenes: Sequence[ComparedScene], at: Sequence[str]) -> PlaceExtent:
+    here = [scene for scene, name in zip(scenes, at, strict=True) if name == place]
+    return PlaceExtent(
+        logs=len({scene.log_id for scene in here}),
+        scenes=len(here),
+        tracks=sum(len(scene.tracks) for scene in here),
+    )
 
 
 def _summary(side: NamedSide, kept: Sequence[ComparedScene]) -> SideSummary:

@@ -17,6 +17,9 @@ EXAMPLES: Final = 5
 
 MAX_TOLERANCE: Final = 100.0
 
+MOST_PLACES: Final = 50
+"""Compared places that a comparison lists."""
+
 Match = Literal["auto", "logs", "roads"]
 """Design of a comparison: `logs` compares the very same logs, `roads` scenes of the same kind of
 road, and `auto` takes `logs` where most logs are on both sides.
@@ -139,6 +142,29 @@ class SideSummary(BaseModel):
     left_out: Count = Field(description="Scored scenes of a road, or a log, that B or A lacks.")
 
 
+class PlaceExtent(BaseModel):
+    """Extent of one side at a place."""
+
+    model_config = _STRICT
+
+    logs: Count
+    scenes: Count
+    tracks: Count = Field(description="Strong tracks on which the supervised stream errs.")
+
+
+class ComparedPlace(BaseModel):
+    """A place whose scenes are compared with each other only."""
+
+    model_config = _STRICT
+
+    place: Said = Field(
+        description="South-west corner of a square of 100 m, in degrees of latitude and longitude; "
+        "or the name of a frame, and x and y in metres."
+    )
+    a: PlaceExtent
+    b: PlaceExtent
+
+
 class Comparison(BaseModel):
     """Result of a comparison: every group that was tested, the worst first."""
 
@@ -152,6 +178,18 @@ class Comparison(BaseModel):
         default=0,
         exclude_if=lambda value: value == 0,
         description="Those of them that are one place, of 100 m; absent without one.",
+    )
+    places_too_few: Count = Field(
+        default=0,
+        exclude_if=lambda value: value == 0,
+        description="Places that both sides passed, one with fewer than 4 logs: their scenes go "
+        "by kind of road. Absent without one.",
+    )
+    at_places: tuple[ComparedPlace, ...] = Field(
+        default=(),
+        max_length=MOST_PLACES,
+        exclude_if=lambda value: value == (),
+        description="The places, the greatest rise of tracks first; absent without one.",
     )
     tolerance: Finite
     comparisons: Count = Field(description="Groups that were tested, for which Holm corrects.")

@@ -3,7 +3,8 @@
 from collections.abc import Iterator
 from typing import Final
 
-from service.curation.comparison import ComparedGroup, Comparison, Rate
+from service.curation.compared_scenes import LOGS_AT_A_PLACE
+from service.curation.comparison import MOST_PLACES, ComparedGroup, Comparison, Rate
 
 _WORDS: Final = {"regressed": "**regressed**", "improved": "improved", "same": "no difference"}
 
@@ -37,6 +38,23 @@ def group_name(row: ComparedGroup) -> str:
     return f"{row.by} {row.group.replace('_', ' ') or 'none'}"
 
 
+def place_lines(found: Comparison, *, most: int) -> Iterator[str]:
+    """Yield a line for each compared place up to a number, and lines for the others."""
+    for row in found.at_places[:most]:
+        a, b = row.a, row.b
+        yield (
+            f"place {row.place}: logs {a.logs} of A and {b.logs} of B, scenes {a.scenes} and "
+            f"{b.scenes}, strong tracks {a.tracks} and {b.tracks}"
+        )
+    if found.places > most:
+        yield f"and {found.places - most} more place{'s' * (found.places - most > 1)}"
+    if found.places_too_few:
+        yield (
+            f"{found.places_too_few} place{'s' * (found.places_too_few > 1)} that both sides "
+            f"passed, one of them on fewer than {LOGS_AT_A_PLACE} logs: compared by kind of road"
+        )
+
+
 def markdown(found: Comparison) -> str:
     """Return the report of a comparison."""
     return "\n".join(_lines(found)) + "\n"
@@ -45,7 +63,8 @@ def markdown(found: Comparison) -> str:
 def _lines(found: Comparison) -> Iterator[str]:
     yield f"# {'Regression' if found.regressed else 'No regression'}: B against A"
     yield ""
-    yield f"{gate_sentence(found).capitalize()}. Tolerance: {100 * found.tolerance:.0f} %."
+    sentence = gate_sentence(found)
+    yield f"{sentence[:1].upper()}{sentence[1:]}. Tolerance: {100 * found.tolerance:.0f} %."
     yield ""
     yield "| side | version | logs | scenes | hours | left out |"
     yield "|---|---|---|---|---|---|"
@@ -69,6 +88,12 @@ def _lines(found: Comparison) -> Iterator[str]:
             f"{group.difference:+.1f} ({group.corrected_low:.1f} to {group.corrected_high:.1f}) | "
             f"{group.corrected_p:.3g} | {_WORDS[group.outcome]} |{more}"
         )
+    if found.at_places or found.places_too_few:
+        yield ""
+        yield "## Places compared by themselves, by their south-west corner"
+        yield ""
+        for line in place_lines(found, most=MOST_PLACES):
+            yield f"* {_cell(line)}"
     if found.too_few:
         yield ""
         yield f"{found.too_few} further groups have too few tracks or logs to compare."

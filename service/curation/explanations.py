@@ -59,7 +59,7 @@ def whys(chosen: Sequence[Candidate], *, before: Sequence[Candidate]) -> list[st
                 if again < len(before)
                 else f"rank {everything[again].scene.rank}"
             )
-            parts.append(f"same place as {known}")
+            parts.append(f"within {CELL_M:.0f} m of {known}")
         new = []
         for group, (name, value) in enumerate(zip(BALANCED, candidate.groups, strict=True)):
             if value and value not in seen[group]:

@@ -2,10 +2,12 @@
 
 import json
 from collections.abc import Sequence
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.export.points import LabelledCloud
 from service.export.scene import SceneToExport
@@ -21,6 +23,11 @@ def write_index(cloud: LabelledCloud, folder: Path) -> None:
     cloud.raw_index.astype("<u4").tofile(folder / INDEX / f"{cloud.number:06d}.bin")
 
 
+def digest_of(words: NDArray[np.unsignedinteger]) -> str:
+    """Digest the classes of the labels of a frame, in the order of its exported points."""
+    return sha256((words & 0xFFFF).astype("<u2").tobytes()).hexdigest()[:16]
+
+
 def frame_of(cloud: LabelledCloud, scene: SceneToExport) -> dict[str, Any]:
     """Describe a frame, by the names that a folder of truth gives its frames."""
     return {
@@ -29,6 +36,7 @@ def frame_of(cloud: LabelledCloud, scene: SceneToExport) -> dict[str, Any]:
         "header_stamp": cloud.stamp_ns,
         "points": len(cloud),
         "raw_points": cloud.raw_points,
+        "pre_labels": digest_of(cloud.label),
     }
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.errors import UsageError
-from service.export.frames_file import INDEX, NAME
+from service.export.frames_file import INDEX, NAME, digest_of
 from service.export.journal import need_inside, scenes_of
 from service.export.label_files import ReadLabels
 
@@ -75,12 +75,14 @@ class LabelledFrame:
         stamp_ns: Of the frame.
         topic: Of the lidar.
         words: (N,) words of SemanticKITTI for each raw point, 0 where none was exported.
+        is_unchanged: Whether every class is still the pre-label of the export.
     """
 
     number: int
     stamp_ns: int
     topic: str
     words: NDArray[np.uint32]
+    is_unchanged: bool = False
 
     @property
     def motion(self) -> NDArray[np.uint8]:
@@ -171,7 +173,10 @@ def _read_frame(folder: Path, about: dict[str, Any], read: ReadLabels) -> Labell
         )
     of_raw = np.zeros(raw, dtype=np.uint32)
     of_raw[index] = words
-    return LabelledFrame(number, int(about["header_stamp"]), str(about["topic"]), of_raw)
+    is_unchanged = digest_of(words) == about.get("pre_labels")
+    return LabelledFrame(
+        number, int(about["header_stamp"]), str(about["topic"]), of_raw, is_unchanged
+    )
 
 
 def write_truth(scenes: list[ImportedScene], folder: Path) -> int:

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from itertools import takewhile
 from typing import Any, Final
 
@@ -82,9 +83,15 @@ def side_name(asked: ComparedSide) -> str:
         )
         if value is not None
     ]
-    if asked.since_ns or asked.until_ns is not None:
-        words.append("a part of the time")
+    if asked.since_ns:
+        words.append(f"since {_minute(asked.since_ns)}")
+    if asked.until_ns is not None:
+        words.append(f"until {_minute(asked.until_ns)}")
     return ", ".join(words) or "all current scenes"
+
+
+def _minute(stamp_ns: int) -> str:
+    return f"{datetime.fromtimestamp(stamp_ns / NS_PER_S, tz=UTC):%Y-%m-%d %H:%M} UTC"
 
 
 def _which(connection: Connection, asked: ComparedSide) -> ColumnElement[bool]:

@@ -1,7 +1,6 @@
 """The Helm chart renders with four sets of values, and fits the schemas of Kubernetes."""
 
 import json
-import os
 from collections.abc import Iterator
 from typing import Any
 
@@ -10,6 +9,7 @@ import yaml
 
 from service.settings.config import Settings
 from tests.chart_rendering import CHART, NEEDED, SETS, helm, one, rendered
+from tests.needed import needed
 
 VERSIONS = ("1.25", "1.30", "1.34")
 CUSTOM = {"PodMonitor", "ScaledObject", "ServiceMonitor"}
@@ -17,11 +17,7 @@ CUSTOM = {"PodMonitor", "ScaledObject", "ServiceMonitor"}
 
 
 def validator() -> Any:
-    if os.environ.get("CI"):
-        import kubernetes_validate
-
-        return kubernetes_validate
-    return pytest.importorskip("kubernetes_validate", reason="needs the extra `chart`")
+    return needed("kubernetes_validate", "the extra `chart`")
 
 
 @pytest.mark.parametrize("version", VERSIONS)

@@ -14,6 +14,7 @@ from sqlalchemy import Engine, create_engine, text
 
 from service.store.engine import DATABASE_NAME, Store, open_store, open_store_at
 from tests.free_ports import free_port
+from tests.needed import needed
 
 
 class OnSqlite:
@@ -55,7 +56,7 @@ class OnPostgres:
 @contextmanager
 def postgres_server() -> Iterator[str]:
     """Run a server of our own on a free port; gives the URL in front of a database's name."""
-    pytest.importorskip("psycopg", reason="needs the extra `postgres`")
+    needed("psycopg", "the extra `postgres`")
     programs = sorted(Path("/usr/lib/postgresql").glob("*/bin"))
     if not programs:
         pytest.skip("needs Debian's package `postgresql`")

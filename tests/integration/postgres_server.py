@@ -13,12 +13,14 @@ from pathlib import Path
 import pytest
 from sqlalchemy import create_engine, text
 
+from tests.needed import needed
+
 
 class Postgres:
     """A server of the test's own, which can be restarted."""
 
     def __init__(self, folder: Path) -> None:
-        pytest.importorskip("psycopg", reason="needs the extra `postgres`")
+        needed("psycopg", "the extra `postgres`")
         programs = sorted(Path("/usr/lib/postgresql").glob("*/bin"))
         if not programs:
             pytest.skip("needs Debian's package `postgresql`")

@@ -18,6 +18,7 @@ from service.store.engine import open_store
 from service.store.ledger import LeasePolicy, Ledger
 from tests.free_ports import free_endpoint
 from tests.integration.conftest import SHARD_S, SHARDS, VEHICLES, Undisturbed
+from tests.needed import needed
 
 # Read when Ray is imported: everything on the loopback, and nothing told to anyone.
 os.environ.update(
@@ -26,7 +27,7 @@ os.environ.update(
     RAY_raylet_start_wait_time_s="300",
 )
 
-cluster_utils = pytest.importorskip("ray.cluster_utils", reason="needs the extra `ray`")
+cluster_utils = needed("ray.cluster_utils", "the extra `ray`")
 
 from workers.pool.ray_pool import RayOptions, RayPool, wanted_size  # noqa: E402  # needs Ray
 

@@ -13,7 +13,7 @@ from service.cli.compare import side_of
 from service.curation.compared_scenes import ComparedScene, NamedSide, match_scenes
 from service.curation.comparing import compare
 from service.curation.comparison import Comparison, ComparisonTerms
-from service.curation.comparison_report import gate_sentence, markdown
+from service.curation.comparison_report import gate_sentence, markdown, place_lines
 from service.curation.comparison_statistics import Road, holm, over_logs, over_roads
 from service.errors import NothingFoundError, UsageError
 from tests.factories import track_record
@@ -156,6 +156,8 @@ def test_scenes_of_a_road_that_one_side_lacks_are_left_out() -> None:
     assert compare(both, other, ComparisonTerms(match="roads")).a.left_out == 40
     with pytest.raises(NothingFoundError, match="no kind of road in common"):
         compare(slow, other, ComparisonTerms(match="roads"))
+    with pytest.raises(NothingFoundError, match=r"no log in common: .* --match roads"):
+        compare(slow, other, ComparisonTerms(match="logs"))
 
 
 def at(latitude_deg: float, side: NamedSide) -> list[ComparedScene]:
@@ -172,17 +174,26 @@ def test_scenes_of_a_place_that_both_passed_are_compared_with_each_other() -> No
         sides.append(NamedSide(name, [*at(48.0, crossing), *at(48.1, lane)]))
     one, other = sides
     matched = match_scenes(one, other, "roads")
-    assert (matched.roads, matched.places) == (2, 2)
+    assert (matched.roads, list(matched.places)) == (2, ["47.9995 10.9992", "48.0992 10.9995"])
     assert np.bincount(matched.road_a).tolist() == [30 * SCENES, 5 * SCENES]
     found = compare(one, other, ComparisonTerms(match="roads"))
     assert (found.regressed, found.improved) == (0, 0), "both are as good at the same places"
     assert "over 2 places, corrected" in gate_sentence(found)
+    rose, fell = found.at_places
+    assert (fell.place, rose.place) == tuple(matched.places)
+    assert [(row.a.logs, row.b.logs) for row in found.at_places] == [(5, 30), (30, 5)]
+    assert fell.a.tracks == sum(len(s.tracks) for s in one.scenes if s.log_id[2] == "x")
+    first, more = place_lines(found, most=1)
+    assert first.startswith("place 48.0992 10.9995: logs 5 of A and 30 of B, scenes 20 and 120, ")
+    assert more == "and 1 more place"
+    assert "* place 47.9995 10.9992: " in markdown(found)
+    assert "corrected by Holm" in markdown(found).splitlines()[2]
     bare_one, bare_other = (
         NamedSide(each.name, [replace(s, place=None) for s in each.scenes]) for each in sides
     )
     unmatched = compare(bare_one, bare_other, ComparisonTerms(match="roads"))
     assert unmatched.improved > 0, "B drove in calmer streets"
-    assert "places" not in unmatched.model_dump()
+    assert not {"places", "places_too_few", "at_places"} & unmatched.model_dump().keys()
 
 
 def test_a_place_that_few_logs_of_a_side_passed_goes_by_its_kind_of_road() -> None:
@@ -190,17 +201,20 @@ def test_a_place_that_few_logs_of_a_side_passed_goes_by_its_kind_of_road() -> No
     few = at(48.0, version(range(3), USUAL, name="2", seed=2, folder="b"))
     others = version(range(10), USUAL, name="2", seed=3, folder="c").scenes
     matched = match_scenes(a, NamedSide("2", [*few, *others]), "roads")
-    assert (matched.places, len(matched.a)) == (0, 10 * SCENES)
+    assert (list(matched.places), len(matched.a)) == ([], 10 * SCENES)
+    found = compare(a, NamedSide("2", [*few, *others]), ComparisonTerms(match="roads"))
+    (line,) = place_lines(found, most=5)
+    assert line.startswith("1 place that both sides passed, one of them on fewer than 4 logs")
     many = at(48.0, version(range(5), USUAL, name="2", seed=2, folder="b"))
     mixed = match_scenes(a, NamedSide("2", [*many, *others]), "roads")
-    assert (mixed.roads, mixed.places, len(mixed.b)) == (1, 1, 5 * SCENES)
+    assert (mixed.roads, len(mixed.places), len(mixed.b)) == (1, 1, 5 * SCENES)
 
 
 def test_too_little_to_compare_is_one_sentence() -> None:
     some = version(range(10), USUAL, name="1", seed=1)
     with pytest.raises(NothingFoundError, match="no scored scene of 2: there is nothing"):
         compare(some, NamedSide("2", []), ComparisonTerms())
-    with pytest.raises(UsageError, match="1 has 2 logs that both have"):
+    with pytest.raises(UsageError, match="1 has 2 logs that both sides have"):
         compare(some, version(range(2), USUAL, name="3", seed=1), ComparisonTerms())
 
 

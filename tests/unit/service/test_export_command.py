@@ -95,6 +95,7 @@ def test_finished_labels_of_scenes_of_another_state_are_truth_and_not_judged(
     told = capsys.readouterr().err
     assert "not judged: car-7/2026-11-20/drive/" in told
     assert "8 frames of 2 scenes" in told
+    assert "8 of 8 frames still have the pre-labels of the export" in told
     assert main(["import-labels", *arguments, "--state", str(state)]) == 1
     assert "--truth must be an empty folder" in capsys.readouterr().err
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.export_world import FRAMES, made_world, record
+from tests.readers.environment import read_by
 
 
 @pytest.fixture
@@ -52,11 +53,8 @@ def test_points_of_a_cloud_name_their_place_in_the_raw_message(out: Path) -> Non
 
 
 def test_the_importer_of_fiftyone_reads_the_samples(out: Path) -> None:
-    importers: Any = pytest.importorskip("fiftyone.utils.data.importers")
-    read = importers.FiftyOneDatasetImporter(str(out))
-    assert read._is_legacy_format_data()
-    read = read._to_legacy_importer()
-    read.setup()
-    found = list(read)
-    assert len(found) == 2 * FRAMES
-    assert found[0].contradictions.detections[0].label == "car"
+    read = read_by("read_fiftyone", out, environment="fiftyone")
+    assert read["selection"] == "week"
+    assert [each["frame"] for each in read["samples"]] == [*range(FRAMES), *range(FRAMES)]
+    assert {each["media"] for each in read["samples"]} == {"3d"}
+    assert read["samples"][0]["labels"] == ["car"]

@@ -24,6 +24,7 @@ from tests.export_world import (
     static_transform,
     write_log,
 )
+from tests.needed import needed
 from tests.tiny_logs import BEGIN_NS, LIDAR
 
 COLOUR_OF_SELF_SUPERVISED_ALONE = (178, 34, 34)
@@ -152,7 +153,7 @@ def test_a_scene_across_the_parts_of_a_split_recording_is_one_excerpt(
 
 @pytest.mark.parametrize("form", ["mcap", "rerun"])
 def test_rerun_opens_what_is_written(form: str, tmp_path: Path) -> None:
-    pytest.importorskip("rerun")
+    needed("rerun", "the extra `rerun`")
     world = made_world(tmp_path)
     report = world.export(world.selection(scenes=1), form, tmp_path / "out")
     (written,) = report.written.values()

@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +19,8 @@ from tests.export_world import (
     returns,
     rows,
 )
+from tests.needed import needed
+from tests.readers.environment import read_by
 
 CAR, MOVING_CAR, BUILDING, MOVING_PERSON = 10, 252, 50, 254
 
@@ -98,7 +99,7 @@ def test_kiss_icp_reads_the_sequence_and_its_calibration(
 
 
 def test_an_independent_reader_reads_the_pcd(world: ExportWorld, tmp_path: Path) -> None:
-    pypcd4 = pytest.importorskip("pypcd4")
+    pypcd4 = needed("pypcd4", "the extra `dev`")
     folder = exported(world, "cvat", tmp_path / "cvat")
     read = pypcd4.PointCloud.from_path(folder / "pointcloud/000002.pcd")
     assert read.fields == ("x", "y", "z", "intensity", "label", "index")
@@ -112,34 +113,22 @@ def test_an_independent_reader_reads_the_pcd(world: ExportWorld, tmp_path: Path)
 
 
 def test_segments_reads_sample_and_labels(world: ExportWorld, tmp_path: Path) -> None:
-    typing: Any = pytest.importorskip("segments.typing")
-    folder = exported(world, "segments", tmp_path)
-    sample = json.loads((folder / "sample.json").read_text())
-    read = typing.PointcloudSequenceSampleAttributes.model_validate(sample["attributes"])
-    assert [frame.pcd.type for frame in read.frames] == ["binary-xyzi"] * FRAMES
-    assert read.frames[2].ego_pose.position.x == pytest.approx(1.0)
-    text = (folder / "label.json").read_text()
-    label = typing.PointcloudSequenceSegmentationLabelAttributes.model_validate_json(text)
-    frame = label.frames[0]
-    category = {each.id: each.category_id for each in frame.annotations}
-    of_point = [category[number] for number in frame.point_annotations]
+    read = read_by("read_segments", exported(world, "segments", tmp_path))
+    assert read["types"] == ["binary-xyzi"] * FRAMES
+    assert read["ahead_m"][2] == pytest.approx(1.0)
+    of_point = read["categories"]
     assert len(of_point) == len(returns())
     assert [of_point[i] for i in np.flatnonzero(np.isin(returns(), MOVER))] == [MOVING_CAR] * 7
 
 
 def test_the_nuscenes_devkit_opens_a_scene(world: ExportWorld, tmp_path: Path) -> None:
-    devkit: Any = pytest.importorskip("nuscenes")
-    folder = exported(world, "nuscenes-lidarseg", tmp_path)
-    read = devkit.NuScenes("v1.0-counterpoint", str(folder), verbose=False)
-    token = read.sample[1]["data"]["LIDAR_TOP"]
-    cloud = np.fromfile(read.get_sample_data_path(token), dtype="<f4").reshape(-1, 5)
-    labels = np.fromfile(folder / read.get("lidarseg", token)["filename"], dtype=np.uint8)
-    names = [read.lidarseg_idx2name_mapping[number] for number in labels.tolist()]
-    np.testing.assert_allclose(cloud[:, :3], rows(21)[returns(), :3])
-    assert len(names) == len(cloud)
+    read = read_by("read_nuscenes", exported(world, "nuscenes-lidarseg", tmp_path))
+    names = read["names"]
+    np.testing.assert_allclose(read["points"], rows(21)[returns(), :3])
+    assert len(names) == len(read["points"])
     assert names.count("human.pedestrian.adult") == len(set(WALKER) & set(returns().tolist()))
-    assert read.get("scene", read.scene[0]["token"])["nbr_samples"] == FRAMES
-    assert read.log[0]["logfile"] == record().log_id
+    assert read["samples"] == FRAMES
+    assert read["log"] == record().log_id
 
 
 def test_classes_of_other_data_sets_are_found_by_their_names() -> None:

@@ -54,6 +54,7 @@ def scenes_in(folder: Path, form: str = "semantickitti") -> list[ImportedScene]:
 def test_each_label_returns_to_its_raw_point(exported: tuple[ExportWorld, Path], form: str) -> None:
     scenes = scenes_in(exported[1] / form, form)
     assert [len(scene.frames) for scene in scenes] == [FRAMES, FRAMES]
+    assert all(frame.is_unchanged for scene in scenes for frame in scene.frames)
     for frame in scenes[0].frames:
         moving = np.isin(np.arange(POINTS), [*MOVER, *WALKER])
         silent = ~np.isin(np.arange(POINTS), returns())
@@ -69,6 +70,7 @@ def test_random_labels_come_back_to_every_point_with_a_return(sequences: Path) -
     np.testing.assert_array_equal(frame.words[returns()], words)
     np.testing.assert_array_equal(frame.track[returns()], np.arange(1, len(returns()) + 1))
     assert not np.delete(frame.words, returns()).any()
+    assert [each.is_unchanged for each in scenes_in(sequences)[1].frames] == [True] * 3 + [False]
 
 
 def test_a_label_too_many_is_refused(sequences: Path) -> None:

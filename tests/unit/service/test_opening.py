@@ -11,6 +11,7 @@ from service.errors import StateUnusableError
 from service.settings.config import Settings
 from service.store.engine import DATABASE_NAME, StoreUnavailableError
 from service.store.opening import open_ledger_store, open_ledger_store_to_read, sole_service
+from tests.needed import needed
 
 NOBODY = "postgresql+psycopg://me:geheim@127.0.0.1:9/x"
 
@@ -28,7 +29,7 @@ def test_without_a_url_it_is_a_file_in_the_state_folder(tmp_path: Path) -> None:
 def test_a_server_that_does_not_answer_means_try_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pytest.importorskip("psycopg", reason="needs the extra `postgres`")
+    needed("psycopg", "the extra `postgres`")
     settings = Settings(state=tmp_path, database=NOBODY)
     for opening in (open_ledger_store, open_ledger_store_to_read, sole_service):
         with pytest.raises(StoreUnavailableError, match="cannot use the database") as refused:

@@ -81,6 +81,8 @@ def test_a_twin_in_place_is_named_and_rows_have_places(
     assert main(["select", "--budget", "2", *state]) == 0
     printed = capsys.readouterr()
     assert ": same place as rank 1, which shows the same" in printed.err
+    assert main(["top", "--kind", "moving", *state]) == 0
+    assert "no scene passes; `rates --by kind`" in capsys.readouterr().err
 
 
 def test_scenes_without_a_reason_are_left_out_with_a_line(
@@ -91,6 +93,18 @@ def test_scenes_without_a_reason_are_left_out_with_a_line(
     printed = capsys.readouterr()
     assert "0 of at most 5 scenes" in printed.out
     assert ": no reason, no track is strong enough for a reason" in printed.err
+
+
+def test_a_scene_that_is_left_out_has_the_causes_that_are_possible(
+    state: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["select", "--budget", "1", "--name", "first", *state]) == 0
+    capsys.readouterr()
+    assert main(["select", "--budget", "1", "--name", "second", *state]) == 0
+    assert ": selected earlier\n" in capsys.readouterr().err
+    filtered = ["--again", "--since", "2100-01-01"]
+    assert main(["select", "--budget", "1", "--name", "third", *filtered, *state]) == 0
+    assert ": filtered\n" in capsys.readouterr().err
 
 
 def test_a_stored_selection_is_listed_and_shown(

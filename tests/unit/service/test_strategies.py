@@ -150,7 +150,7 @@ def test_of_equal_scenes_that_of_another_place_is_next(strategy: str) -> None:
     assert ranks([*equal, elsewhere], budget=2, strategy=strategy) == [1, 5]
     why = [each.why for each in select([*equal, elsewhere], budget=3, strategy=strategy)]
     assert "first of place 48.2995 11.5750" in why[1]
-    assert "same place as rank 1" in why[2]
+    assert "within 100 m of rank 1" in why[2]
 
 
 @BOTH

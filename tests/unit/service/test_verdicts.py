@@ -16,6 +16,7 @@ from service.curation.verdicts import (
     wilson,
 )
 from service.errors import UsageError
+from tests.needed import needed
 
 S, P, B, N, U, D, W = Verdict
 
@@ -71,7 +72,7 @@ def test_kappa_of_full_chance_and_opposite_agreement() -> None:
 
 
 def test_kappa_is_scikit_learns() -> None:
-    metrics = pytest.importorskip("sklearn.metrics")
+    metrics = needed("sklearn.metrics", "the extra `workers`")
     dice = random.Random(1)  # noqa: S311 (a test's dice)
     for size in (2, 5, 50, 500):
         pairs = [(dice.choice(GIVEN), dice.choice(GIVEN[:4])) for _ in range(size)]
