@@ -53,8 +53,8 @@ def say_variants(bench: "FailureBench", found: "PlantedTable") -> None:
     """Print the tables of a benchmark that planted failures in variants of real drives."""
     by = f"by variant, {bench.within}" if bench.within else "by drive"
     table(
-        f"planted, answers in {bench.answer}: {counted(found.failures, 'failure')} in {found.failing_scenes} of "
-        f"{counted(found.scenes, 'scene')}; 95 % intervals {by}",
+        f"planted, answers in {bench.answer}: {counted(found.failures, 'failure')} in "
+        f"{found.failing_scenes} of {counted(found.scenes, 'scene')}; 95 % intervals {by}",
         (
             *("ranked by", "AP", "95 %", "AP at 5 %", "95 %"),
             *("precision", "95 %", "recall 5 %", "10 %"),

@@ -1,4 +1,4 @@
-"""On-board detector of a car, simulated or real: boxes with velocities and ids, and their usual errors.
+"""On-board detector of a car: boxes with velocities and ids, and their usual errors.
 
 Boxes are those of the truth with noise of place, size, heading and velocity. Objects of few points
 are missed. A tracker reports an object after some frames only, coasts over short misses, and gives
