@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from workers.lab.evaluation.failures.bench import FailureBench
     from workers.lab.evaluation.failures.intervals import Interval
     from workers.lab.evaluation.failures.planted import PlantedTable
-    from workers.lab.evaluation.failures.planting.variants import Answer, Planting
+    from workers.lab.evaluation.failures.planting.variants import Planting
     from workers.lab.evaluation.failures.ranking import RankingRow
 
 
@@ -31,7 +31,7 @@ def planting_of(*, variants: int, seed: int, frames: str, share: str, answer: st
         UsageError: If the range, the share or the answer is not of its form.
     """
     from workers.lab.evaluation.failures.planting.drive import FrameRange
-    from workers.lab.evaluation.failures.planting.variants import Planting
+    from workers.lab.evaluation.failures.planting.variants import Answer, Planting
 
     first, colon, end = frames.partition(":")
     digits = all(not each or (each.isascii() and each.isdecimal()) for each in (first, end))
