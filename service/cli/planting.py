@@ -24,7 +24,9 @@ BY_OBJECT: Final = (
 """The two verdicts that an attribution is compared with."""
 
 
-def planting_of(*, variants: int, seed: int, frames: str, share: str, answer: str) -> "Planting":
+def planting_of(
+    *, variants: int, seed: int, frames: str, share: str, answer: str = "points"
+) -> "Planting":
     """Build the settings of planting from the options.
 
     Raises:
