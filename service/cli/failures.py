@@ -101,6 +101,10 @@ def failures(
     share: Annotated[
         str, typer.Option("--share", help="Share of the scenes that fail, as 1/6 (--plant).")
     ] = "1/6",
+    answer: Annotated[
+        str,
+        typer.Option("--answer", help="Form of the model's answers: points or boxes (--plant)."),
+    ] = "points",
     listed: Annotated[
         Path | None,
         typer.Option("--planted", help="Write the planted failures to this JSON file (--plant)."),
@@ -119,7 +123,7 @@ def failures(
         raise UsageError(f"--table must be planted or natural, got {only!r}")
     if report is not None:
         need_writable(report, option="--report", force=force)
-    planting = planting_of(variants=variants, seed=seed, frames=frames, share=share)
+    planting = planting_of(variants=variants, seed=seed, frames=frames, share=share, answer=answer)
     if listed is not None:
         need_writable(listed, option="--planted", force=force)
     if listed is not None and not plant:

@@ -24,14 +24,16 @@ BY_OBJECT: Final = (
 """The two verdicts that an attribution is compared with."""
 
 
-def planting_of(*, variants: int, seed: int, frames: str, share: str) -> "Planting":
+def planting_of(
+    *, variants: int, seed: int, frames: str, share: str, answer: str = "points"
+) -> "Planting":
     """Build the settings of planting from the options.
 
     Raises:
-        UsageError: If the range or the share is not of its form.
+        UsageError: If the range, the share or the answer is not of its form.
     """
     from workers.lab.evaluation.failures.planting.drive import FrameRange
-    from workers.lab.evaluation.failures.planting.variants import Planting
+    from workers.lab.evaluation.failures.planting.variants import Answer, Planting
 
     first, colon, end = frames.partition(":")
     digits = all(not each or (each.isascii() and each.isdecimal()) for each in (first, end))
@@ -43,16 +45,18 @@ def planting_of(*, variants: int, seed: int, frames: str, share: str) -> "Planti
         part = 0.0
     if not 0.0 < part < 1.0:
         raise UsageError(f"--share must be over 0 and under 1, as 1/6 or 0.05, got {share!r}")
+    if answer not in tuple(Answer):
+        raise UsageError(f"--answer must be points or boxes, got {answer!r}")
     chosen = FrameRange(int(first or 0), int(end) if end else None)
-    return Planting(variants=variants, seed=seed, frames=chosen, share=part)
+    return Planting(variants=variants, seed=seed, frames=chosen, share=part, answer=Answer(answer))
 
 
 def say_variants(bench: "FailureBench", found: "PlantedTable") -> None:
     """Print the tables of a benchmark that planted failures in variants of real drives."""
     by = f"by variant, {bench.within}" if bench.within else "by drive"
     table(
-        f"planted: {counted(found.failures, 'failure')} in {found.failing_scenes} of "
-        f"{counted(found.scenes, 'scene')}; 95 % intervals {by}",
+        f"planted, answers in {bench.answer}: {counted(found.failures, 'failure')} in "
+        f"{found.failing_scenes} of {counted(found.scenes, 'scene')}; 95 % intervals {by}",
         (
             *("ranked by", "AP", "95 %", "AP at 5 %", "95 %"),
             *("precision", "95 %", "recall 5 %", "10 %"),

@@ -18,6 +18,7 @@ from service.cli.planting import planting_of
         (["logs", "--truth", "t", "--plant", "--share", "1/0"], "over 0 and under 1"),
         (["logs", "--truth", "t", "--plant", "--share", "1"], "over 0 and under 1"),
         (["logs", "--truth", "t", "--plant", "--share", "nan"], "over 0 and under 1"),
+        (["logs", "--truth", "t", "--plant", "--answer", "both"], "points or boxes"),
         (["logs", "--truth", "t", "--planted", "p.json"], "give --plant"),
         (["logs", "--truth", "t", "--plant", "--planted", "/"], "--planted"),
         (["logs", "--truth", "t", "--plant", "--table", "natural"], "leave --table out"),
@@ -46,3 +47,5 @@ def test_options_of_planting_are_read_as_they_are_written() -> None:
     assert (planting.variants, planting.seed, planting.share) == (3, 7, 0.05)
     assert (planting.frames.first, planting.frames.end) == (28, None)
     assert str(planting_of(variants=1, seed=0, frames="4:28", share="1/6").frames) == "4:28"
+    in_boxes = planting_of(variants=1, seed=0, frames="0:", share="1/6", answer="boxes")
+    assert in_boxes.answer == "boxes"

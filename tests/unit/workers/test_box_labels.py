@@ -76,8 +76,10 @@ def test_a_mover_is_in_its_box_and_neither_next_to_it_nor_on_the_ground_below() 
     assert found.health.reason == ""
 
 
-def test_a_parked_box_leaves_nothing_open() -> None:
-    found = label(boxes(velocity=((0.1, 0.0, 0.0),)))
+@pytest.mark.parametrize("creeps_m_per_s", [0.0, 0.1, 0.3, 0.49])
+def test_a_parked_box_leaves_nothing_open(creeps_m_per_s: float) -> None:
+    """A tracker reports up to half a metre a second for what stands."""
+    found = label(boxes(velocity=((creeps_m_per_s, 0.0, 0.0),)))
     assert found.labels.tolist() == [S, S, S, S, S]
 
 

@@ -18,7 +18,7 @@ from workers.lab.evaluation.failures.planting.bench import bench_planting
 from workers.lab.evaluation.failures.planting.drive import Drive, FrameRange
 from workers.lab.evaluation.failures.planting.labels import labels_of_variant
 from workers.lab.evaluation.failures.planting.load_drive import load_drive
-from workers.lab.evaluation.failures.planting.mine_variant import mine_labels
+from workers.lab.evaluation.failures.planting.mine_variant import mine_answers
 from workers.lab.evaluation.failures.planting.planted_file import PlantedFile
 from workers.lab.evaluation.failures.planting.variants import (
     Planting,
@@ -105,7 +105,7 @@ def test_a_variant_equals_a_log_that_contains_its_labels(
     assert len(failures) == 2
     labels = list(labels_of_variant(drive, TWO_FAILURES, failures))
     replayed = [
-        bytes_of(mined, parts) for mined in mine_labels(drive, labels, parts, pipeline_version="0")
+        bytes_of(mined, parts) for mined in mine_answers(drive, labels, parts, pipeline_version="0")
     ]
 
     street = build_street(4, seconds=FRAMES * LIDAR.period_s, style="drives")

@@ -11,6 +11,7 @@ from workers.lab.simulation.faults.detected_boxes import DetectedBox
 from workers.lab.simulation.faults.detector import Detector
 from workers.lab.simulation.faults.faults import DYNAMIC, PlantedFailure
 from workers.lab.simulation.faults.plan import FailureKind
+from workers.lab.simulation.faults.street_bodies import street_bodies
 from workers.lab.simulation.models.kinds import StreetClass
 from workers.lab.simulation.output.box_messages import BOXES_TOPIC
 from workers.lab.simulation.output.write import write_log
@@ -55,8 +56,10 @@ def frames(street: Street) -> list[SimulatedFrame]:
 def boxes_of(
     street: Street, frames: list[SimulatedFrame], *failures: PlantedFailure
 ) -> list[tuple[DetectedBox, ...]]:
-    detector = Detector(street)
-    return [detector.detect(frame, failures) for frame in frames]
+    detector = Detector(street.seed, len(street.actors))
+    return [
+        detector.detect(frame, street_bodies(street, frame.time_s), failures) for frame in frames
+    ]
 
 
 def named(boxes: tuple[DetectedBox, ...], what: StreetClass) -> list[DetectedBox]:

@@ -38,6 +38,9 @@ class FailureBench(BaseModel):
     variants: int = Field(
         default=0, description="Variants of each drive; 0 where the logs have their own failures."
     )
+    answer: str = Field(
+        default="points", description="Form in which the judged model answers: points or boxes."
+    )
     within: str = Field(
         default="",
         description="`within one drive` where intervals are by variant; empty: by log or drive.",

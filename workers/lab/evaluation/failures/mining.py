@@ -18,6 +18,7 @@ from workers.lab.evaluation.failures.planting.load_drive import (
     shard_of_drive,
 )
 from workers.lab.evaluation.failures.planting.mine_variant import mine_variant
+from workers.lab.evaluation.failures.planting.variants import Answer
 from workers.lab.evaluation.failures.result_cache import load_mined_log, store_mined_log
 from workers.lab.evaluation.failures.rows import MinedLog
 from workers.lab.evaluation.failures.uncertainty import NO_PROBING, ProbedStream, Probing
@@ -102,7 +103,9 @@ def _mine(mining: MiningRun, job: LogJob) -> MinedLog:
     return mine_variant(drive, job.variant, parts, pipeline_version=version)
 
 
-def scenes_of_drive(mining: MiningRun, job: LogJob, frames: FrameRange) -> int:
+def scenes_of_drive(
+    mining: MiningRun, job: LogJob, frames: FrameRange, answer: Answer = Answer.POINTS
+) -> int:
     """Count the scenes of a drive, and check its truth, without running any part.
 
     Raises:
@@ -112,7 +115,7 @@ def scenes_of_drive(mining: MiningRun, job: LogJob, frames: FrameRange) -> int:
     truth = _truth_of(job)
     bucket = open_bucket(mining.bucket_url)
     shard, read = shard_of_drive(bucket, job.recording, truth, mining.settings, frames)
-    check_truth(truth, read, frames)
+    check_truth(truth, read, frames, answer=answer)
     scenes = len(scenes_of(shard, read))
     if not scenes:
         raise TruthUnusableError(f"{job.recording.log_id} has no scene of a second in {frames}")

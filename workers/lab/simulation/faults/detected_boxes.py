@@ -1,19 +1,18 @@
-"""Boxes of the simulated car's detector: errors of place, size, heading and velocity.
+"""Boxes of a detector on simulated or real objects: errors of place, size, heading and velocity.
 
 A body is an object in world space. Planted failures and noise change it before it is written as a
 box in the space of the sensor.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.lab.simulation.faults.faults import NORTH_EAST, PlantedFailure
+from workers.lab.simulation.faults.faults import NORTH_EAST, PlantedFailure, TrueFrame
 from workers.lab.simulation.faults.plan import FailureKind
-from workers.lab.simulation.sensor.lidar import SimulatedFrame
 
 _PLACE_M: Final = 0.06
 _PLACE_PER_M: Final = 0.003
@@ -31,7 +30,7 @@ _STANDING_M_PER_S: Final = 0.08
 WRONG_M_PER_S: Final = (1.5, 5.0)
 """Speed of a box that stands and is reported as moving."""
 
-_NO_BOX: Final = frozenset(
+NO_BOX: Final = frozenset(
     {
         FailureKind.UNSEEN_CLASS,
         FailureKind.MISSED_PEDESTRIAN,
@@ -79,15 +78,26 @@ class Body:
 def with_failures(
     track: int,
     body: Body,
-    frame: SimulatedFrame,
+    frame: TrueFrame,
     active: Sequence[PlantedFailure],
     *,
     moves: bool,
+    no_box: Collection[FailureKind] = NO_BOX,
 ) -> Body | None:
-    """Change a box by the failures on its object; None where there is no box."""
+    """Change a box by the failures on its object; None where there is no box.
+
+    Args:
+        track: Number of the object.
+        body: Its box.
+        frame: The frame.
+        active: Failures of this instant.
+        moves: Whether the object moves.
+        no_box: Kinds by which an object has no box.
+    """
     for each in active:
         ahead = np.array([np.cos(body.yaw_rad), np.sin(body.yaw_rad)])
         invented = (WRONG_M_PER_S[0] + track % 7 / 2) * ahead
+        in_part = each.part < 1.0
         if each.kind is FailureKind.RANGE_LIMIT:
             away = body.centre_m[:2] - frame.world_from_sensor[:2, 3]
             if moves and np.hypot(*away) > each.range_m:
@@ -96,26 +106,35 @@ def with_failures(
             body = replace(body, velocity=invented)
         elif track != each.track:
             continue
+        elif each.kind is FailureKind.GHOST_MOVER and in_part:
+            body = replace(_end_of(body, each.part, first=True), velocity=invented)
         elif each.kind in (FailureKind.PARKED_CALLED_MOVING, FailureKind.GHOST_MOVER):
             body = replace(body, velocity=invented)
-        elif each.kind in _NO_BOX:
+        elif in_part:
+            body = _end_of(body, 1.0 - each.part, first=False)
+        elif each.kind in no_box:
             return None
-        elif each.kind is FailureKind.HALF_LABELLED:
-            rest = np.append(ahead * np.sign(ahead @ NORTH_EAST), 0.0)
-            body = replace(
-                body,
-                centre_m=body.centre_m + rest * (body.size_m[0] * each.part / 2),
-                size_m=body.size_m * [1.0 - each.part, 1.0, 1.0],
-            )
         else:
             body = replace(body, velocity=np.zeros(2))
     return body
 
 
+def _end_of(body: Body, share: float, *, first: bool) -> Body:
+    """Return this share of a box, from the end that a failure in part begins with, or the other."""
+    ahead = np.array([np.cos(body.yaw_rad), np.sin(body.yaw_rad)])
+    rest = np.append(ahead * np.sign(ahead @ NORTH_EAST), 0.0)
+    shift = rest * (body.size_m[0] * (1.0 - share) / 2)
+    return replace(
+        body,
+        centre_m=body.centre_m + (-shift if first else shift),
+        size_m=body.size_m * [share, 1.0, 1.0],
+    )
+
+
 def with_noise(
     body: Body,
     bias: NDArray[np.float64],
-    frame: SimulatedFrame,
+    frame: TrueFrame,
     noise: NDArray[np.float64],
     draw: float,
 ) -> Body:
@@ -142,7 +161,7 @@ def with_noise(
     )
 
 
-def box_of(body: Body, frame: SimulatedFrame, track_id: int, score: float) -> DetectedBox:
+def box_of(body: Body, frame: TrueFrame, track_id: int, score: float) -> DetectedBox:
     """Turn an object into sensor space."""
     rotation, origin = frame.world_from_sensor[:3, :3], frame.world_from_sensor[:3, 3]
     x, y, z = ((body.centre_m - origin) @ rotation).round(3).tolist()

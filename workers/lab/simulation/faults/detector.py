@@ -1,4 +1,4 @@
-"""On-board detector of the simulated car: boxes with velocities and ids, and their usual errors.
+"""On-board detector of a car: boxes with velocities and ids, and their usual errors.
 
 Boxes are those of the truth with noise of place, size, heading and velocity. Objects of few points
 are missed. A tracker reports an object after some frames only, coasts over short misses, and gives
@@ -6,7 +6,7 @@ a lost object another id. Ghosts appear on structure for less than half a second
 act on the boxes as they act on the labels of points (`faults.py`).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.lab.simulation.faults.detected_boxes import (
+    NO_BOX,
     SIZE_SHARE,
     WRONG_M_PER_S,
     Body,
@@ -22,11 +23,9 @@ from workers.lab.simulation.faults.detected_boxes import (
     with_failures,
     with_noise,
 )
-from workers.lab.simulation.faults.faults import STATIC, PlantedFailure
+from workers.lab.simulation.faults.faults import STATIC, PlantedFailure, TrueFrame
 from workers.lab.simulation.faults.plan import FailureKind
 from workers.lab.simulation.models.kinds import StreetClass
-from workers.lab.simulation.sensor.lidar import SimulatedFrame
-from workers.lab.simulation.world.street import Street
 
 _LEAST_POINTS: Final = 4
 _HALF_MISSED_POINTS: Final = 12.0
@@ -61,51 +60,62 @@ class _Followed:
 
 
 class Detector:
-    """Detector and tracker of one drive; frames are given in order, from the first one."""
+    """Detector and tracker of one drive; frames are given in order, from the first one.
 
-    def __init__(self, street: Street) -> None:
-        self._street = street
+    Args:
+        seed: Seed of its errors.
+        things: Number of objects of the drive.
+        no_box: Kinds of failure by which an object has no box.
+    """
+
+    def __init__(self, seed: int, things: int, *, no_box: Collection[FailureKind] = NO_BOX) -> None:
+        self._seed = seed
+        self._things = things
+        self._no_box = no_box
         self._followed: dict[int, _Followed] = {}
         self._ghosts: list[tuple[Body, int, int]] = []
         self._next_id = 1
-        own = np.random.default_rng([street.seed, 0xB0C5])
-        self._bias = own.normal(0.0, SIZE_SHARE, (len(street.actors), 3)).clip(-0.15, 0.15)
+        own = np.random.default_rng([seed, 0xB0C5])
+        self._bias = own.normal(0.0, SIZE_SHARE, (things, 3)).clip(-0.15, 0.15)
 
     def detect(
-        self, frame: SimulatedFrame, failures: Sequence[PlantedFailure]
+        self,
+        frame: TrueFrame,
+        bodies: Mapping[int, Body],
+        failures: Sequence[PlantedFailure],
     ) -> tuple[DetectedBox, ...]:
         """Return the boxes of the next frame.
 
         Args:
             frame: The frame as measured.
+            bodies: True boxes of its objects, by number; an object without one is not detected.
             failures: Failures planted in the log.
         """
-        rng = np.random.default_rng([self._street.seed, 0xDE7EC7, frame.index])
+        rng = np.random.default_rng([self._seed, 0xDE7EC7, frame.index])
         active = [each for each in failures if each.is_on(frame.time_s)]
-        boxes = [*self._objects(frame, active, rng)]
+        boxes = [*self._objects(frame, bodies, active, rng)]
         boxes += self._flashes(frame, rng)
         boxes += self._planted_ghosts(frame, active, rng)
         return tuple(boxes)
 
     def _objects(
-        self, frame: SimulatedFrame, active: Sequence[PlantedFailure], rng: np.random.Generator
+        self,
+        frame: TrueFrame,
+        bodies: Mapping[int, Body],
+        active: Sequence[PlantedFailure],
+        rng: np.random.Generator,
     ) -> Iterator[DetectedBox]:
-        inside = np.bincount(frame.track[frame.track >= 0], minlength=len(self._street.actors))
-        bodies = self._street.actor_bodies(frame.time_s)
-        velocities = self._street.actor_velocities(frame.time_s)
+        inside = np.bincount(frame.track[frame.track >= 0], minlength=self._things)
         draws = rng.random((len(inside), 3))
         noise = rng.standard_normal((len(inside), 9))
-        for track, actor in enumerate(self._street.actors):
-            x, y, z, yaw, _, _ = bodies[track]
-            size = np.array(actor.size_m)
-            body = Body(
-                actor.street_class.name.lower(),
-                np.array([x, y, z + size[2] / 2]),
-                float(yaw),
-                size,
-                velocities[track],
+        for track in range(self._things):
+            body = bodies.get(track)
+            if body is None:
+                self._followed.pop(track, None)
+                continue
+            changed = with_failures(
+                track, body, frame, active, moves=_moves(frame, track), no_box=self._no_box
             )
-            changed = with_failures(track, body, frame, active, moves=_moves(frame, track))
             followed = self._follow(track, int(inside[track]), draws[track], frame.index)
             if followed is None or changed is None:
                 continue
@@ -146,7 +156,7 @@ class Detector:
         self._next_id += 1
         return self._next_id - 1
 
-    def _flashes(self, frame: SimulatedFrame, rng: np.random.Generator) -> Iterator[DetectedBox]:
+    def _flashes(self, frame: TrueFrame, rng: np.random.Generator) -> Iterator[DetectedBox]:
         """Yield ghosts that appear on structure for a few frames, with low scores."""
         standing = np.flatnonzero((frame.track < 0) & (frame.ground == 0) & (frame.motion == 1))
         self._ghosts = [each for each in self._ghosts if each[2] > frame.index]
@@ -166,11 +176,11 @@ class Detector:
             yield box_of(body, frame, track_id, float(rng.uniform(0.1, 0.45)))
 
     def _planted_ghosts(
-        self, frame: SimulatedFrame, active: Sequence[PlantedFailure], rng: np.random.Generator
+        self, frame: TrueFrame, active: Sequence[PlantedFailure], rng: np.random.Generator
     ) -> Iterator[DetectedBox]:
         for each in active:
             if each.kind is FailureKind.GHOST_MOVER and each.place_m is not None and each.track < 0:
-                own = np.random.default_rng([self._street.seed, round(each.start_s * 1000)])
+                own = np.random.default_rng([self._seed, round(each.start_s * 1000)])
                 yaw = float(own.uniform(-np.pi, np.pi))
                 pace = float(own.uniform(*WRONG_M_PER_S))
                 if any(each.slides_m_per_s):
@@ -187,6 +197,6 @@ class Detector:
                 yield box_of(body, frame, number, float(rng.uniform(0.4, 0.9)))
 
 
-def _moves(frame: SimulatedFrame, track: int) -> bool:
+def _moves(frame: TrueFrame, track: int) -> bool:
     mine = frame.track == track
     return bool(mine.any()) and bool((frame.motion[mine] != STATIC).mean() > 0.5)

@@ -10,6 +10,7 @@ from schemas.predicted_boxes import SCHEMA_NAME, PredictedBoxes
 from workers.lab.simulation.faults.detected_boxes import DetectedBox
 from workers.lab.simulation.faults.detector import Detector
 from workers.lab.simulation.faults.faults import PlantedFailure
+from workers.lab.simulation.faults.street_bodies import street_bodies
 from workers.lab.simulation.sensor.lidar import SimulatedFrame
 from workers.lab.simulation.world.street import Street
 
@@ -20,7 +21,8 @@ class DetectorWriter:
     """Runs the detector of a drive, and writes its boxes next to the clouds of a log."""
 
     def __init__(self, writer: Writer, street: Street) -> None:
-        self._detector = Detector(street)
+        self._street = street
+        self._detector = Detector(street.seed, len(street.actors))
         self._mcap = writer._writer
         published = json.dumps(PredictedBoxes.model_json_schema()).encode()
         schema = self._mcap.register_schema(name=SCHEMA_NAME, encoding="jsonschema", data=published)
@@ -37,9 +39,9 @@ class DetectorWriter:
         space: str,
     ) -> None:
         """Detect the objects of the next frame and write one message."""
-        message = message_of_boxes(
-            self._detector.detect(frame, failures), stamp_ns=stamp_ns, space=space
-        )
+        bodies = street_bodies(self._street, frame.time_s)
+        boxes = self._detector.detect(frame, bodies, failures)
+        message = message_of_boxes(boxes, stamp_ns=stamp_ns, space=space)
         self._mcap.add_message(
             channel_id=self._channel,
             log_time=stamp_ns,

@@ -51,7 +51,7 @@ def bench_planting(
     scenes, skipped = {}, {}
     for log_id, job in drives.items():
         try:
-            scenes[log_id] = scenes_of_drive(mining, job, planting.frames)
+            scenes[log_id] = scenes_of_drive(mining, job, planting.frames, planting.answer)
         except TruthUnusableError as error:
             skipped[log_id] = str(error)
     if not scenes:
@@ -79,6 +79,7 @@ def bench_planting(
         logs=len(names),
         judged={"planted": recorded.supervised},
         variants=planting.variants,
+        answer=planting.answer.value,
         within=_within(len(names)),
         skipped=skipped,
         planted=planted_table(mined, groups=groups, draws=draws),

@@ -1,6 +1,7 @@
 """A real drive with truth, and the answers of the parts that planted labels do not change."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from workers.lab.evaluation.failures.nearest_points import NearestPoints
 from workers.lab.evaluation.truth.truth import FrameTruth
 from workers.lab.labels.borders import Borders
 from workers.lab.labels.noise_settings import SeenFrame
+from workers.lab.simulation.faults.detected_boxes import Body
 from workers.lab.simulation.models.kinds import StreetClass
 
 
@@ -43,6 +45,7 @@ class DriveFrame:
         track: (N,) object of each point, -1 none.
         ground: (N,) 1 on the ground.
         borders: Borders of its objects.
+        bodies: True boxes that a detector looks for, odom space, by object.
     """
 
     index: int
@@ -55,6 +58,7 @@ class DriveFrame:
     track: NDArray[np.int16]
     ground: NDArray[np.uint8]
     borders: Borders
+    bodies: Mapping[int, Body] = field(default_factory=dict)
 
     @property
     def points_m(self) -> Points:

@@ -1,6 +1,7 @@
 """Reading of a drive: its frames as one shard, its truth, and the answers of the parts."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +16,30 @@ from schemas.work import Recording, Shard
 from workers.ingest.read import read_shard
 from workers.ingest.scenes import cut_scenes
 from workers.lab.evaluation.failures.nearest_points import NearestPoints
-from workers.lab.evaluation.failures.planting.drive import Drive, DriveFrame, FrameRange
+from workers.lab.evaluation.failures.planting.drive import (
+    Drive,
+    DriveActor,
+    DriveFrame,
+    FrameRange,
+)
 from workers.lab.evaluation.failures.planting.right_labels import (
     OF_COARSE,
     actors_of,
     right_motion,
     whole_objects,
 )
-from workers.lab.evaluation.truth.truth import FrameTruth, LogTruth, TruthUnusableError
+from workers.lab.evaluation.failures.planting.true_boxes import (
+    boxes_of_frame,
+    detected_bodies,
+    states_boxes,
+)
+from workers.lab.evaluation.failures.planting.variants import Answer
+from workers.lab.evaluation.truth.truth import (
+    TRUTH_DYNAMIC,
+    FrameTruth,
+    LogTruth,
+    TruthUnusableError,
+)
 from workers.lab.evaluation.truth.whole_log import shards_of_log
 from workers.lab.labels.borders import borders_of
 from workers.lab.simulation.models.kinds import GROUND
@@ -75,12 +92,17 @@ def _unlabelled(frame: LidarFrame) -> LabelledFrame:
 
 
 def check_truth(
-    truth: LogTruth, read: Sequence[LidarFrame], frames: FrameRange
+    truth: LogTruth,
+    read: Sequence[LidarFrame],
+    frames: FrameRange,
+    *,
+    answer: Answer = Answer.POINTS,
 ) -> list[FrameTruth]:
     """Read the truth of every frame of a drive.
 
     Raises:
-        TruthUnusableError: If a frame has no truth of motion or no objects, or that of another log.
+        TruthUnusableError: If a frame has no truth of motion or no objects, or that of another log,
+            or no boxes for a model that answers in boxes.
     """
     known = []
     for position, frame in enumerate(read, start=frames.first):
@@ -89,6 +111,12 @@ def check_truth(
             raise TruthUnusableError(
                 f"{frame.log_id}, frame {position}: truth has no motion or no tracks; --plant "
                 "needs both in every frame (deploy/TRUTH.md), --frames chooses those that have them"
+            )
+        if answer is Answer.BOXES and not states_boxes(truth, true.number):
+            raise TruthUnusableError(
+                f"{frame.log_id}, frame {position}: truth has no boxes; --answer boxes needs "
+                "tracks.csv with x, y, z, yaw, length, width and height, and poses.npz "
+                "(deploy/TRUTH.md)"
             )
         known.append(true)
     return known
@@ -119,15 +147,29 @@ def load_drive(
         )
         time_s = (read[number].stamp_ns - read[0].stamp_ns) / NS_PER_S
         known.append(_frame(number, time_s, posed[number], predictive[number], true, coarse))
+    actors = actors_of(known)
     return Drive(
         recording.log_id,
         shard,
-        tuple(known),
+        tuple(_with_bodies(known, truth, actors)),
         scenes_of(shard, read),
-        actors_of(known),
+        actors,
         seed=0,
         nearest=NearestPoints(keeps=True),
     )
+
+
+def _with_bodies(
+    frames: Sequence[DriveFrame], truth: LogTruth, actors: Sequence[DriveActor]
+) -> Iterator[DriveFrame]:
+    """Yield the frames with the true boxes of their objects, where truth states them."""
+    moving = [False] * len(actors)
+    for frame in frames:
+        for track in np.unique(frame.track[frame.motion == TRUTH_DYNAMIC]).tolist():
+            moving[track] |= track >= 0
+    for frame in frames:
+        boxes = boxes_of_frame(truth, frame.truth.number, frame.posed, frame.track)
+        yield replace(frame, bodies=detected_bodies(boxes, actors, moving))
 
 
 def _frame(

@@ -8,13 +8,15 @@ log that contains its labels.
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from schemas.boxes import RecordedBoxes
 from schemas.frame import LidarFrame, PosedFrame, RecordedLabels
 from schemas.labels import FrameLabels
 from schemas.task import Task
 from workers.lab.evaluation.failures.frame_truth import FrameWithTruth
+from workers.lab.evaluation.failures.planting.boxes import boxes_of_variant
 from workers.lab.evaluation.failures.planting.drive import Drive
 from workers.lab.evaluation.failures.planting.labels import labels_of_variant
-from workers.lab.evaluation.failures.planting.variants import Variant, place_failures
+from workers.lab.evaluation.failures.planting.variants import Answer, Variant, place_failures
 from workers.lab.evaluation.failures.rows import MinedLog, SceneRow
 from workers.lab.evaluation.failures.scene_rows import scene_row
 from workers.lab.simulation.faults.fault_truth import PlantedFaults
@@ -77,16 +79,22 @@ def replaying(parts: Parts, drive: Drive) -> Parts:
     )
 
 
-def mine_labels(
-    drive: Drive, labels: Iterable[RecordedLabels], parts: Parts, *, pipeline_version: str
+def mine_answers(
+    drive: Drive,
+    answers: Iterable[RecordedLabels | RecordedBoxes | None],
+    parts: Parts,
+    *,
+    pipeline_version: str,
 ) -> Iterator[MinedScene]:
-    """Mine a drive with these recorded labels, one of each frame.
+    """Mine a drive with these recorded labels or boxes, one answer of each frame.
 
     The result is that of a log which contains them, bit for bit.
     """
     frames = (
-        replace(frame.posed.frame, recorded=recorded)
-        for frame, recorded in zip(drive.frames, labels, strict=True)
+        replace(frame.posed.frame, boxes=answer)
+        if answer is None or isinstance(answer, RecordedBoxes)
+        else replace(frame.posed.frame, recorded=answer)
+        for frame, answer in zip(drive.frames, answers, strict=True)
     )
     return mine_shard(
         drive.shard, frames, replaying(parts, drive), pipeline_version=pipeline_version
@@ -109,8 +117,9 @@ def mine_variant(
     planted = PlantedFaults(failures=tuple(failures)).truth(start_ns)
     rows: list[SceneRow] = []
     shown = set[int]()
-    labels = labels_of_variant(drive, variant, failures)
-    mined = mine_labels(drive, labels, parts, pipeline_version=pipeline_version)
+    answers_of = boxes_of_variant if variant.answer is Answer.BOXES else labels_of_variant
+    answers = answers_of(drive, variant, failures)
+    mined = mine_answers(drive, answers, parts, pipeline_version=pipeline_version)
     place = {frame.posed.frame.stamp_ns: frame for frame in drive.frames}
     for cell, each in enumerate(mined):
         seen = [FrameWithTruth(one, place[one.stamp_ns].truth) for one in each.scene.frames]

@@ -6,7 +6,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.arrays import NS_PER_S
-from workers.lab.evaluation.failures.planting.variants import Planting
+from workers.lab.evaluation.failures.planting.variants import Answer, Planting
 from workers.lab.evaluation.failures.rows import MinedLog
 from workers.lab.simulation.faults.fault_truth import FailureRow
 
@@ -48,6 +48,9 @@ class PlantedFile(BaseModel):
     frames: str = Field(description="Range of frames of each log, as `--frames` takes it.")
     seed: int
     share: float = Field(description="Share of the scenes that get a failure.")
+    answer: Answer = Field(
+        default=Answer.POINTS, description="Form of the model's answers: points or boxes."
+    )
     variants: tuple[VariantRow, ...]
 
 
@@ -58,6 +61,7 @@ def planted_file(bucket: str, planting: Planting, logs: Sequence[MinedLog]) -> P
         frames=str(planting.frames),
         seed=planting.seed,
         share=planting.share,
+        answer=planting.answer,
         variants=tuple(_variant(log) for log in logs),
     )
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from typing import Final
 
 import numpy as np
@@ -17,6 +18,13 @@ SETTLED_S: Final = 0.7
 """Start of the time in which a failure can be found, seconds: before it, no stream has a past."""
 
 
+class Answer(StrEnum):
+    """Form in which the model under test answers."""
+
+    POINTS = "points"
+    BOXES = "boxes"
+
+
 @dataclass(frozen=True, slots=True)
 class Planting:
     """Settings of a benchmark that plants failures.
@@ -26,7 +34,8 @@ class Planting:
         seed: Seed of failures, noise and confidence.
         frames: Frames of each log that make its drive.
         share: Share of the scenes that get a failure.
-        noise: Strength of the label noise.
+        noise: Strength of the label noise; boxes have the errors of a detector instead.
+        answer: Form of the model's answers.
     """
 
     variants: int = 50
@@ -34,6 +43,7 @@ class Planting:
     frames: FrameRange = field(default_factory=FrameRange)
     share: float = 1 / 6
     noise: NoiseSettings = REAL
+    answer: Answer = Answer.POINTS
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +56,7 @@ class Variant:
         frames: Frames of the log.
         noise: Strength of its noise.
         planned: Scenes that get a failure, by number, and the kind to try first.
+        answer: Form of the model's answers.
     """
 
     number: int
@@ -53,6 +64,7 @@ class Variant:
     frames: FrameRange
     noise: NoiseSettings
     planned: tuple[tuple[int, FailureKind], ...] = ()
+    answer: Answer = Answer.POINTS
 
 
 def plan_variants(planting: Planting, scenes: Mapping[str, int]) -> dict[str, list[Variant]]:
@@ -87,6 +99,7 @@ def plan_variants(planting: Planting, scenes: Mapping[str, int]) -> dict[str, li
                 planting.frames,
                 planting.noise,
                 tuple(sorted(planned.get((log_id, number), ()))),
+                planting.answer,
             )
             for number in range(planting.variants)
         ]

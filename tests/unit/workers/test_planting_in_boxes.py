@@ -1,0 +1,218 @@
+"""Failures planted into the boxes of a detector that are made from the truth of a drive."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap_ros2.writer import Writer
+
+from schemas.mining import MiningSettings
+from schemas.predicted_boxes import SCHEMA_NAME, PredictedBoxes
+from schemas.transport.bucket import open_bucket
+from schemas.transport.overlay_codec import encode_overlay
+from schemas.transport.wire import encode_scene_score
+from tests.factories import street_log
+from workers.contradiction.overlay import overlay_of
+from workers.ingest.read import read_shard
+from workers.lab.evaluation.failures.bench import jobs_of
+from workers.lab.evaluation.failures.planting.bench import bench_planting
+from workers.lab.evaluation.failures.planting.boxes import boxes_of_variant, messages_of_variant
+from workers.lab.evaluation.failures.planting.drive import Drive, FrameRange
+from workers.lab.evaluation.failures.planting.load_drive import load_drive
+from workers.lab.evaluation.failures.planting.mine_variant import mine_answers
+from workers.lab.evaluation.failures.planting.variants import (
+    Answer,
+    Planting,
+    Variant,
+    place_failures,
+)
+from workers.lab.evaluation.truth.truth import LogTruth, TruthUnusableError
+from workers.lab.evaluation.truth.whole_log import shards_of_log
+from workers.lab.labels.noise_settings import REAL
+from workers.lab.simulation.faults.plan import FailureKind
+from workers.lab.simulation.faults.recorded import recorded_classes
+from workers.lab.simulation.output.box_messages import BOXES_TOPIC
+from workers.lab.simulation.output.cloud import (
+    POINT_CLOUD2,
+    POINT_CLOUD2_DEFINITION,
+    cloud_of,
+    message_of,
+)
+from workers.lab.simulation.sensor.lidar import UNEVEN_64, Lidar, sweep
+from workers.lab.simulation.world.street_builder import build_street
+from workers.parts.protocols import Parts
+from workers.pipeline import MinedScene, mine_shard
+from workers.version import parts_of
+
+FRAMES = 40
+KEY = "car-7/2026-03-02/drive"
+LIDAR = Lidar(elevation_deg=UNEVEN_64[::2], columns=256)
+IDENTITY = {"vehicle": "sim-01", "date": "2026-03-02", "software_version": "2026.1"}
+TWO_FAILURES = Variant(
+    number=3,
+    seed=11,
+    frames=FrameRange(),
+    noise=REAL,
+    planned=((0, FailureKind.PARKED_CALLED_MOVING), (1, FailureKind.MISSED_MOVER)),
+    answer=Answer.BOXES,
+)
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One log of two scenes, without recorded answers, and its truth."""
+    folder = tmp_path_factory.mktemp("fleet")
+    street_log(
+        folder / "logs" / f"{KEY}.mcap",
+        frames=FRAMES,
+        seed=4,
+        lidar=LIDAR,
+        recorded_as="nothing",
+        truth=folder / "truth" / KEY,
+    )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def parts(fleet: Path) -> Parts:
+    return parts_of(settings_of(fleet))
+
+
+@pytest.fixture(scope="module")
+def drive(fleet: Path, parts: Parts) -> Drive:
+    bucket = open_bucket(str(fleet / "logs"))
+    recording = jobs_of(str(fleet / "logs"), fleet / "truth")[0].recording
+    truth = LogTruth.beside(recording, fleet / "truth")
+    assert truth is not None
+    return load_drive(bucket, recording, truth, settings_of(fleet), parts, frames=FrameRange())
+
+
+def settings_of(fleet: Path) -> MiningSettings:
+    return MiningSettings(bucket=str(fleet / "logs"), artifacts="memory://", supervised="recorded")
+
+
+def bytes_of(mined: MinedScene, parts: Parts) -> tuple[bytes, bytes]:
+    names = parts.supervised.class_names
+    overlay = overlay_of(mined.scene, mined.instances, mined.tracks, class_names=names)
+    return encode_scene_score(mined.score), encode_overlay(overlay)
+
+
+def write_log(path: Path, drive: Drive, messages: list[bytes]) -> None:
+    """Write the street of the drive again, with these messages of boxes."""
+    street = build_street(4, seconds=FRAMES * LIDAR.period_s, style="drives")
+    path.parent.mkdir(parents=True)
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        schema = writer.register_msgdef(POINT_CLOUD2, POINT_CLOUD2_DEFINITION)
+        writer.add_metadata("counterpoint.classes", recorded_classes())
+        writer.add_metadata("counterpoint.log", IDENTITY)
+        published = json.dumps(PredictedBoxes.model_json_schema()).encode()
+        mcap = writer._writer
+        of_boxes = mcap.register_schema(name=SCHEMA_NAME, encoding="jsonschema", data=published)
+        channel = mcap.register_channel(
+            topic=BOXES_TOPIC, message_encoding="json", schema_id=of_boxes
+        )
+        for index, data in enumerate(messages):
+            stamp_ns = drive.frames[index].posed.frame.stamp_ns
+            cloud = cloud_of(sweep(street, LIDAR, index), None)
+            message = message_of(cloud, stamp_ns=stamp_ns, space="lidar_top")
+            writer.write_message("/lidar/top/points", schema, message, stamp_ns, stamp_ns, index)
+            mcap.add_message(
+                channel_id=channel, log_time=stamp_ns, publish_time=stamp_ns, data=data
+            )
+        writer.finish()  # type: ignore[no-untyped-call]  # upstream lacks the return type
+
+
+def test_a_variant_equals_a_log_that_contains_its_boxes(
+    fleet: Path, drive: Drive, parts: Parts, tmp_path: Path
+) -> None:
+    failures = place_failures(drive, TWO_FAILURES)
+    assert len(failures) == 2
+    boxes = boxes_of_variant(drive, TWO_FAILURES, failures)
+    replayed = [
+        bytes_of(mined, parts) for mined in mine_answers(drive, boxes, parts, pipeline_version="0")
+    ]
+    messages = list(messages_of_variant(drive, TWO_FAILURES, failures))
+    write_log(tmp_path / f"{KEY}.mcap", drive, messages)
+
+    bucket = open_bucket(str(tmp_path))
+    recording = jobs_of(str(tmp_path), fleet / "truth")[0].recording
+    settings = settings_of(fleet)
+    (shard,) = shards_of_log(bucket, recording, settings)
+    assert shard.recorded is not None
+    assert shard.recorded.boxes is not None
+    frames = read_shard(bucket, recording, shard, settings).frames()
+    of_log = parts_of(settings)
+    mined = mine_shard(shard, frames, of_log, pipeline_version="0")
+    assert [bytes_of(each, of_log) for each in mined] == replayed
+    assert len(replayed) == 2
+
+
+def test_true_boxes_contain_the_points_of_their_objects(drive: Drive) -> None:
+    shares = []
+    for frame in drive.frames:
+        pose = frame.world_from_sensor
+        world = frame.points_m @ pose[:3, :3].T + pose[:3, 3]
+        for track, body in frame.bodies.items():
+            mine = (frame.track == track) & (frame.ground == 0)
+            along = np.array([np.cos(body.yaw_rad), np.sin(body.yaw_rad)])
+            away = world[mine] - body.centre_m
+            across = np.array([-along[1], along[0]])
+            offsets = np.stack([away[:, :2] @ along, away[:, :2] @ across, away[:, 2]], axis=1)
+            shares.append(float((np.abs(offsets) < body.size_m / 2 + 0.15).all(axis=1).mean()))
+    assert len(shares) > 100
+    assert np.median(shares) > 0.95
+
+
+def test_planted_failures_are_missing_boxes_and_invented_velocities(drive: Drive) -> None:
+    (parked, missed) = place_failures(drive, TWO_FAILURES)
+    found = list(boxes_of_variant(drive, TWO_FAILURES, [parked, missed]))
+    plain = list(boxes_of_variant(drive, TWO_FAILURES, []))
+    assert len(found) == len(plain) == FRAMES
+    for frame, changed, right in zip(drive.frames, found, plain, strict=True):
+        assert changed is not None
+        assert right is not None
+        assert len(right) - len(changed) in ((0, 1) if missed.is_on(frame.time_s) else (0,))
+        if parked.is_on(frame.time_s):
+            speed, usual = (
+                np.linalg.norm(each.velocity_m_per_s[:, :2], axis=1) for each in (changed, right)
+            )
+            assert (speed > 1.2).sum() == (usual > 1.2).sum() + 1
+    lost = [
+        len(right) - len(changed)
+        for frame, changed, right in zip(drive.frames, found, plain, strict=True)
+        if missed.is_on(frame.time_s) and changed is not None and right is not None
+    ]
+    assert sum(lost) >= len(lost) / 2
+
+
+def test_boxes_are_mined_ranked_and_listed(fleet: Path) -> None:
+    made, planted = bench_planting(
+        str(fleet / "logs"),
+        fleet / "truth",
+        settings_of(fleet),
+        Planting(variants=2, share=0.25, answer=Answer.BOXES),
+        processes=1,
+        kept=None,
+        draws=10,
+    )
+    assert (made.answer, planted.answer) == ("boxes", Answer.BOXES)
+    assert made.planted is not None
+    assert (made.planted.scenes, made.planted.planted) == (4, 1)
+
+
+def test_truth_without_boxes_is_refused_in_one_sentence(fleet: Path, tmp_path: Path) -> None:
+    folder = tmp_path / KEY
+    folder.mkdir(parents=True)
+    for file in sorted((fleet / "truth" / KEY).glob("*.npz")):
+        (folder / file.name).symlink_to(file)
+    with pytest.raises(TruthUnusableError, match=r"no boxes; --answer boxes needs tracks\.csv"):
+        bench_planting(
+            str(fleet / "logs"),
+            tmp_path,
+            settings_of(fleet),
+            Planting(variants=1, answer=Answer.BOXES),
+            processes=1,
+            kept=None,
+        )
