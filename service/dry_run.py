@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Final
 
-import structlog
 from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.errors import PermanentError
@@ -31,8 +30,6 @@ from service.store.throughput import Pace, pace
 
 if TYPE_CHECKING:
     from workers.layers import LayerDigests
-
-log = structlog.get_logger(__name__)
 
 MOST_LOOKED_INTO: Final = 32
 """Logs whose index is read, with two range reads each: enough for a mean, seconds on any bucket."""
@@ -93,6 +90,9 @@ class DryRun(BaseModel):
     pipeline_version: str = Field(
         description="Pipeline version of these settings; empty: there is no state to compare "
         "with, all is left."
+    )
+    not_compared: str = Field(
+        default="", description="Cause for which a state that is there is not compared with."
     )
     state_version: str = Field(description="The newest in the state; another one is beaten.")
     looked_into: int = Field(description="Logs with work left whose index was read.")
@@ -158,6 +158,7 @@ def plan_dry_run(
         by_standing=dict(Counter(log.standing for log in logs)),
         pipeline_version=known.pipeline_version,
         state_version=known.state_version,
+        not_compared=known.problem,
         looked_into=len(looked),
         frames=None if frames is None else round(frames),
         duration_s=seconds,
@@ -255,12 +256,13 @@ def _other_parts(settings: Settings) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class _Known:
-    """Data of a state; empty where there is none, or one of another schema."""
+    """Data of a state; empty where there is none, or one of another schema, as `problem` says."""
 
     pace: Pace | None = None
     standings: Standings | None = None
     pipeline_version: str = ""
     state_version: str = ""
+    problem: str = ""
 
 
 def _known(settings: Settings, url: str, recordings: Sequence[Recording]) -> _Known:
@@ -269,8 +271,7 @@ def _known(settings: Settings, url: str, recordings: Sequence[Recording]) -> _Kn
     try:
         store = open_ledger_store_to_read(settings)
     except StateOutdatedError as error:
-        log.debug("no state to compare with", problem=str(error))
-        return _Known()
+        return _Known(problem=str(error))
     with closing(store), store.reading() as connection:
         require_served(connection, url, recordings, name=store.name)
         newest = newest_pipeline(connection)

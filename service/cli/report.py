@@ -219,6 +219,8 @@ def say_dry_run(found: DryRun) -> None:
     )
     say_skipped(found.skipped)
     left = sum(log.left_share > 0 for log in found.logs)
+    if found.not_compared:
+        remark(f"not compared with the state, so that all counts as left: {found.not_compared}")
     if found.pipeline_version:
         _say_compared(found)
     remark(

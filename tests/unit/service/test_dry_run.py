@@ -2,6 +2,7 @@
 
 import json
 import os
+import sqlite3
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import asdict
@@ -25,7 +26,7 @@ from service.dry_run import (
 )
 from service.errors import NothingFoundError, OtherBucketError, StateUnusableError
 from service.settings.config import load_settings
-from service.store.engine import open_store
+from service.store.engine import DATABASE_NAME, open_store
 from service.store.served_bucket import note_served
 from tests.contracts.ledger_world import World, mined, plan_of, shard_commit
 from tests.tiny_logs import Recorder, drive
@@ -235,6 +236,22 @@ def test_where_the_score_alone_changed_no_frame_is_left(
     assert "scores of 1 log are computed again" in capsys.readouterr().err
     mine(tmp_path, ours.pipeline_version, layers=stated, until=1)
     assert standings(dry_run(tmp_path))["done"] == "scores", "begun under the new one"
+
+
+def test_a_state_that_is_not_up_to_date_is_said_to_be_left_out(
+    tmp_path: Path, version: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logs_of(tmp_path, "done")
+    mine(tmp_path, version)
+    assert dry_run(tmp_path).not_compared == ""
+    with closing(sqlite3.connect(tmp_path / "state" / DATABASE_NAME)) as older, older:
+        older.execute("DELETE FROM schema_version WHERE version > 1")
+    found = dry_run(tmp_path)
+    assert (standings(found), found.pipeline_version) == ({"done": "new"}, "")
+    assert "bring it up to date" in found.not_compared
+    bucket, state = str(tmp_path / "logs"), str(tmp_path / "state")
+    assert main(["run", "--dry-run", "--bucket", bucket, "--state", state]) == 0
+    assert "not compared with the state, so that all counts as left" in capsys.readouterr().err
 
 
 def test_a_log_whose_objects_changed_is_left(tmp_path: Path, version: str) -> None:
