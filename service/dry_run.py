@@ -3,14 +3,14 @@
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.util import find_spec
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-import structlog
 from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.errors import PermanentError
+from schemas.layers import Layers
 from schemas.mining import LOOKAHEAD
 from schemas.transport.bucket import Bucket, open_bucket
 from schemas.transport.folder import Skipped
@@ -28,7 +28,8 @@ from service.store.progress import LogStanding, Standings
 from service.store.served_bucket import require_served
 from service.store.throughput import Pace, pace
 
-log = structlog.get_logger(__name__)
+if TYPE_CHECKING:
+    from workers.layers import LayerDigests
 
 MOST_LOOKED_INTO: Final = 32
 """Logs whose index is read, with two range reads each: enough for a mean, seconds on any bucket."""
@@ -57,7 +58,8 @@ class DryLog(BaseModel):
         default="new",
         description="Progress of the log in the state. new, changed (mined with other objects) "
         "and anew (mined by another pipeline version): a run mines all of it. in "
-        "part: it mines the rest. mined, refused and parked: it mines nothing.",
+        "part: it mines the rest. scores (mined by a version that differs in the score alone): it "
+        "computes scores again, from the overlays. mined, refused and parked: it mines nothing.",
     )
     left_share: float = Field(
         default=1.0, ge=0, le=1, description="Share of its bytes to be mined."
@@ -88,6 +90,9 @@ class DryRun(BaseModel):
     pipeline_version: str = Field(
         description="Pipeline version of these settings; empty: there is no state to compare "
         "with, all is left."
+    )
+    not_compared: str = Field(
+        default="", description="Cause for which a state that is there is not compared with."
     )
     state_version: str = Field(description="The newest in the state; another one is beaten.")
     looked_into: int = Field(description="Logs with work left whose index was read.")
@@ -153,6 +158,7 @@ def plan_dry_run(
         by_standing=dict(Counter(log.standing for log in logs)),
         pipeline_version=known.pipeline_version,
         state_version=known.state_version,
+        not_compared=known.problem,
         looked_into=len(looked),
         frames=None if frames is None else round(frames),
         duration_s=seconds,
@@ -228,8 +234,8 @@ def _pace(known: "_Known", settings: Settings) -> tuple[float | None, str]:
         return found.seconds_per_frame, f"measured on {frames} frames mined in this state"
     if others:
         return None, (
-            f"no {ENOUGH_FRAMES} frames are mined in this state with {', '.join(others)}, and the "
-            "time of the defaults does not apply to them"
+            f"no {ENOUGH_FRAMES} frames are mined in this state under this pipeline version, with "
+            f"{', '.join(others)}, and the time of the defaults does not apply to them"
         )
     return (
         DEFAULT_SECONDS_PER_FRAME,
@@ -250,12 +256,13 @@ def _other_parts(settings: Settings) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class _Known:
-    """Data of a state; empty where there is none, or one of another schema."""
+    """Data of a state; empty where there is none, or one of another schema, as `problem` says."""
 
     pace: Pace | None = None
     standings: Standings | None = None
     pipeline_version: str = ""
     state_version: str = ""
+    problem: str = ""
 
 
 def _known(settings: Settings, url: str, recordings: Sequence[Recording]) -> _Known:
@@ -264,20 +271,22 @@ def _known(settings: Settings, url: str, recordings: Sequence[Recording]) -> _Kn
     try:
         store = open_ledger_store_to_read(settings)
     except StateOutdatedError as error:
-        log.debug("no state to compare with", problem=str(error))
-        return _Known()
+        return _Known(problem=str(error))
     with closing(store), store.reading() as connection:
         require_served(connection, url, recordings, name=store.name)
         newest = newest_pipeline(connection)
-        version = (_version(settings) or newest) if newest else ""
-        standings = Standings(connection, version) if version else None
+        layers = _layers(settings) if newest else None
+        version = layers.pipeline_version if layers else newest
+        stated = Layers(**asdict(layers)) if layers else None
+        standings = Standings(connection, version, stated) if version else None
         return _Known(pace(connection), standings, version, newest)
 
 
-def _version(settings: Settings) -> str:
-    """Return the pipeline version of these settings; empty where workers are not installed."""
+def _layers(settings: Settings) -> "LayerDigests | None":
+    """Return the layers that these settings make; None where workers are not installed."""
     if any(find_spec(name) is None for name in NEEDED):
-        return ""
-    from workers.version import version_of
+        return None
+    from workers.version import layers_of, parts_of
 
-    return version_of(settings.mining())
+    mining = settings.mining()
+    return layers_of(mining, parts_of(mining))

@@ -15,7 +15,7 @@ import zenoh
 
 from schemas.errors import PermanentError
 from schemas.runtime.named_file import read_named_file
-from schemas.runtime.private_file import need_private
+from schemas.runtime.private_file import read_private
 from schemas.transport.endpoints import LOCKED_PROTOCOLS, protocol_of
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ def check_locks(locks: Locks, endpoints: tuple[str, ...]) -> None:
         for setting, path in files.items():
             if not Path(path).is_file():
                 raise PermanentError(f"{setting}: there is no such file ({path})")
-        need_private(Path(locks.key), what="tls_key")
+        read_private(Path(locks.key), what="tls_key")
     elif not locks.zenoh_config:
         for endpoint in endpoints:
             if protocol_of(endpoint) in LOCKED_PROTOCOLS and "#" not in endpoint:

@@ -233,6 +233,8 @@ def say_dry_run(found: "DryRun") -> None:
     )
     say_skipped(found.skipped)
     left = sum(log.left_share > 0 for log in found.logs)
+    if found.not_compared:
+        remark(f"not compared with the state, so that all counts as left: {found.not_compared}")
     if found.pipeline_version:
         _say_compared(found)
     remark(
@@ -261,7 +263,12 @@ def say_dry_run(found: "DryRun") -> None:
 def _say_compared(found: "DryRun") -> None:
     counts = ", ".join(f"{count} {what}" for what, count in sorted(found.by_standing.items()))
     remark(f"under pipeline version {found.pipeline_version} the state has: {counts}")
-    if found.pipeline_version != found.state_version:
+    if scores := found.by_standing.get("scores"):
+        remark(
+            f"scores of {counted(scores, 'log')} are computed again from the overlays, tenths of a "
+            "second a scene; no frame of them is mined"
+        )
+    if found.pipeline_version != found.state_version and found.by_standing.get("anew"):
         remark(
             f"the newest pipeline version in the state is another, {found.state_version}: "
             "logs that only that one has mined are mined again"

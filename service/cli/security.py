@@ -61,8 +61,9 @@ def certs(
 ) -> None:
     """Make an authority and certificates, renew or revoke them, and list them.
 
-    Each NAME gets NAME.key and NAME.pem; a name that is there is renewed, and its old certificate
-    stays valid until it expires. Without a name the certificates are listed.
+    Each NAME gets NAME.key and NAME.pem; a name that is there is renewed, with the hosts that it
+    had, and its old certificate stays valid until it expires. Without a name the certificates are
+    listed.
     """
     from service.output_files import need_folder
     from service.security.authority import certificate_name, open_authority, role_of

@@ -16,7 +16,7 @@ from service.errors import StateUnusableError, UsageError
 from service.settings.config import Settings
 from service.store.engine import StoreUnavailableError
 from service.store.opening import open_ledger_store_to_read
-from service.store.tables import SHARDS
+from service.store.tables import PIPELINES, SHARDS
 
 NEEDED: Final = ("torch", "kiss_icp", "mcap", "numba", "pypatchworkpp", "scipy", "sklearn")
 """Modules of the extra `workers`."""
@@ -52,7 +52,34 @@ def parts(settings: Settings) -> Iterator[Finding]:
     yield ok("weights", f"loaded: {built.supervised.version}")
     yield ok("streams", f"{built.selfsupervised.version}, {built.odometry.version}")
     with suppress(UsageError):  # said under `camera`
-        yield ok("pipeline version", pipeline_version(settings.mining(), built))
+        yield _expected(settings, pipeline_version(settings.mining(), built))
+
+
+def _expected(settings: Settings, version: str) -> Finding:
+    """Warn of a version whose workers would get no work from a service with these settings."""
+    if version in settings.expected_versions:
+        return ok("pipeline version", f"{version}, which is expected")
+    if not settings.expected_versions:
+        if settings.is_on_loopback:
+            return ok("pipeline version", version)
+        known = _known_versions(settings)
+        if not known or version in known:
+            return ok("pipeline version", version)
+    return warning(
+        "pipeline version",
+        f"{version} is not expected, so its workers would get no work: write "
+        f'expected_versions = ["{version}"] into the settings of the service',
+    )
+
+
+def _known_versions(settings: Settings) -> frozenset[str]:
+    """Return the versions of the ledger; none where it cannot be read."""
+    try:
+        store = open_ledger_store_to_read(settings)
+    except (StateUnusableError, StoreUnavailableError):  # said under `database`
+        return frozenset()
+    with closing(store), store.reading() as connection:
+        return frozenset(connection.execute(select(PIPELINES.c.pipeline_version)).scalars())
 
 
 def devices(settings: Settings) -> Iterator[Finding]:

@@ -34,6 +34,7 @@ RECORDING_STATES: Final = (
     "settling",
     "planning",
     "mining",
+    "resting",
     "done",
     "refused",
     "parked",
@@ -159,7 +160,8 @@ def _of_ledger(backlog: Backlog, *, now_s: float) -> Iterator[Metric]:
     )
     yield _gauge(
         "recordings",
-        "Recordings in the bucket by state. Worry at any `refused` or `parked`: "
+        "Recordings in the bucket by state; `resting` ones are mined again when the day's "
+        "`remine_core_hours_a_day` are not used up any more. Worry at any `refused` or `parked`: "
         "`counterpoint status` names each with its problem.",
         {(state,): backlog.recordings.get(state, 0) for state in RECORDING_STATES},
         labels=("state",),
@@ -183,7 +185,8 @@ def _of_ledger(backlog: Backlog, *, now_s: float) -> Iterator[Metric]:
     oldest = backlog.oldest_listed_s
     yield _gauge(
         "oldest_work_age_seconds",
-        "Time since the oldest recording with work left was first listed; 0 when none is left. "
+        "Time since the oldest recording with work left, unless it rests, was first listed; 0 when "
+        "none is left. "
         "Worry when it exceeds the time of mining one recording: the workers do not keep up, or "
         "are gone.",
         0.0 if oldest is None else max(0.0, now_s - oldest),

@@ -50,7 +50,8 @@ class Authority:
         Args:
             name: Name of the process, by which rules know it.
             role: What it may do.
-            hosts: Names and addresses under which others reach it.
+            hosts: Names and addresses under which others reach it; those of the certificate that
+                is there are kept.
             days: Validity.
 
         Returns:
@@ -62,9 +63,10 @@ class Authority:
         """
         self.need_free(name, role)
         key = ec.generate_private_key(ec.SECP256R1())
-        certificate = self._sign(name, role, key.public_key(), hosts=hosts, days=days)
-        write_private(self.folder / f"{name}.key", _key_bytes(key))
         path = self._path(name)
+        named = (*self._hosts_before(path), *hosts)
+        certificate = self._sign(name, role, key.public_key(), hosts=named, days=days)
+        write_private(self.folder / f"{name}.key", _key_bytes(key))
         path.write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
         return path
 
@@ -112,6 +114,10 @@ class Authority:
     def _path(self, name: str) -> Path:
         return self.folder / f"{name}.pem"
 
+    def _hosts_before(self, path: Path) -> tuple[str, ...]:
+        before = _load(path) if path.exists() else None
+        return hosts_of(before) if before and self._signed(before) else ()
+
     def _signed(self, certificate: x509.Certificate) -> bool:
         try:
             certificate.verify_directly_issued_by(self._root)
@@ -154,6 +160,13 @@ class Authority:
             )
         )
         return builder.sign(key, hashes.SHA256())
+
+
+def hosts_of(certificate: x509.Certificate) -> tuple[str, ...]:
+    """Return the names and addresses under which others reach the holder of a certificate."""
+    found = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    addresses = found.get_values_for_type(x509.IPAddress)
+    return (*found.get_values_for_type(x509.DNSName), *map(str, addresses))
 
 
 def open_authority(folder: Path, *, system: str = "counterpoint") -> Authority:

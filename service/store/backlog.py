@@ -3,13 +3,25 @@
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
-from sqlalchemy import Connection, Table, and_, distinct, exists, func, or_, select, union
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Table,
+    and_,
+    distinct,
+    exists,
+    func,
+    or_,
+    select,
+    union,
+)
 
 from service.store.events import counter
 from service.store.overview import newest_pipeline
-from service.store.remining import spent_s
+from service.store.remining import RESTS_FROM, ReminingPolicy, budget_is_spent, spent_s
 from service.store.tables import DAMAGE, LEASES, PLANS, RECORDINGS, SCENES, SHARDS
 from service.store.transaction_effects import WorkKind
+from service.store.turns import NO_LIMIT
 from service.store.verdict_rows import JudgedOutcome, judged_outcomes
 from service.store.work_items import OPEN, WorkState
 
@@ -25,7 +37,8 @@ class Backlog:
 
     Attributes:
         work: Plans and shards by kind and state; done ones of replaced recordings count as well.
-        recordings: Current recordings by state, named as in `LogStatus`.
+        recordings: Current recordings by state, named as in `LogStatus`; also `resting`: to be
+            mined again, when there is budget again.
         damaged: Current recordings that are mined only in part, by cause; each is counted once.
         damaged_stretches: Unreadable stretches of current recordings that any pipeline version
             found, so that a new one forgets none of them.
@@ -34,8 +47,8 @@ class Backlog:
         current_scenes: Current scenes, of any pipeline version.
         unpublished: Events that the outbox has not published yet.
         judged_scenes: Records with a verdict that decides which stream is wrong, by the outcome.
-        oldest_listed_s: First listing of the oldest recording with work left, seconds of the
-            service's clock; None when no work is left.
+        oldest_listed_s: First listing of the oldest recording with work left that does not rest,
+            seconds of the service's clock; None when there is none.
         remined_s: Seconds of a core that mining again took within the last day.
     """
 
@@ -52,16 +65,18 @@ class Backlog:
     remined_s: float = 0.0
 
 
-def backlog(connection: Connection, *, now_s: float) -> Backlog:
-    """Count waiting, running and parked work."""
+def backlog(connection: Connection, policy: ReminingPolicy, *, now_s: float) -> Backlog:
+    """Count waiting, running and parked work, and what rests by the policy's budget of a day."""
     version = newest_pipeline(connection)
+    remined_s = spent_s(connection, version, now_s=now_s)
+    limit = RESTS_FROM if budget_is_spent(policy, remined_s) else NO_LIMIT
     plans, shards = (_by_state(connection, table, version) for table in (PLANS, SHARDS))
     held = connection.execute(_HELD).one()
     work: dict[tuple[WorkKind, str], int] = {("plan", state): n for state, n in plans.items()}
     work |= {("shard", state): n for state, n in shards.items()}
     return Backlog(
         work=work,
-        recordings=_recordings(connection, version, now_s=now_s),
+        recordings=_recordings(connection, version, limit=limit, now_s=now_s),
         damaged=_damaged(connection, version),
         damaged_stretches=connection.execute(_DAMAGED_STRETCHES).scalar_one(),
         leases_held=held.leases,
@@ -69,8 +84,8 @@ def backlog(connection: Connection, *, now_s: float) -> Backlog:
         current_scenes=connection.execute(_CURRENT_SCENES).scalar_one(),
         unpublished=counter(connection, "seq") - counter(connection, "published"),
         judged_scenes=judged_outcomes(connection),
-        oldest_listed_s=_oldest_listed_s(connection, version),
-        remined_s=spent_s(connection, version, now_s=now_s),
+        oldest_listed_s=_oldest_listed_s(connection, version, limit=limit),
+        remined_s=remined_s,
     )
 
 
@@ -95,7 +110,9 @@ def _by_state(connection: Connection, table: Table, version: str) -> dict[str, i
     return states
 
 
-def _recordings(connection: Connection, version: str, *, now_s: float) -> dict[str, int]:
+def _recordings(
+    connection: Connection, version: str, *, limit: int, now_s: float
+) -> dict[str, int]:
     total: int = connection.execute(
         select(func.count())
         .select_from(RECORDINGS)
@@ -129,14 +146,29 @@ def _recordings(connection: Connection, version: str, *, now_s: float) -> dict[s
             PLANS.c.ready_at_s > now_s,
         )
     ).scalar_one()
-    stale = _logs_with_shards(connection, version, WorkState.STALE)
-    mining = _logs_with_shards(connection, version, WorkState.READY, WorkState.LEASED) - stale
+    unplanned: int = connection.execute(
+        select(func.count())
+        .select_from(PLANS)
+        .join(RECORDINGS, _same_log(PLANS))
+        .where(
+            PLANS.c.pipeline_version == version,
+            PLANS.c.state == WorkState.READY,
+            PLANS.c.turn >= limit,
+            or_(PLANS.c.error != "", PLANS.c.ready_at_s <= now_s),
+            RECORDINGS.c.is_current,
+        )
+    ).scalar_one()
+    stale = _logs_with_shards(connection, version, SHARDS.c.state == WorkState.STALE)
+    mining = _logs_with_shards(connection, version, SHARDS.c.state.in_(OPEN)) - stale
+    active = _logs_with_shards(connection, version, _is_active(SHARDS, limit)) & mining
     planned = plans.get(WorkState.DONE, 0)
+    waiting = total - sum(plans.values()) + plans.get(WorkState.READY, 0) - settling
     return {
-        "waiting": total - sum(plans.values()) + plans.get(WorkState.READY, 0) - settling,
+        "waiting": waiting - unplanned,
         "settling": settling,
         "planning": plans.get(WorkState.LEASED, 0),
-        "mining": len(mining),
+        "mining": len(active),
+        "resting": unplanned + len(mining) - len(active),
         "done": max(0, planned - len(mining) - len(stale)),
         "refused": plans.get(WorkState.REFUSED, 0),
         "parked": plans.get(WorkState.PARKED, 0),
@@ -170,21 +202,25 @@ def _damaged(connection: Connection, version: str) -> dict[LogDamage, int]:
     }
 
 
-def _logs_with_shards(connection: Connection, version: str, *states: WorkState) -> set[str]:
-    logs = (
-        select(SHARDS.c.log_id)
-        .distinct()
-        .where(SHARDS.c.pipeline_version == version, SHARDS.c.state.in_(states))
-    )
+def _logs_with_shards(connection: Connection, version: str, which: ColumnElement[bool]) -> set[str]:
+    logs = select(SHARDS.c.log_id).distinct().where(SHARDS.c.pipeline_version == version, which)
     return set(connection.execute(logs).scalars())
 
 
-def _oldest_listed_s(connection: Connection, version: str) -> float | None:
+def _is_active(table: Table, limit: int) -> ColumnElement[bool]:
+    """Return true for open work that does not rest."""
+    return or_(
+        table.c.state.in_((WorkState.LEASED, WorkState.STALE)),
+        and_(table.c.state == WorkState.READY, table.c.turn < limit),
+    )
+
+
+def _oldest_listed_s(connection: Connection, version: str, *, limit: int) -> float | None:
     planned = select(PLANS.c.log_id).where(PLANS.c.pipeline_version == version)
     opened = union(
-        planned.where(PLANS.c.state.in_(OPEN)),
+        planned.where(_is_active(PLANS, limit)),
         select(SHARDS.c.log_id).where(
-            SHARDS.c.pipeline_version == version, SHARDS.c.state.in_(OPEN)
+            SHARDS.c.pipeline_version == version, _is_active(SHARDS, limit)
         ),
     )
     oldest: float | None = connection.execute(

@@ -383,7 +383,7 @@ class Ledger:
     def backlog(self) -> Backlog:
         """Count waiting, running and parked work, under the newest pipeline version."""
         with self._store.reading() as connection:
-            return backlog.backlog(connection, now_s=self._now_s())
+            return backlog.backlog(connection, self._turns.policy, now_s=self._now_s())
 
     def status(self, pipeline_version: str | None = None) -> Status:
         """Return the progress of all work under this pipeline version; by default the newest."""

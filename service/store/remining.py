@@ -49,6 +49,9 @@ judged scenes. `none`: no log; the scenes of the version before stay.
 DAY_S: Final = 86_400.0
 HOUR_S: Final = 3600.0
 
+RESTS_FROM: Final = Kind.CANARY.first_turn
+"""Turn from which work waits while the budget is spent: everything that is mined again."""
+
 LIMIT_INTERVAL_S: Final = 2.0
 """Interval at which budget and canary share are read, seconds."""
 
@@ -140,10 +143,8 @@ def limit_of(
     connection: Connection, pipeline_version: str, policy: ReminingPolicy, *, now_s: float
 ) -> int:
     """Return the turn below which work may be claimed now."""
-    if policy.core_hours_a_day and (
-        spent_s(connection, pipeline_version, now_s=now_s) >= policy.core_hours_a_day * HOUR_S
-    ):
-        return Kind.CANARY.first_turn
+    if budget_is_spent(policy, spent_s(connection, pipeline_version, now_s=now_s)):
+        return RESTS_FROM
     for table in (PLANS, SHARDS):
         canary = select(table.c.log_id).where(
             table.c.pipeline_version == pipeline_version,
@@ -154,6 +155,11 @@ def limit_of(
         if connection.execute(canary.limit(1)).first() is not None:
             return Kind.CHOSEN.first_turn
     return NO_LIMIT
+
+
+def budget_is_spent(policy: ReminingPolicy, spent: float) -> bool:
+    """Return true if mining again has taken its budget of the last day, in seconds of a core."""
+    return 0 < policy.core_hours_a_day * HOUR_S <= spent
 
 
 def spent_s(connection: Connection, pipeline_version: str, *, now_s: float) -> float:

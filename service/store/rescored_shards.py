@@ -29,7 +29,7 @@ def inherit_plans(connection: Connection, pipeline_version: str, layers: Layers)
     A shard that such a version has mined is scored again, the others are mined. Recordings that
     have a plan already are left alone.
     """
-    for source in _sources(connection, pipeline_version, layers):
+    for source in same_but_for_scores(connection, pipeline_version, layers):
         of_source = and_(
             PLANS.c.pipeline_version == source,
             PLANS.c.state.in_((WorkState.DONE, WorkState.REFUSED)),
@@ -121,7 +121,7 @@ def mined_before(connection: Connection, work: Work, row: Any) -> dict[str, Any]
     return {"frames": mined.frames, "points": mined.points}
 
 
-def _sources(connection: Connection, pipeline_version: str, layers: Layers) -> list[str]:
+def same_but_for_scores(connection: Connection, pipeline_version: str, layers: Layers) -> list[str]:
     """Return the other versions with the same labels and contradictions, the newest first."""
     found = connection.execute(
         select(PIPELINES.c.pipeline_version)

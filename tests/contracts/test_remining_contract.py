@@ -194,7 +194,11 @@ class ReminingContract(StoreContract):
         fleet.restarted("newest", core_hours_a_day=2.0)
         fleet.listed("a", "b", "c")
         assert [kind for kind, _ in fleet.work_of("q2")].count("mine") == 2
-        assert fleet.ledger.backlog().remined_s == 7200.0
+        spent = fleet.ledger.backlog()
+        assert spent.remined_s == 7200.0
+        assert (spent.recordings["mining"], spent.recordings["resting"]) == (0, 1)
+        assert spent.recordings["waiting"] == spent.recordings["planning"] == 0
+        assert spent.oldest_listed_s is None, "what rests is no work that is late"
         assert fleet.versions() == {"p1", "q2"}
         fleet.listed("a", "b", "c", "z")
         assert ("mine", "z") in fleet.work_of("q2")

@@ -248,6 +248,30 @@ def test_without_the_extra_the_workers_part_is_a_warning(monkeypatch: pytest.Mon
     assert "pip install 'counterpoint[workers]'" in says
 
 
+def test_a_version_whose_workers_would_get_no_work_is_a_warning(tmp_path: Path) -> None:
+    def said(**flags: Any) -> tuple[str, str]:
+        here = settings(supervised="recorded", state=tmp_path, **flags)
+        return told(doctor_machine.parts(here))[-1]
+
+    verdict, ours = said()
+    assert (verdict, len(ours)) == ("ok", 12)
+    assert said(expected_versions=(ours,)) == ("ok", f"{ours}, which is expected")
+    verdict, says = said(expected_versions=("another",))
+    assert verdict == "warning"
+    assert f'expected_versions = ["{ours}"]' in says
+    away = {"connect": "tls/router.example:7447"}
+    assert said(**away) == ("ok", ours), "an empty ledger takes the first version"
+    with closing(open_store(tmp_path)) as store:
+        world = World.on(store)
+        world.listed("drive")
+        world.claim(version="former")
+    assert said(**away)[0] == "warning"
+    assert said() == ("ok", ours), "on the loopback every version gets work"
+    with closing(open_store(tmp_path)) as store:
+        World.on(store).claim(version=ours)
+    assert said(**away) == ("ok", ours)
+
+
 def test_the_verb_ends_with_one_when_there_is_a_problem(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

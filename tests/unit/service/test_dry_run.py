@@ -2,17 +2,20 @@
 
 import json
 import os
+import sqlite3
 from collections.abc import Sequence
 from contextlib import closing
+from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from schemas.layers import Layers
 from schemas.transport.bucket import open_bucket
 from schemas.transport.recordings import group_recordings
-from schemas.work import MineLease, MiningStats, PlanLease, Recording
+from schemas.work import ClaimRequest, MineLease, MiningStats, PlanLease, Recording
 from service.cli.main import main
 from service.dry_run import (
     DEFAULT_SECONDS_PER_FRAME,
@@ -23,11 +26,11 @@ from service.dry_run import (
 )
 from service.errors import NothingFoundError, OtherBucketError, StateUnusableError
 from service.settings.config import load_settings
-from service.store.engine import open_store
+from service.store.engine import DATABASE_NAME, open_store
 from service.store.served_bucket import note_served
 from tests.contracts.ledger_world import World, mined, plan_of, shard_commit
 from tests.tiny_logs import Recorder, drive
-from workers.version import version_of
+from workers.version import layers_of, parts_of, version_of
 
 
 @pytest.fixture(autouse=True)
@@ -137,13 +140,16 @@ def recordings_in(folder: Path) -> list[Recording]:
     return group_recordings(open_bucket(str(folder / "logs")).list())
 
 
-def mine(folder: Path, version: str, *, until: int = 100) -> None:
+def mine(folder: Path, version: str, *, until: int = 100, layers: Layers | None = None) -> None:
     """Mine the bucket in three shards a log, so many of them, as `refused` and `parked` say."""
+    request = ClaimRequest(worker_id="w1", pipeline_version=version, layers=layers)
     (folder / "state").mkdir(exist_ok=True)
     with closing(open_store(folder / "state")) as store:
         world = World.on(store)
         world.ledger.sync_recordings(recordings_in(folder))
-        while until and isinstance(lease := world.claim(version=version), PlanLease | MineLease):
+        while until and isinstance(
+            lease := world.ledger.claim(request).grant, PlanLease | MineLease
+        ):
             log_id = lease.recording.log_id
             if isinstance(lease, PlanLease):
                 refused = "no lidar" if log_id.startswith("refused") else ""
@@ -212,6 +218,40 @@ def test_another_pipeline_version_mines_everything_anew(tmp_path: Path, version:
     other = dry_run(tmp_path, grid={"shard_s": 10})
     assert standings(other)["done"] == "anew"
     assert other.pipeline_version not in (version, "an older one")
+
+
+def test_where_the_score_alone_changed_no_frame_is_left(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mining = load_settings(bucket="logs").mining()
+    ours = layers_of(mining, parts_of(mining))
+    stated = Layers(**asdict(ours))
+    logs_of(tmp_path, "done", "parked", "refused")
+    mine(tmp_path, "former", layers=stated.model_copy(update={"score": "of before"}))
+    found = dry_run(tmp_path)
+    assert standings(found) == {"done": "scores", "parked": "in part", "refused": "refused"}
+    assert [log.left_share for log in found.logs] == [0.0, pytest.approx(1 / 3), 0.0]
+    bucket, state = str(tmp_path / "logs"), str(tmp_path / "state")
+    assert main(["run", "--dry-run", "--bucket", bucket, "--state", state]) == 0
+    assert "scores of 1 log are computed again" in capsys.readouterr().err
+    mine(tmp_path, ours.pipeline_version, layers=stated, until=1)
+    assert standings(dry_run(tmp_path))["done"] == "scores", "begun under the new one"
+
+
+def test_a_state_that_is_not_up_to_date_is_said_to_be_left_out(
+    tmp_path: Path, version: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logs_of(tmp_path, "done")
+    mine(tmp_path, version)
+    assert dry_run(tmp_path).not_compared == ""
+    with closing(sqlite3.connect(tmp_path / "state" / DATABASE_NAME)) as older, older:
+        older.execute("DELETE FROM schema_version WHERE version > 1")
+    found = dry_run(tmp_path)
+    assert (standings(found), found.pipeline_version) == ({"done": "new"}, "")
+    assert "bring it up to date" in found.not_compared
+    bucket, state = str(tmp_path / "logs"), str(tmp_path / "state")
+    assert main(["run", "--dry-run", "--bucket", bucket, "--state", state]) == 0
+    assert "not compared with the state, so that all counts as left" in capsys.readouterr().err
 
 
 def test_a_log_whose_objects_changed_is_left(tmp_path: Path, version: str) -> None:

@@ -1,0 +1,38 @@
+"""A renewed certificate is reached under the names of the one before."""
+
+from pathlib import Path
+
+from cryptography import x509
+
+from service.cli.main import main
+from service.security.authority import hosts_of
+
+ALWAYS = {"router", "localhost", "127.0.0.1", "::1"}
+
+
+def hosts(folder: Path) -> set[str]:
+    pem = (folder / "router.pem").read_bytes()
+    return set(hosts_of(x509.load_pem_x509_certificate(pem)))
+
+
+def renewed(folder: Path, *flags: str) -> set[str]:
+    before = (folder / "router.pem").read_bytes() if folder.exists() else b""
+    assert main(["certs", str(folder), "--router", "router", *flags]) == 0
+    assert (folder / "router.pem").read_bytes() != before
+    return hosts(folder)
+
+
+def test_a_renewed_certificate_keeps_its_hosts_and_takes_further_ones(tmp_path: Path) -> None:
+    folder = tmp_path / "authority"
+    first = renewed(folder, "--host", "router.fleet.lan", "--host", "10.0.0.7", "--host", "fd00::7")
+    assert first == ALWAYS | {"router.fleet.lan", "10.0.0.7", "fd00::7"}
+    assert renewed(folder) == first
+    assert renewed(folder, "--host", "10.0.0.8", "--host", "10.0.0.7") == first | {"10.0.0.8"}
+
+
+def test_a_certificate_of_another_authority_lends_no_hosts(tmp_path: Path) -> None:
+    ours, theirs = tmp_path / "ours", tmp_path / "theirs"
+    renewed(theirs, "--host", "elsewhere.example")
+    assert renewed(ours) == ALWAYS
+    (ours / "router.pem").write_bytes((theirs / "router.pem").read_bytes())
+    assert renewed(ours) == ALWAYS
