@@ -34,6 +34,7 @@ from schemas.canonical import canonical_json
 from schemas.layers import Layers as Layers
 from schemas.layers import ManifestEntry as ManifestEntry
 from schemas.layers import RescoredShard as RescoredShard
+from schemas.mining import MAX_JOINED
 from schemas.recorded_source import PredictionFiles, StatedPose
 from schemas.score import MAX_RECORD_BYTES
 
@@ -153,6 +154,22 @@ class RecordedSource(BaseModel):
     )
 
 
+class FurtherLidar(BaseModel):
+    """A lidar of the car whose clouds are joined to those of a shard's main lidar."""
+
+    model_config = _STRICT
+
+    channel: Channel
+    recorded: RecordedSource | None = Field(
+        default=None, description="Labels of its points; None: no answer for its points."
+    )
+    main_from_lidar: tuple[Finite, ...] = Field(
+        min_length=16, max_length=16, description="(4, 4) its space to the main lidar's, by row."
+    )
+    period_ns: Count = Field(description="Usual step between frames of the main lidar.")
+    intensity_scale: Finite = Field(default=1.0, gt=0, description="Recorded value that means 1.")
+
+
 class Shard(BaseModel):
     """A time window of one lidar of one log, with its chunks; the unit that a worker leases.
 
@@ -166,6 +183,12 @@ class Shard(BaseModel):
     log_id: LogId
     index: int = Field(ge=0, lt=MAX_SHARDS_OF_A_PLAN)
     lidar: Channel
+    further: tuple[FurtherLidar, ...] = Field(
+        default=(),
+        max_length=MAX_JOINED,
+        exclude_if=lambda value: not value,
+        description="Further lidars, joined to the frames of the lidar.",
+    )
     recorded: RecordedSource | None = None
     motion: Channel | None = Field(
         default=None, description="Recorded motion of the car, if there is any."
