@@ -1,11 +1,11 @@
 """Clouds of several lidars of one car become one frame, or the log is refused in one sentence."""
 
 from collections.abc import Sequence
+from io import BytesIO
 
 import numpy as np
 import pytest
 from mcap_ros2.writer import Writer
-from io import BytesIO
 
 from schemas.arrays import NS_PER_S
 from schemas.frame import LidarFrame
@@ -115,7 +115,7 @@ def test_points_of_the_further_lidar_follow_in_the_space_of_the_main_one() -> No
         assert (frame.main_points, front.points, front.topic) == (900, 100 + number, FRONT)
         assert front.stamp_ns == frame.stamp_ns + LATE_NS
         # its first point lies 5 m ahead of a lidar that looks to the left
-        np.testing.assert_allclose(frame.points_m[900], MOUNTED_M + [0, 5, -2], atol=1e-5)
+        np.testing.assert_allclose(frame.points_m[900], MOUNTED_M + np.array([0, 5, -2]), atol=1e-5)
         assert (frame.offset_ns[900:] == LATE_NS).all()
         assert (frame.offset_ns[:900] == 0).all()
 
@@ -125,7 +125,8 @@ def test_the_main_part_is_the_frame_that_one_lidar_gives() -> None:
     alone, _ = frames(log(), lidar_topic=ROOF)
     for whole, one in zip(joined, alone, strict=True):
         main = whole.main()
-        assert main.joined == () and main.stamp_ns == one.stamp_ns
+        assert main.joined == ()
+        assert main.stamp_ns == one.stamp_ns
         np.testing.assert_array_equal(main.points_m, one.points_m)
         np.testing.assert_array_equal(main.ring, one.ring)
         np.testing.assert_array_equal(main.intensity, one.intensity)
@@ -159,7 +160,8 @@ def test_frames_are_the_same_however_the_log_is_cut(shard_s: float) -> None:
 def test_labels_of_each_lidar_are_joined() -> None:
     found, _ = frames(log(labels=(3, 3)), supervised="recorded")
     for frame in found:
-        assert frame.recorded is not None and frame.recorded.motion is not None
+        assert frame.recorded is not None
+        assert frame.recorded.motion is not None
         assert (frame.recorded.class_id == 3).all()
         assert (frame.recorded.motion == 1).all()
 
@@ -167,7 +169,8 @@ def test_labels_of_each_lidar_are_joined() -> None:
 def test_points_without_labels_of_their_lidar_have_no_answer() -> None:
     found, _ = frames(log(labels=(3, None)), supervised="recorded")
     for frame in found:
-        assert frame.recorded is not None and frame.recorded.motion is not None
+        assert frame.recorded is not None
+        assert frame.recorded.motion is not None
         assert (frame.recorded.motion[:900] == 1).all()
         assert (frame.recorded.motion[900:] == 0).all()
         assert set(frame.recorded.class_id[900:]).isdisjoint(frame.recorded.classes)

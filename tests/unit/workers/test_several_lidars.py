@@ -152,7 +152,7 @@ def wall_seen(
 
 
 def two_lidars() -> LidarFrame:
-    """Return a roof lidar that sees a wall 20 m ahead, and one 3 m to the left that sees one at 40 m."""
+    """Return a roof lidar that sees a wall at 20 m, and one 3 m to the left with one at 40 m."""
     roof, ring = wall_seen((0, 0, 0), 20.0)
     side, side_ring = wall_seen((0, 3, -1), 40.0)
     there = np.eye(4)
