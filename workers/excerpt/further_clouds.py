@@ -84,7 +84,7 @@ class FurtherClouds:
                 )
 
     def joined(self, frame: LidarFrame, number: int) -> LidarFrame:
-        """Append the points of further lidars to a frame of the main one, as it was mined.
+        """Append the points of further lidars to a frame of the main one, in the order of mining.
 
         Raises:
             FramesMissingError: If the log no longer has one of the clouds.

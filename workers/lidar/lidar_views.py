@@ -15,7 +15,7 @@ from workers.points.se3 import inverse, transform
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LidarView:
-    """What one further lidar saw within one frame.
+    """View of one further lidar within one frame.
 
     Attributes:
         image: (R, C) its range image.

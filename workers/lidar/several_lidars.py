@@ -20,7 +20,7 @@ from workers.lidar.deskew import Twist, deskew, motion, time_from_middle_s, twis
 from workers.points.se3 import inverse, transform
 
 MAX_STEP_S: Final = 0.5
-"""Longest step between two frames whose poses tell the motion within them, seconds."""
+"""Longest step between two frames whose poses give the motion within them, seconds."""
 
 HALF_SWEEP_NS: Final = NS_PER_S // 20
 """Half of a revolution at 10 Hz, nanoseconds, where no point has a time of its own."""
@@ -35,7 +35,7 @@ def posed_frames(
 ) -> Iterator[PosedFrame]:
     """Yield frames with the poses of their main lidar; further points are placed by them.
 
-    A joined frame waits for the next one where no earlier pose tells the car's motion.
+    A joined frame waits for the next one without an earlier pose, which gives the car's motion.
     """
     whole, alone = tee(frames)
     before: PosedFrame | None = None
@@ -177,7 +177,7 @@ def _placed_by(posed: PosedFrame, velocity: Twist | None) -> PosedFrame:
 
 
 def _velocity(before: PosedFrame, after: PosedFrame) -> Twist | None:
-    """Return the twist of the main lidar per second; None where the poses do not tell it."""
+    """Return the twist of the main lidar per second; None where the poses do not give it."""
     step_s = (after.frame.stamp_ns - before.frame.stamp_ns) / NS_PER_S
     states = (before.odometry, after.odometry)
     if not 0.0 < step_s <= MAX_STEP_S or OdometryState.LOST in states or after.jumped:

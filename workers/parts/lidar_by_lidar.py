@@ -58,7 +58,7 @@ class _Split:
         return first
 
     def whole(self) -> Iterator[PosedFrame]:
-        """Yield the frames as they are."""
+        """Yield the frames unchanged."""
         while self._whole or self._draw():
             yield self._whole.popleft()
 

@@ -133,10 +133,6 @@ def test_each_exported_point_leads_back_to_topic_and_raw_point(
 ) -> None:
     out = mined.export("semantickitti", tmp_path / "out") / "sequences" / "00"
     listed = json.loads((out / "frames.json").read_text())["frames"]
-    raw = {TOP: {}, FRONT: {}}
-    with next(mined.folder.rglob("*.mcap")).open("rb") as file:
-        for _, channel, message in make_reader(file).iter_messages([TOP, FRONT]):
-            raw[channel.topic][message.log_time] = np.frombuffer(message.data, np.uint8)
     for frame in listed:
         (front,) = frame["lidars"]
         assert (frame["topic"], front["topic"]) == (TOP, FRONT)

@@ -42,7 +42,7 @@ def exactly(twist: NDArray[np.float64], time_s: float) -> NDArray[np.float64]:
 
 def measured(
     points_m: NDArray[np.float64], times_s: NDArray[np.float64], mount: NDArray[np.float64]
-):
+) -> NDArray[np.float64]:
     """Return points as a lidar on the moving car measures each at its own time."""
     own = np.empty_like(points_m)
     for i, time_s in enumerate(times_s):
