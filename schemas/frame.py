@@ -1,7 +1,7 @@
 """Lidar frame: one revolution, its pose, and the labels of the model that ran on the car."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Literal
 
@@ -79,11 +79,38 @@ class RecordedFix:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class JoinedLidar:
+    """One further lidar of the car, whose points follow those of the main lidar in a frame.
+
+    Attributes:
+        topic: Topic of its clouds.
+        points: Number of its points in the frame; 0 where it has no cloud near the frame.
+        stamp_ns: Stamp of its cloud, nanoseconds since the Unix epoch; 0 without a cloud.
+        main_from_lidar: (4, 4) its sensor space to that of the main lidar: as mounted, and after
+            the poses are known with the car's motion between the middles of both sweeps.
+        has_point_time: Whether its cloud has a time per point.
+    """
+
+    topic: str
+    points: int
+    stamp_ns: int
+    main_from_lidar: Transform
+    has_point_time: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the transform once, and make it read-only."""
+        check_array("main_from_lidar", self.main_from_lidar, shape=(4, 4), dtype=np.float64)
+        freeze(self.main_from_lidar)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class LidarFrame:
     """The returns of one lidar revolution, in the sensor's space.
 
     Nothing is filtered here: point ``i`` of the message stays point ``i`` through every stage, so
-    labels are plain arrays of the same length.
+    labels are plain arrays of the same length. In a joined frame the points of further lidars
+    follow, one lidar after the other, each in the order of its message; `ring` counts the beams of
+    each lidar for itself.
 
     Attributes:
         log_id: The recording this frame belongs to.
@@ -101,6 +128,7 @@ class LidarFrame:
         camera: Camera whose field of view limits the comparison; None compares all points.
         moved: Recorded motion since the frame before; None where the log has none.
         fixes: Places of the car that were recorded since the frame before, at any time near it.
+        joined: Further lidars whose points follow those of the main one, silent ones included.
 
     Raises:
         ValueError: If an array has the wrong shape or dtype, or lengths differ.
@@ -121,6 +149,7 @@ class LidarFrame:
     camera: CameraCalibration | None = None
     moved: RecordedMotion | None = None
     fixes: tuple[RecordedFix, ...] = ()
+    joined: tuple[JoinedLidar, ...] = ()
 
     def __post_init__(self) -> None:
         """Check every array once, and make it read-only."""
@@ -135,11 +164,48 @@ class LidarFrame:
                 f"recorded labels must be ({n}), got ({len(self.recorded.class_id)}): "
                 "one label for each point of the cloud"
             )
+        if self.joined and not 0 <= self.main_points <= n:
+            raise ValueError(f"the joined lidars claim more than the {n} points of the frame")
         freeze(self.points_m, self.intensity, self.offset_ns, self.ring, self.valid_mask)
 
     def __len__(self) -> int:
         """Count the points, invalid ones included."""
         return len(self.points_m)
+
+    @property
+    def main_points(self) -> int:
+        """Number of points of the main lidar, which come first."""
+        return len(self.points_m) - sum(each.points for each in self.joined)
+
+    def points_of(self, number: int) -> slice:
+        """Return the points of one further lidar, by its place in `joined`."""
+        first = self.main_points + sum(each.points for each in self.joined[:number])
+        return slice(first, first + self.joined[number].points)
+
+    def main(self) -> "LidarFrame":
+        """Return the frame of the main lidar alone; the same object where none is joined."""
+        return self.part(slice(0, self.main_points)) if self.joined else self
+
+    def part(self, points: slice) -> "LidarFrame":
+        """Return some of the points, with their labels, as a frame without further lidars."""
+        said = self.recorded
+        if said is not None:
+            said = RecordedLabels(
+                class_id=said.class_id[points],
+                motion=None if said.motion is None else said.motion[points],
+                confidence=None if said.confidence is None else said.confidence[points],
+                classes=said.classes,
+            )
+        return replace(
+            self,
+            points_m=self.points_m[points],
+            intensity=self.intensity[points],
+            offset_ns=self.offset_ns[points],
+            ring=self.ring[points],
+            valid_mask=self.valid_mask[points],
+            recorded=said,
+            joined=(),
+        )
 
 
 class OdometryState(StrEnum):

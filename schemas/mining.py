@@ -10,6 +10,9 @@ from schemas.bounds import MAX_SCENES_OF_A_SHARD, Blob, Finite, Name, Url
 LOOKAHEAD: Final = ":lookahead-"
 """Separator in the name of a stream; the seconds it waits for later frames follow it."""
 
+MAX_JOINED: Final = 8
+"""Lidars that are joined into one scene; vehicles carry up to six."""
+
 _STRICT = ConfigDict(frozen=True, extra="forbid")
 
 
@@ -91,7 +94,11 @@ class MiningSettings(BaseModel):
         description="Rule by which contradicting points become instances, one that "
         "`counterpoint parts` lists.",
     )
-    lidar_topic: Url = Field(default="", description="Lidar topic to mine; empty: detected.")
+    lidar_topic: Url = Field(
+        default="",
+        description="Lidar topic to mine; several of one vehicle, separated by commas, are joined "
+        "in the space of the first one; empty: detected, each lidar mined for itself.",
+    )
     recorded_topic: Url = Field(
         default="",
         description="Topic with the answer of the car's model, points or boxes, for the stream "
@@ -161,6 +168,23 @@ class MiningSettings(BaseModel):
                 f"selfsupervised to two-stage, not {self.selfsupervised}"
             )
         return self
+
+    @model_validator(mode="after")
+    def _lidars_can_be_joined(self) -> "MiningSettings":
+        names = self.lidar_names
+        if ("" in names and self.lidar_topic) or len(names) > MAX_JOINED:
+            raise ValueError(
+                f"lidar_topic: {self.lidar_topic!r} must be one topic, or 2 to {MAX_JOINED} topics "
+                "separated by commas"
+            )
+        if len(set(names)) < len(names):
+            raise ValueError(f"lidar_topic: {self.lidar_topic!r} names a topic twice")
+        return self
+
+    @property
+    def lidar_names(self) -> tuple[str, ...]:
+        """Topics of the setting `lidar_topic`, the main lidar first; one empty text: detected."""
+        return tuple(name.strip() for name in self.lidar_topic.split(","))
 
     @property
     def takes_recorded(self) -> bool:

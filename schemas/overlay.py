@@ -48,6 +48,34 @@ _PER_POINT: Final = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class OverlayLidar:
+    """A further lidar of a scene, whose points follow those of the main one in each frame.
+
+    With F frames:
+
+    Attributes:
+        topic: Topic of its clouds.
+        points: (F,) number of its points; 0 where it was silent.
+        stamps_ns: (F,) stamps of its clouds, nanoseconds since the Unix epoch; 0 where silent.
+        main_from_lidar: (F, 4, 4) its space to the sensor space of the frame, with the motion of
+            the car between the two sweeps.
+    """
+
+    topic: str
+    points: NDArray[np.int64]
+    stamps_ns: NDArray[np.int64]
+    main_from_lidar: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        """Check that the arrays fit each other, and make them read-only."""
+        frames = len(self.points)
+        check_array("points", self.points, shape=(frames,), dtype=np.int64)
+        check_array("stamps_ns", self.stamps_ns, shape=(frames,), dtype=np.int64)
+        check_array("main_from_lidar", self.main_from_lidar, shape=(frames, 4, 4), dtype="f8")
+        freeze(self.points, self.stamps_ns, self.main_from_lidar)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Overlay:
     """All points of a scene, frame after frame in their own order, and its instances.
 
@@ -76,6 +104,7 @@ class Overlay:
         instance_boxes: (I, 7) centre x, y, z, length, width, height in metres, yaw in radians, in
             the sensor space of its frame.
         task: The task of both streams.
+        lidars: Further lidars, in the order of their points; empty where one lidar was mined.
         pictures: Camera images that were kept, by frame and topic.
         scoring_inputs: Track features and scene facts from which the score is computed again, as
             `workers.contradiction.scoring_inputs` encodes them; empty in overlays without them.
@@ -104,6 +133,7 @@ class Overlay:
     instance_track: NDArray[np.int32]
     instance_boxes: NDArray[np.float32]
     task: Task = MOTION
+    lidars: tuple[OverlayLidar, ...] = ()
     pictures: tuple[Picture, ...] = ()
     scoring_inputs: bytes = b""
     agreements: Agreements = field(init=False)
@@ -132,6 +162,10 @@ class Overlay:
         _check_range("instance_index", self.instance_index, -1, found - 1)
         _check_range("instance_frame", self.instance_frame, 0, frames - 1)
         _check_range("instance_kind", self.instance_kind, 0, self.task.not_compared - 1)
+        for lidar in self.lidars:
+            check_array("points of a lidar", lidar.points, shape=(frames,), dtype=np.int64)
+        if self.lidars:
+            _check_range("points of the main lidar", self.main_points, 0, points)
         if len(self.pictures) > MAX_PICTURES:
             raise ValueError(f"an overlay has at most {MAX_PICTURES} pictures")
         _check_range(
@@ -144,6 +178,12 @@ class Overlay:
     def __len__(self) -> int:
         """Count the frames."""
         return len(self.stamps_ns)
+
+    @property
+    def main_points(self) -> NDArray[np.int64]:
+        """(F,) number of points of the main lidar, which come first in each frame."""
+        further = [lidar.points for lidar in self.lidars]
+        return np.diff(self.offsets) - np.sum(further, axis=0, dtype=np.int64)
 
     def points_of(self, frame: int) -> slice:
         """Return the slice of a frame's points in the arrays that have one entry per point."""

@@ -15,7 +15,6 @@ from schemas.bounds import (
     MAX_PARTS,
     MAX_SCENES_OF_A_SHARD,
     MAX_SHARDS_OF_A_PLAN,
-    Blob,
     Count,
     Finite,
     LogId,
@@ -34,19 +33,17 @@ from schemas.canonical import canonical_json
 from schemas.layers import Layers as Layers
 from schemas.layers import ManifestEntry as ManifestEntry
 from schemas.layers import RescoredShard as RescoredShard
-from schemas.recorded_source import PredictionFiles, StatedPose
+from schemas.log_sources import BoxSource as BoxSource
+from schemas.log_sources import Channel as Channel
+from schemas.log_sources import FurtherLidar as FurtherLidar
+from schemas.log_sources import RecordedSource as RecordedSource
+from schemas.mining import MAX_JOINED
 from schemas.score import MAX_RECORD_BYTES
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
 
 MAX_TOPICS: Final = 256
 """Lidars of one log."""
-
-MAX_SPACE_TOPICS: Final = 16
-"""Topics of transforms and poses that place the boxes of one log."""
-
-MAX_STATIC_SPACES: Final = 256
-"""Constant transforms of one log; a car has some dozens."""
 
 
 def _fits_the_bus(record: str) -> str:
@@ -103,56 +100,6 @@ class ChunkRef(BaseModel):
     end_ns: StampNs = Field(description="Latest log time inside.")
 
 
-class Channel(BaseModel):
-    """An MCAP channel and its schema, enough to decode its messages without the summary."""
-
-    model_config = _STRICT
-
-    topic: Topic
-    message_encoding: Said
-    schema_name: Said
-    schema_encoding: Said
-    schema_base64: Blob = Field(description="Bytes of the schema record, base64.")
-    ids: tuple[tuple[Count, Count], ...] = Field(
-        fail_fast=True, max_length=MAX_PARTS, description="(part, channel id) pairs it goes by."
-    )
-
-
-class BoxSource(BaseModel):
-    """Channel with boxes of the model that ran on the car, and what places them."""
-
-    model_config = _STRICT
-
-    channel: Channel | None = Field(default=None, description="None: boxes are in a file.")
-    moving_spaces: tuple[Channel, ...] = Field(
-        default=(), max_length=MAX_SPACE_TOPICS, description="Channels of transforms over time."
-    )
-    static_spaces: tuple[StatedPose, ...] = Field(
-        default=(), max_length=MAX_STATIC_SPACES, description="Transforms that never change."
-    )
-
-
-class RecordedSource(BaseModel):
-    """Channel, or files, with the labels of the model that ran on the car."""
-
-    model_config = _STRICT
-
-    channel: Channel | None = Field(
-        default=None, description="A topic of its own; None: fields of the cloud itself."
-    )
-    classes_json: Blob = Field(description="MCAP metadata `counterpoint.classes`, as one JSON map.")
-    boxes: BoxSource | None = Field(
-        default=None,
-        exclude_if=lambda value: value is None,
-        description="Boxes of a topic, in place of labels of points.",
-    )
-    files: PredictionFiles | None = Field(
-        default=None,
-        exclude_if=lambda value: value is None,
-        description="Files in place of what the log contains.",
-    )
-
-
 class Shard(BaseModel):
     """A time window of one lidar of one log, with its chunks; the unit that a worker leases.
 
@@ -166,6 +113,12 @@ class Shard(BaseModel):
     log_id: LogId
     index: int = Field(ge=0, lt=MAX_SHARDS_OF_A_PLAN)
     lidar: Channel
+    further: tuple[FurtherLidar, ...] = Field(
+        default=(),
+        max_length=MAX_JOINED,
+        exclude_if=lambda value: not value,
+        description="Further lidars, joined to the frames of the lidar.",
+    )
     recorded: RecordedSource | None = None
     motion: Channel | None = Field(
         default=None, description="Recorded motion of the car, if there is any."

@@ -25,6 +25,7 @@ from workers.lab.simulation.faults.faults import PlantedFailure
 from workers.lab.simulation.faults.plan import FailureKind
 from workers.lab.simulation.output.write import Identity, RecordedAs, write_log
 from workers.lab.simulation.sensor.lidar import UNIFORM_64, Lidar
+from workers.lab.simulation.sensor.sensors import further_lidars
 from workers.lab.simulation.world.street import Street
 from workers.lab.simulation.world.street_builder import build_street
 from workers.lab.simulation.world.street_plan import EgoStyle
@@ -222,6 +223,7 @@ def street_log(
     truth: Path | None = None,
     odometry: bool = False,
     fixes: bool = False,
+    lidars: int = 1,
     chunk_bytes: int = 200_000,
     **identity: Any,
 ) -> Path:
@@ -231,6 +233,7 @@ def street_log(
         path,
         street,
         lidar=lidar,
+        further=further_lidars(lidar, lidars - 1),
         identity=Identity(**identity),
         recorded=recorded_as,
         odometry=odometry,

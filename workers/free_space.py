@@ -1,6 +1,6 @@
 """Free space: visibility of places in the range images of other frames, and votes on them."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points, Transform
 from workers.lidar.beam_table import BeamTable
+from workers.lidar.lidar_views import LidarView
 from workers.lidar.spherical import (
     BLOCK,
     column_of,
@@ -87,6 +88,30 @@ def visibility(
         table.tangents,
         np.float32(table.max_gap),
     )
+
+
+def with_views(
+    answer: NDArray[np.int8], points_m: Points, views: Sequence[LidarView]
+) -> NDArray[np.int8]:
+    """Join the visibility of places in one frame of the main lidar with that of further lidars.
+
+    Every ray is cast from its own lidar. A return at a place counts more than rays beyond it, since
+    lidars measure at different instants of a frame; a frame stays one vote.
+
+    Args:
+        answer: (N,) visibility codes from the main lidar.
+        points_m: (N, 3) the places, in the space of the views.
+        views: Views of the further lidars within that frame.
+
+    Returns:
+        (N,) int8, the same array without views.
+    """
+    for view in views:
+        other = visibility(points_m, view.beams_from_odom, view.image, view.table)
+        free = np.where((answer > 0) & (other > 0), np.minimum(answer, other), answer + other)
+        occupied = (answer == OCCUPIED) | (other == OCCUPIED)
+        answer = np.where(occupied, OCCUPIED, free).astype(np.int8)
+    return answer
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,6 +18,8 @@ from workers.contradiction.scoring_inputs import ScoringInputs, inputs_of
 from workers.contradiction.track_score import RankedTrack, rank_tracks
 from workers.contradiction.tracks import associate_instances
 from workers.ingest.scenes import cut_scenes
+from workers.lidar.several_lidars import posed_frames
+from workers.parts.lidar_by_lidar import labels_of_lidars
 from workers.parts.protocols import Parts
 
 
@@ -44,8 +46,11 @@ def mine_shard(
 
     Apart from the parts the function is pure: it uses no file, socket or clock. A test can mine a
     synthetic street, and the pool can retry safely.
+
+    Frames of several lidars have the poses of the main one. Networks label the cloud of each lidar
+    for itself; all else is judged about the points of all of them.
     """
-    posed, for_supervised, for_selfsupervised = tee(parts.odometry(frames), 3)
+    posed, for_supervised, for_selfsupervised = tee(posed_frames(frames, parts.odometry), 3)
     task = parts.task
     labelled = (
         LabelledFrame(
@@ -57,7 +62,7 @@ def mine_shard(
         )
         for frame, semantic, predictive in zip(
             posed,
-            parts.supervised(for_supervised),
+            labels_of_lidars(parts.supervised, for_supervised),
             parts.selfsupervised(for_selfsupervised),
             strict=True,
         )

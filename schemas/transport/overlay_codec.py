@@ -17,7 +17,7 @@ from schemas.transport.overlay_blocks import (
     view_block,
     view_points,
 )
-from schemas.transport.overlay_facts import facts_of, picture_of
+from schemas.transport.overlay_facts import facts_of, lidar_of, picture_of
 from schemas.transport.overlay_file import (
     OverlayFile,
     OverlayIsVersion1Error,
@@ -184,6 +184,7 @@ def _version_2(payload: bytes, where: str) -> Overlay:
         instance_track=np.array(columns.track, dtype=np.int32),
         instance_boxes=np.array(columns.boxes, dtype=np.float32).reshape(-1, 7),
         task=task,
+        lidars=tuple(lidar_of(entry) for entry in header.lidars),
         pictures=tuple(
             picture_of(entry, file.picture(n)) for n, entry in enumerate(header.pictures)
         ),

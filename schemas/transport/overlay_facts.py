@@ -4,15 +4,16 @@ from typing import Any
 
 import numpy as np
 
-from schemas.overlay import Overlay
+from schemas.overlay import Overlay, OverlayLidar
 from schemas.overlay_picture import Picture
-from schemas.transport.overlay_header import PictureEntry
+from schemas.transport.overlay_header import LidarEntry, PictureEntry
 
 
 def facts_of(overlay: Overlay) -> dict[str, Any]:
     """Return the header without the places of the blocks."""
     boxes = [float(each) for each in overlay.instance_boxes.ravel().astype("U32")]
-    return {
+    lidars = [_lidar_facts(lidar) for lidar in overlay.lidars]
+    return ({"lidars": lidars} if lidars else {}) | {
         "scene_id": overlay.scene_id,
         "task": overlay.task.name,
         "class_names": list(overlay.class_names),
@@ -32,6 +33,25 @@ def facts_of(overlay: Overlay) -> dict[str, Any]:
         },
         "pictures": [_picture_facts(picture) for picture in overlay.pictures],
     }
+
+
+def _lidar_facts(lidar: OverlayLidar) -> dict[str, Any]:
+    return {
+        "topic": lidar.topic,
+        "points": lidar.points.tolist(),
+        "stamps_ns": [str(stamp_ns) for stamp_ns in lidar.stamps_ns.tolist()],
+        "main_from_lidar": lidar.main_from_lidar.reshape(-1, 16).tolist(),
+    }
+
+
+def lidar_of(entry: LidarEntry) -> OverlayLidar:
+    """Return the further lidar that an entry of a header describes."""
+    return OverlayLidar(
+        topic=entry.topic,
+        points=np.array(entry.points, dtype=np.int64),
+        stamps_ns=np.array([int(each) for each in entry.stamps_ns], dtype=np.int64),
+        main_from_lidar=np.array(entry.main_from_lidar, dtype=np.float64).reshape(-1, 4, 4),
+    )
 
 
 def _picture_facts(picture: Picture) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.bounds import MAX_INTEGER, Finite, Name, SceneId, Topic
 from schemas.canonical import canonical_json
+from schemas.mining import MAX_JOINED
 from schemas.overlay_picture import MAX_COEFFICIENTS, MAX_MODEL, MAX_PICTURES, MAX_SIDE_PX
 from schemas.task import MAX_CLASSES
 from schemas.transport.array_pack import MAX_UNPACKED_BYTES
@@ -53,6 +54,19 @@ class FrameEntry(BaseModel):
     rest: Block = Field(description="Confidences of both streams.")
     rest_crc32: Crc
     odom_from_sensor: Transform16 = Field(description="Row by row.")
+
+
+class LidarEntry(BaseModel):
+    """A further lidar of a scene; its points follow those of the lidars before it in a frame."""
+
+    model_config = _STRICT
+
+    topic: Topic
+    points: list[Offset] = Field(max_length=MAX_FRAMES, description="In each frame.")
+    stamps_ns: list[Stamp] = Field(max_length=MAX_FRAMES, description="Of each cloud; 0: none.")
+    main_from_lidar: list[Transform16] = Field(
+        max_length=MAX_FRAMES, description="Its space to the sensor space of each frame."
+    )
 
 
 class InstanceColumns(BaseModel):
@@ -111,6 +125,9 @@ class OverlayHeader(BaseModel):
     class_names: list[Annotated[str, Field(max_length=MAX_SIDE_PX)]] = Field(max_length=MAX_SIDE_PX)
     frames: list[FrameEntry] = Field(min_length=1, max_length=MAX_FRAMES)
     instances: InstanceColumns
+    lidars: list[LidarEntry] = Field(
+        default_factory=list, max_length=MAX_JOINED, description="Absent where one was mined."
+    )
     pictures: list[PictureEntry] = Field(max_length=MAX_PICTURES)
     inputs: Block = Field(description="Inputs of the score; of length 0 without any.")
     inputs_crc32: Crc

@@ -88,6 +88,15 @@ def simulate(
             "--sensor", help="Lidar of every car, such as hdl64-compensated; default: one each."
         ),
     ] = "",
+    lidars: Annotated[
+        int,
+        typer.Option(
+            "--lidars",
+            min=1,
+            max=5,
+            help="Lidars of every car: its own, then near-field ones, front first.",
+        ),
+    ] = 1,
     slow_lorries: Annotated[
         bool,
         typer.Option("--slow-lorries", help="Let lorries and buses pass each car at 2 to 4 m/s."),
@@ -110,6 +119,11 @@ def simulate(
     chosen = next((name for name in SENSORS if name == sensor), None)
     if sensor and chosen is None:
         raise UsageError(f"--sensor: {sensor!r} is none of {', '.join(SENSORS)}")
+    if lidars > 1 and (boxes or (chosen is not None and SENSORS[chosen].compensated)):
+        raise UsageError(
+            "--lidars: near-field lidars are simulated next to labels of points and raw clouds, "
+            "not with --boxes or a compensated sensor"
+        )
     lidar = None if chosen is None else mounted(chosen, usual_mounting(chosen), columns=columns)
     plans = plan_fleet(
         scenes=scenes,
@@ -132,6 +146,7 @@ def simulate(
                 fixes=fixes,
                 recorded="boxes" if boxes else "fields",
                 slow_lorries=slow_lorries,
+                lidars=lidars,
             ),
             processes=workers,
             progress=lambda: bar.advance(task),

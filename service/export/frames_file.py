@@ -29,8 +29,23 @@ def digest_of(words: NDArray[np.unsignedinteger]) -> str:
 
 
 def frame_of(cloud: LabelledCloud, scene: SceneToExport) -> dict[str, Any]:
-    """Describe a frame, by the names that a folder of truth gives its frames."""
-    return {
+    """Describe a frame, by the names that a folder of truth gives its frames.
+
+    `lidars` names the further lidars of a joined frame: the message of each, and the place of its
+    first point after those of the messages before.
+    """
+    first, further = cloud.raw_points - sum(each.points for each in cloud.lidars), []
+    for lidar in cloud.lidars:
+        further.append(
+            {
+                "topic": lidar.topic,
+                "header_stamp": lidar.stamp_ns,
+                "first": first,
+                "points": lidar.points,
+            }
+        )
+        first += lidar.points
+    return ({"lidars": further} if further else {}) | {
         "index": cloud.number,
         "topic": scene.score.lidar_topic,
         "header_stamp": cloud.stamp_ns,

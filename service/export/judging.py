@@ -68,12 +68,7 @@ def judge(overlay: Overlay, frames: Sequence[LabelledFrame]) -> list[JudgedContr
     semantic, predictive = moving_by_outcome(overlay.task)
     counts: dict[int, NDArray[np.int64]] = {}
     for frame in frames:
-        points = overlay.points_of(frame.number)
-        if points.stop - points.start != len(frame.words):
-            raise OtherPointsError(
-                f"frame {frame.number} has {len(frame.words)} points in the export and "
-                f"{points.stop - points.start} in the overlay: its log was replaced since"
-            )
+        points = _points_of(overlay, frame)
         instance = overlay.instance_index[points]
         of_tracks = np.flatnonzero(instance >= 0)
         track = overlay.instance_track[instance[of_tracks]]
@@ -92,6 +87,24 @@ def judge(overlay: Overlay, frames: Sequence[LabelledFrame]) -> list[JudgedContr
             mine = facts[:, track == number].sum(axis=1)
             counts[number] = counts.get(number, np.zeros(4, dtype=np.int64)) + mine
     return [_judged(number, counts[number]) for number in sorted(counts)]
+
+
+def _points_of(overlay: Overlay, frame: LabelledFrame) -> slice:
+    """Return the points of a labelled message in the overlay.
+
+    Raises:
+        OtherPointsError: If the overlay has another number of points of that lidar.
+    """
+    first = overlay.points_of(frame.number).start + frame.first
+    counts = [overlay.main_points[frame.number], *(o.points[frame.number] for o in overlay.lidars)]
+    firsts = np.cumsum([0, *counts[:-1]]).tolist()
+    points = sum(int(n) for at, n in zip(firsts, counts, strict=True) if at == frame.first)
+    if points != len(frame.words):
+        raise OtherPointsError(
+            f"frame {frame.number} has {len(frame.words)} points in the export and "
+            f"{points} in the overlay: its log was replaced since"
+        )
+    return slice(first, first + points)
 
 
 def _judged(track_id: int, counts: NDArray[np.int64]) -> JudgedContradiction:

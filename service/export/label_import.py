@@ -76,6 +76,7 @@ class LabelledFrame:
         topic: Of the lidar.
         words: (N,) words of SemanticKITTI for each raw point, 0 where none was exported.
         is_unchanged: Whether every class is still the pre-label of the export.
+        first: Place of its first point in the frame; not 0 for a lidar that was joined to another.
     """
 
     number: int
@@ -83,6 +84,7 @@ class LabelledFrame:
     topic: str
     words: NDArray[np.uint32]
     is_unchanged: bool = False
+    first: int = 0
 
     @property
     def motion(self) -> NDArray[np.uint8]:
@@ -142,24 +144,25 @@ def _read_scene(folder: Path, read: ReadLabels) -> ImportedScene:
     path = folder / NAME
     try:
         about = json.loads(path.read_text(encoding="utf-8"))
-        frames = [_read_frame(folder, each, read) for each in about["frames"]]
+        read_frames = [_read_frame(folder, each, read) for each in about["frames"]]
         scene_id, log_id = str(about["scene_id"]), str(about["log_id"])
         need_inside(log_id, what="log_id", path=path)
     except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
         raise UsageError(
             f"cannot read the frames of an exported scene: {type(error).__name__}: {error} ({path})"
         ) from None
-    found = tuple(each for each in frames if each is not None)
-    return ImportedScene(scene_id, log_id, found, len(frames) - len(found))
+    found = tuple(each for frame in read_frames for each in frame)
+    return ImportedScene(scene_id, log_id, found, sum(not frame for frame in read_frames))
 
 
-def _read_frame(folder: Path, about: dict[str, Any], read: ReadLabels) -> LabelledFrame | None:
+def _read_frame(folder: Path, about: dict[str, Any], read: ReadLabels) -> list[LabelledFrame]:
+    """Read the labels of a frame: one for its message, and one for that of each further lidar."""
     number, points, raw = int(about["index"]), int(about["points"]), int(about["raw_points"])
     if not 0 <= points <= raw <= MAX_POINTS:
         raise ValueError(f"frame {number} with {points} of {raw} points")
     words = read(folder, number)
     if words is None:
-        return None
+        return []
     index = np.fromfile(folder / INDEX / f"{number:06d}.bin", dtype="<u4").astype(np.int64)
     if len(words) != points:
         raise UsageError(
@@ -174,15 +177,26 @@ def _read_frame(folder: Path, about: dict[str, Any], read: ReadLabels) -> Labell
     of_raw = np.zeros(raw, dtype=np.uint32)
     of_raw[index] = words
     is_unchanged = digest_of(words) == about.get("pre_labels")
-    return LabelledFrame(
-        number, int(about["header_stamp"]), str(about["topic"]), of_raw, is_unchanged
-    )
+    further = about.get("lidars", [])
+    ends = [int(each["first"]) for each in further] + [raw]
+    if ends != sorted(ends) or ends[0] < 0:
+        raise ValueError(f"frame {number} with lidars that do not follow each other")
+    of_main = of_raw[: ends[0]]
+    stamp_ns, topic = int(about["header_stamp"]), str(about["topic"])
+    found = [LabelledFrame(number, stamp_ns, topic, of_main, is_unchanged)]
+    for each, first, end in zip(further, ends, ends[1:], strict=False):
+        if end > first:
+            stamp_ns, topic = int(each["header_stamp"]), str(each["topic"])
+            words_of = of_raw[first:end]
+            found.append(LabelledFrame(number, stamp_ns, topic, words_of, is_unchanged, first))
+    return found
 
 
 def write_truth(scenes: list[ImportedScene], folder: Path) -> int:
     """Write a folder of truth for each log, whole or not at all; return the number of frames.
 
-    Frames of all scenes of a log are numbered in the order of their stamps.
+    Frames of all scenes of a log are numbered in the order of their stamps, those of further lidars
+    after the others.
 
     Args:
         scenes: The scenes.
@@ -203,7 +217,7 @@ def _write_logs(scenes: list[ImportedScene], folder: Path) -> int:
     for log_id in sorted({each.log_id for each in scenes}):
         frames = sorted(
             (frame for scene in scenes if scene.log_id == log_id for frame in scene.frames),
-            key=lambda frame: (frame.topic, frame.stamp_ns),
+            key=lambda frame: (frame.first > 0, frame.topic, frame.stamp_ns),
         )
         place = folder / log_id
         place.mkdir(parents=True, exist_ok=True)

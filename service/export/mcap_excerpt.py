@@ -78,6 +78,16 @@ def _record_of(scene: SceneToExport) -> bytes:
         "record": scene.score.model_dump(mode="json"),
         "verdicts": [each.model_dump() for each in scene.verdicts],
     }
+    if scene.overlay.lidars:
+        # points of these follow those of the lidar of the record: the field `index` counts on
+        whole["lidars"] = [
+            {
+                "topic": each.topic,
+                "points": each.points.tolist(),
+                "stamps_ns": [str(stamp_ns) for stamp_ns in each.stamps_ns.tolist()],
+            }
+            for each in scene.overlay.lidars
+        ]
     return json.dumps(whole).encode()
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from schemas.attribution import Wrong
 from schemas.excerpt import SceneCloud
+from schemas.frame import JoinedLidar
 from schemas.overlay import Overlay
 from schemas.score import SceneScore
 from schemas.task import Task
@@ -34,8 +35,9 @@ class LabelledCloud:
         number: Index of the frame in the scene.
         stamp_ns: Of the frame, nanoseconds since the Unix epoch.
         frame_id: Space of the points, by the log's own name.
-        raw_points: N.
-        raw_index: (M,) place of each point in the message, rising.
+        raw_points: N, of all lidars.
+        raw_index: (M,) place of each point in the message, rising; those of further lidars count
+            on from the last point of the message before.
         points_m: (M, 3) sensor space, metres.
         intensity: (M,) 0 to 1.
         ring: (M,) beam; -1 where the log has none.
@@ -44,6 +46,7 @@ class LabelledCloud:
         score: (M,) strength of that track, 0 without one.
         label: (M,) class of SemanticKITTI, moving classes included.
         odom_from_sensor: (4, 4) pose.
+        lidars: Further lidars whose points follow those of the main one in the N points.
     """
 
     number: int
@@ -59,6 +62,7 @@ class LabelledCloud:
     score: NDArray[np.float32]
     label: NDArray[np.uint32]
     odom_from_sensor: NDArray[np.float64]
+    lidars: tuple[JoinedLidar, ...] = ()
 
     def __len__(self) -> int:
         """Count the returns."""
@@ -108,6 +112,7 @@ class PointLabels:
             score=self._strength[instance],
             label=label.astype(np.uint32),
             odom_from_sensor=overlay.odom_from_sensor[cloud.number],
+            lidars=frame.joined,
         )
 
     def _moving(

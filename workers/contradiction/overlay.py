@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from schemas.contradiction import Instance, LabelledFrame, Scene
 from schemas.labels import FrameLabels
-from schemas.overlay import MAX_CLASSES, NO_POSITION_CM, Overlay
+from schemas.overlay import MAX_CLASSES, NO_POSITION_CM, Overlay, OverlayLidar
 from schemas.overlay_picture import Picture
 from workers.contradiction.track_score import RankedTrack
 from workers.points.point_kernels import in_centimetres
@@ -70,8 +70,23 @@ def overlay_of(
         instance_track=tracks_of(len(instances), ranked),
         instance_boxes=np.round(boxes, _BOX_DIGITS).astype(np.float32).reshape(-1, 7),
         task=scene.task,
+        lidars=_lidars(frames),
         pictures=tuple(pictures),
         scoring_inputs=scoring_inputs,
+    )
+
+
+def _lidars(frames: Sequence[LabelledFrame]) -> tuple[OverlayLidar, ...]:
+    """Return the further lidars of a scene, with their points in each frame."""
+    of_frame = [frame.posed.frame.joined for frame in frames]
+    return tuple(
+        OverlayLidar(
+            topic=seen[0].topic,
+            points=np.array([each.points for each in seen], dtype=np.int64),
+            stamps_ns=np.array([each.stamp_ns for each in seen], dtype=np.int64),
+            main_from_lidar=np.round([each.main_from_lidar for each in seen], 6),
+        )
+        for seen in zip(*of_frame, strict=True)
     )
 
 

@@ -15,6 +15,7 @@ from schemas.overlay import Overlay
 from schemas.transport.bucket import Bucket
 from schemas.work import Channel, ChunkRef, Recording
 from workers.errors import ChunkUnreadableError, CloudUnreadableError
+from workers.excerpt.further_clouds import FramesMissingError, FurtherClouds
 from workers.ingest.chunk import messages_in, open_chunk
 from workers.ingest.decoding import ros_type
 from workers.ingest.fetch import OpenedChunk, fetch_chunks
@@ -76,10 +77,6 @@ SENSED: Final = frozenset(
 """Types of messages that are copied in addition to the lidar, by their names without `msg/`."""
 
 
-class FramesMissingError(PermanentError):
-    """The log in the bucket does not contain the frames of a scene."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenedLog:
     """A log whose index is known.
@@ -128,6 +125,7 @@ class CutExcerpt:
         if sample.clocks_differ:
             sample_end(log.index, sample)
         self._log, self._overlay, self._sample = log, overlay, sample
+        self._further = FurtherClouds(log.index, log.topics, overlay)
         self._scale = intensity_scale_of([*sample.clouds, *sample.later_clouds])
         self._numbers = {int(stamp): i for i, stamp in enumerate(overlay.stamps_ns)}
         self._channels = _recorded_channels(log.index)
@@ -148,7 +146,13 @@ class CutExcerpt:
             FramesMissingError: If the log does not contain all frames of the scene.
         """
         lidar = self._sample.topic
-        wanted = [each for each in self._log.topics if each is lidar or _is_copied(each.channel)]
+        lidars = {lidar.channel.topic, *(each.topic for each in self._overlay.lidars)}
+        wanted = [
+            each
+            for each in self._log.topics
+            if each.channel.topic in lidars or _is_copied(each.channel)
+        ]
+        self._read_further()
         start_ns, end_ns = self._window()
         for message in self._latched(wanted, start_ns, end_ns):
             yield replace(message, log_time_ns=start_ns)
@@ -160,6 +164,7 @@ class CutExcerpt:
         Raises:
             FramesMissingError: If the log does not contain all of them.
         """
+        self._read_further()
         start_ns, end_ns = self._window(margin_ns=0)
         found = self._with_clouds(self._within([self._sample.topic], start_ns, end_ns))
         for message in found:
@@ -171,6 +176,12 @@ class CutExcerpt:
         delays = self._sample.bounds
         first_ns, last_ns = int(self._overlay.stamps_ns[0]), int(self._overlay.stamps_ns[-1])
         return max(0, first_ns + delays.least_ns - margin_ns), last_ns + delays.most_ns + margin_ns
+
+    def _read_further(self) -> None:
+        """Read the clouds of further lidars around the scene; nothing where one was mined."""
+        if self._overlay.lidars:
+            found = self._within(self._further.topics, *self._window())
+            self._further.read((each.channel.topic, each.log_time_ns, each.data) for each in found)
 
     def _with_clouds(self, messages: Iterator[ExcerptMessage]) -> Iterator[ExcerptMessage]:
         missing = set(self._numbers.values())
@@ -198,11 +209,11 @@ class CutExcerpt:
         number = self._numbers.get(stamp_ns)
         if number is None:
             return None
-        mined = self._overlay.points_of(number)
-        if len(cloud) != mined.stop - mined.start:
+        mined = int(self._overlay.main_points[number])
+        if len(cloud) != mined:
             raise FramesMissingError(
                 f"the frame of {stamp_ns} ns has {len(cloud)} points in the log and "
-                f"{mined.stop - mined.start} in the overlay: the log was replaced "
+                f"{mined} in the overlay: the log was replaced "
                 f"({self._log.index.recording.log_id})"
             )
         frame = frame_from_cloud(
@@ -213,6 +224,7 @@ class CutExcerpt:
             intensity_scale=self._scale,
             stamp_at="start",
         )
+        frame = self._further.joined(frame, number)
         return SceneCloud(number=number, frame=frame, frame_id=cloud.frame_id)
 
     def _within(

@@ -88,6 +88,10 @@ class LogReport(BaseModel):
     topics: tuple[TopicReport, ...]
     lidar_topic: str | None = Field(description="The densest lidar that is mined; None without.")
     lidar_topics: tuple[str, ...]
+    joined: tuple[str, ...] = Field(
+        default=(),
+        description="Lidars that are joined to it, and whether their points have labels.",
+    )
     odometry_topic: str | None = Field(
         description="Topic of recorded motion, compared with the odometry; None without."
     )
@@ -165,6 +169,7 @@ def inspect_recording(
         ),
         lidar_topic=plan.lidar_topics[0] if plan.lidar_topics else None,
         lidar_topics=plan.lidar_topics,
+        joined=_joined(plan, settings),
         odometry_topic=next((each.motion.topic for each in plan.shards if each.motion), None),
         place_topic=next((each.fixes.topic for each in plan.shards if each.fixes), None),
         frames=frames,
@@ -258,6 +263,20 @@ def _is_well_formed(message: RawMessage, key: str, ref: ChunkRef, damage: list[D
         damage.append(damaged(key=key, offset=ref.offset, length=len(message.data), what=what))
         return False
     return True
+
+
+def _joined(plan: LogPlan, settings: MiningSettings) -> tuple[str, ...]:
+    """Say for each further lidar whether the model on the car labels its points."""
+    shard = next(iter(plan.shards), None)
+    if shard is None or not settings.takes_recorded:
+        return () if shard is None else tuple(each.channel.topic for each in shard.further)
+    boxes = shard.recorded is not None and shard.recorded.boxes is not None
+    return tuple(
+        each.channel.topic
+        if boxes or each.recorded is not None
+        else f"{each.channel.topic} (no recorded labels: its points cannot contradict)"
+        for each in shard.further
+    )
 
 
 def _is_mined(topic: Topic, plan: LogPlan) -> bool:

@@ -18,6 +18,7 @@ from workers.ingest.footer import TruncatedPart
 from workers.ingest.frames import intensity_scale_of
 from workers.ingest.global_fixes import find_fixes
 from workers.ingest.identity import METADATA_RECORD, Identity, identify
+from workers.ingest.joined_lidars import FoundLidar, find_further
 from workers.ingest.lidar import choose_lidars, lidar_properties
 from workers.ingest.limits import MAX_CLOUD_TOPICS
 from workers.ingest.log_index import LogIndex, index_recording
@@ -32,7 +33,7 @@ from workers.ingest.recorded_source import (
 from workers.ingest.shard_windows import Spans, cut_windows
 from workers.ingest.topic_sampling import Sample, sample_end, sample_middle, sample_topics
 from workers.ingest.topic_spans import motion_spans, spans_within_reach
-from workers.ingest.topics import Topic, topics_of
+from workers.ingest.topics import Topic, topics_of, without_schema
 
 MAX_INDEX_READS: Final = 3
 """Reads of each part's index; where fewer were enough, the end of the log is also sampled."""
@@ -112,10 +113,11 @@ def plan_index(
             damage.append(damaged(key=index.readers[0].key, offset=0, length=0, what=remark))
         samples = sample_topics(index, _candidates(topics, settings), damage)
         chosen = _choose(index, samples, topics, settings, damage)
-        for sample in chosen:
+        for sample in (*chosen, *(samples[name] for name in settings.lidar_names[1:])):
             affordable = index.range_reads <= MAX_INDEX_READS * len(index.parts)
             if sample.clocks_differ and affordable:
                 sample_end(index, sample)
+        further = find_further(index, topics, samples, settings, damage)
         anchor_ns = min(sample.first_stamp_ns for sample in chosen)
         for sample in chosen:
             recorded = None
@@ -123,13 +125,14 @@ def plan_index(
                 recorded = _recorded(index, topics, sample, samples, settings, damage)
             elif found := labels_of_log(index, topics, sample, samples):
                 on_unread_labels(found.topic)
-            channel = _without_schema(sample.topic.channel)
+            channel = without_schema(sample.topic.channel)
             camera = _camera(index, topics, sample, settings)
             motion = find_motion(topics, settings.odometry_topic)
             fixes = find_fixes(topics, settings.place_topic)
             has_cameras = _has_cameras(index, topics)
             lidar = _Lidar(
-                *(channel, anchor_ns, recorded, motion, fixes, camera, has_cameras, identity)
+                *(channel, anchor_ns, recorded, motion, fixes, camera, has_cameras, identity),
+                further=further,
             )
             for shard in _shards(index, lidar, sample, settings, damage):
                 plan_bytes += len(shard.model_dump_json())
@@ -168,15 +171,17 @@ class _Lidar:
     camera: CameraCalibration | None
     has_cameras: bool
     identity: Identity
+    further: Sequence[FoundLidar] = ()
 
 
 def _candidates(topics: Sequence[Topic], settings: MiningSettings) -> list[Topic]:
     clouds = [topic for topic in topics if is_cloud(topic.channel) and topic.messages]
-    wanted = settings.lidar_topic
-    if not any(wanted in ("", topic.channel.topic) for topic in clouds):
-        raise LogUnusableError(_no_lidar(topics, wanted))
-    if wanted and not settings.takes_recorded:
-        clouds = [topic for topic in clouds if topic.channel.topic == wanted]
+    names = settings.lidar_names
+    for wanted in names:
+        if not any(wanted in ("", topic.channel.topic) for topic in clouds):
+            raise LogUnusableError(_no_lidar(topics, wanted))
+    if settings.lidar_topic and not settings.takes_recorded:
+        clouds = [topic for topic in clouds if topic.channel.topic in names]
     # of a topic recorded in two ways, the one with more messages is meant
     by_name = {
         topic.channel.topic: topic for topic in sorted(clouds, key=lambda topic: topic.messages)
@@ -186,7 +191,7 @@ def _candidates(topics: Sequence[Topic], settings: MiningSettings) -> list[Topic
             f"{len(by_name)} topics hold point clouds, more than {MAX_CLOUD_TOPICS}: set "
             "lidar_topic to the one to be mined"
         )
-    for name in sorted(by_name.keys() - {wanted})[MAX_CLOUD_TOPICS:]:
+    for name in sorted(by_name.keys() - set(names))[MAX_CLOUD_TOPICS:]:
         del by_name[name]
     return [by_name[name] for name in sorted(by_name)]
 
@@ -214,10 +219,13 @@ def _choose(
     settings: MiningSettings,
     damage: Sequence[Damage],
 ) -> list[Sample]:
-    if settings.lidar_topic in samples:
-        return [samples[settings.lidar_topic]]
+    wanted = settings.lidar_names
+    if all(name in samples for name in wanted):
+        return [samples[wanted[0]]]
     if not samples or settings.lidar_topic:
         names = ", ".join(topic.channel.topic for topic in _candidates(topics, settings))
+        if len(wanted) > 1:
+            names = ", ".join(name for name in wanted if name not in samples)
         harm = f" ({len(damage)} damaged chunks)" if damage else ""
         raise LogUnusableError(f"no lidar in the log: no cloud of {names} can be read{harm}")
     properties = {topic: lidar_properties(sample.clouds) for topic, sample in samples.items()}
@@ -247,7 +255,7 @@ def _recorded(
     found = find_source(index, topics, sample, samples, settings, damage)
     if found.source.channel is None:
         return found
-    channel = _without_schema(found.source.channel)
+    channel = without_schema(found.source.channel)
     return replace(found, source=found.source.model_copy(update={"channel": channel}))
 
 
@@ -269,7 +277,8 @@ def _shards(
     spans, anchor_ns = spans_within_reach(
         index, sample, anchor_ns=lidar.anchor_ns, grid=settings.grid, damage=damage
     )
-    labels = [] if lidar.recorded is None else lidar.recorded.spans
+    labels = [] if lidar.recorded is None else list(lidar.recorded.spans)
+    labels += [span for each in lidar.further for span in each.spans]
     source = None if lidar.recorded is None else lidar.recorded.source
     scale = settings.intensity_scale or intensity_scale_of([*sample.clouds, *sample.later_clouds])
     chunks = Spans([*spans, *labels])
@@ -291,9 +300,10 @@ def _shards(
             log_id=index.recording.log_id,
             index=window.index,
             lidar=lidar.channel,
+            further=tuple(each.lidar for each in lidar.further),
             recorded=source and source_of_shard(source, index, lidar.channel, read),
-            motion=None if lidar.motion is None else _without_schema(lidar.motion),
-            fixes=None if lidar.fixes is None else _without_schema(lidar.fixes),
+            motion=None if lidar.motion is None else without_schema(lidar.motion),
+            fixes=None if lidar.fixes is None else without_schema(lidar.fixes),
             camera=lidar.camera,
             has_cameras=lidar.has_cameras,
             anchor_ns=anchor_ns,
@@ -323,13 +333,6 @@ def _has_cameras(index: LogIndex, topics: Sequence[Topic]) -> bool:
 
 def _length(refs: Iterable[ChunkRef]) -> int:
     return sum(ref.length for ref in refs)
-
-
-def _without_schema(channel: Channel) -> Channel:
-    """Drop the schema of ROS and JSON clouds, which are decoded without it."""
-    if channel.message_encoding == "protobuf":
-        return channel
-    return channel.model_copy(update={"schema_base64": ""})
 
 
 def _unread_damage(

@@ -21,6 +21,7 @@ from workers.ingest.decoding import MessageUnreadableError
 from workers.ingest.fetch import OpenedChunk, fetch_chunks
 from workers.ingest.frames import frame_from_cloud
 from workers.ingest.global_fixes import FixLog
+from workers.ingest.joining import Joiner
 from workers.ingest.limits import MAX_WAITING, MAX_WAITING_BYTES
 from workers.ingest.message_rate import MessageRate
 from workers.ingest.messages import MAX_TIME_NS, RawMessage
@@ -76,6 +77,7 @@ class ShardReader:
     _motion_damaged: bool = False
     _fixes: FixLog = field(default_factory=FixLog)
     _sourced: SourcedMessage | None = None
+    _joiner: Joiner | None = None
 
     @property
     def range_reads(self) -> int:
@@ -95,9 +97,16 @@ class ShardReader:
             BucketUnreachableError: If the bucket does not answer.
         """
         timed = self._timed_frames()
-        for frame, _ in timed if self.shard.motion is None else self._with_motion(timed):
+        if self.shard.motion is not None:
+            timed = self._with_motion(timed)
+        if self.shard.further:
+            self._joiner = Joiner(self.shard, self.settings, self._record_message)
+            timed = self._joiner.joined(timed)
+        for frame, _ in timed:
             if self._wants(frame.stamp_ns):
                 yield frame
+        for sentence in self._joiner.sentences() if self._joiner is not None else ():
+            self._record(self.shard.chunks[0], sentence, length=0)
         if self.shard.fixes is not None and (what := self._fixes.sentence(self.shard.fixes.topic)):
             self._record(self.shard.chunks[0], what, length=0)
 
@@ -285,10 +294,15 @@ class ShardReader:
             self._motion_damaged = True
 
     def _in_order(self) -> Iterator[SourcedMessage]:
-        """Yield messages by log time; fixes of a topic of their own are taken out."""
+        """Yield messages by log time; fixes and further lidars of other topics are taken out."""
         fixes = self.shard.fixes
+        joiner = self._joiner
         for sourced in self._by_time():
             channel = sourced.message.channel
+            if joiner is not None and joiner.takes(channel):
+                self._sourced = sourced
+                joiner.add(sourced.message)
+                continue
             if fixes is not None and channel.ids == fixes.ids:
                 self._add_fix(sourced)
             if channel is not fixes:
@@ -341,10 +355,11 @@ class ShardReader:
             self._record(opened.ref, error.problem)
 
     def _channels(self, part: int) -> dict[int, Channel]:
-        """Return the channels of lidar, labels, motion and fixes by their ids in one part."""
+        """Return the channels of lidars, labels, motion and fixes by their ids in one part."""
         source = self.shard.recorded
         labels = source.channel if source is not None else None
-        others = (*spaces_of(source), self.shard.lidar, labels, self.shard.motion)
+        further = () if self._joiner is None else self._joiner.channels
+        others = (*further, *spaces_of(source), self.shard.lidar, labels, self.shard.motion)
         wanted = (self.shard.fixes, *others)  # of one topic for both, the other reads it too
         channels = [channel for channel in wanted if channel is not None]
         return {each: channel for channel in channels for each in ids_in(channel, part)}

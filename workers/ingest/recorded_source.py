@@ -14,7 +14,7 @@ from workers.ingest.recorded_labels import CLASSES_RECORD, find_labels, find_rec
 from workers.ingest.shard_windows import Span, StampBounds
 from workers.ingest.topic_sampling import Sample
 from workers.ingest.topic_spans import spans_of
-from workers.ingest.topics import Topic, chunks_of, count_in
+from workers.ingest.topics import Topic, chunks_of, count_in, without_schema
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,16 +60,7 @@ def find_source(
     if settings.predictions:
         return _files(index, topics, sample, classes, settings)
     wanted = settings.recorded_topic
-    points = find_recorded_source(
-        [topic.channel for topic in topics],
-        {} if classes is None else {CLASSES_RECORD: classes},
-        lidar=sample.topic.channel,
-        clouds={
-            name: each.clouds
-            for name, each in samples.items()
-            if wanted in ("", name) or name == sample.topic.channel.topic
-        },
-    )
+    points = _points_source(topics, sample, samples, classes, wanted)
     if points is not None and wanted not in ("", (points.channel or sample.topic.channel).topic):
         points = None
     if points is not None:
@@ -81,6 +72,47 @@ def find_source(
         classes_json=canonical_json(dict(classes or {})).decode(), boxes=boxes.source
     )
     return FoundSource(source, box_spans(index, boxes.source, boxes.bounds, sample), boxes)
+
+
+def labels_of_further(
+    index: LogIndex,
+    topics: Sequence[Topic],
+    sample: Sample,
+    samples: Mapping[str, Sample],
+    damage: list[Damage],
+) -> tuple[RecordedSource | None, list[Span]]:
+    """Find the recorded labels of a further lidar's points, and the spans of their topic.
+
+    The setting `recorded_topic` names the answer for the main lidar, so it is not asked here.
+
+    Returns:
+        None where the model on the car labels no point of that lidar.
+    """
+    found = _points_source(topics, sample, samples, _classes(index), "")
+    if found is None or found.channel is None:
+        return found, []
+    channel = without_schema(found.channel)
+    spans = spans_of(index, samples[found.channel.topic], damage)
+    return found.model_copy(update={"channel": channel}), spans
+
+
+def _points_source(
+    topics: Sequence[Topic],
+    sample: Sample,
+    samples: Mapping[str, Sample],
+    classes: dict[str, str] | None,
+    wanted: str,
+) -> RecordedSource | None:
+    return find_recorded_source(
+        [topic.channel for topic in topics],
+        {} if classes is None else {CLASSES_RECORD: classes},
+        lidar=sample.topic.channel,
+        clouds={
+            name: each.clouds
+            for name, each in samples.items()
+            if wanted in ("", name) or name == sample.topic.channel.topic
+        },
+    )
 
 
 def labels_of_log(

@@ -55,7 +55,7 @@ class Sample:
 
         Its stamps then do not relate to the index, and log times are used.
         """
-        usual_ns = self._usual_delay_ns()
+        usual_ns = self.usual_delay_ns
         return any(
             abs(delay_ns - usual_ns) > _MAX_CLOCK_SPREAD_NS for delay_ns in self.later_delays_ns
         )
@@ -65,7 +65,7 @@ class Sample:
         """Time of the first frame with the usual delay."""
         if self.by_log_time:
             return self.log_times_ns[0]
-        usual_ns = self._usual_delay_ns()
+        usual_ns = self.usual_delay_ns
         return next(
             stamp_ns
             for stamp_ns, log_time_ns in zip(self.stamps_ns, self.log_times_ns, strict=True)
@@ -77,7 +77,7 @@ class Sample:
         """Range of delays from stamps to log times, with a margin where they differ at all."""
         if self.by_log_time:
             return StampBounds()
-        usual_ns = self._usual_delay_ns()
+        usual_ns = self.usual_delay_ns
         delays_ns = [
             delay_ns
             for delay_ns in (*self._delays_ns(), *self.later_delays_ns)
@@ -107,7 +107,9 @@ class Sample:
             for stamp_ns, log_time_ns in zip(self.stamps_ns, self.log_times_ns, strict=True)
         ]
 
-    def _usual_delay_ns(self) -> int:
+    @property
+    def usual_delay_ns(self) -> int:
+        """Middle delay from stamp to log time, nanoseconds."""
         delays_ns = sorted(self._delays_ns())
         return delays_ns[len(delays_ns) // 2]
 

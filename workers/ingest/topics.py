@@ -135,3 +135,10 @@ def count_in(chunk: IndexedChunk, channel: Channel) -> int:
         return -1
     counts = [chunk.counts.get(each, 0) for each in ids_in(channel, chunk.ref.part)]
     return -1 if -1 in counts else sum(counts)
+
+
+def without_schema(channel: Channel) -> Channel:
+    """Drop the schema of ROS and JSON clouds, which are decoded without it."""
+    if channel.message_encoding == "protobuf":
+        return channel
+    return channel.model_copy(update={"schema_base64": ""})

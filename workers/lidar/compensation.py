@@ -38,7 +38,7 @@ def to_middle(
     Args:
         frame: Their frame, with the time of each point.
         points_m: (M, 3) some of its points, sensor space.
-        index: (M,) indices of these points in the frame.
+        index: (M,) indices of these points in the frame, rising.
         velocity: Twist of the sensor per second; None when unknown.
         origin_m: (3,) where the beams meet, sensor space.
 
@@ -50,8 +50,9 @@ def to_middle(
         return points_m
     time_s = time_s[index]
     if frame.compensated == "auto":
-        rings = frame.ring[index]
-        if is_compensated(points_m, time_s, rings, velocity, origin_m):
+        main = np.searchsorted(index, frame.main_points)  # further lidars turn for themselves
+        rings = frame.ring[index[:main]]
+        if is_compensated(points_m[:main], time_s[:main], rings, velocity, origin_m):
             return points_m
     return deskew(points_m, time_s, velocity)
 

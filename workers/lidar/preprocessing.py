@@ -16,6 +16,7 @@ from workers.lidar.compensation import to_middle
 from workers.lidar.deskew import Twist
 from workers.lidar.enough_points import too_few_returns
 from workers.lidar.ground import ground_mask
+from workers.lidar.lidar_views import LidarView, LidarViews
 from workers.lidar.sensor_height import estimate_sensor_height
 from workers.points.point_kernels import judged_rows, moved_rows, returns_within, rows_about
 from workers.points.se3 import inverse
@@ -53,6 +54,7 @@ class PreprocessedFrame:
         image: (R, C) range image of all valid points.
         odom_from_beams: (4, 4) pose of the origin of the beams.
         beams_from_odom: (4, 4) the inverse pose.
+        views: What further lidars saw; `image` and beams are those of the main lidar alone.
     """
 
     points_m: Points
@@ -63,13 +65,18 @@ class PreprocessedFrame:
     image: NDArray[np.float32]
     odom_from_beams: Transform
     beams_from_odom: Transform
+    views: tuple[LidarView, ...] = ()
 
 
 class Preprocessor:
-    """Preprocesses the frames of one sensor, and learns its beams and height from them."""
+    """Preprocesses the frames of one car, and learns beams and height of its lidars from them.
+
+    Ground, judged points and voxels are those of all lidars; each range image is that of one.
+    """
 
     def __init__(self) -> None:
         self._beams = BeamLearner()
+        self._views = LidarViews()
         self.sensor_height_m: float = 0.0
 
     @property
@@ -94,14 +101,16 @@ class Preprocessor:
         points_m = rows_about(frame.points_m, valid_index, _SENSOR_ORIGIN)
         if too_few_returns(points_m, places=MIN_PLACES):
             return None
-        if self._beams.learn(points_m, frame.ring[valid_index]):
+        main = int(np.searchsorted(valid_index, frame.main_points))
+        if self._beams.learn(points_m[:main], frame.ring[valid_index[:main]]):
             self.sensor_height_m = 0.0
         if self.table is None or len(self.table.tangents) == 0:
             return None
         points_m = to_middle(frame, points_m, valid_index, velocity, self.table.origin_m)
+        views = self._views(frame, points_m, valid_index, odom_from_sensor)
         points_m = points_m - self.table.origin_m.astype(np.float32)
         if not self.sensor_height_m:
-            self.sensor_height_m = estimate_sensor_height(points_m)
+            self.sensor_height_m = estimate_sensor_height(points_m[:main])
         ground = ground_mask(points_m, sensor_height_m=self.sensor_height_m)
 
         judged_index = judged_rows(points_m, ground, MIN_RANGE_M, MAX_RANGE_M, MAX_HEIGHT_M)
@@ -113,9 +122,10 @@ class Preprocessor:
             ground=ground,
             judged_index=judged_index,
             voxels=voxelize(moved_rows(points_m, judged_index, odom_from_beams)),
-            image=range_image(points_m, self.table),
+            image=range_image(points_m[:main], self.table),
             odom_from_beams=odom_from_beams,
             beams_from_odom=inverse(odom_from_beams),
+            views=views,
         )
 
     def problem(self, frame: LidarFrame) -> FrameHealth:

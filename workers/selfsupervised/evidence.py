@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from schemas.arrays import Mask, Transform
 from workers.free_space import Votes
 from workers.lidar.beam_table import BeamTable
+from workers.lidar.lidar_views import LidarView
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,6 +24,7 @@ class FreeSpaceEvidence:
         table: Beams of the sensor.
         sensor_height_m: Height of the origin of the beams over the road.
         beams_from_odom: (4, 4) inverse pose of the frame.
+        views: What further lidars saw in the frame itself.
     """
 
     votes: Votes
@@ -33,6 +35,7 @@ class FreeSpaceEvidence:
     table: BeamTable
     sensor_height_m: float
     beams_from_odom: Transform
+    views: tuple[LidarView, ...] = ()
 
     @property
     def seen_through(self) -> Mask:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import NS_PER_S, Transform
+from workers.lidar.lidar_views import LidarView
 from workers.points.neighbours import build_grid
 from workers.points.point_grid import PointGrid
 from workers.points.se3 import inverse, transform
@@ -35,6 +36,7 @@ class PastFrame:
         beams_from_odom: (4, 4) the inverse pose.
         image: (R, C) its range image.
         grid: Its voxel centroids off the ground, odom space.
+        views: What further lidars saw in it.
     """
 
     stamp_ns: int
@@ -43,6 +45,7 @@ class PastFrame:
     beams_from_odom: Transform
     image: NDArray[np.float32]
     grid: PointGrid
+    views: tuple[LidarView, ...] = ()
 
     def expressed_in(self, space: Transform) -> "PastFrame":
         """Return the frame with poses and places in another space, given (4, 4) odom from it."""
@@ -51,13 +54,21 @@ class PastFrame:
         moved = inverse(space) @ self.space
         pose = moved @ self.odom_from_beams
         grid = build_grid(transform(moved, self.grid.points_m), pose[:3, 3])
-        return PastFrame(self.stamp_ns, space, pose, inverse(pose), self.image, grid)
+        views = tuple(view.expressed_in(inverse(moved)) for view in self.views)
+        return PastFrame(self.stamp_ns, space, pose, inverse(pose), self.image, grid, views)
 
     def beams_from(self, space: Transform) -> Transform:
         """Return (4, 4) beams from another space, given (4, 4) odom from that space."""
         if self.space is space:
             return self.beams_from_odom
         return self.beams_from_odom @ inverse(self.space) @ space
+
+    def views_from(self, space: Transform) -> tuple[LidarView, ...]:
+        """Return the views for places in another space, given (4, 4) odom from that space."""
+        if self.space is space:
+            return self.views
+        moved = inverse(self.space) @ space
+        return tuple(view.expressed_in(moved) for view in self.views)
 
 
 class History:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S, Mask, Points, Transform
 from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.labels import Blindness, FrameHealth, FrameLabels
-from workers.free_space import HIDDEN, count_votes, visibility
+from workers.free_space import HIDDEN, count_votes, visibility, with_views
 from workers.lidar.deskew import Twist, twist
 from workers.lidar.preprocessing import Preprocessor
 from workers.points.neighbours import build_grid
@@ -92,7 +92,7 @@ class StreamState:
         places, pose = prepared.voxels.centroids_m, prepared.odom_from_beams
         grid = build_grid(places, pose[:3, 3])
         away, image = prepared.beams_from_odom, prepared.image
-        seen = PastFrame(frame.stamp_ns, self._space, pose, away, image, grid)
+        seen = PastFrame(frame.stamp_ns, self._space, pose, away, image, grid, prepared.views)
         if self._continuity is not None:
             self._disconnected = not self._continuity.follows(seen, places, restarts=restarts)
         blind = None if table.trusted else self._prepare.problem(frame)
@@ -156,7 +156,8 @@ class StreamState:
         places, centre_m = prepared.voxels.centroids_m, prepared.odom_from_beams[:3, 3]
 
         def visible_from(points_m: Points, other: PastFrame) -> NDArray[np.int8]:
-            return visibility(points_m, other.beams_from(space), other.image, ready.table)
+            answer = visibility(points_m, other.beams_from(space), other.image, ready.table)
+            return with_views(answer, points_m, other.views_from(space))
 
         def seen_through(points_m: Points) -> Mask:
             before, later = (
@@ -190,6 +191,7 @@ class StreamState:
             table=ready.table,
             sensor_height_m=ready.sensor_height_m,
             beams_from_odom=prepared.beams_from_odom,
+            views=prepared.views,
         )
         found = find_motions(places, *references, evidence)
         tracked = self._tracker.update(

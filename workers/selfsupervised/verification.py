@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.arrays import Mask, Points
-from workers.free_space import FREE, Votes, visibility
+from workers.free_space import FREE, Votes, visibility, with_views
 from workers.points.clusters import Clusters
 from workers.points.step_names import step
 from workers.selfsupervised.candidates import LONG_M, far_candidates, near_candidates, near_hints
@@ -138,12 +138,9 @@ def _left_free(
     of_member = np.repeat(np.arange(len(clusters)), clusters.sizes)
     asked = candidate[of_member]
     members, owner = clusters.members[asked], of_member[asked]
-    answer = visibility(
-        points_m[members] + shift[owner],
-        evidence.beams_from_odom,
-        evidence.image,
-        evidence.table,
-    )
+    left_m = points_m[members] + shift[owner]
+    answer = visibility(left_m, evidence.beams_from_odom, evidence.image, evidence.table)
+    answer = with_views(answer, left_m, evidence.views)
     return np.bincount(owner[answer >= FREE], minlength=len(clusters))
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from schemas.arrays import NS_PER_S, Mask, Points
 from schemas.contradiction import LabelledFrame
 from schemas.labels import FrameHealth, FrameLabels, MotionLabel
-from workers.free_space import visibility
+from workers.free_space import visibility, with_views
 from workers.points.clusters import Clusters, connected
 from workers.sources import syntax_digest
 from workers.witness.free_space_votes import FreeSpaceVotes, votes_of
@@ -151,7 +151,8 @@ def _visibilities(
         if away_ns is None or abs(away_ns - age_ns) > _TOLERANCE_NS:
             continue
         view = able.pop(away_ns)
-        answers.append(visibility(places_m, view.beams_from_odom, view.image, view.table))
+        answer = visibility(places_m, view.beams_from_odom, view.image, view.table)
+        answers.append(with_views(answer, places_m, view.further))
     return answers
 
 

@@ -15,6 +15,7 @@ from workers.lidar.beam_learner import BeamLearner
 from workers.lidar.beam_table import MIN_RANGE_M, BeamTable
 from workers.lidar.compensation import to_middle
 from workers.lidar.deskew import Twist, twist
+from workers.lidar.lidar_views import LidarView, LidarViews
 from workers.points.point_kernels import judged_rows, moved_rows, returns_within, rows_about
 from workers.points.se3 import inverse, transform
 from workers.points.voxels import Voxels, voxelize
@@ -53,6 +54,7 @@ class View:
         beams_from_odom: (4, 4) inverse pose of the origin of the beams.
         judged_index: (J,) indices of the points to label: off the ground, within range.
         places: Their voxels, odom space.
+        further: What further lidars saw; image, table and pose are those of the main one.
     """
 
     image: NDArray[np.float32]
@@ -60,6 +62,7 @@ class View:
     beams_from_odom: Transform
     judged_index: NDArray[np.int64]
     places: Voxels
+    further: tuple[LidarView, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,6 +89,7 @@ class Observer:
 
     def __init__(self) -> None:
         self._beams = BeamLearner()
+        self._views = LidarViews()
         self._poses = PoseCheck()
         self._recorded = MotionCheck()
         self._correction: Transform = np.eye(4)
@@ -119,12 +123,14 @@ class Observer:
         if len(index) < _FEWEST_RETURNS or posed.odometry is OdometryState.LOST:
             return Observation(frame.stamp_ns, self._stretch)
         points_m = rows_about(frame.points_m, index, _SENSOR_ORIGIN)
-        if self._beams.learn(points_m, frame.ring[index]):
+        main = int(np.searchsorted(index, frame.main_points))
+        if self._beams.learn(points_m[:main], frame.ring[index[:main]]):
             self._begin_stretch()
         table = self._beams.table
         if table is None or not table.trusted or not len(table.tangents):
             return Observation(frame.stamp_ns, self._stretch)
         points_m = to_middle(frame, points_m, index, velocity, table.origin_m)
+        from_sensor_m = points_m
         points_m = points_m - table.origin_m.astype(np.float32)
         odom_from_beams = self._correction @ posed.odom_from_sensor
         odom_from_beams[:3, 3] += odom_from_beams[:3, :3] @ table.origin_m
@@ -138,12 +144,14 @@ class Observer:
             self._correction = fit.correction @ self._correction
             odom_from_beams = fit.correction @ odom_from_beams
             places = Voxels(transform(fit.correction, places.centroids_m), places.of_point)
+        odom_from_sensor = self._correction @ posed.odom_from_sensor
         view = View(
-            image=range_image(points_m, table),
+            image=range_image(points_m[:main], table),
             table=table,
             beams_from_odom=inverse(odom_from_beams),
             judged_index=index[judged],
             places=places,
+            further=self._views(frame, from_sensor_m, index, odom_from_sensor),
         )
         return Observation(frame.stamp_ns, self._stretch, view, fit.problem)
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from schemas.arrays import NS_PER_S
+from schemas.log_sources import MAX_SPACE_TOPICS, MAX_STATIC_SPACES, BoxSource, Channel
 from schemas.recorded_source import StatedPose
-from schemas.work import MAX_SPACE_TOPICS, MAX_STATIC_SPACES, BoxSource, Channel
 from workers.ingest.boxes.kinds import box_kind
 from workers.ingest.boxes.spaces import places_boxes
 from workers.ingest.boxes.stated import StatedBoxes, stated_boxes

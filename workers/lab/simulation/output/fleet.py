@@ -21,7 +21,12 @@ from workers.lab.simulation.faults.fault_truth import PlantedFaults
 from workers.lab.simulation.faults.plan import LogPlan
 from workers.lab.simulation.output.write import Identity, RecordedAs, write_log
 from workers.lab.simulation.sensor.lidar import Lidar, sweep
-from workers.lab.simulation.sensor.sensors import MountingName, SensorName, mounted
+from workers.lab.simulation.sensor.sensors import (
+    MountingName,
+    SensorName,
+    further_lidars,
+    mounted,
+)
 from workers.lab.simulation.world.street import Street
 from workers.lab.simulation.world.street_builder import build_street
 from workers.lab.simulation.world.street_plan import draw_plan
@@ -69,6 +74,7 @@ class FleetOptions:
         odometry: Whether the cars record wheel speed and yaw rate.
         fixes: Whether they record their place on Earth.
         slow_lorries: Whether lorries and buses pass each car at 2 to 4 m/s.
+        lidars: Lidars of every car: its own, and near-field ones at the front, rear and sides.
     """
 
     lidar: Lidar | None = None
@@ -78,6 +84,7 @@ class FleetOptions:
     odometry: bool = False
     fixes: bool = False
     slow_lorries: bool = False
+    lidars: int = 1
 
 
 def on_days(plans: Sequence[LogPlan], days: int) -> tuple[LogPlan, ...]:
@@ -179,6 +186,7 @@ def write_planned(
         log,
         street,
         lidar=lidar,
+        further=further_lidars(lidar, options.lidars - 1),
         identity=Identity(
             vehicle=vehicle,
             date=day.isoformat(),

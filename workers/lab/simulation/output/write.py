@@ -1,7 +1,7 @@
 """MCAP writer of a simulated street, in the format of a recorder on a car, with its truth."""
 
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +21,7 @@ from workers.lab.simulation.output.cloud import (
     message_of,
 )
 from workers.lab.simulation.output.fixes import FixWriter
+from workers.lab.simulation.output.further_lidars import FurtherWriter
 from workers.lab.simulation.output.odometry import OdometryWriter
 from workers.lab.simulation.output.truth import TruthWriter
 from workers.lab.simulation.sensor.compensation import compensate
@@ -51,6 +52,7 @@ def write_log(
     street: Street,
     *,
     lidar: Lidar | None = None,
+    further: Sequence[Lidar] = (),
     identity: Identity | None = None,
     recorded: RecordedAs = "fields",
     odometry: bool = False,
@@ -68,6 +70,7 @@ def write_log(
         output: File to write (it is replaced atomically), or a stream.
         street: The street with its traffic.
         lidar: The lidar on the car; 64 beams and 1024 columns at 10 Hz when None.
+        further: Near-field lidars, each with its own space, topic and labels in its clouds.
         identity: Vehicle, date, software version and time of the first frame.
         recorded: Form of the on-board model's answer.
         odometry: Whether the car records wheel speed and yaw rate.
@@ -104,6 +107,10 @@ def write_log(
             FixWriter(writer, street, start_ns=identity.start_ns, drive=drive) if fixes else None
         )
         noise = noise_of(street) if planted.lifelike else None
+        others = FurtherWriter(
+            *(writer, street, further), lifelike=planted.lifelike, start_ns=identity.start_ns
+        )
+        others.place(LIDAR_SPACE, lidar)
         detector = DetectorWriter(writer, street) if recorded == "boxes" else None
         for index in range(count):
             frame = disturb(sweep(street, lidar, index), planted.disturbances)
@@ -122,6 +129,7 @@ def write_log(
             rows = cloud_of(frame, labels_in_cloud, firing=not lidar.compensated)
             message = message_of(rows, stamp_ns=stamp_ns, space=LIDAR_SPACE)
             writer.write_message(LIDAR_TOPIC, schema, message, stamp_ns, stamp_ns, index)
+            others.write(index, schema, planted.failures if recorded == "fields" else None)
             if recorded == "topic" and onboard is not None:
                 labels = message_of(labels_of(onboard), stamp_ns=stamp_ns, space=LIDAR_SPACE)
                 writer.write_message(LABEL_TOPIC, schema, labels, stamp_ns, stamp_ns, index)

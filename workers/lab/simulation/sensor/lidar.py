@@ -67,6 +67,11 @@ class Lidar:
             differently.
         compensated: Whether clouds are recorded in the sensor's space of the middle of the sweep,
             which is their stamp, without a time and a beam per point.
+        left_m: Offset to the left of the middle of the car.
+        yaw_deg: Turn to the left.
+        fov_deg: Horizontal field of view, swept once per revolution from left to right.
+        phase_s: Time of the first firing of a log after that of the main lidar.
+        number: Place among the lidars of the car; its noise depends on it.
         name: Name of the sensor and its mounting.
     """
 
@@ -87,6 +92,11 @@ class Lidar:
     gain: float = 255.0
     gamma: float = 1.0
     compensated: bool = False
+    left_m: float = 0.0
+    yaw_deg: float = 0.0
+    fov_deg: float = 360.0
+    phase_s: float = 0.0
+    number: int = 0
     name: str = "spinning lidar"
 
     @property
@@ -97,7 +107,8 @@ class Lidar:
     @cached_property
     def beams(self) -> Floats:
         """(C, R, 3) unit directions in sensor space, in firing order."""
-        turn = np.pi - 2 * np.pi * np.arange(self.columns) / self.columns
+        half = np.deg2rad(self.fov_deg) / 2
+        turn = half - 2 * half * np.arange(self.columns) / self.columns
         elevation = np.deg2rad(np.array(self.elevation_deg))
         aside = np.deg2rad(np.array(self.azimuth_deg or [0.0] * len(elevation)))
         azimuth = turn[:, None] + aside[None]
@@ -166,13 +177,21 @@ def sensor_poses(street: Street, lidar: Lidar, time_s: Floats) -> Floats:
     """Return (T, 4, 4) world from sensor at these times."""
     bodies = street.ego_bodies(time_s)
     turn = rotations(bodies[:, 3], bodies[:, 4], bodies[:, 5])
-    tilt = np.deg2rad(lidar.pitch_deg)
-    mounted = rotations(np.zeros(()), np.asarray(tilt), np.zeros(()))
+    mounted = mounting(lidar)
     poses = np.zeros((len(time_s), 4, 4))
-    poses[:, :3, :3] = turn @ mounted
-    poses[:, :3, 3] = bodies[:, :3] + turn @ np.array([lidar.forward_m, 0.0, lidar.height_m])
+    poses[:, :3, :3] = turn @ mounted[:3, :3]
+    poses[:, :3, 3] = bodies[:, :3] + turn @ mounted[:3, 3]
     poses[:, 3, 3] = 1.0
     return poses
+
+
+def mounting(lidar: Lidar) -> Transform:
+    """Return (4, 4) the car's space, on the road below its middle, from that of the lidar."""
+    yaw, tilt = np.deg2rad(lidar.yaw_deg), np.deg2rad(lidar.pitch_deg)
+    car_from_lidar: Transform = np.eye(4)
+    car_from_lidar[:3, :3] = rotations(np.asarray(yaw), np.asarray(tilt), np.zeros(()))
+    car_from_lidar[:3, 3] = (lidar.forward_m, lidar.left_m, lidar.height_m)
+    return car_from_lidar
 
 
 def sweep(street: Street, lidar: Lidar, index: int) -> SimulatedFrame:
@@ -181,7 +200,7 @@ def sweep(street: Street, lidar: Lidar, index: int) -> SimulatedFrame:
     The sensor and all actors move during the revolution (rolling shutter). Noise is drawn from the
     street's seed and the frame's number alone, so frames can be simulated in any order.
     """
-    time_s = index * lidar.period_s
+    time_s = index * lidar.period_s + lidar.phase_s
     fraction = np.arange(lidar.columns) / lidar.columns
     poses = sensor_poses(street, lidar, time_s + fraction * lidar.period_s)
     origins = poses[:, :3, 3]
@@ -217,8 +236,8 @@ def _settle_on_ground(street: Street, hits: Hits, origins: Floats, directions: F
 def _measured(
     street: Street, lidar: Lidar, index: int, hits: Hits, poses: Floats, directions: Floats
 ) -> SimulatedFrame:
-    rng = np.random.default_rng([street.seed, index])
-    time_s, rows = index * lidar.period_s, directions.shape[1]
+    rng = np.random.default_rng([street.seed, index, *[lidar.number] * (lidar.number > 0)])
+    time_s, rows = index * lidar.period_s + lidar.phase_s, directions.shape[1]
     ends, range_m = street.weather.answer(
         hits.range_m,
         poses[:, :3, 3],

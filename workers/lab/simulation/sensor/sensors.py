@@ -117,3 +117,46 @@ def mounted(sensor: SensorName, mounting: MountingName, *, columns: int | None =
         roof=roof,
         name=f"{sensor} on a {mounting}",
     )
+
+
+def further_lidars(lidar: Lidar, count: int) -> tuple[Lidar, ...]:
+    """Mount near-field lidars on the bumpers and sides of a car: front, rear, left, right.
+
+    They have the period of the main lidar, and fire some milliseconds after it.
+
+    Args:
+        lidar: The main lidar.
+        count: Number of further ones, 4 at most.
+    """
+    columns = max(64, lidar.columns * 2 // 5)
+    return tuple(
+        replace(
+            _NEAR_FIELD,
+            columns=columns,
+            period_s=lidar.period_s,
+            forward_m=forward_m,
+            left_m=left_m,
+            yaw_deg=yaw_deg,
+            phase_s=lidar.period_s * 0.4 + 0.005 * number,
+            number=number + 1,
+            name=f"near-field lidar, {NEAR_FIELD_PLACES[number]}",
+        )
+        for number, (forward_m, left_m, yaw_deg) in enumerate(_PLACES[:count])
+    )
+
+
+NEAR_FIELD_PLACES: Final = ("front", "rear", "left", "right")
+_PLACES: Final = ((2.4, 0.0, 0.0), (-2.4, 0.0, 180.0), (0.6, 0.95, 90.0), (0.6, -0.95, -90.0))
+
+_NEAR_FIELD: Final = Lidar(
+    elevation_deg=tuple(np.linspace(15.0, -31.5, 32).round(3).tolist()),
+    height_m=0.65,
+    fov_deg=144.0,
+    max_range_m=60.0,
+    reach_m=40.0,
+    gain=140.0,
+    gamma=0.5,
+    noise_m=0.02,
+    least_range_m=0.3,
+)
+"""A lidar of 32 beams and 144 degrees that sees what is close to the car."""
