@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from schemas.labels import Agreement
-from schemas.overlay import NO_POSITION_CM, Overlay, overlay_key
+from schemas.overlay import NO_POSITION_CM, Overlay, OverlayLidar, overlay_key
 from schemas.overlay_picture import Picture
 from schemas.task import GROUND
 from schemas.transport.array_pack import MAX_UNPACKED_BYTES, PackUnreadableError, pack, unpack
@@ -121,6 +121,30 @@ def test_an_overlay_of_version_1_opens_with_the_labels_that_it_had(points: int) 
         np.testing.assert_array_equal(told, known, err_msg=name)
     assert after.pictures == ()
     assert after.scoring_inputs == b""
+
+
+def test_further_lidars_are_kept_and_one_lidar_takes_no_byte() -> None:
+    alone = _overlay()
+    lidar = OverlayLidar(
+        topic="/front/points",
+        points=np.array([3, 0]),
+        stamps_ns=np.array([1_700_000_000_123_456_789, 0]),
+        main_from_lidar=np.stack([np.eye(4), 2.0 * np.eye(4)]),
+    )
+    joined = replace(alone, lidars=(lidar,))
+    (decoded,) = decode_overlay(encode_overlay(joined)).lidars
+    assert decoded.topic == lidar.topic
+    for name in ("points", "stamps_ns", "main_from_lidar"):
+        np.testing.assert_array_equal(getattr(decoded, name), getattr(lidar, name))
+    assert joined.main_points.tolist() == [alone.main_points[0] - 3, alone.main_points[1]]
+    assert b'"lidars"' not in encode_overlay(alone)
+
+
+def test_a_lidar_with_more_points_than_the_frame_is_refused() -> None:
+    alone = _overlay(points=700)
+    lidar = OverlayLidar("/front", np.array([701, 0]), np.zeros(2, int), np.stack([np.eye(4)] * 2))
+    with pytest.raises(ValueError, match="points of the main lidar"):
+        replace(alone, lidars=(lidar,))
 
 
 def test_another_task_keeps_its_labels() -> None:

@@ -12,6 +12,7 @@ from schemas.labels import FrameLabels
 from schemas.task import MOTION
 from tests.factories import frame, pose, posed
 from workers.free_space import FREE, HIDDEN, OCCUPIED, visibility, with_views
+from workers.lidar.beam_image import range_image
 from workers.lidar.compensation import to_middle
 from workers.lidar.lidar_views import LidarViews
 from workers.lidar.several_lidars import lidar_frame, placed, posed_frames, seen_from
@@ -171,6 +172,23 @@ def test_rays_of_a_further_lidar_start_at_that_lidar() -> None:
     assert seen.tolist() == [FREE, FREE, OCCUPIED, HIDDEN]
     # the same returns with rays from the roof lidar would claim other places
     np.testing.assert_allclose(np.linalg.inv(view.beams_from_odom)[:3, 3], [0.0, 3.0, -1.0])
+
+
+def test_no_place_is_free_that_only_rays_from_another_lidar_would_pass() -> None:
+    made = two_lidars()
+    far = made.points_of(0)
+    # the lidar at the side sees a piece of the wall at 40 m, and nothing to the right of it
+    seen = np.ones(len(made), np.bool_)
+    seen[far] = made.points_m[far][:, 1] > 2.0
+    lidar = replace(made.joined[0], points=int(seen[far].sum()))
+    part = replace(made.part(np.flatnonzero(seen)), joined=(lidar,))  # type: ignore[arg-type]
+    (view,) = LidarViews()(part, part.points_m, np.arange(len(part)), np.eye(4))
+    parked = np.array([[20.0, 1.5, -0.5]], np.float32)
+    answer = visibility(parked, view.beams_from_odom, view.image, view.table)
+    assert answer.tolist() == [HIDDEN]
+    # its returns taken for returns of rays from the roof would claim that nothing is parked there
+    of_roof = range_image(part.points_m[part.main_points :], view.table)
+    assert visibility(parked, np.eye(4), of_roof, view.table).tolist() == [FREE]
 
 
 def test_what_any_lidar_saw_at_a_place_counts_more_than_rays_beyond_it() -> None:
