@@ -46,6 +46,7 @@ from service.api.messages import (
 from service.api.payload_check import require_affordable
 from service.api.reader import no_such_scene, no_such_selection
 from service.api.request_queue import RequestQueue, malformed
+from service.api.sparse_log import SparseLog
 from service.api.staging import Staging
 from service.api.stored_overlays import read_overlay
 from service.api.verbs import OF_PEOPLE, OF_WORKERS, VERBS
@@ -109,6 +110,7 @@ class Control:
         self._on_comparison = on_comparison
         self._settings, self._ledger, self._staging = settings, ledger, staging
         self._on_scenes, self._on_selection = on_scenes, on_selection
+        self._refusals = SparseLog()
         self._about = AboutReply(package=version("counterpoint"))  # an upgrade changes the files
         self._answers: Mapping[str, Callable[[Any], BaseModel | bytes]] = {
             verb: getattr(self, f"answer_{verb}") for verb in VERBS
@@ -192,8 +194,9 @@ class Control:
         answer = self._ledger.commit(request, staged)
         self._on_commit_seconds(time.monotonic() - began_s)
         if answer.problem:
-            log.warning(
+            self._refusals.warn(
                 "commit refused",
+                asked="commit",
                 worker_id=request.worker_id,
                 lease_id=request.lease_id,
                 problem=answer.problem,

@@ -27,6 +27,7 @@ from schemas.transport import keys
 from schemas.transport.ask import reply_problem
 from schemas.transport.wire import first_problem
 from service.api.bounded_queue import Waiting
+from service.api.sparse_log import SparseLog
 from service.api.verbs import HISTORY, VERBS
 from service.errors import StateUnusableError
 from service.store.audit import Actor, acting
@@ -94,6 +95,7 @@ class RequestQueue:
         self._writes: Waiting[_Request] = Waiting(most=MOST_WAITING, most_bytes=MOST_WAITING_BYTES)
         self._reads: Waiting[_Request] = Waiting(most=MOST_WAITING, most_bytes=MOST_WAITING_BYTES)
         self._large = threading.Lock()
+        self._refusals = SparseLog()
         self._unable: dict[str, str] = {}
         """Current problem, by kind of request; each is logged once until it passes."""
         self._queryables = ExitStack()
@@ -239,7 +241,7 @@ class RequestQueue:
             elif first.answer is not None:
                 with acting(first.actor):
                     answer = self._made(first.answer, first.payload)
-                sent = [self._reply(request.query, answer) for request in requests]
+                sent = [self._reply(asked, request.query, answer) for request in requests]
                 if not any(sent):
                     return "unsent"
         except MalformedError as error:
@@ -254,21 +256,21 @@ class RequestQueue:
         except StateUnusableError:
             raise
         except CounterpointError as error:
-            log.warning("request refused", asked=asked, problem=str(error))
+            self._refusals.warn("request refused", asked=asked, problem=str(error))
             self._refuse_all(requests, error)
             return "refused"
         except zenoh.ZError as error:  # the asker is gone, or the session is closing
-            log.warning("reply not sent", asked=asked, problem=str(error))
+            self._refusals.warn("reply not sent", asked=asked, problem=str(error))
             return "unsent"
         if self._unable.pop(asked, None) is not None:
             log.info("requests answered again", asked=asked)
         return "answered"
 
-    def _reply(self, query: zenoh.Query, answer: bytes) -> bool:
+    def _reply(self, asked: str, query: zenoh.Query, answer: bytes) -> bool:
         try:
             query.reply(query.key_expr, answer)
         except zenoh.ZError as error:  # the asker is gone, or the session is closing
-            log.warning("reply not sent", key=str(query.key_expr), problem=str(error))
+            self._refusals.warn("reply not sent", asked=asked, problem=str(error))
             return False
         return True
 

@@ -45,7 +45,7 @@ from service.curation.verdicts import (
 )
 from service.errors import StateInUseError, UsageError
 from service.settings.config import Settings
-from service.settings.messages import shown
+from service.settings.hidden_passwords import shown
 from service.store.audit import Actor, acting
 from service.store.ledger import Ledger, StoredScene
 from service.store.opening import open_ledger_store, open_ledger_store_to_read, sole_service

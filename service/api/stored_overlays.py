@@ -6,7 +6,7 @@ from schemas.transport.bucket import open_bucket
 from schemas.transport.overlay_codec import MAX_OVERLAY_BYTES, overlay_file_of
 from schemas.transport.overlay_file import OverlayFile, OverlayIsVersion1Error, open_overlay_file
 from service.errors import NothingFoundError
-from service.settings.messages import shown
+from service.settings.hidden_passwords import shown
 from service.store.ledger import StoredScene
 
 

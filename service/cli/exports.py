@@ -41,7 +41,7 @@ from service.export.scene import JudgedTrack, SceneToExport
 from service.export.sink import Sink
 from service.output_files import need_folder
 from service.settings.config import Settings
-from service.settings.messages import shown
+from service.settings.hidden_passwords import shown
 from service.store.state import endpoint_of_running
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from service.cli.options import (
 )
 from service.cli.output import json_line, page, progress, remark, table
 from service.settings.config import read_settings
-from service.settings.messages import shown
+from service.settings.hidden_passwords import shown
 from service.settings.table import setting_rows, settings_page
 
 

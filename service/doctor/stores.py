@@ -17,7 +17,7 @@ from service.curation.status import skipped_phrases
 from service.doctor.finding import Finding, ok, problem, warning
 from service.errors import StateOutdatedError
 from service.settings.config import Settings
-from service.settings.messages import shown
+from service.settings.hidden_passwords import shown
 from service.store.engine import DATABASE_NAME
 from service.store.file_check import check_pages, traces_of_loss
 from service.store.opening import open_ledger_store_to_read

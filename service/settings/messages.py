@@ -1,24 +1,13 @@
 """Messages about settings: accepted values and errors, without any secret."""
 
-import re
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
 from schemas.bounds import NO_NUL
+from service.settings.hidden_passwords import shown
 from service.settings.sources import Written
-
-_USER_AND_PASSWORD: Final = re.compile(r"(?<=://)([^/@\s:]*):[^/\s]*@")
-_PASSWORD_PARAMETER: Final = re.compile(r"(?i)((?:password|secret|token)[a-z_]*=)[^&\s;]+")
-
-
-def shown(value: object) -> str:
-    """Format a value without the password of any URL in it."""
-    if isinstance(value, list | tuple):
-        return ", ".join(map(shown, value))
-    text = f"{value:g}" if isinstance(value, float) else str(value)
-    return _PASSWORD_PARAMETER.sub(r"\1***", _USER_AND_PASSWORD.sub(r"\1:***@", text))
 
 
 def allowed(model: type[BaseModel]) -> dict[str, str]:

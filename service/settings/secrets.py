@@ -4,7 +4,7 @@ import stat
 from collections.abc import Mapping
 from pathlib import Path
 
-from service.settings.messages import shown
+from service.settings.hidden_passwords import shown
 from service.settings.sources import Written
 
 

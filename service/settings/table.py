@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.mining import MiningSettings
 from service.settings.config import NOT_IN_VERSION, ReadSettings, Settings, allowed_values
-from service.settings.messages import shown
+from service.settings.hidden_passwords import shown
 from service.settings.sources import CONFIG_VARIABLE, flag_of, leaves, variable_of
 
 _HEAD: Final = f"""# Settings

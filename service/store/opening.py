@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final, Protocol
 
 from service.errors import StateUnusableError
-from service.settings.messages import shown
+from service.settings.hidden_passwords import shown
 from service.store.engine import (
     Store,
     StoreUnavailableError,

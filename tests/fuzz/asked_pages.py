@@ -127,7 +127,7 @@ class AskedPages:
         report: Filled by those who ask.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, rate: int = 0) -> None:
         state, logs = folder / "page", folder / "logs"
         mined_state(state)
         logs.mkdir()
@@ -139,12 +139,12 @@ class AskedPages:
         listen, at = f"127.0.0.1:{port}", ("--connect", endpoint)
         serve = ("service", "--bucket", str(logs), "--state", str(folder / "state"), *at)
         shown = {"COUNTERPOINT_HTTP_LISTEN": f"127.0.0.1:{service_port}"}
-        any_rate = {"COUNTERPOINT_HTTP_RATE": "0"}
+        limited = {"COUNTERPOINT_HTTP_RATE": str(rate)}
         self._daemons = (
             Daemon(folder, "router", "router", "--listen", endpoint),
             Daemon(folder, "service", *serve, env=shown),
             Daemon(
-                folder, "page", "review", "--state", str(state), "--listen", listen, env=any_rate
+                folder, "page", "review", "--state", str(state), "--listen", listen, env=limited
             ),
         )
 
@@ -182,9 +182,14 @@ class AskedPages:
 
 
 @contextmanager
-def asked_pages(folder: Path) -> Iterator[AskedPages]:
-    """Start the processes in a folder, and end them."""
-    pages = AskedPages(folder)
+def asked_pages(folder: Path, *, rate: int = 0) -> Iterator[AskedPages]:
+    """Start the processes in a folder, and end them.
+
+    Args:
+        folder: For states and logs.
+        rate: Requests a second that one client may send to the review page; 0: no limit.
+    """
+    pages = AskedPages(folder, rate=rate)
     try:
         pages.start()
         pages.look()

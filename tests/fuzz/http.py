@@ -8,22 +8,19 @@ The requests of a seed are the same in every run.
 import argparse
 import sys
 import tempfile
-from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import urlencode
 
 import requests
 import schemathesis
-from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
-from hypothesis.errors import Unsatisfiable
 from schemathesis import Case, GenerationMode
 from schemathesis.checks import CHECKS, load_all_checks
 from schemathesis.core.failures import FailureGroup
 
 from tests.fuzz.asked_pages import PATIENCE_S, AskedPages, HttpReport, asked_pages
+from tests.fuzz.parts import run_part
 
 MOST_MB: Final = 400
 """Memory of a page or service, whatever is asked of it."""
@@ -85,11 +82,12 @@ def ask_pages(folder: Path, *, examples: int, first_seed: int = 0) -> HttpReport
             for operation, mode in asked[:]:
                 before = pages.report.count
                 cases = operation.as_strategy(generation_mode=mode)
-                _run(cases, lambda case: _ask_case(pages, case), PART, part)
+                run_part(cases, lambda case: _ask_case(pages, case), examples=PART, of_seed=part)
                 if operation.label == JOBS or pages.report.count == before:
                     asked.remove((operation, mode))  # nothing about it can be wrong
             most = round((pages.report.count - began) * (1 / API_SHARE - 1))
-            _run(_odd_requests(), lambda odd: _ask_service(pages, odd), most, part)
+            odd = _odd_requests()
+            run_part(odd, lambda made: _ask_service(pages, made), examples=most, of_seed=part)
             pages.look()
             part += 1
         return pages.report
@@ -143,23 +141,6 @@ def _request(
 def _ask_service(pages: AskedPages, odd: tuple[str, bytes]) -> None:
     path, sent = odd
     pages.report.ask_raw(f"service {path}", pages.service_port, sent)
-
-
-def _run(cases: st.SearchStrategy[Any], ask: Callable[[Any], None], most: int, part: int) -> None:
-    @seed(part)
-    @settings(
-        max_examples=most,
-        database=None,
-        deadline=None,
-        phases=[Phase.generate],
-        suppress_health_check=list(HealthCheck),
-    )
-    @given(cases)
-    def each(case: Any) -> None:
-        ask(case)
-
-    with suppress(Unsatisfiable):  # an operation without parameters has no wrong ones
-        each()
 
 
 if __name__ == "__main__":

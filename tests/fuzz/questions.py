@@ -203,25 +203,27 @@ def _set(value: Any, path: tuple[Any, ...], wild: Any) -> Any:
     return [*value[:key], child, *value[key + 1 :]]
 
 
-def _spoilt() -> SearchStrategy[tuple[tuple[int, Any], ...]]:
+def spoilings() -> SearchStrategy[tuple[tuple[int, Any], ...]]:
+    """Choose none, one or two values of a message, and what each becomes."""
     one = st.tuples(st.integers(0, 400), st.sampled_from(WILD))
     return st.one_of(st.just(()), st.tuples(one), st.tuples(one), st.tuples(one, one))
 
 
-def _damage() -> SearchStrategy[str]:
+def damages() -> SearchStrategy[str]:
+    """Choose what becomes of the bytes of a message, mostly nothing."""
     return st.one_of(st.just("none"), st.just("none"), st.sampled_from(sorted(DAMAGES)))
 
 
 def _of_verb(verb: str, message: type[BaseModel] | None) -> SearchStrategy[Question]:
-    base = st.sampled_from(WILD) if message is None else _message(message)
-    return st.builds(Question, st.just(verb), base, _spoilt(), _damage())
+    base = st.sampled_from(WILD) if message is None else messages_of(message)
+    return st.builds(Question, st.just(verb), base, spoilings(), damages())
 
 
 def _right_commits() -> SearchStrategy[Question]:
     """A commit of a lease that is held, right but for what is spoilt."""
     one = st.tuples(st.integers(0, 400), st.sampled_from(WILD))
     spoilt = st.one_of(st.just(()), st.tuples(one), st.tuples(one, one))
-    return st.builds(Question, st.just("commit"), st.just("$COMMIT"), spoilt, _damage())
+    return st.builds(Question, st.just("commit"), st.just("$COMMIT"), spoilt, damages())
 
 
 def _history() -> SearchStrategy[Question]:
@@ -238,7 +240,8 @@ def _history() -> SearchStrategy[Question]:
     )
 
 
-def _message(kind: type[BaseModel]) -> SearchStrategy[Any]:
+def messages_of(kind: type[BaseModel]) -> SearchStrategy[Any]:
+    """Make messages of a kind, by the types of its fields and not by their bounds."""
     required: dict[str, SearchStrategy[Any]] = {}
     optional: dict[str, SearchStrategy[Any]] = {}
     for name, field in kind.model_fields.items():
@@ -264,7 +267,7 @@ def _value(annotation: Any, name: str) -> SearchStrategy[Any]:
     if annotation is type(None):
         return st.none()
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return _message(annotation)
+        return messages_of(annotation)
     if isinstance(annotation, type) and issubclass(annotation, Enum):
         return st.sampled_from([each.value for each in annotation])
     plain: Mapping[Any, SearchStrategy[Any]] = {

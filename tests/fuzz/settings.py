@@ -14,17 +14,13 @@ from collections import Counter
 from pathlib import Path
 from typing import Any, Final
 
-from hypothesis import HealthCheck, Phase, given, seed
-from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from schemas.visible import visible
 from service.errors import UsageError
 from service.settings.config import Settings, read_settings
 from service.settings.sources import leaves
-
-PART: Final = 500
-"""Sets of one seed."""
+from tests.fuzz.parts import run_parts
 
 SLOW_S: Final = 5.0
 """Time after which reading counts as a hang, seconds."""
@@ -58,8 +54,9 @@ def main() -> int:
     """Read, and say how it went; 1 if a set was neither accepted nor refused."""
     asked = argparse.ArgumentParser(prog="python -m tests.fuzz.settings")
     asked.add_argument("--examples", type=int, default=20_000, help="how many sets")
+    asked.add_argument("--seed", type=int, default=0, help="of the first part")
     how = asked.parse_args()
-    ends, failures = read_many(how.examples)
+    ends, failures = read_many(how.examples, first_seed=how.seed)
     megabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
     for end, count in sorted(ends.items()):
         sys.stdout.write(f"{end:10s} {count:7d}\n")
@@ -69,7 +66,7 @@ def main() -> int:
     return int(bool(failures) or megabytes > MOST_MB)
 
 
-def read_many(examples: int) -> tuple[Counter[str], dict[str, str]]:
+def read_many(examples: int, *, first_seed: int = 0) -> tuple[Counter[str], dict[str, str]]:
     """Read so many sets of settings.
 
     Returns:
@@ -82,8 +79,12 @@ def read_many(examples: int) -> tuple[Counter[str], dict[str, str]]:
         file = Path(folder) / "counterpoint.toml"
         file.touch(0o600)
         try:
-            for part, first in enumerate(range(0, examples, PART)):
-                _read_part(file, min(PART, examples - first), part, ends, failures)
+            run_parts(
+                sets(),
+                lambda made: _read(file, made, ends, failures),
+                examples=examples,
+                first_seed=first_seed,
+            )
         finally:
             os.environ.clear()
             os.environ.update(kept)
@@ -116,42 +117,33 @@ def sets() -> st.SearchStrategy[tuple[bytes, dict[str, str], dict[str, Any]]]:
     return st.tuples(files, variables, flags)
 
 
-def _read_part(
-    file: Path, examples: int, part: int, ends: Counter[str], failures: dict[str, str]
+def _read(
+    file: Path,
+    made: tuple[bytes, dict[str, str], dict[str, Any]],
+    ends: Counter[str],
+    failures: dict[str, str],
 ) -> None:
-    @seed(part)
-    @hypothesis_settings(
-        max_examples=examples,
-        database=None,
-        deadline=None,
-        phases=[Phase.generate],
-        suppress_health_check=list(HealthCheck),
-    )
-    @given(sets())
-    def each(made: tuple[bytes, dict[str, str], dict[str, Any]]) -> None:
-        content, variables, flags = made
-        file.write_bytes(content)
-        for name in [name for name in os.environ if name.startswith("COUNTERPOINT_")]:
-            del os.environ[name]
-        began_s = time.monotonic()
-        try:
-            os.environ.update(variables)
-            read_settings(config=file, **flags)
-            end, words = "accepted", ""
-        except UsageError as error:
-            end, words = "refused", visible(str(error))  # as the command prints it
-        except Exception as error:  # noqa: BLE001
-            end, words = "failed", ""
-            failures.setdefault(f"{type(error).__name__}: {error}"[:300], repr(made))
-        ends[end] += 1
-        if time.monotonic() - began_s > SLOW_S:
-            failures.setdefault("it took too long", repr(made))
-        if SECRET in words:
-            failures.setdefault(f"a secret is told: {words[:300]}", repr(made))
-        if "\n" in words or len(words) > MOST_SENTENCE:
-            failures.setdefault(f"no sentence: {words[:300]!r}", repr(made))
-
-    each()
+    content, variables, flags = made
+    file.write_bytes(content)
+    for name in [name for name in os.environ if name.startswith("COUNTERPOINT_")]:
+        del os.environ[name]
+    began_s = time.monotonic()
+    try:
+        os.environ.update(variables)
+        read_settings(config=file, **flags)
+        end, words = "accepted", ""
+    except UsageError as error:
+        end, words = "refused", visible(str(error))  # as the command prints it
+    except Exception as error:  # noqa: BLE001
+        end, words = "failed", ""
+        failures.setdefault(f"{type(error).__name__}: {error}"[:300], repr(made))
+    ends[end] += 1
+    if time.monotonic() - began_s > SLOW_S:
+        failures.setdefault("it took too long", repr(made))
+    if SECRET in words:
+        failures.setdefault(f"a secret is told: {words[:300]}", repr(made))
+    if "\n" in words or len(words) > MOST_SENTENCE:
+        failures.setdefault(f"no sentence: {words[:300]!r}", repr(made))
 
 
 if __name__ == "__main__":

@@ -95,30 +95,55 @@ def test_a_row_of_an_old_database_that_makes_no_key_is_passed_over(running: Runn
 
 
 def test_a_flood_of_questions_that_read_does_not_starve_the_workers(tmp_path: Path) -> None:
+    idle_s, flooded_s = claims_under_a_flood(tmp_path, clients=8, verb="status")
+    # Measured on two busy cores: without grouping and rests 20 to 40 times the idle median.
+    assert flooded_s[50] < 5 * max(idle_s[50], 0.002), (idle_s, flooded_s)
+    assert flooded_s[95] < 10 * max(idle_s[95], 0.005), (idle_s, flooded_s)
+
+
+def test_forged_commits_of_records_that_never_come_do_not_starve_the_workers(
+    tmp_path: Path,
+) -> None:
+    idle_s, flooded_s = claims_under_a_flood(tmp_path, clients=32, verb="commit")
+    # Where each of them waits for its records, no thread is left: two waits of 0.2 s a claim.
+    assert flooded_s[50] < max(10 * idle_s[50], 0.1), (idle_s, flooded_s)
+
+
+def claims_under_a_flood(
+    folder: Path, *, clients: int, verb: str
+) -> tuple[list[float], list[float]]:
+    """Claim 100 times before a flood and 100 times during it.
+
+    Args:
+        folder: For state and logs.
+        clients: Of the flood.
+        verb: That they ask.
+
+    Returns:
+        How long each claim took, seconds, the shortest first: before, and during the flood.
+    """
     endpoint = free_endpoint()
-    (tmp_path / "logs").mkdir()
+    (folder / "logs").mkdir()
     for number in range(2000):
-        (tmp_path / "logs" / f"log-{number:04d}.mcap").write_bytes(b"never opened")
-    at = ("--connect", endpoint, "--bucket", str(tmp_path / "logs"))
-    daemon = Daemon(tmp_path, "service", "service", *at, "--state", str(tmp_path / "state"))
+        (folder / "logs" / f"log-{number:04d}.mcap").write_bytes(b"never opened")
+    at = ("--connect", endpoint, "--bucket", str(folder / "logs"))
+    daemon = Daemon(folder, "service", "service", *at, "--state", str(folder / "state"))
     with router_session([endpoint]), client_session([endpoint]) as session:
         daemon.start()
         try:
             claims(session, 20, patience_s=60)
             idle_s = claims(session, 100)
-            flooder = [sys.executable, "-m", "tests.integration.flooder", endpoint, "8"]
-            with subprocess.Popen(flooder, stdout=subprocess.PIPE) as flooding:
+            flooder = [sys.executable, "-m", "tests.integration.flooder"]
+            asked = [*flooder, endpoint, str(clients), verb]
+            with subprocess.Popen(asked, stdout=subprocess.PIPE) as flooding:
                 assert flooding.stdout is not None
                 try:
                     assert flooding.stdout.readline() == b"flooding\n"
-                    flooded_s = claims(session, 100)
+                    return idle_s, claims(session, 100)
                 finally:
                     flooding.kill()
         finally:
             daemon.end()
-    # Measured on two busy cores: without grouping and rests 20 to 40 times the idle median.
-    assert flooded_s[50] < 5 * max(idle_s[50], 0.002), (idle_s, flooded_s)
-    assert flooded_s[95] < 10 * max(idle_s[95], 0.005), (idle_s, flooded_s)
 
 
 def claims(session: zenoh.Session, count: int, *, patience_s: float = 20) -> list[float]:

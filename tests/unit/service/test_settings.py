@@ -130,6 +130,7 @@ def test_variables_of_others_are_passed_over(name: str, monkeypatch: pytest.Monk
         f"postgres://me:a@{SECRET}@db/x",
         f"postgresql://me@db/x?password={SECRET}",
         f"mysql://me:{SECRET}@db/x",
+        f"postgresql://me:a/{SECRET}@db/x",
     ],
 )
 def test_a_password_is_never_shown(url: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -140,6 +141,14 @@ def test_a_password_is_never_shown(url: str, capsys: pytest.CaptureFixture[str])
     told = capsys.readouterr()
     assert "me:***@" in told.out + told.err or "password=***" in told.err
     assert SECRET not in told.out + told.err
+
+
+@pytest.mark.parametrize("end", ["\udce9", "\0"])
+def test_a_value_that_is_no_text_is_refused_without_its_password(end: str) -> None:
+    with pytest.raises(UsageError) as refused:
+        read_settings(database=f"postgresql://app:{SECRET}{end}@host/db")
+    assert "must be UTF-8 text without a NUL character" in str(refused.value)
+    assert SECRET not in str(refused.value)
 
 
 def test_a_password_that_others_can_read_is_refused() -> None:

@@ -3,11 +3,12 @@
 import subprocess
 import sys
 import threading
+import time
 
 import pytest
 
 from schemas.canonical import sha256
-from service.api.staging import ENTRY_BYTES, Staging, held_bytes
+from service.api.staging import ENTRY_BYTES, MOST_PATIENT, Staging, held_bytes
 
 
 def test_what_a_manifest_names_is_handed_out_by_digest() -> None:
@@ -50,6 +51,28 @@ def test_a_commit_that_overtook_its_last_record_waits_for_it() -> None:
     found = staging.collect([sha256(b"first"), sha256(b"last")], patience_s=30.0)
     late.join()
     assert list(found.values()) == [b"first", b"last"]
+
+
+def test_commits_whose_records_never_come_leave_threads_to_the_others() -> None:
+    staging, over = Staging(), threading.Event()
+
+    def wait() -> None:
+        staging.collect([sha256(b"comes at the end")], patience_s=60.0)
+        over.set()
+
+    forged = [threading.Thread(target=wait) for _ in range(MOST_PATIENT)]
+    for each in forged:
+        each.start()
+    began_s = time.monotonic()
+    while staging.patient < MOST_PATIENT:
+        assert time.monotonic() < began_s + 30.0
+        time.sleep(0.001)
+    assert staging.collect([sha256(b"never seen")], patience_s=60.0) == {}
+    assert not over.is_set()
+    staging.add(b"comes at the end")
+    for each in forged:
+        each.join()
+    assert staging.patient == 0
 
 
 def test_what_the_bus_lost_adds_up() -> None:
