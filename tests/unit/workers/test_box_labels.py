@@ -10,7 +10,11 @@ from schemas.arrays import NS_PER_S
 from schemas.boxes import RecordedBoxes
 from schemas.frame import PosedFrame
 from schemas.labels import FrameLabels, MotionLabel
+from schemas.work import Channel, FurtherLidar
 from tests.factories import BEGIN_NS, frame, pose, posed
+from workers.ingest.joining import joined_frame
+from workers.lidar.several_lidars import placed
+from workers.parts.lidar_by_lidar import labels_of_lidars
 from workers.points.points_in_boxes import points_in_boxes
 from workers.supervised.box_labels import NO_MOTION
 from workers.supervised.recorded import Recorded
@@ -186,3 +190,25 @@ def test_points_and_boxes_beyond_any_range_are_passed_over() -> None:
         0.0,
     )
     assert inside.tolist() == [-1, -1, -1, 1]
+
+
+def test_boxes_label_the_points_of_every_joined_lidar() -> None:
+    mounted = pose(2.0, 0.0, np.pi / 2)
+    of_front = frame([(0.0, -8.0, 0.5), (0.0, -20.0, 0.5)])  # at x = 10 and 22 m of the main lidar
+    lidar = FurtherLidar(
+        channel=Channel(
+            topic="/front",
+            message_encoding="cdr",
+            schema_name="sensor_msgs/msg/PointCloud2",
+            schema_encoding="ros2msg",
+            schema_base64="",
+            ids=((0, 1),),
+        ),
+        main_from_lidar=tuple(mounted.ravel().tolist()),
+        period_ns=NS_PER_S // 10,
+    )
+    main = frame(PLACES, boxes=boxes(velocity=((5.0, 0.0, 0.0),)))
+    joined = placed(joined_frame(main, [(lidar, of_front)]), None)
+    stream = Recorded()
+    (found,) = labels_of_lidars(stream, [posed(joined)])
+    assert found.labels.tolist() == [D, U, U, S, S, D, S]
