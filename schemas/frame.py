@@ -186,7 +186,7 @@ class LidarFrame:
         """Return the frame of the main lidar alone; the same object where none is joined."""
         return self.part(slice(0, self.main_points)) if self.joined else self
 
-    def part(self, points: slice) -> "LidarFrame":
+    def part(self, points: slice | Mask) -> "LidarFrame":
         """Return some of the points, with their labels, as a frame without further lidars."""
         said = self.recorded
         if said is not None:

@@ -75,7 +75,7 @@ def import_labels(
     if same := sum(frame.is_unchanged for scene in scenes for frame in scene.frames):
         remark(
             f"{same} of {counted(frames, 'frame')} still have the pre-labels of the export: if "
-            "nobody finished them, these judgements are the streams' own"
+            "they are not finished, these judgements are the streams' own"
         )
     told = ", ".join(f"{name} {count}" for name, count in counted_verdicts(judged).items())
     remark(f"{counted(len(judged), 'contradiction')} judged; which stream is wrong: {told or '-'}")

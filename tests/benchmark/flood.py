@@ -83,7 +83,7 @@ class Flooded:
 
 
 class Fleet:
-    """Router, service and honest miners over a bucket of logs that nobody opens."""
+    """Router, service and honest miners over a bucket of logs that are never opened."""
 
     def __init__(self, folder: Path, *, locked: bool) -> None:
         self._folder = folder

@@ -98,7 +98,7 @@ def _question(rng: random.Random) -> tuple[str, bytes]:
 
 
 def _record(rng: random.Random) -> bytes:
-    """Return a record in good form of a scene that nobody mined, or one that is too large."""
+    """Return a record in good form of a scene that was not mined, or one that is too large."""
     record = encode(score_of(f"car-{rng.randrange(1000)}/forged", rng.randrange(1 << 40)))
     return record if rng.random() < 0.8 else record + b" " * MAX_RECORD_BYTES
 

@@ -43,15 +43,15 @@ MOST_SENTENCE: Final = 600
 """Characters of a refusal."""
 
 Made = tuple[str, type[BaseModel], bytes]
-"""What a message is sent as, its kind, and its bytes."""
+"""Form of a message, its kind, and its bytes."""
 
 
 @dataclass(slots=True)
 class Decoded:
-    """How messages ended.
+    """Outcomes of messages.
 
     Attributes:
-        ends: What a message was sent as, to how often it was decoded or refused.
+        ends: Form of a message, to how often it was decoded or refused.
         failures: What went wrong, with the first message that it went wrong with.
         slowest_s: Longest time of one message, seconds.
     """

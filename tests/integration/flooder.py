@@ -1,6 +1,7 @@
 """Clients that ask as fast as they are answered, until the process is ended.
 
-They ask for the status, or commit under leases of nobody, naming records that nobody sent.
+They ask for the status, or commit under leases that do not exist, and name records that were
+never sent.
 """
 
 import sys

@@ -126,7 +126,7 @@ def _until_answered(pages: AskedPages) -> float:
     """
     end_s = time.monotonic() + 60.0
     while _status(pages.page.removeprefix("http://"), "GET", "/", b"") != 200:
-        assert time.monotonic() < end_s, "the page answers nobody after the flood"
+        assert time.monotonic() < end_s, "the page does not answer after the flood"
         time.sleep(0.1)
     return time.monotonic()
 

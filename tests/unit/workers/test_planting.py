@@ -6,12 +6,17 @@ import numpy as np
 import pytest
 from mcap_ros2.writer import Writer
 
-from schemas.mining import MiningSettings
 from schemas.transport.bucket import open_bucket
-from schemas.transport.overlay_codec import encode_overlay
-from schemas.transport.wire import encode_scene_score
-from tests.factories import street_log
-from workers.contradiction.overlay import overlay_of
+from tests.unit.workers.bare_drive import (
+    FRAMES,
+    IDENTITY,
+    KEY,
+    LIDAR,
+    bytes_of,
+    drive_of,
+    settings_of,
+    write_bare_log,
+)
 from workers.ingest.read import read_shard
 from workers.lab.evaluation.failures.bench import FailureBench, jobs_of
 from workers.lab.evaluation.failures.planting.bench import bench_planting
@@ -38,17 +43,13 @@ from workers.lab.simulation.output.cloud import (
     labels_of,
     message_of,
 )
-from workers.lab.simulation.sensor.lidar import UNEVEN_64, Lidar, sweep
+from workers.lab.simulation.sensor.lidar import sweep
 from workers.lab.simulation.world.street_builder import build_street
 from workers.parts.protocols import Parts
-from workers.pipeline import MinedScene, mine_shard
+from workers.pipeline import mine_shard
 from workers.version import parts_of
 
-FRAMES = 40
-KEY = "car-7/2026-03-02/drive"
 ANSWERED = {"planted": "recorded"}
-LIDAR = Lidar(elevation_deg=UNEVEN_64[::2], columns=256)
-IDENTITY = {"vehicle": "sim-01", "date": "2026-03-02", "software_version": "2026.1"}
 TWO_FAILURES = Variant(
     number=3,
     seed=11,
@@ -62,14 +63,7 @@ TWO_FAILURES = Variant(
 def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One log of two scenes, without recorded labels, and its truth without `planted.json`."""
     folder = tmp_path_factory.mktemp("fleet")
-    street_log(
-        folder / "logs" / f"{KEY}.mcap",
-        frames=FRAMES,
-        seed=4,
-        lidar=LIDAR,
-        recorded_as="nothing",
-        truth=folder / "truth" / KEY,
-    )
+    write_bare_log(folder)
     (folder / "truth" / KEY / "planted.json").unlink()
     return folder
 
@@ -81,21 +75,7 @@ def parts(fleet: Path) -> Parts:
 
 @pytest.fixture(scope="module")
 def drive(fleet: Path, parts: Parts) -> Drive:
-    bucket = open_bucket(str(fleet / "logs"))
-    recording = jobs_of(str(fleet / "logs"), fleet / "truth")[0].recording
-    truth = LogTruth.beside(recording, fleet / "truth")
-    assert truth is not None
-    return load_drive(bucket, recording, truth, settings_of(fleet), parts, frames=FrameRange())
-
-
-def settings_of(fleet: Path) -> MiningSettings:
-    return MiningSettings(bucket=str(fleet / "logs"), artifacts="memory://", supervised="recorded")
-
-
-def bytes_of(mined: MinedScene, parts: Parts) -> tuple[bytes, bytes]:
-    names = parts.supervised.class_names
-    overlay = overlay_of(mined.scene, mined.instances, mined.tracks, class_names=names)
-    return encode_scene_score(mined.score), encode_overlay(overlay)
+    return drive_of(fleet, parts)
 
 
 def test_a_variant_equals_a_log_that_contains_its_labels(

@@ -7,19 +7,23 @@ import numpy as np
 import pytest
 from mcap_ros2.writer import Writer
 
-from schemas.mining import MiningSettings
 from schemas.predicted_boxes import SCHEMA_NAME, PredictedBoxes
 from schemas.transport.bucket import open_bucket
-from schemas.transport.overlay_codec import encode_overlay
-from schemas.transport.wire import encode_scene_score
-from tests.factories import street_log
-from workers.contradiction.overlay import overlay_of
+from tests.unit.workers.bare_drive import (
+    FRAMES,
+    IDENTITY,
+    KEY,
+    LIDAR,
+    bytes_of,
+    drive_of,
+    settings_of,
+    write_bare_log,
+)
 from workers.ingest.read import read_shard
 from workers.lab.evaluation.failures.bench import jobs_of
 from workers.lab.evaluation.failures.planting.bench import bench_planting
 from workers.lab.evaluation.failures.planting.boxes import boxes_of_variant, messages_of_variant
 from workers.lab.evaluation.failures.planting.drive import Drive, FrameRange
-from workers.lab.evaluation.failures.planting.load_drive import load_drive
 from workers.lab.evaluation.failures.planting.mine_variant import mine_answers
 from workers.lab.evaluation.failures.planting.variants import (
     Answer,
@@ -27,7 +31,7 @@ from workers.lab.evaluation.failures.planting.variants import (
     Variant,
     place_failures,
 )
-from workers.lab.evaluation.truth.truth import LogTruth, TruthUnusableError
+from workers.lab.evaluation.truth.truth import TruthUnusableError
 from workers.lab.evaluation.truth.whole_log import shards_of_log
 from workers.lab.labels.noise_settings import REAL
 from workers.lab.simulation.faults.plan import FailureKind
@@ -39,16 +43,12 @@ from workers.lab.simulation.output.cloud import (
     cloud_of,
     message_of,
 )
-from workers.lab.simulation.sensor.lidar import UNEVEN_64, Lidar, sweep
+from workers.lab.simulation.sensor.lidar import sweep
 from workers.lab.simulation.world.street_builder import build_street
 from workers.parts.protocols import Parts
-from workers.pipeline import MinedScene, mine_shard
+from workers.pipeline import mine_shard
 from workers.version import parts_of
 
-FRAMES = 40
-KEY = "car-7/2026-03-02/drive"
-LIDAR = Lidar(elevation_deg=UNEVEN_64[::2], columns=256)
-IDENTITY = {"vehicle": "sim-01", "date": "2026-03-02", "software_version": "2026.1"}
 TWO_FAILURES = Variant(
     number=3,
     seed=11,
@@ -63,14 +63,7 @@ TWO_FAILURES = Variant(
 def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One log of two scenes, without recorded answers, and its truth."""
     folder = tmp_path_factory.mktemp("fleet")
-    street_log(
-        folder / "logs" / f"{KEY}.mcap",
-        frames=FRAMES,
-        seed=4,
-        lidar=LIDAR,
-        recorded_as="nothing",
-        truth=folder / "truth" / KEY,
-    )
+    write_bare_log(folder)
     return folder
 
 
@@ -81,21 +74,7 @@ def parts(fleet: Path) -> Parts:
 
 @pytest.fixture(scope="module")
 def drive(fleet: Path, parts: Parts) -> Drive:
-    bucket = open_bucket(str(fleet / "logs"))
-    recording = jobs_of(str(fleet / "logs"), fleet / "truth")[0].recording
-    truth = LogTruth.beside(recording, fleet / "truth")
-    assert truth is not None
-    return load_drive(bucket, recording, truth, settings_of(fleet), parts, frames=FrameRange())
-
-
-def settings_of(fleet: Path) -> MiningSettings:
-    return MiningSettings(bucket=str(fleet / "logs"), artifacts="memory://", supervised="recorded")
-
-
-def bytes_of(mined: MinedScene, parts: Parts) -> tuple[bytes, bytes]:
-    names = parts.supervised.class_names
-    overlay = overlay_of(mined.scene, mined.instances, mined.tracks, class_names=names)
-    return encode_scene_score(mined.score), encode_overlay(overlay)
+    return drive_of(fleet, parts)
 
 
 def write_log(path: Path, drive: Drive, messages: list[bytes]) -> None:

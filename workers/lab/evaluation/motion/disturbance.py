@@ -62,7 +62,7 @@ def without_beams(frames: Iterable[NumberedFrame], rows: slice | None) -> Iterat
         if beams is None:
             beams = BeamRows.of(each.whole)
         kept = np.isin(beams.rows_of(each.whole), np.arange(len(beams))[rows])
-        yield replace(each, frame=_only(each.whole, kept), kept=kept)
+        yield replace(each, frame=each.whole.part(kept), kept=kept)
 
 
 def with_yaw_noise(
@@ -83,24 +83,3 @@ def with_yaw_noise(
         yaw_rad = np.radians(noise_deg) * random.standard_normal()
         turn = motion(np.array([0.0, 0.0, yaw_rad, 0.0, 0.0, 0.0]))
         yield replace(each, odom_from_sensor=each.odom_from_sensor @ turn)
-
-
-def _only(frame: LidarFrame, kept: Mask) -> LidarFrame:
-    recorded = frame.recorded
-    if recorded is not None:
-        motion, confidence = recorded.motion, recorded.confidence
-        recorded = replace(
-            recorded,
-            class_id=recorded.class_id[kept],
-            motion=None if motion is None else motion[kept],
-            confidence=None if confidence is None else confidence[kept],
-        )
-    return replace(
-        frame,
-        points_m=frame.points_m[kept],
-        intensity=frame.intensity[kept],
-        offset_ns=frame.offset_ns[kept],
-        ring=frame.ring[kept],
-        valid_mask=frame.valid_mask[kept],
-        recorded=recorded,
-    )
