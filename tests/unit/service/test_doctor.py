@@ -8,11 +8,13 @@ import time
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import pytest
 
 from schemas.transport import keys
+from schemas.transport.ask import ask_until
 from schemas.transport.bus import client_session, router_session
 from service.cli.main import main
 from service.doctor import answers as doctor_answers
@@ -202,7 +204,9 @@ def test_a_service_that_does_not_know_the_question_is_an_older_one() -> None:
         router_session([endpoint]),
         client_session([endpoint]) as old,
         old.declare_queryable(hello, lambda query: query.reply(hello, b"{}"), complete=True),
+        client_session([endpoint]) as other,
     ):
+        ask_until(other, hello, stop=Event(), patience_s=30)  # the router knows the queryable now
         _, (verdict, says), _ = told(doctor_network.router(settings(connect=endpoint)))
     assert verdict == "warning"
     assert "but is of an older version that does not report its own number, and this" in says
