@@ -28,6 +28,7 @@ from schemas.transport.bus import is_connected, recoverable_subscriber
 from schemas.transport.router_watch import RouterWatch
 from service.api.control import Control
 from service.api.expected_versions import ExpectedVersions
+from service.api.held_leases import HeldLeases
 from service.api.history import History
 from service.api.outbox import Outbox
 from service.api.request_queue import RequestQueue
@@ -153,8 +154,11 @@ class Service:
             session, ledger, root=self._root, on_fault=partial(self.metrics.faulted, "event")
         )
         self._history = History(session, ledger, root=self._root)
+        leases = HeldLeases()
         self._requests = RequestQueue(
             session,
+            leases=leases,
+            names_proved=settings.locks.is_set,
             on_outcome=self.metrics.asked,
             on_fault=partial(self.metrics.faulted, "request"),
         )
@@ -172,6 +176,7 @@ class Service:
                 takes_any=settings.is_on_loopback,
                 known=ledger.pipeline_versions,
             ),
+            leases=leases,
         )
         self._webhooks = WebhookDelivery(
             ledger.webhooks,

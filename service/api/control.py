@@ -27,6 +27,7 @@ from schemas.work import (
     RenewRequest,
 )
 from service.api.expected_versions import UNEXPECTED_REST_S, ExpectedVersions
+from service.api.held_leases import HeldLeases
 from service.api.learned_top import learned_top
 from service.api.messages import (
     AboutReply,
@@ -96,10 +97,12 @@ class Control:
         on_comparison: Callable[[Comparison], None] = lambda _: None,
         causes: Sequence[str] = (),
         versions: ExpectedVersions | None = None,
+        leases: HeldLeases | None = None,
     ) -> None:
         """Keep the parts, the user's own causes of verdicts, and the callbacks.
 
-        `versions` decides which pipeline versions get leases; None: any.
+        `versions` decides which pipeline versions get leases; None: any. `leases` is told which
+        leases are held.
 
         `on_scenes` is called after each commit and each verdict, which are published then.
         `on_commit_seconds` is called with the time that the ledger took for each commit, and
@@ -107,7 +110,7 @@ class Control:
         """
         self._on_commit_seconds, self._causes = on_commit_seconds, tuple(causes)
         self._versions = versions or ExpectedVersions(takes_any=True)
-        self._on_comparison = on_comparison
+        self._on_comparison, self._leases = on_comparison, leases or HeldLeases()
         self._settings, self._ledger, self._staging = settings, ledger, staging
         self._on_scenes, self._on_selection = on_scenes, on_selection
         self._refusals = SparseLog()
@@ -159,15 +162,23 @@ class Control:
         if problem := self._versions.refusal(request.pipeline_version):
             grant = NothingToDo(retry_after_s=UNEXPECTED_REST_S, problem=problem)
             return ClaimReply(grant=grant)
-        return self._ledger.claim(request)
+        reply = self._ledger.claim(request)
+        if not isinstance(reply.grant, NothingToDo):
+            self._leases.add(reply.grant.lease_id)
+        return reply
 
     def answer_renew(self, request: RenewRequest) -> Answer:
         """Lengthen a lease."""
-        return self._ledger.renew(request)
+        answer = self._refused(request) or self._ledger.renew(request)
+        note = self._leases.add if answer.ok else self._leases.discard
+        note(request.lease_id)
+        return answer
 
     def answer_fail(self, request: FailRequest) -> Answer:
         """Take back work that failed."""
-        return self._ledger.fail(request)
+        answer = self._refused(request) or self._ledger.fail(request)
+        self._leases.discard(request.lease_id)
+        return answer
 
     def answer_backlog(self, _: None) -> WorkBacklog:
         """Count the work that waits and the work that is leased."""
@@ -187,12 +198,7 @@ class Control:
 
     def answer_commit(self, request: CommitRequest) -> Answer:
         """Store what was mined, records from the message or from the bus."""
-        digests = [entry.sha256 for entry in request.manifest]
-        patience_s = 0.0 if request.records else STAGING_PATIENCE_S
-        staged = self._staging.collect(digests, patience_s=patience_s)
-        began_s = time.monotonic()
-        answer = self._ledger.commit(request, staged)
-        self._on_commit_seconds(time.monotonic() - began_s)
+        answer = self._refused(request) or self._committed(request)
         if answer.problem:
             self._refusals.warn(
                 "commit refused",
@@ -202,9 +208,26 @@ class Control:
                 problem=answer.problem,
             )
         if answer.ok:
-            self._staging.discard(digests)
+            self._leases.discard(request.lease_id)
+            self._staging.discard([entry.sha256 for entry in request.manifest])
             self._on_scenes()
         return answer
+
+    def _committed(self, request: CommitRequest) -> Answer:
+        digests = [entry.sha256 for entry in request.manifest]
+        patience_s = 0.0 if request.records else STAGING_PATIENCE_S
+        staged = self._staging.collect(digests, patience_s=patience_s)
+        began_s = time.monotonic()
+        answer = self._ledger.commit(request, staged)
+        self._on_commit_seconds(time.monotonic() - began_s)
+        return answer
+
+    def _refused(self, request: RenewRequest | CommitRequest | FailRequest) -> Answer | None:
+        """Refuse a lease that its worker was not given, before anything waits or is written."""
+        if request.lease_id in self._leases:
+            return None
+        problem = self._ledger.lease_problem(worker_id=request.worker_id, lease_id=request.lease_id)
+        return Answer(ok=False, problem=problem) if problem else None
 
     def answer_top(self, request: TopRequest) -> TopReply:
         """List the ranking, by the score or by what verdicts teach."""

@@ -5,13 +5,16 @@ So a callback only enqueues, and excess requests are refused with a request to t
 that write wait for the disk, or for a locked database. They have threads of their own, so that
 `status` and `top` are answered meanwhile. Equal reading requests are answered together.
 
+Requests wait in lanes that are served in turn: one for each held lease, one for each verb and name
+of a certificate, one for each verb of all others. A flood delays its own lane.
+
 Any error of a handler goes to the client and to the log, and the thread goes on: a request must
 never end the service.
 """
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from threading import Event
@@ -27,8 +30,9 @@ from schemas.transport import keys
 from schemas.transport.ask import reply_problem
 from schemas.transport.wire import first_problem
 from service.api.bounded_queue import Waiting
+from service.api.held_leases import HeldLeases
 from service.api.sparse_log import SparseLog
-from service.api.verbs import HISTORY, VERBS
+from service.api.verbs import HISTORY, OF_WORKERS, VERBS
 from service.errors import StateUnusableError
 from service.store.audit import Actor, acting
 
@@ -81,6 +85,8 @@ class RequestQueue:
         self,
         session: zenoh.Session,
         *,
+        leases: HeldLeases | None = None,
+        names_proved: bool = False,
         on_outcome: Callable[[str, Outcome], None] = lambda _asked, _outcome: None,
         on_fault: Callable[[], None] = lambda: None,
     ) -> None:
@@ -88,10 +94,13 @@ class RequestQueue:
 
         Args:
             session: On the bus.
+            leases: Leases that the handlers know to be held; None: they know of none.
+            names_proved: Rules of the router let a client ask under its certificate's name alone.
             on_outcome: Called with the outcome of each request.
             on_fault: Called for each answer that failed with an unexpected error.
         """
         self._session, self._on_outcome, self._on_fault = session, on_outcome, on_fault
+        self._leases, self._names_proved = leases or HeldLeases(), names_proved
         self._writes: Waiting[_Request] = Waiting(most=MOST_WAITING, most_bytes=MOST_WAITING_BYTES)
         self._reads: Waiting[_Request] = Waiting(most=MOST_WAITING, most_bytes=MOST_WAITING_BYTES)
         self._large = threading.Lock()
@@ -205,9 +214,14 @@ class RequestQueue:
         alike = verb is not None and not verb.writes
         kind = (asked, payload) if alike else object()
         turn = asked if _reads_all(asked) else None
-        if not waiting.offer(kind, request, size=size, turn=turn):
+        lane = self._lane(asked, payload, name=name)
+        for other in waiting.offer(kind, request, size=size, lane=lane, turn=turn):
             busy = TransientError("the service is busy; ask again")
-            self._send_back(asked, query, busy, "try_again")
+            self._send_back(other.asked, other.query, busy, "try_again")
+
+    def _lane(self, asked: str, payload: bytes, *, name: str) -> Hashable:
+        lease_id = self._leases.held_in(payload) if asked in OF_WORKERS else None
+        return ("lease", lease_id) if lease_id else (asked, name if self._names_proved else "")
 
     def _send_back(
         self, asked: str, query: zenoh.Query, error: CounterpointError, outcome: Outcome

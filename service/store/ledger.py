@@ -226,6 +226,16 @@ class Ledger:
             new.tell(mode=self._turns.policy.mode)
         return ClaimReply(grant=grant)
 
+    def lease_problem(self, *, worker_id: str, lease_id: str) -> str:
+        """Return the sentence for which a worker cannot use a lease; empty: it is the worker's.
+
+        It only reads, so that requests under invented leases never wait for the disk, nor for the
+        one writer.
+        """
+        with self._store.reading() as connection:
+            lease = leases.lease_of(connection, lease_id, worker_id=worker_id)
+        return lease if isinstance(lease, str) else ""
+
     def renew(self, request: RenewRequest) -> Answer:
         """Extend a lease; not ok: it is over, and its worker must stop."""
         return self._store.write(

@@ -1,6 +1,6 @@
 """A service under a flood of questions and forged records: its memory, and what workers still do.
 
-python -m tests.benchmark.flood [--questions 50000] [--forged 10000] [--locked]
+python -m tests.benchmark.flood [--questions 50000] [--forged 10000] [--locked] [--elsewhere]
 
 Router, service, two miners and the flooding clients are processes. A miner leases, publishes and
 commits as a worker does, and waits in the place of mining.
@@ -57,6 +57,7 @@ class Flooded:
         questions: Asked.
         forged: Records put in the names of workers, and of none.
         locked: Mutual TLS and access control; the flood has a reader's certificate.
+        elsewhere: The flooding clients have the lowest priority, as if they ran on other machines.
         ends: How often a question was answered, refused, or left alone.
         flood_s: Seconds until the last question had ended.
         calm: Scenes a second of honest workers before the flood.
@@ -71,6 +72,7 @@ class Flooded:
     questions: int
     forged: int
     locked: bool
+    elsewhere: bool
     ends: dict[str, int] = field(default_factory=dict)
     flood_s: float = 0.0
     calm: float = 0.0
@@ -193,7 +195,14 @@ class Watch(threading.Thread):
 
 
 def flood(
-    folder: Path, *, questions: int, forged: int, clients: int, locked: bool, calm_s: float
+    folder: Path,
+    *,
+    questions: int,
+    forged: int,
+    clients: int,
+    locked: bool,
+    elsewhere: bool,
+    calm_s: float,
 ) -> Flooded:
     """Flood a service, and measure it before, meanwhile and after.
 
@@ -203,9 +212,11 @@ def flood(
         forged: Records, in all.
         clients: Processes that share them.
         locked: Mutual TLS; the flood has a reader's certificate.
+        elsewhere: Give the flooding clients the processor time that the others leave.
         calm_s: Seconds of the measurements before and after.
     """
-    fleet, found = Fleet(folder, locked=locked), Flooded(questions, forged, locked)
+    fleet = Fleet(folder, locked=locked)
+    found = Flooded(questions, forged, locked, elsewhere)
     with fleet.running():
         _until_scenes(fleet)
         watch = Watch(fleet)
@@ -214,7 +225,7 @@ def flood(
         calm_from = time.monotonic()
         time.sleep(calm_s)
         began_s = time.monotonic()
-        found.ends = dict(_run_clients(fleet, questions, forged, clients))
+        found.ends = dict(_run_clients(fleet, found, clients))
         ended_s = time.monotonic()
         _until_answered(fleet)
         found.recovered_s = round(time.monotonic() - ended_s, 2)
@@ -235,10 +246,11 @@ def flood(
     return found
 
 
-def _run_clients(fleet: Fleet, questions: int, forged: int, clients: int) -> Counter[str]:
+def _run_clients(fleet: Fleet, asked: Flooded, clients: int) -> Counter[str]:
     locks = (str(fleet.authority), "reader") if fleet.authority else ()
-    module = [sys.executable, "-m", "tests.benchmark.flooding", fleet.endpoint]
-    shares = (str(questions // clients), str(forged // clients))
+    last = ["nice", "-n", "19"] if asked.elsewhere else []
+    module = [*last, sys.executable, "-m", "tests.benchmark.flooding", fleet.endpoint]
+    shares = (str(asked.questions // clients), str(asked.forged // clients))
     running = [
         subprocess.Popen([*module, *shares, str(seed), *locks], stdout=subprocess.PIPE)
         for seed in range(clients)
@@ -274,6 +286,7 @@ def main() -> None:
     asked.add_argument("--clients", type=int, default=2)
     asked.add_argument("--calm-s", type=float, default=15.0)
     asked.add_argument("--locked", action="store_true")
+    asked.add_argument("--elsewhere", action="store_true", help="the flood has the lowest priority")
     asked.add_argument("--folder", type=Path, help="kept, with state and logs of the processes")
     how = asked.parse_args()
     os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -286,6 +299,7 @@ def main() -> None:
             forged=how.forged,
             clients=how.clients,
             locked=how.locked,
+            elsewhere=how.elsewhere,
             calm_s=how.calm_s,
         )
     sys.stdout.write(json.dumps(asdict(found), indent=1) + "\n")

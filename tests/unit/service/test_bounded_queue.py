@@ -1,4 +1,4 @@
-"""Requests in a queue: equal ones are answered together, and what has no room is sent back."""
+"""Requests in a queue: equal ones are answered together, lanes take turns, and room is shared."""
 
 import threading
 
@@ -22,7 +22,7 @@ def waiting(
 def test_equal_questions_are_taken_together_and_others_in_their_order() -> None:
     queue = waiting()
     for number, kind in enumerate(("status", "top", "status", "scene", "status")):
-        assert queue.offer(kind, number, size=1)
+        assert queue.offer(kind, number, size=1) == []
     taken = []
     while (group := queue.take(timeout_s=0)) is not None:
         taken.append(list(group.items))
@@ -65,16 +65,72 @@ def test_questions_of_one_turn_rest_after_an_answer_and_others_do_not_wait() -> 
 
 def test_what_has_no_room_is_sent_back_by_number_bytes_and_likeness() -> None:
     few = waiting(most=2)
-    assert [few.offer(number, number, size=0) for number in range(3)] == [True, True, False]
+    assert [few.offer(number, number, size=0) for number in range(3)] == [[], [], [2]]
     small = waiting(most_bytes=100)
-    assert [small.offer(n, n, size=60) for n in range(2)] == [True, False]
+    assert [small.offer(n, n, size=60) for n in range(2)] == [[], [1]]
+    assert small.offer(2, 2, size=101, lane="alone") == [2]
     alike = waiting()
     offered = [alike.offer("status", n, size=1) for n in range(MOST_ALIKE + 1)]
-    assert offered == [True] * MOST_ALIKE + [False]
-    assert alike.offer("top", 0, size=1)
+    assert offered == [[]] * MOST_ALIKE + [[MOST_ALIKE]]
+    assert alike.offer("top", 0, size=1) == []
     group = alike.take(timeout_s=0)
     assert group is not None
-    assert alike.offer("status", 0, size=1), "its room is free again"
+    assert alike.offer("status", 0, size=1) == [], "its room is free again"
+
+
+def test_lanes_are_served_in_turn_however_long_one_is() -> None:
+    queue = waiting()
+    for number in range(100):
+        queue.offer(number, number, size=1, lane="flood")
+    for number in range(200, 203):
+        queue.offer(number, number, size=1, lane="a worker's lease")
+    assert _taken(queue, 6) == [0, 200, 1, 201, 2, 202]
+    assert _taken(queue, 2) == [3, 4], "a lane that is empty takes no turn"
+    queue.offer(300, 300, size=1, lane="another lease")
+    assert _taken(queue, 3) == [5, 300, 6]
+
+
+def test_a_full_queue_sends_back_the_newest_of_its_longest_lane() -> None:
+    queue = waiting(most=10)
+    for number in range(8):
+        queue.offer(number, number, size=1, lane="flood")
+    assert queue.offer(20, 20, size=1, lane="lease") == []
+    assert queue.offer(21, 21, size=1, lane="lease") == []
+    assert queue.offer(22, 22, size=1, lane="lease") == [7]
+    assert queue.offer(8, 8, size=1, lane="flood") == [8], "the longest lane sends back its own"
+    assert len(queue) == 10
+    assert _taken(queue, 10) == [0, 20, 1, 21, 2, 22, 3, 4, 5, 6]
+    assert len(queue) == 0
+
+
+def test_large_requests_give_way_to_a_lane_with_fewer_bytes() -> None:
+    queue = waiting(most_bytes=100)
+    assert [queue.offer(n, n, size=30, lane="flood") for n in range(3)] == [[], [], []]
+    assert queue.offer(9, 9, size=25, lane="lease") == [2]
+    assert queue.offer(3, 3, size=30, lane="flood") == [3]
+    assert queue.offer(10, 10, size=70, lane="lease") == [10], "it would be the longest itself"
+    assert _taken(queue, 3) == [0, 9, 1]
+    assert queue.offer(11, 11, size=100, lane="lease") == [], "all bytes are free again"
+
+
+def test_equal_questions_are_sent_back_one_by_one() -> None:
+    queue = waiting(most=4)
+    for number in range(4):
+        queue.offer("status", number, size=1, lane="status")
+    assert queue.offer("top", 9, size=1, lane="top") == [3]
+    group = queue.take(timeout_s=0)
+    assert group is not None
+    assert list(group.items) == [0, 1, 2]
+
+
+def _taken(queue: Waiting[int], number: int) -> list[int]:
+    taken: list[int] = []
+    for _ in range(number):
+        group = queue.take(timeout_s=0)
+        assert group is not None
+        taken += group.items
+        queue.done(group)
+    return taken
 
 
 def test_a_thread_that_waits_wakes_for_a_question() -> None:
