@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Annotated
@@ -10,6 +11,7 @@ import typer
 
 from schemas.bounds import MAX_NAME
 from schemas.errors import PermanentError
+from schemas.overlay import Overlay
 from schemas.score import SceneScore
 from schemas.transport.wire import decode
 from service.api.reader import Reader, overlay_of
@@ -18,8 +20,8 @@ from service.cli.output import counted, json_line, remark
 from service.cli.scenes import reader
 from service.errors import UsageError
 from service.export.judging import JudgedContradiction, counted_verdicts, judge, verdicts_of
-from service.export.label_files import LABEL_FORMATS, labels_in
 from service.export.label_import import ImportedScene, read_scenes, write_truth
+from service.export.labels.forms import LABEL_FORMS, form_named
 from service.output_files import need_folder
 
 
@@ -34,7 +36,7 @@ def import_labels(
     folder: Annotated[Path, typer.Argument(help="Folder of an export, with finished labels.")],
     truth: Annotated[Path, typer.Option("--truth", help="Folder of truth to write, empty or new.")],
     form: Annotated[
-        str, typer.Option("--format", help=f"Form of the labels: {', '.join(LABEL_FORMATS)}.")
+        str, typer.Option("--format", help=f"Form of the labels: {', '.join(LABEL_FORMS)}.")
     ] = "semantickitti",
     reviewer: Annotated[
         str | None,
@@ -54,13 +56,13 @@ def import_labels(
 
     `bench failures --truth` reads the result. Nothing is written if one label file does not fit.
     """
-    read = labels_in(form)
+    wanted = form_named(form)
     if truth.is_dir() and any(truth.iterdir()):
         raise UsageError(f"--truth must be an empty folder, or a new one ({truth})")
     if reviewer is not None and not 0 < len(reviewer.strip()) <= MAX_NAME:
         raise UsageError(f"--reviewer: give a name of 1 to {MAX_NAME} characters")
     source = reader(config, connect=connect, state=state, artifacts=artifacts, database=database)
-    scenes = list(read_scenes(folder, read, form=form))
+    scenes = list(read_scenes(folder, wanted, partial(_current, source)))
     need_folder(truth, option="--truth")
     frames = write_truth(scenes, truth)
     judged, stored = list[JudgedContradiction](), 0
@@ -81,6 +83,10 @@ def import_labels(
     remark(f"{counted(len(judged), 'contradiction')} judged; which stream is wrong: {told or '-'}")
     if reviewer is not None:
         remark(f"{counted(stored, 'verdict')} of {reviewer} on tracks that are a reason")
+
+
+def _current(source: Reader, scene_id: str) -> tuple[SceneScore, Overlay]:
+    return decode(SceneScore, source.record(scene_id)), overlay_of(source, scene_id)
 
 
 def _judged(source: Reader, scene: ImportedScene, *, json: bool) -> list[JudgedContradiction]:

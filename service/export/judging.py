@@ -13,7 +13,8 @@ from schemas.overlay import Overlay
 from schemas.score import MIN_REPORTED_STRENGTH, SceneScore
 from schemas.verdict import Verdict
 from service.curation.verdicts import JudgeRequest
-from service.export.label_import import DYNAMIC, UNKNOWN, LabelledFrame
+from service.export.label_import import LabelledFrame
+from service.export.labels.finished import DYNAMIC, UNKNOWN
 from service.export.points import moving_by_outcome
 
 LEAST_JUDGED: Final = 0.5

@@ -17,8 +17,8 @@ from service.curation.ranking import RankedScene
 from service.curation.selection import Selection
 from service.export.formats import FORMATS
 from service.export.judging import judge
-from service.export.label_files import labels_in
 from service.export.label_import import read_scenes, write_truth
+from service.export.labels.forms import form_named
 from service.export.running import run_export
 from service.export.scene import SceneToExport
 from tests.factories import street_log
@@ -167,7 +167,9 @@ def test_finished_labels_become_truth_of_each_lidar(mined: Mined, tmp_path: Path
     for path in (out / "sequences" / "00" / "labels").iterdir():
         words = np.fromfile(path, "<u4")
         np.full(len(words), CAR, "<u4").tofile(path)
-    (scene,) = read_scenes(out, labels_in("semantickitti"), form="semantickitti")
+    (scene,) = read_scenes(
+        out, form_named("semantickitti"), lambda scene_id: (mined.score, mined.overlay)
+    )
     overlay = mined.overlay
     tops = [each for each in scene.frames if each.topic == TOP]
     fronts = [each for each in scene.frames if each.topic == FRONT]
