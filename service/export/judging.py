@@ -143,7 +143,7 @@ def verdicts_of(
     strong = {track.track_id for track in score.tracks if track.strength >= MIN_REPORTED_STRENGTH}
     return [
         JudgeRequest(
-            key=_key(reviewer, digest, str(each.track_id), each.verdict),
+            key=verdict_key(reviewer, digest, str(each.track_id), each.verdict),
             scene_id=score.scene_id,
             sha256=digest,
             track_id=each.track_id,
@@ -156,7 +156,8 @@ def verdicts_of(
     ]
 
 
-def _key(*parts: str) -> str:
+def verdict_key(*parts: str) -> str:
+    """Return the key of a verdict that follows from its content."""
     digest = sha256("\n".join(parts).encode()).hexdigest()
     return f"labels-{digest[:32]}"
 

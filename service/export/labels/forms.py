@@ -7,6 +7,7 @@ from service.errors import UsageError
 from service.export.labels.cvat import CVAT_LABELS
 from service.export.labels.fiftyone import FIFTYONE_LABELS
 from service.export.labels.form import LabelForm
+from service.export.labels.labelstudio import NAME as LABEL_STUDIO
 from service.export.labels.nuscenes import NUSCENES_LABELS
 from service.export.labels.openlabel import OPENLABEL_LABELS
 from service.export.labels.pcd import PCD_LABELS
@@ -20,7 +21,10 @@ _ROWS: Final = (
 )
 
 LABEL_FORMS: Final[Mapping[str, LabelForm]] = {each.name: each for each in _ROWS}
-"""By the name that `import-labels --format` takes."""
+"""Forms of labels of points, by the name that `import-labels --format` takes."""
+
+ALL_NAMES: Final = (*LABEL_FORMS, LABEL_STUDIO)
+"""Values of `--format`; answers of Label Studio label no points."""
 
 
 def form_named(name: str) -> LabelForm:
@@ -31,6 +35,6 @@ def form_named(name: str) -> LabelForm:
     """
     found = LABEL_FORMS.get(name)
     if found is None:
-        known = ", ".join(LABEL_FORMS)
+        known = ", ".join(ALL_NAMES)
         raise UsageError(f"no labels of format {name!r} are read: --format is one of {known}")
     return found
