@@ -47,7 +47,7 @@ def _folder_of_bins(clouds: str, columns: int) -> Callable[[Path], Frames]:
 
 def _pcds(clouds: str) -> Callable[[Path], Frames]:
     def read(place: Path) -> Frames:
-        from pypcd4 import PointCloud
+        from pypcd4.pypcd4 import PointCloud
 
         for index, path in zip(*_sorted(place, "index", clouds, ".pcd"), strict=True):
             cloud = PointCloud.from_path(path)

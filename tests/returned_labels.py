@@ -94,12 +94,13 @@ def label_nuscenes(place: Path, random: Generator) -> list[Labelled]:
 
 def label_pcd(place: Path, random: Generator) -> list[Labelled]:
     """Write clouds again with labels: points in another order, and every second cloud as text."""
-    from pypcd4 import Encoding, PointCloud
+    from pypcd4.pypcd4 import Encoding, PointCloud
 
     found = []
     for number, path in enumerate(sorted(place.rglob("*.pcd"))):
         cloud = PointCloud.from_path(path)
-        words = _changed(cloud.numpy(("label",))[:, 0].astype("u4"), random) & 0xFFFF
+        before = cloud.numpy(("label",))[:, 0].astype(np.uint32)
+        words = _changed(before, random) & np.uint32(0xFFFF)
         points = cloud.pc_data.copy()
         points["label"] = words
         order = random.permutation(len(points))
@@ -233,8 +234,8 @@ LABELLERS: Final[Mapping[str, tuple[str, Callable[[Path, Generator], list[Labell
     "semantickitti": ("semantickitti", label_semantickitti),
     "segments": ("segments", label_segments),
     "nuscenes-lidarseg": ("nuscenes-lidarseg", label_nuscenes),
-    "pcd": ("cvat", label_pcd),
     "cvat": ("cvat", label_cvat),
+    "pcd": ("cvat", label_pcd),
     "xtreme1": ("xtreme1", label_xtreme1),
     "fiftyone": ("fiftyone", label_fiftyone),
 }
@@ -301,7 +302,7 @@ def _changed(words: Words, random: Generator) -> Words:
     return np.where(changed, classes | objects << 16, words).astype(np.uint32)
 
 
-def _of_words(words: Words) -> Labelled:
+def _of_words(words: NDArray[np.unsignedinteger]) -> Labelled:
     classes = (words & 0xFFFF).astype(np.int64)
     motion = np.where(classes >= 252, 2, np.where(classes <= 1, 0, 1))
     return Labelled(classes, motion, (words >> 16).astype(np.int64))

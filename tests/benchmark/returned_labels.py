@@ -47,9 +47,7 @@ def main(state: str, selection: str, logs: str) -> None:
     for form, (export, _) in LABELLERS.items():
         forms[export].append(form)
     forms["openlabel"] = ["openlabel"]
-    print(
-        "format | MB a scene | export, s a scene | points by index | labels of | import, s | back"
-    )
+    _tell("format | MB a scene | export, s | points by index | labels as | import, s | back")
     with tempfile.TemporaryDirectory() as folder:
         for export, labels in forms.items():
             out = Path(folder) / export
@@ -65,7 +63,7 @@ def main(state: str, selection: str, logs: str) -> None:
                 share = _points(export, out, scenes, current, Path(logs), raw)
             for form in labels or [""]:
                 back = _labels(form, out, scenes, current, state, Path(folder)) if form else "- | -"
-                print(f"{told} | {share} | {form or '-'} | {back}", flush=True)
+                _tell(f"{told} | {share} | {form or '-'} | {back}")
 
 
 def _points(
@@ -141,8 +139,13 @@ def _command(*arguments: str) -> float:
     )
     assert run.returncode == 0, run.stderr
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    print(f"# {time.monotonic() - begun:.1f} s on the clock: {run.stderr.splitlines()[-1]}")
+    _tell(f"# {time.monotonic() - begun:.1f} s on the clock: {run.stderr.splitlines()[-1]}")
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def _tell(line: str) -> None:
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()
 
 
 def _size(place: Path) -> int:
