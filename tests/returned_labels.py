@@ -264,7 +264,7 @@ def _boxes(points: NDArray[np.float64], random: Generator) -> list[Box]:
             number=number,
             class_name=[*NAMED][number % len(NAMED)],
             centre=points[random.integers(len(points))] + random.normal(0, 0.3, 3),
-            angles=random.normal(0, [0.05, 0.05, 2.0]),
+            angles=random.normal(0, [0.7, 0.7, 2.0]),
             size=random.uniform(1.5, 6, 3),
             moving=[True, False, None][number % 3],
         )

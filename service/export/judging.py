@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from hashlib import sha256
 from typing import Final
 
 import numpy as np
@@ -12,7 +11,7 @@ from schemas.errors import PermanentError
 from schemas.overlay import Overlay
 from schemas.score import MIN_REPORTED_STRENGTH, SceneScore
 from schemas.verdict import Verdict
-from service.curation.verdicts import JudgeRequest
+from service.curation.verdicts import JudgeRequest, key_of_content
 from service.export.label_import import LabelledFrame
 from service.export.labels.finished import DYNAMIC, UNKNOWN
 from service.export.points import moving_by_outcome
@@ -143,7 +142,7 @@ def verdicts_of(
     strong = {track.track_id for track in score.tracks if track.strength >= MIN_REPORTED_STRENGTH}
     return [
         JudgeRequest(
-            key=verdict_key(reviewer, digest, str(each.track_id), each.verdict),
+            key=key_of_content(reviewer, digest, str(each.track_id), each.verdict),
             scene_id=score.scene_id,
             sha256=digest,
             track_id=each.track_id,
@@ -154,12 +153,6 @@ def verdicts_of(
         for each in judged
         if each.track_id in strong and Verdict(each.verdict) is not Verdict.UNSURE
     ]
-
-
-def verdict_key(*parts: str) -> str:
-    """Return the key of a verdict that follows from its content."""
-    digest = sha256("\n".join(parts).encode()).hexdigest()
-    return f"labels-{digest[:32]}"
 
 
 def counted_verdicts(judged: Sequence[JudgedContradiction]) -> Mapping[str, int]:

@@ -1,4 +1,4 @@
-"""Labels from cuboids: the exported points in each have its class, and its motion where it is told.
+"""Labels from cuboids: the exported points in each have its class, and the motion that it states.
 
 Points in two cuboids belong to the smaller one. A point in none has no label.
 """

@@ -1,6 +1,6 @@
 """Labels of `cvat`: the cuboids that CVAT returns as `Datumaro 3D`, in `annotations` of a scene.
 
-CVAT 3D labels no points. An attribute `moving` of a label tells if its object moves.
+CVAT 3D labels no points. An attribute `moving` of a label states if its object moves.
 """
 
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Scenes of an export as they were written: their frames, and the place of each exported point."""
+"""Scenes of an export: their frames, and the place of each exported point in the raw message."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -40,7 +40,7 @@ class ExportedLidar:
 
 @dataclass(frozen=True, eq=False)
 class ExportedFrame:
-    """One frame as it was exported, with M of its N raw points.
+    """One exported frame, with M of its N raw points.
 
     Attributes:
         number: Index of the frame in its scene.

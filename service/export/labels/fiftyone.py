@@ -1,7 +1,7 @@
 """Labels of `fiftyone`: the 3D detections of `samples.json`, with their points.
 
 FiftyOne writes no labels of points. A sample is found by its fields `scene_id` and `frame`, since
-FiftyOne may name the files anew. The attribute `moving` of a detection tells if its object moves.
+FiftyOne may rename the files. The attribute `moving` of a detection states if its object moves.
 """
 
 from typing import Any, Final

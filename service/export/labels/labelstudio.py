@@ -10,13 +10,12 @@ from typing import Any, Final
 
 from schemas.bounds import MAX_NAME
 from schemas.verdict import GIVEN, Verdict
-from service.curation.verdicts import JudgeRequest
-from service.export.judging import verdict_key
+from service.curation.verdicts import JudgeRequest, key_of_content
 from service.export.labels.json_file import read_json, unlike
 from service.export.labelstudio import CHOICE, TRACKS
 
 NAME: Final = "labelstudio"
-"""As `import-labels --format` names it."""
+"""Name of this form for `import-labels --format`."""
 
 NOTE: Final = "from Label Studio"
 """Note of these verdicts."""
@@ -72,7 +71,7 @@ def _answers(data: dict[str, Any], annotation: dict[str, Any], reviewer: str) ->
             raise ValueError(f"the choice {choice!r} is no verdict")
         made.append(
             JudgeRequest(
-                key=verdict_key(name, digest, str(track_id), choice),
+                key=key_of_content(name, digest, str(track_id), choice),
                 scene_id=data["scene_id"],
                 sha256=digest,
                 track_id=track_id,
@@ -86,6 +85,6 @@ def _answers(data: dict[str, Any], annotation: dict[str, Any], reviewer: str) ->
 
 
 def _annotator(completed_by: Any) -> str:
-    """Return what tells annotators apart: an export names the number, or an object with it."""
+    """Return the number of an annotator: an export has it alone, or in an object."""
     found = completed_by.get("id") if isinstance(completed_by, dict) else completed_by
     return "unnamed" if found is None else str(found)

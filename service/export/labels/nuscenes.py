@@ -118,4 +118,4 @@ def _rows(path: Path) -> list[Any]:
 NUSCENES_LABELS: Final = LabelForm(
     name="nuscenes-lidarseg", exports=("nuscenes-lidarseg",), read_frame=read_frame
 )
-"""As the nuScenes devkit and its evaluation read them."""
+"""The files that the nuScenes devkit and its evaluation read."""

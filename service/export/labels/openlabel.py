@@ -115,7 +115,7 @@ def _otherness(
 ) -> str:
     """Return why a frame is one of another scene; empty: it is not.
 
-    A frame is told by its stamp; one without a stamp by the name of the document.
+    A frame is identified by its stamp; one without a stamp by the name of the document.
     """
     stamp_s = _seconds(about.get("frame_properties", {}).get("timestamp"))
     if stamp_s is not None:

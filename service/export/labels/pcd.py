@@ -64,4 +64,4 @@ def _whole(values: NDArray[Any], name: str, path: Path, *, most: int) -> NDArray
 
 
 PCD_LABELS: Final = LabelForm(name="pcd", exports=("cvat", "xtreme1"), read_frame=read_frame)
-"""As Supervisely and editors of clouds write classes of points into a PCD."""
+"""Classes that editors of clouds write into a PCD; Supervisely reads the same field."""

@@ -56,4 +56,4 @@ def _frames(path: Path) -> list[Any]:
 
 
 SEGMENTS_LABELS: Final = LabelForm(name="segments", exports=("segments",), read_frame=read_frame)
-"""As its SDK releases them."""
+"""Labels that its SDK releases."""

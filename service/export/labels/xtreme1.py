@@ -1,6 +1,6 @@
 """Labels of `xtreme1`: the boxes that Xtreme1 returns, in `result/NNNNNN.json` of a scene.
 
-Xtreme1 returns no labels of points. An attribute `moving` of a class tells if its object moves.
+Xtreme1 returns no labels of points. An attribute `moving` of a class states if its object moves.
 """
 
 from typing import Any, Final
