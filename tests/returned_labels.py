@@ -27,6 +27,8 @@ NUSCENES_STATIC: Final = (24, 26, 27, 28, 30)
 NAMED: Final = {"car": (10, 252), "person": (30, 254), "truck": (18, 258), "building": (50, 259)}
 """Class at rest and in motion by the names of cuboids."""
 CUBOIDS: Final = 6
+FACE_M: Final = 0.01
+"""Distance outside a face up to which a point belongs to a cuboid."""
 PART: Final = 0.3
 """Share of the points that a rule labels anew."""
 
@@ -286,7 +288,7 @@ def _in_boxes(
         angles = box.angles if order == "XYZ" else box.angles[::-1]
         own = Rotation.from_euler(order, angles).inv().apply(points - box.centre)
         volume = float(np.prod(box.size))
-        inside = (2 * np.abs(own) <= box.size).all(axis=1) & (volume < smallest)
+        inside = (2 * np.abs(own) <= box.size + 2 * FACE_M).all(axis=1) & (volume < smallest)
         smallest[inside] = volume
         classes[inside] = NAMED[box.class_name][1 if box.moving else 0]
         motion[inside] = 0 if box.moving is None else 1 + box.moving

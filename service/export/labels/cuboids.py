@@ -25,6 +25,10 @@ MAX_CUBOIDS: Final = 10_000
 MAX_SIZE_M: Final = 1_000.0
 """Edge of a cuboid at most, metres."""
 
+FACE_M: Final = 0.01
+"""Distance outside a face up to which a point is inside, metres: exported boxes are tight, and they
+and the points of an overlay are rounded to centimetres."""
+
 MAX_OBJECT: Final = 0xFFFF
 """Largest number of an object: the upper 16 bits of a word."""
 
@@ -114,11 +118,12 @@ def labels_in_cuboids(
 
 
 def points_in(points_m: NDArray[np.floating[Any]], box: Cuboid) -> NDArray[np.int64]:
-    """Return the places of the points in a cuboid, its faces included."""
-    reach = float(np.linalg.norm(box.size_m)) / 2
+    """Return the places of the points in a cuboid, those near its faces included."""
+    half_m = box.size_m / 2 + FACE_M
+    reach = float(np.linalg.norm(half_m))
     near = np.flatnonzero((np.abs(points_m - box.centre_m) <= reach).all(axis=1))
     own = (points_m[near] - box.centre_m) @ box.rotation
-    inside: NDArray[np.int64] = near[(np.abs(own) <= box.size_m / 2).all(axis=1)]
+    inside: NDArray[np.int64] = near[(np.abs(own) <= half_m).all(axis=1)]
     return inside
 
 

@@ -213,3 +213,19 @@ def test_a_cloud_that_the_log_lost_is_named(mined: Mined, tmp_path: Path) -> Non
     source = BucketExcerpts(open_bucket(str(tmp_path / "logs")))
     with pytest.raises(FramesMissingError, match="has no cloud of /lidar/front/points"):
         list(source.cut(mined.score, mined.overlay).clouds())
+
+
+def test_cuboids_label_the_points_of_each_lidar(mined: Mined, tmp_path: Path) -> None:
+    out = mined.export("openlabel", tmp_path / "out")
+    overlay = mined.overlay
+    (scene,) = read_scenes(out, form_named("openlabel"), lambda scene_id: (mined.score, overlay))
+    tops = [each for each in scene.frames if each.topic == TOP]
+    fronts = [each for each in scene.frames if each.topic == FRONT]
+    assert [len(each.words) for each in tops] == overlay.main_points.tolist()
+    assert [len(each.words) for each in fronts] == overlay.lidars[0].points.tolist()
+    assert [each.stamp_ns for each in fronts] == overlay.lidars[0].stamps_ns.tolist()
+    assert all(each.is_unchanged for each in scene.frames)
+    for top, front in zip(tops, fronts, strict=True):
+        labelled = np.concatenate([top.motion, front.motion]) > 0
+        instance = overlay.instance_index[overlay.points_of(top.number)]
+        assert labelled[instance >= 0].all()
