@@ -1,9 +1,10 @@
 """Export real scenes in every format, label a part of their points, import, and count the points.
 
-`python -m tests.benchmark.returned_labels STATE SELECTION LOGS` works on a copy of a state with a
-stored selection. It exports by the command, compares every written point with the message that the
-log has, lets a seeded rule change labels in the exported files, imports them by the command, and
-compares the labels of every raw point. It prints a row of a table for each format.
+`python -m tests.benchmark.returned_labels STATE SELECTION LOGS [FORMAT …]` reads a state with a
+stored selection. It exports by the command, and compares every written point with the message of
+the log. Then a seeded rule changes labels in the exported files, the command imports them, and the
+labels of every raw point are compared. A row is printed for each form of labels; seconds are of the
+processor.
 """
 
 import resource
@@ -34,8 +35,8 @@ _EXACT_M = 1e-6
 _ROUNDED_M = 0.003
 
 
-def main(state: str, selection: str, logs: str) -> None:
-    """Measure every format that has points or whose labels come back."""
+def main(state: str, selection: str, logs: str, *only: str) -> None:
+    """Measure every format that has points or whose labels come back, or only some of them."""
     source = reader(None, connect=None, state=Path(state), artifacts=None, database=None)
 
     def current(scene_id: str) -> tuple[SceneScore, Overlay]:
@@ -50,6 +51,8 @@ def main(state: str, selection: str, logs: str) -> None:
     _tell("format | MB a scene | export, s | points by index | labels as | import, s | back")
     with tempfile.TemporaryDirectory() as folder:
         for export, labels in forms.items():
+            if only and export not in only:
+                continue
             out = Path(folder) / export
             spent_s = _command(
                 *("export", selection, "--format", export, "--out", str(out)),
