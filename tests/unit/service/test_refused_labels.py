@@ -60,7 +60,7 @@ def first(out: Path, pattern: str) -> Path:
     return sorted(out.rglob(pattern))[0]
 
 
-def longer(pattern: str, more: bytes) -> Callable[[Path], None]:
+def longer(pattern: str, more: bytes) -> Callable[[Path], object]:
     def spoil(out: Path) -> None:
         path = first(out, pattern)
         path.write_bytes(path.read_bytes() + more)
@@ -68,11 +68,11 @@ def longer(pattern: str, more: bytes) -> Callable[[Path], None]:
     return spoil
 
 
-def gone(pattern: str) -> Callable[[Path], None]:
+def gone(pattern: str) -> Callable[[Path], object]:
     return lambda out: first(out, pattern).unlink()
 
 
-def edited(pattern: str, change: Callable[[Any], object]) -> Callable[[Path], None]:
+def edited(pattern: str, change: Callable[[Any], object]) -> Callable[[Path], object]:
     def spoil(out: Path) -> None:
         path = first(out, pattern)
         read = json.loads(path.read_text())
@@ -82,7 +82,7 @@ def edited(pattern: str, change: Callable[[Any], object]) -> Callable[[Path], No
     return spoil
 
 
-def exchanged(pattern: str) -> Callable[[Path], None]:
+def exchanged(pattern: str) -> Callable[[Path], object]:
     """Put the file of the second scene in the place of that of the first one."""
 
     def spoil(out: Path) -> None:
@@ -92,7 +92,7 @@ def exchanged(pattern: str) -> Callable[[Path], None]:
     return spoil
 
 
-def another_class(label: int) -> Callable[[Path], None]:
+def another_class(label: int) -> Callable[[Path], object]:
     def spoil(out: Path) -> None:
         path = first(out, "*.label")
         words = np.fromfile(path, dtype="<u4")
@@ -117,6 +117,11 @@ def the_cloud_of_the_next_frame(out: Path) -> None:
     path.write_bytes(data)
 
 
+def no_labels(out: Path) -> None:
+    for path in out.rglob("*.label"):
+        path.unlink()
+
+
 def move_nuscenes_stamps(rows: list[dict[str, Any]]) -> None:
     for row in rows:
         row["timestamp"] += 5
@@ -127,7 +132,7 @@ def cuboid_of(document: dict[str, Any]) -> Any:
     return next(iter(objects.values()))["object_data"]["cuboid"][0]
 
 
-CASES: dict[str, tuple[str, Callable[[Path], None], str]] = {
+CASES: dict[str, tuple[str, Callable[[Path], object], str]] = {
     "semantickitti, a label more": (
         *("semantickitti", longer("000000.label", bytes(4))),
         "frame 0 has 35 labels for 34 points",
@@ -146,7 +151,7 @@ CASES: dict[str, tuple[str, Callable[[Path], None], str]] = {
     ),
     "semantickitti, no labels at all": (
         "semantickitti",
-        lambda out: [path.unlink() for path in out.rglob("*.label")] and None,
+        no_labels,
         "no frame of this export has labels of format semantickitti",
     ),
     "segments, a point more": (
@@ -215,9 +220,7 @@ CASES: dict[str, tuple[str, Callable[[Path], None], str]] = {
     ),
     "xtreme1, another selection": (
         "xtreme1",
-        lambda out: (
-            shutil.copy(first(out, "000003.json"), first(out, "result") / "000009.json") and None
-        ),
+        lambda out: shutil.copy(first(out, "000003.json"), first(out, "result") / "000009.json"),
         "this result of Xtreme1 is of another scene: the export has no such frame",
     ),
     "xtreme1, no number": (
@@ -272,7 +275,7 @@ CASES: dict[str, tuple[str, Callable[[Path], None], str]] = {
         "cannot read labels: No such file or directory",
     ),
     "openlabel, no JSON": (
-        *("openlabel", lambda out: first(out, "*.openlabel.json").write_text("{") and None),
+        *("openlabel", lambda out: first(out, "*.openlabel.json").write_text("{")),
         "this is no document of OpenLABEL: JSONDecodeError",
     ),
 }
