@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 from schemas.semantickitti import MOVABLE, MOVING, PLAIN
 
 UNLABELLED: Final = 0
+MOVING_ATTRIBUTE: Final = "moving"
+"""Attribute of a cuboid in every format: if its object moves in this frame."""
+
 OTHER_MOVING: Final = 259
 """Moving thing without a class of its own: `moving-other-vehicle`."""
 

@@ -14,6 +14,7 @@ from typing import Any, Final
 
 from schemas.arrays import NS_PER_S
 from service.curation.selection import Selection
+from service.export.classes import MOVING_ATTRIBUTE
 from service.export.format import Format
 from service.export.frames_file import frame_of, write_frames, write_index
 from service.export.pcd import pcd
@@ -21,8 +22,6 @@ from service.export.scene import SceneToExport
 
 DATA: Final = "data"
 SAMPLES: Final = "samples.json"
-MOVING: Final = "moving"
-"""Attribute of a detection: if its object moves in this frame."""
 
 MEDIA_TYPE: Final = "3d"
 FO3D_VERSION: Final = "1.0"
@@ -134,7 +133,7 @@ def _detections(scene: SceneToExport, frame: int) -> list[dict[str, Any]]:
             "dimensions": [length, width, height],
             "rotation": [0.0, 0.0, math.remainder(yaw, math.tau)],
             "index": number,
-            MOVING: bool(moving[instance]),
+            MOVING_ATTRIBUTE: bool(moving[instance]),
         }
         if track is not None:
             blamed = track.attribution
@@ -146,7 +145,7 @@ def _detections(scene: SceneToExport, frame: int) -> list[dict[str, Any]]:
 
 def digest_of_detections(detections: Sequence[Mapping[str, Any]]) -> str:
     """Digest what the detections of a frame label, to notice if a person changed any."""
-    names = ("label", "location", "dimensions", "rotation", "index", MOVING)
+    names = ("label", "location", "dimensions", "rotation", "index", MOVING_ATTRIBUTE)
     told = [[each.get(name) for name in names] for each in detections]
     return sha256(json.dumps(told).encode()).hexdigest()[:16]
 

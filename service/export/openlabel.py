@@ -14,14 +14,13 @@ import numpy as np
 from schemas.arrays import NS_PER_S
 from schemas.contradiction import TrackRecord
 from schemas.overlay import Overlay
+from service.export.classes import MOVING_ATTRIBUTE
 from service.export.format import Format
 from service.export.points import PointLabels
 from service.export.scene import SceneToExport
 
 SCHEMA_VERSION: Final = "1.0.0"
 LIDAR: Final = "lidar"
-MOVING: Final = "moving"
-"""Attribute of a cuboid: if its object moves in this frame."""
 
 _ODOM: Final = "odom"
 
@@ -131,7 +130,7 @@ def _cuboid(box: Any, number: int, *, moving: bool) -> dict[str, Any]:
         "name": f"box-{number}",
         "val": [x, y, z, *turned, length, width, height],
         "coordinate_system": LIDAR,
-        "attributes": {"boolean": [{"name": MOVING, "val": moving}]},
+        "attributes": {"boolean": [{"name": MOVING_ATTRIBUTE, "val": moving}]},
     }
 
 

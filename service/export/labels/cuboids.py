@@ -10,11 +10,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from service.export.classes import moving_class, semantickitti_ids
+from service.export.classes import MOVING_ATTRIBUTE, moving_class, semantickitti_ids
 from service.export.labels.finished import DYNAMIC, FIRST_MOVING, STATIC, UNKNOWN, FinishedLabels
-
-MOVING: Final = "moving"
-"""Name of the attribute that states if the object of a cuboid moves in this frame."""
 
 UNNAMED: Final = frozenset({"", "object", "unlabeled", "unknown", "other"})
 """Types of objects that no class names."""
@@ -150,4 +147,4 @@ def _moves(told: Any) -> bool | None:
         return False
     if text in ("", "unknown"):
         return None
-    raise ValueError(f"attribute {MOVING!r} is {told!r}, and needs true or false")
+    raise ValueError(f"attribute {MOVING_ATTRIBUTE!r} is {told!r}, and needs true or false")

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from service.errors import UsageError
+from service.export.classes import MOVING_ATTRIBUTE
 from service.export.labels.cuboids import (
     MAX_CUBOIDS,
-    MOVING,
     Cuboid,
     cuboid,
     labels_in_cuboids,
@@ -70,7 +70,7 @@ def _cuboids(item: dict[str, Any], names: list[str], scene: ExportedScene) -> li
                 rotation=rotation_of_angles(each["rotation"], order="xyz"),
                 size_m=each["scale"],
                 class_name=names[label],
-                moving=attributes.get(MOVING),
+                moving=attributes.get(MOVING_ATTRIBUTE),
                 number=number_of(str(name), scene.numbers),
             )
         )

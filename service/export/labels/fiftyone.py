@@ -6,7 +6,8 @@ FiftyOne may rename the files. The attribute `moving` of a detection states if i
 
 from typing import Any, Final
 
-from service.export.fiftyone_dataset import MOVING, SAMPLES, digest_of_detections
+from service.export.classes import MOVING_ATTRIBUTE
+from service.export.fiftyone_dataset import SAMPLES, digest_of_detections
 from service.export.labels.cuboids import (
     MAX_CUBOIDS,
     Cuboid,
@@ -60,7 +61,7 @@ def _cuboid(detection: dict[str, Any], scene: ExportedScene) -> Cuboid:
         rotation=rotation_of_angles(detection["rotation"], order="xyz"),
         size_m=detection["dimensions"],
         class_name=str(detection["label"]),
-        moving=detection.get(MOVING),
+        moving=detection.get(MOVING_ATTRIBUTE),
         number=number_of(str(name), scene.numbers),
     )
 

@@ -16,6 +16,7 @@ from schemas.arrays import NS_PER_S
 from schemas.errors import PermanentError
 from schemas.overlay import NO_POSITION_CM, Overlay
 from service.errors import UsageError
+from service.export.classes import MOVING_ATTRIBUTE
 from service.export.labels.cuboids import (
     MAX_CUBOIDS,
     Cuboid,
@@ -27,7 +28,7 @@ from service.export.labels.exported import ExportedFrame, ExportedLidar, Exporte
 from service.export.labels.finished import FinishedLabels
 from service.export.labels.form import LabelForm
 from service.export.labels.json_file import of_another_scene, read_json, unlike
-from service.export.openlabel import LIDAR, MOVING, objects_of_frames, type_of
+from service.export.openlabel import LIDAR, objects_of_frames, type_of
 from service.export.points import PointLabels
 from service.export.rotation import rotation_of_angles, rotation_of_quaternion
 
@@ -120,7 +121,7 @@ def _otherness(
     stamp_s = _seconds(about.get("frame_properties", {}).get("timestamp"))
     if stamp_s is not None:
         expected_s = frame.stamp_ns / NS_PER_S
-        if abs(stamp_s - expected_s) > _SAME_STAMP_S:
+        if not abs(stamp_s - expected_s) <= _SAME_STAMP_S:
             return f"frame {frame.number} has the stamp {stamp_s}, and the scene {expected_s:.9f}"
         return ""
     name = document.get("metadata", {}).get("name")
@@ -173,7 +174,7 @@ def _rotation(turned: list[float]) -> NDArray[np.float64]:
 def _moving(level: dict[str, Any]) -> Any:
     """Return the attribute of a cuboid or of an object, as a truth value or as text."""
     attributes = [*level.get("boolean", []), *level.get("text", [])]
-    return _first([each["val"] for each in attributes if each["name"] == MOVING])
+    return _first([each["val"] for each in attributes if each["name"] == MOVING_ATTRIBUTE])
 
 
 def _first(found: list[Any]) -> Any:

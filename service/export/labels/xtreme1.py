@@ -5,9 +5,9 @@ Xtreme1 returns no labels of points. An attribute `moving` of a class states if 
 
 from typing import Any, Final
 
+from service.export.classes import MOVING_ATTRIBUTE
 from service.export.labels.cuboids import (
     MAX_CUBOIDS,
-    MOVING,
     Cuboid,
     cuboid,
     labels_in_cuboids,
@@ -55,7 +55,11 @@ def read_frame(scene: ExportedScene, frame: ExportedFrame) -> FinishedLabels | N
 
 def _cuboid(box: dict[str, Any], scene: ExportedScene) -> Cuboid:
     shape = box["contour"]
-    told = [each["value"] for each in box.get("classValues") or () if each.get("name") == MOVING]
+    told = [
+        each["value"]
+        for each in box.get("classValues") or ()
+        if each.get("name") == MOVING_ATTRIBUTE
+    ]
     return cuboid(
         centre_m=xyz_of(shape["center3D"]),
         rotation=rotation_of_angles(xyz_of(shape["rotation3D"]), order="xyz"),
