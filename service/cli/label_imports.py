@@ -1,7 +1,8 @@
 """Verb `import-labels`: finished labels of an export become truth, and judge the contradictions."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Annotated
@@ -10,6 +11,7 @@ import typer
 
 from schemas.bounds import MAX_NAME
 from schemas.errors import PermanentError
+from schemas.overlay import Overlay
 from schemas.score import SceneScore
 from schemas.transport.wire import decode
 from service.api.reader import Reader, overlay_of
@@ -18,8 +20,10 @@ from service.cli.output import counted, json_line, remark
 from service.cli.scenes import reader
 from service.errors import UsageError
 from service.export.judging import JudgedContradiction, counted_verdicts, judge, verdicts_of
-from service.export.label_files import LABEL_FORMATS, labels_in
 from service.export.label_import import ImportedScene, read_scenes, write_truth
+from service.export.labels.forms import ALL_NAMES, form_named
+from service.export.labels.labelstudio import NAME as LABEL_STUDIO
+from service.export.labels.labelstudio import read_answers
 from service.output_files import need_folder
 
 
@@ -31,10 +35,16 @@ def add_to(app: typer.Typer) -> None:
 
 
 def import_labels(
-    folder: Annotated[Path, typer.Argument(help="Folder of an export, with finished labels.")],
-    truth: Annotated[Path, typer.Option("--truth", help="Folder of truth to write, empty or new.")],
+    folder: Annotated[
+        Path,
+        typer.Argument(help="Folder of an export with finished labels; labelstudio: a JSON file."),
+    ],
+    truth: Annotated[
+        Path | None,
+        typer.Option("--truth", help="Folder of truth to write, empty or new; labelstudio: none."),
+    ] = None,
     form: Annotated[
-        str, typer.Option("--format", help=f"Form of the labels: {', '.join(LABEL_FORMATS)}.")
+        str, typer.Option("--format", help=f"Form of the labels: {', '.join(ALL_NAMES)}.")
     ] = "semantickitti",
     reviewer: Annotated[
         str | None,
@@ -54,13 +64,21 @@ def import_labels(
 
     `bench failures --truth` reads the result. Nothing is written if one label file does not fit.
     """
-    read = labels_in(form)
-    if truth.is_dir() and any(truth.iterdir()):
-        raise UsageError(f"--truth must be an empty folder, or a new one ({truth})")
     if reviewer is not None and not 0 < len(reviewer.strip()) <= MAX_NAME:
         raise UsageError(f"--reviewer: give a name of 1 to {MAX_NAME} characters")
-    source = reader(config, connect=connect, state=state, artifacts=artifacts, database=database)
-    scenes = list(read_scenes(folder, read, form=form))
+    open_source = partial(
+        reader, config, connect=connect, state=state, artifacts=artifacts, database=database
+    )
+    if form == LABEL_STUDIO:
+        _import_answers(folder, truth, reviewer, open_source)
+        return
+    wanted = form_named(form)
+    if truth is None:
+        raise UsageError("--truth is missing: name the folder of truth to write")
+    if truth.is_dir() and any(truth.iterdir()):
+        raise UsageError(f"--truth must be an empty folder, or a new one ({truth})")
+    source = open_source()
+    scenes = list(read_scenes(folder, wanted, partial(_current, source)))
     need_folder(truth, option="--truth")
     frames = write_truth(scenes, truth)
     judged, stored = list[JudgedContradiction](), 0
@@ -81,6 +99,34 @@ def import_labels(
     remark(f"{counted(len(judged), 'contradiction')} judged; which stream is wrong: {told or '-'}")
     if reviewer is not None:
         remark(f"{counted(stored, 'verdict')} of {reviewer} on tracks that are a reason")
+
+
+def _import_answers(
+    path: Path, truth: Path | None, reviewer: str | None, open_source: Callable[[], Reader]
+) -> None:
+    """Store the answers of Label Studio as verdicts."""
+    if truth is not None:
+        raise UsageError("--truth: answers of Label Studio are verdicts, and label no points")
+    if reviewer is None:
+        raise UsageError("--reviewer is missing: answers of Label Studio are stored as verdicts")
+    answers = read_answers(path, reviewer.strip())
+    source, stored, lost = open_source(), 0, dict[str, str]()
+    for answer in answers:
+        try:
+            source.judge(answer)
+            stored += 1
+        except PermanentError as error:
+            lost[answer.scene_id] = str(error)
+    if not stored:
+        why = next(iter(lost.values()), "no task has an answer")
+        raise UsageError(f"no answer of this file is a verdict: {why} ({path})")
+    for scene_id, why in lost.items():
+        remark(f"not stored: {scene_id}: {why}")
+    remark(f"{counted(stored, 'verdict')} of {reviewer} from Label Studio")
+
+
+def _current(source: Reader, scene_id: str) -> tuple[SceneScore, Overlay]:
+    return decode(SceneScore, source.record(scene_id)), overlay_of(source, scene_id)
 
 
 def _judged(source: Reader, scene: ImportedScene, *, json: bool) -> list[JudgedContradiction]:

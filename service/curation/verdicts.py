@@ -3,6 +3,7 @@
 import math
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
+from hashlib import sha256
 from itertools import combinations
 from statistics import median
 from typing import Final
@@ -78,6 +79,12 @@ class JudgeRequest(BaseModel):
     note: Note = ""
     duplicate_of: SceneId | None = None
     took_s: Seconds | None = None
+
+
+def key_of_content(*parts: str) -> str:
+    """Return the key of an imported verdict from its content: a repeated import stores nothing."""
+    digest = sha256("\n".join(parts).encode()).hexdigest()
+    return f"labels-{digest[:32]}"
 
 
 class UndoRequest(BaseModel):

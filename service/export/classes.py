@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 from schemas.semantickitti import MOVABLE, MOVING, PLAIN
 
 UNLABELLED: Final = 0
+MOVING_ATTRIBUTE: Final = "moving"
+"""Attribute of a cuboid in every format: if its object moves in this frame."""
+
 OTHER_MOVING: Final = 259
 """Moving thing without a class of its own: `moving-other-vehicle`."""
 
@@ -21,6 +24,9 @@ NAMES: Final = {
 """Ids that an export writes, as in `semantic-kitti.yaml`."""
 
 _IDS: Final = {name.replace("-", "_"): number for number, name in NAMES.items() if number < 252}
+_MOVING_IDS: Final = {
+    name.replace("-", "_"): number for number, name in NAMES.items() if number >= 252
+}
 _OTHER_NAMES: Final = {
     "cyclist": 31,
     "rider": 31,
@@ -70,10 +76,19 @@ def semantickitti_ids(class_names: Sequence[str]) -> tuple[NDArray[np.uint32], N
     return np.array(still, dtype=np.uint32), np.array(moving, dtype=np.uint32)
 
 
+def moving_class(name: str) -> int:
+    """Return the class of a moving thing of this name, as `moving-car`; 0: it names none."""
+    return _MOVING_IDS.get(_plain(name), UNLABELLED)
+
+
 def _id_of(name: str) -> int:
-    plain = name.strip().lower().replace("-", "_").replace(" ", "_")
+    plain = _plain(name)
     for each in (plain, plain.rpartition(".")[2]):
         number = _IDS.get(each, _OTHER_NAMES.get(each))
         if number is not None:
             return number
     return UNLABELLED
+
+
+def _plain(name: str) -> str:
+    return name.strip().lower().replace("-", "_").replace(" ", "_")

@@ -7,18 +7,22 @@ it. Contradictions are 3D detections in the lidar's space.
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final
 
 from schemas.arrays import NS_PER_S
 from service.curation.selection import Selection
+from service.export.classes import MOVING_ATTRIBUTE
 from service.export.format import Format
 from service.export.frames_file import frame_of, write_frames, write_index
 from service.export.pcd import pcd
 from service.export.scene import SceneToExport
 
 DATA: Final = "data"
+SAMPLES: Final = "samples.json"
+
 MEDIA_TYPE: Final = "3d"
 FO3D_VERSION: Final = "1.0"
 
@@ -39,7 +43,8 @@ def write_scene(scene: SceneToExport, folder: Path) -> None:
         (folder / f"{name}.pcd").write_bytes(pcd(cloud))
         (folder / f"{name}.fo3d").write_text(json.dumps(shown(f"{name}.pcd")) + "\n")
         write_index(cloud, folder)
-        frames.append(frame_of(cloud, scene))
+        pre_labels = digest_of_detections(_detections(scene, cloud.number))
+        frames.append(frame_of(cloud, scene) | {"pre_labels": pre_labels})
     write_frames(scene, frames, folder)
 
 
@@ -79,7 +84,7 @@ def shown(points: str) -> dict[str, Any]:
 def write_samples(selection: Selection, scenes: Sequence[SceneToExport], folder: Path) -> None:
     """Write the samples of all scenes, and what describes the dataset."""
     samples = [sample for scene in scenes for sample in samples_of(scene)]
-    _write(folder / "samples.json", {"samples": samples})
+    _write(folder / SAMPLES, {"samples": samples})
     info = {"selection": selection.name, "strategy": selection.strategy, "scenes": len(scenes)}
     about = {"name": selection.name, "media_type": MEDIA_TYPE, "info": info}
     _write(folder / "metadata.json", about)
@@ -111,7 +116,7 @@ def samples_of(scene: SceneToExport) -> Iterator[dict[str, Any]]:
 
 
 def _detections(scene: SceneToExport, frame: int) -> list[dict[str, Any]]:
-    overlay = scene.overlay
+    overlay, moving = scene.overlay, scene.labels.moving_instances()
     tracks = {track.track_id: track for track in scene.score.tracks}
     found: list[dict[str, Any]] = []
     for instance in overlay.instances_of(frame).tolist():
@@ -128,6 +133,7 @@ def _detections(scene: SceneToExport, frame: int) -> list[dict[str, Any]]:
             "dimensions": [length, width, height],
             "rotation": [0.0, 0.0, math.remainder(yaw, math.tau)],
             "index": number,
+            MOVING_ATTRIBUTE: bool(moving[instance]),
         }
         if track is not None:
             blamed = track.attribution
@@ -135,6 +141,13 @@ def _detections(scene: SceneToExport, frame: int) -> list[dict[str, Any]]:
             made |= {"wrong": blamed.wrong.value, "chance": blamed.chance} if blamed else {}
         found.append(made)
     return found
+
+
+def digest_of_detections(detections: Sequence[Mapping[str, Any]]) -> str:
+    """Digest what the detections of a frame label, to notice if a person changed any."""
+    names = ("label", "location", "dimensions", "rotation", "index", MOVING_ATTRIBUTE)
+    told = [[each.get(name) for name in names] for each in detections]
+    return sha256(json.dumps(told).encode()).hexdigest()[:16]
 
 
 def _write(path: Path, content: dict[str, Any]) -> None:

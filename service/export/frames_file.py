@@ -25,7 +25,7 @@ def write_index(cloud: LabelledCloud, folder: Path) -> None:
 
 def digest_of(words: NDArray[np.unsignedinteger]) -> str:
     """Digest the classes of the labels of a frame, in the order of its exported points."""
-    return sha256((words & 0xFFFF).astype("<u2").tobytes()).hexdigest()[:16]
+    return sha256((words.astype("<u4") & 0xFFFF).astype("<u2").tobytes()).hexdigest()[:16]
 
 
 def frame_of(cloud: LabelledCloud, scene: SceneToExport) -> dict[str, Any]:

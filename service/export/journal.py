@@ -11,7 +11,7 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -134,8 +134,15 @@ def _is_empty(folder: Path, sink: Sink | None) -> bool:
     return all(each.name == _GROWING for each in folder.iterdir())
 
 
-def scenes_of(folder: Path, *, format_name: str) -> list[str]:
-    """List the places of the scenes of an export, in the order they were written.
+def scenes_of(folder: Path, *, format_names: Sequence[str]) -> list[tuple[str, str]]:
+    """List the scenes of an export, in the order they were written.
+
+    Args:
+        folder: The folder of the export.
+        format_names: Formats that it may have.
+
+    Returns:
+        The place and the id of each scene.
 
     Raises:
         UsageError: If the folder is no export, or one in another format.
@@ -143,14 +150,15 @@ def scenes_of(folder: Path, *, format_name: str) -> list[str]:
     lines = _lines_of(folder / NAME)
     if not lines or lines[0].get("generator") != _GENERATOR:
         raise UsageError(f"this is no folder of an export: it has no {NAME} ({folder})")
-    if lines[0].get("format") != format_name:
+    if lines[0].get("format") not in format_names:
         raise UsageError(
-            f"this folder is an export as {lines[0].get('format')}, not as {format_name} ({folder})"
+            f"this folder is an export as {lines[0].get('format')}, not as "
+            f"{' or '.join(format_names)} ({folder})"
         )
-    places = [str(each["place"]) for each in lines[1:]]
-    for place in places:
+    scenes = [(str(each["place"]), str(each["scene_id"])) for each in lines[1:]]
+    for place, _ in scenes:
         need_inside(place, what="place", path=folder / NAME)
-    return places
+    return scenes
 
 
 def need_inside(relative: str, *, what: str, path: Path) -> None:

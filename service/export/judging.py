@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from hashlib import sha256
 from typing import Final
 
 import numpy as np
@@ -12,8 +11,9 @@ from schemas.errors import PermanentError
 from schemas.overlay import Overlay
 from schemas.score import MIN_REPORTED_STRENGTH, SceneScore
 from schemas.verdict import Verdict
-from service.curation.verdicts import JudgeRequest
-from service.export.label_import import DYNAMIC, UNKNOWN, LabelledFrame
+from service.curation.verdicts import JudgeRequest, key_of_content
+from service.export.label_import import LabelledFrame
+from service.export.labels.finished import DYNAMIC, UNKNOWN
 from service.export.points import moving_by_outcome
 
 LEAST_JUDGED: Final = 0.5
@@ -142,7 +142,7 @@ def verdicts_of(
     strong = {track.track_id for track in score.tracks if track.strength >= MIN_REPORTED_STRENGTH}
     return [
         JudgeRequest(
-            key=_key(reviewer, digest, str(each.track_id), each.verdict),
+            key=key_of_content(reviewer, digest, str(each.track_id), each.verdict),
             scene_id=score.scene_id,
             sha256=digest,
             track_id=each.track_id,
@@ -153,11 +153,6 @@ def verdicts_of(
         for each in judged
         if each.track_id in strong and Verdict(each.verdict) is not Verdict.UNSURE
     ]
-
-
-def _key(*parts: str) -> str:
-    digest = sha256("\n".join(parts).encode()).hexdigest()
-    return f"labels-{digest[:32]}"
 
 
 def counted_verdicts(judged: Sequence[JudgedContradiction]) -> Mapping[str, int]:

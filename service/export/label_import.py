@@ -16,20 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.errors import UsageError
-from service.export.frames_file import INDEX, NAME, digest_of
-from service.export.journal import need_inside, scenes_of
-from service.export.label_files import ReadLabels
-
-UNKNOWN, STATIC, DYNAMIC = 0, 1, 2
-"""Values of `motion` in a folder of truth."""
-
-FIRST_MOVING: Final = 251
-"""First class of SemanticKITTI that names a moving thing; 251 is that of its motion benchmark."""
-
-_OUTLIER: Final = 1
-
-MAX_POINTS: Final = 2**26
-"""Points of one message; the largest lidars have a few million."""
+from service.export.journal import scenes_of
+from service.export.labels.exported import ExportedFrame, ExportedScene, OpenCurrent
+from service.export.labels.finished import FinishedLabels, unknown_class
+from service.export.labels.form import LabelForm
 
 LEARNING: Final = {
     10: 1,
@@ -75,7 +65,8 @@ class LabelledFrame:
         stamp_ns: Of the frame.
         topic: Of the lidar.
         words: (N,) words of SemanticKITTI for each raw point, 0 where none was exported.
-        is_unchanged: Whether every class is still the pre-label of the export.
+        motion: (N,) 0 unknown, 1 static, 2 dynamic; unknown where none was exported.
+        is_unchanged: Whether the frame still has the pre-labels of the export.
         first: Place of its first point in the frame; not 0 for a lidar that was joined to another.
     """
 
@@ -83,15 +74,9 @@ class LabelledFrame:
     stamp_ns: int
     topic: str
     words: NDArray[np.uint32]
+    motion: NDArray[np.uint8]
     is_unchanged: bool = False
     first: int = 0
-
-    @property
-    def motion(self) -> NDArray[np.uint8]:
-        """Return (N,) 0 unknown, 1 static, 2 dynamic."""
-        classes = self.words & 0xFFFF
-        motion = np.where(classes >= FIRST_MOVING, DYNAMIC, STATIC)
-        return np.where(classes <= _OUTLIER, UNKNOWN, motion).astype(np.uint8)
 
     @property
     def semantic19(self) -> NDArray[np.uint8]:
@@ -125,71 +110,71 @@ class ImportedScene:
     unlabelled: int
 
 
-def read_scenes(folder: Path, read: ReadLabels, *, form: str) -> Iterator[ImportedScene]:
+def read_scenes(folder: Path, form: LabelForm, current: OpenCurrent) -> Iterator[ImportedScene]:
     """Read the labels of an export.
 
     Args:
         folder: The folder of the export.
-        read: Reads the labels of a frame.
-        form: Name of the format.
+        form: The form of the labels.
+        current: Reads the current record and overlay of a scene.
 
     Raises:
-        UsageError: If the folder is no export in that format, or if labels do not fit the points.
+        UsageError: If the folder is no export that such labels are of, if labels do not fit the
+            points, or if no frame has labels.
     """
-    for place in scenes_of(folder, format_name=form):
-        yield _read_scene(folder / place, read)
+    labelled = 0
+    for place, scene_id in scenes_of(folder, format_names=form.exports):
+        scene = _read_scene(form.open_scene(folder / place, scene_id, current), form)
+        labelled += len(scene.frames)
+        yield scene
+    if not labelled:
+        raise UsageError(f"no frame of this export has labels of format {form.name} ({folder})")
 
 
-def _read_scene(folder: Path, read: ReadLabels) -> ImportedScene:
-    path = folder / NAME
-    try:
-        about = json.loads(path.read_text(encoding="utf-8"))
-        read_frames = [_read_frame(folder, each, read) for each in about["frames"]]
-        scene_id, log_id = str(about["scene_id"]), str(about["log_id"])
-        need_inside(log_id, what="log_id", path=path)
-    except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
-        raise UsageError(
-            f"cannot read the frames of an exported scene: {type(error).__name__}: {error} ({path})"
-        ) from None
-    found = tuple(each for frame in read_frames for each in frame)
-    return ImportedScene(scene_id, log_id, found, sum(not frame for frame in read_frames))
+def _read_scene(scene: ExportedScene, form: LabelForm) -> ImportedScene:
+    read = [_read_frame(scene, frame, form) for frame in scene.frames]
+    found = tuple(each for frame in read for each in frame)
+    return ImportedScene(scene.scene_id, scene.log_id, found, sum(not frame for frame in read))
 
 
-def _read_frame(folder: Path, about: dict[str, Any], read: ReadLabels) -> list[LabelledFrame]:
+def _read_frame(scene: ExportedScene, frame: ExportedFrame, form: LabelForm) -> list[LabelledFrame]:
     """Read the labels of a frame: one for its message, and one for that of each further lidar."""
-    number, points, raw = int(about["index"]), int(about["points"]), int(about["raw_points"])
-    if not 0 <= points <= raw <= MAX_POINTS:
-        raise ValueError(f"frame {number} with {points} of {raw} points")
-    words = read(folder, number)
-    if words is None:
+    labels = form.read_frame(scene, frame)
+    if labels is None:
         return []
-    index = np.fromfile(folder / INDEX / f"{number:06d}.bin", dtype="<u4").astype(np.int64)
-    if len(words) != points:
-        raise UsageError(
-            f"frame {number} has {len(words)} labels for {points} points: labels need the order "
-            f"of the exported points, one each ({folder})"
+    _check(labels, scene, frame)
+    words = np.zeros(frame.raw_points, dtype=np.uint32)
+    motion = np.zeros(frame.raw_points, dtype=np.uint8)
+    words[frame.index], motion[frame.index] = labels.words, labels.motion
+    is_unchanged = bool(labels.digest) and labels.digest == frame.pre_labels
+    ends = [*(each.first for each in frame.lidars[1:]), frame.raw_points]
+    return [
+        LabelledFrame(
+            number=frame.number,
+            stamp_ns=lidar.stamp_ns,
+            topic=lidar.topic,
+            words=words[lidar.first : end],
+            motion=motion[lidar.first : end],
+            is_unchanged=is_unchanged,
+            first=lidar.first,
         )
-    rises = len(index) == points and bool((np.diff(index) > 0).all())
-    if not rises or (points and not 0 <= index[0] <= index[-1] < raw):
+        for lidar, end in zip(frame.lidars, ends, strict=True)
+        if end > lidar.first or lidar is frame.lidars[0]
+    ]
+
+
+def _check(labels: FinishedLabels, scene: ExportedScene, frame: ExportedFrame) -> None:
+    if len(labels.words) != frame.points:
         raise UsageError(
-            f"frame {number} has a damaged index to raw points: export it again ({folder})"
+            f"frame {frame.number} has {len(labels.words)} labels for {frame.points} points: "
+            f"labels need the order of the exported points, one each ({scene.place})"
         )
-    of_raw = np.zeros(raw, dtype=np.uint32)
-    of_raw[index] = words
-    is_unchanged = digest_of(words) == about.get("pre_labels")
-    further = about.get("lidars", [])
-    ends = [int(each["first"]) for each in further] + [raw]
-    if ends != sorted(ends) or ends[0] < 0:
-        raise ValueError(f"frame {number} with lidars that do not follow each other")
-    of_main = of_raw[: ends[0]]
-    stamp_ns, topic = int(about["header_stamp"]), str(about["topic"])
-    found = [LabelledFrame(number, stamp_ns, topic, of_main, is_unchanged)]
-    for each, first, end in zip(further, ends, ends[1:], strict=False):
-        if end > first:
-            stamp_ns, topic = int(each["header_stamp"]), str(each["topic"])
-            words_of = of_raw[first:end]
-            found.append(LabelledFrame(number, stamp_ns, topic, words_of, is_unchanged, first))
-    return found
+    strange = unknown_class(labels.words)
+    if strange is not None:
+        raise UsageError(
+            f"frame {frame.number} has labels of class {strange}, which SemanticKITTI does not "
+            f"have ({scene.place})"
+        )
 
 
 def write_truth(scenes: list[ImportedScene], folder: Path) -> int:

@@ -28,6 +28,11 @@ MOST_TRACKS: Final = 5
 """Tracks of a scene that are asked about: as many as a record gives reasons for."""
 
 IMAGES: Final = "images"
+CHOICE: Final = "wrong_"
+"""Name of the choice of a track, before its place."""
+
+TRACKS: Final = "track_ids"
+"""Key of a task's data: the tracks that are asked about, by place."""
 
 
 def write_picture(scene: SceneToExport, path: Path) -> None:
@@ -55,6 +60,7 @@ def task(scene: SceneToExport) -> dict[str, Any]:
         "log_id": score.log_id,
         "record_sha256": scene.sha256,
         "score": score.score,
+        TRACKS: [each.track_id for each in score.tracks[:MOST_TRACKS]],
         "verdicts": [each.model_dump() for each in scene.verdicts],
     }
     results: list[dict[str, Any]] = []
@@ -66,7 +72,7 @@ def task(scene: SceneToExport) -> dict[str, Any]:
         results.append(
             {
                 "id": f"track-{track.track_id}",
-                "from_name": f"wrong_{place}",
+                "from_name": f"{CHOICE}{place}",
                 "to_name": "image",
                 "type": "choices",
                 "value": {"choices": [CHOICES[track.attribution.wrong]]},
@@ -85,7 +91,7 @@ def interface() -> str:
     )
     asked = "".join(
         f'  <Text name="said_{place}" value="$track_{place}"/>\n'
-        f'  <Choices name="wrong_{place}" toName="image" choice="single" showInLine="true">\n'
+        f'  <Choices name="{CHOICE}{place}" toName="image" choice="single" showInLine="true">\n'
         f"{choices}  </Choices>\n"
         for place in range(MOST_TRACKS)
     )

@@ -12,7 +12,13 @@ from typing import Any, Final
 import numpy as np
 
 from service.export.format import Format
-from service.export.frames_file import frame_of, pose_from_first, write_frames, write_index
+from service.export.frames_file import (
+    digest_of,
+    frame_of,
+    pose_from_first,
+    write_frames,
+    write_index,
+)
 from service.export.points import LabelledCloud
 from service.export.rotation import quaternion_wxyz
 from service.export.scene import SceneToExport
@@ -77,9 +83,10 @@ def write_scene(scene: SceneToExport, folder: Path) -> None:
         file, token = tables.add(cloud)
         points = np.column_stack([cloud.points_m, cloud.intensity * 255, cloud.ring])
         points.astype("<f4").tofile(folder / file)
-        lookup[cloud.label].tofile(folder / tables.label_file(token))
+        classes = lookup[cloud.label]
+        classes.tofile(folder / tables.label_file(token))
         write_index(cloud, folder)
-        frames.append(frame_of(cloud, scene))
+        frames.append(frame_of(cloud, scene) | {"pre_labels": digest_of(classes)})
     for name, rows in tables.finished().items():
         (folder / VERSION / f"{name}.json").write_text(json.dumps(rows, indent=1) + "\n")
     write_frames(scene, frames, folder)

@@ -1,7 +1,8 @@
 """Format `openlabel`: the boxes of each scene's contradictions as ASAM OpenLABEL 1.0.0.
 
-Each track is an object, each of its instances a cuboid in the lidar's space of its frame. Frames
-have their poses as transforms to the space `odom`. No log is read.
+Each track is an object, each of its instances a cuboid in the lidar's space of its frame. The
+attribute `moving` of a cuboid is its pre-label. Frames have their poses as transforms to the space
+`odom`. No log is read.
 """
 
 import json
@@ -12,11 +13,15 @@ import numpy as np
 
 from schemas.arrays import NS_PER_S
 from schemas.contradiction import TrackRecord
+from schemas.overlay import Overlay
+from service.export.classes import MOVING_ATTRIBUTE
 from service.export.format import Format
+from service.export.points import PointLabels
 from service.export.scene import SceneToExport
 
 SCHEMA_VERSION: Final = "1.0.0"
-_LIDAR: Final = "lidar"
+LIDAR: Final = "lidar"
+
 _ODOM: Final = "odom"
 
 
@@ -31,20 +36,15 @@ def document(scene: SceneToExport) -> dict[str, Any]:
     tracks = {track.track_id: track for track in score.tracks}
     frames: dict[str, Any] = {}
     seen: dict[int, list[int]] = {}
-    for number in range(len(overlay)):
-        objects: dict[str, Any] = {}
-        for instance in overlay.instances_of(number).tolist():
-            track_id = int(overlay.instance_track[instance])
-            seen.setdefault(track_id, []).append(number)
-            cuboid = _cuboid(overlay.instance_boxes[instance], len(objects))
-            known = objects.setdefault(str(track_id), {"object_data": {"cuboid": []}})
-            known["object_data"]["cuboid"].append(cuboid)
+    for number, objects in enumerate(objects_of_frames(overlay, scene.labels)):
+        for name in objects:
+            seen.setdefault(int(name), []).append(number)
         frames[str(number)] = {
             "frame_properties": {
                 "timestamp": f"{int(overlay.stamps_ns[number]) / NS_PER_S:.9f}",
                 "transforms": {
                     "odom_from_lidar": {
-                        "src": _LIDAR,
+                        "src": LIDAR,
                         "dst": _ODOM,
                         "transform_src_to_dst": {
                             "matrix4x4": overlay.odom_from_sensor[number].reshape(-1).tolist()
@@ -68,10 +68,10 @@ def document(scene: SceneToExport) -> dict[str, Any]:
                 },
             },
             "coordinate_systems": {
-                _ODOM: {"type": "scene_cs", "parent": "", "children": [_LIDAR]},
-                _LIDAR: {"type": "sensor_cs", "parent": _ODOM, "children": []},
+                _ODOM: {"type": "scene_cs", "parent": "", "children": [LIDAR]},
+                LIDAR: {"type": "sensor_cs", "parent": _ODOM, "children": []},
             },
-            "streams": {_LIDAR: {"type": "lidar", "description": score.lidar_topic}},
+            "streams": {LIDAR: {"type": "lidar", "description": score.lidar_topic}},
             "frame_intervals": [{"frame_start": 0, "frame_end": len(overlay) - 1}],
             "frames": frames,
             "objects": {
@@ -82,12 +82,33 @@ def document(scene: SceneToExport) -> dict[str, Any]:
     }
 
 
+def objects_of_frames(overlay: Overlay, labels: PointLabels) -> list[dict[str, Any]]:
+    """Return for each frame its objects by track, each with its cuboids."""
+    moving = labels.moving_instances()
+    frames: list[dict[str, Any]] = []
+    for number in range(len(overlay)):
+        objects: dict[str, Any] = {}
+        for instance in overlay.instances_of(number).tolist():
+            name = str(int(overlay.instance_track[instance]))
+            box, moves = overlay.instance_boxes[instance], bool(moving[instance])
+            cuboid = _cuboid(box, len(objects), moving=moves)
+            known = objects.setdefault(name, {"object_data": {"cuboid": []}})
+            known["object_data"]["cuboid"].append(cuboid)
+        frames.append(objects)
+    return frames
+
+
+def type_of(track: TrackRecord | None) -> str:
+    """Return the type of the object of a track; one beyond the record is `object`."""
+    return (track.class_name if track else "") or "object"
+
+
 def _object(track_id: int, track: TrackRecord | None, frames: list[int]) -> dict[str, Any]:
     """Describe a track; those beyond the record have a box and no more."""
     made: dict[str, Any] = {
         "name": f"track-{track_id}",
-        "type": (track.class_name if track else "") or "object",
-        "coordinate_system": _LIDAR,
+        "type": type_of(track),
+        "coordinate_system": LIDAR,
         "frame_intervals": _intervals(frames),
     }
     if track is not None:
@@ -101,14 +122,15 @@ def _object(track_id: int, track: TrackRecord | None, frames: list[int]) -> dict
     return made
 
 
-def _cuboid(box: Any, number: int) -> dict[str, Any]:
+def _cuboid(box: Any, number: int, *, moving: bool) -> dict[str, Any]:
     """Return a box as centre, quaternion (x, y, z, w) and size."""
     x, y, z, length, width, height, yaw = map(float, box)
     turned = [0.0, 0.0, float(np.sin(yaw / 2)), float(np.cos(yaw / 2))]
     return {
         "name": f"box-{number}",
         "val": [x, y, z, *turned, length, width, height],
-        "coordinate_system": _LIDAR,
+        "coordinate_system": LIDAR,
+        "attributes": {"boolean": [{"name": MOVING_ATTRIBUTE, "val": moving}]},
     }
 
 

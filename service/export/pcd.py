@@ -15,6 +15,10 @@ from service.export.frames_file import frame_of, write_frames, write_index
 from service.export.points import LabelledCloud
 from service.export.scene import SceneToExport
 
+CVAT_CLOUDS: Final = "pointcloud"
+XTREME1_CLOUDS: Final = "lidar_point_cloud_0"
+"""Folders of the clouds of a scene, as each tool names them."""
+
 _FIELDS: Final = (
     ("x", "<f4"),
     ("y", "<f4"),
@@ -74,7 +78,7 @@ def pcd(cloud: LabelledCloud) -> bytes:
 CVAT: Final = Format(
     name="cvat",
     text="Binary PCD with intensity and pre-label in the folders of CVAT's 3D tasks.",
-    write_scene=partial(write_scene, clouds="pointcloud"),
+    write_scene=partial(write_scene, clouds=CVAT_CLOUDS),
     reads_logs=True,
 )
 """Also read by any program that reads PCD."""
@@ -82,7 +86,7 @@ CVAT: Final = Format(
 XTREME1: Final = Format(
     name="xtreme1",
     text="The same PCD in the folders of Xtreme1.",
-    write_scene=partial(write_scene, clouds="lidar_point_cloud_0"),
+    write_scene=partial(write_scene, clouds=XTREME1_CLOUDS),
     reads_logs=True,
 )
 """Xtreme1 reads PCD alone."""

@@ -115,6 +115,11 @@ class PointLabels:
             lidars=frame.joined,
         )
 
+    def moving_instances(self) -> NDArray[np.bool_]:
+        """Return (I,) if each instance of the overlay moves, by the rule of its points."""
+        kinds = self._overlay.instance_kind
+        return self._moving(kinds, np.arange(len(kinds), dtype=np.int32))
+
     def _moving(
         self, category: NDArray[np.uint8], instance: NDArray[np.int32]
     ) -> NDArray[np.bool_]:

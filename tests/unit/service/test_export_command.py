@@ -5,15 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from schemas.canonical import sha256
-from schemas.overlay import overlay_key
-from schemas.score import SceneScore
-from schemas.transport.overlay_codec import encode_overlay
-from schemas.transport.wire import encode_scene_score
 from service.cli.main import main
-from service.store.engine import open_store
-from tests.contracts.ledger_world import World, plan_of, shard_commit, shard_of
-from tests.export_world import made_world, overlay, record
+from tests.export_world import made_world, record
+from tests.unit.service.exported_state import state_of_the_world
 from tests.unit.service.mined_state import mined_state
 
 
@@ -98,39 +92,6 @@ def test_finished_labels_of_scenes_of_another_state_are_truth_and_not_judged(
     assert "8 of 8 frames still have the pre-labels of the export" in told
     assert main(["import-labels", *arguments, "--state", str(state)]) == 1
     assert "--truth must be an empty folder" in capsys.readouterr().err
-
-
-def mined_by_p1(score: SceneScore) -> SceneScore:
-    producers = score.producers.model_copy(update={"pipeline_version": "p1"})
-    return score.model_copy(update={"producers": producers})
-
-
-def state_of_the_world(folder: Path) -> Path:
-    """Make a state folder with the scenes of the export world."""
-    folder.mkdir()
-    store = open_store(folder)
-    scores = [mined_by_p1(record(number)) for number in range(2)]
-    world = World.on(store)
-    world.listed(scores[0].log_id)
-    lease = world.plan_lease()
-    log_id, topic = lease.recording.log_id, scores[0].lidar_topic
-    shards = (shard_of(log_id, 0, of=1, topic=topic, cells=36_000),)
-    plan = plan_of(log_id, shards=1).model_copy(update={"shards": shards})
-    assert world.commit_plan(lease, plan=plan).ok
-    records = {sha256(each): each for each in map(encode_scene_score, scores)}
-    assert world.ledger.commit(shard_commit(world.mine_lease(), records), records).ok
-    store.close()
-    for score in scores:
-        key = overlay_key(
-            log_id=score.log_id,
-            scene_id=score.scene_id,
-            pipeline_version=score.producers.pipeline_version,
-            sha256=sha256(encode_scene_score(score)),
-        )
-        path = folder / "artifacts" / key
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(encode_overlay(overlay(score)))
-    return folder
 
 
 def test_finished_labels_become_verdicts_once_under_the_name_that_is_given(

@@ -17,8 +17,8 @@ from service.curation.ranking import RankedScene
 from service.curation.selection import Selection
 from service.export.formats import FORMATS
 from service.export.judging import judge
-from service.export.label_files import labels_in
 from service.export.label_import import read_scenes, write_truth
+from service.export.labels.forms import form_named
 from service.export.running import run_export
 from service.export.scene import SceneToExport
 from tests.factories import street_log
@@ -167,7 +167,9 @@ def test_finished_labels_become_truth_of_each_lidar(mined: Mined, tmp_path: Path
     for path in (out / "sequences" / "00" / "labels").iterdir():
         words = np.fromfile(path, "<u4")
         np.full(len(words), CAR, "<u4").tofile(path)
-    (scene,) = read_scenes(out, labels_in("semantickitti"), form="semantickitti")
+    (scene,) = read_scenes(
+        out, form_named("semantickitti"), lambda scene_id: (mined.score, mined.overlay)
+    )
     overlay = mined.overlay
     tops = [each for each in scene.frames if each.topic == TOP]
     fronts = [each for each in scene.frames if each.topic == FRONT]
@@ -211,3 +213,19 @@ def test_a_cloud_that_the_log_lost_is_named(mined: Mined, tmp_path: Path) -> Non
     source = BucketExcerpts(open_bucket(str(tmp_path / "logs")))
     with pytest.raises(FramesMissingError, match="has no cloud of /lidar/front/points"):
         list(source.cut(mined.score, mined.overlay).clouds())
+
+
+def test_cuboids_label_the_points_of_each_lidar(mined: Mined, tmp_path: Path) -> None:
+    out = mined.export("openlabel", tmp_path / "out")
+    overlay = mined.overlay
+    (scene,) = read_scenes(out, form_named("openlabel"), lambda scene_id: (mined.score, overlay))
+    tops = [each for each in scene.frames if each.topic == TOP]
+    fronts = [each for each in scene.frames if each.topic == FRONT]
+    assert [len(each.words) for each in tops] == overlay.main_points.tolist()
+    assert [len(each.words) for each in fronts] == overlay.lidars[0].points.tolist()
+    assert [each.stamp_ns for each in fronts] == overlay.lidars[0].stamps_ns.tolist()
+    assert all(each.is_unchanged for each in scene.frames)
+    for top, front in zip(tops, fronts, strict=True):
+        labelled = np.concatenate([top.motion, front.motion]) > 0
+        instance = overlay.instance_index[overlay.points_of(top.number)]
+        assert labelled[instance >= 0].all()

@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from schemas.overlay import Overlay
+from schemas.score import SceneScore
 from schemas.transport.bucket import open_bucket
-from service.errors import UsageError
+from service.errors import NothingFoundError, UsageError
 from service.export.judging import OtherPointsError, judge
-from service.export.label_files import labels_in
 from service.export.label_import import ImportedScene, read_scenes, write_truth
+from service.export.labels.forms import form_named
 from tests.export_world import (
     FRAMES,
     LOG_ID,
@@ -47,7 +49,11 @@ def sequences(exported: tuple[ExportWorld, Path], tmp_path: Path) -> Path:
 
 
 def scenes_in(folder: Path, form: str = "semantickitti") -> list[ImportedScene]:
-    return list(read_scenes(folder, labels_in(form), form=form))
+    return list(read_scenes(folder, form_named(form), current))
+
+
+def current(scene_id: str) -> tuple[SceneScore, Overlay]:
+    raise NothingFoundError(f"no current scene {scene_id!r}")
 
 
 @pytest.mark.parametrize("form", ["semantickitti", "segments"])
@@ -107,7 +113,7 @@ def test_a_folder_of_something_else_is_refused(tmp_path: Path, sequences: Path) 
     with pytest.raises(UsageError, match="an export as semantickitti, not as segments"):
         scenes_in(sequences, "segments")
     with pytest.raises(UsageError, match="no labels of format 'mcap' are read"):
-        labels_in("mcap")
+        form_named("mcap")
 
 
 def changed(sequences: Path, **changes: object) -> None:
@@ -137,7 +143,7 @@ def test_a_broken_label_of_segments_is_refused(
     label = json.loads(path.read_text())
     del label["frames"][2]["annotations"]
     path.write_text(json.dumps(label))
-    with pytest.raises(UsageError, match=r"frame 2 is no label of Segments\.ai"):
+    with pytest.raises(UsageError, match=r"this is no label of Segments\.ai: frame 2"):
         scenes_in(folder, "segments")
 
 
@@ -178,7 +184,9 @@ def test_a_contradiction_is_judged_by_the_labels_of_its_points(sequences: Path) 
 def test_labels_of_a_replaced_log_are_not_judged(sequences: Path) -> None:
     scene = scenes_in(sequences)[0]
     other = scene.frames[0]
-    cut = type(other)(other.number, other.stamp_ns, other.topic, other.words[:-1])
+    cut = type(other)(
+        other.number, other.stamp_ns, other.topic, other.words[:-1], other.motion[:-1]
+    )
     with pytest.raises(OtherPointsError, match="39 points in the export and 40 in the overlay"):
         judge(overlay(record()), [cut])
 

@@ -1,0 +1,34 @@
+"""Labels of `semantickitti`: a `.label` file for each frame, a word for each point."""
+
+from typing import Final
+
+import numpy as np
+
+from service.errors import UsageError
+from service.export.labels.exported import ExportedFrame, ExportedScene
+from service.export.labels.finished import FinishedLabels
+from service.export.labels.form import LabelForm
+
+
+def read_frame(scene: ExportedScene, frame: ExportedFrame) -> FinishedLabels | None:
+    """Read a `.label` file; a frame without a file has no labels.
+
+    Raises:
+        UsageError: If it cannot be read, or has half a label.
+    """
+    path = scene.place / "labels" / f"{frame.number:06d}.label"
+    if not path.exists():
+        return None
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise UsageError(f"cannot read labels: {error.strerror} ({path})") from None
+    if len(data) % 4:
+        raise UsageError(f"cannot read labels: {len(data)} bytes are no whole labels ({path})")
+    return FinishedLabels.of_words(np.frombuffer(data, dtype="<u4"))
+
+
+SEMANTICKITTI_LABELS: Final = LabelForm(
+    name="semantickitti", exports=("semantickitti",), read_frame=read_frame
+)
+"""Written by any tool for SemanticKITTI."""
