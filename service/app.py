@@ -28,7 +28,6 @@ from schemas.transport.bus import is_connected, recoverable_subscriber
 from schemas.transport.router_watch import RouterWatch
 from service.api.control import Control
 from service.api.expected_versions import ExpectedVersions
-from service.api.held_leases import HeldLeases
 from service.api.history import History
 from service.api.outbox import Outbox
 from service.api.request_queue import RequestQueue
@@ -154,14 +153,6 @@ class Service:
             session, ledger, root=self._root, on_fault=partial(self.metrics.faulted, "event")
         )
         self._history = History(session, ledger, root=self._root)
-        leases = HeldLeases()
-        self._requests = RequestQueue(
-            session,
-            leases=leases,
-            names_proved=settings.locks.is_set,
-            on_outcome=self.metrics.asked,
-            on_fault=partial(self.metrics.faulted, "request"),
-        )
         self._control = Control(
             settings=mining,
             ledger=ledger,
@@ -176,7 +167,13 @@ class Service:
                 takes_any=settings.is_on_loopback,
                 known=ledger.pipeline_versions,
             ),
-            leases=leases,
+        )
+        self._requests = RequestQueue(
+            session,
+            leases=self._control.leases,
+            names_proved=settings.locks.is_set,
+            on_outcome=self.metrics.asked,
+            on_fault=partial(self.metrics.faulted, "request"),
         )
         self._webhooks = WebhookDelivery(
             ledger.webhooks,

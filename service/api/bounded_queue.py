@@ -45,7 +45,7 @@ class Waiting(Generic[Item]):
     A client that repeats a request faster than it is answered gets one reply for all of them. Work
     on that reply begins after the last of them arrived, so it is as fresh as a separate one.
 
-    Whoever floods one lane delays each other lane by one answer a turn. A full queue sends back the
+    A flood of one lane delays each other lane by one answer a turn. A full queue sends back the
     newest request of its longest lane (stochastic fairness queueing: P. McKenney, INFOCOM 1990).
     """
 

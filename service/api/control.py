@@ -83,6 +83,9 @@ class Control:
     """Answers every verb of `service.api.verbs`; what it acknowledges is on disk.
 
     Verb `x` is answered by `answer_x`, which takes the request that the row names, None for none.
+
+    Attributes:
+        leases: Leases that are known to be held.
     """
 
     def __init__(
@@ -97,12 +100,10 @@ class Control:
         on_comparison: Callable[[Comparison], None] = lambda _: None,
         causes: Sequence[str] = (),
         versions: ExpectedVersions | None = None,
-        leases: HeldLeases | None = None,
     ) -> None:
         """Keep the parts, the user's own causes of verdicts, and the callbacks.
 
-        `versions` decides which pipeline versions get leases; None: any. `leases` is told which
-        leases are held.
+        `versions` decides which pipeline versions get leases; None: any.
 
         `on_scenes` is called after each commit and each verdict, which are published then.
         `on_commit_seconds` is called with the time that the ledger took for each commit, and
@@ -110,7 +111,7 @@ class Control:
         """
         self._on_commit_seconds, self._causes = on_commit_seconds, tuple(causes)
         self._versions = versions or ExpectedVersions(takes_any=True)
-        self._on_comparison, self._leases = on_comparison, leases or HeldLeases()
+        self._on_comparison, self.leases = on_comparison, HeldLeases()
         self._settings, self._ledger, self._staging = settings, ledger, staging
         self._on_scenes, self._on_selection = on_scenes, on_selection
         self._refusals = SparseLog()
@@ -164,20 +165,20 @@ class Control:
             return ClaimReply(grant=grant)
         reply = self._ledger.claim(request)
         if not isinstance(reply.grant, NothingToDo):
-            self._leases.add(reply.grant.lease_id)
+            self.leases.add(reply.grant.lease_id)
         return reply
 
     def answer_renew(self, request: RenewRequest) -> Answer:
         """Lengthen a lease."""
         answer = self._refused(request) or self._ledger.renew(request)
-        note = self._leases.add if answer.ok else self._leases.discard
+        note = self.leases.add if answer.ok else self.leases.discard
         note(request.lease_id)
         return answer
 
     def answer_fail(self, request: FailRequest) -> Answer:
         """Take back work that failed."""
         answer = self._refused(request) or self._ledger.fail(request)
-        self._leases.discard(request.lease_id)
+        self.leases.discard(request.lease_id)
         return answer
 
     def answer_backlog(self, _: None) -> WorkBacklog:
@@ -208,7 +209,7 @@ class Control:
                 problem=answer.problem,
             )
         if answer.ok:
-            self._leases.discard(request.lease_id)
+            self.leases.discard(request.lease_id)
             self._staging.discard([entry.sha256 for entry in request.manifest])
             self._on_scenes()
         return answer
@@ -224,7 +225,7 @@ class Control:
 
     def _refused(self, request: RenewRequest | CommitRequest | FailRequest) -> Answer | None:
         """Refuse a lease that its worker was not given, before anything waits or is written."""
-        if request.lease_id in self._leases:
+        if request.lease_id in self.leases:
             return None
         problem = self._ledger.lease_problem(worker_id=request.worker_id, lease_id=request.lease_id)
         return Answer(ok=False, problem=problem) if problem else None

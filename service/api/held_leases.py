@@ -17,9 +17,9 @@ _LEASE_ID: Final = re.compile(rb'"lease_id"\s*:\s*"([0-9a-f]{32})"')
 class HeldLeases:
     """Ids of leases that were granted or renewed here, the least recently used forgotten first.
 
-    A lease's id is 128 random bits that only its worker was told, so whoever names one is that
-    worker. The set decides in which lane a request waits and if the ledger is asked for the lease
-    first, never how it is answered: after a restart a lease is unknown until its first renewal.
+    A lease's id is 128 random bits that only its worker was given, so a request that names one is
+    of that worker. The set decides in which lane a request waits and if the ledger is asked for the
+    lease first, never how it is answered: after a restart a lease is unknown until its renewal.
     """
 
     def __init__(self) -> None:

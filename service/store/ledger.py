@@ -184,17 +184,9 @@ class Ledger:
     # Leases.
 
     def resume(self) -> None:
-        """Extend held leases to a full term, once at the start of a service.
-
-        None could be renewed while no service ran.
-        """
+        """Extend held leases to a full term, once at the start: no service ran to renew them."""
         with self._store.writing() as connection:
             leases.resume(connection, now_s=self._now_s(), policy=self._policy)
-
-    def register_pipeline(self, pipeline_version: str) -> None:
-        """Register a pipeline version; the last one registered is the newest. `claim` calls it."""
-        with self._store.writing() as connection:
-            recordings.register_pipeline(connection, pipeline_version)
 
     def claim(self, request: ClaimRequest) -> ClaimReply:
         """Lease a recording to plan or a shard to mine.
@@ -227,11 +219,7 @@ class Ledger:
         return ClaimReply(grant=grant)
 
     def lease_problem(self, *, worker_id: str, lease_id: str) -> str:
-        """Return the sentence for which a worker cannot use a lease; empty: it is the worker's.
-
-        It only reads, so that requests under invented leases never wait for the disk, nor for the
-        one writer.
-        """
+        """Return why a worker cannot use a lease, by reading alone; empty: it is the worker's."""
         with self._store.reading() as connection:
             lease = leases.lease_of(connection, lease_id, worker_id=worker_id)
         return lease if isinstance(lease, str) else ""

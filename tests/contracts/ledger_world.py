@@ -28,6 +28,7 @@ from schemas.work import (
     Recording,
     Shard,
 )
+from service.store import recordings
 from service.store.engine import Store
 from service.store.ledger import LeasePolicy, Ledger
 from tests.factories import track_record
@@ -248,6 +249,11 @@ class World:
 
     def listed(self, *log_ids: str, etag: str = "a") -> None:
         self.ledger.sync_recordings([recording(log_id, etag=etag) for log_id in log_ids])
+
+    def register_pipeline(self, version: str) -> None:
+        """Make a pipeline version the newest, as the first claim of one of its workers does."""
+        with self.store.writing() as connection:
+            recordings.register_pipeline(connection, version)
 
     def claim(self, worker: str = "w1", version: str = "p1") -> PlanLease | MineLease | NothingToDo:
         request = ClaimRequest(worker_id=worker, pipeline_version=version)

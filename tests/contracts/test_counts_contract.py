@@ -280,7 +280,7 @@ class CountsContract(StoreContract):
         assert damaged() == {"truncated": 0, "unreadable": 1}
         world.mine_all()
         assert damaged() == {"truncated": 0, "unreadable": 1}
-        world.ledger.register_pipeline("p2")
+        world.register_pipeline("p2")
         assert damaged() == {"truncated": 0, "unreadable": 0}
 
     def test_the_oldest_recording_with_work_left_gives_the_age(self, world: World) -> None:

@@ -35,7 +35,7 @@ class DamagedStretchesContract(StoreContract):
         assert count() == 2 * 2, "of two logs, what planning met"
         mine("p1")
         assert count() == 2 * 4, "each shard met one more, and one that was known"
-        world.ledger.register_pipeline("p2")
+        world.register_pipeline("p2")
         assert count() == 2 * 4, "a new version forgets nothing"
         world.plan_all("p2")
         mine("p2")

@@ -494,7 +494,7 @@ class LivingBucketContract(ABC):
         past: list[dict[str, tuple[str, ...]]] = [{}]
         held: list[tuple[str, PlanLease | MineLease]] = []
         versions = ["p1"]
-        world.ledger.register_pipeline("p1")
+        world.register_pipeline("p1")
         for _ in range(250):
             log_id = f"log-{dice.randrange(3)}"
             parts = bucket.get(log_id, ())
@@ -541,7 +541,7 @@ class LivingBucketContract(ABC):
                     bucket = dict(dice.choice(past))
                 case "version":
                     versions.append(f"p{len(versions) + 1}")
-                    world.ledger.register_pipeline(versions[-1])
+                    world.register_pipeline(versions[-1])
                 case "poll":
                     assert subscriber.agrees()
             if bucket != past[-1]:

@@ -107,20 +107,19 @@ def test_a_worker_passes_a_flood_of_invented_leases() -> None:
     assert answered[: answered.index(LEASE) + 3].count(LEASE) == 2
 
 
-def control(world: World, leases: HeldLeases) -> Control:
+def control(world: World) -> Control:
     return Control(
         settings=MiningSettings(bucket="memory://", artifacts="memory://"),
         ledger=world.ledger,
         staging=Staging(),
         on_scenes=lambda: None,
         on_selection=lambda _: None,
-        leases=leases,
     )
 
 
 def test_leases_are_known_from_their_claim_until_their_end(world: World) -> None:
-    leases = HeldLeases()
-    asked = control(world, leases)
+    asked = control(world)
+    leases = asked.leases
     world.listed("a")
     grant = asked.answer_claim(ClaimRequest(worker_id="w", pipeline_version="p1")).grant
     assert isinstance(grant, PlanLease | MineLease)
@@ -143,7 +142,7 @@ def test_an_invented_lease_is_refused_without_a_writing_transaction(
         raise AssertionError("nothing is written for an invented lease")
 
     monkeypatch.setattr(Store, "write", write)
-    asked = control(world, HeldLeases())
+    asked = control(world)
     request = {"worker_id": "w", "lease_id": LEASE}
     answers = [
         asked.answer_renew(RenewRequest.model_validate(request)),
