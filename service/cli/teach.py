@@ -277,7 +277,7 @@ def train(
                 "--classes": classes != "coarse",
                 "--width": width != 8,
                 "--replay": bool(data.replay),
-                "--bfloat16": schedule.bfloat16,
+                "--bfloat16": schedule.bfloat16 and network == "flowstep3d",
             },
         )
     name = network if network in UNLABELLED else _network(network, known=_KNOWN)

@@ -116,7 +116,10 @@ class DeLORA(nn.Module):
         Returns:
             Translation, rotation and both as a matrix.
         """
-        features = self.resnet(torch.cat((image, next_image), dim=1))
+        return self.motion_of(self.resnet(torch.cat((image, next_image), dim=1)))
+
+    def motion_of(self, features: Tensor) -> Motion:
+        """Estimate the motion from (B, 1000) features of both images."""
         translation: Tensor = self.fully_connected_translation(features)
         raw: Tensor = self.fully_connected_rotation(features)
         unit = raw / raw.norm(dim=1, keepdim=True)

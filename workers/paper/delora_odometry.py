@@ -21,7 +21,9 @@ class DeLORAOdometry:
     """Poses composed of the network's motion of each pair of frames.
 
     The published chain projects twice, to an image of 2,250 columns and from that to 720; here
-    once. The network reports no confidence, so every pose is healthy.
+    once. The network reports no confidence, so every pose is healthy. Where the card names
+    refinements, the second scan is moved by the motion of the frame before, and the network
+    estimates what that leaves, as often as named.
 
     Args:
         weights: Weights of DeLORA.
@@ -30,6 +32,7 @@ class DeLORAOdometry:
     def __init__(self, weights: Stored[DeLORA, DeLORACard]) -> None:
         self._weights = weights
         card = weights.card
+        self._refinements = card.refinements
         self._profile = SensorProfile(
             name="delora",
             rows=card.rows,
@@ -55,21 +58,60 @@ class DeLORAOdometry:
     def __call__(self, frames: Iterable[LidarFrame]) -> Iterator[PosedFrame]:
         """Yield each frame with its pose, in order; the first is the origin."""
         torch.set_num_threads(1)  # a worker owns one core, and sums keep their order
-        odom_from_sensor = np.eye(4)
+        odom_from_sensor, motion = np.eye(4), np.eye(4)
         before: torch.Tensor | None = None
         for frame in frames:
-            image = torch.from_numpy(self.image(frame))[None]
             if before is not None:
-                with torch.inference_mode():
-                    motion = self._weights.net(before, image)
-                moved = motion.this_from_next[0].numpy().astype(np.float64)
-                odom_from_sensor = odom_from_sensor @ _rigid(moved)
-            before = image
+                motion = self._motion(before, frame, motion)
+                odom_from_sensor = odom_from_sensor @ motion
+            before = torch.from_numpy(self.image(frame))[None]
             yield PosedFrame(frame, odom_from_sensor.copy())
 
-    def image(self, frame: LidarFrame) -> NDArray[np.float32]:
-        """Project a frame to the network's input: (4, H, W) x, y, z and range, zero where empty."""
-        return image_of(frame.points_m, self._profile, valid_mask=frame.valid_mask)[0]
+    def _motion(
+        self, before: torch.Tensor, frame: LidarFrame, last: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Estimate the motion to a frame, (4, 4), from the image and the motion before it."""
+        motion = last if self._refinements else np.eye(4)
+        for _ in range(max(self._refinements, 1)):
+            image = torch.from_numpy(self.image(frame, motion if self._refinements else None))[None]
+            motion = self._estimate(before, image) @ motion
+        return motion
+
+    def _estimate(self, before: torch.Tensor, image: torch.Tensor) -> NDArray[np.float64]:
+        """Estimate the motion between two images, (4, 4); with refinements the mean of both ways.
+
+        An error that does not depend on the order of the images would add up over refinements.
+        """
+        if not self._refinements:
+            with torch.inference_mode():
+                found = self._weights.net(before, image).this_from_next.numpy()
+            return _rigid(found[0].astype(np.float64))
+        with torch.inference_mode():
+            both = self._weights.net(torch.cat((before, image)), torch.cat((image, before)))
+        there, back = both.this_from_next.numpy().astype(np.float64)
+        return _rigid((there + np.linalg.inv(back)) / 2)
+
+    def image(
+        self, frame: LidarFrame, motion: NDArray[np.float64] | None = None
+    ) -> NDArray[np.float32]:
+        """Project a frame to the network's input.
+
+        Args:
+            frame: The frame.
+            motion: (4, 4) moves its points before; None: they are projected as measured.
+
+        Returns:
+            (4, H, W) x, y, z and range, metres, zero where empty.
+        """
+        points_m = frame.points_m if motion is None else moved(frame.points_m, motion)
+        return image_of(points_m, self._profile, valid_mask=frame.valid_mask)[0]
+
+
+def moved(points_m: Points, motion: NDArray[np.float64]) -> Points:
+    """Return (N, 3) points under a (4, 4) motion, in single precision."""
+    turn, shift = motion[:3, :3].astype(np.float32), motion[:3, 3].astype(np.float32)
+    answer: Points = points_m @ turn.T + shift
+    return answer
 
 
 def image_of(

@@ -57,6 +57,13 @@ class DeLORACard(Card):
     columns: int = Field(ge=64, le=8192, description="Width of the range image.")
     fov_up_deg: float = Field(description="Upper edge of the vertical field of view.")
     fov_down_deg: float = Field(description="Its lower edge, below the horizon negative.")
+    refinements: int = Field(
+        default=0,
+        ge=0,
+        le=16,
+        description="Estimates of what a motion leaves, beginning with the motion before; 0: one "
+        "estimate from the scans as measured, as published.",
+    )
 
     def build(self, form: Form = Form.CORRECTED) -> DeLORA:
         """Build the network, with random parameters."""

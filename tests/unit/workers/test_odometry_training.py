@@ -2,12 +2,16 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
 import torch
+from scipy.spatial import cKDTree
+from torch import nn
 
 from tests import factories
+from workers.checkpoints.stored_weights import save
 from workers.lab.datasets.frame_files import Pair, pairs_of
 from workers.lab.datasets.normal_scans import (
     NormalScan,
@@ -15,19 +19,21 @@ from workers.lab.datasets.normal_scans import (
     patch_normals,
     scans_of_streets,
 )
-from workers.lab.training import loop
+from workers.lab.training import loop, odometry
 from workers.lab.training.errors import TrainingDivergedError
-from workers.lab.training.odometry import (
-    OdometryLearner,
+from workers.lab.training.known_motion import (
+    LEVER_M,
+    begin_at_rest,
     drawn_motion,
-    moved,
-    published_settings,
-    train_odometry,
+    known_motion_loss,
+    motion_errors,
 )
+from workers.lab.training.odometry import OdometryLearner, published_settings, train_odometry
 from workers.lab.training.odometry_loss import Surface, alignment_loss, identity_loss
 from workers.lab.training.run_state import Progress
 from workers.lab.training.settings import TrainingSettings
-from workers.paper.delora_odometry import DeLORAOdometry
+from workers.paper.delora import DeLORA, Motion, matrix
+from workers.paper.delora_odometry import DeLORAOdometry, image_of, moved
 from workers.paper.weights import DeLORACard, load_delora
 
 SETTINGS = TrainingSettings(steps=3, batch=1, scorings=3, peak_rate=1e-4)
@@ -118,18 +124,141 @@ def test_the_losses_vanish_for_the_true_motion_and_lead_to_it() -> None:
     assert float(identity_loss(moved_by[None])) > 0
 
 
-def test_a_further_motion_moves_points_and_turns_normals(pairs: list[Pair]) -> None:
-    scan = NormalScan.read(pairs[0].first)
-    further = drawn_motion(np.random.default_rng(2))
-    found = moved(scan, further)
-    expected = scan.points_m @ further[:3, :3].T + further[:3, 3]
-    np.testing.assert_allclose(found.points_m, expected, atol=1e-4)
-    lengths = np.linalg.norm(found.normals[found.normals.any(axis=1)], axis=1)
-    np.testing.assert_allclose(lengths, 1, atol=1e-4)
+def _scans(pair: Pair) -> tuple[Surface, Surface, torch.Tensor]:
+    """Both surfaces of a pair, and its true motion."""
+    first, second = NormalScan.read(pair.first), NormalScan.read(pair.second)
+    surfaces = []
+    for scan in (first, second):
+        known = scan.normals.any(axis=1)
+        surfaces.append(
+            Surface(torch.from_numpy(scan.points_m[known]), torch.from_numpy(scan.normals[known]))
+        )
+    true = np.linalg.inv(first.odom_from_sensor) @ second.odom_from_sensor
+    return surfaces[0], surfaces[1], torch.from_numpy(true.astype(np.float32))
 
 
-def test_random_weights_first_fit_the_identity_and_given_ones_do_not(pairs: list[Pair]) -> None:
-    settings = replace(SETTINGS, steps=40)
+@pytest.fixture(scope="module")
+def dense(tmp_path_factory: pytest.TempPathFactory) -> Pair:
+    """Two scans of a moving car; a coarse scan is its rings, which rest with the sensor."""
+    folder = tmp_path_factory.mktemp("dense") / "streets"
+    options = {"streets": 1, "columns": 1024, "firings": 1024}
+    return pairs_of(scans_of_streets(folder, sensors=["pandar64"], seed=5, **options))[0]  # type: ignore[arg-type]
+
+
+def test_the_published_loss_of_a_dense_street_is_least_at_the_true_motion(dense: Pair) -> None:
+    this, following, true = _scans(dense)
+    assert float(true[:3, 3].norm()) > 0.3
+    right = alignment_loss(this, following, true)
+    for other in (torch.eye(4), torch.linalg.inv(true), true @ true):
+        assert float(alignment_loss(this, following, other).total) > 1.1 * float(right.total)
+
+
+def test_a_moved_scan_lies_on_the_one_before(dense: Pair) -> None:
+    first, second = NormalScan.read(dense.first), NormalScan.read(dense.second)
+    true = np.linalg.inv(first.odom_from_sensor) @ second.odom_from_sensor
+    there = moved(second.points_m, true)
+    np.testing.assert_allclose(
+        there, second.points_m @ true[:3, :3].T + true[:3, 3], atol=1e-3, rtol=0
+    )
+    # the rings on the road rest with the sensor, walls do not
+    wall = second.normals.any(axis=1) & (np.abs(second.normals[:, 2]) < 0.3)
+    tree, known = cKDTree(first.points_m), first.normals
+    off = []
+    for points in (there[wall], second.points_m[wall], moved(there[wall], true)):
+        partner = tree.query(points)[1]
+        off.append(np.abs(((points - first.points_m[partner]) * known[partner]).sum(axis=1)).mean())
+    assert off[0] < 0.7 * min(off[1:])
+
+
+@pytest.mark.parametrize(("refinements", "expected_m"), [(0, (0.1, 0.2)), (2, (0.0, 0.0))])
+def test_with_refinements_an_error_that_is_the_same_in_both_orders_cancels(
+    tmp_path: Path, dense: Pair, refinements: int, expected_m: tuple[float, float]
+) -> None:
+    net = DeLORA()
+    with torch.no_grad():
+        for each in net.parameters():
+            each.zero_()
+        cast(nn.Linear, net.fully_connected_translation[-1]).bias[0] = 0.1
+        cast(nn.Linear, net.fully_connected_rotation[-1]).bias[3] = 1.0
+    card = CARD.model_copy(update={"refinements": refinements})
+    save(tmp_path / "delora.safetensors", net.state_dict(), card)
+    found = DeLORAOdometry.load(tmp_path)
+    frame = factories.frame(NormalScan.read(dense.first).points_m)
+    poses = [posed.odom_from_sensor for posed in found([frame] * 3)]
+    np.testing.assert_allclose([each[0, 3] for each in poses], (0, *expected_m), atol=1e-6)
+    motion = factories.pose(0.4, 0.1, 0.02)
+    ahead = factories.frame(moved(frame.points_m, motion))
+    np.testing.assert_array_equal(found.image(frame, motion), found.image(ahead))
+
+
+def test_the_error_of_a_known_motion_is_metres_and_angles_at_a_distance() -> None:
+    angle = np.radians(0.5)
+    half = np.sin(angle / 2)
+    found = matrix(
+        torch.tensor([[0.1, 0.0, -0.2]]),
+        torch.tensor([[0.0, 0.0, half, np.cos(angle / 2)]], dtype=torch.float32),
+    )
+    expected = torch.eye(4)[None].clone()
+    expected[0, 0, 3] = 0.3
+    shift, turn = motion_errors(found, expected)
+    torch.testing.assert_close(shift, torch.tensor([[-0.2, 0.0, -0.2]]))
+    torch.testing.assert_close(turn, torch.tensor([[0.0, 0.0, np.sin(angle)]]).float())
+    loss = known_motion_loss(Motion(found[:, :3, 3], torch.empty(1, 4), found), expected)
+    assert float(loss) == pytest.approx(0.4 + LEVER_M * np.sin(angle), rel=1e-4)
+
+
+def test_motions_are_drawn_from_a_centimetre_to_a_metre() -> None:
+    rng = np.random.default_rng(2)
+    drawn = np.stack([drawn_motion(rng) for _ in range(2000)])
+    ahead = np.abs(drawn[:, 0, 3])
+    assert np.quantile(ahead, 0.2) < 0.05
+    assert np.quantile(ahead, 0.95) > 0.5
+    assert ahead.mean() > 3 * np.abs(drawn[:, 1, 3]).mean()
+    np.testing.assert_allclose(np.linalg.det(drawn[:, :3, :3]), 1, atol=1e-9)
+
+
+def _change_by(motion_m: float, net: DeLORA, pair: Pair) -> float:
+    """How far 0.4 m change the features, in spreads of a feature."""
+    first = NormalScan.read(pair.first)
+    profile = odometry.profile_of(CARD)
+    images = [
+        torch.from_numpy(image_of(moved(first.points_m, factories.pose(each, 0, 0)), profile)[0])
+        for each in (0.0, motion_m)
+    ]
+    with torch.inference_mode():
+        still, there = (net.resnet(torch.cat((images[0], each))[None]) for each in images)
+    return float((there - still).std() / still.std())
+
+
+def test_a_network_begins_at_rest_and_sees_motion(pairs: list[Pair]) -> None:
+    torch.manual_seed(1)
+    drawn = DeLORA().eval()
+    net = DeLORA().eval()
+    begin_at_rest(net)
+    learner = OdometryLearner(pairs, {"street": pairs}, CARD, SETTINGS)
+    learner.net.eval()
+    _, found = learner.scores()
+    assert found["street loss"] == pytest.approx(found["street loss of no motion"], rel=0.5)
+    assert _change_by(0.4, net, pairs[0]) > 3 * _change_by(0.4, drawn, pairs[0])
+
+
+def test_one_batch_of_added_motions_is_learnt_by_heart(pairs: list[Pair]) -> None:
+    torch.manual_seed(1)
+    settings = replace(SETTINGS, batch=4)
+    learner = OdometryLearner(pairs[:1], {}, CARD, settings)
+    optimiser = torch.optim.Adam(learner.net.parameters(), lr=1e-4)
+    losses = []
+    for _ in range(40):
+        loss = learner.loss(np.random.default_rng(4))
+        optimiser.zero_grad()
+        torch.autograd.backward(loss)
+        optimiser.step()
+        losses.append(float(loss.detach()))
+    assert losses[-1] < 0.6 * losses[0]
+
+
+def test_only_published_random_weights_first_fit_the_identity(pairs: list[Pair]) -> None:
+    settings = replace(SETTINGS, published=True, epoch=2)
     torch.manual_seed(1)
     learner = OdometryLearner(pairs, {}, CARD, settings)
     losses = []
@@ -140,6 +269,16 @@ def test_random_weights_first_fit_the_identity_and_given_ones_do_not(pairs: list
     going_on = OdometryLearner(pairs, {}, CARD, settings, learner.net.state_dict())
     going_on.start_step(1)
     assert going_on.loss(np.random.default_rng(5)).item() == losses[1]
+
+
+def test_published_weights_are_scored_by_the_published_loss(pairs: list[Pair]) -> None:
+    learner = OdometryLearner(pairs, {"street": pairs}, CARD, replace(SETTINGS, published=True))
+    learner.net.eval()
+    _, found = learner.scores()
+    this, following, _ = _scans(pairs[0])
+    assert set(found) == {"street loss", "street loss of no motion"}
+    still = float(alignment_loss(this, following, torch.eye(4)).total)
+    assert 0.2 * still < found["street loss of no motion"] < 5 * still
 
 
 def test_the_published_schedule_follows_from_the_pairs() -> None:
@@ -179,7 +318,7 @@ def test_a_killed_run_goes_on_to_the_same_weights_which_odometry_runs(
 
 
 def test_the_loss_of_a_known_street_falls(tmp_path: Path, pairs: list[Pair]) -> None:
-    settings = replace(SETTINGS, steps=40, scorings=2, peak_rate=5e-4)
+    settings = replace(SETTINGS, steps=40, batch=4, scorings=2, peak_rate=1e-4)
     done = train_odometry(
         *(pairs[:1], {"street": pairs[:1]}, CARD, settings), out=tmp_path / "delora.safetensors"
     )
@@ -192,7 +331,7 @@ def test_a_loss_that_is_not_a_number_keeps_the_last_good_weights(
 ) -> None:
     out = tmp_path / "delora.safetensors"
     settings = replace(SETTINGS, steps=6, scorings=6, peak_rate=1e-4)
-    learner_nan = replace(settings, peak_rate=1e30)
+    learner_nan = replace(settings, peak_rate=1e37)
     train_odometry(pairs, {}, CARD, settings, out=out)
     with pytest.raises(TrainingDivergedError, match="is not a number"):
         train_odometry(pairs, {}, CARD, learner_nan, out=out)

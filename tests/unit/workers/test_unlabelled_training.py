@@ -81,3 +81,16 @@ def test_frames_that_are_too_few_for_a_pair_are_one_sentence(logs: str, tmp_path
     mining = MiningSettings(bucket=logs, artifacts="memory://")
     with pytest.raises(TrainingDataError, match="no frame gives pairs of enough points"):
         teach(OdometryTask(), data, mining, SETTINGS, out=tmp_path, origin=ORIGIN)
+
+
+def test_of_streets_alone_the_last_ones_judge(tmp_path: Path) -> None:
+    data = DataSettings(bucket="", streets=2, sensors=("hdl32",), columns=180)
+    mining = MiningSettings(bucket="memory://", artifacts="memory://")
+    settings = TrainingSettings(steps=1, batch=1, scorings=1)
+    taught = teach(GroundTask(), data, mining, settings, out=tmp_path, origin=ORIGIN)
+    card = GroundTask().load(taught.path).card
+    assert (card.training["streets"], card.training["held_out"]) == (
+        "7 clouds of 2 streets",
+        "1 clouds",
+    )
+    assert set(card.scores) == {"simulated streets height error m"}

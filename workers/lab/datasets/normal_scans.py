@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import Points
-from schemas.frame import LidarFrame, PosedFrame
+from schemas.arrays import Points, Transform
+from schemas.frame import LidarFrame, OdometryState, PosedFrame
 from schemas.mining import MiningSettings
 from schemas.transport.bucket import Bucket
 from workers.lab.datasets.frame_files import (
@@ -27,6 +27,7 @@ from workers.lab.datasets.frame_files import (
 from workers.lab.datasets.learnt_clouds import Stretch
 from workers.lab.simulation.sensor.sensors import SensorName
 from workers.lidar.range_image import SensorProfile, project
+from workers.parts.registry import build_odometry
 
 PATCH: Final = (7, 11)
 """Rows and columns of the patch of a normal, published."""
@@ -57,14 +58,19 @@ class NormalScan:
         points_m: (N, 3) float32, sensor space, metres.
         normals: (N, 3) float32 of length 1 towards the sensor; zero where there is none.
         fov_deg: Upper and lower edge of the scan, degrees.
+        odom_from_sensor: (4, 4) pose by odometry, or of the simulation; the identity where the
+            training needs none.
     """
 
     points_m: Points
     normals: NDArray[np.float32]
     fov_deg: tuple[float, float]
+    odom_from_sensor: Transform
 
     @classmethod
-    def of(cls, frame: LidarFrame, *, columns: int) -> "NormalScan | None":
+    def of(
+        cls, frame: LidarFrame, *, columns: int, odom_from_sensor: Transform | None = None
+    ) -> "NormalScan | None":
         """Project a frame and find its normals; None where there are too few."""
         up, down = field_of_view(frame.points_m[frame.valid_mask])
         if up <= down:
@@ -78,18 +84,26 @@ class NormalScan:
         places[seen] = frame.points_m[image.index[seen]]
         normals = patch_normals(places, seen)[seen]
         enough = np.count_nonzero(normals.any(axis=1)) >= FEWEST_POINTS
-        return cls(places[seen], normals, (up, down)) if enough else None
+        pose = np.eye(4) if odom_from_sensor is None else odom_from_sensor
+        return cls(places[seen], normals, (up, down), pose) if enough else None
 
     @classmethod
     def read(cls, path: Path) -> "NormalScan":
         """Read a scan that this file wrote."""
         with np.load(path) as stored:
             up, down = stored["fov_deg"].tolist()
-            return cls(stored["points_m"], stored["normals"], (up, down))
+            pose = stored["odom_from_sensor"]
+            return cls(stored["points_m"], stored["normals"], (up, down), pose)
 
     def write(self, path: Path) -> None:
         """Write the scan to an `.npz` file."""
-        np.savez(path, points_m=self.points_m, normals=self.normals, fov_deg=self.fov_deg)
+        np.savez(
+            path,
+            points_m=self.points_m,
+            normals=self.normals,
+            fov_deg=self.fov_deg,
+            odom_from_sensor=self.odom_from_sensor,
+        )
 
 
 def field_of_view(points_m: Points) -> tuple[float, float]:
@@ -159,6 +173,7 @@ def scans_of_stretch(
     settings: MiningSettings,
     *,
     columns: int,
+    posed: bool,
     on_frame: Callable[[], None] = lambda: None,
 ) -> list[Path]:
     """Write the scans of a stretch of a log, or list those of an earlier run, in order of time.
@@ -167,16 +182,26 @@ def scans_of_stretch(
         folder: Folder of these scans alone.
         bucket: Bucket of the log.
         stretch: The stretch.
-        settings: Ingest settings.
+        settings: Ingest settings, and the odometry.
         columns: Columns of the image in which normals are found.
+        posed: Pose the scans by that odometry; a scan whose pose is lost is left out.
         on_frame: Called with each frame.
     """
 
     def build() -> Numbered:
-        # no pose is needed: the network learns it
-        unposed = (PosedFrame(f, np.eye(4)) for f in stretch_frames(bucket, stretch, settings))
-        for number, posed in chosen(unposed, stretch, on_frame):
-            yield number, NormalScan.of(posed.frame, columns=columns)
+        frames = stretch_frames(bucket, stretch, settings)
+        known = (
+            build_odometry(settings.odometry)(frames)
+            if posed
+            else (PosedFrame(frame, np.eye(4)) for frame in frames)
+        )
+        for number, each in chosen(known, stretch, on_frame):
+            lost = each.odometry is OdometryState.LOST
+            pose = each.odom_from_sensor
+            yield (
+                number,
+                None if lost else NormalScan.of(each.frame, columns=columns, odom_from_sensor=pose),
+            )
 
     return made_once(folder, build)
 
@@ -208,6 +233,11 @@ def scans_of_streets(
             streets=streets, sensors=sensors, seed=seed, columns=firings, on_window=on_window
         ):
             for number, cloud in enumerate(clouds, start=first):
-                yield number, NormalScan.of(cloud.frame, columns=columns)
+                yield (
+                    number,
+                    NormalScan.of(
+                        cloud.frame, columns=columns, odom_from_sensor=cloud.world_from_sensor
+                    ),
+                )
 
     return made_once(folder, build) if streets else []

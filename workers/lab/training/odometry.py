@@ -1,4 +1,4 @@
-"""Training of DeLORA on pairs of scans, by its published losses: no truth is needed."""
+"""Training of DeLORA on pairs of scans without truth: by its published losses, or added motion."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -8,23 +8,32 @@ from typing import Final
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 from torch import Tensor
+from torch.nn.utils import clip_grad_norm_
 
 from workers.lab.datasets.frame_files import Pair
 from workers.lab.datasets.normal_scans import NormalScan
 from workers.lab.training.kept_weights import train_kept
+from workers.lab.training.known_motion import (
+    begin_at_rest,
+    drawn_motion,
+    known_motion_loss,
+    motion_errors,
+)
 from workers.lab.training.loop import Schedule
 from workers.lab.training.odometry_loss import Surface, alignment_loss, identity_loss
 from workers.lab.training.run_state import Progress
 from workers.lab.training.settings import TrainingSettings
 from workers.lidar.range_image import SensorProfile
 from workers.paper.delora import Motion
-from workers.paper.delora_odometry import image_of
+from workers.paper.delora_odometry import image_of, moved
 from workers.paper.weights import DeLORACard
 
 PEAK_RATE: Final = 1e-4
 """Highest learning rate, unless it is named."""
+
+REFINEMENTS: Final = 3
+"""Estimates of a motion in use, each of what the last left, unless published."""
 
 PUBLISHED_RATE: Final = 1e-5
 PUBLISHED_EPOCHS: Final = 100
@@ -37,22 +46,11 @@ PUBLISHED_SIZE: Final = (64, 720)
 MOST_JUDGED: Final = 16
 """Held-out pairs scored at most."""
 
-FARTHER_M: Final = 1.5
-TURN_DEG: Final = 3.0
-"""Largest further motion of the second scan along x, and its largest turn, unless published."""
+_LARGEST_STEP: Final = 1.0
+"""Largest norm of all gradients together, unless published: one pair does not undo others."""
 
-_ASIDE: Final = 0.1
-"""Largest further motion along y and z, as a share of that along x: a car drives ahead."""
-
-_LEARNT_POINTS: Final = 4096
-"""Points of the second scan that look for a partner in a step."""
-
-_IDENTITY_SHARE: Final = 0.05
-"""Share of the steps that fit the identity, in place of the published first epoch."""
-
-_CALM: Final = 0.05
-"""Factor on the first kernel's random weights unless published: its inputs are metres, and a tanh
-of tens of metres has no gradient."""
+_JUDGED_SEED: Final = 7
+"""Seed of the motions added to held-out pairs, the same in each scoring."""
 
 
 def published_settings(settings: TrainingSettings, *, pairs: int, epochs: int) -> TrainingSettings:
@@ -81,28 +79,8 @@ class Scan:
     surface: Surface
 
 
-def moved(scan: NormalScan, further: NDArray[np.float64]) -> NormalScan:
-    """Return a scan as it looks from a sensor that moved farther; what it hid is missing.
-
-    Args:
-        scan: The scan.
-        further: (4, 4) maps its points into the space of the moved sensor.
-    """
-    turn = further[:3, :3].astype(np.float32)
-    return NormalScan(
-        scan.points_m @ turn.T + further[:3, 3].astype(np.float32),
-        scan.normals @ turn.T,
-        scan.fov_deg,
-    )
-
-
-def drawn_motion(rng: np.random.Generator) -> NDArray[np.float64]:
-    """Draw the further motion of a car within a frame: ahead or back, hardly aside, some turn."""
-    further = np.eye(4)
-    angles = rng.uniform(-TURN_DEG, TURN_DEG, 3) * (1.0, _ASIDE, _ASIDE)
-    further[:3, :3] = Rotation.from_euler("zyx", angles, degrees=True).as_matrix()
-    further[:3, 3] = rng.uniform(-FARTHER_M, FARTHER_M, 3) * (1.0, _ASIDE, _ASIDE)
-    return further
+Images = tuple[NDArray[np.float32], NDArray[np.float32]]
+"""(4, H, W) inputs of the network of both scans."""
 
 
 class OdometryLearner:
@@ -113,7 +91,8 @@ class OdometryLearner:
         judged: Held-out pairs, by log.
         card: Card of the network.
         settings: The schedule.
-        initial: Parameters to continue from; None: random ones, which first fit the identity.
+        initial: Parameters to continue from; None: random ones. By the published schedule these
+            first fit the identity, otherwise they begin near it.
     """
 
     name = "delora"
@@ -133,62 +112,109 @@ class OdometryLearner:
         self.net = card.build()
         if initial is not None:
             self.net.load_state_dict(initial)
+        elif settings.published:
+            self._identity = settings.epoch
         else:
-            share = round(_IDENTITY_SHARE * settings.steps)
-            self._identity = settings.epoch if settings.published else share
-            if not settings.published:
-                with torch.no_grad():
-                    self.net.resnet.conv1.weight.mul_(_CALM)
+            begin_at_rest(self.net)
         self.net.to(settings.device)
 
     def start_step(self, step: int) -> None:
-        """Fit the identity in the first steps from random weights, as published."""
+        """Fit the identity in the first epoch from random weights, as published."""
         self._fits_identity = step <= self._identity
 
     def loss(self, rng: np.random.Generator) -> Tensor:
-        """Draw pairs and compute the published losses."""
-        pairs = []
-        for _ in range(self._settings.batch):
-            pair = self._pairs[int(rng.integers(len(self._pairs)))]
-            first, second = NormalScan.read(pair.first), NormalScan.read(pair.second)
-            if not self._settings.published:
-                second = moved(second, drawn_motion(rng))
-            pairs.append((self._seen(first), self._seen(second)))
-        motion = self._motion(pairs)
-        if self._fits_identity:
-            return identity_loss(motion.this_from_next)
-        losses = []
-        for (this, following), this_from_next in zip(pairs, motion.this_from_next, strict=True):
-            chosen = following.surface
-            if not self._settings.published:
-                number = min(_LEARNT_POINTS, len(chosen.points_m))
-                index = torch.from_numpy(rng.choice(len(chosen.points_m), number, replace=False))
-                chosen = Surface(chosen.points_m[index], chosen.normals[index])
-            losses.append(alignment_loss(this.surface, self._on(chosen), this_from_next).total)
-        return torch.stack(losses).mean()
+        """Draw pairs and compute the published losses, or that of an added motion."""
+        number = self._settings.batch
+        pairs = [self._pairs[int(rng.integers(len(self._pairs)))] for _ in range(number)]
+        if self._settings.published:
+            return self._published_loss([self._scans(each) for each in pairs])
+        compared = [
+            _either_way(*self._compared(*self._read(each), drawn_motion(rng)), rng=rng)
+            for each in pairs
+        ]
+        images, expected = zip(*compared, strict=True)
+        return known_motion_loss(self._motion(images), self._stacked(expected)).mean()
 
     def scores(self) -> tuple[float, dict[str, float]]:
-        """Return the negative mean loss of held-out pairs; and by log, with that of no motion."""
+        """Return the negative mean loss of held-out pairs, and by log; with that of no motion.
+
+        Unless published, the figures are those of motions added to the pairs, and the errors of one
+        estimate in metres and degrees.
+        """
         scores: dict[str, float] = {}
         losses: list[float] = []
-        still = torch.eye(4, device=self._settings.device)
+        judge = self._published_scores if self._settings.published else self._added_scores
         for name, pairs in self._judged.items():
-            found = []
-            for pair in pairs:
-                this = self._seen(NormalScan.read(pair.first))
-                following = self._seen(NormalScan.read(pair.second))
-                with torch.inference_mode():
-                    motion = self._motion([(this, following)]).this_from_next[0]
-                    found.append(
-                        [
-                            float(alignment_loss(this.surface, following.surface, each).total)
-                            for each in (motion, still)
-                        ]
-                    )
-            loss, without = np.mean(found, axis=0).tolist()
-            scores |= {f"{name} loss": loss, f"{name} loss of no motion": without}
-            losses.append(loss)
+            with torch.inference_mode():
+                found = judge(pairs)
+            scores |= {f"{name} {what}": value for what, value in found.items()}
+            losses.append(found["loss"])
         return (-float(np.mean(losses)) if losses else float("nan")), scores
+
+    def _published_loss(self, pairs: Sequence[tuple[Scan, Scan]]) -> Tensor:
+        motion = self._motion([(this.image, following.image) for this, following in pairs])
+        if self._fits_identity:
+            return identity_loss(motion.this_from_next)
+        losses = [
+            alignment_loss(this.surface, following.surface, this_from_next).total
+            for (this, following), this_from_next in zip(pairs, motion.this_from_next, strict=True)
+        ]
+        return torch.stack(losses).mean()
+
+    def _published_scores(self, pairs: Sequence[Pair]) -> dict[str, float]:
+        """Return the mean published loss of pairs as measured, and that of no motion."""
+        still, found = torch.eye(4, device=self._settings.device), []
+        for pair in pairs:
+            this, following = self._scans(pair)
+            motion = self._motion([(this.image, following.image)]).this_from_next[0]
+            found.append(
+                [
+                    float(alignment_loss(this.surface, following.surface, each).total)
+                    for each in (motion, still)
+                ]
+            )
+        loss, without = np.mean(found, axis=0).tolist()
+        return {"loss": loss, "loss of no motion": without}
+
+    def _added_scores(self, pairs: Sequence[Pair]) -> dict[str, float]:
+        """Return the mean loss of motions added to pairs, that of none, and the mean errors."""
+        rng, found = np.random.default_rng(_JUDGED_SEED), []
+        for pair in pairs:
+            images, back = self._compared(*self._read(pair), drawn_motion(rng))
+            expected = self._stacked([back])
+            motion = self._motion([images])
+            still = replace(motion, this_from_next=torch.eye(4).to(expected)[None])
+            shift, turn = motion_errors(motion.this_from_next, expected)
+            found.append(
+                [
+                    float(known_motion_loss(motion, expected)),
+                    float(known_motion_loss(still, expected)),
+                    float(shift.norm()),
+                    float(torch.rad2deg(turn.norm())),
+                ]
+            )
+        names = ("loss", "loss of no motion", "error m", "error deg")
+        return dict(zip(names, np.mean(found, axis=0).tolist(), strict=True))
+
+    def _read(self, pair: Pair) -> tuple[NormalScan, NormalScan]:
+        return NormalScan.read(pair.first), NormalScan.read(pair.second)
+
+    def _scans(self, pair: Pair) -> tuple[Scan, Scan]:
+        first, second = self._read(pair)
+        return self._seen(first), self._seen(second)
+
+    def _compared(
+        self, first: NormalScan, second: NormalScan, further: NDArray[np.float64]
+    ) -> tuple[Images, NDArray[np.float64]]:
+        """Return both images, the second moved by its pose and further, and the motion back."""
+        guess = np.linalg.inv(first.odom_from_sensor) @ second.odom_from_sensor
+        there = moved(second.points_m, further @ guess)
+        images = image_of(first.points_m, self._profile)[0], image_of(there, self._profile)[0]
+        back = np.asarray(np.linalg.inv(further), np.float64)
+        return images, back
+
+    def _stacked(self, motions: Sequence[NDArray[np.float64]]) -> Tensor:
+        return torch.from_numpy(np.stack(motions).astype(np.float32)).to(self._settings.device)
 
     def _seen(self, scan: NormalScan) -> Scan:
         image, index = image_of(scan.points_m, self._profile)
@@ -203,13 +229,26 @@ class OdometryLearner:
         device = self._settings.device
         return Surface(surface.points_m.to(device), surface.normals.to(device))
 
-    def _motion(self, pairs: Sequence[tuple[Scan, Scan]]) -> Motion:
-        images = [
-            torch.from_numpy(np.stack([each.image for each in scans])).to(self._settings.device)
-            for scans in zip(*pairs, strict=True)
-        ]
-        motion: Motion = self.net(*images)
+    def _motion(self, pairs: Sequence[Images]) -> Motion:
+        first, second = (
+            torch.from_numpy(np.stack(images)).to(self._settings.device)
+            for images in zip(*pairs, strict=True)
+        )
+        settings = self._settings
+        halved = settings.bfloat16 and self.net.training
+        with torch.autocast(settings.device, torch.bfloat16, enabled=halved):
+            features = self.net.resnet(torch.cat((first, second), dim=1))
+        motion: Motion = self.net.motion_of(features.float())
         return motion
+
+
+def _either_way(
+    images: Images, expected: NDArray[np.float64], *, rng: np.random.Generator
+) -> tuple[Images, NDArray[np.float64]]:
+    """Exchange the images of every other pair: in use a motion is estimated both ways."""
+    if rng.random() < 0.5:
+        return images, expected
+    return (images[1], images[0]), np.asarray(np.linalg.inv(expected), np.float64)
 
 
 def profile_of(card: DeLORACard) -> SensorProfile:
@@ -236,7 +275,8 @@ def train_odometry(
 ) -> Progress:
     """Run the schedule, writing weights after each scoring that is the best so far.
 
-    Adam at a constant rate as published; otherwise the rate rises and falls once.
+    Adam at a constant rate as published; otherwise the rate rises and falls once, and the norm of
+    the gradient is bounded.
 
     Args:
         pairs: Pairs to learn from.
@@ -244,7 +284,7 @@ def train_odometry(
         card: Card of the weights; scores and curve are added.
         settings: The schedule.
         out: The `.safetensors` file.
-        initial: Parameters to continue from; None: random ones, which first fit the identity.
+        initial: Parameters to continue from; None: random ones.
         state: File to go on from after a kill; None: none.
         on_step: Called with the number of steps done.
 
@@ -260,6 +300,7 @@ def train_odometry(
     if settings.published:
         rates = torch.optim.lr_scheduler.ConstantLR(optimiser, factor=1.0)
     else:
+        optimiser.register_step_pre_hook(lambda *_: _bound_gradients(learner.net))
         rates = torch.optim.lr_scheduler.OneCycleLR(
             optimiser, max_lr=settings.peak_rate, total_steps=settings.steps, pct_start=0.15
         )
@@ -272,3 +313,7 @@ def train_odometry(
         state=state,
         on_step=on_step,
     )
+
+
+def _bound_gradients(net: torch.nn.Module) -> None:
+    clip_grad_norm_(net.parameters(), _LARGEST_STEP)

@@ -19,11 +19,12 @@ from workers.lab.datasets.ground_clouds import (
 from workers.lab.datasets.learnt_clouds import Stretch
 from workers.lab.training.data import MOST_HELD_OUT, DataSettings
 from workers.lab.training.elevation import (
-    OPTIMISER,
     PUBLISHED_EPOCHS,
     PUBLISHED_EVERY,
     PUBLISHED_TILT_DEG,
     TILT_DEG,
+    loss_in_words,
+    optimiser_in_words,
     published_settings,
     train_ground,
 )
@@ -108,7 +109,8 @@ class GroundTask:
             attribution="",
             data_license="",
             training={
-                "optimiser": OPTIMISER,
+                "optimiser": optimiser_in_words(published=self.published),
+                "loss": loss_in_words(published=self.published),
                 "tilt_deg": PUBLISHED_TILT_DEG if self.published else TILT_DEG,
             },
         )

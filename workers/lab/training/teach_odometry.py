@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from torch import Tensor
 
@@ -24,6 +25,7 @@ from workers.lab.training.odometry import (
     PUBLISHED_EPOCHS,
     PUBLISHED_FOV_DEG,
     PUBLISHED_SIZE,
+    REFINEMENTS,
     published_settings,
     train_odometry,
 )
@@ -33,6 +35,12 @@ from workers.paper.delora import DeLORA
 from workers.paper.weights import DeLORACard, load_delora
 
 _ROWS, _COLUMNS = PUBLISHED_SIZE
+
+LOSSES: Final = {
+    True: "point-to-plane and plane-to-plane distance, the identity in the first epoch",
+    False: "error of a motion added to the second scan after the odometry's",
+}
+"""The loss in words, by whether it is the published one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +59,7 @@ class OdometryTask:
     rows: int = _ROWS
     columns: int = _COLUMNS
     name: str = "delora"
-    labels: str = "none: point-to-plane and plane-to-plane distance of two scans"
+    labels: str = "none: distance of two scans, or motion added to poses by odometry"
     what: str = "pairs"
     most_judged: int = MOST_JUDGED
 
@@ -70,7 +78,12 @@ class OdometryTask:
     ) -> list[Path]:
         """Write the scans of a stretch of a log, or list those of an earlier run."""
         columns = PUBLISHED_COLUMNS if self.published else COLUMNS
-        return scans_of_stretch(folder, bucket, stretch, mining, columns=columns, on_frame=on_frame)
+        return scans_of_stretch(
+            *(folder, bucket, stretch, mining),
+            columns=columns,
+            posed=not self.published,
+            on_frame=on_frame,
+        )
 
     def of_streets(
         self, folder: Path, data: DataSettings, on_window: Callable[[], None]
@@ -93,8 +106,12 @@ class OdometryTask:
 
     def request(self, mining: MiningSettings) -> dict[str, str | int | float]:
         """Return what decides the weights in addition to data and schedule."""
-        del mining
-        return {"epochs": self.epochs, "rows": self.rows, "columns": self.columns}
+        return {
+            "epochs": self.epochs,
+            "rows": self.rows,
+            "columns": self.columns,
+            "odometry": "" if self.published else mining.odometry,
+        }
 
     def items_of(self, files: Sequence[Path]) -> list[Pair]:
         """Return the pairs of consecutive scans."""
@@ -124,11 +141,12 @@ class OdometryTask:
             columns=columns,
             fov_up_deg=up,
             fov_down_deg=down,
+            refinements=0 if self.published else REFINEMENTS,
             attribution="",
             data_license="",
             training={
                 "optimiser": "Adam",
-                "augmentation": "none" if self.published else "further motion of the second scan",
+                "loss": LOSSES[self.published],
             },
         )
 

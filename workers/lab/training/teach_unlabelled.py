@@ -32,6 +32,9 @@ NetType = TypeVar("NetType", bound=nn.Module)
 Facts = dict[str, str | int | float]
 """Facts of a run, for its request or its card."""
 
+STREETS: Final = "simulated streets"
+"""Name of the streets among what is held out."""
+
 _USED: Final = (
     *("steps", "batch", "peak_rate", "scorings", "patience", "seed", "threads", "device"),
     "published",
@@ -163,6 +166,10 @@ def teach(
         }
         learnt, judged = split_items(items_by_log, most=task.most_judged)
         streets = task.items_of(of_streets)
+        if not items_by_log:
+            # streets alone: the last of them judge
+            split, judged = split_items({STREETS: streets}, most=task.most_judged)
+            streets = split.get(STREETS, [])
         items = [item for found in learnt.values() for item in found] + streets
         if not items:
             raise TrainingDataError(
