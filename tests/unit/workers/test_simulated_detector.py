@@ -117,6 +117,17 @@ def test_an_id_lasts_and_a_lost_object_gets_another_one(
 _CAR = StreetClass.CAR
 
 
+def test_a_log_begins_amid_a_drive_so_a_miss_in_its_first_frame_is_coasted_over(
+    street: Street, frames: list[SimulatedFrame]
+) -> None:
+    bodies = street_bodies(street, frames[0].time_s)
+    for seed in range(200):
+        detector = Detector(seed, len(street.actors))
+        boxes = detector.detect(frames[0], bodies, [])
+        assert len(named(boxes, StreetClass.BUS)) == 1, seed
+        assert len(named(boxes, _CAR)) == 1, seed
+
+
 @pytest.mark.parametrize("kind", [FailureKind.UNSEEN_CLASS, FailureKind.LATE_DETECTION])
 def test_a_missed_mover_has_no_box(
     street: Street, frames: list[SimulatedFrame], kind: FailureKind

@@ -41,6 +41,9 @@ _COAST_FRAMES: Final = 2
 _SWITCH_SHARE: Final = 0.002
 """Chance per frame that an object gets another id without being lost."""
 
+_RUN_FRAMES: Final = 10
+"""Frames for which the tracker has run before the first one: longer than it takes to confirm."""
+
 _GHOSTS_PER_FRAME: Final = 0.04
 _GHOST_FRAMES: Final = (1, 4)
 _GHOST_SIZE_M: Final = (4.2, 1.8, 1.6)
@@ -62,6 +65,9 @@ class _Followed:
 class Detector:
     """Detector and tracker of one drive; frames are given in order, from the first one.
 
+    A log begins amid a drive. The tracker has therefore followed the objects of its first frame for
+    a while, with as many points as they have there: what it misses in that frame is coasted over.
+
     Args:
         seed: Seed of its errors.
         things: Number of objects of the drive.
@@ -73,6 +79,7 @@ class Detector:
         self._things = things
         self._no_box = no_box
         self._followed: dict[int, _Followed] = {}
+        self._has_run = False
         self._ghosts: list[tuple[Body, int, int]] = []
         self._next_id = 1
         own = np.random.default_rng([seed, 0xB0C5])
@@ -91,12 +98,24 @@ class Detector:
             bodies: True boxes of its objects, by number; an object without one is not detected.
             failures: Failures planted in the log.
         """
+        if not self._has_run:
+            self._run_before(frame, bodies)
+            self._has_run = True
         rng = np.random.default_rng([self._seed, 0xDE7EC7, frame.index])
         active = [each for each in failures if each.is_on(frame.time_s)]
         boxes = [*self._objects(frame, bodies, active, rng)]
         boxes += self._flashes(frame, rng)
         boxes += self._planted_ghosts(frame, active, rng)
         return tuple(boxes)
+
+    def _run_before(self, first: TrueFrame, bodies: Mapping[int, Body]) -> None:
+        """Bring the tracker into the state in which the first frame finds it."""
+        rng = np.random.default_rng([self._seed, 0xBEF0])
+        inside = _points_of(first, self._things)
+        for _ in range(_RUN_FRAMES):
+            draws = rng.random((len(inside), 3))
+            for track in sorted(bodies):
+                self._follow(track, int(inside[track]), draws[track])
 
     def _objects(
         self,
@@ -105,7 +124,7 @@ class Detector:
         active: Sequence[PlantedFailure],
         rng: np.random.Generator,
     ) -> Iterator[DetectedBox]:
-        inside = np.bincount(frame.track[frame.track >= 0], minlength=self._things)
+        inside = _points_of(frame, self._things)
         draws = rng.random((len(inside), 3))
         noise = rng.standard_normal((len(inside), 9))
         for track in range(self._things):
@@ -116,7 +135,7 @@ class Detector:
             changed = with_failures(
                 track, body, frame, active, moves=_moves(frame, track), no_box=self._no_box
             )
-            followed = self._follow(track, int(inside[track]), draws[track], frame.index)
+            followed = self._follow(track, int(inside[track]), draws[track])
             if followed is None or changed is None:
                 continue
             noisy = with_noise(changed, self._bias[track], frame, noise[track], draws[track, 2])
@@ -124,13 +143,8 @@ class Detector:
             score = float(np.clip(0.35 + 0.6 * sure + 0.04 * noise[track, 8], 0.05, 0.99))
             yield box_of(noisy, frame, followed.track_id, score)
 
-    def _follow(
-        self, track: int, points: int, draw: NDArray[np.float64], index: int
-    ) -> _Followed | None:
-        """Update the tracker on an object; return its state where it is reported.
-
-        At the first frame of a log the tracker has run for a while, and reports all it detects.
-        """
+    def _follow(self, track: int, points: int, draw: NDArray[np.float64]) -> _Followed | None:
+        """Update the tracker on an object; return its state where it is reported."""
         missed_share = max(float(np.exp(-points / _HALF_MISSED_POINTS)), _MISSED_SHARE)
         hit = points >= _LEAST_POINTS and draw[0] >= missed_share
         state = self._followed.get(track)
@@ -144,7 +158,7 @@ class Detector:
             return state
         if state is None:
             least, most = _CONFIRM_FRAMES
-            confirm = least + int(draw[1] * (most - least)) if index else 1
+            confirm = least + int(draw[1] * (most - least))
             state = _Followed(self._new_id(), confirm)
             self._followed[track] = state
         elif draw[1] < _SWITCH_SHARE:
@@ -195,6 +209,11 @@ class Detector:
                 )
                 number = _PLANTED_IDS + round(each.start_s * 1000)
                 yield box_of(body, frame, number, float(rng.uniform(0.4, 0.9)))
+
+
+def _points_of(frame: TrueFrame, things: int) -> NDArray[np.int64]:
+    """Return the points of each object, (things,)."""
+    return np.bincount(frame.track[frame.track >= 0], minlength=things)
 
 
 def _moves(frame: TrueFrame, track: int) -> bool:
