@@ -320,7 +320,7 @@ def test_a_clock_that_is_set_back_and_forward_is_said_and_loses_nothing(tmp_path
             run.kill_miner()  # its lease ends within a term, not within an hour
             run.until_counted(counter)
             assert run.metric(counter) == 1
-        back, forward = run.lines("the clock was set: leases and waits are limited to their terms")
+        back, forward = run.lines("the clock was set: held leases last a full term from now")
         assert "step_s=-3600.0" in back
         assert "step_s=3600.0" in forward
         run.assert_complete()
