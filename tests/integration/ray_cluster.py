@@ -41,7 +41,8 @@ class RayNodes:
             nodes: Number of nodes, of two cores each.
         """
         cluster_utils = needed("ray.cluster_utils", "the extra `ray`")
-        os.environ |= {"OMP_NUM_THREADS": "1", "PYTHONPATH": _ROOT}  # for the nodes' processes
+        self._before = dict(os.environ)
+        os.environ.update(OMP_NUM_THREADS="1", PYTHONPATH=_ROOT)  # for the nodes' processes
         head = {"num_cpus": 0, "include_dashboard": False, "_system_config": QUICK}
         self._cluster = cluster_utils.Cluster(initialize_head=True, head_node_args=head | _MEMORY)
         self.address: str = self._cluster.address
@@ -66,6 +67,8 @@ class RayNodes:
 
         ray.shutdown()
         self._cluster.shutdown()
+        os.environ.clear()
+        os.environ.update(self._before)
 
 
 @contextmanager
