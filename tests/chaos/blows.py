@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Final, Literal
 
-from tests.chaos.clocks import AHEAD_S
+from tests.chaos.clocks import AHEAD_S, REFUSED_S
 from tests.chaos.world import ChaosWorld
 from tests.integration.daemons import workers_of
 
@@ -19,6 +19,7 @@ Blow = Literal[
     "cut",
     "drop",
     "clock set",
+    "refused clock",
     "crash of the database",
     "full disk",
     "kill of a worker",
@@ -43,7 +44,8 @@ STREET_WEIGHTS: Final[dict[Blow, float]] = {
     "freeze": 0.08,
     "cut": 0.10,
     "drop": 0.05,
-    "clock set": 0.09,
+    "clock set": 0.08,
+    "refused clock": 0.03,
     "crash of the database": 0.03,
     "full disk": 0.02,
     "kill of a worker": 0.08,
@@ -114,6 +116,8 @@ class Blows:
         match blow:
             case "clock set":
                 return world.clocks is not None
+            case "refused clock":
+                return world.clocks is not None and world.gateway is not None
             case "kill of the gateway" | "frozen gateway":
                 return world.gateway is not None
             case "loss of a node":
@@ -132,7 +136,9 @@ class Blows:
             case "cut" | "drop":
                 self._hit_network(blow)
             case "clock set":
-                self._set_clock()
+                self._set_clock(self._random.choice(self._world.pair.names))
+            case "refused clock":
+                self._refuse_clock()
             case "crash of the database" | "full disk":
                 self._hit_database(blow)
             case "kill of a worker":
@@ -176,11 +182,22 @@ class Blows:
         network.cut()
         self._note(blow, name, network.heal, self._random.choice((0.5, 2.0, 8.0)))
 
-    def _set_clock(self) -> None:
+    def _set_clock(self, name: str) -> None:
         assert self._world.clocks is not None
-        name = self._random.choice(self._world.pair.names)
         self._world.clocks.set(name, self._random.choice(AHEAD_S))
         self.dealt["clock set"] += 1
+
+    def _refuse_clock(self) -> None:
+        """Set a clock so wrong that the gateway refuses its process, and set it right later."""
+        clocks = self._world.clocks
+        assert clocks is not None
+        name = self._random.choice(self._world.pair.names)
+        part = f"clock of {name}"
+        if part in self._hit:
+            return
+        clocks.set(name, self._random.choice(REFUSED_S))
+        seconds = self._random.choice((3.0, 9.0))
+        self._note("refused clock", part, lambda: self._set_clock(name), seconds)
 
     def _hit_database(self, blow: Blow) -> None:
         if "database" in self._hit:

@@ -9,6 +9,9 @@ from tests.integration.steered_clock import SteeredClock, build_clock
 AHEAD_S: Final = (-780, -300, -60, -7, 0, 0, 7, 60, 300, 780)
 """Seconds by which a clock may be ahead: less than S3 allows between two machines (15 min)."""
 
+REFUSED_S: Final = (-3600, 3600)
+"""Seconds by which a clock is so wrong that an S3 gateway refuses every request."""
+
 
 class Clocks:
     """A clock for each process, by its name."""

@@ -36,6 +36,11 @@ class Parts:
     def __post_init__(self) -> None:
         assert self.pool != "quick" or not self.gateway, "quick miners read no bucket"
 
+    def __str__(self) -> str:
+        """Name them for a person."""
+        clocks = "wrong clocks" if self.clocks else "right clocks"
+        return f"{clocks}, {'S3 gateway' if self.gateway else 'folder'}, pool {self.pool}"
+
     def absent(self) -> list[str]:
         """Return a sentence for each part that this machine cannot run."""
         found = []

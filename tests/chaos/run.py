@@ -58,7 +58,8 @@ class ChaosReport:
 
     def lines(self) -> Iterator[str]:
         """Tell it to a person."""
-        yield f"seed {self.seed}, {self.parts}: {self.killed.total()} kills in {self.seconds:.0f} s"
+        kills = f"{self.killed.total()} kills in {self.seconds:.0f} s"
+        yield f"seed {self.seed} ({self.parts}): {kills}"
         yield "  blows: " + ", ".join(f"{name} {n}" for name, n in sorted(self.dealt.items()))
         yield "  kills: " + ", ".join(f"{name} {n}" for name, n in sorted(self.killed.items()))
         worst_s = max(self.recoveries_s, default=0.0)
