@@ -86,7 +86,8 @@ class ChaosWorld:
         databases = {name: self._through(opened, name) for name in SERVICES}
         self.clocks = Clocks(folder / "clocks", seed=seed) if parts.clocks else None
         self.gateway = Gateway(opened) if parts.gateway else None
-        self.nodes = RayNodes(NODES) if parts.pool == "ray" else None
+        aws = {} if self.gateway is None else self.gateway.environment
+        self.nodes = RayNodes(NODES, aws) if parts.pool == "ray" else None
         if self.nodes is not None:
             opened.callback(self.nodes.end)
         self._streets = None if parts.pool == "quick" else self._street_logs()
@@ -109,7 +110,7 @@ class ChaosWorld:
             pools=self._pools(),
             variables_of=self._variables_of,
             through=through,
-            environment=_ENVIRONMENT | ({} if self.gateway is None else self.gateway.environment),
+            environment=_ENVIRONMENT | aws,
             spawn=server.spawn,
         )
         opened.callback(self.pair.end)

@@ -1,7 +1,7 @@
 """A Ray cluster of several nodes on this machine, which are killed and added."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
@@ -34,15 +34,18 @@ class RayNodes:
         address: Address of the cluster.
     """
 
-    def __init__(self, nodes: int) -> None:
+    def __init__(self, nodes: int, environment: Mapping[str, str] | None = None) -> None:
         """Start the head and some nodes; `end` ends them.
 
         Args:
             nodes: Number of nodes, of two cores each.
+            environment: Further variables of their processes, such as credentials of a bucket: an
+                actor has those of its node, and none of the process that made it.
         """
         cluster_utils = needed("ray.cluster_utils", "the extra `ray`")
         self._before = dict(os.environ)
         os.environ.update(OMP_NUM_THREADS="1", PYTHONPATH=_ROOT)  # for the nodes' processes
+        os.environ.update(environment or {})
         head = {"num_cpus": 0, "include_dashboard": False, "_system_config": QUICK}
         self._cluster = cluster_utils.Cluster(initialize_head=True, head_node_args=head | _MEMORY)
         self.address: str = self._cluster.address
