@@ -36,6 +36,7 @@ from service.background.bucket_notices import BucketNotices
 from service.background.bucket_watch import BucketWatch
 from service.background.clock_watch import ClockWatch
 from service.background.heartbeat import Heartbeat, Standing, service_standing
+from service.background.lease_expiry import LeaseExpiry
 from service.background.mode_watch import ModeWatch
 from service.background.overlay_sweeps import overlay_sweeps
 from service.background.periodic import tick
@@ -145,6 +146,7 @@ class Service:
         self._heartbeat = Heartbeat(self._standing, heartbeat_s=settings.heartbeat_s)
         self._staging = Staging()
         self._clock = ClockWatch()
+        self._expiry = LeaseExpiry(ledger, self._clock, lease_s=settings.lease_s)
         mining = settings.mining()
         self._sweeps, self._budget = overlay_sweeps(settings, ledger, log_bucket_url=bucket.url)
         self.metrics = metrics or ServiceMetrics()
@@ -267,6 +269,7 @@ class Service:
             self._ledger,
             self._session,
             self._watch.seen,
+            listed_ago_s=self._watch.age_s(),
             list_interval_s=None if self._once else self._list_interval_s,
         )
 
@@ -338,7 +341,12 @@ class Service:
             for number in range(WRITING_THREADS + READING_THREADS)
         ]
         self._threads += [
-            every(EXPIRY_INTERVAL_S, self._expire, "expiry of leases", most_retry_s=EXPIRY_RETRY_S),
+            every(
+                EXPIRY_INTERVAL_S,
+                self._expiry.expire,
+                "expiry of leases",
+                most_retry_s=EXPIRY_RETRY_S,
+            ),
             every(
                 OUTBOX_INTERVAL_S, self._outbox.publish, "publishing of scenes", alarm=self._news
             ),
@@ -376,13 +384,9 @@ class Service:
             notices.give_back(keys)
             raise
 
-    def _expire(self) -> None:
-        self._clock.look()
-        self._ledger.expire()
-
     def _standing(self) -> Standing:
         return service_standing(
-            self._ledger, self._session, root=self._root, listed_s=self._watch.seen.last_success_s
+            self._ledger, self._session, root=self._root, listed_ago_s=self._watch.age_s()
         )
 
     def _list_what_changed(self) -> None:

@@ -2,7 +2,7 @@
 
 import os
 from importlib import import_module
-from typing import Any
+from typing import Any, NoReturn
 
 import pytest
 
@@ -17,3 +17,14 @@ def needed(module: str, where: str) -> Any:
     if os.environ.get("CI"):
         return import_module(module)
     return pytest.importorskip(module, reason=f"needs {where}")
+
+
+def need(what: str) -> NoReturn:
+    """End a test that lacks something of its machine: in CI it fails, elsewhere it is skipped.
+
+    Args:
+        what: What it lacks, as a sentence.
+    """
+    if os.environ.get("CI"):
+        pytest.fail(what)
+    pytest.skip(what)

@@ -138,6 +138,7 @@ class BucketWatch:
         now_s, took_s = self._ledger.now_s(), self._took_s
         self._name_skipped()
         self._note_skipped(objects)
+        self.listed_at_s, self._took_s = self._elapsed_s(), 0.0
         self.seen = replace(
             self.seen,
             last_success_s=now_s,
@@ -145,7 +146,6 @@ class BucketWatch:
             problem="",
             skipped=len(self._skipped),
         )
-        self.listed_at_s, self._took_s = self._elapsed_s(), 0.0
         return result
 
     def look_at(self, keys: Collection[str]) -> SyncResult:

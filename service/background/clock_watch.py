@@ -38,19 +38,21 @@ class ClockWatch:
         self.steps = {"forward": 0, "back": 0}
         self._offset_s: float | None = None
 
-    def look(self) -> None:
-        """Log a step of the clock since the last call."""
+    def look(self) -> bool:
+        """Log a step of the clock since the last call; return true if there was one."""
         began_s = self._steady_s()
         offset_s = self._now_s() - began_s
         if self._steady_s() - began_s > GLANCE_S:
-            return
+            return False
         before_s, self._offset_s = self._offset_s, offset_s
         if before_s is None:
-            return
+            return False
         step_s = offset_s - before_s
-        if abs(step_s) >= STEP_S:
-            self.steps["forward" if step_s > 0 else "back"] += 1
-            log.warning(
-                "the clock was set: leases and waits are limited to their terms, nothing is lost",
-                step_s=round(step_s, 1),
-            )
+        if abs(step_s) < STEP_S:
+            return False
+        self.steps["forward" if step_s > 0 else "back"] += 1
+        log.warning(
+            "the clock was set: held leases last a full term from now, nothing is lost",
+            step_s=round(step_s, 1),
+        )
+        return True

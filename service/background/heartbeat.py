@@ -1,5 +1,6 @@
 """Heartbeat in the log: rare lines of an idle daemon, progress each minute of a busy one."""
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from typing import Final, TypeAlias
@@ -77,7 +78,7 @@ class Heartbeat:
 
 
 def service_standing(
-    ledger: Ledger, session: zenoh.Session, *, root: str, listed_s: float | None
+    ledger: Ledger, session: zenoh.Session, *, root: str, listed_ago_s: float
 ) -> Standing:
     """Return the state of a service: logs, waiting work, live workers, age of the last listing.
 
@@ -85,7 +86,7 @@ def service_standing(
         ledger: Source of logs and work.
         session: Source of the workers alive.
         root: First part of every key.
-        listed_s: Ledger time of the last listing, seconds; None: not yet.
+        listed_ago_s: Time since the last listing, seconds; infinite before the first.
 
     Raises:
         StoreUnavailableError: If the database does not answer now.
@@ -101,7 +102,7 @@ def service_standing(
         "shards_leased": backlog.work.get(("shard", WorkState.LEASED), 0),
         "parked": sum(backlog.work.get((kind, WorkState.PARKED), 0) for kind in ("plan", "shard")),
         "workers": workers_alive(session, root=root),
-        "listed_ago_s": None if listed_s is None else round(ledger.now_s() - listed_s),
+        "listed_ago_s": round(listed_ago_s) if math.isfinite(listed_ago_s) else None,
     }
 
 

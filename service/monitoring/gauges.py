@@ -297,7 +297,7 @@ def _of_parts(sources: Sources) -> Iterator[Metric]:
     yield _counter(
         "clock_steps",
         "Steps of the clock of the service's machine by seconds, including suspensions. Worry "
-        "when it grows: leases end early after a step forward.",
+        "when it grows: ages and rates count from wrong times. Leases are extended by a term.",
         {(way,): steps.get(way, 0) for way in get_args(ClockStep)},
         labels=("direction",),
     )

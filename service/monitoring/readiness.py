@@ -81,6 +81,7 @@ def not_ready(
     session: zenoh.Session,
     seen: BucketSeen,
     *,
+    listed_ago_s: float,
     list_interval_s: float | None,
 ) -> dict[str, str]:
     """Return the problems that keep the service from its work.
@@ -89,6 +90,7 @@ def not_ready(
         ledger: Queried for one number, and for the result of its last write.
         session: On the bus.
         seen: Results of the bucket's listings.
+        listed_ago_s: Time since the last complete one by a clock that cannot be set, seconds.
         list_interval_s: Interval of listings, seconds; None: only one at the start.
 
     Returns:
@@ -106,9 +108,10 @@ def not_ready(
         problems["router"] = "no router is connected; scenes and leases wait for one"
     if seen.last_success_s is None:
         problems["bucket"] = f"the bucket has not been listed yet; {seen.problem}".rstrip("; ")
-    elif list_interval_s is not None:
-        age_s = ledger.now_s() - seen.last_success_s
-        if age_s > LISTING_GRACE_S + LISTINGS_MISSED * list_interval_s:
-            why = seen.problem or "no listing has ended since"
-            problems["bucket"] = f"the bucket was last listed {age_s:.0f} s ago: {why}"
+    elif (
+        list_interval_s is not None
+        and listed_ago_s > LISTING_GRACE_S + LISTINGS_MISSED * list_interval_s
+    ):
+        why = seen.problem or "no listing has ended since"
+        problems["bucket"] = f"the bucket was last listed {listed_ago_s:.0f} s ago: {why}"
     return problems

@@ -168,6 +168,7 @@ def spent_s(connection: Connection, pipeline_version: str, *, now_s: float) -> f
         select(func.coalesce(func.sum(SHARDS.c.mined_s), 0.0)).where(
             SHARDS.c.pipeline_version == pipeline_version,
             SHARDS.c.committed_s > now_s - DAY_S,
+            SHARDS.c.committed_s <= now_s + DAY_S,  # later ones: of a clock that was set back since
             SHARDS.c.turn >= Kind.CANARY.first_turn,
         )
     ).scalar_one()

@@ -13,11 +13,13 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Final, Self
 
 from tests.integration.standby_pair import Process
+from tests.integration.steered_clock import follow_own_clock
 
 LOADED: Final = (
     "service.alone",
@@ -35,13 +37,21 @@ _DIE_WITH_PARENT: Final = 1
 class ForkServer:
     """The side of the harness: starts processes through the server, within a `with` block."""
 
+    def __init__(self, environment: Mapping[str, str] | None = None) -> None:
+        """Prepare.
+
+        Args:
+            environment: Variables of the server itself, such as a library that it loads first.
+        """
+        self._environment = {"OMP_NUM_THREADS": "1"} | dict(environment or {})
+
     def __enter__(self) -> Self:
         self._server = subprocess.Popen(
             [sys.executable, "-m", "tests.chaos.fork_server"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
-            env=os.environ | {"OMP_NUM_THREADS": "1"},
+            env=os.environ | self._environment,
         )
         return self
 
@@ -63,16 +73,16 @@ class Forked:
 
     def __init__(self, pid: int) -> None:
         """Keep its id."""
-        self._pid = pid
+        self.pid = pid
 
     def send_signal(self, sig: int) -> None:
         """Send a signal to it, if it runs."""
         with suppress(ProcessLookupError):
-            os.kill(self._pid, sig)
+            os.kill(self.pid, sig)
 
     def poll(self) -> int | None:
         """Return 0 once it has ended; None while it runs."""
-        return None if Path(f"/proc/{self._pid}").exists() else 0
+        return None if Path(f"/proc/{self.pid}").exists() else 0
 
     def wait(self) -> int:
         """Wait for its end."""
@@ -107,6 +117,7 @@ def _run(command: list[str], environment: dict[str, str], log: str) -> None:
         for opened, standard in ((nothing, 0), (written, 1), (written, 2)):
             os.dup2(opened, standard)
         os.environ.update(environment)
+        follow_own_clock()
         sys.argv = command
         sys.modules.pop(command[0], None)
         runpy.run_module(command[0], run_name="__main__", alter_sys=True)

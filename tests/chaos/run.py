@@ -6,12 +6,17 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
+from schemas.canonical import sha256
 from tests.chaos.blows import Blows
+from tests.chaos.parts import Parts
+from tests.chaos.street_logs import Undisturbed
 from tests.chaos.world import ChaosWorld, chaos_world
 from tests.integration.witness import Witness
 
 BACKLOG: Final = 60
-"""Shards that wait at least, while there is time: a run without work shows nothing."""
+STREET_BACKLOG: Final = 9
+"""Shards that wait at least, while there is time: a run without work shows nothing. Those of
+streets take longer."""
 
 CALM_EVERY: Final = 25
 """Blows between two moments in which everything is healed, and a commit is waited for."""
@@ -29,6 +34,7 @@ class ChaosReport:
 
     Attributes:
         seed: Of the run.
+        parts: Further parts of the system.
         seconds: Length of the blows.
         dealt: Number of each blow.
         killed: Number of kills by kind of process.
@@ -40,6 +46,7 @@ class ChaosReport:
     """
 
     seed: int
+    parts: Parts = field(default_factory=Parts)
     seconds: float = 0.0
     dealt: Counter[str] = field(default_factory=Counter)
     killed: Counter[str] = field(default_factory=Counter)
@@ -51,7 +58,8 @@ class ChaosReport:
 
     def lines(self) -> Iterator[str]:
         """Tell it to a person."""
-        yield f"seed {self.seed}: {self.killed.total()} kills in {self.seconds:.0f} s"
+        kills = f"{self.killed.total()} kills in {self.seconds:.0f} s"
+        yield f"seed {self.seed} ({self.parts}): {kills}"
         yield "  blows: " + ", ".join(f"{name} {n}" for name, n in sorted(self.dealt.items()))
         yield "  kills: " + ", ".join(f"{name} {n}" for name, n in sorted(self.killed.items()))
         worst_s = max(self.recoveries_s, default=0.0)
@@ -63,16 +71,19 @@ class ChaosReport:
             yield f"  {problem}"
 
 
-def run_chaos(*, seed: int, seconds: float, kills: int | None = None) -> ChaosReport:
+def run_chaos(
+    *, seed: int, seconds: float, kills: int | None = None, parts: Parts | None = None
+) -> ChaosReport:
     """Deal blows to a system that mines, then compare what it stored and published.
 
     Args:
         seed: Of the blows.
         seconds: Longest time of the blows.
         kills: Number of kills after which the blows end earlier; None: the time alone ends them.
+        parts: Further parts of the system.
     """
-    report = ChaosReport(seed)
-    with chaos_world() as world:
+    report = ChaosReport(seed, parts or Parts())
+    with chaos_world(report.parts, seed=seed) as world:
         pair = world.pair
         pair.start(*pair.names)
         pair.until_done(1, deadline_s=DEADLINE_S)
@@ -81,9 +92,11 @@ def run_chaos(*, seed: int, seconds: float, kills: int | None = None) -> ChaosRe
             _rage(world, report, seconds=seconds, kills=kills)
             pair.until_done(pair.shards, deadline_s=DEADLINE_S)
             expected = world.undisturbed()
-            _until(lambda: len(witness.events) >= len(expected), world, "all scenes published")
+            _until(
+                lambda: len(witness.events) >= len(expected.records), world, "all scenes published"
+            )
         report.terms = world.term()
-        report.scenes, report.logs = len(expected), len(pair.log_ids)
+        report.scenes, report.logs = len(expected.records), len(pair.log_ids)
         report.problems += _differences(world, expected, witness)
     return report
 
@@ -113,8 +126,9 @@ def _next_commit_s(world: ChaosWorld) -> float:
     done = -1
     _until(lambda: pair.done() >= 0, world, "a service that answers")
     done = pair.done()
-    if pair.shards - done < BACKLOG:
-        pair.add_logs(BACKLOG // 4)
+    backlog = BACKLOG if world.parts.pool == "quick" else STREET_BACKLOG
+    if pair.shards - done < backlog:
+        pair.add_logs(backlog // 4)
     _until(lambda: pair.done() > done, world, "a commit after everything was healed")
     return time.monotonic() - began_s
 
@@ -128,7 +142,7 @@ def _until(condition: Callable[[], bool], world: ChaosWorld, what: str) -> None:
         time.sleep(0.05)
 
 
-def _differences(world: ChaosWorld, expected: dict[str, bytes], witness: Witness) -> Iterator[str]:
+def _differences(world: ChaosWorld, expected: Undisturbed, witness: Witness) -> Iterator[str]:
     """Name everything in which the system differs from an undisturbed run."""
     pair = world.pair
     try:
@@ -136,15 +150,19 @@ def _differences(world: ChaosWorld, expected: dict[str, bytes], witness: Witness
     except AssertionError as error:
         yield str(error)
         return
-    if missing := expected.keys() - stored.keys():
+    if missing := expected.records.keys() - stored.keys():
         yield f"{len(missing)} scenes are lost, such as {min(missing)}"
-    if more := stored.keys() - expected.keys():
+    if more := stored.keys() - expected.records.keys():
         yield f"{len(more)} scenes are in no undisturbed run, such as {min(more)}"
     if other := [
-        each for each in stored.keys() & expected.keys() if stored[each] != expected[each]
+        each
+        for each in stored.keys() & expected.records.keys()
+        if stored[each] != expected.records[each]
     ]:
         yield f"{len(other)} records differ, such as {min(other)}"
-    digests = pair.expected()
+    if wrong := world.wrong_overlays(expected):
+        yield f"{len(wrong)} overlays are missing or differ, such as {min(wrong)}"
+    digests = {scene_id: sha256(record) for scene_id, record in expected.records.items()}
     if pair.scenes() != digests:
         yield "the ranking differs"
     seen = Counter(event.scene_id for event in witness.events)

@@ -206,6 +206,15 @@ class ReminingContract(StoreContract):
         assert [kind for kind, _ in fleet.work_of("q2")] == ["mine"]
         assert fleet.versions() == {"q2"}
 
+    def test_a_clock_that_was_years_ahead_leaves_no_budget_spent(self, fleet: Fleet) -> None:
+        fleet.restarted("newest", core_hours_a_day=2.0)
+        fleet.listed("a", "b", "c")
+        fleet.clock.now_s += 9e7
+        assert [kind for kind, _ in fleet.work_of("q2")].count("mine") == 2
+        fleet.clock.now_s -= 9e7
+        assert [kind for kind, _ in fleet.work_of("q2")] == ["mine"]
+        assert fleet.versions() == {"q2"}
+
     def test_the_canary_share_is_finished_before_the_others_begin(self, fleet: Fleet) -> None:
         logs = [f"log-{number:02d}" for number in range(12)]
         fleet.listed(*logs)

@@ -165,8 +165,8 @@ class System:
 
     def kill_worker(self) -> None:
         """Kill one worker of the pool: the pool must start another."""
-        self.until(lambda: bool(_workers_of(self.pool.pid)), "a worker")
-        os.kill(_workers_of(self.pool.pid)[0], signal.SIGKILL)
+        self.until(lambda: bool(workers_of(self.pool.pid)), "a worker")
+        os.kill(workers_of(self.pool.pid)[0], signal.SIGKILL)
 
     def restart(self, *daemons: Daemon) -> None:
         for daemon in daemons:
@@ -175,7 +175,7 @@ class System:
             daemon.start()
 
 
-def _workers_of(pool: int) -> list[int]:
+def workers_of(pool: int) -> list[int]:
     """Children of the pool that run a worker, from the kernel's list."""
     threads = Path(f"/proc/{pool}/task").iterdir()
     children = [child for at in threads for child in _read(at / "children").split()]

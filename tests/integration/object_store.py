@@ -209,6 +209,10 @@ class Ceph:
         os.kill(pid, signal.SIGKILL)
         self._await_end(pid)
 
+    def send(self, sent: signal.Signals) -> None:
+        """Send a signal to the gateway, such as one that freezes it."""
+        os.kill(int((self._folder / "client.rgw.pid").read_text()), sent)
+
     def start(self) -> None:
         """Start the gateway again, if it does not run, and wait until it answers."""
         if _is_running(int((self._folder / "client.rgw.pid").read_text() or "0")):

@@ -14,7 +14,7 @@ from schemas.transport.keys import DEFAULT_ROOT
 from service.client import ControlClient
 from tests.contracts.ledger_world import expected_scenes
 from tests.free_ports import free_endpoint
-from tests.integration.quick_miner import SHARDS_PER_LOG
+from tests.integration.pair_logs import PairLogs, UnopenedLogs
 
 ENVIRONMENT: Final = {
     "OMP_NUM_THREADS": "1",
@@ -28,6 +28,11 @@ ENVIRONMENT: Final = {
 
 class Process(Protocol):
     """Interface of a process that was started."""
+
+    @property
+    def pid(self) -> int:
+        """Its id."""
+        ...
 
     def send_signal(self, sig: int) -> None:
         """Send a signal to it."""
@@ -70,6 +75,10 @@ class Pair:
         miners: int,
         record_s: float = 0.02,
         routers: int = 1,
+        logs_in: PairLogs | None = None,
+        service_options: Sequence[str] = (),
+        pools: Mapping[str, Sequence[str]] | None = None,
+        variables_of: Callable[[str], Mapping[str, str]] = lambda name: {},
         through: Callable[[str], str] = lambda endpoint: endpoint,
         environment: Mapping[str, str] = ENVIRONMENT,
         spawn: Spawn = spawned,
@@ -79,15 +88,19 @@ class Pair:
         Args:
             folder: For logs of cars, states, and what the processes write.
             databases: URL of the database by the name of each service.
-            logs: Number of logs; each has `SHARDS_PER_LOG` shards.
-            miners: Number of miners.
+            logs: Number of logs.
+            miners: Number of quick miners, which open no log.
             record_s: Time of one record, seconds.
             routers: Number of routers, linked with each other.
+            logs_in: The bucket; None: a folder for quick miners.
+            service_options: Further arguments of the services.
+            pools: Arguments of `counterpoint worker` by the name of each pool of workers.
+            variables_of: Returns further variables of a process by its name.
             through: Maps the endpoint of a router to the one that services and miners use.
             environment: Variables of all processes.
-            spawn: Starts a process.
+            spawn: Starts a process that is no pool; a pool's workers would load the program again.
         """
-        (folder / "logs").mkdir()
+        self._logs = logs_in or UnopenedLogs(folder)
         self._folder, self._spawn, self._environment = folder, spawn, dict(environment)
         self.log_ids: list[str] = []
         self.add_logs(logs)
@@ -95,20 +108,23 @@ class Pair:
         connect = ",".join(map(through, self.endpoints))
         program = ["service.cli.main"]
         self._commands: dict[str, list[str]] = {}
-        self._environments: dict[str, dict[str, str]] = {}
+        self._variables_of, self._databases = variables_of, dict(databases)
         for number, endpoint in enumerate(self.endpoints):
             linked = ",".join(other for other in self.endpoints[:number])
             link = ["--connect", linked] if linked else []
             self._commands[f"router-{number}"] = [*program, "router", "--listen", endpoint, *link]
-        for name, url in databases.items():
-            places = ("--bucket", folder / "logs", "--artifacts", folder / "overlays")
-            at = ("--state", folder / name, "--connect", connect)
-            self._commands[name] = [*program, "service", "--standby", *map(str, (*places, *at))]
-            self._environments[name] = {"COUNTERPOINT_DATABASE": url}
+        for name in databases:
+            places = ("--bucket", self._logs.url, "--artifacts", self._logs.artifacts)
+            at = ("--state", str(folder / name), "--connect", connect)
+            serve = ("service", "--standby", *places, *at, *service_options)
+            self._commands[name] = [*program, *serve]
         module = "tests.integration.quick_miner"
         for number in range(miners):
             miner = f"miner-{number}"
             self._commands[miner] = [module, connect, miner, "", str(record_s)]
+        self.pools = tuple(pools or {})
+        for name, options in (pools or {}).items():
+            self._commands[name] = [*program, "worker", "--connect", connect, *options]
         self._running: dict[str, Process] = {}
         self.client = ControlClient(self.endpoints, root=DEFAULT_ROOT)
 
@@ -116,17 +132,17 @@ class Pair:
         """Upload further logs."""
         for number in range(len(self.log_ids), len(self.log_ids) + count):
             log_id = f"log-{number:04d}"
-            (self._folder / "logs" / f"{log_id}.mcap").write_bytes(b"never opened")
+            self._logs.add(log_id)
             self.log_ids.append(log_id)
 
     @property
     def shards(self) -> int:
         """Number of shards of all logs."""
-        return len(self.log_ids) * SHARDS_PER_LOG
+        return len(self.log_ids) * self._logs.shards_per_log
 
     def expected(self) -> dict[str, str]:
-        """Return the digest of each scene of all logs, by its id."""
-        return expected_scenes(self.log_ids, shards=SHARDS_PER_LOG)
+        """Return the digest of each scene of all logs of quick miners, by its id."""
+        return expected_scenes(self.log_ids, shards=self._logs.shards_per_log)
 
     @property
     def names(self) -> list[str]:
@@ -136,9 +152,16 @@ class Pair:
     def start(self, *names: str) -> None:
         """Start processes."""
         for name in names:
-            environment = self._environment | self._environments.get(name, {})
+            environment = self._environment | dict(self._variables_of(name))
+            if name in self._databases:
+                environment["COUNTERPOINT_DATABASE"] = self._databases[name]
             log = self._folder / f"{name}.log"
-            self._running[name] = self._spawn(self._commands[name], environment, log)
+            spawn = spawned if name in self.pools else self._spawn
+            self._running[name] = spawn(self._commands[name], environment, log)
+
+    def pid(self, name: str) -> int:
+        """Return the id of a process that was started."""
+        return self._running[name].pid
 
     def is_running(self, name: str) -> bool:
         """Return true if a process has been started and has not ended."""

@@ -22,7 +22,7 @@ from service.store.engine import open_store_to_read
 from service.store.tables import LEASES
 from tests.contracts.databases import postgres_server
 from tests.factories import street_log
-from tests.integration.daemons import QUICK, System, _workers_of
+from tests.integration.daemons import QUICK, System, workers_of
 from tests.integration.quick_miner import SHARDS_PER_LOG
 
 pytestmark = [pytest.mark.integration, pytest.mark.timeout(600)]
@@ -164,7 +164,7 @@ def kill_on_shard(run: "subprocess.Popen[str]", state: Path, shard: str) -> None
                             name.endswith(shard) for name in connection.execute(held).scalars()
                         )
                     if holds:
-                        os.kill(_workers_of(run.pid)[0], signal.SIGKILL)
+                        os.kill(workers_of(run.pid)[0], signal.SIGKILL)
                         return
                     time.sleep(0.005)
         except (CounterpointError, OSError):  # not there yet

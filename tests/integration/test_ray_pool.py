@@ -1,11 +1,9 @@
 """The Ray pool on a cluster of three nodes, of which two are killed while it mines."""
 
-import os
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from threading import Event
-from typing import Any
 
 import pytest
 
@@ -18,30 +16,15 @@ from service.store.engine import open_store
 from service.store.ledger import LeasePolicy, Ledger
 from tests.free_ports import free_endpoint
 from tests.integration.conftest import SHARD_S, SHARDS, VEHICLES, Undisturbed
+from tests.integration.ray_cluster import RayNodes, ray_nodes
 from tests.needed import needed
 
-# Read when Ray is imported: everything on the loopback, and nothing told to anyone.
-os.environ.update(
-    RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER="0",
-    RAY_USAGE_STATS_ENABLED="0",
-    RAY_raylet_start_wait_time_s="300",
-)
-
-cluster_utils = needed("ray.cluster_utils", "the extra `ray`")
+needed("ray", "the extra `ray`")
 
 from workers.pool.ray_pool import RayOptions, RayPool, wanted_size  # noqa: E402  # needs Ray
 
 pytestmark = [pytest.mark.integration, pytest.mark.timeout(600)]
 
-QUICK = {
-    "health_check_initial_delay_ms": 5000,
-    "health_check_period_ms": 1000,
-    "health_check_timeout_ms": 3000,
-    "health_check_failure_threshold": 3,
-}
-"""Lost nodes are noticed within seconds, and busy ones are not taken for lost."""
-
-NODE = {"num_cpus": 2, "object_store_memory": 80 * 1024 * 1024}
 WORKERS = 3
 
 
@@ -53,30 +36,14 @@ def until(condition: Callable[[], bool], what: str) -> None:
 
 
 @pytest.fixture
-def cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+def cluster() -> Iterator[RayNodes]:
     """A head without cores, and three nodes."""
-    import ray
-
-    monkeypatch.setenv("OMP_NUM_THREADS", "1")
-    made = cluster_utils.Cluster(
-        initialize_head=True,
-        head_node_args={
-            "num_cpus": 0,
-            "include_dashboard": False,
-            "object_store_memory": 80 * 1024 * 1024,
-            "_system_config": QUICK,
-        },
-    )
-    made.workers = [made.add_node(**NODE) for _ in range(3)]
-    try:
-        yield made
-    finally:
-        ray.shutdown()
-        made.shutdown()
+    with ray_nodes(3) as nodes:
+        yield nodes
 
 
 def test_two_of_three_nodes_are_killed_and_all_scenes_are_those_of_a_local_run(
-    tmp_path: Path, fleet: Path, undisturbed: dict[str, Undisturbed], cluster: Any
+    tmp_path: Path, fleet: Path, undisturbed: dict[str, Undisturbed], cluster: RayNodes
 ) -> None:
     endpoint = free_endpoint()
     settings = Settings(
@@ -101,8 +68,8 @@ def test_two_of_three_nodes_are_killed_and_all_scenes_are_those_of_a_local_run(
         RayPool(options, connect=[endpoint], root=DEFAULT_ROOT, drain_s=2.0) as pool,
     ):
         until(lambda: pool.alive() == WORKERS and done() > 0, "workers on all nodes")
-        for node in cluster.workers[:2]:
-            cluster.remove_node(node, allow_graceful=False)
+        for _ in range(2):
+            cluster.kill()
         left = len(VEHICLES) * SHARDS - done()
         assert left > 0, "mined before a node was killed"
         until(lambda: done() == len(VEHICLES) * SHARDS, "every shard")

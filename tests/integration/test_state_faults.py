@@ -3,20 +3,16 @@
 import json
 import os
 import re
-import shutil
 import sqlite3
-import struct
 import subprocess
 import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
 from http.client import HTTPConnection
 from itertools import repeat
 from pathlib import Path
-from typing import NoReturn
 
 import pytest
 
@@ -29,6 +25,8 @@ from tests.contracts.ledger_world import expected_scenes
 from tests.free_ports import free_endpoint
 from tests.integration.daemons import Daemon
 from tests.integration.quick_miner import SHARDS_PER_LOG
+from tests.integration.steered_clock import steered_clock
+from tests.needed import need
 
 pytestmark = pytest.mark.integration
 
@@ -46,31 +44,6 @@ AGAIN = "works again|requests answered again"
 DATABASE_ERRORS = "counterpoint_database_errors_total"
 CLOCK_SET_BACK = 'counterpoint_clock_steps_total{direction="back"}'
 CLOCK_SET_FORWARD = 'counterpoint_clock_steps_total{direction="forward"}'
-
-CLOCK = """
-#define _GNU_SOURCE
-#include <dlfcn.h>
-#include <fcntl.h>
-#include <stdlib.h>
-#include <sys/mman.h>
-#include <time.h>
-
-static const volatile long *step_s;
-
-__attribute__((constructor)) static void open_step(void) {
-    int file = open(getenv("CLOCK_STEP"), O_RDONLY);
-    step_s = mmap(NULL, sizeof *step_s, PROT_READ, MAP_SHARED, file, 0);
-    if (step_s == MAP_FAILED) abort();
-}
-
-int clock_gettime(clockid_t id, struct timespec *now) {
-    static int (*real)(clockid_t, struct timespec *);
-    if (!real) real = dlsym(RTLD_NEXT, "clock_gettime");
-    int failed = real(id, now);
-    if (!failed && id == CLOCK_REALTIME && step_s) now->tv_sec += *step_s;
-    return failed;
-}
-"""
 
 
 class Run:
@@ -198,12 +171,6 @@ def answer(address: str, path: str) -> tuple[int, str]:
         connection.request("GET", path)
         reply = connection.getresponse()
         return reply.status, reply.read().decode()
-
-
-def need(what: str) -> NoReturn:
-    if os.environ.get("CI"):
-        pytest.fail(what)
-    pytest.skip(what)
 
 
 @contextmanager
@@ -353,37 +320,10 @@ def test_a_clock_that_is_set_back_and_forward_is_said_and_loses_nothing(tmp_path
             run.kill_miner()  # its lease ends within a term, not within an hour
             run.until_counted(counter)
             assert run.metric(counter) == 1
-        back, forward = run.lines("the clock was set: leases and waits are limited to their terms")
+        back, forward = run.lines("the clock was set: held leases last a full term from now")
         assert "step_s=-3600.0" in back
         assert "step_s=3600.0" in forward
         run.assert_complete()
-
-
-@dataclass(frozen=True)
-class SteeredClock:
-    """A clock of the world that is ahead of the machine's by what a file says.
-
-    Attributes:
-        step: That file.
-        env: Variables under which a process has this clock.
-    """
-
-    step: Path
-    env: dict[str, str]
-
-    def set(self, step_s: int) -> None:
-        with self.step.open("r+b") as file:
-            file.write(struct.pack("l", step_s))
-
-
-def steered_clock(folder: Path) -> SteeredClock:
-    compiler = shutil.which("cc") or need("this test builds a clock: it needs a C compiler (gcc)")
-    source, library, step = folder / "clock.c", folder / "clock.so", folder / "step"
-    source.write_text(CLOCK)
-    built = [compiler, "-shared", "-fPIC", "-O2", "-o", str(library), str(source), "-ldl"]
-    subprocess.run(built, check=True)
-    step.write_bytes(struct.pack("l", 0))
-    return SteeredClock(step, {"LD_PRELOAD": str(library), "CLOCK_STEP": str(step)})
 
 
 def test_a_second_service_on_the_same_state_refuses(tmp_path: Path) -> None:
