@@ -340,13 +340,9 @@ class Service:
             pool.submit(self._requests.serve, self._stop, writes=number < WRITING_THREADS)
             for number in range(WRITING_THREADS + READING_THREADS)
         ]
+        expire = self._expiry.expire
         self._threads += [
-            every(
-                EXPIRY_INTERVAL_S,
-                self._expiry.expire,
-                "expiry of leases",
-                most_retry_s=EXPIRY_RETRY_S,
-            ),
+            every(EXPIRY_INTERVAL_S, expire, "expiry of leases", most_retry_s=EXPIRY_RETRY_S),
             every(
                 OUTBOX_INTERVAL_S, self._outbox.publish, "publishing of scenes", alarm=self._news
             ),
