@@ -6,7 +6,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from schemas.bounds import NO_NUL
-from service.settings.hidden_passwords import shown
+from service.settings.hidden_passwords import in_sentence, shown
 from service.settings.sources import Written
 
 
@@ -43,7 +43,7 @@ def impossible(
 
 
 def _quoted_value(written: Written) -> str:
-    text = shown(written.value)
+    text = in_sentence(written.value)
     return f'"{text}"' if written.kind == "file" and isinstance(written.value, str) else text
 
 

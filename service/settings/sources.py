@@ -13,7 +13,7 @@ from pydantic.fields import FieldInfo
 
 from schemas.runtime.named_file import read_named_file
 from schemas.visible import visible
-from service.settings.hidden_passwords import shown
+from service.settings.hidden_passwords import in_sentence
 
 PREFIX: Final = "COUNTERPOINT_"
 CONFIG_VARIABLE: Final = f"{PREFIX}CONFIG"
@@ -114,7 +114,7 @@ def lay(
     ):
         laid |= {written.setting: written for written in layer}
     problems += [
-        f"{written.quoted(visible(shown(written.value)))}: "
+        f"{written.quoted(visible(in_sentence(written.value)))}: "
         "must be UTF-8 text without a NUL character"
         for written in laid.values()
         if not _can_be_passed_on(written.value)

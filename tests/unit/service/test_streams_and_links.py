@@ -121,3 +121,6 @@ def test_a_path_that_is_too_long_is_refused_with_its_bound(
     assert main(["inspect", "file", "--bucket", "a" * (MAX_URL + 1)]) == 1
     said = capsys.readouterr().err
     assert said.endswith(f": must be text of at most {MAX_URL} characters\n")
+    assert f"… {'a' * 20}" in said, "the middle of a long value is left out"
+    assert f"({MAX_URL + 1:,} characters)" in said
+    assert len(said) < 1_000
