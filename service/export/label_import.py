@@ -128,7 +128,10 @@ def read_scenes(folder: Path, form: LabelForm, current: OpenCurrent) -> Iterator
         labelled += len(scene.frames)
         yield scene
     if not labelled:
-        raise UsageError(f"no frame of this export has labels of format {form.name} ({folder})")
+        raise UsageError(
+            f"no frame of this export has labels of format {form.name}: put its finished files "
+            f"there, {form.finished} ({folder})"
+        )
 
 
 def _read_scene(scene: ExportedScene, form: LabelForm) -> ImportedScene:

@@ -85,5 +85,10 @@ def _file_of(folder: Path) -> Path | None:
     return found[0] if found else None
 
 
-CVAT_LABELS: Final = LabelForm(name="cvat", exports=("cvat",), read_frame=read_frame)
+CVAT_LABELS: Final = LabelForm(
+    finished="annotations/*.json of each scene",
+    name="cvat",
+    exports=("cvat",),
+    read_frame=read_frame,
+)
 """Export CVAT's 3D task as `Datumaro 3D 1.0`."""

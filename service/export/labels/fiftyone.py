@@ -66,5 +66,7 @@ def _cuboid(detection: dict[str, Any], scene: ExportedScene) -> Cuboid:
     )
 
 
-FIFTYONE_LABELS: Final = LabelForm(name="fiftyone", exports=("fiftyone",), read_frame=read_frame)
+FIFTYONE_LABELS: Final = LabelForm(
+    finished="samples.json", name="fiftyone", exports=("fiftyone",), read_frame=read_frame
+)
 """`samples.json`, replaced by the one that FiftyOne exports."""

@@ -27,12 +27,14 @@ class LabelForm:
 
     Attributes:
         name: As `--format` names it.
+        finished: The files that it reads, as a message names them.
         exports: Formats of the exports whose scenes it labels.
         read_frame: Reads the labels of a frame.
         open_scene: Finds the frames of a scene; most exports list them in `frames.json`.
     """
 
     name: str
+    finished: str
     exports: tuple[str, ...]
     read_frame: ReadFrame
     open_scene: OpenScene = scene_in_folder

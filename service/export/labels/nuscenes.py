@@ -116,6 +116,9 @@ def _rows(path: Path) -> list[Any]:
 
 
 NUSCENES_LABELS: Final = LabelForm(
-    name="nuscenes-lidarseg", exports=("nuscenes-lidarseg",), read_frame=read_frame
+    finished="the files *_lidarseg.bin of each scene",
+    name="nuscenes-lidarseg",
+    exports=("nuscenes-lidarseg",),
+    read_frame=read_frame,
 )
 """The files that the nuScenes devkit and its evaluation read."""

@@ -195,6 +195,10 @@ def _digest(objects: dict[str, Any], types: dict[str, str]) -> str:
 
 
 OPENLABEL_LABELS: Final = LabelForm(
-    name="openlabel", exports=("openlabel",), read_frame=read_frame, open_scene=open_scene
+    finished="the document of each scene",
+    name="openlabel",
+    exports=("openlabel",),
+    read_frame=read_frame,
+    open_scene=open_scene,
 )
 """The document of each scene, replaced by the finished one."""

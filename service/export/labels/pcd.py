@@ -63,5 +63,10 @@ def _whole(values: NDArray[Any], name: str, path: Path, *, most: int) -> NDArray
     return numbers.astype(np.int64)
 
 
-PCD_LABELS: Final = LabelForm(name="pcd", exports=("cvat", "xtreme1"), read_frame=read_frame)
+PCD_LABELS: Final = LabelForm(
+    finished="the field label of each cloud",
+    name="pcd",
+    exports=("cvat", "xtreme1"),
+    read_frame=read_frame,
+)
 """Classes that editors of clouds write into a PCD; Supervisely reads the same field."""

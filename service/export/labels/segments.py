@@ -55,5 +55,10 @@ def _frames(path: Path) -> list[Any]:
     return frames
 
 
-SEGMENTS_LABELS: Final = LabelForm(name="segments", exports=("segments",), read_frame=read_frame)
+SEGMENTS_LABELS: Final = LabelForm(
+    finished="label.json of each scene",
+    name="segments",
+    exports=("segments",),
+    read_frame=read_frame,
+)
 """Labels that its SDK releases."""

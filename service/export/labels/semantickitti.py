@@ -29,6 +29,9 @@ def read_frame(scene: ExportedScene, frame: ExportedFrame) -> FinishedLabels | N
 
 
 SEMANTICKITTI_LABELS: Final = LabelForm(
-    name="semantickitti", exports=("semantickitti",), read_frame=read_frame
+    finished="labels/NNNNNN.label of each scene",
+    name="semantickitti",
+    exports=("semantickitti",),
+    read_frame=read_frame,
 )
 """Written by any tool for SemanticKITTI."""

@@ -70,5 +70,10 @@ def _cuboid(box: dict[str, Any], scene: ExportedScene) -> Cuboid:
     )
 
 
-XTREME1_LABELS: Final = LabelForm(name="xtreme1", exports=("xtreme1",), read_frame=read_frame)
+XTREME1_LABELS: Final = LabelForm(
+    finished="result/NNNNNN.json of each scene",
+    name="xtreme1",
+    exports=("xtreme1",),
+    read_frame=read_frame,
+)
 """The folder `result` of its export."""
