@@ -6,6 +6,7 @@ from pydantic import BaseModel, ValidationError
 
 from schemas.canonical import canonical_json
 from schemas.score import MAX_RECORD_BYTES, SCHEMA_VERSION, SceneScore
+from schemas.visible import visible
 
 SCENE_SCORE_ENCODING: Final = ("application/json", f"counterpoint.scene_score.v{SCHEMA_VERSION}")
 """Zenoh encoding and schema suffix of a scored scene."""
@@ -19,6 +20,9 @@ _VERSION_1: Final = b'"schema_version":1,'
 
 RANKED_SCENE_ENCODING: Final = ("application/json", "counterpoint.ranked_scene.v1")
 """Zenoh encoding and schema suffix of one scene of a selection."""
+
+MOST_OF_A_PROBLEM: Final = 500
+"""Characters of the description of an invalid message at most."""
 
 Message = TypeVar("Message", bound=BaseModel)
 
@@ -38,9 +42,10 @@ def decode(kind: type[Message], payload: bytes) -> Message:
 
 
 def first_problem(error: ValidationError) -> str:
-    """Describe in one line the first invalid field of a message."""
+    """Describe in one line of printable characters the first invalid field of a message."""
     first = error.errors(include_url=False, include_input=False)[0]
-    return f"{'.'.join(map(str, first['loc'])) or 'payload'}: {first['msg']}"[:500]
+    place = ".".join(map(str, first["loc"])) or "payload"
+    return visible(f"{place}: {first['msg']}", limit=MOST_OF_A_PROBLEM)
 
 
 def is_of_version_1(record: bytes) -> bool:
