@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
+from tests.reference_folder import reference_folder
 
 
 @pytest.fixture(scope="session")
@@ -14,7 +14,7 @@ def reference() -> Path:
 
     In CI its absence is a failure, elsewhere the test is skipped and says so.
     """
-    folder = Path(os.environ.get("COUNTERPOINT_REFERENCE", ROOT.parent / "shared")).resolve()
+    folder = reference_folder()
     if not (folder / "data" / "logs").is_dir():
         message = f"no reference logs in {folder}; set COUNTERPOINT_REFERENCE to their folder"
         if os.environ.get("CI"):

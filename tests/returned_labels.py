@@ -30,12 +30,12 @@ CUBOIDS: Final = 6
 FACE_M: Final = 0.01
 """Distance outside a face up to which a point belongs to a cuboid."""
 PART: Final = 0.3
-"""Share of the points that a rule labels anew."""
+"""Share of the points whose labels a rule changes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Labelled:
-    """What was labelled in one frame.
+    """Finished labels of one frame.
 
     Attributes:
         classes: (M,) classes of SemanticKITTI, in the order of the exported points.
@@ -297,7 +297,7 @@ def _in_boxes(
 
 
 def _changed(words: Words, random: Generator) -> Words:
-    """Label a part of the points anew, by class and object."""
+    """Change class and object of a part of the points."""
     changed = random.random(len(words)) < PART
     classes = random.choice([*CLASSES, *MOVING], len(words)).astype(np.uint32)
     objects = random.integers(0, 300, len(words)).astype(np.uint32)

@@ -156,8 +156,6 @@ class Waiting(Generic[Item]):
         """Find the lane that gives way: longer than `mine` would be, by what is scarce now."""
         by_count = self._count >= self._most
         length = {name: lane.count if by_count else lane.size for name, lane in self._lanes.items()}
-        if not length:
-            return None
         longest = max(length, key=length.__getitem__)
         own = mine.count + 1 if by_count else mine.size + size
         return longest if length[longest] > own else None

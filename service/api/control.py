@@ -210,7 +210,6 @@ class Control:
             )
         if answer.ok:
             self.leases.discard(request.lease_id)
-            self._staging.discard([entry.sha256 for entry in request.manifest])
             self._on_scenes()
         return answer
 
@@ -221,6 +220,8 @@ class Control:
         began_s = time.monotonic()
         answer = self._ledger.commit(request, staged)
         self._on_commit_seconds(time.monotonic() - began_s)
+        if answer.ok:
+            self._staging.discard(digests)
         return answer
 
     def _refused(self, request: RenewRequest | CommitRequest | FailRequest) -> Answer | None:

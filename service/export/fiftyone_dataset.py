@@ -8,7 +8,6 @@ it. Contradictions are 3D detections in the lidar's space.
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,7 +15,7 @@ from schemas.arrays import NS_PER_S
 from service.curation.selection import Selection
 from service.export.classes import MOVING_ATTRIBUTE
 from service.export.format import Format
-from service.export.frames_file import frame_of, write_frames, write_index
+from service.export.frames_file import digest_of_json, frame_of, write_frames, write_index
 from service.export.pcd import pcd
 from service.export.scene import SceneToExport
 
@@ -116,7 +115,7 @@ def samples_of(scene: SceneToExport) -> Iterator[dict[str, Any]]:
 
 
 def _detections(scene: SceneToExport, frame: int) -> list[dict[str, Any]]:
-    overlay, moving = scene.overlay, scene.labels.moving_instances()
+    overlay, moving = scene.overlay, scene.labels.moving_instances
     tracks = {track.track_id: track for track in scene.score.tracks}
     found: list[dict[str, Any]] = []
     for instance in overlay.instances_of(frame).tolist():
@@ -146,8 +145,7 @@ def _detections(scene: SceneToExport, frame: int) -> list[dict[str, Any]]:
 def digest_of_detections(detections: Sequence[Mapping[str, Any]]) -> str:
     """Digest what the detections of a frame label, to notice if a person changed any."""
     names = ("label", "location", "dimensions", "rotation", "index", MOVING_ATTRIBUTE)
-    told = [[each.get(name) for name in names] for each in detections]
-    return sha256(json.dumps(told).encode()).hexdigest()[:16]
+    return digest_of_json([[each.get(name) for name in names] for each in detections])
 
 
 def _write(path: Path, content: dict[str, Any]) -> None:

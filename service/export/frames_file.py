@@ -28,6 +28,11 @@ def digest_of(words: NDArray[np.unsignedinteger]) -> str:
     return sha256((words.astype("<u4") & 0xFFFF).astype("<u2").tobytes()).hexdigest()[:16]
 
 
+def digest_of_json(content: Any) -> str:
+    """Digest what a file states about a frame, whatever the order of its keys."""
+    return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+
 def frame_of(cloud: LabelledCloud, scene: SceneToExport) -> dict[str, Any]:
     """Describe a frame, by the names that a folder of truth gives its frames.
 

@@ -84,7 +84,7 @@ def document(scene: SceneToExport) -> dict[str, Any]:
 
 def objects_of_frames(overlay: Overlay, labels: PointLabels) -> list[dict[str, Any]]:
     """Return for each frame its objects by track, each with its cuboids."""
-    moving = labels.moving_instances()
+    moving = labels.moving_instances
     frames: list[dict[str, Any]] = []
     for number in range(len(overlay)):
         objects: dict[str, Any] = {}

@@ -6,6 +6,7 @@ the stream that the track's attribution finds right, else of the supervised one.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -115,6 +116,7 @@ class PointLabels:
             lidars=frame.joined,
         )
 
+    @cached_property
     def moving_instances(self) -> NDArray[np.bool_]:
         """Return (I,) if each instance of the overlay moves, by the rule of its points."""
         kinds = self._overlay.instance_kind

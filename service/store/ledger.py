@@ -184,7 +184,7 @@ class Ledger:
     # Leases.
 
     def resume(self) -> None:
-        """Extend held leases to a full term, once at the start: no service ran to renew them."""
+        """Extend held leases to a full term, after a time in which nothing could renew them."""
         with self._store.writing() as connection:
             leases.resume(connection, now_s=self._now_s(), policy=self._policy)
 

@@ -1,26 +1,22 @@
 """Parts of a system of chaos that a run may have or lack."""
 
-import os
 from dataclasses import dataclass
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Final, Literal
 
 from tests.integration.object_store import PACKAGES, missing_programs
 from tests.integration.steered_clock import compiler
+from tests.reference_folder import reference_folder
 
 PoolKind = Literal["quick", "local", "ray"]
 
-SERVERS: Final = (
-    Path(os.environ.get("COUNTERPOINT_REFERENCE", Path(__file__).resolve().parents[3] / "shared"))
-    / "servers"
-)
+SERVERS: Final = reference_folder() / "servers"
 """Folder of the script that starts the S3 store."""
 
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What a system consists of besides services, routers and PostgreSQL.
+    """Parts of a system in addition to services, routers and PostgreSQL.
 
     Attributes:
         clocks: True if each process has a system clock of its own, which is wrong and is set.

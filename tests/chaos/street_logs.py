@@ -23,7 +23,7 @@ OPTIONS: Final = ("--shard-seconds", str(SHARD_S), "--supervised", "recorded")
 
 @dataclass(slots=True)
 class Undisturbed:
-    """What a run gives that nothing disturbs.
+    """Records and overlays of an undisturbed run.
 
     Attributes:
         records: Record of each scene.

@@ -1,6 +1,5 @@
 """Proves the project against the reference outputs, one test per file."""
 
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -10,9 +9,9 @@ import pytest
 
 from tests.golden.__main__ import main
 from tests.golden.checks import check_file, check_of, files_in
+from tests.reference_folder import ROOT, reference_folder
 
-ROOT = Path(__file__).resolve().parents[2]
-GOLDEN = Path(os.environ.get("COUNTERPOINT_REFERENCE", ROOT.parent / "shared")) / "golden"
+GOLDEN = reference_folder() / "golden"
 NAMES = files_in(GOLDEN)
 SMALL = "geometry/residual_images.npz"
 

@@ -7,24 +7,22 @@
 Two minutes of one core. Real logs are read from the folder of `COUNTERPOINT_REFERENCE`.
 """
 
-import os
 import sys
 import tempfile
 from pathlib import Path
 from time import monotonic
-from typing import Final
 
+from tests.reference_folder import reference_folder
 from tests.yardstick.comparing import differences, other_texts
 from tests.yardstick.frozen import Yardstick, digest_of
 from tests.yardstick.runs import RUNS, mine, simulate
 
 OK, DIFFERS, USAGE = 0, 1, 2
-ROOT: Final = Path(__file__).resolve().parents[2]
 
 
 def measure() -> Yardstick:
     """Mine every run."""
-    reference = Path(os.environ.get("COUNTERPOINT_REFERENCE", ROOT.parent / "shared")).resolve()
+    reference = reference_folder()
     runs = {}
     with tempfile.TemporaryDirectory(prefix="yardstick-") as folder:
         simulated = Path(folder)

@@ -15,6 +15,7 @@ from workers.lidar.range_image import SensorProfile, project
 from workers.paper.delora import DeLORA
 from workers.paper.weights import DeLORACard, load_delora
 from workers.part_version import release, version_of
+from workers.points.se3 import transform
 
 
 class DeLORAOdometry:
@@ -103,15 +104,8 @@ class DeLORAOdometry:
         Returns:
             (4, H, W) x, y, z and range, metres, zero where empty.
         """
-        points_m = frame.points_m if motion is None else moved(frame.points_m, motion)
+        points_m = frame.points_m if motion is None else transform(motion, frame.points_m)
         return image_of(points_m, self._profile, valid_mask=frame.valid_mask)[0]
-
-
-def moved(points_m: Points, motion: NDArray[np.float64]) -> Points:
-    """Return (N, 3) points under a (4, 4) motion, in single precision."""
-    turn, shift = motion[:3, :3].astype(np.float32), motion[:3, 3].astype(np.float32)
-    answer: Points = points_m @ turn.T + shift
-    return answer
 
 
 def image_of(

@@ -19,7 +19,7 @@ from service.export.labels.exported import ExportedFrame, ExportedScene
 from service.export.labels.exported_points import points_of
 from service.export.labels.finished import FinishedLabels
 from service.export.labels.form import LabelForm
-from service.export.labels.json_file import of_another_scene, read_json, unlike
+from service.export.labels.label_file import of_another_scene, read_json, unlike
 from service.export.pcd import CVAT_CLOUDS
 from service.export.rotation import rotation_of_angles
 
@@ -86,8 +86,8 @@ def _file_of(folder: Path) -> Path | None:
 
 
 CVAT_LABELS: Final = LabelForm(
-    finished="annotations/*.json of each scene",
     name="cvat",
+    finished="annotations/*.json of each scene",
     exports=("cvat",),
     read_frame=read_frame,
 )

@@ -14,7 +14,7 @@ from schemas.score import SceneScore
 from service.errors import UsageError
 from service.export.frames_file import INDEX, NAME
 from service.export.journal import need_inside
-from service.export.labels.json_file import of_another_scene, read_json
+from service.export.labels.label_file import of_another_scene, read_json
 
 MAX_POINTS: Final = 2**26
 """Points of one frame; the largest lidars have a few million."""

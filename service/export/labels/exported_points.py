@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.export.labels.exported import ExportedFrame
-from service.export.labels.json_file import of_another_scene
+from service.export.labels.label_file import of_another_scene
 from service.export.labels.pcd_file import read_pcd
 
 

@@ -19,7 +19,7 @@ from service.export.labels.exported import ExportedFrame, ExportedScene
 from service.export.labels.exported_points import points_of
 from service.export.labels.finished import FinishedLabels
 from service.export.labels.form import LabelForm
-from service.export.labels.json_file import of_another_scene, read_json, unlike
+from service.export.labels.label_file import of_another_scene, read_json, unlike
 from service.export.rotation import rotation_of_angles
 
 _WHAT: Final = "list of samples of FiftyOne"
@@ -43,9 +43,7 @@ def read_frame(scene: ExportedScene, frame: ExportedFrame) -> FinishedLabels | N
         found = [_cuboid(each, scene) for each in detections]
         digest = digest_of_detections(detections)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise unlike(
-            _WHAT, f"frame {frame.number}: {type(error).__name__}: {error}", path
-        ) from None
+        raise unlike(_WHAT, error, path, frame=frame.number) from None
     if not mine:
         raise of_another_scene(_WHAT, f"it has no sample of {scene.scene_id!r}", path)
     if not samples:
@@ -67,6 +65,6 @@ def _cuboid(detection: dict[str, Any], scene: ExportedScene) -> Cuboid:
 
 
 FIFTYONE_LABELS: Final = LabelForm(
-    finished="samples.json", name="fiftyone", exports=("fiftyone",), read_frame=read_frame
+    name="fiftyone", finished="samples.json", exports=("fiftyone",), read_frame=read_frame
 )
 """`samples.json`, replaced by the one that FiftyOne exports."""

@@ -11,7 +11,7 @@ from typing import Any, Final
 from schemas.bounds import MAX_NAME
 from schemas.verdict import GIVEN, Verdict
 from service.curation.verdicts import JudgeRequest, key_of_content
-from service.export.labels.json_file import read_json, unlike
+from service.export.labels.label_file import read_json, unlike
 from service.export.labelstudio import CHOICE, TRACKS
 
 NAME: Final = "labelstudio"

@@ -18,7 +18,7 @@ from service.export.journal import need_inside
 from service.export.labels.exported import ExportedFrame, ExportedScene
 from service.export.labels.finished import STATIC, UNKNOWN, FinishedLabels
 from service.export.labels.form import LabelForm
-from service.export.labels.json_file import of_another_scene, read_json, unlike
+from service.export.labels.label_file import of_another_scene, read_bytes, read_json, unlike
 from service.export.nuscenes_lidarseg import CLASSES, VERSION
 
 _THING: Final = 99
@@ -60,10 +60,7 @@ def read_frame(scene: ExportedScene, frame: ExportedFrame) -> FinishedLabels | N
             a byte is no class of the table `category`.
     """
     path = scene.place / _file_of(scene, frame)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise UsageError(f"cannot read labels: {error.strerror} ({path})") from None
+    data = read_bytes(path)
     classes = np.frombuffer(data, dtype=np.uint8)
     names = _names(scene.place / VERSION / "category.json")
     for number in np.unique(classes).tolist():
@@ -116,8 +113,8 @@ def _rows(path: Path) -> list[Any]:
 
 
 NUSCENES_LABELS: Final = LabelForm(
-    finished="the files *_lidarseg.bin of each scene",
     name="nuscenes-lidarseg",
+    finished="the files *_lidarseg.bin of each scene",
     exports=("nuscenes-lidarseg",),
     read_frame=read_frame,
 )

@@ -4,8 +4,6 @@ The export has no points. The cuboids label those of the scene's overlay, whose 
 the raw message, at its resolution of a centimetre.
 """
 
-import json
-from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,6 +15,7 @@ from schemas.errors import PermanentError
 from schemas.overlay import NO_POSITION_CM, Overlay
 from service.errors import UsageError
 from service.export.classes import MOVING_ATTRIBUTE
+from service.export.frames_file import digest_of_json
 from service.export.labels.cuboids import (
     MAX_CUBOIDS,
     Cuboid,
@@ -27,7 +26,7 @@ from service.export.labels.cuboids import (
 from service.export.labels.exported import ExportedFrame, ExportedLidar, ExportedScene, OpenCurrent
 from service.export.labels.finished import FinishedLabels
 from service.export.labels.form import LabelForm
-from service.export.labels.json_file import of_another_scene, read_json, unlike
+from service.export.labels.label_file import of_another_scene, read_json, unlike
 from service.export.openlabel import LIDAR, objects_of_frames, type_of
 from service.export.points import PointLabels
 from service.export.rotation import rotation_of_angles, rotation_of_quaternion
@@ -98,9 +97,7 @@ def read_frame(scene: ExportedScene, frame: ExportedFrame) -> FinishedLabels | N
         digest = _digest(objects, types)
         found = [] if why or strange else _cuboids(objects, described, scene, overlay)
     except _UNLIKE as error:
-        raise unlike(
-            _WHAT, f"frame {frame.number}: {type(error).__name__}: {error}", path
-        ) from None
+        raise unlike(_WHAT, error, path, frame=frame.number) from None
     if strange:
         raise of_another_scene(_WHAT, f"it has a frame {strange[0]!r}", path)
     if why:
@@ -190,13 +187,12 @@ def _returns(overlay: Overlay, number: int) -> NDArray[np.int64]:
 
 def _digest(objects: dict[str, Any], types: dict[str, str]) -> str:
     """Digest the cuboids of a frame with the types of their objects."""
-    text = json.dumps([objects, types], sort_keys=True)
-    return sha256(text.encode()).hexdigest()[:16]
+    return digest_of_json([objects, types])
 
 
 OPENLABEL_LABELS: Final = LabelForm(
-    finished="the document of each scene",
     name="openlabel",
+    finished="the document of each scene",
     exports=("openlabel",),
     read_frame=read_frame,
     open_scene=open_scene,

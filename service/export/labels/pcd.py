@@ -14,7 +14,7 @@ from service.errors import UsageError
 from service.export.labels.exported import ExportedFrame, ExportedScene
 from service.export.labels.finished import FinishedLabels
 from service.export.labels.form import LabelForm
-from service.export.labels.json_file import of_another_scene
+from service.export.labels.label_file import of_another_scene
 from service.export.labels.pcd_file import read_pcd
 from service.export.pcd import CVAT_CLOUDS, XTREME1_CLOUDS
 
@@ -64,8 +64,8 @@ def _whole(values: NDArray[Any], name: str, path: Path, *, most: int) -> NDArray
 
 
 PCD_LABELS: Final = LabelForm(
-    finished="the field label of each cloud",
     name="pcd",
+    finished="the field label of each cloud",
     exports=("cvat", "xtreme1"),
     read_frame=read_frame,
 )

@@ -6,9 +6,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import UsageError
 from service.export.labels.exported import MAX_POINTS
-from service.export.labels.json_file import unlike
+from service.export.labels.label_file import read_bytes, unlike
 
 _KINDS: Final = {"F": "f", "U": "u", "I": "i"}
 _SIZES: Final = frozenset({1, 2, 4, 8})
@@ -34,10 +33,7 @@ def read_pcd(path: Path) -> dict[str, NDArray[Any]]:
         UsageError: If the file cannot be read, is compressed, or has more or fewer bytes than its
             header states.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise UsageError(f"cannot read labels: {error.strerror} ({path})") from None
+    data = read_bytes(path)
     try:
         header, begin = _header(data)
         kind, points = _point_of(header), int(header["POINTS"][0])

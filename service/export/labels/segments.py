@@ -8,7 +8,7 @@ import numpy as np
 from service.export.labels.exported import ExportedFrame, ExportedScene
 from service.export.labels.finished import FinishedLabels
 from service.export.labels.form import LabelForm
-from service.export.labels.json_file import of_another_scene, read_json, unlike
+from service.export.labels.label_file import of_another_scene, read_json, unlike
 
 _WHAT: Final = "label of Segments.ai"
 
@@ -34,8 +34,7 @@ def read_frame(scene: ExportedScene, frame: ExportedFrame) -> FinishedLabels | N
         words = {key: classes[key] | (objects[key] & 0xFFFF) << 16 for key in classes}
         found = np.array([words.get(each, 0) for each in about["point_annotations"]], dtype="<u4")
     except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as error:
-        why = f"frame {number}: {type(error).__name__}: {error}"
-        raise unlike(_WHAT, why, path) from None
+        raise unlike(_WHAT, error, path, frame=number) from None
     if stamp is not None and str(stamp) != str(frame.stamp_ns):
         why = f"frame {number} has the timestamp {stamp}, and the export {frame.stamp_ns}"
         raise of_another_scene(_WHAT, why, path)
@@ -56,8 +55,8 @@ def _frames(path: Path) -> list[Any]:
 
 
 SEGMENTS_LABELS: Final = LabelForm(
-    finished="label.json of each scene",
     name="segments",
+    finished="label.json of each scene",
     exports=("segments",),
     read_frame=read_frame,
 )

@@ -8,6 +8,7 @@ from service.errors import UsageError
 from service.export.labels.exported import ExportedFrame, ExportedScene
 from service.export.labels.finished import FinishedLabels
 from service.export.labels.form import LabelForm
+from service.export.labels.label_file import read_bytes
 
 
 def read_frame(scene: ExportedScene, frame: ExportedFrame) -> FinishedLabels | None:
@@ -19,18 +20,15 @@ def read_frame(scene: ExportedScene, frame: ExportedFrame) -> FinishedLabels | N
     path = scene.place / "labels" / f"{frame.number:06d}.label"
     if not path.exists():
         return None
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise UsageError(f"cannot read labels: {error.strerror} ({path})") from None
+    data = read_bytes(path)
     if len(data) % 4:
         raise UsageError(f"cannot read labels: {len(data)} bytes are no whole labels ({path})")
     return FinishedLabels.of_words(np.frombuffer(data, dtype="<u4"))
 
 
 SEMANTICKITTI_LABELS: Final = LabelForm(
-    finished="labels/NNNNNN.label of each scene",
     name="semantickitti",
+    finished="labels/NNNNNN.label of each scene",
     exports=("semantickitti",),
     read_frame=read_frame,
 )

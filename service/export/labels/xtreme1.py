@@ -18,7 +18,7 @@ from service.export.labels.exported import ExportedFrame, ExportedScene
 from service.export.labels.exported_points import points_of
 from service.export.labels.finished import FinishedLabels
 from service.export.labels.form import LabelForm
-from service.export.labels.json_file import of_another_scene, read_json, unlike
+from service.export.labels.label_file import of_another_scene, read_json, unlike
 from service.export.pcd import XTREME1_CLOUDS
 from service.export.rotation import rotation_of_angles
 
@@ -71,8 +71,8 @@ def _cuboid(box: dict[str, Any], scene: ExportedScene) -> Cuboid:
 
 
 XTREME1_LABELS: Final = LabelForm(
-    finished="result/NNNNNN.json of each scene",
     name="xtreme1",
+    finished="result/NNNNNN.json of each scene",
     exports=("xtreme1",),
     read_frame=read_frame,
 )

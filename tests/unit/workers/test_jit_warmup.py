@@ -4,7 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.conftest import ROOT
+from tests.reference_folder import ROOT
 from workers.points.compiled import COMPILED
 
 RUN_ONE_LOOP = """

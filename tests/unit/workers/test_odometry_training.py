@@ -33,8 +33,9 @@ from workers.lab.training.odometry_loss import Surface, alignment_loss, identity
 from workers.lab.training.run_state import Progress
 from workers.lab.training.settings import TrainingSettings
 from workers.paper.delora import DeLORA, Motion, matrix
-from workers.paper.delora_odometry import DeLORAOdometry, image_of, moved
+from workers.paper.delora_odometry import DeLORAOdometry, image_of
 from workers.paper.weights import DeLORACard, load_delora
+from workers.points.se3 import transform
 
 SETTINGS = TrainingSettings(steps=3, batch=1, scorings=3, peak_rate=1e-4)
 CARD = DeLORACard(
@@ -156,7 +157,7 @@ def test_the_published_loss_of_a_dense_street_is_least_at_the_true_motion(dense:
 def test_a_moved_scan_lies_on_the_one_before(dense: Pair) -> None:
     first, second = NormalScan.read(dense.first), NormalScan.read(dense.second)
     true = np.linalg.inv(first.odom_from_sensor) @ second.odom_from_sensor
-    there = moved(second.points_m, true)
+    there = transform(true, second.points_m)
     np.testing.assert_allclose(
         there, second.points_m @ true[:3, :3].T + true[:3, 3], atol=1e-3, rtol=0
     )
@@ -164,7 +165,7 @@ def test_a_moved_scan_lies_on_the_one_before(dense: Pair) -> None:
     wall = second.normals.any(axis=1) & (np.abs(second.normals[:, 2]) < 0.3)
     tree, known = cKDTree(first.points_m), first.normals
     off = []
-    for points in (there[wall], second.points_m[wall], moved(there[wall], true)):
+    for points in (there[wall], second.points_m[wall], transform(true, there[wall])):
         partner = tree.query(points)[1]
         off.append(np.abs(((points - first.points_m[partner]) * known[partner]).sum(axis=1)).mean())
     assert off[0] < 0.7 * min(off[1:])
@@ -187,7 +188,7 @@ def test_with_refinements_an_error_that_is_the_same_in_both_orders_cancels(
     poses = [posed.odom_from_sensor for posed in found([frame] * 3)]
     np.testing.assert_allclose([each[0, 3] for each in poses], (0, *expected_m), atol=1e-6)
     motion = factories.pose(0.4, 0.1, 0.02)
-    ahead = factories.frame(moved(frame.points_m, motion))
+    ahead = factories.frame(transform(motion, frame.points_m))
     np.testing.assert_array_equal(found.image(frame, motion), found.image(ahead))
 
 
@@ -218,11 +219,13 @@ def test_motions_are_drawn_from_a_centimetre_to_a_metre() -> None:
 
 
 def _change_by(motion_m: float, net: DeLORA, pair: Pair) -> float:
-    """How far 0.4 m change the features, in spreads of a feature."""
+    """Return the change of the features by a motion, in spreads of a feature."""
     first = NormalScan.read(pair.first)
     profile = odometry.profile_of(CARD)
     images = [
-        torch.from_numpy(image_of(moved(first.points_m, factories.pose(each, 0, 0)), profile)[0])
+        torch.from_numpy(
+            image_of(transform(factories.pose(each, 0, 0), first.points_m), profile)[0]
+        )
         for each in (0.0, motion_m)
     ]
     with torch.inference_mode():

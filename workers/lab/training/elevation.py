@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from workers.lab.datasets.ground_clouds import GroundCloud, cell_heights, filled
 from workers.lab.training.elevation_loss import elevation_loss, seen_elevation_loss
 from workers.lab.training.kept_weights import train_kept
-from workers.lab.training.loop import Schedule
+from workers.lab.training.loop import Schedule, rising_and_falling
 from workers.lab.training.run_state import Progress
 from workers.lab.training.settings import TrainingSettings
 from workers.paper.gndnet import GRID, GndNet, PfnLayer, decorate
@@ -44,9 +44,6 @@ _CALM: Final = 1 / 50
 
 x and y reach 50 m, and the height of the ground a few decimetres. With equal weights a pillar's
 code, the largest of its points, is its place alone, and the first steps learn no height."""
-
-_RISING: Final = 0.15
-"""Share of the steps in which the rate rises, unless published."""
 
 
 def optimiser_in_words(*, published: bool) -> str:
@@ -280,9 +277,7 @@ def _optimiser(
 ) -> tuple[torch.optim.Optimizer, torch.optim.lr_scheduler.LRScheduler]:
     if not settings.published:
         adam = torch.optim.Adam(net.parameters(), lr=settings.peak_rate)
-        return adam, torch.optim.lr_scheduler.OneCycleLR(
-            adam, max_lr=settings.peak_rate, total_steps=settings.steps, pct_start=_RISING
-        )
+        return adam, rising_and_falling(adam, peak_rate=settings.peak_rate, steps=settings.steps)
     sgd = torch.optim.SGD(
         net.parameters(), lr=settings.peak_rate, momentum=_MOMENTUM, weight_decay=_WEIGHT_DECAY
     )

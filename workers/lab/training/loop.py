@@ -14,6 +14,9 @@ from torch import Tensor
 from workers.lab.training.errors import TrainingDivergedError
 from workers.lab.training.run_state import Progress, read_state, write_state
 
+_RISING: Final = 0.15
+"""Share of the steps in which a rate rises that rises and falls once."""
+
 STATE_EVERY_S: Final = 20.0
 """Interval of the states, seconds: the most that a kill loses."""
 
@@ -61,6 +64,15 @@ class Schedule:
     steps: int
     scorings: int
     patience: int
+
+
+def rising_and_falling(
+    optimiser: torch.optim.Optimizer, *, peak_rate: float, steps: int
+) -> torch.optim.lr_scheduler.LRScheduler:
+    """Return rates that rise to the highest in the first 15 % of the steps, and fall after it."""
+    return torch.optim.lr_scheduler.OneCycleLR(
+        optimiser, max_lr=peak_rate, total_steps=steps, pct_start=_RISING
+    )
 
 
 def run(

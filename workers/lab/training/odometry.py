@@ -20,14 +20,15 @@ from workers.lab.training.known_motion import (
     known_motion_loss,
     motion_errors,
 )
-from workers.lab.training.loop import Schedule
+from workers.lab.training.loop import Schedule, rising_and_falling
 from workers.lab.training.odometry_loss import Surface, alignment_loss, identity_loss
 from workers.lab.training.run_state import Progress
 from workers.lab.training.settings import TrainingSettings
 from workers.lidar.range_image import SensorProfile
 from workers.paper.delora import Motion
-from workers.paper.delora_odometry import image_of, moved
+from workers.paper.delora_odometry import image_of
 from workers.paper.weights import DeLORACard
+from workers.points.se3 import transform
 
 PEAK_RATE: Final = 1e-4
 """Highest learning rate, unless it is named."""
@@ -208,7 +209,7 @@ class OdometryLearner:
     ) -> tuple[Images, NDArray[np.float64]]:
         """Return both images, the second moved by its pose and further, and the motion back."""
         guess = np.linalg.inv(first.odom_from_sensor) @ second.odom_from_sensor
-        there = moved(second.points_m, further @ guess)
+        there = transform(further @ guess, second.points_m)
         images = image_of(first.points_m, self._profile)[0], image_of(there, self._profile)[0]
         back = np.asarray(np.linalg.inv(further), np.float64)
         return images, back
@@ -301,9 +302,7 @@ def train_odometry(
         rates = torch.optim.lr_scheduler.ConstantLR(optimiser, factor=1.0)
     else:
         optimiser.register_step_pre_hook(lambda *_: _bound_gradients(learner.net))
-        rates = torch.optim.lr_scheduler.OneCycleLR(
-            optimiser, max_lr=settings.peak_rate, total_steps=settings.steps, pct_start=0.15
-        )
+        rates = rising_and_falling(optimiser, peak_rate=settings.peak_rate, steps=settings.steps)
     return train_kept(
         learner,
         Schedule(optimiser, rates, settings.steps, settings.scorings, settings.patience),

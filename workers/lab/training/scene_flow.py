@@ -15,7 +15,7 @@ from workers.lab.datasets.flow_clouds import FlowCloud
 from workers.lab.datasets.frame_files import Pair
 from workers.lab.training.flow_loss import FINE_TUNING, PRE_TRAINING, FlowLossSettings, flow_loss
 from workers.lab.training.kept_weights import train_kept
-from workers.lab.training.loop import Schedule
+from workers.lab.training.loop import Schedule, rising_and_falling
 from workers.lab.training.run_state import Progress
 from workers.lab.training.settings import TrainingSettings
 from workers.paper.learned_flow import FLOW_AXES
@@ -252,9 +252,7 @@ def train_flow(
         falls = [fall * epoch for fall in recipe.falls]
         rates = torch.optim.lr_scheduler.MultiStepLR(optimiser, falls, gamma=0.5)
     else:
-        rates = torch.optim.lr_scheduler.OneCycleLR(
-            optimiser, max_lr=settings.peak_rate, total_steps=settings.steps, pct_start=0.15
-        )
+        rates = rising_and_falling(optimiser, peak_rate=settings.peak_rate, steps=settings.steps)
     return train_kept(
         learner,
         Schedule(optimiser, rates, settings.steps, settings.scorings, settings.patience),

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from workers.lab.training.batches import Batch, TrainingSet, draw_batch, drawn_labels
-from workers.lab.training.loop import Schedule, curve_text, run
+from workers.lab.training.loop import Schedule, curve_text, rising_and_falling, run
 from workers.lab.training.loss import class_weights, segmentation_loss
 from workers.lab.training.run_state import Progress
 from workers.lab.training.scores import score_images
@@ -242,9 +242,7 @@ def _schedule(net: SalsaNext, settings: TrainingSettings) -> Schedule:
         optimiser = torch.optim.AdamW(
             net.parameters(), lr=settings.peak_rate, weight_decay=settings.weight_decay
         )
-        rates = torch.optim.lr_scheduler.OneCycleLR(
-            optimiser, max_lr=settings.peak_rate, total_steps=settings.steps, pct_start=0.15
-        )
+        rates = rising_and_falling(optimiser, peak_rate=settings.peak_rate, steps=settings.steps)
     return Schedule(optimiser, rates, settings.steps, settings.scorings, settings.patience)
 
 

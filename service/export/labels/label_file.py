@@ -1,4 +1,4 @@
-"""Reading a JSON file that another program wrote."""
+"""Reading a file of labels that another program wrote, and the errors about it."""
 
 import json
 from functools import lru_cache
@@ -9,6 +9,18 @@ from service.errors import UsageError
 
 MAX_BYTES: Final = 2**31
 """Bytes of a file at most; the labels of all points of a scene have a hundredth of it as text."""
+
+
+def read_bytes(path: Path) -> bytes:
+    """Read a file.
+
+    Raises:
+        UsageError: If it cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise UsageError(f"cannot read labels: {error.strerror} ({path})") from None
 
 
 def read_json(path: Path, *, what: str) -> Any:
@@ -37,9 +49,11 @@ def _read(path: Path, _changed_ns: int, _size: int) -> Any:
     return json.loads(path.read_text(encoding="utf-8"))
 
 
-def unlike(what: str, why: Exception | str, path: Path) -> UsageError:
-    """Return the error for a file that is not what it should be."""
+def unlike(what: str, why: Exception | str, path: Path, *, frame: int | None = None) -> UsageError:
+    """Return the error for a file that is not what it should be, all of it or in one frame."""
     told = why if isinstance(why, str) else f"{type(why).__name__}: {why}"
+    if frame is not None:
+        told = f"frame {frame}: {told}"
     return UsageError(f"cannot read labels: this is no {what}: {told} ({path})")
 
 
